@@ -1,0 +1,1 @@
+"""Live, honest estimation of how people drive."""

@@ -1,0 +1,206 @@
+"""What a driver wants: the utility of holding an acceleration, its anticipation, and the Boltzmann mean action.
+
+Sections 3.1, 3.2 and 3.4.1 of the paper. A driver sees (gap [m], speed [m/s], leader_speed [m/s]); without a leader the
+gap is infinite. All functions are pure and compiled; a driver's parameters are a vector ordered as in
+``driver.parameters`` and already rescaled to ``period`` [s].
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from sugiyama_ros.driver.parameters import (
+    KAPPA_1,
+    KAPPA_C,
+    KAPPA_D,
+    KAPPA_V,
+    OMEGA_2,
+    RATIONALITY,
+    UTILITY,
+    V_STAR,
+)
+from sugiyama_ros.road import Array
+
+#: The paper's grid of candidate accelerations [m/s^2]; section 3.4.1.
+ACTIONS: Array = np.linspace(-6.0, 4.0, 41, dtype=np.float64)
+
+#: Order of the mean action's partial derivatives: what the driver sees, then the utility's parameters.
+GAP, SPEED, LEADER_SPEED = range(3)
+PARTIALS = 3 + len(UTILITY)
+_V_STAR, _KAPPA_V, _KAPPA_1, _KAPPA_C, _KAPPA_D, _OMEGA_2, _RATIONALITY = range(3, PARTIALS)
+
+# exp(-10 (v + 0.25)) overflows for speeds that nobody drives backward; its exponent is capped here.
+_EXPONENT_CAP = 600.0
+# Actions less likely than this, relative to the likeliest, cannot change a double.
+_NEGLIGIBLE = 1e-20
+
+
+@njit(cache=True)
+def desired_speed_reward(speed: float, v_star: float, kappa_1: float) -> float:
+    """phi1: reward of driving forward near the desired speed; first equation of section 3.2.1."""
+    off = (speed - v_star) / (kappa_1 * v_star)
+    return math.exp(-off * off) - math.exp(min(-10.0 * (speed + 0.25), _EXPONENT_CAP))
+
+
+@njit(cache=True)
+def gap_scale(speed: float, leader_speed: float, kappa_c: float, kappa_v: float, kappa_d: float) -> float:
+    """sigma [m]: the gap within which a driver feels at risk; text below Eq. PairwiseCollisionPenalty."""
+    return kappa_c + kappa_v * abs(speed) + kappa_d * max(speed - leader_speed, 0.0)
+
+
+@njit(cache=True)
+def collision_penalty(ratio: float) -> float:
+    """phi2: subjective risk at a gap of ``ratio`` scales; 1 at contact; Eq. PairwiseCollisionPenalty."""
+    if ratio <= 0.0:
+        return 1.0
+    return math.exp(-ratio * (ratio + 2.0))
+
+
+@njit(cache=True)
+def anticipate(
+    action: float, tau: int, gap: float, speed: float, leader_speed: float, period: float
+) -> tuple[float, float]:
+    """Gap [m] and speed [m/s] expected ``tau`` periods ahead if ``action`` is held and the leader keeps his speed.
+
+    Euler's rule as in Eq. ssm_form: x_{t+1} = x_t + dt v_t, v_{t+1} = v_t + dt a.
+    """
+    gap_ahead = gap + period * tau * (leader_speed - speed) - period * period * action * (0.5 * tau * (tau - 1))
+    return gap_ahead, speed + tau * period * action
+
+
+@njit(cache=True)
+def closest(
+    action: float, gap: float, speed: float, leader_speed: float, parameters: Array, period: float, horizon: int
+) -> tuple[int, float, float]:
+    """Period of the look-ahead with the smallest gap over scale, that gap [m] and that scale [m].
+
+    F falls with its argument, so g2, the largest penalty of the look-ahead (section 3.2.2), is the penalty there.
+    """
+    tau_min, gap_min, scale_min = 0, 1.0, 0.0
+    for tau in range(1, horizon + 1):
+        gap_ahead, speed_ahead = anticipate(action, tau, gap, speed, leader_speed, period)
+        scale = gap_scale(speed_ahead, leader_speed, parameters[KAPPA_C], parameters[KAPPA_V], parameters[KAPPA_D])
+        if gap_ahead * scale_min < gap_min * scale or tau == 1:
+            tau_min, gap_min, scale_min = tau, gap_ahead, scale
+    return tau_min, gap_min, scale_min
+
+
+@njit(cache=True)
+def utility(
+    action: float, gap: float, speed: float, leader_speed: float, parameters: Array, period: float, horizon: int
+) -> float:
+    """Effective utility of holding ``action``: g1 of phi1 plus omega2 times g2 of phi2; Eq. EffectiveUtilityTilde."""
+    reward = desired_speed_reward(speed + period * action, parameters[V_STAR], parameters[KAPPA_1])
+    if math.isinf(gap):
+        return reward
+    _, gap_min, scale_min = closest(action, gap, speed, leader_speed, parameters, period, horizon)
+    return float(reward + parameters[OMEGA_2] * collision_penalty(gap_min / scale_min))
+
+
+@njit(cache=True)
+def _utility_gradient(
+    action: float,
+    gap: float,
+    speed: float,
+    leader_speed: float,
+    parameters: Array,
+    period: float,
+    horizon: int,
+    out: Array,
+) -> None:
+    """Partial derivatives of ``utility`` into ``out`` (PARTIALS,), that of the rationality left out."""
+    v_star, kappa_1, omega_2 = parameters[V_STAR], parameters[KAPPA_1], parameters[OMEGA_2]
+    next_speed = speed + period * action
+    off = (next_speed - v_star) / (kappa_1 * v_star)
+    slope = -2.0 * off * math.exp(-off * off)
+    backward = -10.0 * (next_speed + 0.25)
+    brake = 10.0 * math.exp(backward) if backward < _EXPONENT_CAP else 0.0
+    out[:] = 0.0
+    out[SPEED] = slope / (kappa_1 * v_star) + brake
+    out[_V_STAR] = -slope * next_speed / (kappa_1 * v_star * v_star)
+    out[_KAPPA_1] = -slope * off / kappa_1
+    if math.isinf(gap):
+        return
+    tau, gap_min, scale = closest(action, gap, speed, leader_speed, parameters, period, horizon)
+    ratio = gap_min / scale
+    penalty = collision_penalty(ratio)
+    out[_OMEGA_2] = penalty
+    if ratio <= 0.0:
+        return
+    # d utility = by_gap d gap_min + by_scale d scale
+    by_gap = -2.0 * omega_2 * (ratio + 1.0) * penalty / scale
+    by_scale = -ratio * by_gap
+    speed_min = speed + tau * period * action
+    closing = speed_min - leader_speed
+    scale_by_speed = math.copysign(parameters[KAPPA_V], speed_min)
+    if closing > 0.0:
+        scale_by_speed += parameters[KAPPA_D]
+        out[LEADER_SPEED] = -parameters[KAPPA_D] * by_scale
+        out[_KAPPA_D] = closing * by_scale
+    out[GAP] = by_gap
+    out[SPEED] += -tau * period * by_gap + scale_by_speed * by_scale
+    out[LEADER_SPEED] += tau * period * by_gap
+    out[_KAPPA_V] = abs(speed_min) * by_scale
+    out[_KAPPA_C] = by_scale
+
+
+@njit(cache=True)
+def _likelihoods(
+    gap: float, speed: float, leader_speed: float, parameters: Array, actions: Array, period: float, horizon: int
+) -> tuple[Array, Array]:
+    """Utilities of all actions and their Boltzmann weights, the largest set to 1; Eq. MaximumEntropy."""
+    utilities, weight = np.empty(len(actions)), np.empty(len(actions))
+    best = -np.inf
+    for k in range(len(actions)):
+        utilities[k] = utility(actions[k], gap, speed, leader_speed, parameters, period, horizon)
+        best = max(best, utilities[k])
+    for k in range(len(actions)):
+        weight[k] = math.exp(parameters[RATIONALITY] * (utilities[k] - best))
+    return utilities, weight
+
+
+@njit(cache=True)
+def mean_action(
+    gap: float, speed: float, leader_speed: float, parameters: Array, actions: Array, period: float, horizon: int
+) -> float:
+    """Boltzmann mean [m/s^2] of the action over the grid ``actions`` (K,); Eqs. MeanAction to PartitionFunction.
+
+    parameters: (P,); horizon: periods of look-ahead.
+    """
+    _, weight = _likelihoods(gap, speed, leader_speed, parameters, actions, period, horizon)
+    return float(np.dot(weight, actions) / weight.sum())
+
+
+@njit(cache=True)
+def mean_action_gradient(
+    gap: float,
+    speed: float,
+    leader_speed: float,
+    parameters: Array,
+    actions: Array,
+    period: float,
+    horizon: int,
+    out: Array,
+) -> float:
+    """The mean action [m/s^2], and its partial derivatives into ``out`` (PARTIALS,).
+
+    The derivative of a Boltzmann mean is a covariance: d mean(a) = lambda cov(a, d utility).
+    """
+    utilities, weight = _likelihoods(gap, speed, leader_speed, parameters, actions, period, horizon)
+    weight /= weight.sum()
+    mean = float(np.dot(weight, actions))
+    rationality = parameters[RATIONALITY]
+    partial = np.empty(PARTIALS)
+    by_rationality = 0.0
+    out[:] = 0.0
+    for k in range(len(actions)):
+        if weight[k] < _NEGLIGIBLE:
+            continue
+        _utility_gradient(actions[k], gap, speed, leader_speed, parameters, period, horizon, partial)
+        off = weight[k] * (actions[k] - mean)
+        for j in range(PARTIALS):
+            out[j] += rationality * off * partial[j]
+        by_rationality += off * utilities[k]
+    out[_RATIONALITY] = by_rationality
+    return mean

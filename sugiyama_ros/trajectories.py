@@ -1,0 +1,153 @@
+"""Measured or simulated trajectories of many vehicles on one road, on a regular time base."""
+
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.road import Array, Ints, Road
+
+#: Length [m] of a vehicle whose file does not tell: the mean of the paper's Table 1.
+DEFAULT_LENGTH_M = 4.33
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectories:
+    """Positions of N vehicles at T regular times.
+
+    position_m: (T, N) [m], of the vehicles' centres, wrapped on a ring; NaN where a sample is missing.
+    length_m: (N,) [m].
+    vehicle: (N,) numbers of the vehicles as in their file.
+    period_s: time [s] between two samples; start_s: time [s] of the first.
+    source, sha256: where the positions come from.
+
+    Raises InputError where the shapes do not fit or a value cannot be.
+    """
+
+    position_m: Array
+    length_m: Array
+    vehicle: Ints
+    road: Road
+    period_s: float
+    start_s: float = 0.0
+    source: str = ""
+    sha256: str = ""
+
+    def __post_init__(self) -> None:
+        samples, vehicles = self.position_m.shape
+        if samples < 2 or vehicles < 1:
+            raise InputError(f"{self.source or 'trajectories'}: need at least 2 samples of 1 vehicle")
+        if self.length_m.shape != (vehicles,) or self.vehicle.shape != (vehicles,):
+            raise InputError(f"{self.source or 'trajectories'}: give one length and one number for each vehicle")
+        if not (self.period_s > 0.0 and np.isfinite(self.period_s)):
+            raise InputError(f"{self.source or 'trajectories'}: the time between samples is {self.period_s} s")
+        if len(np.unique(self.vehicle)) != vehicles:
+            raise InputError(f"{self.source or 'trajectories'}: a vehicle's number occurs twice")
+        if not (np.all(np.isfinite(self.length_m)) and np.all(self.length_m >= 0.0)):
+            raise InputError(f"{self.source or 'trajectories'}: a vehicle's length is negative or not a number")
+
+    @property
+    def time_s(self) -> Array:
+        """Times [s] of the samples, shape (T,)."""
+        return np.asarray(self.start_s + self.period_s * np.arange(len(self.position_m)), dtype=np.float64)
+
+    @property
+    def duration_s(self) -> float:
+        """Time [s] from the first sample to the last."""
+        return self.period_s * (len(self.position_m) - 1)
+
+    @cached_property
+    def present(self) -> NDArray[np.bool_]:
+        """(T, N): whether a vehicle is on the road, that is between its first and its last sample."""
+        known = np.isfinite(self.position_m)
+        seen = np.maximum.accumulate(known, axis=0)
+        to_come = np.maximum.accumulate(known[::-1], axis=0)[::-1]
+        return np.asarray(seen & to_come)
+
+    @cached_property
+    def leader(self) -> Ints:
+        """(T, N): index of the vehicle directly ahead on the road, -1 where there is none.
+
+        The order along the road is that of most samples, so that a single wild measurement does not change it.
+        """
+        leader = np.full(self.position_m.shape, -1, dtype=np.int64)
+        filled = self._filled
+        changes = np.flatnonzero(np.any(self.present[1:] != self.present[:-1], axis=1)) + 1
+        for first, last in zip([0, *changes], [*changes, len(leader)], strict=True):
+            on_road = np.flatnonzero(self.present[first])
+            if len(on_road) > 1:
+                leader[first:last, on_road] = _leaders(filled[first:last][:, on_road], on_road, self.road)
+        return leader
+
+    @property
+    def _filled(self) -> Array:
+        """Positions made continuous, gaps between known samples filled by straight lines."""
+        filled = self.road.unwrap(self.position_m).copy()
+        ticks = np.arange(len(filled))
+        for column in filled.T:
+            known = np.isfinite(column)
+            if known.any():
+                column[:] = np.interp(ticks, ticks[known], column[known])
+        return filled
+
+
+def _leaders(position_m: Array, number: Ints, road: Road) -> Ints:
+    """Most common leader of each vehicle over the samples of ``position_m`` (T, n), as entries of ``number``."""
+    order = np.argsort(road.wrap(position_m), axis=1, kind="stable")
+    ahead = np.empty_like(order)
+    np.put_along_axis(ahead, order, np.roll(order, -1, axis=1), axis=1)
+    if not road.is_ring:
+        np.put_along_axis(ahead, order[:, -1:], -1, axis=1)
+    found = np.empty(len(number), dtype=np.int64)
+    for k, votes in enumerate(ahead.T):
+        candidates, count = np.unique(votes, return_counts=True)
+        winner = candidates[np.argmax(count)]
+        found[k] = number[winner] if winner >= 0 else -1
+    return found
+
+
+def regular_time_base(time_s: Array, where: str) -> tuple[float, float, Ints]:
+    """Start [s], period [s] and sample numbers of sorted distinct times that may skip samples.
+
+    time_s: (n,) strictly increasing [s]; stamps may be rounded. ``where`` names them in an error.
+    Raises InputError where they do not lie on a regular time base.
+    """
+    if len(time_s) < 2:
+        raise InputError(f"{where}: only one time; need at least two samples")
+    # A skipped sample makes a step larger, never smaller: the lower quartile of steps is the period, rounding aside.
+    step = np.diff(time_s)
+    period = float(np.median(step[step <= 1.5 * np.quantile(step, 0.25)]))
+    number = np.concatenate(([0], np.cumsum(np.round(step / period).astype(np.int64))))
+    if number[-1] >= 2 * len(time_s):
+        raise InputError(
+            f"{where}: only {len(time_s)} of {number[-1] + 1} times at steps of {period:.4g} s are there;"
+            " resample to a regular time base"
+        )
+    if len(time_s) > 2:
+        period, start = (float(c) for c in np.polyfit(number, time_s, 1))
+    else:
+        start = float(time_s[0])
+    off = np.abs(time_s - (start + period * number))
+    worst = int(np.argmax(off))
+    if off[worst] > 0.1 * period:
+        raise InputError(
+            f"{where}: time {time_s[worst]:g} s lies {off[worst]:.3g} s off the regular time base of {period:.4g} s;"
+            " resample to a regular one"
+        )
+    # The first stamp is the start: the fit's own may lie before 0, where nothing can be recorded.
+    return float(time_s[0]), _unrounded(time_s, number, period), number
+
+
+def _unrounded(time_s: Array, number: Ints, period: float) -> float:
+    """Period [s] as it was before the stamps were rounded, where a simple number explains all of them."""
+    fraction = float(Fraction(period).limit_denominator(100))
+    noise = 8.0 * float(np.spacing(np.abs(time_s).max()))
+    # The digits after the point that all stamps do with say how far rounding may have moved them.
+    digits = next((d for d in range(9) if np.all(np.abs(time_s - np.round(time_s, d)) <= noise)), 9)
+    for simple, moved in ((fraction, noise), (round(period, 9), noise), (fraction, 0.5 * 10.0**-digits + noise)):
+        if simple > 0.0 and np.ptp(time_s - simple * number) <= 2.0 * moved:
+            return simple
+    return period
