@@ -1,0 +1,216 @@
+"""One driver's filter, sample by sample, with online updates of his parameters.
+
+The model is that of ``causal``; the Kalman algebra is filterpy's.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from filterpy.kalman import ExtendedKalmanFilter
+
+from sugiyama_ros.driver.parameters import NAMES, SIGMA_NU, UTILITY, check, population
+from sugiyama_ros.driver.utility import ACTIONS
+from sugiyama_ros.estimation.causal import (
+    CHAIN,
+    MOVING,
+    SETTLING,
+    Adaptation,
+    chain_parameters,
+    forget_vehicle,
+    linearise,
+    scene_at,
+    start_vehicle,
+)
+from sugiyama_ros.road import Array, Ints, Road
+
+#: Adaptation of the estimator nodes: desired speed and risk premium, known at the start to 20 %.
+ADAPT = Adaptation(names=("v_star", "kappa_v"), prior_std=0.2, walk_std=0.01)
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """What is known of a driver after the update with one sample.
+
+    position_m (wrapped on a ring), speed [m/s], acceleration [m/s^2] and their covariance (3, 3); mean_action [m/s^2];
+    gap_m (infinite without a leader) and approach_rate [m/s]; innovation_m, nis and log_likelihood (no 2 pi term) of
+    the sample, NaN where it is missing or nothing was predicted; innovation_var [m^2]; scored: whether it counts.
+    """
+
+    position_m: float
+    speed: float
+    acceleration: float
+    covariance: Array
+    mean_action: float
+    gap_m: float
+    approach_rate: float
+    innovation_m: float
+    innovation_var: float
+    nis: float
+    log_likelihood: float
+    scored: bool
+
+
+class _ChainFilter(ExtendedKalmanFilter):  # type: ignore[misc]
+    """filterpy's extended Kalman filter, told the next mean, F and Q of a chain instead of computing them."""
+
+    next_mean: Array
+
+    def predict_x(self, u: Any = 0) -> None:
+        self.x = self.next_mean.copy()
+
+
+class OnlineFilter:
+    """Causal filter of one driver behind a chain of vehicles.
+
+    parameters: (P,) of the driver at the start, at the reference period, those of ``population()`` if left out;
+    ``ahead`` (P,): the same of the drivers ahead; period_s: time [s] between two samples.
+    Raises InputError for parameters out of bounds.
+    """
+
+    def __init__(
+        self,
+        period_s: float,
+        road: Road,
+        parameters: Array | None = None,
+        ahead: Array | None = None,
+        adaptation: Adaptation = ADAPT,
+        vehicles: int = CHAIN,
+    ) -> None:
+        parameters = population() if parameters is None else parameters
+        check(parameters)
+        self.road = road
+        self.vehicles = vehicles
+        self._start_parameters = parameters.copy()
+        self._rows_at_start = chain_parameters(parameters, ahead, vehicles, period_s)
+        self._places, self._prior_var, self._walk_var = adaptation.arrays(period_s)
+        self._scene = scene_at(period_s, road.circumference_m)
+        self._measures = np.zeros((vehicles, 3 * vehicles + len(self._places)))
+        self._measures[np.arange(vehicles), 3 * np.arange(vehicles)] = 1.0
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all samples and everything learnt."""
+        size = self._measures.shape[1]
+        adapted = slice(3 * self.vehicles, size)
+        self._rows = self._rows_at_start.copy()
+        self._known = np.zeros(self.vehicles, np.int64)
+        self._identity: Ints = np.full(self.vehicles, -1)
+        self._waited = np.zeros(self.vehicles, np.int64)
+        self._settled = 0
+        self._noise = np.zeros(size)
+        self._filter = _ChainFilter(dim_x=size, dim_z=self.vehicles)
+        self._filter.x = np.zeros(size)
+        self._filter.P = np.zeros((size, size))
+        self._filter.next_mean = np.zeros(size)
+        self._filter.F = np.zeros((size, size))
+        self._filter.x[adapted] = np.log(self._rows[0, [UTILITY[k] for k in self._places]])
+        self._filter.P[adapted, adapted] = np.diag(self._prior_var)
+        self._started = False
+
+    @property
+    def parameters(self) -> Array:
+        """The driver's parameters (P,) as known now, at the reference period."""
+        known = self._start_parameters.copy()
+        for k in self._places:
+            known[UTILITY[k]] = self._rows[0, UTILITY[k]]
+        return known
+
+    @property
+    def parameter_covariance(self) -> Array:
+        """Covariance (P, P) of ``parameters``; zero for those that are not adapted."""
+        covariance = np.zeros((len(NAMES), len(NAMES)))
+        places = [UTILITY[k] for k in self._places]
+        value = self._rows[0, places]
+        logarithms = self._filter.P[3 * self.vehicles :, 3 * self.vehicles :]
+        covariance[np.ix_(places, places)] = logarithms * np.outer(value, value)
+        return covariance
+
+    @property
+    def adapted(self) -> tuple[str, ...]:
+        """Names of the parameters that are adapted."""
+        return tuple(NAMES[UTILITY[k]] for k in self._places)
+
+    def step(self, position_m: Array, identity: Ints, length_m: Array) -> Estimate:
+        """Go on by one period and take in its sample.
+
+        position_m: (M,) measured, own first, then those ahead, NaN where missing; identity: (M,) number of each
+        vehicle, -1 for none; length_m: (M,).
+        """
+        kalman = self._filter
+        if self._started:
+            np.fill_diagonal(kalman.Q, self._noise)
+            kalman.predict()
+        self._settled = 1 if identity[0] != self._identity[0] else self._settled + 1
+        self._started = True
+        self._waited += 1
+        for m in np.flatnonzero((identity != self._identity) | (identity < 0)):
+            forget_vehicle(m, kalman.x, kalman.P, self._known)
+        self._identity = identity.copy()
+
+        sampled = np.isfinite(position_m) & (identity >= 0)
+        moving = self._known == MOVING
+        innovation, variance = math.nan, math.nan
+        if moving[0]:
+            variance = float(kalman.P[0, 0] + self._rows[0, SIGMA_NU] ** 2)
+            if sampled[0]:
+                innovation = float(self.road.difference(position_m[0], kalman.x[0]))
+        self._update(position_m, np.flatnonzero(sampled & moving))
+        for m in np.flatnonzero(sampled & ~moving):
+            elapsed = self._waited[m] * self._scene.period_s
+            start_vehicle(m, position_m[m], elapsed, kalman.x, kalman.P, self._known, self._rows, self._scene)
+            self._waited[m] = 0
+        for j, k in enumerate(self._places):
+            self._rows[0, UTILITY[k]] = math.exp(kalman.x[3 * self.vehicles + j])
+        mean_action = linearise(
+            kalman.x,
+            kalman.P,
+            self._known,
+            length_m,
+            self._rows,
+            self._places,
+            self._walk_var,
+            ACTIONS,
+            self._scene,
+            kalman.next_mean,
+            kalman.F,
+            self._noise,
+        )
+        return self._estimate(innovation, variance, mean_action, length_m)
+
+    def _update(self, position_m: Array, rows: Ints) -> None:
+        if len(rows) == 0:
+            return
+        measures = self._measures[rows]
+        self._filter.update(
+            position_m[rows],
+            HJacobian=lambda _: measures,
+            Hx=lambda x: x[3 * rows],
+            R=np.diag(self._rows[rows, SIGMA_NU] ** 2),
+            residual=self.road.difference,
+        )
+
+    def _estimate(self, innovation: float, variance: float, mean_action: float, length_m: Array) -> Estimate:
+        x, covariance = self._filter.x, self._filter.P
+        period = self._scene.period_s
+        # the next speed is v + dt a, so the acceleration is (v' - v) / dt, and so is its row of derivatives
+        reads = np.zeros((3, len(x)))
+        reads[0, 0] = reads[1, 1] = 1.0
+        reads[2] = (self._filter.F[1] - reads[1]) / period
+        led = self.vehicles > 1 and self._known[1] == MOVING
+        nis = innovation * innovation / variance
+        return Estimate(
+            position_m=float(self.road.wrap(x[0])),
+            speed=float(x[1]),
+            acceleration=float(self._filter.next_mean[1] - x[1]) / period,
+            covariance=reads @ covariance @ reads.T,
+            mean_action=mean_action,
+            gap_m=float(x[3] - x[0] - 0.5 * (length_m[0] + length_m[1])) if led else math.inf,
+            approach_rate=float(x[1] - x[4]) if led else 0.0,
+            innovation_m=innovation,
+            innovation_var=variance,
+            nis=nis,
+            log_likelihood=-0.5 * (math.log(variance) + nis) if variance == variance else math.nan,
+            scored=not math.isnan(innovation) and self._settled > SETTLING,
+        )

@@ -1,0 +1,252 @@
+"""The paper's formulation: what a driver perceives is smoothed from the measurements and enters as a given control.
+
+Sections 2.3 (smoothing), 3.3 and 3.4 (state space and likelihood). The perceived state of sample t uses measurements up
+to t + 3, so this likelihood is not causal; it is kept because it is the paper's.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from sugiyama_ros.driver.parameters import (
+    COUNT,
+    RHO,
+    SIGMA_A,
+    SIGMA_NU,
+    SIGMA_V,
+    SIGMA_X,
+    UTILITY,
+    at_period,
+    gradient_at_reference,
+    horizon_at,
+)
+from sugiyama_ros.driver.utility import ACTIONS, PARTIALS, mean_action_gradient
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.road import Array
+from sugiyama_ros.trajectories import Trajectories
+
+#: Samples without a perceived state at the start and at the end: the smoothed speed reaches from t - 2 to t + 3.
+MARGIN_BEFORE, MARGIN_AFTER = 2, 3
+#: First innovations, which are not scored: the filter settles.
+UNSCORED = 3
+# Variances at the start of position [m^2], smoothed speed [m^2/s^2] and acceleration [m^2/s^4].
+_START_VAR = 1.0
+_NOISES = (SIGMA_NU, SIGMA_A, RHO, SIGMA_X, SIGMA_V)
+
+
+def phi(rho: float, period_s: float) -> Array:
+    """Phi (3, 3) of (position, speed, acceleration); section 3.4."""
+    return np.array([[1.0, period_s, 0.0], [0.0, 1.0, period_s], [0.0, 0.0, rho]])
+
+
+#: Upsilon (3, 3), which leads the control into the acceleration, and A (1, 3), what is measured; section 3.4.
+UPSILON: Array = np.diag([0.0, 0.0, 1.0])
+A: Array = np.array([[1.0, 0.0, 0.0]])
+
+
+def omega(parameters: Array) -> Array:
+    """Omega_mu (3, 3), covariance of the process noise, from parameters (P,); section 3.4."""
+    return np.diag(parameters[[SIGMA_X, SIGMA_V, SIGMA_A]] ** 2)
+
+
+def smooth(position_m: Array, times: int) -> Array:
+    """Positions (T, ...) [m] after ``times`` passes of the (1, 2, 1) / 4 filter of section 2.3; NaN at the margins."""
+    smoothed = position_m
+    for _ in range(times):
+        inner = 0.25 * (smoothed[:-2] + 2.0 * smoothed[1:-1] + smoothed[2:])
+        smoothed = np.full_like(smoothed, np.nan)
+        smoothed[1:-1] = inner
+    return smoothed
+
+
+def smoothed_speed(position_m: Array, times: int, period_s: float) -> Array:
+    """Naive speed (T, ...) [m/s] of continuous positions smoothed ``times`` times; Eq. SmoothedState."""
+    speed = np.full_like(position_m, np.nan)
+    speed[:-1] = np.diff(smooth(position_m, times), axis=0) / period_s
+    return speed
+
+
+@dataclass(frozen=True, eq=False)
+class Perceived:
+    """What one driver perceives by section 2.3, and what is measured of him, over the samples where both are known.
+
+    gap_m, speed, leader_speed: (T', ) once and twice smoothed; measured_m: (T',) continuous positions.
+    """
+
+    gap_m: Array
+    speed: Array
+    leader_speed: Array
+    measured_m: Array
+    period_s: float
+
+
+def perceive(trajectories: Trajectories, driver: int) -> Perceived:
+    """What the driver of column ``driver`` perceives.
+
+    Raises InputError where the paper's smoothing is not defined: missing samples, a leader who changes, a short record.
+    """
+    where = f"{trajectories.source or 'trajectories'}: vehicle {trajectories.vehicle[driver]}"
+    leaders = np.unique(trajectories.leader[:, driver])
+    if len(leaders) > 1:
+        raise InputError(f"{where}: its leader changes; the paper's formulation cannot follow that, the causal one can")
+    leader = int(leaders[0])
+    pair = trajectories.road.unwrap(trajectories.position_m[:, [driver, leader] if leader >= 0 else [driver]])
+    if np.isnan(pair).any():
+        raise InputError(
+            f"{where}: a sample is missing; the paper's smoothing cannot skip it, the causal formulation can"
+        )
+    kept = slice(MARGIN_BEFORE, len(pair) - MARGIN_AFTER)
+    if len(pair) - MARGIN_BEFORE - MARGIN_AFTER <= UNSCORED:
+        raise InputError(f"{where}: {len(pair)} samples are too few for the paper's smoothing")
+    once, speed = smooth(pair, 1)[kept], smoothed_speed(pair, 2, trajectories.period_s)[kept]
+    gap: Array = np.full(len(once), np.inf)
+    leader_speed: Array = np.zeros(len(once))
+    if leader >= 0:
+        # the leader's lap number is arbitrary: bring the first headway into one circumference
+        headway = once[:, 1] - once[:, 0]
+        headway += float(trajectories.road.wrap(headway[:1])[0]) - headway[0]
+        gap = headway - 0.5 * (trajectories.length_m[leader] + trajectories.length_m[driver])
+        leader_speed = speed[:, 1]
+    return Perceived(
+        gap_m=gap,
+        speed=np.ascontiguousarray(speed[:, 0]),
+        leader_speed=np.ascontiguousarray(leader_speed),
+        measured_m=np.ascontiguousarray(pair[kept, 0]),
+        period_s=trajectories.period_s,
+    )
+
+
+@njit(cache=True)
+def _predict(covariance: Array, period: float, rho: float, out: Array) -> None:
+    """Phi P Phi' of a symmetric P (3, 3) into ``out``."""
+    xx, xv, xa = covariance[0, 0], covariance[0, 1], covariance[0, 2]
+    vv, va, aa = covariance[1, 1], covariance[1, 2], covariance[2, 2]
+    out[0, 0] = xx + 2.0 * period * xv + period * period * vv
+    out[0, 1] = out[1, 0] = xv + period * (xa + vv) + period * period * va
+    out[0, 2] = out[2, 0] = rho * (xa + period * va)
+    out[1, 1] = vv + 2.0 * period * va + period * period * aa
+    out[1, 2] = out[2, 1] = rho * (va + period * aa)
+    out[2, 2] = rho * rho * aa
+
+
+@njit(cache=True)
+def run(
+    gap: Array,
+    speed: Array,
+    leader_speed: Array,
+    measured: Array,
+    parameters: Array,
+    actions: Array,
+    period: float,
+    horizon: int,
+    innovation: Array,
+    innovation_var: Array,
+    means: Array,
+    gradient: Array,
+) -> float:
+    """Kalman filter of one driver with the mean action as control; returns Eq. SSM_Likelihood.
+
+    gap, speed, leader_speed, measured: (T',); parameters: (P,) at this period. Filled: innovation [m] and its variance
+    (T',), the state after the update, means (T', 3), and the derivatives of the log-likelihood, gradient (P,).
+    """
+    samples = len(measured)
+    noises = len(_NOISES)
+    rho = parameters[RHO]
+    noise_var = parameters[SIGMA_NU] ** 2
+    partial, partial_before = np.empty(PARTIALS), np.zeros(PARTIALS)
+    mean = np.zeros(3)
+    covariance, scratch = np.diag(np.full(3, _START_VAR)), np.empty((3, 3))
+    # derivatives of the mean with respect to the utility's parameters and the noises, of the covariance to the noises
+    d_mean = np.zeros((3, COUNT))
+    d_covariance = np.zeros((noises, 3, 3))
+    d_gain = np.empty(3)
+    action_before = 0.0
+    log_likelihood = 0.0
+    gradient[:] = 0.0
+    for t in range(samples):
+        action = mean_action_gradient(gap[t], speed[t], leader_speed[t], parameters, actions, period, horizon, partial)
+        if t == 0:
+            mean[0], mean[1], mean[2] = measured[0], speed[0], 0.0
+        else:
+            for j in range(COUNT):
+                d_mean[0, j] += period * d_mean[1, j]
+                d_mean[1, j] += period * d_mean[2, j]
+                d_mean[2, j] *= rho
+            for k in range(len(UTILITY)):
+                d_mean[2, UTILITY[k]] += partial[3 + k] - rho * partial_before[3 + k]
+            d_mean[2, RHO] += mean[2] - action_before
+            for k in range(noises):
+                _predict(d_covariance[k], period, rho, scratch)
+                d_covariance[k] = scratch
+            # d (Phi P Phi') / d rho
+            for k in range(2):
+                by_rho = covariance[k, 2] + period * covariance[k + 1, 2]
+                d_covariance[2, k, 2] += by_rho
+                d_covariance[2, 2, k] += by_rho
+            d_covariance[2, 2, 2] += 2.0 * rho * covariance[2, 2]
+            d_covariance[1, 2, 2] += 2.0 * parameters[SIGMA_A]
+            d_covariance[3, 0, 0] += 2.0 * parameters[SIGMA_X]
+            d_covariance[4, 1, 1] += 2.0 * parameters[SIGMA_V]
+            mean[0] += period * mean[1]
+            mean[1] += period * mean[2]
+            mean[2] = rho * mean[2] + action - rho * action_before
+            _predict(covariance, period, rho, scratch)
+            covariance[:, :] = scratch
+            covariance[0, 0] += parameters[SIGMA_X] ** 2
+            covariance[1, 1] += parameters[SIGMA_V] ** 2
+            covariance[2, 2] += parameters[SIGMA_A] ** 2
+        y = measured[t] - mean[0]
+        variance = covariance[0, 0] + noise_var
+        innovation[t], innovation_var[t] = y, variance
+        gain = covariance[:, 0] / variance
+        if t >= UNSCORED:
+            log_likelihood -= 0.5 * (math.log(variance) + y * y / variance)
+            for j in range(COUNT):
+                gradient[j] += y / variance * d_mean[0, j]
+            for k in range(noises):
+                d_variance = d_covariance[k, 0, 0] + (2.0 * parameters[SIGMA_NU] if k == 0 else 0.0)
+                gradient[_NOISES[k]] -= 0.5 * d_variance / variance * (1.0 - y * y / variance)
+        for j in range(COUNT):
+            by_position = d_mean[0, j]
+            for i in range(3):
+                d_mean[i, j] -= gain[i] * by_position
+        for k in range(noises):
+            d_variance = d_covariance[k, 0, 0] + (2.0 * parameters[SIGMA_NU] if k == 0 else 0.0)
+            for i in range(3):
+                d_gain[i] = (d_covariance[k, i, 0] - gain[i] * d_variance) / variance
+                d_mean[i, _NOISES[k]] += d_gain[i] * y
+            for i in range(3):
+                for j in range(3):
+                    d_covariance[k, i, j] -= (
+                        d_gain[i] * gain[j] * variance + gain[i] * d_gain[j] * variance + gain[i] * gain[j] * d_variance
+                    )
+        mean += gain * y
+        covariance -= np.outer(gain, gain) * variance
+        if len(means) > 0:
+            means[t] = mean
+        action_before = action
+        partial_before[:] = partial
+    return log_likelihood
+
+
+def log_likelihood(perceived: Perceived, parameters: Array) -> tuple[float, Array]:
+    """Log-likelihood (no 2 pi term; Eq. SSM_Likelihood) of one driver's parameters (P,), and its gradient (P,)."""
+    samples = len(perceived.measured_m)
+    gradient = np.empty(COUNT)
+    value = run(
+        perceived.gap_m,
+        perceived.speed,
+        perceived.leader_speed,
+        perceived.measured_m,
+        at_period(parameters, perceived.period_s),
+        ACTIONS,
+        perceived.period_s,
+        horizon_at(perceived.period_s),
+        np.empty(samples),
+        np.empty(samples),
+        np.empty((0, 3)),
+        gradient,
+    )
+    return float(value), gradient_at_reference(gradient, parameters, perceived.period_s)

@@ -1,0 +1,213 @@
+"""Drivers on a ring or an open road: the forward problem of the paper (Eq. ssm_form), all drivers at once.
+
+The acceleration is the mean action plus an AR(1) noise, a_t = mean_action(s_t) + n_t, n_t = rho n_{t-1} + shock, which
+is the paper's a_t = rho a_{t-1} + (mean_action_t - rho mean_action_{t-1}) + shock.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from sugiyama_ros.driver.parameters import RHO, SIGMA_A, SIGMA_NU, SIGMA_V, SIGMA_X, at_period, check, horizon_at
+from sugiyama_ros.driver.utility import ACTIONS, mean_action
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.road import Array, Ints, Road
+from sugiyama_ros.trajectories import Trajectories
+
+
+@njit(cache=True)
+def see(
+    driver: int, leader: int, position: Array, speed: Array, length: Array, circumference: float
+) -> tuple[float, float]:
+    """What a driver sees: gap [m] (infinite without a leader, leader < 0) and his leader's speed [m/s]."""
+    if leader < 0:
+        return np.inf, 0.0
+    headway = position[leader] - position[driver]
+    # Positions are continuous, so a vehicle that passed its leader keeps a negative headway.
+    if circumference > 0.0 and leader <= driver:
+        headway += circumference
+    return headway - 0.5 * (length[leader] + length[driver]), speed[leader]
+
+
+@njit(cache=True)
+def _accelerations(
+    position: Array,
+    speed: Array,
+    noise: Array,
+    length: Array,
+    leader: Ints,
+    parameters: Array,
+    actions: Array,
+    period: float,
+    horizon: int,
+    circumference: float,
+    out: Array,
+) -> None:
+    for i in range(len(position)):
+        gap, leader_speed = see(i, leader[i], position, speed, length, circumference)
+        out[i] = mean_action(gap, speed[i], leader_speed, parameters[i], actions, period, horizon) + noise[i]
+
+
+@dataclass(frozen=True)
+class Collision:
+    """Vehicle number ``vehicle`` ran into number ``leader`` at ``time_s`` [s]."""
+
+    time_s: float
+    vehicle: int
+    leader: int
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """A simulated run: what a camera would have measured, the truth, and what went wrong.
+
+    speed, acceleration, position_m: (T, N), SI, the truth (position wrapped on a ring).
+    """
+
+    measured: Trajectories
+    position_m: Array
+    speed: Array
+    acceleration: Array
+    collisions: tuple[Collision, ...]
+
+
+class Simulator:
+    """Many drivers, one behind the other: vehicle i follows vehicle i + 1.
+
+    On a ring the last follows the first; on an open road the last has nobody ahead.
+
+    parameters: (N, P) at the reference period; length_m: (N,); position_m: (N,) [m] of the centres, increasing, within
+    one circumference; speed: (N,) [m/s], 0 if left out. ``rng`` draws every noise.
+    Raises InputError where the start is impossible (overlapping vehicles, wrong shapes, parameters out of bounds).
+    """
+
+    def __init__(
+        self,
+        parameters: Array,
+        length_m: Array,
+        position_m: Array,
+        road: Road,
+        rng: np.random.Generator,
+        *,
+        speed: Array | None = None,
+        period_s: float = 1.0 / 3.0,
+        horizon: int | None = None,
+    ) -> None:
+        check(parameters)
+        vehicles = len(length_m)
+        if parameters.shape[0] != vehicles or position_m.shape != (vehicles,):
+            raise InputError(
+                f"simulation: {len(parameters)} drivers, {vehicles} lengths, {len(position_m)} positions; give one each"
+            )
+        self.road = road
+        self.period_s = period_s
+        self.horizon = horizon_at(period_s) if horizon is None else horizon
+        self.parameters = at_period(parameters, period_s)
+        self.length_m = length_m.astype(np.float64)
+        self.leader: Ints = np.arange(1, vehicles + 1)
+        self.leader[-1] = 0 if road.is_ring and vehicles > 1 else -1
+        self.position_m = position_m.astype(np.float64).copy()
+        self.speed = np.zeros(vehicles) if speed is None else speed.astype(np.float64).copy()
+        self.noise = np.zeros(vehicles)
+        self.acceleration = np.zeros(vehicles)
+        self.step_number = 0
+        self._rng = rng
+        self._touching = self.gap_m <= 0.0
+        if self._touching.any():
+            i = int(np.argmax(self._touching))
+            raise InputError(f"simulation: vehicle {i} starts inside its leader (gap {self.gap_m[i]:.2f} m)")
+        self._accelerate()
+
+    @property
+    def gap_m(self) -> Array:
+        """Gaps [m] to the leaders, (N,); infinite without a leader."""
+        c = self.road.circumference_m
+        return np.array(
+            [see(i, j, self.position_m, self.speed, self.length_m, c)[0] for i, j in enumerate(self.leader)]
+        )
+
+    def measure(self) -> Array:
+        """Measured positions (N,) [m] of the present sample: the truth plus measurement noise, wrapped on a ring."""
+        noise = self.parameters[:, SIGMA_NU] * self._rng.standard_normal(len(self.position_m))
+        return self.road.wrap(self.position_m + noise)
+
+    def step(self) -> tuple[Collision, ...]:
+        """Advance all drivers by one period; the collisions that began in it."""
+        shock = self._rng.standard_normal((3, len(self.position_m)))
+        p = self.parameters
+        position = self.position_m + self.period_s * self.speed + p[:, SIGMA_X] * shock[0]
+        self.speed = self.speed + self.period_s * self.acceleration + p[:, SIGMA_V] * shock[1]
+        self.position_m = position
+        self.noise = p[:, RHO] * self.noise + p[:, SIGMA_A] * shock[2]
+        self.step_number += 1
+        self._accelerate()
+        touching = self.gap_m <= 0.0
+        began = np.flatnonzero(touching & ~self._touching)
+        self._touching = touching
+        time = self.step_number * self.period_s
+        return tuple(Collision(time, int(i), int(self.leader[i])) for i in began)
+
+    def _accelerate(self) -> None:
+        _accelerations(
+            self.position_m,
+            self.speed,
+            self.noise,
+            self.length_m,
+            self.leader,
+            self.parameters,
+            ACTIONS,
+            self.period_s,
+            self.horizon,
+            self.road.circumference_m,
+            self.acceleration,
+        )
+
+
+def platoon(length_m: Array, gap_m: float) -> Array:
+    """Positions (N,) [m] of vehicles one behind the other with equal gaps [m], the last one first."""
+    centre = np.cumsum(length_m + gap_m) - 0.5 * length_m
+    return np.asarray(centre - centre[0])
+
+
+def evenly(length_m: Array, road: Road) -> Array:
+    """Positions (N,) [m] of vehicles with equal gaps all around a ring. Raises InputError if they do not fit."""
+    free = road.circumference_m - float(length_m.sum())
+    if free <= 0.0:
+        raise InputError(f"simulation: {len(length_m)} vehicles do not fit on a ring of {road.circumference_m:g} m")
+    return platoon(length_m, free / len(length_m))
+
+
+def simulate(simulator: Simulator, duration_s: float, *, stop_at_collision: bool = True) -> Simulation:
+    """Run ``simulator`` for ``duration_s`` [s] and keep everything.
+
+    After a collision the model means nothing (the penalty is flat inside another vehicle), so the run ends there unless
+    told otherwise; the collisions are reported either way.
+    """
+    samples = round(duration_s / simulator.period_s) + 1
+    vehicles = len(simulator.length_m)
+    position, speed, acceleration, measured = (np.empty((samples, vehicles)) for _ in range(4))
+    collisions: list[Collision] = []
+    taken = 0
+    for t in range(samples):
+        if t > 0:
+            collisions.extend(simulator.step())
+        position[t], speed[t], acceleration[t] = simulator.position_m, simulator.speed, simulator.acceleration
+        measured[t] = simulator.measure()
+        taken = t + 1
+        if collisions and stop_at_collision:
+            break
+    return Simulation(
+        measured=Trajectories(
+            position_m=measured[:taken],
+            length_m=simulator.length_m,
+            vehicle=np.arange(vehicles),
+            road=simulator.road,
+            period_s=simulator.period_s,
+            source="adaptiveSeek",
+        ),
+        position_m=simulator.road.wrap(position[:taken]),
+        speed=speed[:taken],
+        acceleration=acceleration[:taken],
+        collisions=tuple(collisions),
+    )

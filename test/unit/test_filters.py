@@ -1,0 +1,265 @@
+"""The filters against the dense joint Gaussian, against each other, and on rings, holes and changing leaders."""
+
+import numpy as np
+import pytest
+
+from sugiyama_ros.driver.parameters import RHO, SIGMA_A, SIGMA_NU, SIGMA_V, SIGMA_X, V_STAR, defaults, population
+from sugiyama_ros.driver.utility import ACTIONS, mean_action
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.estimation import paper
+from sugiyama_ros.estimation.causal import (
+    LAST_RHO,
+    LAST_SHOCK_STD,
+    Adaptation,
+    chain_behind,
+    filter_chain,
+    log_likelihood,
+)
+from sugiyama_ros.estimation.online import ADAPT, OnlineFilter
+from sugiyama_ros.road import Road
+from sugiyama_ros.simulation import Simulator, platoon, simulate
+from sugiyama_ros.trajectories import Trajectories
+
+DT = 1.0 / 3.0
+
+
+@pytest.fixture(scope="module")
+def jam():
+    length = np.full(22, 4.33)
+    start = platoon(length, 2.0)
+    return simulate(Simulator(defaults(22), length, start, Road(230.0), np.random.default_rng(0)), 100.0)
+
+
+@pytest.fixture(scope="module")
+def with_holes(jam):
+    position = jam.measured.position_m.copy()
+    position[np.random.default_rng(5).random(position.shape) < 0.1] = np.nan
+    m = jam.measured
+    return Trajectories(position, m.length_m, m.vehicle, m.road, m.period_s)
+
+
+def dense_posterior(z, phi, controls, q, start_mean, start_cov, noise_var):
+    """Filtered means (T, 3), innovations and their variances by conditioning one joint Gaussian on all of z[:t]."""
+    samples, n = len(z), len(start_mean)
+    mean, cov = [start_mean], np.zeros((samples * n, samples * n))
+    cov[:n, :n] = start_cov
+    for t in range(1, samples):
+        mean.append(phi @ mean[-1] + controls[t])
+        a, b = slice(n * (t - 1), n * t), slice(n * t, n * (t + 1))
+        cov[b, : n * t] = phi @ cov[a, : n * t]
+        cov[: n * t, b] = cov[b, : n * t].T
+        cov[b, b] = phi @ cov[a, a] @ phi.T + q
+    mean = np.concatenate(mean)
+    seen = np.arange(samples) * n
+    filtered, innovation, variance = [], [], []
+    for t in range(samples):
+
+        def condition(on, t=t):
+            if len(on) == 0:
+                return mean[n * t : n * t + n], cov[n * t : n * t + n, n * t : n * t + n]
+            s = cov[np.ix_(on, on)] + noise_var * np.eye(len(on))
+            c = cov[n * t : n * t + n][:, on]
+            gain = np.linalg.solve(s, c.T).T
+            return mean[n * t : n * t + n] + gain @ (z[: len(on)] - mean[on]), cov[
+                n * t : n * t + n, n * t : n * t + n
+            ] - gain @ c.T
+
+        before_mean, before_cov = condition(seen[:t])
+        innovation.append(z[t] - before_mean[0])
+        variance.append(before_cov[0, 0] + noise_var)
+        filtered.append(condition(seen[: t + 1])[0])
+    return np.array(filtered), np.array(innovation), np.array(variance)
+
+
+def test_the_papers_filter_is_the_dense_posterior(jam):
+    perceived = paper.perceive(jam.measured, 3)
+    kept = 40
+    p = population()
+    z = perceived.measured_m[:kept]
+    action = np.array(
+        [
+            mean_action(*s, p, ACTIONS, DT, 4)
+            for s in zip(perceived.gap_m, perceived.speed, perceived.leader_speed, strict=True)
+        ]
+    )[:kept]
+    controls = np.zeros((kept, 3))
+    controls[1:, 2] = action[1:] - p[RHO] * action[:-1]
+    start = np.array([z[0], perceived.speed[0], 0.0])
+    filtered, innovation, variance = dense_posterior(
+        z, paper.phi(p[RHO], DT), controls @ paper.UPSILON.T, paper.omega(p), start, np.eye(3), p[SIGMA_NU] ** 2
+    )
+    y, s, means, gradient = np.empty(kept), np.empty(kept), np.empty((kept, 3)), np.empty(len(p))
+    value = paper.run(
+        perceived.gap_m[:kept],
+        perceived.speed[:kept],
+        perceived.leader_speed[:kept],
+        z,
+        p,
+        ACTIONS,
+        DT,
+        4,
+        y,
+        s,
+        means,
+        gradient,
+    )
+    assert means == pytest.approx(filtered, abs=1e-9)
+    assert y == pytest.approx(innovation, abs=1e-9)
+    assert s == pytest.approx(variance, abs=1e-9)
+    scored = slice(paper.UNSCORED, None)
+    assert value == pytest.approx(-0.5 * np.sum(np.log(s[scored]) + y[scored] ** 2 / s[scored]), abs=1e-9)
+
+
+def test_the_causal_filter_is_the_dense_posterior_where_the_model_is_linear(jam):
+    """A chain of one vehicle has no mean action: position, speed and an AR(1) acceleration, from two samples on."""
+    chain = chain_behind(jam.measured, 2, vehicles=1)
+    z = jam.measured.road.unwrap(chain.position_m)[:40, 0]
+    p = defaults()
+    filtered = filter_chain(chain, p)
+    noise_var = p[SIGMA_NU] ** 2
+    start = np.array([z[1], (z[1] - z[0]) / DT, 0.0])
+    speed_var = 2 * noise_var / DT**2 + DT**2
+    start_cov = np.array(
+        [[noise_var, noise_var / DT, 0], [noise_var / DT, speed_var, 0], [0, 0, LAST_SHOCK_STD**2 / (1 - LAST_RHO**2)]]
+    )
+    q = np.diag([p[SIGMA_X] ** 2, p[SIGMA_V] ** 2, LAST_SHOCK_STD**2])
+    phi = paper.phi(LAST_RHO, DT)
+    # the dense posterior starts after sample 1, which is already in the start
+    expected, innovation, variance = dense_posterior(
+        z[2:], phi, np.zeros((38, 3)), q, phi @ start, phi @ start_cov @ phi.T + q, noise_var
+    )
+    assert filtered.mean[2:40] == pytest.approx(expected, abs=1e-9)
+    assert filtered.innovation_m[2:40] == pytest.approx(innovation, abs=1e-9)
+    assert filtered.innovation_var[2:40] == pytest.approx(variance, abs=1e-9)
+
+
+@pytest.mark.parametrize("adaptation", [Adaptation(), ADAPT])
+@pytest.mark.parametrize("driver", [0, 13])
+def test_the_online_filter_is_the_compiled_one(with_holes, driver, adaptation):
+    chain = chain_behind(with_holes, driver)
+    batch = filter_chain(chain, population(), adaptation)
+    online = OnlineFilter(chain.period_s, with_holes.road, population(), adaptation=adaptation)
+    steps = [online.step(*sample) for sample in zip(chain.position_m, chain.identity, chain.length_m, strict=True)]
+    for name in ("innovation_m", "innovation_var", "acceleration", "mean_action"):
+        ours, theirs = np.array([getattr(s, name) for s in steps]), getattr(batch, name)
+        assert ours == pytest.approx(theirs, abs=1e-9, nan_ok=True)
+    assert [s.scored for s in steps] == batch.scored.tolist()
+    total = sum(s.log_likelihood for s in steps if s.scored)
+    assert total == pytest.approx(batch.log_likelihood, abs=1e-9)
+    assert np.log(online.parameters[V_STAR]) == pytest.approx(
+        batch.mean[-1, 9] if adaptation.names else np.log(population()[V_STAR]), abs=1e-9
+    )
+
+
+def test_the_online_filter_starts_anew_after_a_reset(jam):
+    chain = chain_behind(jam.measured, 0)
+    online = OnlineFilter(chain.period_s, jam.measured.road)
+    samples = list(zip(chain.position_m, chain.identity, chain.length_m, strict=True))[:60]
+    first = [online.step(*s).innovation_m for s in samples]
+    online.reset()
+    assert [online.step(*s).innovation_m for s in samples] == pytest.approx(first, abs=0.0, nan_ok=True)
+
+
+def test_a_missing_sample_is_predicted_over_and_not_scored(with_holes):
+    chain = chain_behind(with_holes, 4)
+    missing = np.isnan(chain.position_m[:, 0])
+    assert 20 < missing.sum() < 50
+    filtered = filter_chain(chain, population())
+    assert not filtered.scored[missing].any()
+    assert np.isnan(filtered.innovation_m[missing]).all()
+    later = missing & (np.arange(len(missing)) > 10)
+    assert np.isfinite(filtered.mean).all()
+    before, after = filtered.innovation_var[:-1][later[1:]], filtered.innovation_var[1:][later[:-1]]
+    assert np.median(after) > np.median(before)  # the prediction after a hole is less sure
+
+
+def test_nothing_depends_on_where_the_ring_begins(jam):
+    m = jam.measured
+    shifted = Trajectories(m.road.wrap(m.position_m + 100.0), m.length_m, m.vehicle, m.road, m.period_s)
+    for driver in (0, 11):
+        values = [log_likelihood(chain_behind(t, driver), defaults()) for t in (m, shifted)]
+        assert values[0] == pytest.approx(values[1], abs=1e-6)
+        paper_values = [paper.log_likelihood(paper.perceive(t, driver), defaults())[0] for t in (m, shifted)]
+        assert paper_values[0] == pytest.approx(paper_values[1], abs=1e-6)
+
+
+def test_nothing_depends_on_the_vehicles_names(jam):
+    m = jam.measured
+    order = np.random.default_rng(0).permutation(22)
+    renamed = Trajectories(m.position_m[:, order], m.length_m[order], np.arange(22) + 100, m.road, m.period_s)
+    new = int(np.flatnonzero(order == 5)[0])
+    assert log_likelihood(chain_behind(renamed, new), defaults()) == pytest.approx(
+        log_likelihood(chain_behind(m, 5), defaults()), abs=1e-9
+    )
+
+
+def test_innovations_are_white_and_of_unit_variance_on_the_models_own_data(jam):
+    """NIS over 22 x 294 samples; its mean over n has a std of sqrt(2 / n), and five of them are allowed."""
+    nis, lag_one = [], []
+    for driver in range(22):
+        filtered = filter_chain(chain_behind(jam.measured, driver), defaults(), ahead=defaults())
+        y = (filtered.innovation_m / np.sqrt(filtered.innovation_var))[filtered.scored]
+        nis.append(y**2)
+        lag_one.append(np.mean(y[1:] * y[:-1]))
+    n = sum(len(x) for x in nis)
+    assert np.mean(np.concatenate(nis)) == pytest.approx(1.0, abs=5 * np.sqrt(2 / n))
+    assert np.mean(lag_one) == pytest.approx(0.0, abs=5 / np.sqrt(n))
+
+
+def test_the_causal_likelihood_is_smooth(jam):
+    """Linearised at a point it was not: a change of 1e-10 in a parameter moved it by units."""
+    chain = chain_behind(jam.measured, 7)
+    p = defaults()
+    value = log_likelihood(chain, p)
+    for k in (SIGMA_A, V_STAR):
+        q = p.copy()
+        q[k] *= 1 + 1e-8
+        assert log_likelihood(chain, q) == pytest.approx(value, abs=1e-4)
+
+
+def test_a_new_leader_starts_from_nothing():
+    t = np.arange(60)[:, None]
+    x = np.array([0.0, 20.0, 60.0]) + 5.0 * DT * t
+    x[30:, 1] = np.nan
+    road = Trajectories(x, np.full(3, 4.0), np.arange(3), Road(), DT)
+    chain = chain_behind(road, 0)
+    assert chain.identity[29].tolist() == [0, 1, 2]
+    assert chain.identity[30].tolist() == [0, 2, -1]
+    filtered = filter_chain(chain, population())
+    assert np.isfinite(filtered.mean).all()
+    assert filtered.mean[-1, 3] == pytest.approx(x[-1, 2], abs=0.5)
+
+
+def test_the_papers_gradient_is_the_slope(jam):
+    perceived = paper.perceive(jam.measured, 9)
+    p = population()
+    value, gradient = paper.log_likelihood(perceived, p)
+    assert np.isfinite(value)
+    for k in range(len(p)):
+        e = 1e-6 * max(abs(p[k]), 1e-2)
+        low, high = p.copy(), p.copy()
+        low[k] -= e
+        high[k] += e
+        slope = (paper.log_likelihood(perceived, high)[0] - paper.log_likelihood(perceived, low)[0]) / (2 * e)
+        assert gradient[k] == pytest.approx(slope, rel=1e-4, abs=1e-4)
+
+
+def test_smoothing_is_section_2_3():
+    z = np.array([0.0, 0.0, 4.0, 0.0, 0.0, 0.0, 0.0])
+    assert paper.smooth(z, 1)[1:-1] == pytest.approx([1.0, 2.0, 1.0, 0.0, 0.0])
+    assert np.isnan(paper.smooth(z, 2)[[0, 1, -2, -1]]).all()
+    line = 3.0 * DT * np.arange(10)
+    assert paper.smoothed_speed(line, 2, DT)[2:7] == pytest.approx(3.0)
+
+
+def test_the_papers_formulation_says_what_it_cannot_take(with_holes):
+    with pytest.raises(InputError, match="a sample is missing"):
+        paper.perceive(with_holes, 0)
+    short = Trajectories(np.zeros((7, 1)), np.ones(1), np.zeros(1, int), Road(), DT)
+    with pytest.raises(InputError, match="too few"):
+        paper.perceive(short, 0)
+
+
+def test_only_the_utilitys_parameters_can_be_adapted():
+    with pytest.raises(InputError, match="'sigma_nu' cannot be adapted"):
+        Adaptation(("sigma_nu",))

@@ -1,0 +1,158 @@
+"""Many drivers at once: the equations, the jam of the paper, collisions, and what happens without noise."""
+
+import numpy as np
+import pytest
+
+from sugiyama_ros.driver.parameters import RHO, SIGMA_A, SIGMA_NU, SIGMA_V, SIGMA_X, V_STAR, defaults
+from sugiyama_ros.driver.utility import ACTIONS, mean_action
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.estimation.causal import CHAIN, MOVING, linearise, scene_at
+from sugiyama_ros.road import Road
+from sugiyama_ros.simulation import Simulator, evenly, platoon, simulate
+
+NOISES = [SIGMA_NU, SIGMA_A, SIGMA_X, SIGMA_V]
+
+
+def quiet(drivers):
+    p = defaults(drivers)
+    p[:, NOISES] = 0.0
+    return p
+
+
+def ring_of_22(seed, parameters=None):
+    length = np.full(22, 4.33)  # mean of the paper's Table 1
+    parameters = defaults(22) if parameters is None else parameters
+    return Simulator(parameters, length, platoon(length, 2.0), Road(230.0), np.random.default_rng(seed))
+
+
+def test_a_step_is_eq_ssm_form():
+    s = Simulator(
+        defaults(2), np.full(2, 4.0), np.array([0.0, 12.0]), Road(), np.random.default_rng(1), speed=np.full(2, 5.0)
+    )
+    shock = np.random.default_rng(1).standard_normal((3, 2))
+    before = s.position_m.copy(), s.speed.copy(), s.acceleration.copy()
+    s.step()
+    p, dt = defaults(), s.period_s
+    assert s.position_m == pytest.approx(before[0] + dt * before[1] + p[SIGMA_X] * shock[0], abs=1e-12)
+    assert s.speed == pytest.approx(before[1] + dt * before[2] + p[SIGMA_V] * shock[1], abs=1e-12)
+    gap = s.position_m[1] - s.position_m[0] - 4.0
+    noise = p[SIGMA_A] * shock[2]
+    action = [
+        mean_action(gap, s.speed[0], s.speed[1], p, ACTIONS, dt, 4),
+        mean_action(np.inf, s.speed[1], 0.0, p, ACTIONS, dt, 4),
+    ]
+    assert s.acceleration == pytest.approx(action + noise, abs=1e-12)
+    s.step()
+    assert s.noise == pytest.approx(
+        p[RHO] * noise + p[SIGMA_A] * np.random.default_rng(1).standard_normal((6, 2))[5], abs=1e-12
+    )
+
+
+def test_a_jam_is_the_papers():
+    """Bounds from the experiment and from an independent implementation: V_avg 5.9 m/s, wave -6.5 m/s."""
+    for seed in range(3):
+        run = simulate(ring_of_22(seed), 250.0)
+        assert run.collisions == ()
+        speed, position = run.speed[300:], run.position_m[300:]
+        assert 5.5 <= speed.mean() <= 6.3
+        assert speed.min(axis=1).mean() < 1.0
+        assert 9.5 < speed.max(axis=1).mean() < 11.0
+        assert -7.0 <= wave_speed(position, speed, 230.0, run.measured.period_s) <= -6.0
+
+
+def wave_speed(position, speed, circumference, period):
+    """Slope [m/s] of the place where traffic is slowest, followed around the ring."""
+    angle = 2.0 * np.pi * position / circumference
+    slow = np.exp(-speed)
+    place = np.unwrap(np.angle((slow * np.exp(1j * angle)).sum(axis=1))) * circumference / (2.0 * np.pi)
+    return np.polyfit(period * np.arange(len(place)), place, 1)[0]
+
+
+def test_a_seed_repeats_exactly():
+    one, two, other = (simulate(ring_of_22(seed), 20.0) for seed in (7, 7, 8))
+    assert np.array_equal(one.measured.position_m, two.measured.position_m)
+    assert not np.array_equal(one.measured.position_m, other.measured.position_m)
+
+
+def test_measurement_noise_has_its_std():
+    run = simulate(ring_of_22(3), 250.0)
+    error = run.measured.road.difference(run.measured.position_m, run.position_m)
+    n = error.size
+    # the sample variance of n normal values has a relative std of sqrt(2 / n); five of them
+    assert error.var() == pytest.approx(0.263**2, rel=5 * np.sqrt(2 / n))
+
+
+def test_without_noise_the_filters_prediction_is_the_simulation():
+    """From the true state of a chain, known exactly, the filter's next mean is the simulator's next state."""
+    s = ring_of_22(0, quiet(22))
+    size = 3 * CHAIN
+    none, nothing = np.empty(0, np.int64), np.empty(0)
+    next_mean, jacobian, noise = np.empty(size), np.empty((size, size)), np.empty(size)
+    scene = scene_at(s.period_s, s.road.circumference_m)
+    for _ in range(300):
+        mean = np.zeros(size)
+        chain = np.array([21, 0, 1])  # across the place where the ring begins
+        mean[0::3] = s.position_m[chain] + [0.0, 230.0, 230.0]
+        mean[1::3] = s.speed[chain]
+        known = np.full(CHAIN, MOVING)
+        rows = np.stack([s.parameters[0]] * CHAIN)
+        linearise(
+            mean, np.zeros((size, size)), known, s.length_m[chain], rows, none, nothing, ACTIONS, scene,
+            next_mean, jacobian, noise,
+        )  # fmt: skip
+        s.step()
+        assert next_mean[[0, 3]] == pytest.approx(s.position_m[chain[:2]] + [0.0, 230.0], abs=1e-9)
+        assert next_mean[[1, 4]] == pytest.approx(s.speed[chain[:2]], abs=1e-9)
+    assert np.ptp(s.speed) > 1.0
+
+
+def test_uniform_flow_without_noise_stays_uniform():
+    length = np.full(22, 4.33)
+    s = Simulator(quiet(22), length, evenly(length, Road(230.0)), Road(230.0), np.random.default_rng(0))
+    run = simulate(s, 60.0)
+    assert np.ptp(run.speed, axis=1).max() < 1e-6
+    assert run.speed[-1, 0] > 5.0
+
+
+def test_a_collision_ends_the_run_and_is_reported():
+    p = quiet(2)
+    p[1, V_STAR] = 0.5
+    start = np.array([0.0, 6.0])
+    s = Simulator(p, np.full(2, 4.0), start, Road(), np.random.default_rng(0), speed=np.array([14.0, 0.5]))
+    run = simulate(s, 20.0)
+    assert [(c.vehicle, c.leader) for c in run.collisions] == [(0, 1)]
+    assert run.measured.duration_s == pytest.approx(run.collisions[0].time_s)
+    assert run.measured.duration_s < 20.0
+
+
+def test_an_impossible_start_is_refused():
+    with pytest.raises(InputError, match="vehicle 0 starts inside its leader"):
+        Simulator(defaults(2), np.full(2, 4.0), np.array([0.0, 3.0]), Road(), np.random.default_rng(0))
+    with pytest.raises(InputError, match="do not fit on a ring of 20 m"):
+        evenly(np.full(22, 4.33), Road(20.0))
+    with pytest.raises(InputError, match="one each"):
+        Simulator(defaults(3), np.full(2, 4.0), np.array([0.0, 9.0]), Road(), np.random.default_rng(0))
+
+
+def test_translating_the_ring_changes_nothing():
+    length = np.full(5, 4.0)
+    runs = [
+        simulate(
+            Simulator(defaults(5), length, platoon(length, 3.0) + shift, Road(60.0), np.random.default_rng(4)), 30.0
+        )
+        for shift in (0.0, 17.0)
+    ]
+    assert runs[1].speed == pytest.approx(runs[0].speed, abs=1e-9)
+    moved = runs[0].measured.road.difference(runs[1].position_m, runs[0].position_m + 17.0)
+    assert moved == pytest.approx(np.zeros_like(moved), abs=1e-9)
+
+
+def test_a_shorter_period_gives_the_same_traffic():
+    """Section 5.4: at 0.2 s, h = 6 and rho^(2/3), simulated results are almost independent of the period."""
+    length = np.full(22, 4.33)
+    start = platoon(length, 2.0)
+    s = Simulator(defaults(22), length, start, Road(230.0), np.random.default_rng(0), period_s=0.2)
+    run = simulate(s, 250.0)
+    assert s.horizon == 6
+    assert run.collisions == ()
+    assert run.speed[500:].mean() == pytest.approx(5.9, abs=0.5)
