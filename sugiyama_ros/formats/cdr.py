@@ -1,0 +1,135 @@
+"""Messages to and from CDR bytes without ROS, by the text of their definition."""
+
+import dataclasses
+import math
+import struct
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from rosbags.interfaces import Nodetype
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.base import TypesysError
+from rosbags.typesys.store import Typestore
+
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.formats.definitions import full_text
+
+# A definition inside a file may be hostile. rosbags makes Python code from it: its grammar lets only plain names
+# through, but it unrolls arrays and follows types into types, so their size is bounded here.
+_MAX_TEXT = 1 << 16
+_MAX_DEPTH = 8
+_MAX_UNROLLED = 1000
+#: Largest message [bytes] that is decoded if it holds lists of messages or texts, each a Python object.
+_MAX_COMPOUND = 1 << 18
+
+Decoder = Callable[[bytes], Any]
+
+
+def decoder(type_name: str, text: str) -> Decoder | None:
+    """Function that decodes CDR bytes of a message whose definition is ``text`` (``ros2msg``).
+
+    Returns None where the definition cannot be used. The function returns a dataclass with numpy arrays in it,
+    and raises ValueError where the bytes do not fit the definition.
+    """
+    store = _store(type_name, text)
+    if store is None:
+        return None
+    fields = [desc for _, fields in store.fielddefs.values() for _, desc in fields]
+    compound = any(desc[0] == Nodetype.SEQUENCE and _is_object(_inner(desc)) for desc in fields)
+    largest = _MAX_COMPOUND if compound else None
+
+    def decode(data: bytes) -> Any:
+        if largest is not None and len(data) > largest:
+            raise ValueError(f"{len(data)} bytes are more than the {largest} that are decoded of a {type_name}")
+        if data[:2] not in (b"\0\0", b"\0\1"):
+            raise ValueError("does not begin as CDR does")
+        try:
+            kind = store.get_msgdef(type_name)
+            # ROS leaves bytes behind the end where lists are empty, for their alignment: these are allowed.
+            read = kind.deserialize_cdr_le if data[1] else kind.deserialize_cdr_be
+            return read(memoryview(data)[4:], 0, kind.cls, store)[0]
+        except (SerdeError, struct.error, ValueError, IndexError, RecursionError) as error:
+            raise ValueError(" ".join(str(error).split())) from None
+
+    return decode
+
+
+def plain(value: Any) -> Any:
+    """A decoded message as dictionaries, lists, numbers and texts, for printing."""
+    if dataclasses.is_dataclass(value):
+        # The fields of a message have no default; those that have are its constants.
+        fields = (field.name for field in dataclasses.fields(value) if field.default is dataclasses.MISSING)
+        return {name: plain(getattr(value, name)) for name in fields}
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    return [plain(element) for element in value] if isinstance(value, list) else value
+
+
+class Encoder:
+    """Builds and encodes messages of installed types, to the same bytes as a ROS 2 publisher sends."""
+
+    def __init__(self, *type_names: str) -> None:
+        """Raises InputError where a definition is not installed or cannot be used."""
+        self._stores: dict[str, Typestore] = {}
+        for type_name in type_names:
+            store = _store(type_name, full_text(type_name))
+            if store is None:
+                raise InputError(f"{type_name}: its installed definition cannot be read; install its package again")
+            self._stores[type_name] = store
+
+    def __call__(self, type_name: str, **fields: Any) -> bytes:
+        """CDR bytes of a message; a nested message is given as a dictionary of its fields."""
+        store = self._stores[type_name]
+        return bytes(store.serialize_cdr(_build(store, type_name, fields), type_name, little_endian=True))
+
+
+def _build(store: Typestore, type_name: str, fields: dict[str, Any]) -> Any:
+    """Message object with its nested messages."""
+    message_type: Any = store.types[type_name]
+    nested = {name: desc[1] for name, desc in store.fielddefs[type_name][1] if desc[0] == Nodetype.NAME}
+    values = {name: _build(store, str(nested[name]), v) if name in nested else v for name, v in fields.items()}
+    return message_type(**values)
+
+
+def _store(type_name: str, text: str) -> Typestore | None:
+    """Types of a definition and of what it depends on, or None where it is malformed or too large."""
+    if len(text) > _MAX_TEXT:
+        return None
+    try:
+        store = get_typestore(Stores.EMPTY)
+        store.register(get_types_from_msg(text.replace("\r\n", "\n"), type_name))
+        return store if _depth(type_name, store, {}) <= _MAX_DEPTH else None
+    except (TypesysError, SyntaxError, ValueError, TypeError, AssertionError, RecursionError):
+        return None
+
+
+def _depth(type_name: str, store: Typestore, known: dict[str, float]) -> float:
+    """Levels of messages within messages below a type; infinite where it holds itself.
+
+    Raises ValueError where a type is not defined or an array is too large to unroll.
+    """
+    if type_name not in known:
+        if type_name not in store.fielddefs:
+            raise ValueError(f"{type_name} is not defined")
+        known[type_name] = math.inf
+        inner = [(desc, _inner(desc)) for _, desc in store.fielddefs[type_name][1]]
+        # An empty array takes no bytes, so that the length of the data would not bound the work.
+        sizes = [desc[1][1] for desc, _ in inner if desc[0] == Nodetype.ARRAY]
+        unrolled = sum(desc[1][1] for desc, of in inner if desc[0] == Nodetype.ARRAY and _is_object(of))
+        if min(sizes, default=1) < 1 or unrolled > _MAX_UNROLLED:
+            raise ValueError(f"{type_name} has an array of a size that is not decoded")
+        below = (_depth(str(of[1]), store, known) for _, of in inner if of[0] == Nodetype.NAME)
+        known[type_name] = 1 + max(below, default=0)
+    return known[type_name]
+
+
+def _inner(desc: Any) -> Any:
+    """Description of a field's elements, or of the field itself where it is no list."""
+    return desc[1][0] if desc[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE) else desc
+
+
+def _is_object(desc: Any) -> bool:
+    """Whether an element becomes a Python object of its own; numbers share one array."""
+    return bool(desc[0] == Nodetype.NAME or desc[1][0] == "string")

@@ -1,0 +1,30 @@
+"""From any trajectory file to a bag."""
+
+from pathlib import Path
+
+from sugiyama_ros.formats.mcap_writer import LATCHED, BagWriter, Qos
+from sugiyama_ros.formats.measured import MEASURED_TYPE, ROAD_TYPE, messages
+from sugiyama_ros.formats.trajectory_files import read_trajectories
+from sugiyama_ros.trajectories import Trajectories
+
+
+def convert(source: Path, out: Path, ring_m: float | None = None) -> Trajectories:
+    """Write the trajectories of a file into a bag with the topics /road and /measured; returns them.
+
+    Raises InputError for what cannot be read, OutputError for what cannot be written.
+    """
+    trajectories = read_trajectories(source, ring_m)
+    write_trajectories(trajectories, out)
+    return trajectories
+
+
+def write_trajectories(trajectories: Trajectories, out: Path) -> None:
+    """Write a bag with the topics /road and /measured. Stamps and log times are the times of the samples."""
+    about = {"source": trajectories.source, "sha256": trajectories.sha256}
+    with BagWriter(out, about) as bag:
+        channels = {
+            ROAD_TYPE: bag.topic("/road", ROAD_TYPE, LATCHED),
+            MEASURED_TYPE: bag.topic("/measured", MEASURED_TYPE, Qos()),
+        }
+        for type_name, stamp, data in messages(trajectories):
+            bag.write(channels[type_name], data, stamp, stamp)

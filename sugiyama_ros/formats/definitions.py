@@ -1,0 +1,71 @@
+"""Texts of ROS message definitions, from the message packages that are installed."""
+
+import json
+import os
+import re
+import sys
+from functools import cache
+from pathlib import Path
+
+from sugiyama_ros.errors import InputError
+
+_SEPARATOR = "=" * 80
+_TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*")
+_FIELD = re.compile(r"\s*([A-Za-z][A-Za-z0-9_/]*)(?:<=\d+)?(?:\[[^\]]*\])?\s+[A-Za-z]")
+_PRIMITIVE = {"bool", "byte", "char", "float32", "float64", "string", "wstring"} | {
+    f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
+}
+
+
+@cache
+def full_text(type_name: str) -> str:
+    """Definition of a message with all that it depends on, as MCAP's schema encoding ``ros2msg`` wants it.
+
+    type_name: such as ``std_msgs/msg/Header``. Raises InputError where a definition is not installed.
+    """
+    texts: dict[str, str] = {}
+    _collect(type_name, texts)
+    first, *others = texts.items()
+    return "\n".join([first[1], *(f"{_SEPARATOR}\nMSG: {name.replace('/msg/', '/')}\n{text}" for name, text in others)])
+
+
+@cache
+def type_hash(type_name: str) -> str:
+    """Hash (RIHS01) of a message type as its package states it; empty where it does not."""
+    path = _file(type_name).with_suffix(".json")
+    if not path.is_file():
+        return ""
+    for entry in json.loads(path.read_text())["type_hashes"]:
+        if entry["type_name"] == type_name:
+            return str(entry["hash_string"])
+    return ""
+
+
+def _collect(type_name: str, texts: dict[str, str]) -> None:
+    """Add the definition of ``type_name`` and of what it depends on, depth first, to ``texts``."""
+    texts[type_name] = _file(type_name).read_text()
+    package = type_name.partition("/")[0]
+    for line in texts[type_name].splitlines():
+        field = _FIELD.match(line)
+        if field is None or field[1] in _PRIMITIVE:
+            continue
+        used_package, _, name = field[1].rpartition("/")
+        used = f"{used_package.removesuffix('/msg') or package}/msg/{name}"
+        if used not in texts:
+            _collect(used, texts)
+
+
+def _file(type_name: str) -> Path:
+    """Where the definition of a message type is installed."""
+    if not _TYPE.fullmatch(type_name):
+        raise InputError(f"{type_name}: not the name of a message type; write package/msg/Name")
+    package, _, name = type_name.split("/")
+    # A native ROS 2 names its prefixes in the environment; the wheels install below the interpreter's own prefix.
+    prefixes = [p for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
+    for prefix in [*prefixes, sys.prefix]:
+        path = Path(prefix, "share", package, "msg", f"{name}.msg")
+        if path.is_file():
+            return path
+    ours = package == "sugiyama_msgs"
+    cure = "run `pip install ./msg_defs`, or build and source the workspace" if ours else "install it"
+    raise InputError(f"{type_name}: message package {package} is not installed; {cure}")

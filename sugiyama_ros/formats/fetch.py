@@ -1,0 +1,114 @@
+"""Fetching a public data set: download, verify, unpack, convert."""
+
+import http.client
+import time
+import urllib.error
+import urllib.request
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.formats.catalogue import CATALOGUE, DataSet
+from sugiyama_ros.formats.convert import convert
+from sugiyama_ros.formats.reading import open_input, sha256
+from sugiyama_ros.formats.writing import not_written, replacing
+
+_TIMEOUT_S = 20.0
+_LONGEST_S = 600.0
+_BLOCK = 1 << 16
+#: Largest file that is unpacked [bytes].
+_MAX_UNPACKED = 16 << 20
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Fetched:
+    """Where the data lies: as published, and as a bag."""
+
+    data: Path
+    bag: Path
+
+
+def fetch(name: str, directory: Path, url: str | None = None, on_progress: Progress | None = None) -> Fetched:
+    """Download a data set of the catalogue into a directory, verify and unpack it, and convert it to a bag.
+
+    url: another address of the same file. on_progress: told the bytes so far and in all. To ask for consent to the
+    licence is the caller's part.
+
+    Raises InputError for an unknown name, a failing network or a file that is not the expected one, and OutputError
+    where the directory cannot be written. A file that failed is never left under its name.
+    """
+    if name not in CATALOGUE:
+        raise InputError(f"{name}: not in the catalogue; it has {', '.join(CATALOGUE)}")
+    data_set = CATALOGUE[name]
+    directory = Path(directory)
+    data = directory / data_set.member
+    archive = directory / f"{name}.zip"
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise not_written(directory, error) from None
+    try:
+        with replacing(archive) as stream:
+            for block in _downloaded(url or data_set.url, data_set, on_progress):
+                stream.write(block)
+        with replacing(data) as stream:
+            stream.write(_unpacked(archive, data_set))
+    finally:
+        archive.unlink(missing_ok=True)
+    bag = data.with_suffix(".mcap")
+    convert(data, bag)
+    return Fetched(data, bag)
+
+
+def _downloaded(url: str, data_set: DataSet, on_progress: Progress | None) -> Iterator[bytes]:
+    """The file at an address, block by block; at most the size that the catalogue states."""
+    if not url.startswith(("http://", "https://")):
+        raise InputError(f"{url}: not a web address; it must start with https:// or http://")
+    received, until = 0, time.monotonic() + _LONGEST_S
+    try:
+        with urllib.request.urlopen(url, timeout=_TIMEOUT_S) as response:
+            while block := response.read1(_BLOCK):
+                received += len(block)
+                if received > data_set.size_bytes:
+                    raise InputError(f"{url}: larger than the {data_set.size_bytes} bytes expected; check the address")
+                if time.monotonic() > until:
+                    raise InputError(f"{url}: not complete after {_LONGEST_S:g} s; try again with a better connection")
+                yield block
+                if on_progress:
+                    on_progress(received, data_set.size_bytes)
+    except urllib.error.HTTPError as error:
+        error.close()
+        raise InputError(f"{url}: the server answers {error.code} {error.reason}; check the address") from None
+    except (OSError, ValueError, http.client.HTTPException) as error:
+        reason = getattr(error, "reason", None) or error
+        raise InputError(f"{url}: cannot be reached ({reason}); check the network and the address") from None
+
+
+def _unpacked(archive: Path, data_set: DataSet) -> bytes:
+    """Content of the wanted file in a verified archive. Only the file's content is used, never its path."""
+    with open_input(archive) as stream:
+        size, found = archive.stat().st_size, sha256(stream)
+        if (size, found) != (data_set.size_bytes, data_set.sha256):
+            raise InputError(
+                f"{archive.name}: not the expected file: {size} bytes, SHA-256 {found}; expected {data_set.size_bytes},"
+                f" {data_set.sha256}; the download broke off or the file has changed: try again, or report it"
+            )
+        try:
+            with zipfile.ZipFile(stream) as unzipped:
+                names = [name for name in unzipped.namelist() if name.endswith(".data")]
+                wanted = [name for name in names if name.endswith(data_set.member)]
+                if len(wanted) != 1:
+                    have = ", ".join(names[:20]) or "no .data file"
+                    raise InputError(f"{archive.name}: has not one {data_set.member} but {have}; report it")
+                with unzipped.open(wanted[0]) as member:
+                    content = member.read(_MAX_UNPACKED + 1)
+        except (zipfile.BadZipFile, zlib.error, RuntimeError, NotImplementedError, EOFError) as error:
+            raise InputError(f"{archive.name}: cannot be unpacked: {error}; report it") from None
+    if len(content) > _MAX_UNPACKED:
+        raise InputError(f"{archive.name}: {wanted[0]} has more than {_MAX_UNPACKED} bytes unpacked; not used")
+    return content

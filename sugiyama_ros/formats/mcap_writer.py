@@ -1,0 +1,186 @@
+"""MCAP files as rosbag2, Foxglove, Lichtblick and PlotJuggler read them."""
+
+import errno
+import os
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from types import TracebackType
+
+from mcap.writer import CompressionType, Writer
+
+from sugiyama_ros.errors import InputError, OutputError
+from sugiyama_ros.formats.definitions import full_text, type_hash
+
+#: Chunks are closed at this size [bytes]; small ones bound what a crash can lose.
+_CHUNK_SIZE = 256 << 10
+#: Longest wall time [s] for which written messages may stay in memory.
+_FLUSH_S = 1.0
+_INFINITE = "{sec: 9223372036, nsec: 854775807}"
+
+
+@dataclass(frozen=True)
+class Qos:
+    """Quality of service that a topic was offered with."""
+
+    reliability: str = "reliable"
+    durability: str = "volatile"
+    depth: int = 10
+
+    @property
+    def yaml(self) -> str:
+        """The YAML text that rosbag2 (Jazzy and newer) keeps with each topic."""
+        return (
+            "- history: keep_last\n"
+            f"  depth: {self.depth}\n"
+            f"  reliability: {self.reliability}\n"
+            f"  durability: {self.durability}\n"
+            f"  deadline: {_INFINITE}\n"
+            f"  lifespan: {_INFINITE}\n"
+            "  liveliness: automatic\n"
+            f"  liveliness_lease_duration: {_INFINITE}\n"
+            "  avoid_ros_namespace_conventions: false\n"
+        )
+
+
+#: For what is sent once and must reach those who come later.
+LATCHED = Qos(durability="transient_local", depth=1)
+
+
+class BagWriter:
+    """Writes serialized messages to an MCAP file; use it in a ``with`` block.
+
+    path: the file, which appears under its name when the block ends without an error. Until then the messages stand in
+    ``FILE.part``: after a crash ``sugiyama recover`` makes a file of it. An error in the block removes it, but what was
+    flushed before a disk failed stays.
+    metadata: what the run is about (parameters, data source, checksum), kept in a record named ``sugiyama``.
+
+    Raises OutputError where the file cannot be written, and InputError for a topic or time that cannot be.
+    """
+
+    def __init__(self, path: Path, metadata: Mapping[str, str] | None = None) -> None:
+        self.path = Path(path)
+        self.part = self.path.with_name(self.path.name + ".part")
+        self._counts: list[int] = []
+        self._topics: dict[str, tuple[int, str]] = {}
+        self._schemas: dict[str, int] = {}
+        self._dirty = False
+        self._kept = False
+        self._flushed_s = time.monotonic()
+        try:
+            # Not over another writer's file, nor over what a crash left to be recovered.
+            self._stream = self.part.open("xb")
+        except FileExistsError:
+            raise OutputError(
+                f"{self.part}: left by a run that did not end, or in use; `sugiyama recover` it, or delete it"
+            ) from None
+        except OSError as error:
+            raise self._failed(error) from None
+        self._writer = Writer(self._stream, chunk_size=_CHUNK_SIZE, compression=CompressionType.ZSTD)
+        release = _version()
+        try:
+            self._writer.start(profile="ros2", library=f"sugiyama_ros {release}")
+            self._writer.add_metadata("sugiyama", {"version": release, **(metadata or {})})
+        except OSError as error:
+            self._discard()
+            raise self._failed(error) from None
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Messages written so far on each topic."""
+        return {name: self._counts[channel] for name, (channel, _) in self._topics.items()}
+
+    def topic(self, name: str, type_name: str, qos: Qos = Qos()) -> int:
+        """Announce a topic, such as ``/vehicle_07/innovation``; returns its number for ``write``.
+
+        The same topic announced again has the same number.
+        """
+        if name in self._topics:
+            channel, announced = self._topics[name]
+            if announced != type_name:
+                raise InputError(f"{name}: announced as {announced} before, now as {type_name}; use two names")
+            return channel
+        if type_name not in self._schemas:
+            text = full_text(type_name)
+            self._schemas[type_name] = self._writer.register_schema(type_name, "ros2msg", text.encode())
+        about = {"offered_qos_profiles": qos.yaml, "topic_type_hash": type_hash(type_name)}
+        number = self._writer.register_channel(name, "cdr", self._schemas[type_name], about)
+        self._counts += [0] * (number + 1 - len(self._counts))
+        self._topics[name] = (number, type_name)
+        return number
+
+    def write(self, channel: int, data: bytes, log_time_ns: int, publish_time_ns: int) -> None:
+        """Write one message in CDR; times in [ns]."""
+        if log_time_ns < 0 or publish_time_ns < 0:
+            raise InputError(f"{self.path}: MCAP has no times before 0; shift the times of the source")
+        try:
+            self._writer.add_message(channel, log_time_ns, data, publish_time_ns, self._counts[channel])
+        except OSError as error:
+            raise self._failed(error) from None
+        self._counts[channel] += 1
+        self._dirty = True
+        if time.monotonic() - self._flushed_s > _FLUSH_S:
+            self.flush()
+
+    def flush(self) -> None:
+        """Bring all that was written onto the disk; call it once a second where messages may stay away."""
+        self._flushed_s = time.monotonic()
+        if not self._dirty:
+            return
+        try:
+            self._writer.flush()  # type: ignore[no-untyped-call]
+            os.fsync(self._stream.fileno())
+        except OSError as error:
+            raise self._failed(error) from None
+        self._dirty = False
+        self._kept = True
+
+    def close(self) -> None:
+        """Finish the file and give it its name."""
+        try:
+            self._writer.finish()  # type: ignore[no-untyped-call]
+            self._stream.flush()
+            os.fsync(self._stream.fileno())
+            self._stream.close()
+            self.part.replace(self.path)
+        except OSError as error:
+            failed = self._failed(error)
+            self._discard()
+            raise failed from None
+
+    def _discard(self) -> None:
+        """Leave nothing behind, except what a failing disk has kept of a long recording."""
+        # A full disk refuses what is still in the buffer; the file is closed all the same.
+        with suppress(OSError):
+            self._stream.close()
+        if not self._kept:
+            self.part.unlink(missing_ok=True)
+
+    def _failed(self, error: OSError) -> OutputError:
+        """The one line about a disk that refuses."""
+        cure = "free some space" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "choose another place"
+        kept = f"; what was flushed before is in {self.part} (`sugiyama recover`)" if self._kept else ""
+        return OutputError(f"{self.path}: cannot be written: {error.strerror}; {cure}{kept}")
+
+    def __enter__(self) -> "BagWriter":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is None:
+            self.close()
+            return
+        self._kept = self._kept and issubclass(kind, OutputError)
+        self._discard()
+
+
+def _version() -> str:
+    """Version of this package as it is installed."""
+    try:
+        return version("sugiyama_ros")
+    except PackageNotFoundError:
+        return "0"

@@ -1,0 +1,188 @@
+"""Measured positions in a bag: trajectories as messages on ``road`` and ``measured``, and back."""
+
+from array import array
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.formats.cdr import Encoder
+from sugiyama_ros.formats.mcap_reader import Bag
+from sugiyama_ros.formats.reading import open_input, sha256
+from sugiyama_ros.formats.samples import MAX_SAMPLES, agreed_road
+from sugiyama_ros.trajectories import Trajectories
+
+ROAD_TYPE = "sugiyama_msgs/msg/Road"
+MEASURED_TYPE = "sugiyama_msgs/msg/MeasuredPositions"
+#: Frame of the road in message headers.
+FRAME = "road"
+
+
+def stamp_ns(time_s: float) -> int:
+    """A time [s] as the nanoseconds of a message stamp."""
+    return round(time_s * 1e9)
+
+
+def messages(trajectories: Trajectories) -> Iterator[tuple[str, int, bytes]]:
+    """Trajectories as messages: type, stamp [ns] and CDR bytes; one Road, then one MeasuredPositions for each time.
+
+    A vehicle is in a message while it is on the road. Raises InputError where sugiyama_msgs is not installed.
+    """
+    encode = Encoder(ROAD_TYPE, MEASURED_TYPE)
+    times = [stamp_ns(time) for time in trajectories.time_s.tolist()]
+    yield (
+        ROAD_TYPE,
+        times[0],
+        encode(
+            ROAD_TYPE,
+            header=_header(times[0]),
+            circumference_m=trajectories.road.circumference_m,
+            period_s=trajectories.period_s,
+            steps=len(times),
+            source=trajectories.source,
+            sha256=trajectories.sha256,
+        ),
+    )
+    vehicle = trajectories.vehicle.astype(np.int32)
+    for step, (time, leader) in enumerate(zip(times, trajectories.leader, strict=True)):
+        here = np.flatnonzero(trajectories.present[step])
+        ahead = leader[here]
+        yield (
+            MEASURED_TYPE,
+            time,
+            encode(
+                MEASURED_TYPE,
+                header=_header(time),
+                step=step,
+                vehicle=vehicle[here],
+                leader=np.where(ahead >= 0, vehicle[ahead], np.int32(-1)),
+                position_m=trajectories.position_m[step, here],
+                length_m=trajectories.length_m[here],
+            ),
+        )
+
+
+def read_measured(path: Path, ring_m: float | None = None) -> Trajectories:
+    """Trajectories out of a bag that has one ``road`` and one ``measured`` topic, in any namespace.
+
+    ring_m: must not contradict the bag. Source and checksum are those that the bag tells, or else the bag's own.
+
+    Raises InputError where the topics are missing or ambiguous, the road or a length changes, or time goes backward.
+    """
+    with Bag(path) as bag:
+        topics = {}
+        for name, kind in (("road", ROAD_TYPE), ("measured", MEASURED_TYPE)):
+            found = [t.name for t in bag.info().topics if t.name.split("/")[-1] == name and t.type == kind and t.count]
+            if len(found) != 1:
+                have = f"{len(found)} topics ({', '.join(map(repr, found))})" if found else "no topic"
+                raise InputError(f"{path}: {have} `{name}` with messages of {kind}; give a bag with exactly one")
+            topics[found[0]] = kind
+        try:
+            return _collected(bag, topics, ring_m)
+        except (AttributeError, TypeError, ValueError):
+            # A bag brings its own definitions: these have other fields, or fields of another kind.
+            raise InputError(
+                f"{path}: `road` or `measured`: not the fields that this version knows; convert the source again"
+            ) from None
+
+
+def _collected(bag: Bag, topics: dict[str, str], ring_m: float | None) -> Trajectories:
+    """Trajectories out of the messages on two topics, given by name with their types."""
+    path = bag.path
+    road: Any = None
+    columns = _Columns(path)
+    for message in bag.messages(topics):
+        content = message.message
+        if topics[message.topic] == MEASURED_TYPE:
+            columns.add(content)
+        elif road is None:
+            road = content
+        elif (road.circumference_m, road.period_s) != (content.circumference_m, content.period_s):
+            raise InputError(f"{path}: {message.topic!r}: the road changes; record one road in one bag")
+    if road is None:
+        raise InputError(f"{path}: no message on `road`; the bag is damaged")
+    with open_input(path) as stream:
+        checksum = road.sha256 or sha256(stream)
+    return columns.trajectories(road, ring_m, checksum)
+
+
+def _header(time_ns: int) -> dict[str, Any]:
+    """Header of a message."""
+    seconds, nanoseconds = divmod(time_ns, 1_000_000_000)
+    return {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": FRAME}
+
+
+class _Columns:
+    """What the messages on ``measured`` tell, vehicle by vehicle."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._row = array("q")
+        self._column = array("q")
+        self._position = array("d")
+        self._length: dict[int, float] = {}
+        self._number: dict[int, int] = {}
+        self._first: tuple[int, float] | None = None
+        self._last_step = -1
+        self._last_s = 0.0
+
+    def add(self, message: Any) -> None:
+        """Take in one message."""
+        where = f"{self._path}: measured, step {message.step}"
+        time_s = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+        if self._first is None:
+            self._first = message.step, time_s
+        elif message.step <= self._last_step or time_s <= self._last_s:
+            raise InputError(f"{where}: time goes backward, as in a replay that loops; record one pass")
+        self._last_step, self._last_s = message.step, time_s
+        if message.step - self._first[0] >= MAX_SAMPLES:
+            raise InputError(f"{where}: more than {MAX_SAMPLES} steps; split the bag")
+        vehicles = message.vehicle.tolist()
+        if not len(vehicles) == len(message.position_m) == len(message.length_m):
+            raise InputError(f"{where}: its arrays differ in length; the publisher is faulty")
+        if len(set(vehicles)) != len(vehicles):
+            raise InputError(f"{where}: a vehicle's number occurs twice; the publisher is faulty")
+        if len(self._row) + len(vehicles) > MAX_SAMPLES:
+            raise InputError(f"{where}: more than {MAX_SAMPLES} samples; split the bag")
+        if np.isinf(message.position_m).any():
+            raise InputError(f"{where}: a position is infinite; the publisher is faulty")
+        for vehicle, length in zip(vehicles, message.length_m.tolist(), strict=True):
+            if self._length.setdefault(vehicle, length) != length:
+                raise InputError(f"{where}: vehicle {vehicle} changes its length; the publisher is faulty")
+            self._column.append(self._number.setdefault(vehicle, len(self._number)))
+        self._row.extend([message.step - self._first[0]] * len(vehicles))
+        self._position.extend(message.position_m.tolist())
+
+    def trajectories(self, road: Any, ring_m: float | None, checksum: str) -> Trajectories:
+        """All of it, on the time base that the road states."""
+        if self._first is None or not self._row:
+            raise InputError(f"{self._path}: measured: no positions; record some")
+        steps, cars = max(self._row) + 1, len(self._number)
+        if steps * cars > MAX_SAMPLES:
+            raise InputError(
+                f"{self._path}: {steps} steps of {cars} vehicles are more than {MAX_SAMPLES} samples; split the bag"
+            )
+        first_s = self._first[1]
+        off_s = self._last_s - first_s - (self._last_step - self._first[0]) * road.period_s
+        if not (road.period_s > 0.0 and abs(off_s) < 0.1 * road.period_s):
+            raise InputError(
+                f"{self._path}: measured: the stamps do not follow the period of {road.period_s:g} s on `road`;"
+                " the publisher is faulty"
+            )
+        position = np.full((steps, cars), np.nan)
+        position[np.frombuffer(self._row, dtype=np.int64), np.frombuffer(self._column, dtype=np.int64)] = np.frombuffer(
+            self._position
+        )
+        agreed = agreed_road(self._path, road.circumference_m, ring_m)
+        return Trajectories(
+            position_m=agreed.wrap(position),
+            length_m=np.array(list(self._length.values())),
+            vehicle=np.array(list(self._number), dtype=np.int64),
+            road=agreed,
+            period_s=road.period_s,
+            start_s=first_s,
+            source=road.source or self._path.name,
+            sha256=checksum,
+        )

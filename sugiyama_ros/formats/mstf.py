@@ -1,0 +1,52 @@
+"""Reader of the ring file of the Mathematical Society of Traffic Flow."""
+
+import re
+from pathlib import Path
+
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.formats.catalogue import SUGIYAMA_CASE_1_SHA256
+from sugiyama_ros.formats.reading import lines, number, open_input, sha256
+from sugiyama_ros.formats.samples import Samples, agreed_road
+from sugiyama_ros.trajectories import DEFAULT_LENGTH_M, Trajectories
+
+# Lengths [m] of the cars of case 1, measured from the video: Dai et al., Table 1 (Vehicle sizes). Number = block.
+_CASE_1_LENGTH_M = [
+    *(3.52, 4.65, 3.68, 4.54, 3.90, 4.92, 4.87, 5.03, 4.62, 4.81, 4.92),
+    *(3.95, 4.11, 3.95, 4.49, 4.81, 4.81, 3.57, 4.38, 4.06, 3.08, 4.71),
+]
+_CIRCUIT = re.compile(r"circuit length is +(\d+(?:\.\d*)?) *m\b")
+
+
+def read_mstf(path: Path, ring_m: float | None = None) -> Trajectories:
+    """Trajectories out of a ``.data`` file: lines of position [m] and time [s], one block for each car.
+
+    ring_m: circumference [m] where the file's head does not say it. Cars are numbered by block from 0. Their lengths
+    are not in the file: those of case 1 are the paper's, others are DEFAULT_LENGTH_M.
+
+    Raises InputError, with the line, for what is not such a file.
+    """
+    samples = Samples(path)
+    said_m = None
+    block, in_block = -1, False
+    with open_input(path) as stream:
+        checksum = sha256(stream)
+        for count, line in enumerate(lines(path, stream), start=1):
+            where = f"{path}:{count}"
+            if line.startswith("#"):
+                found = _CIRCUIT.search(line)
+                said_m = float(found[1]) if found else said_m
+                continue
+            fields = line.split()
+            if not fields:
+                in_block = False
+                continue
+            if len(fields) != 2:
+                raise InputError(f"{where}: {len(fields)} columns; an MSTF file has two, position and time")
+            if not in_block:
+                block, in_block = block + 1, True
+            samples.add(number(fields[1], "time", where), block, number(fields[0], "position", where), where)
+    if said_m is None and ring_m is None:
+        raise InputError(f"{path}: does not say the length of the circuit; give it with --ring (0 for an open road)")
+    cars = len(samples.vehicles)
+    lengths = _CASE_1_LENGTH_M if checksum == SUGIYAMA_CASE_1_SHA256 else [DEFAULT_LENGTH_M] * cars
+    return samples.trajectories(lengths, agreed_road(path, said_m, ring_m), checksum)

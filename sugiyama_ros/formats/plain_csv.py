@@ -1,0 +1,97 @@
+"""Plain CSV: one line for each sample, with the columns time_s, vehicle, position_m and perhaps length_m."""
+
+import csv
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.formats.reading import lines, number, open_input, sha256
+from sugiyama_ros.formats.samples import Samples, agreed_road
+from sugiyama_ros.formats.writing import replacing
+from sugiyama_ros.trajectories import DEFAULT_LENGTH_M, Trajectories
+
+_REQUIRED = ("time_s", "vehicle", "position_m")
+_VEHICLE = re.compile(r"\d{1,9}")
+
+
+def read_csv(path: Path, ring_m: float | None = None) -> Trajectories:
+    """Trajectories out of a CSV file with a header; other columns are passed over.
+
+    ring_m: circumference [m] of a ring; without it the road is open. An empty position is a missing sample; a vehicle
+    without a length has DEFAULT_LENGTH_M. The times of each vehicle must increase.
+
+    Raises InputError, with the line and the field, for what is not such a file.
+    """
+    samples = Samples(path)
+    lengths: dict[int, float] = {}
+    with open_input(path) as stream:
+        checksum = sha256(stream)
+        rows = csv.reader(lines(path, stream), strict=True)
+        try:
+            header = [name.strip() for name in next(rows, [])]
+            columns = _columns(path, header)
+            for row in rows:
+                where = f"{path}:{rows.line_num}"
+                if not row:
+                    continue
+                if len(row) != len(header):
+                    raise InputError(f"{where}: {len(row)} fields, the header has {len(header)}; correct the line")
+                vehicle = _vehicle(row[columns["vehicle"]].strip(), where)
+                position = row[columns["position_m"]].strip()
+                samples.add(
+                    number(row[columns["time_s"]], "time_s", where),
+                    vehicle,
+                    number(position, "position_m", where) if position else math.nan,
+                    where,
+                )
+                if "length_m" in columns and (text := row[columns["length_m"]].strip()):
+                    length = number(text, "length_m", where)
+                    if length < 0.0:
+                        raise InputError(f"{where}: length_m {length:g} is negative; correct the line")
+                    if lengths.setdefault(vehicle, length) != length:
+                        raise InputError(
+                            f"{where}: vehicle {vehicle} is {length:g} m long here and {lengths[vehicle]:g} m above;"
+                            " give it one length"
+                        )
+        except csv.Error as error:
+            raise InputError(f"{path}:{rows.line_num}: not CSV: {error}; correct the line") from None
+    length_m = [lengths.get(vehicle, DEFAULT_LENGTH_M) for vehicle in samples.vehicles]
+    return samples.trajectories(length_m, agreed_road(path, None, ring_m), checksum)
+
+
+def write_csv(trajectories: Trajectories, path: Path) -> None:
+    """Write trajectories so that ``read_csv`` gives them back; missing samples have an empty position.
+
+    Raises OutputError where the file cannot be written.
+    """
+    with replacing(path) as stream:
+        stream.write(b"time_s,vehicle,position_m,length_m\n")
+        vehicles = list(zip(trajectories.vehicle.tolist(), trajectories.length_m.tolist(), strict=True))
+        for time, positions, present in zip(
+            trajectories.time_s.tolist(), trajectories.position_m, trajectories.present, strict=True
+        ):
+            for column in np.flatnonzero(present):
+                vehicle, length = vehicles[column]
+                position = "" if np.isnan(positions[column]) else repr(float(positions[column]))
+                stream.write(f"{time!r},{vehicle},{position},{length!r}\n".encode())
+
+
+def _columns(path: Path, header: list[str]) -> dict[str, int]:
+    """Where each column stands."""
+    missing = [name for name in _REQUIRED if name not in header]
+    if missing:
+        raise InputError(f"{path}:1: no column {', '.join(missing)}; the header must name {', '.join(_REQUIRED)}")
+    known = [name for name in header if name in (*_REQUIRED, "length_m")]
+    if len(set(known)) != len(known):
+        raise InputError(f"{path}:1: a column occurs twice; name each column once")
+    return {name: header.index(name) for name in known}
+
+
+def _vehicle(text: str, where: str) -> int:
+    """A vehicle's number."""
+    if not _VEHICLE.fullmatch(text):
+        raise InputError(f"{where}: vehicle {text[:40]!r} is not a number from 0 to 999999999; number the vehicles")
+    return int(text)

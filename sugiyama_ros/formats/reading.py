@@ -1,0 +1,56 @@
+"""Reading other people's text files without believing anything in them."""
+
+import hashlib
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+from sugiyama_ros.errors import InputError
+
+_MAX_LINE = 10_000
+
+
+def open_input(path: Path) -> BinaryIO:
+    """A regular file opened for reading; InputError where there is none, or it cannot be read."""
+    try:
+        if path.exists() and not path.is_file():
+            raise InputError(f"{path}: not a regular file; give a file")
+        return path.open("rb")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}; check the name and the permissions") from None
+
+
+def lines(path: Path, stream: BinaryIO) -> Iterator[str]:
+    """Lines of a text file without their ends; InputError for one that is too long or not UTF-8."""
+    number = 0
+    while line := stream.readline(_MAX_LINE + 1):
+        number += 1
+        if len(line) > _MAX_LINE:
+            raise InputError(f"{path}:{number}: a line of more than {_MAX_LINE} bytes; not a table of positions")
+        try:
+            text = line.decode("utf-8-sig" if number == 1 else "utf-8")
+        except UnicodeDecodeError:
+            raise InputError(f"{path}:{number}: not UTF-8 text; this is not a table of positions") from None
+        yield text.rstrip("\r\n")
+
+
+def number(text: str, field: str, where: str) -> float:
+    """A finite number; InputError, naming line and field, for anything else."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise InputError(f"{where}: {field} {text[:40]!r} is not a finite number; correct or remove the line")
+    return value
+
+
+def sha256(stream: BinaryIO) -> str:
+    """Checksum of a file, which is rewound before and after."""
+    digest = hashlib.sha256()
+    stream.seek(0)
+    while block := stream.read(1 << 20):
+        digest.update(block)
+    stream.seek(0)
+    return digest.hexdigest()

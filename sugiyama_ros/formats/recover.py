@@ -1,0 +1,165 @@
+"""Salvaging what is whole of a cut or damaged MCAP file."""
+
+import re
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from mcap.opcode import Opcode
+from mcap.records import Header, Metadata
+from mcap.writer import CompressionType, Writer
+
+from sugiyama_ros.errors import InputError, OutputError
+from sugiyama_ros.formats.mcap_reader import Bag
+from sugiyama_ros.formats.mcap_records import (
+    HEAD,
+    MAGIC,
+    MAX_DESCRIPTION,
+    Descriptions,
+    Message,
+    Record,
+    RecordFile,
+    content_records,
+)
+from sugiyama_ros.formats.reading import open_input
+from sugiyama_ros.formats.writing import replacing
+
+_BLOCK = 1 << 20
+# The name of the compression, behind its length, and where it stands in a chunk record.
+_CHUNK_NAME = re.compile(rb"\x04\0\0\0zstd|\x03\0\0\0lz4")
+_NAME_AT = HEAD.size + 28
+_OPCODES = {int(opcode) for opcode in Opcode}
+
+
+@dataclass(frozen=True)
+class Recovered:
+    """What was salvaged: messages, topics, and the bytes of the file that could not be used."""
+
+    path: Path
+    messages: int
+    topics: int
+    lost_bytes: int
+    start_ns: int
+    end_ns: int
+
+
+def recover(path: Path, out: Path) -> Recovered:
+    """Write every whole message of ``path`` into a new file ``out``, and verify it by reading it again.
+
+    Chunks whose checksum does not hold are left out. Raises InputError where nothing can be salvaged, OutputError where
+    ``out`` cannot be written or does not read back.
+    """
+    path, out = Path(path), Path(out)
+    if out.exists() and out.samefile(path):
+        raise OutputError(f"{out}: is the file to be recovered; choose another name")
+    with open_input(path) as stream:
+        salvage = _Salvage(RecordFile(path, stream))
+        with replacing(out, ".recovered.part") as target:
+            writer = Writer(target, chunk_size=256 << 10, compression=CompressionType.ZSTD)
+            salvage.write(writer)
+            if salvage.messages == 0:
+                raise InputError(f"{path}: holds no whole message; nothing can be recovered")
+    with Bag(out) as bag:
+        read = sum(1 for _ in bag.raw_messages())
+        info = bag.info()
+    if not read == info.messages == salvage.messages:
+        raise OutputError(f"{out}: {read} of {salvage.messages} messages read back; check the disk and try again")
+    return Recovered(out, read, len(info.topics), salvage.lost_bytes, info.start_ns, info.end_ns)
+
+
+class _Salvage:
+    """Goes through a damaged file and copies what is whole."""
+
+    def __init__(self, file: RecordFile) -> None:
+        self._file = file
+        self._described = Descriptions(file.path)
+        self._new_schema: dict[int, int] = {}
+        self._new_channel: dict[int, int] = {}
+        self.messages = 0
+        self.lost_bytes = 0
+
+    def write(self, writer: Writer) -> None:
+        """Copy metadata and messages; descriptions that a damaged chunk has lost are taken from the summary."""
+        profile, library = "ros2", ""
+        for record in self._records():
+            with suppress(InputError):
+                if record.opcode == Opcode.HEADER:
+                    header = self._file.parse(Header, record)
+                    profile, library = header.profile, header.library
+                elif record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                    self._described.add(record.opcode, self._file.body(record, MAX_DESCRIPTION))
+        writer.start(profile=profile, library=library)
+        self.lost_bytes = 0
+        for record in self._records():
+            try:
+                self._copy(record, writer)
+            except InputError:
+                self.lost_bytes += record.length
+        writer.finish()  # type: ignore[no-untyped-call]
+
+    def _copy(self, record: Record, writer: Writer) -> None:
+        """Copy what a record holds; raises InputError where it is damaged."""
+        if record.opcode == Opcode.METADATA:
+            metadata = self._file.parse(Metadata, record)
+            writer.add_metadata(metadata.name, metadata.metadata)
+        elif record.opcode == Opcode.MESSAGE:
+            self._copy_message(self._file.message(record), writer)
+        elif record.opcode == Opcode.CHUNK:
+            where = f"{self._file.path}: chunk at offset {record.offset}"
+            for opcode, content in content_records(self._file.chunk(record), where):
+                if opcode == Opcode.MESSAGE:
+                    self._copy_message(content, writer)
+                else:
+                    self._described.add(opcode, content)
+
+    def _copy_message(self, message: Message, writer: Writer) -> None:
+        """Copy one message; without the description of its channel it is lost."""
+        channel = self._described.channels.get(message.channel)
+        schema = self._described.schema(message.channel) if channel else None
+        if channel is None or (schema is None and channel.schema_id != 0):
+            self.lost_bytes += len(message.data)
+            return
+        if schema is not None and schema.id not in self._new_schema:
+            self._new_schema[schema.id] = writer.register_schema(schema.name, schema.encoding, schema.data)
+        if channel.id not in self._new_channel:
+            type_id = self._new_schema[schema.id] if schema else 0
+            self._new_channel[channel.id] = writer.register_channel(
+                channel.topic, channel.message_encoding, type_id, channel.metadata
+            )
+        number = self._new_channel[channel.id]
+        writer.add_message(number, message.log_time, message.data, message.publish_time, message.sequence)
+        self.messages += 1
+
+    def _records(self) -> Iterator[Record]:
+        """Records of the file; where they stop making sense, on from the next whole chunk."""
+        offset, before = len(MAGIC), len(MAGIC)
+        while offset < self._file.size - len(MAGIC):
+            try:
+                record = self._file.record(offset)
+                if record.opcode not in _OPCODES:
+                    raise self._file.damaged(offset, "no record")
+            except InputError:
+                # The record before may have lied about its length: look from its start.
+                found = self._next_chunk(before + 1)
+                self.lost_bytes += max(0, found - offset)
+                offset = before = found
+                continue
+            yield record
+            if record.opcode == Opcode.FOOTER:
+                return
+            offset, before = record.end, offset
+
+    def _next_chunk(self, offset: int) -> int:
+        """Where the next compressed chunk starts whose content verifies; the end of the file if there is none."""
+        while offset < self._file.size:
+            block = self._file.read(offset, min(_BLOCK + _NAME_AT + 8, self._file.size - offset))
+            for name in _CHUNK_NAME.finditer(block, _NAME_AT):
+                start = offset + name.start() - _NAME_AT
+                with suppress(InputError):
+                    record = self._file.record(start)
+                    if record.opcode == Opcode.CHUNK:
+                        self._file.chunk(record)
+                        return start
+            offset += _BLOCK
+        return self._file.size

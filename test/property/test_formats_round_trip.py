@@ -1,0 +1,86 @@
+"""Whatever trajectories are written come back: CSV and bags."""
+
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.formats import read_trajectories
+from sugiyama_ros.formats.convert import write_trajectories
+from sugiyama_ros.formats.plain_csv import write_csv
+from sugiyama_ros.road import Road
+from sugiyama_ros.trajectories import Trajectories
+
+
+@st.composite
+def some_trajectories(draw: st.DrawFn) -> Trajectories:
+    """A few vehicles that come and go, with samples missing in between."""
+    steps, vehicles = draw(st.integers(2, 12)), draw(st.integers(1, 4))
+    random = np.random.default_rng(draw(st.integers(0, 1 << 32)))
+    road = Road(draw(st.sampled_from([0.0, 230.0, 1000.1])))
+    position = road.wrap(random.uniform(-50.0, 2000.0, (steps, vehicles)))
+    position[random.random((steps, vehicles)) < draw(st.sampled_from([0.0, 0.3]))] = np.nan
+    # Each vehicle is seen at least once, and the first at every time: a time without any sample is not written.
+    position[:, 0] = np.arange(steps)
+    position[0, :] = np.arange(vehicles)
+    return Trajectories(
+        position_m=position,
+        length_m=random.uniform(3.0, 20.0, vehicles),
+        vehicle=random.permutation(50)[:vehicles],
+        road=road,
+        period_s=draw(st.sampled_from([1.0 / 3.0, 0.1, 0.04, 1.0]) | st.floats(0.01, 2.0)),
+        start_s=draw(st.sampled_from([0.0, 12.5]) | st.floats(0.0, 1000.0)),
+        source="some.csv",
+        sha256="0" * 64,
+    )
+
+
+def same(back: Trajectories, given: Trajectories) -> None:
+    np.testing.assert_array_equal(back.vehicle, given.vehicle)
+    np.testing.assert_array_equal(back.length_m, given.length_m)
+    np.testing.assert_array_equal(back.position_m, given.position_m)
+    np.testing.assert_allclose(back.time_s, given.time_s, rtol=0.0, atol=1e-9)
+    assert back.road == given.road
+
+
+@settings(deadline=None, max_examples=50)
+@given(some_trajectories())
+def test_bag(trajectories: Trajectories) -> None:
+    given = replace(trajectories, position_m=trajectories.position_m.copy())
+    with TemporaryDirectory() as folder:
+        path = Path(folder, "a.mcap")
+        write_trajectories(trajectories, path)
+        back = read_trajectories(path)
+        assert list(Path(folder).iterdir()) == [path]
+    same(back, given)
+    assert back.period_s == trajectories.period_s
+    assert (back.source, back.sha256) == (trajectories.source, trajectories.sha256)
+
+
+@settings(deadline=None, max_examples=50)
+@given(some_trajectories())
+def test_csv(trajectories: Trajectories) -> None:
+    with TemporaryDirectory() as folder:
+        path = Path(folder, "a.csv")
+        write_csv(trajectories, path)
+        back = read_trajectories(path, trajectories.road.circumference_m)
+        assert list(Path(folder).iterdir()) == [path]
+    same(back, trajectories)
+
+
+@settings(deadline=None, max_examples=200)
+@given(st.binary(max_size=300), st.sampled_from([".csv", ".data", ".mcap"]), st.sampled_from([b"", b"\x89MCAP0\r\n"]))
+def test_any_bytes_give_one_line_or_trajectories(content: bytes, suffix: str, head: bytes) -> None:
+    with TemporaryDirectory() as folder:
+        path = Path(folder, "a" + suffix)
+        path.write_bytes(head + content)
+        told = ""
+        try:
+            read_trajectories(path)
+        except InputError as error:
+            told = str(error)
+        assert "\n" not in told

@@ -1,0 +1,211 @@
+"""The MSTF ring file and plain CSV, good and bad."""
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sugiyama_ros.errors import InputError, OutputError
+from sugiyama_ros.formats import read_trajectories, samples
+from sugiyama_ros.formats.plain_csv import write_csv
+from sugiyama_ros.road import Road
+from sugiyama_ros.trajectories import DEFAULT_LENGTH_M, Trajectories, regular_time_base
+
+CASE_1 = Path(__file__).parents[3] / "shared/data/sugiyama2008_mstf/case1.data"
+
+MSTF = """# Some experiment
+#   Total number of car is 2 and circuit length is 100m.
+#
+10.0 0.000
+13.0 0.333
+16.0 0.667
+
+98.0 0.000
+100.0 0.333
+2.0 0.667
+"""
+
+CSV = """vehicle,time_s,position_m,length_m
+7,0.0,1.5,4.0
+7,0.1,2.5,4.0
+3,0.0,11.5,5.0
+3,0.1,,5.0
+3,0.2,12.5,
+"""
+
+
+def one_line(error: BaseException) -> str:
+    """The text of an error, which is one line."""
+    text = str(error)
+    assert "\n" not in text
+    assert text
+    return text
+
+
+def read(tmp_path: Path, name: str, content: str | bytes, ring_m: float | None = None) -> Trajectories:
+    path = tmp_path / name
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    return read_trajectories(path, ring_m)
+
+
+def refused(tmp_path: Path, name: str, content: str | bytes, ring_m: float | None = None) -> str:
+    with pytest.raises(InputError) as caught:
+        read(tmp_path, name, content, ring_m)
+    text = one_line(caught.value)
+    assert str(tmp_path / name) in text
+    return text
+
+
+def test_mstf(tmp_path: Path) -> None:
+    trajectories = read(tmp_path, "a.data", MSTF)
+    assert trajectories.period_s == 1.0 / 3.0
+    assert trajectories.start_s == 0.0
+    assert trajectories.road == Road(100.0)
+    np.testing.assert_array_equal(trajectories.position_m, [[10.0, 98.0], [13.0, 0.0], [16.0, 2.0]])
+    np.testing.assert_array_equal(trajectories.vehicle, [0, 1])
+    np.testing.assert_array_equal(trajectories.length_m, DEFAULT_LENGTH_M)
+    assert trajectories.sha256 == hashlib.sha256(MSTF.encode()).hexdigest()
+    assert trajectories.source == "a.data"
+
+
+def test_mstf_with_a_missing_line_has_a_missing_sample(tmp_path: Path) -> None:
+    trajectories = read(tmp_path, "a.data", MSTF.replace("100.0 0.333\n", ""))
+    np.testing.assert_array_equal(trajectories.position_m[:, 1], [98.0, np.nan, 2.0])
+
+
+def test_the_ring_may_be_told_twice_but_not_contradicted(tmp_path: Path) -> None:
+    assert read(tmp_path, "a.data", MSTF, 100.0).road == Road(100.0)
+    assert "says a ring of 100 m, but 230 m was given" in refused(tmp_path, "a.data", MSTF, 230.0)
+    without = MSTF.replace("circuit length is 100m", "")
+    assert "--ring" in refused(tmp_path, "a.data", without)
+    assert read(tmp_path, "a.data", without, 100.0).road == Road(100.0)
+    assert not read(tmp_path, "a.data", without, 0.0).road.is_ring
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("", "empty file"),
+        ("# circuit length is 100m\n", "no samples"),
+        (MSTF.replace("16.0 0.667", "nan 0.667"), ":6: position 'nan' is not a finite number"),
+        (MSTF.replace("16.0 0.667", "16.0 inf"), ":6: time 'inf' is not a finite number"),
+        (MSTF.replace("16.0 0.667", "16.0 twelve"), ":6: time 'twelve'"),
+        (MSTF.replace("16.0 0.667", "16.0 0.1"), ":6: vehicle 0: time goes backward"),
+        (MSTF.replace("16.0 0.667", "16.0 0.333"), ":6: vehicle 0 has a second sample"),
+        (MSTF.replace("16.0 0.667", "16.0"), ":6: 1 columns"),
+        (MSTF.replace("16.0 0.667", "16.0 0.62"), "only 4 of 15 times"),
+        (MSTF.replace("0.333", "0.4"), "off the regular time base"),
+        (MSTF + "1 1e300\n", ":11: time 1e+300 s is more than ROS can count"),
+        (MSTF + "\n1 0\n2 2e9\n", "only 4 of"),
+        (MSTF.encode() + b"\xff\xfe\n", ":11: not UTF-8"),
+        (MSTF + "1" * 20_000, ":11: a line of more than"),
+    ],
+)
+def test_bad_mstf(tmp_path: Path, content: str | bytes, said: str) -> None:
+    assert said in refused(tmp_path, "bad.data", content)
+
+
+@pytest.mark.skipif(not CASE_1.is_file(), reason="needs the measured data")
+def test_measured_case_1() -> None:
+    trajectories = read_trajectories(CASE_1)
+    assert trajectories.position_m.shape == (751, 22)
+    assert np.isfinite(trajectories.position_m).all()
+    assert trajectories.period_s == 1.0 / 3.0
+    assert trajectories.road == Road(230.0)
+    # Table 1 of the paper: the smallest car is 20, the largest 7, and the mean is 4.335 m.
+    assert np.argmin(trajectories.length_m) == 20
+    assert np.argmax(trajectories.length_m) == 7
+    assert trajectories.length_m.mean() == pytest.approx(4.335, abs=0.001)
+    # The leader of block k is block k + 1.
+    np.testing.assert_array_equal(trajectories.leader[0], (np.arange(22) + 1) % 22)
+
+
+def test_csv(tmp_path: Path) -> None:
+    trajectories = read(tmp_path, "a.csv", CSV)
+    assert trajectories.period_s == 0.1
+    assert not trajectories.road.is_ring
+    np.testing.assert_array_equal(trajectories.vehicle, [7, 3])
+    np.testing.assert_array_equal(trajectories.length_m, [4.0, 5.0])
+    np.testing.assert_array_equal(trajectories.position_m, [[1.5, 11.5], [2.5, np.nan], [np.nan, 12.5]])
+    assert read(tmp_path, "a.csv", CSV, 12.0).position_m[2, 1] == 0.5
+
+
+def test_csv_as_spreadsheets_write_it(tmp_path: Path) -> None:
+    content = b'\xef\xbb\xbf"time_s","vehicle","position_m","speed"\r\n0,1,5,x\r\n\r\n1,1,6,y\r\n'
+    trajectories = read(tmp_path, "a.csv", content)
+    np.testing.assert_array_equal(trajectories.position_m, [[5.0], [6.0]])
+    np.testing.assert_array_equal(trajectories.length_m, [DEFAULT_LENGTH_M])
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("", "empty file"),
+        ("\n", ":1: no column time_s, vehicle, position_m"),
+        ("time_s,vehicle,x\n0,1,2\n", ":1: no column position_m"),
+        ("time_s,time_s,vehicle,position_m\n", ":1: a column occurs twice"),
+        ("time_s,vehicle,position_m\n", "no samples"),
+        (CSV.replace("7,0.1,2.5,4.0", "7,0.1,nan,4.0"), ":3: position_m 'nan' is not a finite number"),
+        (CSV.replace("7,0.1,2.5,4.0", "7,inf,2.5,4.0"), ":3: time_s 'inf' is not a finite number"),
+        (CSV.replace("7,0.1,2.5,4.0", "7,0.1,two,4.0"), ":3: position_m 'two'"),
+        (CSV.replace("7,0.1,2.5,4.0", "7,0.1,2.5,x"), ":3: length_m 'x'"),
+        (CSV.replace("7,0.1,2.5,4.0", "7,0.1,2.5,-4"), ":3: length_m -4 is negative"),
+        (CSV.replace("7,0.1,2.5,4.0", "7,0.1,2.5,4.5"), ":3: vehicle 7 is 4.5 m long here and 4 m above"),
+        (CSV.replace("7,0.1,2.5,4.0", "-7,0.1,2.5,4.0"), ":3: vehicle '-7'"),
+        (CSV.replace("7,0.1,2.5,4.0", "7.5,0.1,2.5,4.0"), ":3: vehicle '7.5'"),
+        (CSV.replace("7,0.1,2.5,4.0", "7,0.1,2.5"), ":3: 3 fields, the header has 4"),
+        (CSV.replace("7,0.1,2.5,4.0", "7,-0.1,2.5,4.0"), ":3: vehicle 7: time goes backward"),
+        (CSV.replace("7,0.1,2.5,4.0", "7,0.0,2.5,4.0"), ":3: vehicle 7 has a second sample at 0 s"),
+        (CSV.replace("7,0.1,2.5,4.0", '7,0.1,"2.5,4.0'), "not CSV"),
+        (CSV.replace("0.2", "0.25"), "off the regular time base"),
+        (CSV.encode() + b"\x00\n", ":7:"),
+        (CSV.replace("0.2", "2e9"), "only 3 of"),
+    ],
+)
+def test_bad_csv(tmp_path: Path, content: str | bytes, said: str) -> None:
+    assert said in refused(tmp_path, "bad.csv", content)
+
+
+def test_too_many_samples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(samples, "MAX_SAMPLES", 4)
+    assert ":6: more than 4 samples" in refused(tmp_path, "a.csv", CSV)
+    monkeypatch.setattr(samples, "MAX_SAMPLES", 5)
+    assert "3 times of 2 vehicles are more than 5 samples" in refused(tmp_path, "a.csv", CSV)
+
+
+def test_a_file_that_cannot_be_told(tmp_path: Path) -> None:
+    assert "not known what this is" in refused(tmp_path, "a.txt", CSV)
+    with pytest.raises(InputError, match="No such file"):
+        read_trajectories(tmp_path / "none.csv")
+    with pytest.raises(InputError, match="not a regular file"):
+        read_trajectories(tmp_path)
+
+
+def test_csv_that_cannot_be_written(tmp_path: Path) -> None:
+    trajectories = read(tmp_path, "a.csv", CSV)
+    with pytest.raises(OutputError) as caught:
+        write_csv(trajectories, tmp_path / "none" / "b.csv")
+    assert str(tmp_path / "none" / "b.csv") in one_line(caught.value)
+
+
+@pytest.mark.parametrize("period", [1 / 3, 0.1, 0.04, 1 / 30, 0.017, 0.123456789])
+@pytest.mark.parametrize("start", [0.0, 12.5, 1.7e9])
+def test_periods_survive_the_rounding_of_stamps(period: float, start: float) -> None:
+    exact = start + period * np.arange(1000)
+    for digits, within in ((3, 1e-6), (9, 1e-8)):
+        stamps = np.round(exact, digits)
+        got_start, got_period, number = regular_time_base(stamps, "here")
+        assert got_start == stamps[0]
+        assert got_period == pytest.approx(period, abs=within)
+        np.testing.assert_array_equal(number, np.arange(1000))
+    if start == 0.0 and period in (1 / 3, 0.1, 0.04, 1 / 30):
+        assert regular_time_base(np.round(exact, 3), "here")[1] == period
+
+
+def test_skipped_times_are_counted() -> None:
+    assert regular_time_base(np.array([0.0, 0.1, 0.2, 0.5, 0.6]), "here")[2].tolist() == [0, 1, 2, 5, 6]
+    with pytest.raises(InputError, match="here: only 4 of 101 times"):
+        regular_time_base(np.array([0.0, 0.1, 0.2, 10.0]), "here")
+    with pytest.raises(InputError, match="only one time"):
+        regular_time_base(np.array([0.0]), "here")
