@@ -1,0 +1,32 @@
+"""What the ROS libraries read from the environment, set before they are loaded."""
+
+import os
+import random
+import socket
+import sys
+
+# Domains whose ports lie outside the range from which Linux takes ephemeral ports.
+_DOMAINS = range(1, 102)
+
+
+def find_packages() -> None:
+    """Where ROS comes from PyPI, nothing says where its packages are: under the interpreter's prefix."""
+    os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
+
+
+def isolate() -> None:
+    """Keep this process and its children on this machine and in a domain of their own, unless the user chose."""
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    if "ROS_DOMAIN_ID" not in os.environ:
+        domains = random.sample(_DOMAINS, len(_DOMAINS))
+        os.environ["ROS_DOMAIN_ID"] = str(next(filter(_is_free, domains), domains[0]))
+
+
+def _is_free(domain: int) -> bool:
+    """Whether nobody holds the port that the first participant of a domain listens to (DDSI-RTPS, section 9.6.1)."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind(("", 7410 + 250 * domain))
+        except OSError:
+            return False
+    return True

@@ -1,0 +1,207 @@
+"""One driver's estimator: measured positions in; state, innovation and parameters out."""
+
+import re
+from array import array
+from math import isnan, nan
+from typing import Any
+
+import numpy as np
+from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
+from rclpy.node import Node
+from std_srvs.srv import Trigger
+from sugiyama_msgs.msg import DriverParameters, Innovation, MeasuredPositions, VehicleState
+from sugiyama_msgs.msg import Road as RoadMessage
+
+from sugiyama_ros.driver.parameters import NAMES, PARAMETERS, population
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.estimation.online import Estimate, OnlineFilter
+from sugiyama_ros.nodes import wire
+from sugiyama_ros.nodes.node import ERROR, OK, WARN, Health, PacedNode
+from sugiyama_ros.nodes.qos import LATCHED, STREAM
+from sugiyama_ros.nodes.spin import run_node
+from sugiyama_ros.road import Array, Road
+
+#: A prediction over more periods than this means nothing: the filter starts anew.
+_LONGEST_GAP = 100
+_PARAMETERS_EVERY_NS = wire.NS
+#: What is published where nothing is known, so that every topic has a message for every step.
+_UNKNOWN = Estimate(
+    position_m=nan,
+    speed=nan,
+    acceleration=nan,
+    covariance=np.full((3, 3), nan),
+    mean_action=nan,
+    gap_m=nan,
+    approach_rate=nan,
+    innovation_m=nan,
+    innovation_var=nan,
+    nis=nan,
+    log_likelihood=nan,
+    scored=False,
+)
+
+
+class Estimator(PacedNode):
+    """Follows the vehicle of its namespace, ``.../vehicle_07``.
+
+    A step without a position of the vehicle is predicted over. The stamps tell how many periods have passed; a stamp
+    that comes again is ignored, a jump back in time starts the filter anew.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("estimator", **options)
+        found = re.search(r"/vehicle_(\d+)$", self.get_namespace())
+        if found is None:
+            raise InputError(
+                f"estimator: the namespace {self.get_namespace()} names no vehicle; start it with -r __ns:=/vehicle_07"
+            )
+        self.vehicle = int(found[1])
+        declare_driver(self, population())
+        self.add_post_set_parameters_callback(lambda _: self._restart())
+        self._road: RoadMessage | None = None
+        self._filter: OnlineFilter | None = None
+        self._stamp_ns: int | None = None
+        self._parameters_ns: int | None = None
+        self._missing_in_a_row = 0
+        self._failure = ""
+        self._count = {"samples": 0, "missing": 0, "duplicates": 0, "resets": 0, "skipped": 0}
+        self._to_state = self.create_publisher(VehicleState, "state", STREAM)
+        self._to_innovation = self.create_publisher(Innovation, "innovation", STREAM)
+        self._to_parameters = self.create_publisher(DriverParameters, "parameters", STREAM)
+        self.create_service(Trigger, "~/reset", self._on_reset)
+        self.create_subscription(RoadMessage, self.shared("road"), self._on_road, LATCHED)
+        self.create_subscription(MeasuredPositions, self.shared("measured"), self._on_measured, STREAM, raw=True)
+
+    def health(self) -> Health:
+        """ERROR after a failure of the filter, WARN without a road or a position."""
+        if self._failure:
+            return Health(ERROR, self._failure, self._count)
+        if self._road is None:
+            return Health(WARN, "waiting for the road", self._count)
+        if self._missing_in_a_row:
+            return Health(WARN, f"{self._missing_in_a_row} samples missing in a row", self._count)
+        return Health(OK, "following", self._count)
+
+    def _on_road(self, road: RoadMessage) -> None:
+        known = self._road
+        self._road = road
+        if known is None or (known.circumference_m, known.period_s) != (road.circumference_m, road.period_s):
+            self._restart()
+        self.announce()
+
+    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._restart()
+        response.success = self._filter is not None
+        response.message = "" if response.success else "no road yet"
+        return response
+
+    def _restart(self) -> None:
+        """A new filter, from the node's parameters."""
+        if self._road is None:
+            return
+        parameters = np.array([self.get_parameter(name).value for name in NAMES])
+        self._filter = OnlineFilter(self._road.period_s, Road(self._road.circumference_m), parameters)
+        self._forget()
+
+    def _forget(self) -> None:
+        self._stamp_ns = self._parameters_ns = None
+        self._chain: list[int] = []
+        self._length_m: dict[int, float] = {}
+        self._missing_in_a_row = 0
+        self._failure = ""
+
+    def _on_measured(self, raw: bytes) -> None:
+        # The source of a paced run waits until this node has the road; others are joined on the way.
+        if self._filter is None or self._road is None:
+            return
+        sample = wire.measured(raw)
+        try:
+            estimate = self._follow(sample, self._filter)
+        except Exception as error:
+            self._fail(error, sample)
+            estimate = _UNKNOWN
+        if estimate is not None:
+            self._publish(sample, estimate)
+            self._publish_parameters(sample, self._filter, self._road)
+        self.taken(sample.step + 1, last=sample.step + 1 == self._road.steps)
+        self.report_if_worse()
+
+    def _follow(self, sample: wire.Sample, filter_: OnlineFilter) -> Estimate | None:
+        """Bring the filter to the time of the sample; None if it is there already."""
+        periods = 1
+        if self._stamp_ns is not None and self._road is not None:
+            periods = round((sample.stamp_ns - self._stamp_ns) / (wire.NS * self._road.period_s))
+        if periods == 0:
+            self._count["duplicates"] += 1
+            return None
+        if not 0 < periods <= _LONGEST_GAP:
+            self._count["resets"] += 1
+            filter_.reset()
+            self._forget()
+            periods = 1
+        self._stamp_ns = sample.stamp_ns
+        self._count["samples"] += 1
+        if self.vehicle in sample.place:
+            self._chain = sample.chain(self.vehicle, filter_.vehicles)
+        if not self._chain:
+            self._missing_in_a_row += 1
+            return _UNKNOWN
+        position, length = [], []
+        for vehicle in self._chain:
+            place = sample.place.get(vehicle)
+            position.append(nan if place is None else sample.position_m[place])
+            if place is not None:
+                self._length_m[vehicle] = sample.length_m[place]
+            length.append(self._length_m.get(vehicle, 0.0))
+        self._missing_in_a_row = self._missing_in_a_row + 1 if isnan(position[0]) else 0
+        self._count["missing"] += isnan(position[0])
+        identity, lengths = np.array(self._chain), np.array(length)
+        for _ in range(periods - 1):
+            self._count["skipped"] += 1
+            filter_.step(np.full(len(identity), nan), identity, lengths)
+        return filter_.step(np.array(position), identity, lengths)
+
+    def _publish(self, sample: wire.Sample, estimate: Estimate) -> None:
+        self.send(self._to_state, wire.state(sample.stamp_ns, self.vehicle, estimate))
+        self.send(self._to_innovation, wire.innovation(sample.stamp_ns, self.vehicle, estimate))
+
+    def _publish_parameters(self, sample: wire.Sample, filter_: OnlineFilter, road: RoadMessage) -> None:
+        """Publish the parameters once a second of the data's time, and with the last sample."""
+        due = self._parameters_ns is None or sample.stamp_ns - self._parameters_ns >= _PARAMETERS_EVERY_NS
+        if not due and sample.step + 1 != road.steps:
+            return
+        self._parameters_ns = sample.stamp_ns
+        adapted = filter_.adapted
+        message = DriverParameters(vehicle=self.vehicle, name=NAMES, estimated=[name in adapted for name in NAMES])
+        message.header.stamp, message.header.frame_id = wire.time_message(sample.stamp_ns), wire.FRAME
+        message.value = array("d", filter_.parameters.tobytes())
+        message.covariance = array("d", filter_.parameter_covariance.tobytes())
+        self.send(self._to_parameters, message)
+
+    def _fail(self, error: Exception, sample: wire.Sample) -> None:
+        """Log a failure of the filter, once until the next restart."""
+        if not self._failure:
+            self._failure = f"vehicle {self.vehicle} at {sample.stamp_ns / wire.NS:.3f} s: {error!r}"
+            self.get_logger().error(self._failure)
+
+
+def declare_driver(node: Node, default: Array) -> None:
+    """Declare the parameters of a driver, ``default`` (P,), with the descriptions and ranges that the code declares."""
+    for p, value in zip(PARAMETERS, default.tolist(), strict=True):
+        node.declare_parameter(
+            p.name,
+            value,
+            ParameterDescriptor(
+                description=f"{p.symbol} [{p.unit}] {p.description}",
+                floating_point_range=[FloatingPointRange(from_value=p.lower, to_value=p.upper)],
+            ),
+        )
+
+
+def main() -> None:
+    """Run one estimator."""
+    run_node(Estimator)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,82 @@
+"""What a run consists of: names of its nodes and topics, parameters of its nodes."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sugiyama_ros.formats import read_trajectories
+from sugiyama_ros.trajectories import Trajectories
+
+REPLAY, RECORDER = "/replay", "/recorder"
+
+
+def namespaces(vehicles: Iterable[int]) -> list[str]:
+    """Namespace of each vehicle, /vehicle_07; with as many digits as the largest number needs, at least two."""
+    numbers = list(vehicles)
+    width = max(2, len(str(max(numbers))))
+    return [f"/vehicle_{number:0{width}}" for number in numbers]
+
+
+def estimators(spaces: Iterable[str]) -> list[str]:
+    """Full names of the estimators in the vehicles' namespaces."""
+    return [f"{space}/estimator" for space in spaces]
+
+
+def step_topics(spaces: Iterable[str]) -> list[str]:
+    """Full names of the topics with one message a step."""
+    return ["/clock", "/measured", *(f"{space}/{topic}" for space in spaces for topic in ("state", "innovation"))]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Replay ``source``, which holds ``trajectories``, and record it in ``output``.
+
+    rate: times real time; 0 is as fast as the nodes take it.
+    """
+
+    trajectories: Trajectories
+    source: Path
+    output: Path
+    rate: float
+
+    @classmethod
+    def read(cls, source: Path, output: Path, rate: float, ring_m: float | None) -> "Plan":
+        """A plan for a file of trajectories; ``ring_m`` [m] where the file does not tell. Raises InputError."""
+        return cls(read_trajectories(source, ring_m), source, output, rate)
+
+    @property
+    def namespaces(self) -> list[str]:
+        """Namespace of each vehicle."""
+        return namespaces(self.trajectories.vehicle.tolist())
+
+    @property
+    def estimators(self) -> list[str]:
+        """Full names of the estimators."""
+        return estimators(self.namespaces)
+
+    @property
+    def step_topics(self) -> list[str]:
+        """Full names of the topics with one message a step."""
+        return step_topics(self.namespaces)
+
+    @property
+    def replay(self) -> dict[str, Any]:
+        """Parameters of the replay."""
+        return {
+            "source": str(self.source),
+            "ring": self.trajectories.road.circumference_m,
+            "rate": float(self.rate),
+            "wait_for": [RECORDER, *self.estimators],
+        }
+
+    @property
+    def recorder(self) -> dict[str, Any]:
+        """Parameters of the recorder."""
+        t = self.trajectories
+        about = {"source": t.source, "sha256": t.sha256, "vehicles": len(t.vehicle), "steps": len(t.position_m)}
+        return {
+            "output": str(self.output),
+            "paced_topics": self.step_topics,
+            "metadata": [f"{key}={value}" for key, value in about.items()],
+        }

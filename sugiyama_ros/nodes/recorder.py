@@ -1,0 +1,160 @@
+"""Recorder: the serialized bytes of all topics, as they come, into one MCAP file."""
+
+import time
+from collections.abc import Callable
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.qos import QoSDurabilityPolicy, QoSReliabilityPolicy
+from rclpy.topic_or_service_is_hidden import topic_or_service_is_hidden
+
+from sugiyama_ros.errors import InputError, SugiyamaError
+from sugiyama_ros.formats.mcap_writer import BagWriter, Qos
+from sugiyama_ros.nodes import wire
+from sugiyama_ros.nodes.node import ERROR, OK, WARN, Health, PacedNode
+from sugiyama_ros.nodes.pacing import Levels
+from sugiyama_ros.nodes.qos import DEPTH, reliable
+from sugiyama_ros.nodes.spin import run_node
+
+_POLL_S = 0.2
+_FLUSH_S = 1.0
+_PATIENCE_S = 10.0
+#: ROS's own topics, which say nothing about the road.
+_LEFT_OUT = ("/rosout", "/parameter_events")
+
+
+class Recorder(PacedNode):
+    """Records every topic of the graph that is not hidden, with the quality of service that its publishers offer.
+
+    Parameters: ``output``; ``paced_topics``, full names of the topics with one message a step, all of which must have
+    come before a step counts as taken (`measured` alone, if left out); ``metadata``, lines ``key=value`` for the file.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("recorder", **options)
+        measured = self.shared("measured")
+        output = self._declare("output", "", "MCAP file to write")
+        paced = self._declare("paced_topics", [measured], "full names of the topics with one message a step")
+        metadata = self._declare("metadata", [""], "lines key=value to be kept in the file")
+        if not output:
+            raise InputError("recorder: no file given; start it with -p output:=FILE.mcap")
+        self._bag = BagWriter(Path(output), dict(line.split("=", 1) for line in metadata if line))
+        self._measured = measured
+        self._levels = Levels({measured, *paced})
+        self._step: dict[bytes, int] = {}
+        self._unheard = set(self._levels.topics)
+        self._known: set[str] = set()
+        self._late: list[str] = []
+        self._waiting_s = 0.0
+        self.create_timer(_POLL_S, self._on_poll, clock=self.steady)
+        self.create_timer(_FLUSH_S, lambda: self._guarded(self._bag.flush), clock=self.steady)
+        self._on_poll()
+
+    def health(self) -> Health:
+        """ERROR after a failure or while a topic has fallen out, WARN while one has not appeared."""
+        values = {"messages": self.received, "topics": len(self._known)}
+        if self.failure:
+            return Health(ERROR, str(self.failure), values)
+        if self._late:
+            return Health(ERROR, f"gave up waiting for {', '.join(self._late)}", values)
+        if self._unheard:
+            return Health(WARN, f"{len(self._unheard)} topics have not appeared: {min(self._unheard)} ...", values)
+        return Health(OK, "recording", values)
+
+    def close(self) -> None:
+        """Finish the file."""
+        if self.failure is not None:
+            self._bag.__exit__(type(self.failure), self.failure, None)
+        else:
+            self._guarded(self._bag.close)
+
+    def _declare(self, name: str, default: Any, description: str) -> Any:
+        return self.declare_parameter(name, default, ParameterDescriptor(description=description, read_only=True)).value
+
+    def _on_poll(self) -> None:
+        for topic, types in self.get_topic_names_and_types():
+            if topic not in self._known and topic not in _LEFT_OUT and not topic_or_service_is_hidden(topic):
+                self._subscribe(topic, types[0])
+        if not self._unheard:
+            self.announce()
+        self._waiting_s = self._waiting_s + _POLL_S if self._levels.waiting else 0.0
+        if self._waiting_s > _PATIENCE_S:
+            self._drop_late()
+        self.report_if_worse()
+
+    def _subscribe(self, topic: str, type_name: str) -> None:
+        """Record a topic from now on, if somebody publishes it."""
+        offered = [p.qos_profile for p in self.get_publishers_info_by_topic(topic)]
+        if not offered:
+            return
+        self._known.add(topic)
+        is_reliable = all(q.reliability == QoSReliabilityPolicy.RELIABLE for q in offered)
+        is_latched = all(q.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL for q in offered)
+        reliability = QoSReliabilityPolicy.RELIABLE if is_reliable else QoSReliabilityPolicy.BEST_EFFORT
+        durability = QoSDurabilityPolicy.TRANSIENT_LOCAL if is_latched else QoSDurabilityPolicy.VOLATILE
+        qos = reliable(DEPTH, durability)
+        qos.reliability = reliability
+        try:
+            package, _, name = type_name.split("/")
+            message = getattr(import_module(f"{package}.msg"), name)
+            channel = self._bag.topic(topic, type_name, Qos(reliability.name.lower(), durability.name.lower(), DEPTH))
+        except (ImportError, AttributeError, SugiyamaError) as error:
+            self.get_logger().warning(f"{topic}: not recorded: {error}")
+            return
+        on_message = self._on_paced if topic in self._levels.topics else self._on_message
+        self.create_subscription(message, topic, partial(on_message, topic, channel), qos, raw=True)
+        self._unheard.discard(topic)
+
+    def _on_message(self, topic: str, channel: int, raw: bytes) -> None:
+        now = time.time_ns()
+        self._guarded(lambda: self._bag.write(channel, raw, now, now))
+        self.received += 1
+
+    def _on_paced(self, topic: str, channel: int, raw: bytes) -> None:
+        self._on_message(topic, channel, raw)
+        if topic not in self._levels.topics:
+            return
+        stamp = wire.stamp_key(raw)
+        if topic == self._measured:
+            self._step[stamp] = wire.measured(raw).step
+        if self._levels.reached(topic, stamp):
+            self._complete(stamp)
+
+    def _complete(self, stamp: bytes) -> None:
+        """All topics have come up to ``stamp``."""
+        self._waiting_s = 0.0
+        steps = self._step[stamp] + 1
+        for older in list(self._step):
+            del self._step[older]
+            if older == stamp:
+                break
+        self.taken(steps, last=not self._levels.waiting)
+
+    def _drop_late(self) -> None:
+        """A driver that says nothing more must not hold up the others."""
+        late, stamp = self._levels.drop_late()
+        self._waiting_s = 0.0
+        self._late += late
+        self.get_logger().warning(f"nothing for {_PATIENCE_S:.0f} s on {', '.join(late)}: no longer waiting for it")
+        if stamp in self._step:
+            self._complete(stamp)
+
+    def _guarded(self, action: Callable[[], None]) -> None:
+        """A file that cannot be written ends this node, not the process in the middle of a callback."""
+        if self.failure is None:
+            try:
+                action()
+            except SugiyamaError as error:
+                self.failure = error
+
+
+def main() -> None:
+    """Run the recorder."""
+    run_node(Recorder)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,81 @@
+"""Replay of recorded trajectories."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rcl_interfaces.msg import ParameterDescriptor
+from sugiyama_msgs.srv import Seek
+
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.formats import read_trajectories
+from sugiyama_ros.nodes.samples import Positions
+from sugiyama_ros.nodes.source import Source, answer
+from sugiyama_ros.nodes.spin import run_node
+from sugiyama_ros.trajectories import Trajectories
+
+
+class Recorded:
+    """Trajectories as samples."""
+
+    def __init__(self, trajectories: Trajectories) -> None:
+        t = trajectories
+        self.road, self.period_s, self.start_s, self.steps = t.road, t.period_s, t.start_s, len(t.position_m)
+        self.source, self.sha256 = t.source, t.sha256
+        self._trajectories = t
+        self._leader = np.where(t.leader >= 0, t.vehicle[t.leader], -1)
+
+    def at(self, step: int) -> Positions:
+        """Sample number ``step``."""
+        t = self._trajectories
+        here = t.present[step]
+        return Positions(
+            t.vehicle[here].tolist(),
+            self._leader[step, here].tolist(),
+            t.position_m[step, here].tolist(),
+            t.length_m[here].tolist(),
+        )
+
+
+class Replay(Source):
+    """Sends a file of trajectories.
+
+    Parameters: ``source``, ``ring``, ``loop`` and those of Source. Service: ``~/seek``.
+    """
+
+    def __init__(self, trajectories: Trajectories | None = None, **options: Any) -> None:
+        self._trajectories = trajectories
+        super().__init__("replay", **options)
+        self.loop = self.get_parameter("loop").value
+        self.create_service(Seek, "~/seek", self._on_seek)
+
+    def open(self) -> Recorded:
+        """The trajectories given, or those of parameter ``source``."""
+        for name, default, description in (
+            ("source", "", "file of trajectories: .data, .csv or .mcap"),
+            ("ring", 0.0, "circumference [m] of the ring, where the file does not tell; 0: as the file says"),
+            ("loop", False, "start again at the end"),
+        ):
+            self.declare_parameter(name, default, ParameterDescriptor(description=description, read_only=True))
+        if self._trajectories is not None:
+            return Recorded(self._trajectories)
+        source, ring_m = self.get_parameter("source").value, self.get_parameter("ring").value
+        if not source:
+            raise InputError("replay: no file given; start it with -p source:=FILE")
+        return Recorded(read_trajectories(Path(source), ring_m or None))
+
+    def _on_seek(self, request: Seek.Request, response: Seek.Response) -> Seek.Response:
+        last_s = (self.samples.steps - 1) * self.samples.period_s
+        if not 0.0 <= request.time_s <= last_s:
+            return answer(response, f"{request.time_s:g} s is not within the recording, 0 to {last_s:g} s")
+        self.jump(round(request.time_s / self.samples.period_s))
+        return answer(response)
+
+
+def main() -> None:
+    """Run the replay."""
+    run_node(Replay)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,195 @@
+"""A source of measured positions: paced by its subscribers and, if wanted, by the clock."""
+
+import time
+from typing import Any
+
+from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
+from rosgraph_msgs.msg import Clock
+from std_srvs.srv import Trigger
+from sugiyama_msgs.msg import MeasuredPositions, Progress
+from sugiyama_msgs.msg import Road as RoadMessage
+from visualization_msgs.msg import MarkerArray
+
+from sugiyama_ros.nodes import wire
+from sugiyama_ros.nodes.markers import markers
+from sugiyama_ros.nodes.node import ERROR, OK, WARN, Health, PacedNode
+from sugiyama_ros.nodes.pacing import Pace
+from sugiyama_ros.nodes.qos import LATCHED, PROGRESS_IN, STREAM, WINDOW
+from sugiyama_ros.nodes.samples import Samples
+
+_TICK_S = 0.005
+_PATIENCE_S = 10.0
+_MARKERS_EVERY_S = 0.2
+
+
+class Source(PacedNode):
+    """Publishes samples as `road`, `measured`, `/clock` and `markers`.
+
+    Parameters: ``rate`` (times real time; 0: as fast as the subscribers take it), ``start_paused``, ``wait_for`` (full
+    names of the nodes to wait for). Services: ``~/pause``, ``~/resume``, ``~/step``. At most WINDOW steps are under way
+    to the slowest subscriber that tells his progress; one who is silent for 10 s is dropped.
+    """
+
+    def __init__(self, name: str, **options: Any) -> None:
+        super().__init__(name, **options)
+        self.declare_parameter(
+            "rate",
+            1.0,
+            ParameterDescriptor(
+                description="times real time; 0: as fast as the subscribers take it",
+                floating_point_range=[FloatingPointRange(from_value=0.0, to_value=1e6)],
+            ),
+        )
+        self.declare_parameter(
+            "start_paused", False, ParameterDescriptor(description="wait for ~/resume or ~/step", read_only=True)
+        )
+        self.declare_parameter(
+            "wait_for",
+            [""],
+            ParameterDescriptor(
+                description="full names of the nodes to wait for before the first step", read_only=True
+            ),
+        )
+        self.loop = False
+        self.samples = self.open()
+        self._speed_up = self.get_parameter("rate").value
+        self._paused = self.get_parameter("start_paused").value
+        self._pace = Pace(WINDOW, _PATIENCE_S, filter(None, self.get_parameter("wait_for").value))
+        self.next_step = 0
+        self._jump_to: int | None = None
+        self._anchor: tuple[float, int] | None = None
+        self._markers_s = 0.0
+        self._awake_s = 0.0
+        self._ticked_s = time.monotonic()
+        self._to_road = self.create_publisher(RoadMessage, "road", LATCHED)
+        self._to_measured = self.create_publisher(MeasuredPositions, "measured", STREAM)
+        self._to_clock = self.create_publisher(Clock, "/clock", STREAM)
+        self._to_markers = self.create_publisher(MarkerArray, "markers", STREAM)
+        self.create_subscription(Progress, self.shared("_progress"), self._on_progress, PROGRESS_IN)
+        for service, callback in (("pause", self._on_pause), ("resume", self._on_resume), ("step", self._on_step)):
+            self.create_service(Trigger, f"~/{service}", callback)
+        self.add_post_set_parameters_callback(lambda _: self._on_parameters())
+        self.create_timer(_TICK_S, self._on_tick, clock=self.steady)
+        self._send_road()
+        self.announce()
+
+    def open(self) -> Samples:
+        """The samples to send, from the node's parameters. Raises InputError where they cannot be had."""
+        raise NotImplementedError
+
+    def health(self) -> Health:
+        """ERROR while a subscriber is dropped, WARN while one is waited for."""
+        values = {"step": self.next_step, "steps": self.samples.steps, "paused": self._paused}
+        if self._pace.dropped:
+            return Health(ERROR, f"gave up waiting for {', '.join(sorted(self._pace.dropped))}", values)
+        if self._pace.missing:
+            return Health(WARN, f"waiting for {', '.join(sorted(self._pace.missing))}", values)
+        return Health(OK, "paused" if self._paused else "sending", values)
+
+    def finish(self) -> None:
+        """Send nothing more."""
+        self._paused = True
+        super().finish()
+
+    def jump(self, step: int) -> None:
+        """Go on from sample number ``step``, as soon as everything sent has been taken."""
+        self._jump_to = step
+        self._pump()
+
+    def _pump(self) -> None:
+        """Send whatever is due and fits into the window."""
+        if self.next_step == self.samples.steps > 0 and self.loop and self._jump_to is None:
+            self._jump_to = 0
+        if self._jump_to is not None and self._pace.drained:
+            self.next_step, self._jump_to, self._anchor = self._jump_to, None, None
+            self._pace.restart(self.next_step)
+        while not self._paused and self._may_send and self._is_due():
+            self._send()
+        self.taken(self._pace.acknowledged, last=self._pace.acknowledged == self.samples.steps)
+
+    @property
+    def _may_send(self) -> bool:
+        at_end = self.samples.steps and self.next_step == self.samples.steps
+        return self._jump_to is None and not at_end and self._pace.may_send
+
+    def _is_due(self) -> bool:
+        """Whether the clock allows the next step; counted from where it was started, so that nothing drifts."""
+        if self._speed_up == 0.0:
+            return True
+        now = time.monotonic()
+        if self._anchor is None:
+            self._anchor = (now, self.next_step)
+        start_s, start = self._anchor
+        return now >= start_s + (self.next_step - start) * self.samples.period_s / self._speed_up
+
+    def _send(self) -> None:
+        step, samples = self.next_step, self.samples
+        positions = samples.at(step)
+        stamp = wire.time_message(round((samples.start_s + step * samples.period_s) * wire.NS))
+        self.send(self._to_clock, Clock(clock=stamp))
+        message = MeasuredPositions(step=step, **positions._asdict())
+        message.header.stamp, message.header.frame_id = stamp, wire.FRAME
+        self.send(self._to_measured, message)
+        self.next_step += 1
+        self._pace.sent()
+        now = time.monotonic()
+        if now - self._markers_s >= _MARKERS_EVERY_S:
+            self._markers_s = now
+            self.send(self._to_markers, markers(stamp, samples.road, positions))
+
+    def _send_road(self) -> None:
+        s = self.samples
+        message = RoadMessage(
+            circumference_m=s.road.circumference_m,
+            period_s=s.period_s,
+            steps=s.steps,
+            source=s.source,
+            sha256=s.sha256,
+        )
+        message.header.stamp, message.header.frame_id = wire.time_message(round(s.start_s * wire.NS)), wire.FRAME
+        self.send(self._to_road, message)
+
+    def _on_progress(self, message: Progress) -> None:
+        if message.node == self.get_fully_qualified_name():
+            return
+        if message.node in self._pace.dropped:
+            self.get_logger().info(f"{message.node} is back")
+        self._pace.heard(message.node, message.steps, self._awake_s)
+        self._pump()
+
+    def _on_tick(self) -> None:
+        # A pause of this process itself, in which it could hear nobody, counts for a moment only.
+        now = time.monotonic()
+        self._awake_s += min(now - self._ticked_s, 0.1)
+        self._ticked_s = now
+        for name in self._pace.drop_silent(self._awake_s):
+            self.get_logger().warning(f"{name} has been silent for {_PATIENCE_S:.0f} s: no longer waiting for it")
+        self._pump()
+        self.report_if_worse()
+
+    def _on_parameters(self) -> None:
+        self._speed_up = self.get_parameter("rate").value
+        self._anchor = None
+
+    def _on_pause(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._paused = True
+        return answer(response)
+
+    def _on_resume(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._paused, self._anchor = False, None
+        self._pump()
+        return answer(response)
+
+    def _on_step(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if not self._paused:
+            return answer(response, "not paused: call ~/pause first")
+        if not self._may_send:
+            return answer(response, "at the end, or the subscribers have not yet taken what was sent")
+        self._send()
+        return answer(response)
+
+
+def answer(response: Any, why_not: str = "") -> Any:
+    """Fill in the response of a service: success, or why not."""
+    response.success, response.message = not why_not, why_not
+    return response

@@ -1,0 +1,85 @@
+"""Nodes under test: each test has a ROS domain of its own, a deadline, and no way to reach another machine."""
+
+import itertools
+import os
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rclpy.node import Node
+
+from sugiyama_ros.nodes.spin import Spinner, ros
+
+_domains = itertools.count(os.getpid() * 13)
+
+
+@pytest.fixture(autouse=True)
+def own_domain(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Away from the nodes of other tests, also of those that have just ended."""
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(1 + next(_domains) % 100))
+
+
+class Stage:
+    """Nodes that are executed together."""
+
+    def __init__(self) -> None:
+        self.nodes: list[Node] = []
+        self._spinner: Spinner | None = None
+
+    def add(self, *nodes: Node) -> None:
+        """Nodes to be executed; before the first ``until``."""
+        assert self._spinner is None
+        self.nodes += nodes
+
+    def until(self, done: Callable[[], bool], timeout_s: float = 20.0) -> None:
+        """Carry out callbacks until ``done()``; fails after ``timeout_s``."""
+        self._spinner = self._spinner or Spinner(self.nodes)
+        self._spinner.until(done, timeout_s)
+        assert done(), f"not done after {timeout_s} s"
+
+    def for_a_while(self, time_s: float) -> None:
+        """Carry out callbacks for ``time_s``."""
+        end = time.monotonic() + time_s
+        self.until(lambda: time.monotonic() > end, 2.0 * time_s)
+
+    def call(self, kind: type, service: str, request: object) -> Any:
+        """Call a service of one of the nodes."""
+        client = self.nodes[0].create_client(kind, service)
+        self.until(client.service_is_ready)
+        future = client.call_async(request)
+        self.until(future.done)
+        return future.result()
+
+    def close(self) -> None:
+        """Take everything down."""
+        if self._spinner is not None:
+            self._spinner.close()
+        for node in self.nodes:
+            node.destroy_node()
+
+
+@pytest.fixture
+def stage() -> Iterator[Stage]:
+    """An empty stage, with rclpy up."""
+    with ros():
+        stage = Stage()
+        yield stage
+        stage.close()
+
+
+@pytest.fixture
+def ring_csv(tmp_path: Path) -> Path:
+    """A file of 4 vehicles that circulate on a ring of 100 m for 200 samples of 0.5 s; it does not tell the ring."""
+    path = tmp_path / "ring.csv"
+    rng = np.random.default_rng(1)
+    lines = ["time_s,vehicle,position_m,length_m"]
+    for step in range(200):
+        for vehicle in range(4):
+            position = (25.0 * vehicle + 3.0 * step + rng.normal(0.0, 0.2)) % 100.0
+            lines.append(f"{0.5 * step:.3f},{vehicle},{position:.4f},4.5")
+    path.write_text("\n".join(lines) + "\n")
+    return path

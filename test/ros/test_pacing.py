@@ -1,0 +1,115 @@
+"""Pacing and levels, without ROS."""
+
+import pytest
+
+from sugiyama_ros.nodes.pacing import Levels, Pace
+
+
+def send_all(pace: Pace) -> int:
+    """Send as much as is allowed; how much that was."""
+    count = 0
+    while pace.may_send and count < 1000:
+        pace.sent()
+        count += 1
+    return count
+
+
+def test_nothing_is_sent_before_all_are_there() -> None:
+    pace = Pace(8, 10.0, ["/a", "/b"])
+    pace.heard("/a", 0, 0.0)
+    assert send_all(pace) == 0
+    pace.heard("/b", 0, 0.0)
+    assert send_all(pace) == 8
+
+
+def test_the_slowest_decides() -> None:
+    pace = Pace(8, 10.0, ["/a", "/b"])
+    pace.heard("/a", 0, 0.0)
+    pace.heard("/b", 0, 0.0)
+    send_all(pace)
+    pace.heard("/a", 8, 0.0)
+    assert send_all(pace) == 0
+    pace.heard("/b", 3, 0.0)
+    assert send_all(pace) == 3
+    assert pace.acknowledged == 3
+    assert not pace.drained
+
+
+def test_without_subscribers_everything_is_sent() -> None:
+    pace = Pace(8, 10.0)
+    assert send_all(pace) == 1000
+    assert pace.drained
+
+
+def test_the_silent_are_dropped_and_may_come_back() -> None:
+    pace = Pace(8, 10.0)
+    pace.heard("/a", 0, 0.0)
+    pace.heard("/b", 0, 0.0)
+    assert send_all(pace) == 8
+    pace.heard("/a", 8, 9.0)
+    assert pace.drop_silent(10.0) == []
+    assert pace.drop_silent(10.1) == ["/b"]
+    assert pace.dropped == {"/b"}
+    assert send_all(pace) == 8
+    pace.heard("/b", 8, 11.0)
+    assert pace.dropped == set()
+    assert pace.acknowledged == 8
+
+
+def test_a_newcomer_holds_the_source_until_he_has_come_up() -> None:
+    pace = Pace(8, 10.0)
+    for _ in range(100):
+        pace.sent()
+    pace.heard("/late", 0, 0.0)
+    assert not pace.may_send
+    pace.heard("/late", 100, 0.0)
+    assert send_all(pace) == 8
+
+
+def test_a_restart_forgets_what_was_said_before() -> None:
+    pace = Pace(8, 10.0)
+    pace.heard("/a", 0, 0.0)
+    assert send_all(pace) == 8
+    pace.heard("/a", 8, 0.0)
+    assert pace.drained
+    pace.restart(2)
+    pace.heard("/a", 8, 0.1)  # a repetition of what was said before the restart
+    assert pace.acknowledged == 2
+    assert send_all(pace) == 8
+    # Step 10 has been sent, so 8 can be told now, wrongly: at most one window too far.
+    pace.heard("/a", 8, 0.2)
+    assert send_all(pace) <= 8
+
+
+def test_levels_are_complete_when_all_topics_are() -> None:
+    levels = Levels(["/x", "/y"])
+    assert not levels.reached("/x", b"1")
+    assert not levels.reached("/x", b"2")
+    assert levels.waiting
+    assert levels.reached("/y", b"1")
+    assert levels.reached("/y", b"2")
+    assert not levels.waiting
+
+
+def test_levels_pass_over_what_never_completes() -> None:
+    levels = Levels(["/x", "/y"])
+    levels.reached("/x", b"1")
+    levels.reached("/x", b"2")
+    assert levels.reached("/y", b"2")
+    assert not levels.waiting
+
+
+@pytest.mark.parametrize("steps", [1, 5])
+def test_a_late_topic_is_dropped(steps: int) -> None:
+    levels = Levels(["/x", "/y", "/late"])
+    stamps = [bytes([k]) for k in range(steps)]
+    for stamp in stamps:
+        assert not levels.reached("/x", stamp)
+        assert not levels.reached("/y", stamp)
+    assert levels.drop_late() == (["/late"], stamps[-1])
+    assert not levels.reached("/x", b"n")
+    assert levels.reached("/y", b"n")
+
+
+def test_no_topic_is_late_when_nothing_waits() -> None:
+    assert Levels(["/x", "/y"]).drop_late() == ([], None)

@@ -1,0 +1,167 @@
+"""The replay: pacing, pause, step, seek, loop."""
+
+import time
+from pathlib import Path
+
+import pytest
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from std_srvs.srv import Trigger
+from sugiyama_msgs.msg import MeasuredPositions, Road
+from sugiyama_msgs.srv import Seek
+
+from sugiyama_ros.nodes import source
+from sugiyama_ros.nodes.node import ERROR, OK, Health, PacedNode
+from sugiyama_ros.nodes.qos import LATCHED, STREAM, WINDOW
+from sugiyama_ros.nodes.replay import Replay
+from sugiyama_ros.nodes.simulator import SimulatorNode
+
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
+
+
+class Listener(PacedNode):
+    """Takes its time with every sample."""
+
+    def __init__(self, name: str = "listener", slow_s: float = 0.0) -> None:
+        super().__init__(name)
+        self.samples: list[MeasuredPositions] = []
+        self.roads: list[Road] = []
+        self.slow_s = slow_s
+        self.create_subscription(MeasuredPositions, "measured", self._on_measured, STREAM)
+        self.create_subscription(Road, "road", self.roads.append, LATCHED)
+        self.announce()
+
+    @property
+    def step_numbers(self) -> list[int]:
+        """Steps that came."""
+        return [sample.step for sample in self.samples]
+
+    def health(self) -> Health:
+        """Always well."""
+        return Health(OK, "listening")
+
+    def _on_measured(self, sample: MeasuredPositions) -> None:
+        time.sleep(self.slow_s)
+        self.samples.append(sample)
+        self.taken(sample.step + 1)
+
+
+def replay(path: Path, **parameters: object) -> Replay:
+    """A replay of a ring of 100 m."""
+    parameters = {"source": str(path), "ring": 100.0, "rate": 0.0, "wait_for": ["/listener"]} | parameters
+    return Replay(parameter_overrides=[Parameter(k, value=v) for k, v in parameters.items()])
+
+
+def test_everything_arrives_in_order(stage, ring_csv: Path) -> None:
+    listener, node = Listener(), replay(ring_csv)
+    stage.add(node, listener)
+    stage.until(lambda: len(listener.samples) == 200)
+    assert listener.step_numbers == list(range(200))
+    (road,) = listener.roads
+    assert (road.circumference_m, road.period_s, road.steps, road.source) == (100.0, 0.5, 200, "ring.csv")
+    sample = listener.samples[3]
+    assert sample.vehicle.tolist() == [0, 1, 2, 3]
+    assert sample.leader.tolist() == [1, 2, 3, 0]
+    assert sample.length_m.tolist() == [4.5] * 4
+    assert (sample.header.stamp.sec, sample.header.stamp.nanosec, sample.header.frame_id) == (1, 500_000_000, "road")
+
+
+def test_the_source_stays_within_the_window_of_a_slow_subscriber(stage, ring_csv: Path) -> None:
+    slow, fast, node = Listener(slow_s=0.005), Listener("fast"), replay(ring_csv, wait_for=["/listener", "/fast"])
+    ahead: list[int] = []
+    stage.add(node, slow, fast)
+
+    def done() -> bool:
+        ahead.append(node.next_step - len(slow.samples))
+        return len(slow.samples) == len(fast.samples) == 200
+
+    stage.until(done)
+    assert slow.step_numbers == fast.step_numbers == list(range(200))
+    assert WINDOW // 2 < max(ahead) <= WINDOW
+
+
+def test_a_silent_subscriber_is_dropped(stage, ring_csv: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(source, "_PATIENCE_S", 1.0)
+    listener, silent = Listener(), Listener("silent")
+    node = replay(ring_csv, wait_for=["/listener", "/silent"])
+    stage.add(node, listener)  # the silent one has announced itself, but is never executed
+    stage.until(lambda: len(listener.samples) == 200)
+    assert node.health().level == ERROR
+    assert "/silent" in node.health().message
+    silent.destroy_node()
+
+
+def test_pause_step_resume(stage, ring_csv: Path) -> None:
+    listener, node = Listener(), replay(ring_csv, start_paused=True)
+    stage.add(node, listener)
+    stage.for_a_while(0.3)
+    assert listener.samples == []
+    for _ in range(3):
+        assert stage.call(Trigger, "/replay/step", Trigger.Request()).success
+    stage.until(lambda: len(listener.samples) == 3)
+    node.set_parameters([Parameter("rate", value=20.0)])
+    assert stage.call(Trigger, "/replay/resume", Trigger.Request()).success
+    answer = stage.call(Trigger, "/replay/step", Trigger.Request())
+    assert (answer.success, answer.message) == (False, "not paused: call ~/pause first")
+    stage.until(lambda: len(listener.samples) > 10)
+    assert stage.call(Trigger, "/replay/pause", Trigger.Request()).success
+    stage.for_a_while(0.2)
+    there = len(listener.samples)
+    stage.for_a_while(0.2)
+    assert len(listener.samples) == there < 200
+    assert listener.step_numbers == list(range(there))
+
+
+def test_seek(stage, ring_csv: Path) -> None:
+    listener, node = Listener(), replay(ring_csv)
+    stage.add(node, listener)
+    stage.until(lambda: len(listener.samples) == 200)
+    assert stage.call(Seek, "/replay/seek", Seek.Request(time_s=90.0)).success
+    stage.until(lambda: len(listener.samples) == 220)
+    assert listener.step_numbers[200:] == list(range(180, 200))
+    answer = stage.call(Seek, "/replay/seek", Seek.Request(time_s=99.6))
+    assert (answer.success, answer.message) == (False, "99.6 s is not within the recording, 0 to 99.5 s")
+
+
+def test_loop(stage, ring_csv: Path) -> None:
+    listener, node = Listener(), replay(ring_csv, loop=True)
+    stage.add(node, listener)
+    stage.until(lambda: len(listener.samples) >= 500)
+    assert listener.step_numbers[:500] == [k % 200 for k in range(500)]
+
+
+@pytest.mark.parametrize("rate", [20.0, 40.0])
+def test_the_rate_is_kept(stage, ring_csv: Path, rate: float) -> None:
+    listener, node = Listener(), replay(ring_csv, rate=rate)
+    stage.add(node, listener)
+    stage.until(lambda: len(listener.samples) >= 1)
+    start, first = time.monotonic(), len(listener.samples)
+    stage.until(lambda: len(listener.samples) >= first + 40)
+    # Late by a tick and by what a busy machine takes, never early, and lateness does not add up.
+    assert 40 * 0.5 / rate - 0.02 < time.monotonic() - start < 40 * 0.5 / rate + 0.3
+
+
+def test_a_simulator_is_a_source_without_an_end(stage) -> None:
+    listener = Listener()
+    overrides = {"rate": 0.0, "wait_for": ["/listener"], "vehicles": 5, "ring": 60.0}
+    node = SimulatorNode(parameter_overrides=[Parameter(k, value=v) for k, v in overrides.items()])
+    stage.add(node, listener)
+    stage.until(lambda: len(listener.samples) > 300)
+    assert listener.step_numbers == list(range(len(listener.samples)))
+    assert listener.roads[0].steps == 0
+    assert listener.samples[300].leader.tolist() == [1, 2, 3, 4, 0]
+
+
+def test_markers_show_the_vehicles(stage, ring_csv: Path) -> None:
+    from visualization_msgs.msg import Marker, MarkerArray
+
+    viewer, node = Node("viewer"), replay(ring_csv, wait_for=[""])
+    seen: list[MarkerArray] = []
+    viewer.create_subscription(MarkerArray, "markers", seen.append, STREAM)
+    stage.add(node, viewer)
+    stage.until(lambda: bool(seen))
+    boxes = [m for m in seen[0].markers if m.type == Marker.CUBE and m.ns == "vehicles"]
+    assert [m.id for m in boxes] == [0, 1, 2, 3]
+    for box in boxes:
+        radius = (box.pose.position.x**2 + box.pose.position.y**2) ** 0.5
+        assert radius == pytest.approx(100.0 / 6.283185307, rel=1e-6)

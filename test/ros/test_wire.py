@@ -1,0 +1,90 @@
+"""The hand-made bytes are those of rclpy."""
+
+import numpy as np
+import pytest
+from rclpy.serialization import deserialize_message, serialize_message
+from sugiyama_msgs.msg import Innovation, MeasuredPositions, VehicleState
+
+from sugiyama_ros.estimation.online import Estimate
+from sugiyama_ros.nodes import wire
+
+
+def an_estimate(seed: int) -> Estimate:
+    """Any numbers."""
+    rng = np.random.default_rng(seed)
+    n = iter(rng.normal(size=20).tolist())
+    return Estimate(
+        position_m=next(n),
+        speed=next(n),
+        acceleration=next(n),
+        covariance=rng.normal(size=(3, 3)),
+        mean_action=next(n),
+        gap_m=float("inf"),
+        approach_rate=next(n),
+        innovation_m=next(n),
+        innovation_var=next(n),
+        nis=next(n),
+        log_likelihood=next(n),
+        scored=bool(seed % 2),
+    )
+
+
+@pytest.mark.parametrize("frame", ["", "a", "road", "a longer name"])
+@pytest.mark.parametrize("vehicles", [0, 1, 2, 3, 22])
+def test_measured_positions_are_read(frame: str, vehicles: int) -> None:
+    rng = np.random.default_rng(vehicles)
+    message = MeasuredPositions(step=2**40 + 3, vehicle=list(range(5, 5 + vehicles)))
+    message.header.frame_id = frame
+    message.header.stamp.sec, message.header.stamp.nanosec = -3, 999_999_999
+    message.leader = rng.integers(-1, 1000, vehicles).tolist()
+    message.position_m = rng.normal(size=vehicles).tolist()
+    message.length_m = rng.normal(size=vehicles).tolist()
+    sample = wire.measured(serialize_message(message))
+    assert sample.stamp_ns == -3 * wire.NS + 999_999_999
+    assert sample.step == message.step
+    assert list(sample.place) == message.vehicle.tolist()
+    assert list(sample.place.values()) == list(range(vehicles))
+    assert sample.leader == message.leader.tolist()
+    assert sample.position_m == message.position_m.tolist()
+    assert sample.length_m == message.length_m.tolist()
+
+
+def test_another_byte_order_is_refused() -> None:
+    raw = bytearray(serialize_message(MeasuredPositions()))
+    raw[1] = 0
+    with pytest.raises(ValueError, match="CDR format 0"):
+        wire.measured(bytes(raw))
+
+
+@pytest.mark.parametrize("stamp_ns", [0, 1, 333_333_333, 250 * wire.NS + 999_999_999, -1])
+def test_states_are_written(stamp_ns: int) -> None:
+    estimate = an_estimate(1)
+    expected = VehicleState(vehicle=7, covariance=estimate.covariance.ravel())
+    expected.header.stamp, expected.header.frame_id = wire.time_message(stamp_ns), wire.FRAME
+    for name in ("position_m", "speed", "acceleration", "mean_action", "gap_m", "approach_rate"):
+        setattr(expected, name, getattr(estimate, name))
+    raw = wire.state(stamp_ns, 7, estimate)
+    assert len(raw) == len(serialize_message(expected))
+    # Bytes between the fields are arbitrary, so the messages are compared, not the bytes.
+    assert deserialize_message(raw, VehicleState) == expected
+    assert wire.stamp_key(raw) == wire.stamp_key(serialize_message(expected))
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_innovations_are_written(seed: int) -> None:
+    estimate = an_estimate(seed)
+    expected = Innovation(vehicle=-1)
+    expected.header.stamp, expected.header.frame_id = wire.time_message(5), wire.FRAME
+    for name in ("innovation_m", "innovation_var", "nis", "log_likelihood", "scored"):
+        setattr(expected, name, getattr(estimate, name))
+    raw = wire.innovation(5, -1, estimate)
+    assert len(raw) == len(serialize_message(expected))
+    assert deserialize_message(raw, Innovation) == expected
+
+
+def test_a_chain_ends_where_there_is_no_leader_or_it_comes_back() -> None:
+    sample = wire.Sample(0, 0, [6, 7, -1, 8], [0.0] * 4, [0.0] * 4, {5: 0, 6: 1, 7: 2, 8: 3})
+    assert sample.chain(5, 3) == [5, 6, 7]
+    assert sample.chain(6, 3) == [6, 7, -1]
+    assert sample.chain(7, 3) == [7, -1, -1]
+    assert sample.chain(8, 3) == [8, -1, -1]
