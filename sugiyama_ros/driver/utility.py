@@ -6,6 +6,7 @@ gap is infinite. All functions are pure and compiled; a driver's parameters are 
 """
 
 import math
+from typing import TypeAlias
 
 import numpy as np
 from numba import njit
@@ -25,6 +26,9 @@ from sugiyama_ros.road import Array
 #: The paper's grid of candidate accelerations [m/s^2]; section 3.4.1.
 ACTIONS: Array = np.linspace(-6.0, 4.0, 41, dtype=np.float64)
 
+#: The utility's parameters as scalars, in the order of UTILITY.
+Preferences: TypeAlias = tuple[float, float, float, float, float, float, float]
+
 #: Order of the mean action's partial derivatives: what the driver sees, then the utility's parameters.
 GAP, SPEED, LEADER_SPEED = range(3)
 PARTIALS = 3 + len(UTILITY)
@@ -32,15 +36,19 @@ _V_STAR, _KAPPA_V, _KAPPA_1, _KAPPA_C, _KAPPA_D, _OMEGA_2, _RATIONALITY = range(
 
 # exp(-10 (v + 0.25)) overflows for speeds that nobody drives backward; its exponent is capped here.
 _EXPONENT_CAP = 600.0
-# Actions less likely than this, relative to the likeliest, cannot change a double.
-_NEGLIGIBLE = 1e-20
+# Exponent whose exp, 1e-20, cannot change a sum of order 1.
+_NEGLIGIBLE = -46.0
 
 
 @njit(cache=True)
 def desired_speed_reward(speed: float, v_star: float, kappa_1: float) -> float:
     """phi1: reward of driving forward near the desired speed; first equation of section 3.2.1."""
     off = (speed - v_star) / (kappa_1 * v_star)
-    return math.exp(-off * off) - math.exp(min(-10.0 * (speed + 0.25), _EXPONENT_CAP))
+    reward = math.exp(-off * off)
+    backward = -10.0 * (speed + 0.25)
+    if backward > _NEGLIGIBLE:
+        reward -= math.exp(min(backward, _EXPONENT_CAP))
+    return reward
 
 
 @njit(cache=True)
@@ -70,17 +78,32 @@ def anticipate(
 
 
 @njit(cache=True)
+def preferences(parameters: Array) -> Preferences:
+    """The utility's parameters out of all (P,), as scalars, which compiled code keeps in registers."""
+    return (
+        parameters[V_STAR],
+        parameters[KAPPA_V],
+        parameters[KAPPA_1],
+        parameters[KAPPA_C],
+        parameters[KAPPA_D],
+        parameters[OMEGA_2],
+        parameters[RATIONALITY],
+    )
+
+
+@njit(cache=True)
 def closest(
-    action: float, gap: float, speed: float, leader_speed: float, parameters: Array, period: float, horizon: int
+    action: float, gap: float, speed: float, leader_speed: float, driver: Preferences, period: float, horizon: int
 ) -> tuple[int, float, float]:
     """Period of the look-ahead with the smallest gap over scale, that gap [m] and that scale [m].
 
     F falls with its argument, so g2, the largest penalty of the look-ahead (section 3.2.2), is the penalty there.
     """
+    _, kappa_v, _, kappa_c, kappa_d, _, _ = driver
     tau_min, gap_min, scale_min = 0, 1.0, 0.0
     for tau in range(1, horizon + 1):
         gap_ahead, speed_ahead = anticipate(action, tau, gap, speed, leader_speed, period)
-        scale = gap_scale(speed_ahead, leader_speed, parameters[KAPPA_C], parameters[KAPPA_V], parameters[KAPPA_D])
+        scale = gap_scale(speed_ahead, leader_speed, kappa_c, kappa_v, kappa_d)
         if gap_ahead * scale_min < gap_min * scale or tau == 1:
             tau_min, gap_min, scale_min = tau, gap_ahead, scale
     return tau_min, gap_min, scale_min
@@ -88,14 +111,15 @@ def closest(
 
 @njit(cache=True)
 def utility(
-    action: float, gap: float, speed: float, leader_speed: float, parameters: Array, period: float, horizon: int
+    action: float, gap: float, speed: float, leader_speed: float, driver: Preferences, period: float, horizon: int
 ) -> float:
     """Effective utility of holding ``action``: g1 of phi1 plus omega2 times g2 of phi2; Eq. EffectiveUtilityTilde."""
-    reward = desired_speed_reward(speed + period * action, parameters[V_STAR], parameters[KAPPA_1])
+    v_star, _, kappa_1, _, _, omega_2, _ = driver
+    reward = desired_speed_reward(speed + period * action, v_star, kappa_1)
     if math.isinf(gap):
         return reward
-    _, gap_min, scale_min = closest(action, gap, speed, leader_speed, parameters, period, horizon)
-    return float(reward + parameters[OMEGA_2] * collision_penalty(gap_min / scale_min))
+    _, gap_min, scale_min = closest(action, gap, speed, leader_speed, driver, period, horizon)
+    return reward + omega_2 * collision_penalty(gap_min / scale_min)
 
 
 @njit(cache=True)
@@ -104,13 +128,13 @@ def _utility_gradient(
     gap: float,
     speed: float,
     leader_speed: float,
-    parameters: Array,
+    driver: Preferences,
     period: float,
     horizon: int,
     out: Array,
 ) -> None:
     """Partial derivatives of ``utility`` into ``out`` (PARTIALS,), that of the rationality left out."""
-    v_star, kappa_1, omega_2 = parameters[V_STAR], parameters[KAPPA_1], parameters[OMEGA_2]
+    v_star, kappa_v, kappa_1, _, kappa_d, omega_2, _ = driver
     next_speed = speed + period * action
     off = (next_speed - v_star) / (kappa_1 * v_star)
     slope = -2.0 * off * math.exp(-off * off)
@@ -122,7 +146,7 @@ def _utility_gradient(
     out[_KAPPA_1] = -slope * off / kappa_1
     if math.isinf(gap):
         return
-    tau, gap_min, scale = closest(action, gap, speed, leader_speed, parameters, period, horizon)
+    tau, gap_min, scale = closest(action, gap, speed, leader_speed, driver, period, horizon)
     ratio = gap_min / scale
     penalty = collision_penalty(ratio)
     out[_OMEGA_2] = penalty
@@ -133,10 +157,10 @@ def _utility_gradient(
     by_scale = -ratio * by_gap
     speed_min = speed + tau * period * action
     closing = speed_min - leader_speed
-    scale_by_speed = math.copysign(parameters[KAPPA_V], speed_min)
+    scale_by_speed = math.copysign(kappa_v, speed_min)
     if closing > 0.0:
-        scale_by_speed += parameters[KAPPA_D]
-        out[LEADER_SPEED] = -parameters[KAPPA_D] * by_scale
+        scale_by_speed += kappa_d
+        out[LEADER_SPEED] = -kappa_d * by_scale
         out[_KAPPA_D] = closing * by_scale
     out[GAP] = by_gap
     out[SPEED] += -tau * period * by_gap + scale_by_speed * by_scale
@@ -146,18 +170,23 @@ def _utility_gradient(
 
 
 @njit(cache=True)
-def _likelihoods(
-    gap: float, speed: float, leader_speed: float, parameters: Array, actions: Array, period: float, horizon: int
-) -> tuple[Array, Array]:
-    """Utilities of all actions and their Boltzmann weights, the largest set to 1; Eq. MaximumEntropy."""
-    utilities, weight = np.empty(len(actions)), np.empty(len(actions))
+def _boltzmann(
+    gap: float, speed: float, leader_speed: float, driver: Preferences, actions: Array, period: float, horizon: int
+) -> tuple[Array, Array, float]:
+    """Utilities and probabilities of all actions, and the mean action; Eqs. MeanAction to PartitionFunction."""
+    utilities, probability = np.empty(len(actions)), np.empty(len(actions))
     best = -np.inf
     for k in range(len(actions)):
-        utilities[k] = utility(actions[k], gap, speed, leader_speed, parameters, period, horizon)
+        utilities[k] = utility(actions[k], gap, speed, leader_speed, driver, period, horizon)
         best = max(best, utilities[k])
+    total, weighted = 0.0, 0.0
     for k in range(len(actions)):
-        weight[k] = math.exp(parameters[RATIONALITY] * (utilities[k] - best))
-    return utilities, weight
+        exponent = driver[-1] * (utilities[k] - best)
+        probability[k] = math.exp(exponent) if exponent > _NEGLIGIBLE else 0.0
+        total += probability[k]
+        weighted += probability[k] * actions[k]
+    probability /= total
+    return utilities, probability, weighted / total
 
 
 @njit(cache=True)
@@ -168,8 +197,7 @@ def mean_action(
 
     parameters: (P,); horizon: periods of look-ahead.
     """
-    _, weight = _likelihoods(gap, speed, leader_speed, parameters, actions, period, horizon)
-    return float(np.dot(weight, actions) / weight.sum())
+    return float(_boltzmann(gap, speed, leader_speed, preferences(parameters), actions, period, horizon)[2])
 
 
 @njit(cache=True)
@@ -187,20 +215,18 @@ def mean_action_gradient(
 
     The derivative of a Boltzmann mean is a covariance: d mean(a) = lambda cov(a, d utility).
     """
-    utilities, weight = _likelihoods(gap, speed, leader_speed, parameters, actions, period, horizon)
-    weight /= weight.sum()
-    mean = float(np.dot(weight, actions))
-    rationality = parameters[RATIONALITY]
+    driver = preferences(parameters)
+    utilities, probability, mean = _boltzmann(gap, speed, leader_speed, driver, actions, period, horizon)
     partial = np.empty(PARTIALS)
     by_rationality = 0.0
     out[:] = 0.0
     for k in range(len(actions)):
-        if weight[k] < _NEGLIGIBLE:
+        if probability[k] == 0.0:
             continue
-        _utility_gradient(actions[k], gap, speed, leader_speed, parameters, period, horizon, partial)
-        off = weight[k] * (actions[k] - mean)
+        _utility_gradient(actions[k], gap, speed, leader_speed, driver, period, horizon, partial)
+        off = probability[k] * (actions[k] - mean)
         for j in range(PARTIALS):
-            out[j] += rationality * off * partial[j]
+            out[j] += driver[-1] * off * partial[j]
         by_rationality += off * utilities[k]
     out[_RATIONALITY] = by_rationality
-    return mean
+    return float(mean)

@@ -4,6 +4,7 @@ The model is that of ``causal``; the Kalman algebra is filterpy's.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -88,6 +89,7 @@ class OnlineFilter:
         self._scene = scene_at(period_s, road.circumference_m)
         self._measures = np.zeros((vehicles, 3 * vehicles + len(self._places)))
         self._measures[np.arange(vehicles), 3 * np.arange(vehicles)] = 1.0
+        self._reads = np.eye(3, self._measures.shape[1])
         self.reset()
 
     def reset(self) -> None:
@@ -96,17 +98,19 @@ class OnlineFilter:
         adapted = slice(3 * self.vehicles, size)
         self._rows = self._rows_at_start.copy()
         self._known = np.zeros(self.vehicles, np.int64)
-        self._identity: Ints = np.full(self.vehicles, -1)
-        self._waited = np.zeros(self.vehicles, np.int64)
+        self._identity: list[int] = [-1] * self.vehicles
+        self._waited = [0] * self.vehicles
         self._settled = 0
         self._noise = np.zeros(size)
         self._filter = _ChainFilter(dim_x=size, dim_z=self.vehicles)
         self._filter.x = np.zeros(size)
         self._filter.P = np.zeros((size, size))
+        self._filter.Q = np.zeros((size, size))
         self._filter.next_mean = np.zeros(size)
         self._filter.F = np.zeros((size, size))
         self._filter.x[adapted] = np.log(self._rows[0, [UTILITY[k] for k in self._places]])
         self._filter.P[adapted, adapted] = np.diag(self._prior_var)
+        self._diagonal_of_q = self._filter.Q.reshape(-1)[:: size + 1]
         self._started = False
 
     @property
@@ -132,42 +136,47 @@ class OnlineFilter:
         """Names of the parameters that are adapted."""
         return tuple(NAMES[UTILITY[k]] for k in self._places)
 
-    def step(self, position_m: Array, identity: Ints, length_m: Array) -> Estimate:
+    def step(self, position_m: Sequence[float], identity: Sequence[int], length_m: Sequence[float]) -> Estimate:
         """Go on by one period and take in its sample.
 
-        position_m: (M,) measured, own first, then those ahead, NaN where missing; identity: (M,) number of each
-        vehicle, -1 for none; length_m: (M,).
+        position_m: M measured positions [m], own first, then those ahead, NaN where missing; identity: M numbers of
+        these vehicles, -1 for none; length_m: their M lengths [m].
         """
         kalman = self._filter
         if self._started:
-            np.fill_diagonal(kalman.Q, self._noise)
+            self._diagonal_of_q[:] = self._noise
             kalman.predict()
-        self._settled = 1 if identity[0] != self._identity[0] else self._settled + 1
         self._started = True
-        self._waited += 1
-        for m in np.flatnonzero((identity != self._identity) | (identity < 0)):
-            forget_vehicle(m, kalman.x, kalman.P, self._known)
-        self._identity = identity.copy()
+        self._settled = 1 if identity[0] != self._identity[0] else self._settled + 1
+        chain = range(self.vehicles)
+        for m in chain:
+            self._waited[m] += 1
+            if identity[m] < 0 or identity[m] != self._identity[m]:
+                forget_vehicle(m, kalman.x, kalman.P, self._known)
+                self._identity[m] = int(identity[m])
 
-        sampled = np.isfinite(position_m) & (identity >= 0)
-        moving = self._known == MOVING
+        known = self._known.tolist()
+        sampled = [m for m in chain if identity[m] >= 0 and not math.isnan(position_m[m])]
+        moving = [m for m in sampled if known[m] == MOVING]
         innovation, variance = math.nan, math.nan
-        if moving[0]:
-            variance = float(kalman.P[0, 0] + self._rows[0, SIGMA_NU] ** 2)
-            if sampled[0]:
-                innovation = float(self.road.difference(position_m[0], kalman.x[0]))
-        self._update(position_m, np.flatnonzero(sampled & moving))
-        for m in np.flatnonzero(sampled & ~moving):
-            elapsed = self._waited[m] * self._scene.period_s
-            start_vehicle(m, position_m[m], elapsed, kalman.x, kalman.P, self._known, self._rows, self._scene)
-            self._waited[m] = 0
+        if known[0] == MOVING:
+            variance = float(kalman.P[0, 0]) + self._rows[0, SIGMA_NU] ** 2
+        if moving:
+            self._update(np.array([position_m[m] for m in moving]), np.array(moving))
+            innovation = float(kalman.y[0]) if moving[0] == 0 else math.nan
+        for m in sampled:
+            if known[m] != MOVING:
+                elapsed = self._waited[m] * self._scene.period_s
+                start_vehicle(m, position_m[m], elapsed, kalman.x, kalman.P, self._known, self._rows, self._scene)
+                self._waited[m] = 0
         for j, k in enumerate(self._places):
             self._rows[0, UTILITY[k]] = math.exp(kalman.x[3 * self.vehicles + j])
+        lengths = np.array(length_m)
         mean_action = linearise(
             kalman.x,
             kalman.P,
             self._known,
-            length_m,
+            lengths,
             self._rows,
             self._places,
             self._walk_var,
@@ -177,36 +186,35 @@ class OnlineFilter:
             kalman.F,
             self._noise,
         )
-        return self._estimate(innovation, variance, mean_action, length_m)
+        return self._estimate(innovation, variance, mean_action, 0.5 * float(lengths[:2].sum()))
 
-    def _update(self, position_m: Array, rows: Ints) -> None:
-        if len(rows) == 0:
-            return
-        measures = self._measures[rows]
+    def _update(self, position_m: Array, moving: Ints) -> None:
+        """Kalman update with the positions of the vehicles ``moving`` of the chain."""
+        measures = self._measures[moving]
         self._filter.update(
-            position_m[rows],
+            position_m,
             HJacobian=lambda _: measures,
-            Hx=lambda x: x[3 * rows],
-            R=np.diag(self._rows[rows, SIGMA_NU] ** 2),
+            Hx=lambda x: x[3 * moving],
+            R=np.diag(self._rows[moving, SIGMA_NU] ** 2),
             residual=self.road.difference,
         )
 
-    def _estimate(self, innovation: float, variance: float, mean_action: float, length_m: Array) -> Estimate:
+    def _estimate(self, innovation: float, variance: float, mean_action: float, half_lengths_m: float) -> Estimate:
         x, covariance = self._filter.x, self._filter.P
         period = self._scene.period_s
         # the next speed is v + dt a, so the acceleration is (v' - v) / dt, and so is its row of derivatives
-        reads = np.zeros((3, len(x)))
-        reads[0, 0] = reads[1, 1] = 1.0
-        reads[2] = (self._filter.F[1] - reads[1]) / period
+        reads = self._reads
+        reads[2] = self._filter.F[1] / period
+        reads[2, 1] -= 1.0 / period
         led = self.vehicles > 1 and self._known[1] == MOVING
         nis = innovation * innovation / variance
         return Estimate(
-            position_m=float(self.road.wrap(x[0])),
+            position_m=float(x[0]) % self.road.circumference_m if self.road.is_ring else float(x[0]),
             speed=float(x[1]),
             acceleration=float(self._filter.next_mean[1] - x[1]) / period,
             covariance=reads @ covariance @ reads.T,
             mean_action=mean_action,
-            gap_m=float(x[3] - x[0] - 0.5 * (length_m[0] + length_m[1])) if led else math.inf,
+            gap_m=float(x[3] - x[0]) - half_lengths_m if led else math.inf,
             approach_rate=float(x[1] - x[4]) if led else 0.0,
             innovation_m=innovation,
             innovation_var=variance,

@@ -155,11 +155,10 @@ class Estimator(PacedNode):
             length.append(self._length_m.get(vehicle, 0.0))
         self._missing_in_a_row = self._missing_in_a_row + 1 if isnan(position[0]) else 0
         self._count["missing"] += isnan(position[0])
-        identity, lengths = np.array(self._chain), np.array(length)
         for _ in range(periods - 1):
             self._count["skipped"] += 1
-            filter_.step(np.full(len(identity), nan), identity, lengths)
-        return filter_.step(np.array(position), identity, lengths)
+            filter_.step([nan] * len(position), self._chain, length)
+        return filter_.step(position, self._chain, length)
 
     def _publish(self, sample: wire.Sample, estimate: Estimate) -> None:
         self.send(self._to_state, wire.state(sample.stamp_ns, self.vehicle, estimate))

@@ -35,6 +35,7 @@ from sugiyama_ros.driver.utility import (
     gap_scale,
     mean_action,
     mean_action_gradient,
+    preferences,
     utility,
 )
 from sugiyama_ros.errors import InputError
@@ -68,7 +69,7 @@ def literal_mean_action(gap, v, leader_v, p):
 @given(seen, st.floats(-6.0, 4.0))
 def test_utility_is_the_papers(s, a):
     p = defaults()
-    assert utility(a, *s, p, DT, H) == pytest.approx(literal_utility(a, *s, p), rel=1e-12, abs=1e-12)
+    assert utility(a, *s, preferences(p), DT, H) == pytest.approx(literal_utility(a, *s, p), rel=1e-12, abs=1e-12)
 
 
 @settings(deadline=None)
