@@ -1,1 +1,5 @@
 """Live, honest estimation of how people drive."""
+
+from sugiyama_ros import compiled_cache
+
+compiled_cache.choose()

@@ -21,7 +21,7 @@ from sugiyama_ros.driver.parameters import (
     UTILITY,
     V_STAR,
 )
-from sugiyama_ros.road import Array
+from sugiyama_ros.road import Array, Ints
 
 #: The paper's grid of candidate accelerations [m/s^2]; section 3.4.1.
 ACTIONS: Array = np.linspace(-6.0, 4.0, 41, dtype=np.float64)
@@ -92,49 +92,73 @@ def preferences(parameters: Array) -> Preferences:
 
 
 @njit(cache=True)
-def closest(
-    action: float, gap: float, speed: float, leader_speed: float, driver: Preferences, period: float, horizon: int
-) -> tuple[int, float, float]:
-    """Period of the look-ahead with the smallest gap over scale, that gap [m] and that scale [m].
+def smallest_ratio(
+    gap: float,
+    speed: float,
+    leader_speed: float,
+    driver: Preferences,
+    actions: Array,
+    period: float,
+    horizon: int,
+    ratio: Array,
+    tau_min: Ints,
+) -> None:
+    """Smallest gap over scale of the look-ahead, and the period where it lies, for each action (K,).
 
-    F falls with its argument, so g2, the largest penalty of the look-ahead (section 3.2.2), is the penalty there.
+    F falls with its argument, so g2, the largest penalty of the look-ahead (section 3.2.2), is the penalty there. The
+    loop over the actions is the inner one, because compilers make vector instructions of it.
     """
     _, kappa_v, _, kappa_c, kappa_d, _, _ = driver
-    tau_min, gap_min, scale_min = 0, 1.0, 0.0
+    ratio[:] = np.inf
+    tau_min[:] = 1
     for tau in range(1, horizon + 1):
-        gap_ahead, speed_ahead = anticipate(action, tau, gap, speed, leader_speed, period)
-        scale = gap_scale(speed_ahead, leader_speed, kappa_c, kappa_v, kappa_d)
-        if gap_ahead * scale_min < gap_min * scale or tau == 1:
-            tau_min, gap_min, scale_min = tau, gap_ahead, scale
-    return tau_min, gap_min, scale_min
+        for k in range(len(actions)):
+            gap_ahead, speed_ahead = anticipate(actions[k], tau, gap, speed, leader_speed, period)
+            here = gap_ahead / gap_scale(speed_ahead, leader_speed, kappa_c, kappa_v, kappa_d)
+            closer = here < ratio[k]
+            ratio[k] = here if closer else ratio[k]
+            tau_min[k] = tau if closer else tau_min[k]
 
 
 @njit(cache=True)
-def utility(
-    action: float, gap: float, speed: float, leader_speed: float, driver: Preferences, period: float, horizon: int
-) -> float:
-    """Effective utility of holding ``action``: g1 of phi1 plus omega2 times g2 of phi2; Eq. EffectiveUtilityTilde."""
+def utilities(
+    gap: float,
+    speed: float,
+    leader_speed: float,
+    driver: Preferences,
+    actions: Array,
+    period: float,
+    horizon: int,
+    out: Array,
+    tau_min: Ints,
+) -> None:
+    """Effective utility of holding each action (K,): g1 of phi1 and omega2 times g2 of phi2; Eq. EffectiveUtilityTilde.
+
+    ``tau_min`` (K,) takes the period of the look-ahead with the largest penalty.
+    """
     v_star, _, kappa_1, _, _, omega_2, _ = driver
-    reward = desired_speed_reward(speed + period * action, v_star, kappa_1)
-    if math.isinf(gap):
-        return reward
-    _, gap_min, scale_min = closest(action, gap, speed, leader_speed, driver, period, horizon)
-    return reward + omega_2 * collision_penalty(gap_min / scale_min)
+    smallest_ratio(gap, speed, leader_speed, driver, actions, period, horizon, out, tau_min)
+    for k in range(len(actions)):
+        reward = desired_speed_reward(speed + period * actions[k], v_star, kappa_1)
+        out[k] = reward + omega_2 * collision_penalty(out[k])
 
 
 @njit(cache=True)
 def _utility_gradient(
     action: float,
+    tau: int,
     gap: float,
     speed: float,
     leader_speed: float,
     driver: Preferences,
     period: float,
-    horizon: int,
     out: Array,
 ) -> None:
-    """Partial derivatives of ``utility`` into ``out`` (PARTIALS,), that of the rationality left out."""
-    v_star, kappa_v, kappa_1, _, kappa_d, omega_2, _ = driver
+    """Partial derivatives of an action's utility into ``out`` (PARTIALS,), that of the rationality left out.
+
+    tau: the period of the look-ahead with the largest penalty.
+    """
+    v_star, kappa_v, kappa_1, kappa_c, kappa_d, omega_2, _ = driver
     next_speed = speed + period * action
     off = (next_speed - v_star) / (kappa_1 * v_star)
     slope = -2.0 * off * math.exp(-off * off)
@@ -146,7 +170,8 @@ def _utility_gradient(
     out[_KAPPA_1] = -slope * off / kappa_1
     if math.isinf(gap):
         return
-    tau, gap_min, scale = closest(action, gap, speed, leader_speed, driver, period, horizon)
+    gap_min, speed_min = anticipate(action, tau, gap, speed, leader_speed, period)
+    scale = gap_scale(speed_min, leader_speed, kappa_c, kappa_v, kappa_d)
     ratio = gap_min / scale
     penalty = collision_penalty(ratio)
     out[_OMEGA_2] = penalty
@@ -155,7 +180,6 @@ def _utility_gradient(
     # d utility = by_gap d gap_min + by_scale d scale
     by_gap = -2.0 * omega_2 * (ratio + 1.0) * penalty / scale
     by_scale = -ratio * by_gap
-    speed_min = speed + tau * period * action
     closing = speed_min - leader_speed
     scale_by_speed = math.copysign(kappa_v, speed_min)
     if closing > 0.0:
@@ -172,21 +196,20 @@ def _utility_gradient(
 @njit(cache=True)
 def _boltzmann(
     gap: float, speed: float, leader_speed: float, driver: Preferences, actions: Array, period: float, horizon: int
-) -> tuple[Array, Array, float]:
-    """Utilities and probabilities of all actions, and the mean action; Eqs. MeanAction to PartitionFunction."""
-    utilities, probability = np.empty(len(actions)), np.empty(len(actions))
-    best = -np.inf
-    for k in range(len(actions)):
-        utilities[k] = utility(actions[k], gap, speed, leader_speed, driver, period, horizon)
-        best = max(best, utilities[k])
+) -> tuple[Array, Ints, Array, float]:
+    """Utilities, periods of the largest penalty, probabilities and mean of the actions; Eq. MaximumEntropy."""
+    utility, probability = np.empty(len(actions)), np.empty(len(actions))
+    tau_min = np.empty(len(actions), np.int64)
+    utilities(gap, speed, leader_speed, driver, actions, period, horizon, utility, tau_min)
+    best = utility.max()
     total, weighted = 0.0, 0.0
     for k in range(len(actions)):
-        exponent = driver[-1] * (utilities[k] - best)
+        exponent = driver[-1] * (utility[k] - best)
         probability[k] = math.exp(exponent) if exponent > _NEGLIGIBLE else 0.0
         total += probability[k]
         weighted += probability[k] * actions[k]
     probability /= total
-    return utilities, probability, weighted / total
+    return utility, tau_min, probability, weighted / total
 
 
 @njit(cache=True)
@@ -197,7 +220,7 @@ def mean_action(
 
     parameters: (P,); horizon: periods of look-ahead.
     """
-    return float(_boltzmann(gap, speed, leader_speed, preferences(parameters), actions, period, horizon)[2])
+    return float(_boltzmann(gap, speed, leader_speed, preferences(parameters), actions, period, horizon)[-1])
 
 
 @njit(cache=True)
@@ -216,17 +239,17 @@ def mean_action_gradient(
     The derivative of a Boltzmann mean is a covariance: d mean(a) = lambda cov(a, d utility).
     """
     driver = preferences(parameters)
-    utilities, probability, mean = _boltzmann(gap, speed, leader_speed, driver, actions, period, horizon)
+    utility, tau_min, probability, mean = _boltzmann(gap, speed, leader_speed, driver, actions, period, horizon)
     partial = np.empty(PARTIALS)
     by_rationality = 0.0
     out[:] = 0.0
     for k in range(len(actions)):
         if probability[k] == 0.0:
             continue
-        _utility_gradient(actions[k], gap, speed, leader_speed, driver, period, horizon, partial)
+        _utility_gradient(actions[k], tau_min[k], gap, speed, leader_speed, driver, period, partial)
         off = probability[k] * (actions[k] - mean)
         for j in range(PARTIALS):
             out[j] += driver[-1] * off * partial[j]
-        by_rationality += off * utilities[k]
+        by_rationality += off * utility[k]
     out[_RATIONALITY] = by_rationality
     return float(mean)

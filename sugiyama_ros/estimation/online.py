@@ -6,6 +6,7 @@ The model is that of ``causal``; the Kalman algebra is filterpy's.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -222,3 +223,12 @@ class OnlineFilter:
             log_likelihood=-0.5 * (math.log(variance) + nis) if variance == variance else math.nan,
             scored=not math.isnan(innovation) and self._settled > SETTLING,
         )
+
+
+@cache
+def warm_up() -> None:
+    """Load, or compile, the code of a step now, so that no later step has to wait for it."""
+    filter_ = OnlineFilter(1.0, Road())
+    chain = range(filter_.vehicles)
+    for t in range(4):
+        filter_.step([50.0 * m + 5.0 * t for m in chain], [m if t < 3 else -1 for m in chain], [4.0 for _ in chain])

@@ -1,7 +1,6 @@
 """One driver's estimator: measured positions in; state, innovation and parameters out."""
 
 import re
-from array import array
 from math import isnan, nan
 from typing import Any
 
@@ -14,7 +13,7 @@ from sugiyama_msgs.msg import Road as RoadMessage
 
 from sugiyama_ros.driver.parameters import NAMES, PARAMETERS, population
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.estimation.online import Estimate, OnlineFilter
+from sugiyama_ros.estimation.online import Estimate, OnlineFilter, warm_up
 from sugiyama_ros.nodes import wire
 from sugiyama_ros.nodes.node import ERROR, OK, WARN, Health, PacedNode
 from sugiyama_ros.nodes.qos import LATCHED, STREAM
@@ -56,6 +55,7 @@ class Estimator(PacedNode):
                 f"estimator: the namespace {self.get_namespace()} names no vehicle; start it with -r __ns:=/vehicle_07"
             )
         self.vehicle = int(found[1])
+        warm_up()
         declare_driver(self, population())
         self.add_post_set_parameters_callback(lambda _: self._restart())
         self._road: RoadMessage | None = None
@@ -101,6 +101,7 @@ class Estimator(PacedNode):
             return
         parameters = np.array([self.get_parameter(name).value for name in NAMES])
         self._filter = OnlineFilter(self._road.period_s, Road(self._road.circumference_m), parameters)
+        self._parameter_bytes = wire.Parameters(self.vehicle, NAMES, self._filter.adapted)
         self._forget()
 
     def _forget(self) -> None:
@@ -170,11 +171,7 @@ class Estimator(PacedNode):
         if not due and sample.step + 1 != road.steps:
             return
         self._parameters_ns = sample.stamp_ns
-        adapted = filter_.adapted
-        message = DriverParameters(vehicle=self.vehicle, name=NAMES, estimated=[name in adapted for name in NAMES])
-        message.header.stamp, message.header.frame_id = wire.time_message(sample.stamp_ns), wire.FRAME
-        message.value = array("d", filter_.parameters.tobytes())
-        message.covariance = array("d", filter_.parameter_covariance.tobytes())
+        message = self._parameter_bytes.message(sample.stamp_ns, filter_.parameters, filter_.parameter_covariance)
         self.send(self._to_parameters, message)
 
     def _fail(self, error: Exception, sample: wire.Sample) -> None:

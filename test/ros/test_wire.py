@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
-from sugiyama_msgs.msg import Innovation, MeasuredPositions, VehicleState
+from sugiyama_msgs.msg import DriverParameters, Innovation, MeasuredPositions, VehicleState
 
 from sugiyama_ros.estimation.online import Estimate
 from sugiyama_ros.nodes import wire
@@ -88,3 +88,18 @@ def test_a_chain_ends_where_there_is_no_leader_or_it_comes_back() -> None:
     assert sample.chain(6, 3) == [6, 7, -1]
     assert sample.chain(7, 3) == [7, -1, -1]
     assert sample.chain(8, 3) == [8, -1, -1]
+
+
+@pytest.mark.parametrize("stamp_ns", [0, 250 * wire.NS + 999_999_999])
+def test_parameters_are_written(stamp_ns: int) -> None:
+    rng = np.random.default_rng(3)
+    value, covariance = rng.normal(size=12), rng.normal(size=(12, 12))
+    names = [f"a_name_{k}" for k in range(12)]
+    writer = wire.Parameters(7, names, names[2:4])
+    for _ in range(2):
+        message = deserialize_message(writer.message(stamp_ns, value, covariance), DriverParameters)
+    assert message.header.stamp.sec * wire.NS + message.header.stamp.nanosec == stamp_ns
+    assert (message.header.frame_id, message.vehicle, message.name) == ("road", 7, names)
+    assert message.estimated == [k in (2, 3) for k in range(12)]
+    assert message.value.tolist() == value.tolist()
+    assert message.covariance.tolist() == covariance.ravel().tolist()

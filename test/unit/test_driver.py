@@ -36,7 +36,7 @@ from sugiyama_ros.driver.utility import (
     mean_action,
     mean_action_gradient,
     preferences,
-    utility,
+    utilities,
 )
 from sugiyama_ros.errors import InputError
 
@@ -66,10 +66,13 @@ def literal_mean_action(gap, v, leader_v, p):
     return float(w @ ACTIONS / w.sum())
 
 
+@settings(deadline=None)
 @given(seen, st.floats(-6.0, 4.0))
 def test_utility_is_the_papers(s, a):
     p = defaults()
-    assert utility(a, *s, preferences(p), DT, H) == pytest.approx(literal_utility(a, *s, p), rel=1e-12, abs=1e-12)
+    out = np.empty(1)
+    utilities(*s, preferences(p), np.array([a]), DT, H, out, np.empty(1, np.int64))
+    assert out[0] == pytest.approx(literal_utility(a, *s, p), rel=1e-12, abs=1e-12)
 
 
 @settings(deadline=None)
