@@ -1,10 +1,12 @@
 """What a run consists of: names of its nodes and topics, parameters of its nodes."""
 
+import json
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from sugiyama_ros.driver.parameters import NAMES, population
 from sugiyama_ros.formats import read_trajectories
 from sugiyama_ros.trajectories import Trajectories
 
@@ -74,7 +76,14 @@ class Plan:
     def recorder(self) -> dict[str, Any]:
         """Parameters of the recorder."""
         t = self.trajectories
-        about = {"source": t.source, "sha256": t.sha256, "vehicles": len(t.vehicle), "steps": len(t.position_m)}
+        about = {
+            "source": t.source,
+            "sha256": t.sha256,
+            "vehicles": len(t.vehicle),
+            "steps": len(t.position_m),
+            "rate": self.rate or "max",
+            "start_parameters": json.dumps(dict(zip(NAMES, population().tolist(), strict=True))),
+        }
         return {
             "output": str(self.output),
             "paced_topics": self.step_topics,

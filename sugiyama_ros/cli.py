@@ -1,0 +1,410 @@
+"""The command line: ``sugiyama``. Arguments in, a table or one JSON document out; all work is done elsewhere.
+
+Tables and documents go to stdout, everything else to stderr. What a user can mend ends in one line and exit code 2.
+"""
+
+import dataclasses
+import json
+import math
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from sugiyama_ros.errors import InputError, SugiyamaError
+
+if TYPE_CHECKING:
+    from sugiyama_ros.nodes.run import RunResult
+    from sugiyama_ros.simulation import Simulation
+
+app = typer.Typer(
+    help="Live, honest estimation of how people drive.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+_out, _err = Console(), Console(stderr=True)
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON document instead of text.")]
+Ring = Annotated[
+    float | None, typer.Option("--ring", help="Circumference [m] of the road where the file does not tell.")
+]
+Out = Annotated[Path, typer.Option("--output", "-o", help="MCAP file to write.")]
+Rate = Annotated[str, typer.Option("--rate", help="Times real time, or max: as fast as the nodes take it.")]
+Separate = Annotated[bool, typer.Option("--processes", help="Each node in a process of its own.")]
+Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of everything random.")]
+
+
+@app.command()
+def demo(
+    data: Annotated[
+        Path | None, typer.Option("--data", help="Measured trajectories instead of simulated ones.")
+    ] = None,
+    output: Out = Path("sugiyama-demo.mcap"),
+    ring: Ring = None,
+    seed: Seed = 0,
+    as_json: Json = False,
+) -> None:
+    """Estimate the drivers of the Sugiyama experiment, simulated or measured, and record it all."""
+    if data is not None:
+        _print_run(_run(data, output, 0.0, False, ring), as_json)
+        return
+    from sugiyama_ros.formats.convert import write_trajectories
+
+    if not as_json:
+        _err.print("Simulating 22 drivers on a ring of 230 m for 250 s, all with the paper's mean parameters ...")
+    simulated = _simulated(22, 230.0, 250.0, 2.0, 1.0 / 3.0, None, 0.0, seed, [])
+    with tempfile.TemporaryDirectory() as directory:
+        source = Path(directory) / "simulated.mcap"
+        write_trajectories(simulated.measured, source)
+        result = _run(source, output, 0.0, False, None)
+    _print_run(result, as_json)
+    if not as_json:
+        _out.print("The simulated drivers have v* = 10.26 m/s and kappa_v = 0.215 s.")
+
+
+@app.command()
+def run(
+    source: Annotated[Path, typer.Argument(help="Trajectories: .data, .csv or .mcap.")],
+    output: Out,
+    rate: Rate = "max",
+    processes: Separate = False,
+    ring: Ring = None,
+    as_json: Json = False,
+) -> None:
+    """Replay trajectories as ROS topics through one estimator for each driver, and record all topics."""
+    _print_run(_run(source, output, _rate(rate), processes, ring), as_json)
+
+
+@app.command()
+def simulate(
+    output: Annotated[Path, typer.Option("--output", "-o", help="File to write: .mcap or .csv.")],
+    vehicles: Annotated[int, typer.Option(min=1, help="Number of vehicles.")] = 22,
+    ring: Annotated[float, typer.Option(min=0.0, help="Circumference [m]; 0: an open road.")] = 230.0,
+    duration: Annotated[float, typer.Option(min=1.0, help="Length of the run [s].")] = 250.0,
+    gap: Annotated[float, typer.Option(help="Gap [m] between vehicles at the start, from rest.")] = 2.0,
+    period: Annotated[float, typer.Option(min=0.01, max=2.0, help="Time [s] between samples.")] = 1.0 / 3.0,
+    horizon: Annotated[
+        int | None, typer.Option(min=1, max=100, help="Periods of look-ahead; as in the paper if left out.")
+    ] = None,
+    spread: Annotated[float, typer.Option(min=0.0, max=1.0, help="Relative std of v* and kappa_v over drivers.")] = 0.0,
+    parameter: Annotated[
+        list[str] | None, typer.Option("--set", help="NAME=VALUE of a parameter, for all drivers; may be repeated.")
+    ] = None,
+    seed: Seed = 0,
+    as_json: Json = False,
+) -> None:
+    """Simulate drivers on a ring or an open road, and write what a camera would have measured."""
+    from sugiyama_ros.formats.convert import write_trajectories
+    from sugiyama_ros.formats.plain_csv import write_csv
+
+    writers: dict[str, Callable[[Any, Path], object]] = {".mcap": write_trajectories, ".csv": write_csv}
+    if output.suffix not in writers:
+        raise InputError(f"{output}: cannot be written as {output.suffix or 'nothing'}; give a .mcap or .csv name")
+    simulated = _simulated(vehicles, ring, duration, gap, period, horizon, spread, seed, parameter or [])
+    writers[output.suffix](simulated.measured, output)
+    speed = simulated.speed[len(simulated.speed) // 2 :]
+    second_half = {"v_avg": speed.mean(), "v_min": speed.min(axis=1).mean(), "v_max": speed.max(axis=1).mean()}
+    document = {
+        "output": str(output),
+        "vehicles": vehicles,
+        "steps": len(simulated.speed),
+        "duration_s": simulated.measured.duration_s,
+        "second_half": second_half,
+        "collisions": [dataclasses.asdict(c) for c in simulated.collisions],
+        "seed": seed,
+    }
+    if as_json:
+        _print_json(document)
+        return
+    _out.print(f"{vehicles} vehicles, {simulated.measured.duration_s:.1f} s, in {escape(str(output))}", soft_wrap=True)
+    shown = ", ".join(f"{name} {value:.2f}" for name, value in second_half.items())
+    _out.print(f"second half: {shown} m/s")
+    for c in simulated.collisions:
+        _err.print(f"collision: vehicle {c.vehicle} into {c.leader} at {c.time_s:.1f} s; the run ends there")
+
+
+@app.command()
+def convert(
+    source: Annotated[Path, typer.Argument(help="Trajectories: .data, .csv or .mcap.")],
+    output: Annotated[Path, typer.Argument(help="MCAP file to write.")],
+    ring: Ring = None,
+    as_json: Json = False,
+) -> None:
+    """Convert trajectories to MCAP, with the topics /road and /measured."""
+    from sugiyama_ros.formats.convert import convert as convert_file
+
+    t = convert_file(source, output, ring)
+    document = {
+        "output": str(output),
+        "vehicles": len(t.vehicle),
+        "steps": len(t.position_m),
+        "period_s": t.period_s,
+        "ring_m": t.road.circumference_m or None,
+        "sha256": t.sha256,
+    }
+    road = f"a ring of {t.road.circumference_m:g} m" if t.road.is_ring else "an open road (a ring? give --ring METRES)"
+    text = f"{len(t.vehicle)} vehicles, {len(t.position_m)} samples of {t.period_s:.4g} s on {road}, in {output}"
+    _tell(document, text, as_json)
+
+
+@app.command()
+def fetch(
+    name: Annotated[str, typer.Argument(help="Name of the data set: sugiyama2008.")],
+    directory: Annotated[Path, typer.Option("--directory", "-d", help="Where to put it.")] = Path(),
+    accept_licence: Annotated[bool, typer.Option("--accept-licence", help="Accept its terms without asking.")] = False,
+    url: Annotated[str | None, typer.Option(help="Another address of the same file.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Download a public data set, check it, and convert it to MCAP."""
+    from sugiyama_ros.formats.catalogue import CATALOGUE
+    from sugiyama_ros.formats.fetch import fetch as download
+
+    if name not in CATALOGUE:
+        raise InputError(f"{name}: not in the catalogue; it has {', '.join(CATALOGUE)}")
+    _err.print(escape(CATALOGUE[name].licence))
+    if not accept_licence:
+        if not sys.stdin.isatty():
+            raise InputError(f"{name}: its terms were not accepted; add --accept-licence")
+        typer.confirm("Do you accept these terms?", abort=True, err=True)
+    with _progress("downloading") as advance:
+        fetched = download(name, directory, url, advance)
+    _tell(dataclasses.asdict(fetched), f"{fetched.data}\n{fetched.bag}", as_json)
+
+
+@app.command()
+def info(
+    file: Annotated[Path, typer.Argument(help="MCAP file.")],
+    as_json: Json = False,
+) -> None:
+    """Tell what is in an MCAP file, as `ros2 bag info` does."""
+    from sugiyama_ros.formats.mcap_reader import Bag
+
+    with Bag(file) as bag:
+        about = bag.info()
+    if as_json:
+        _print_json(dataclasses.asdict(about))
+        return
+    lines = {
+        "Files": about.file,
+        "Bag size": f"{about.size_bytes / 1024:.1f} KiB",
+        "Storage id": about.storage,
+        "Compression": ", ".join(about.compression) or "none",
+        "Duration": f"{about.duration_s:.9g} s",
+        "Start": _moment(about.start_ns),
+        "End": _moment(about.end_ns),
+        "Messages": str(about.messages),
+    }
+    for key, value in lines.items():
+        _out.print(f"{key + ':':<13}{escape(value)}", soft_wrap=True, highlight=False)
+    for record, values in about.metadata.items():
+        shown = ", ".join(f"{key}={value}" for key, value in values.items())
+        _out.print(f"{'Metadata:':<13}{escape(f'{record}: {shown}')}", soft_wrap=True, highlight=False)
+    table = Table("topic", "type", "messages", "reliability", "durability", box=None)
+    for topic in about.topics:
+        cells = (topic.name, topic.type, str(topic.count), topic.reliability, topic.durability)
+        table.add_row(*(escape(cell) for cell in cells))
+    _print_wide(table)
+
+
+@app.command()
+def echo(
+    file: Annotated[Path, typer.Argument(help="MCAP file.")],
+    topic: Annotated[str, typer.Argument(help="Topic, such as /vehicle_07/innovation.")],
+    as_json: Json = False,
+) -> None:
+    """Print the messages of one topic."""
+    from sugiyama_ros.formats.cdr import plain
+    from sugiyama_ros.formats.mcap_reader import Bag
+
+    with Bag(file) as bag:
+        messages = bag.messages({topic})
+        if as_json:
+            sys.stdout.write("[")
+            for number, (_, _, log_time_ns, message) in enumerate(messages):
+                document = {"log_time_ns": log_time_ns, "message": plain(message)}
+                sys.stdout.write(("," if number else "") + "\n" + _json(document))
+            sys.stdout.write("\n]\n")
+            return
+        for _, _, log_time_ns, message in messages:
+            sys.stdout.write(f"# {log_time_ns}\n{_json(plain(message), indent=2)}\n---\n")
+
+
+@app.command()
+def recover(
+    file: Annotated[Path, typer.Argument(help="Cut or damaged MCAP file, or the .part that a killed run left.")],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="File to write; FILE without .part, or FILE.recovered.mcap.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Save what is whole of a cut or damaged MCAP file into a new one, and verify that."""
+    from sugiyama_ros.formats.recover import recover as salvage
+
+    if output is None:
+        output = file.with_suffix("") if file.suffix == ".part" else file.with_suffix(".recovered.mcap")
+        if output.exists():
+            raise InputError(f"{output}: exists already; choose another name with --output")
+    saved = salvage(file, output)
+    text = (
+        f"{saved.messages} messages on {saved.topics} topics saved and read back, {saved.lost_bytes} bytes lost;"
+        f" in {saved.path}"
+    )
+    _tell(dataclasses.asdict(saved), text, as_json)
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    try:
+        app()
+    except SugiyamaError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)
+    except BrokenPipeError:
+        # whoever read our output has had enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
+
+
+def _rate(text: str) -> float:
+    """0 for max."""
+    if text == "max":
+        return 0.0
+    try:
+        rate = float(text)
+    except ValueError:
+        rate = math.nan
+    if not 0.0 < rate < 1e6:
+        raise InputError(f"--rate {text}: is not a rate; give a positive number, or max")
+    return rate
+
+
+def _run(source: Path, output: Path, rate: float, processes: bool, ring: float | None) -> "RunResult":
+    try:
+        from sugiyama_ros.nodes.run import run as run_nodes
+    except ModuleNotFoundError as error:
+        if error.name not in ("rclpy", "sugiyama_msgs"):
+            raise
+        raise InputError(f"{error.name}: not installed; run `make demo` once, or source a ROS 2 workspace") from None
+    with _progress("replaying") as advance:
+        return run_nodes(source, output, rate=rate, processes=processes, ring_m=ring, on_progress=advance)
+
+
+def _simulated(
+    vehicles: int,
+    ring_m: float,
+    duration_s: float,
+    gap_m: float,
+    period_s: float,
+    horizon: int | None,
+    spread: float,
+    seed: int,
+    settings: Iterable[str],
+) -> "Simulation":
+    """A run of drivers with the paper's parameters, changed by ``settings``, that start from rest."""
+    from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, defaults, index
+    from sugiyama_ros.road import Road
+    from sugiyama_ros.simulation import Simulator, platoon, simulate
+    from sugiyama_ros.trajectories import DEFAULT_LENGTH_M
+
+    rng = np.random.default_rng(seed)
+    parameters = defaults(vehicles)
+    for setting in settings:
+        name, _, value = setting.partition("=")
+        try:
+            parameters[:, index(name)] = float(value)
+        except ValueError:
+            raise InputError(f"--set {setting}: is not NAME=VALUE with a number as value") from None
+    if spread > 0.0:
+        for k in (V_STAR, KAPPA_V):
+            parameters[:, k] *= np.exp(spread * rng.standard_normal(vehicles))
+    length_m = np.full(vehicles, DEFAULT_LENGTH_M)
+    start_m, road = platoon(length_m, gap_m), Road(ring_m)
+    taken_m = float(start_m[-1] + length_m[-1])
+    if road.is_ring and taken_m > ring_m:
+        raise InputError(f"--ring {ring_m:g}: {vehicles} vehicles with gaps of {gap_m:g} m take {taken_m:.0f} m")
+    simulator = Simulator(parameters, length_m, start_m, road, rng, period_s=period_s, horizon=horizon)
+    return simulate(simulator, duration_s)
+
+
+def _print_run(result: "RunResult", as_json: bool) -> None:
+    if as_json:
+        _print_json(dataclasses.asdict(result))
+        return
+    table = Table(title="What the estimators know at the end", title_justify="left")
+    for heading in ("vehicle", "v* [m/s]", "kappa_v [s]", "one-step RMSE [m]", "mean NIS"):
+        table.add_column(escape(heading), justify="right")
+    for d in result.drivers:
+        cells = (f"{d.v_star:.2f}", f"{d.kappa_v:.3f}", f"{d.one_step_rmse_m:.3f}", f"{d.nis_mean:.2f}")
+        table.add_row(str(d.vehicle), *cells)
+    _out.print(table)
+    _out.print(
+        f"{result.steps} steps of {result.vehicles} vehicles at {result.real_time_factor:.0f} times real time;"
+        f" {result.messages_recorded} messages recorded, {result.messages_lost} lost.",
+        soft_wrap=True,
+    )
+    name = escape(str(result.output))
+    _out.print(f"All topics are in {name} (sugiyama info {name}).", soft_wrap=True, highlight=False)
+    if result.interrupted:
+        _err.print("Interrupted: the recording ends early, but it is whole.")
+
+
+@contextmanager
+def _progress(what: str) -> Iterator[Callable[[int, int], None] | None]:
+    """A bar on a terminal; nothing in a pipe."""
+    if not _err.is_terminal:
+        yield None
+        return
+    columns = (TextColumn(what), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=_err, transient=True) as bar:
+        task = bar.add_task(what, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def _moment(ns: int) -> str:
+    # stamps of a recording are times of day, those of converted data seconds from its start
+    return f"{ns / 1e9:.9f} ({datetime.fromtimestamp(ns / 1e9, tz=timezone.utc):%Y-%m-%d %H:%M:%S} UTC)"
+
+
+def _tell(document: Any, text: str, as_json: bool) -> None:
+    if as_json:
+        _print_json(document)
+    else:
+        _out.print(escape(text), soft_wrap=True, highlight=False)
+
+
+def _print_wide(table: Table) -> None:
+    """Unbroken lines, also in a pipe, so that other programs can read them."""
+    Console(width=max(_out.width, 200)).print(table, highlight=False)
+
+
+def _print_json(document: Any) -> None:
+    sys.stdout.write(_json(document, indent=2) + "\n")
+
+
+def _json(document: Any, indent: int | None = None) -> str:
+    return json.dumps(_strict(document), indent=indent, allow_nan=False)
+
+
+def _strict(value: Any) -> Any:
+    """What JSON can say: no NaN, no infinity, no numpy, no paths."""
+    if isinstance(value, dict):
+        return {str(k): _strict(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_strict(v) for v in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, Path):
+        return str(value)
+    return value.item() if isinstance(value, np.generic) else value
