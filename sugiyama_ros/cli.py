@@ -22,7 +22,9 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
 from sugiyama_ros.errors import InputError, SugiyamaError
+from sugiyama_ros.road import Array, Road
 
 if TYPE_CHECKING:
     from sugiyama_ros.nodes.run import RunResult
@@ -53,7 +55,7 @@ def demo(
     ] = None,
     output: Out = Path("sugiyama-demo.mcap"),
     ring: Ring = None,
-    seed: Seed = 0,
+    seed: Seed = 1,
     as_json: Json = False,
 ) -> None:
     """Estimate the drivers of the Sugiyama experiment, simulated or measured, and record it all."""
@@ -63,15 +65,14 @@ def demo(
     from sugiyama_ros.formats.convert import write_trajectories
 
     if not as_json:
-        _err.print("Simulating 22 drivers on a ring of 230 m for 250 s, all with the paper's mean parameters ...")
-    simulated = _simulated(22, 230.0, 250.0, 2.0, 1.0 / 3.0, None, 0.0, seed, [])
+        _err.print("Simulating 22 drivers on a ring of 230 m for 250 s; v* and kappa_v differ by 10 % among them.")
+    simulated = _simulated(22, 230.0, 250.0, 2.0, 1.0 / 3.0, None, 0.1, seed, [])
     with tempfile.TemporaryDirectory() as directory:
         source = Path(directory) / "simulated.mcap"
         write_trajectories(simulated.measured, source)
         result = _run(source, output, 0.0, False, None)
-    _print_run(result, as_json)
-    if not as_json:
-        _out.print("The simulated drivers have v* = 10.26 m/s and kappa_v = 0.215 s.")
+    _print_run(result, as_json, simulated.parameters)
+    _tell_collisions(simulated)
 
 
 @app.command()
@@ -131,8 +132,7 @@ def simulate(
     _out.print(f"{vehicles} vehicles, {simulated.measured.duration_s:.1f} s, in {escape(str(output))}", soft_wrap=True)
     shown = ", ".join(f"{name} {value:.2f}" for name, value in second_half.items())
     _out.print(f"second half: {shown} m/s")
-    for c in simulated.collisions:
-        _err.print(f"collision: vehicle {c.vehicle} into {c.leader} at {c.time_s:.1f} s; the run ends there")
+    _tell_collisions(simulated)
 
 
 @app.command()
@@ -313,8 +313,7 @@ def _simulated(
     settings: Iterable[str],
 ) -> "Simulation":
     """A run of drivers with the paper's parameters, changed by ``settings``, that start from rest."""
-    from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, defaults, index
-    from sugiyama_ros.road import Road
+    from sugiyama_ros.driver.parameters import defaults, index
     from sugiyama_ros.simulation import Simulator, platoon, simulate
     from sugiyama_ros.trajectories import DEFAULT_LENGTH_M
 
@@ -338,15 +337,22 @@ def _simulated(
     return simulate(simulator, duration_s)
 
 
-def _print_run(result: "RunResult", as_json: bool) -> None:
+def _print_run(result: "RunResult", as_json: bool, truth: Array | None = None) -> None:
+    """truth: (N, P) parameters of simulated drivers, to stand beside the estimates."""
     if as_json:
         _print_json(dataclasses.asdict(result))
         return
     table = Table(title="What the estimators know at the end", title_justify="left")
-    for heading in ("vehicle", "v* [m/s]", "kappa_v [s]", "one-step RMSE [m]", "mean NIS"):
+    headings = ["vehicle", "v* [m/s]", "kappa_v [s]", "one-step RMSE [m]", "mean NIS"]
+    if truth is not None:
+        headings[1:3] = [headings[1], "true", headings[2], "true"]
+    for heading in headings:
         table.add_column(escape(heading), justify="right")
     for d in result.drivers:
-        cells = (f"{d.v_star:.2f}", f"{d.kappa_v:.3f}", f"{d.one_step_rmse_m:.3f}", f"{d.nis_mean:.2f}")
+        cells = [f"{d.v_star:.2f}", f"{d.kappa_v:.3f}", f"{d.one_step_rmse_m:.3f}", f"{d.nis_mean:.2f}"]
+        if truth is not None:
+            v_star, kappa_v = truth[d.vehicle, [V_STAR, KAPPA_V]]
+            cells[:2] = [cells[0], f"{v_star:.2f}", cells[1], f"{kappa_v:.3f}"]
         table.add_row(str(d.vehicle), *cells)
     _out.print(table)
     _out.print(
@@ -358,6 +364,11 @@ def _print_run(result: "RunResult", as_json: bool) -> None:
     _out.print(f"All topics are in {name} (sugiyama info {name}).", soft_wrap=True, highlight=False)
     if result.interrupted:
         _err.print("Interrupted: the recording ends early, but it is whole.")
+
+
+def _tell_collisions(simulated: "Simulation") -> None:
+    for c in simulated.collisions:
+        _err.print(f"collision: vehicle {c.vehicle} into {c.leader} at {c.time_s:.1f} s; the run ends there")
 
 
 @contextmanager

@@ -62,10 +62,12 @@ class Collision:
 class Simulation:
     """A simulated run: what a camera would have measured, the truth, and what went wrong.
 
-    speed, acceleration, position_m: (T, N), SI, the truth (position wrapped on a ring).
+    speed, acceleration, position_m: (T, N), SI, the truth (position wrapped on a ring); parameters: (N, P) of the
+    drivers, at the reference period.
     """
 
     measured: Trajectories
+    parameters: Array
     position_m: Array
     speed: Array
     acceleration: Array
@@ -103,6 +105,7 @@ class Simulator:
         self.road = road
         self.period_s = period_s
         self.horizon = horizon_at(period_s) if horizon is None else horizon
+        self.drivers = parameters.copy()
         self.parameters = at_period(parameters, period_s)
         self.length_m = length_m.astype(np.float64)
         self.leader: Ints = np.arange(1, vehicles + 1)
@@ -206,6 +209,7 @@ def simulate(simulator: Simulator, duration_s: float, *, stop_at_collision: bool
             period_s=simulator.period_s,
             source="adaptiveSeek",
         ),
+        parameters=simulator.drivers,
         position_m=simulator.road.wrap(position[:taken]),
         speed=speed[:taken],
         acceleration=acceleration[:taken],
