@@ -9,7 +9,8 @@ alone. A driver is filtered together with a chain of vehicles ahead,
 Each but the last drives by the paper's model (Eq. ssm_form) behind the next; the last moves with an AR(1) acceleration,
 because nobody tells what he follows. For a driver the state is (position, speed, noise), where the noise
 n_t = rho n_{t-1} + shock is what his acceleration mean_action(s_t) + n_t has beyond the mean action; for the last
-vehicle it is the whole acceleration. Parameters that are adapted online follow as logarithms that walk at random.
+vehicle it is the whole acceleration. Parameters that are adapted online follow as logarithms that wander
+around their prior (Ornstein-Uhlenbeck), so that one which the data do not hold cannot run away.
 
 The mean action is linearised statistically, over what the driver may be seeing: its Jacobian at a point makes an
 extended Kalman filter whose likelihood is chaotic, because close to contact the mean action jumps.
@@ -66,13 +67,17 @@ class Scene(NamedTuple):
     circumference_m: float
     last_rho: float
     last_shock_std: float
+    memory: float
 
 
-def scene_at(period_s: float, circumference_m: float) -> Scene:
-    """Scene for a period [s] on a ring of ``circumference_m`` [m] (0: open road)."""
+def scene_at(period_s: float, circumference_m: float, relaxation_s: float = math.inf) -> Scene:
+    """Scene for a period [s] on a ring of ``circumference_m`` [m] (0: open road).
+
+    relaxation_s: time [s] in which adapted parameters return to their prior; its correlation over a period is kept.
+    """
     rho = LAST_RHO ** (REFERENCE_HORIZON / horizon_at(period_s))
     shock = LAST_SHOCK_STD * math.sqrt((1.0 - rho * rho) / (1.0 - LAST_RHO**2))
-    return Scene(period_s, horizon_at(period_s), circumference_m, rho, shock)
+    return Scene(period_s, horizon_at(period_s), circumference_m, rho, shock, math.exp(-period_s / relaxation_s))
 
 
 @njit(cache=True)
@@ -148,7 +153,8 @@ def linearise(
     length: Array,
     parameters: Array,
     adapted: Ints,
-    walk_var: Array,
+    prior_mean: Array,
+    prior_var: Array,
     actions: Array,
     scene: Scene,
     next_mean: Array,
@@ -158,7 +164,8 @@ def linearise(
     """One period of Eq. ssm_form for a whole chain; returns the own mean action [m/s^2].
 
     mean: (3 M + A,) and its covariance; known: (M,) of UNKNOWN, POSITION, MOVING; length: (M,) [m]; parameters: (M, P)
-    at this period, row 0 with the present value of the adapted ones; adapted: (A,) places in UTILITY; walk_var: (A,).
+    at this period, row 0 with the present value of the adapted ones; adapted: (A,) places in UTILITY; prior_mean,
+    prior_var: (A,) of their logarithms.
     Overwritten: next_mean (3 M + A,), jacobian (3 M + A, 3 M + A), and the diagonal of Q, noise (3 M + A,).
     """
     vehicles = len(known)
@@ -169,8 +176,10 @@ def linearise(
     jacobian[:, :] = 0.0
     noise[:] = 0.0
     for k in range(len(adapted)):
-        jacobian[3 * vehicles + k, 3 * vehicles + k] = 1.0
-        noise[3 * vehicles + k] = walk_var[k]
+        p = 3 * vehicles + k
+        next_mean[p] = prior_mean[k] + scene.memory * (mean[p] - prior_mean[k])
+        jacobian[p, p] = scene.memory
+        noise[p] = prior_var[k] * (1.0 - scene.memory**2)
     for m in range(vehicles):
         x, v, n = 3 * m, 3 * m + 1, 3 * m + 2
         jacobian[x, x] = jacobian[v, v] = 1.0
@@ -265,7 +274,6 @@ def run(
     parameters: Array,
     adapted: Ints,
     prior_var: Array,
-    walk_var: Array,
     actions: Array,
     scene: Scene,
     innovation: Array,
@@ -278,7 +286,7 @@ def run(
     """Filter one chain over T samples; returns the log-likelihood of Eq. SSM_Likelihood (no 2 pi term).
 
     position: (T, M) [m], NaN where missing; identity: (T, M) which vehicle it is, -1 for none; length: (T, M) [m];
-    parameters: (M, P) at this period; adapted, prior_var, walk_var: (A,). Filled where they have room: innovation [m],
+    parameters: (M, P) at this period; adapted, prior_var: (A,). Filled where they have room: innovation [m],
     innovation_var [m^2] and scored (T,) of the own position; means (T, 3 M + A) and covariances (T, 3 M + A, 3 M + A)
     after the update; motion (T, 2), own acceleration and mean action [m/s^2] there.
     """
@@ -288,8 +296,10 @@ def run(
     parameters = parameters.copy()
     mean, covariance, known = np.zeros(size), np.zeros((size, size)), np.zeros(vehicles, np.int64)
     next_mean, jacobian, noise = np.zeros(size), np.zeros((size, size)), np.zeros(size)
+    prior_mean = np.empty(len(adapted))
     for k in range(len(adapted)):
-        mean[3 * vehicles + k] = math.log(parameters[0, UTILITY[adapted[k]]])
+        prior_mean[k] = math.log(parameters[0, UTILITY[adapted[k]]])
+        mean[3 * vehicles + k] = prior_mean[k]
         covariance[3 * vehicles + k, 3 * vehicles + k] = prior_var[k]
     waited = np.zeros(vehicles, np.int64)
     settled = 0
@@ -340,7 +350,8 @@ def run(
             length[t],
             parameters,
             adapted,
-            walk_var,
+            prior_mean,
+            prior_var,
             actions,
             scene,
             next_mean,
@@ -409,27 +420,29 @@ class Filtered:
 
 @dataclass(frozen=True)
 class Adaptation:
-    """Which of the utility's parameters are adapted online: prior std and random-walk std of their logarithms.
+    """Which of the utility's parameters are adapted online, and the prior std of their logarithms.
 
-    walk_std: std of the walk over one second [1/sqrt(s)].
+    relaxation_s: time [s] in which they forget what was learnt; infinite for drivers who never change.
     """
 
     names: tuple[str, ...] = ()
-    prior_std: float = 0.2
-    walk_std: float = 0.0
+    prior_std: tuple[float, ...] = ()
+    relaxation_s: float = math.inf
 
     def __post_init__(self) -> None:
         # omega_2 is negative, so it has no logarithm
         adaptable = [NAMES[k] for k in UTILITY if k != OMEGA_2]
+        if len(self.names) != len(self.prior_std):
+            raise InputError(f"adapt: {len(self.names)} names and {len(self.prior_std)} prior stds; give one each")
         for name in self.names:
             if name not in adaptable:
                 raise InputError(f"adapt: {name!r} cannot be adapted online; choose among {', '.join(adaptable)}")
 
-    def arrays(self, period_s: float) -> tuple[Ints, Array, Array]:
-        """Places in UTILITY, prior variances and walk variances over one period, (A,) each."""
+    @property
+    def arrays(self) -> tuple[Ints, Array]:
+        """Places in UTILITY and prior variances of the logarithms, (A,) each."""
         places = np.array([UTILITY.index(NAMES.index(name)) for name in self.names], dtype=np.int64)
-        count = len(places)
-        return places, np.full(count, self.prior_std**2), np.full(count, self.walk_std**2 * period_s)
+        return places, np.array(self.prior_std, dtype=np.float64) ** 2
 
 
 def chain_parameters(own: Array, ahead: Array | None, vehicles: int, period_s: float) -> Array:
@@ -480,9 +493,9 @@ def _run(
             chain.identity,
             chain.length_m,
             chain_parameters(parameters, ahead, chain.position_m.shape[1], period),
-            *adaptation.arrays(period),
+            *adaptation.arrays,
             ACTIONS,
-            scene_at(period, chain.circumference_m),
+            scene_at(period, chain.circumference_m, adaptation.relaxation_s),
             innovation,
             innovation_var,
             scored,

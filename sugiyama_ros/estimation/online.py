@@ -27,8 +27,9 @@ from sugiyama_ros.estimation.causal import (
 )
 from sugiyama_ros.road import Array, Ints, Road
 
-#: Adaptation of the estimator nodes: desired speed and risk premium, known at the start to 20 %.
-ADAPT = Adaptation(names=("v_star", "kappa_v"), prior_std=0.2, walk_std=0.01)
+#: Adaptation of the estimator nodes: desired speed and risk premium. The prior stds are about those over the drivers of
+#: the measured experiment, each fitted for himself.
+ADAPT = Adaptation(names=("v_star", "kappa_v"), prior_std=(0.1, 0.4), relaxation_s=900.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,8 +87,9 @@ class OnlineFilter:
         self.vehicles = vehicles
         self._start_parameters = parameters.copy()
         self._rows_at_start = chain_parameters(parameters, ahead, vehicles, period_s)
-        self._places, self._prior_var, self._walk_var = adaptation.arrays(period_s)
-        self._scene = scene_at(period_s, road.circumference_m)
+        self._places, self._prior_var = adaptation.arrays
+        self._prior_mean = np.log(self._rows_at_start[0, [UTILITY[k] for k in self._places]])
+        self._scene = scene_at(period_s, road.circumference_m, adaptation.relaxation_s)
         self._measures = np.zeros((vehicles, 3 * vehicles + len(self._places)))
         self._measures[np.arange(vehicles), 3 * np.arange(vehicles)] = 1.0
         self._reads = np.eye(3, self._measures.shape[1])
@@ -109,7 +111,7 @@ class OnlineFilter:
         self._filter.Q = np.zeros((size, size))
         self._filter.next_mean = np.zeros(size)
         self._filter.F = np.zeros((size, size))
-        self._filter.x[adapted] = np.log(self._rows[0, [UTILITY[k] for k in self._places]])
+        self._filter.x[adapted] = self._prior_mean
         self._filter.P[adapted, adapted] = np.diag(self._prior_var)
         self._diagonal_of_q = self._filter.Q.reshape(-1)[:: size + 1]
         self._started = False
@@ -180,7 +182,8 @@ class OnlineFilter:
             lengths,
             self._rows,
             self._places,
-            self._walk_var,
+            self._prior_mean,
+            self._prior_var,
             ACTIONS,
             self._scene,
             kalman.next_mean,

@@ -262,4 +262,6 @@ def test_the_papers_formulation_says_what_it_cannot_take(with_holes):
 
 def test_only_the_utilitys_parameters_can_be_adapted():
     with pytest.raises(InputError, match="'sigma_nu' cannot be adapted"):
-        Adaptation(("sigma_nu",))
+        Adaptation(("sigma_nu",), (0.1,))
+    with pytest.raises(InputError, match="give one each"):
+        Adaptation(("v_star",))

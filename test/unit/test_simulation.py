@@ -97,7 +97,7 @@ def test_without_noise_the_filters_prediction_is_the_simulation():
         known = np.full(CHAIN, MOVING)
         rows = np.stack([s.parameters[0]] * CHAIN)
         linearise(
-            mean, np.zeros((size, size)), known, s.length_m[chain], rows, none, nothing, ACTIONS, scene,
+            mean, np.zeros((size, size)), known, s.length_m[chain], rows, none, nothing, nothing, ACTIONS, scene,
             next_mean, jacobian, noise,
         )  # fmt: skip
         s.step()
