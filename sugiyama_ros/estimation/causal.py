@@ -40,7 +40,7 @@ from sugiyama_ros.driver.parameters import (
     horizon_at,
     population,
 )
-from sugiyama_ros.driver.utility import ACTIONS, GAP, LEADER_SPEED, PARTIALS, SPEED, mean_action, mean_action_gradient
+from sugiyama_ros.driver.utility import ACTIONS, mean_action
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Array, Ints
 from sugiyama_ros.trajectories import Trajectories
@@ -81,27 +81,48 @@ def scene_at(period_s: float, circumference_m: float, relaxation_s: float = math
 
 
 @njit(cache=True)
-def _root(covariance: Array, x: int, led: bool, root: Array) -> None:
-    """Lower Cholesky factor of the covariance of (gap, speed, leader's speed) seen by the driver at x: root (3, 3)."""
-    v, ahead, ahead_v = x + 1, x + 3, x + 4
-    root[:, :] = 0.0
-    if not led:
-        root[0, 0] = root[2, 2] = math.sqrt(_KNOWN_VAR)
-        root[1, 1] = math.sqrt(max(covariance[v, v], _KNOWN_VAR))
-        return
-    gap_var = covariance[ahead, ahead] - 2.0 * covariance[ahead, x] + covariance[x, x]
-    root[0, 0] = math.sqrt(max(gap_var, _KNOWN_VAR))
-    root[1, 0] = (covariance[v, ahead] - covariance[v, x]) / root[0, 0]
-    root[2, 0] = (covariance[ahead_v, ahead] - covariance[ahead_v, x]) / root[0, 0]
-    root[1, 1] = math.sqrt(max(covariance[v, v] - root[1, 0] ** 2, _KNOWN_VAR))
-    root[2, 1] = (covariance[ahead_v, v] - root[2, 0] * root[1, 0]) / root[1, 1]
-    root[2, 2] = math.sqrt(max(covariance[ahead_v, ahead_v] - root[2, 0] ** 2 - root[2, 1] ** 2, _KNOWN_VAR))
+def _looked_at(m: int, led: bool, vehicles: int, adapted: int) -> tuple[Ints, Ints]:
+    """What the action of driver m depends on, as differences of state entries: places to add and to take off, or -1.
+
+    These are the gap (lengths aside), the own and the leader's speed, or without a leader the own speed alone; then the
+    logarithms of the adapted parameters.
+    """
+    x, v = 3 * m, 3 * m + 1
+    seen = 3 if led else 1
+    plus, minus = np.empty(seen + adapted, np.int64), np.full(seen + adapted, -1)
+    if led:
+        plus[0], plus[1], plus[2], minus[0] = x + 3, v, v + 3, x
+    else:
+        plus[0] = v
+    for k in range(adapted):
+        plus[seen + k] = 3 * vehicles + k
+    return plus, minus
+
+
+@njit(cache=True)
+def _root(covariance: Array, plus: Ints, minus: Ints) -> Array:
+    """Lower Cholesky factor (D, D) of the covariance of differences of state entries, as ``_looked_at`` gives them."""
+    size = len(plus)
+    root = np.zeros((size, size))
+    for i in range(size):
+        for j in range(i + 1):
+            entry = covariance[plus[i], plus[j]]
+            if minus[i] >= 0:
+                entry -= covariance[minus[i], plus[j]]
+            if minus[j] >= 0:
+                entry -= covariance[plus[i], minus[j]]
+            if minus[i] >= 0 and minus[j] >= 0:
+                entry += covariance[minus[i], minus[j]]
+            for k in range(j):
+                entry -= root[i, k] * root[j, k]
+            root[i, j] = math.sqrt(max(entry, _KNOWN_VAR)) if i == j else entry / root[j, j]
+    return root
 
 
 @njit(cache=True)
 def expected_action(
     m: int,
-    led: bool,
+    known: Ints,
     mean: Array,
     covariance: Array,
     length: Array,
@@ -111,38 +132,48 @@ def expected_action(
     scene: Scene,
     slope: Array,
 ) -> tuple[float, float]:
-    """Expectation [m/s^2] of the mean action of a chain's driver m over his state's distribution, and its spread.
+    """Expectation [m/s^2] of the mean action of a chain's driver m over what he may be seeing, and its spread.
 
-    Third-degree spherical cubature over (gap, speed, leader's speed) (Arasaratnam and Haykin 2009). ``slope``
-    (PARTIALS,) takes the statistical linearisation, the regression of the mean action on what the driver sees, and the
-    expected derivative with respect to the adapted parameters; the spread is the variance which that regression leaves.
+    Third-degree spherical cubature (Arasaratnam and Haykin 2009) over the gap, the speeds, and the adapted parameters.
+    ``slope`` (3 M + A,) takes the regression of the mean action on the state; the spread [m^2/s^4] is the variance that
+    this regression leaves.
     """
-    x = 3 * m
-    gap = mean[x + 3] - mean[x] - 0.5 * (length[m] + length[m + 1]) if led else np.inf
-    leader_speed = mean[x + 4] if led else 0.0
-    root, partial = np.empty((3, 3)), np.empty(PARTIALS)
-    _root(covariance, x, led, root)
-    slope[:] = 0.0
+    led = known[m + 1] == MOVING
+    plus, minus = _looked_at(m, led, len(known), len(adapted))
+    size = len(plus)
+    root = _root(covariance, plus, minus)
+    centre = mean[plus]
+    if led:
+        centre[0] -= mean[minus[0]] + 0.5 * (length[m] + length[m + 1])
+    driver = parameters.copy()
+    look, cross = np.empty(size), np.zeros(size)
     total, squares = 0.0, 0.0
-    radius = math.sqrt(3.0)
-    for j in range(3):
-        for side in (radius, -radius):
-            seen = gap + side * root[0, j], mean[x + 1] + side * root[1, j], leader_speed + side * root[2, j]
-            if len(adapted) > 0:
-                action = mean_action_gradient(*seen, parameters, actions, scene.period_s, scene.horizon, partial)
-                for k in adapted:
-                    slope[3 + k] += partial[3 + k] / 6.0
-            else:
-                action = mean_action(*seen, parameters, actions, scene.period_s, scene.horizon)
+    for j in range(size):
+        for side in (math.sqrt(size), -math.sqrt(size)):
+            for i in range(size):
+                look[i] = centre[i] + side * root[i, j]
+            for k in range(len(adapted)):
+                driver[UTILITY[adapted[k]]] = math.exp(look[size - len(adapted) + k])
+            gap, speed, leader_speed = (look[0], look[1], look[2]) if led else (np.inf, look[0], 0.0)
+            action = mean_action(gap, speed, leader_speed, driver, actions, scene.period_s, scene.horizon)
             total += action
             squares += action * action
-            slope[j] += action * side / 6.0
-    # slope now holds cov(action, standard normal); root^T slope_of_seen = that
-    spread = max(squares / 6.0 - (total / 6.0) ** 2 - slope[0] ** 2 - slope[1] ** 2 - slope[2] ** 2, 0.0)
-    slope[2] /= root[2, 2]
-    slope[1] = (slope[1] - root[2, 1] * slope[2]) / root[1, 1]
-    slope[0] = (slope[0] - root[1, 0] * slope[1] - root[2, 0] * slope[2]) / root[0, 0]
-    return total / 6.0, spread
+            cross[j] += action * side
+    weight = 0.5 / size
+    expected = weight * total
+    cross *= weight
+    spread = max(weight * squares - expected * expected - np.sum(cross * cross), 0.0)
+    # The covariance of the action with what is looked at is root @ cross, that of the latter root @ root.T.
+    for i in range(size - 1, -1, -1):
+        for k in range(i + 1, size):
+            cross[i] -= root[k, i] * cross[k]
+        cross[i] /= root[i, i]
+    slope[:] = 0.0
+    for i in range(size):
+        slope[plus[i]] += cross[i]
+        if minus[i] >= 0:
+            slope[minus[i]] -= cross[i]
+    return expected, spread
 
 
 @njit(cache=True)
@@ -170,7 +201,7 @@ def linearise(
     """
     vehicles = len(known)
     period = scene.period_s
-    slope = np.empty(PARTIALS)
+    slope = np.empty(len(mean))
     own_action = 0.0
     next_mean[:] = mean
     jacobian[:, :] = 0.0
@@ -191,20 +222,20 @@ def linearise(
         if m == vehicles - 1:
             action, rho, shock_std = 0.0, scene.last_rho, scene.last_shock_std
         else:
-            led = known[m + 1] == MOVING
-            fitted = adapted if m == 0 else adapted[:0]
             action, spread = expected_action(
-                m, led, mean, covariance, length, parameters[m], fitted, actions, scene, slope
+                m,
+                known,
+                mean,
+                covariance,
+                length,
+                parameters[m],
+                adapted if m == 0 else adapted[:0],
+                actions,
+                scene,
+                slope,
             )
             noise[v] += period * period * spread
-            jacobian[v, v] += period * slope[SPEED]
-            if led:
-                jacobian[v, x] = -period * slope[GAP]
-                jacobian[v, x + 3] = period * slope[GAP]
-                jacobian[v, v + 3] = period * slope[LEADER_SPEED]
-            for k in range(len(fitted)):
-                value = parameters[0, UTILITY[fitted[k]]]
-                jacobian[v, 3 * vehicles + k] = period * slope[3 + fitted[k]] * value
+            jacobian[v] += period * slope
             if m == 0:
                 own_action = action
             rho, shock_std = parameters[m, RHO], parameters[m, SIGMA_A]
