@@ -126,6 +126,8 @@ class Recorder(PacedNode):
     def _complete(self, stamp: bytes) -> None:
         """All topics have come up to ``stamp``."""
         self._waiting_s = 0.0
+        if stamp not in self._step:
+            return
         steps = self._step[stamp] + 1
         for older in list(self._step):
             del self._step[older]
@@ -137,9 +139,10 @@ class Recorder(PacedNode):
         """A driver that says nothing more must not hold up the others."""
         late, stamp = self._levels.drop_late()
         self._waiting_s = 0.0
-        self._late += late
-        self.get_logger().warning(f"nothing for {_PATIENCE_S:.0f} s on {', '.join(late)}: no longer waiting for it")
-        if stamp in self._step:
+        if late:
+            self._late += late
+            self.get_logger().warning(f"nothing for {_PATIENCE_S:.0f} s on {', '.join(late)}: no longer waiting for it")
+        if stamp is not None:
             self._complete(stamp)
 
     def _guarded(self, action: Callable[[], None]) -> None:
