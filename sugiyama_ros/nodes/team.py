@@ -13,6 +13,7 @@ from typing import Any, Protocol
 from rclpy.parameter import Parameter
 
 from sugiyama_ros.errors import SugiyamaError
+from sugiyama_ros.estimation.online import warm_up
 from sugiyama_ros.nodes.estimator import Estimator
 from sugiyama_ros.nodes.node import PacedNode
 from sugiyama_ros.nodes.plan import RECORDER, REPLAY, Plan
@@ -77,6 +78,8 @@ class Processes:
         self.nodes: list[PacedNode] = []
         self._logs = Path(tempfile.mkdtemp(prefix="sugiyama-"))
         self._stopped = False
+        # so that the estimators find compiled code and do not all compile at once
+        warm_up()
         self._children: dict[str, subprocess.Popen[bytes]] = {}
         self._start(RECORDER, "recorder", plan.recorder)
         for name in plan.estimators:
