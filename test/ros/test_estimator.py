@@ -1,0 +1,224 @@
+"""The estimator node: what it makes of stamps, missing samples and failures."""
+
+from math import isnan
+from pathlib import Path
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from std_srvs.srv import Trigger
+from sugiyama_msgs.msg import DriverParameters, Innovation, MeasuredPositions, VehicleState
+from sugiyama_msgs.msg import Road as RoadMessage
+
+from sugiyama_ros.driver.parameters import NAMES, PARAMETERS, population
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.estimation.causal import chain_behind
+from sugiyama_ros.estimation.online import OnlineFilter
+from sugiyama_ros.formats import read_trajectories
+from sugiyama_ros.nodes import wire
+from sugiyama_ros.nodes.estimator import Estimator
+from sugiyama_ros.nodes.node import ERROR, OK, WARN
+from sugiyama_ros.nodes.qos import LATCHED, STREAM
+
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
+PERIOD_S = 0.5
+
+
+class Road(Node):
+    """Sends the road and samples by hand, and keeps what the estimator of vehicle 7 answers."""
+
+    def __init__(self) -> None:
+        super().__init__("hand")
+        self.states: list[VehicleState] = []
+        self.innovations: list[Innovation] = []
+        self.parameters: list[DriverParameters] = []
+        self.health: list[tuple[bytes, str]] = []
+        self.step = 0
+        self.to_road = self.create_publisher(RoadMessage, "road", LATCHED)
+        self.to_measured = self.create_publisher(MeasuredPositions, "measured", STREAM)
+        self.create_subscription(VehicleState, "vehicle_07/state", self.states.append, STREAM)
+        self.create_subscription(Innovation, "vehicle_07/innovation", self.innovations.append, STREAM)
+        self.create_subscription(DriverParameters, "vehicle_07/parameters", self.parameters.append, STREAM)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_health, STREAM)
+        self.to_road.publish(RoadMessage(circumference_m=100.0, period_s=PERIOD_S))
+
+    def send(self, time_s: float, position_m: dict[int, float]) -> None:
+        """A sample; 7 follows 8, 8 follows 9, 9 follows 7."""
+        leader = {7: 8, 8: 9, 9: 7}
+        message = MeasuredPositions(step=self.step, vehicle=list(position_m), leader=[leader[v] for v in position_m])
+        message.header.stamp = wire.time_message(round(time_s * wire.NS))
+        message.position_m, message.length_m = list(position_m.values()), [4.5] * len(position_m)
+        self.to_measured.publish(message)
+        self.step += 1
+
+    def drive(self, first: int, last: int) -> None:
+        """Samples number ``first`` to ``last`` of a steady drive."""
+        for k in range(first, last):
+            self.send(k * PERIOD_S, {7: (5.0 * k * PERIOD_S) % 100.0, 8: (30.0 + 5.0 * k * PERIOD_S) % 100.0})
+
+    def _on_health(self, array: DiagnosticArray) -> None:
+        self.health += [(s.level, s.message) for s in array.status if s.name == "/vehicle_07/estimator"]
+
+
+@pytest.fixture
+def pair(stage) -> tuple[Road, Estimator]:
+    """A road by hand and the estimator of vehicle 7, which has heard of the road."""
+    road, estimator = Road(), Estimator(namespace="/vehicle_07")
+    stage.add(road, estimator)
+    stage.until(lambda: estimator.health().level == OK)
+    return road, estimator
+
+
+def values(estimator: Estimator) -> dict[str, object]:
+    """What the estimator counts."""
+    return dict(estimator.health().values)
+
+
+def test_it_says_what_the_filter_says(stage, ring_csv: Path) -> None:
+    trajectories = read_trajectories(ring_csv, 100.0)
+    chain = chain_behind(trajectories, 2)
+    filter_ = OnlineFilter(trajectories.period_s, trajectories.road)
+    road, estimator = Node("hand"), Estimator(namespace="/vehicle_02")
+    states: list[VehicleState] = []
+    innovations: list[Innovation] = []
+    road.create_subscription(VehicleState, "vehicle_02/state", states.append, STREAM)
+    road.create_subscription(Innovation, "vehicle_02/innovation", innovations.append, STREAM)
+    to_road = road.create_publisher(RoadMessage, "road", LATCHED)
+    to_road.publish(RoadMessage(circumference_m=100.0, period_s=trajectories.period_s))
+    stage.add(road, estimator)
+    stage.until(lambda: estimator.health().level == OK)
+    to_measured = road.create_publisher(MeasuredPositions, "measured", STREAM)
+    for k in range(50):
+        message = MeasuredPositions(step=k, vehicle=[0, 1, 2, 3], leader=[1, 2, 3, 0], length_m=[4.5] * 4)
+        message.header.stamp = wire.time_message(round(k * trajectories.period_s * wire.NS))
+        message.position_m = trajectories.position_m[k].tolist()
+        to_measured.publish(message)
+    stage.until(lambda: len(states) == len(innovations) == 50)
+    for k in range(50):
+        expected = filter_.step(chain.position_m[k].tolist(), chain.identity[k].tolist(), chain.length_m[k].tolist())
+        for name in ("position_m", "speed", "acceleration", "mean_action", "gap_m", "approach_rate"):
+            assert getattr(states[k], name) == getattr(expected, name), (k, name)
+        np.testing.assert_array_equal(states[k].covariance, expected.covariance.ravel())
+        np.testing.assert_equal(innovations[k].innovation_m, expected.innovation_m)
+        np.testing.assert_equal(innovations[k].nis, expected.nis)
+        assert innovations[k].scored == expected.scored
+
+
+def test_a_missing_position_is_predicted_over(stage, pair) -> None:
+    road, estimator = pair
+    road.drive(0, 10)
+    road.send(10 * PERIOD_S, {7: float("nan"), 8: 55.0})
+    road.send(11 * PERIOD_S, {8: 57.5})  # not even in the message
+    stage.until(lambda: len(road.innovations) == 12)
+    assert estimator.health().level == WARN
+    assert estimator.health().message == "2 samples missing in a row"
+    road.drive(12, 14)
+    stage.until(lambda: len(road.innovations) == len(road.states) == 14)
+    assert [isnan(i.innovation_m) for i in road.innovations[5:]] == [False] * 5 + [True] * 2 + [False] * 2
+    assert not any(i.scored for i in road.innovations[10:12])
+    # No sample came, so the position is less certain, but it went on at 5 m/s.
+    assert road.states[11].position_m == pytest.approx(5.0 * 11 * PERIOD_S, abs=1.5)
+    assert road.states[11].covariance[0] > 2.0 * road.states[9].covariance[0]
+    assert estimator.health().level == OK
+
+
+def test_stamps_tell_how_much_time_has_passed(stage, pair) -> None:
+    road, estimator = pair
+    road.drive(0, 20)
+    road.drive(23, 24)
+    stage.until(lambda: len(road.states) == 21)
+    assert values(estimator)["skipped"] == 3
+    assert road.states[-1].speed == pytest.approx(5.0, abs=1.0)
+    assert abs(road.innovations[-1].innovation_m) < 2.0
+
+
+def test_a_stamp_that_comes_again_is_ignored(stage, pair) -> None:
+    road, estimator = pair
+    road.drive(0, 5)
+    road.drive(4, 6)
+    stage.until(lambda: len(road.states) == 6)
+    assert values(estimator)["duplicates"] == 1
+    assert values(estimator)["samples"] == 6
+
+
+@pytest.mark.parametrize("jump", [0, 1000])
+def test_a_jump_in_time_starts_the_filter_anew(stage, pair, jump: int) -> None:
+    road, estimator = pair
+    road.drive(0, 20)
+    stage.until(lambda: len(road.states) == 20)
+    road.drive(jump, jump + 20)
+    stage.until(lambda: len(road.states) == 40)
+    assert values(estimator)["resets"] == 1
+    # Positions repeat after 40 periods, so the second drive is the first, shifted in time.
+    for first, second in zip(road.states[:20], road.states[20:], strict=True):
+        assert second.speed == pytest.approx(first.speed, abs=1e-9)
+        assert second.covariance == pytest.approx(first.covariance, abs=1e-9)
+    assert isnan(road.innovations[20].innovation_m)
+
+
+def test_reset_on_request(stage, pair) -> None:
+    road, _estimator = pair
+    road.drive(0, 5)
+    stage.until(lambda: len(road.states) == 5)
+    assert stage.call(Trigger, "/vehicle_07/estimator/reset", Trigger.Request()).success
+    road.drive(5, 6)
+    stage.until(lambda: len(road.innovations) == 6)
+    assert isnan(road.innovations[5].innovation_m)
+
+
+def test_parameters_are_published_once_a_second_of_the_data(stage, pair) -> None:
+    road, _ = pair
+    road.drive(0, 21)
+    stage.until(lambda: len(road.states) == 21)
+    stage.until(lambda: len(road.parameters) == 11)
+    message = road.parameters[0]
+    assert (message.vehicle, tuple(message.name)) == (7, NAMES)
+    assert [n for n, e in zip(message.name, message.estimated, strict=True) if e] == ["v_star", "kappa_v"]
+    assert len(message.covariance) == len(NAMES) ** 2
+
+
+def test_a_failure_is_told_once_and_the_stream_goes_on(stage, pair, monkeypatch: pytest.MonkeyPatch, capfd) -> None:
+    road, _ = pair
+
+    def fail(*_: object) -> None:
+        raise FloatingPointError("no way")
+
+    road.drive(0, 3)
+    stage.until(lambda: len(road.states) == 3)
+    monkeypatch.setattr(OnlineFilter, "step", fail)
+    road.drive(3, 6)
+    stage.until(lambda: len(road.states) == 6)
+    assert [isnan(s.speed) for s in road.states] == [False] * 3 + [True] * 3
+    # At once, not with the next report.
+    stage.until(lambda: (ERROR, "vehicle 7 at 1.500 s: FloatingPointError('no way')") in road.health, 0.5)
+    assert capfd.readouterr().err.count("no way") == 1
+
+
+def test_it_starts_from_the_nodes_parameters(stage) -> None:
+    road = Road()
+    estimator = Estimator(namespace="/vehicle_07", parameter_overrides=[Parameter("v_star", value=15.0)])
+    stage.add(road, estimator)
+    stage.until(lambda: estimator.health().level == OK)
+    road.drive(0, 1)
+    stage.until(lambda: bool(road.parameters))
+    known = dict(zip(road.parameters[0].name, road.parameters[0].value, strict=True))
+    assert known["v_star"] == pytest.approx(15.0)
+    assert known["sigma_a"] == dict(zip(NAMES, population().tolist(), strict=True))["sigma_a"]
+
+
+def test_parameters_have_ranges_and_descriptions(pair) -> None:
+    _, estimator = pair
+    for p in PARAMETERS:
+        descriptor = estimator.describe_parameter(p.name)
+        (allowed,) = descriptor.floating_point_range
+        assert (allowed.from_value, allowed.to_value) == (p.lower, p.upper)
+        assert p.unit in descriptor.description
+    (answer,) = estimator.set_parameters([Parameter("rho", value=1.5)])
+    assert not answer.successful
+
+
+def test_a_namespace_without_a_vehicle_is_an_error(stage) -> None:
+    with pytest.raises(InputError, match="names no vehicle; start it with -r __ns:=/vehicle_07"):
+        Estimator(namespace="/somewhere")

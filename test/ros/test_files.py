@@ -1,0 +1,68 @@
+"""Parameter files and launch files fit the code."""
+
+import ast
+from importlib.metadata import entry_points
+from pathlib import Path
+
+import pytest
+import yaml
+from rclpy.parameter import Parameter
+
+from sugiyama_ros.driver.parameters import NAMES
+from sugiyama_ros.nodes.estimator import Estimator
+from sugiyama_ros.nodes.node import PacedNode
+from sugiyama_ros.nodes.recorder import Recorder
+from sugiyama_ros.nodes.replay import Replay
+from sugiyama_ros.nodes.simulator import SimulatorNode
+
+ROOT = Path(__file__).parents[2]
+EXECUTABLES = ("estimator", "recorder", "replay", "simulator")
+
+
+def make(executable: str, ring_csv: Path, tmp_path: Path) -> PacedNode:
+    """A node with nothing given but what it must be given."""
+    if executable == "estimator":
+        return Estimator(namespace="/vehicle_00")
+    if executable == "recorder":
+        return Recorder(parameter_overrides=[Parameter("output", value=str(tmp_path / "out.mcap"))])
+    if executable == "replay":
+        return Replay(parameter_overrides=[Parameter("source", value=str(ring_csv))])
+    return SimulatorNode()
+
+
+@pytest.mark.ros
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize("executable", EXECUTABLES)
+def test_parameter_files_say_what_the_code_does(stage, ring_csv: Path, tmp_path: Path, executable: str) -> None:
+    given = yaml.safe_load((ROOT / "config" / f"{executable}.yaml").read_text())["/**"]["ros__parameters"]
+    node = make(executable, ring_csv, tmp_path)
+    stage.add(node)
+    for name, value in given.items():
+        assert node.has_parameter(name), name
+        assert node.get_parameter(name).value == value, name
+        assert node.describe_parameter(name).description, name
+    if executable in ("estimator", "simulator"):
+        assert set(NAMES) <= set(given)
+    node.close()
+
+
+def test_there_is_a_file_for_each_executable() -> None:
+    assert sorted(p.stem for p in (ROOT / "config").iterdir()) == list(EXECUTABLES)
+
+
+def launched(path: Path) -> list[dict[str, str]]:
+    """Constant arguments of each Node(...) in a launch file."""
+    calls = [n for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.Call)]
+    nodes = [c for c in calls if isinstance(c.func, ast.Name) and c.func.id == "Node"]
+    return [{k.arg: k.value.value for k in n.keywords if k.arg and isinstance(k.value, ast.Constant)} for n in nodes]
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "launch").glob("*.launch.py")), ids=lambda p: p.name)
+def test_launch_files_start_what_is_there(path: Path) -> None:
+    compile(path.read_text(), str(path), "exec")
+    assert "def generate_launch_description()" in path.read_text()
+    executables = {node["executable"] for node in launched(path)}
+    assert {"recorder", "estimator"} < executables <= set(EXECUTABLES)
+    installed = {e.name for e in entry_points(group="console_scripts") if e.value.startswith("sugiyama_ros.nodes.")}
+    if installed:  # not in a checkout that has not been installed
+        assert executables <= installed

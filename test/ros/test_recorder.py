@@ -1,0 +1,195 @@
+"""The recorder: what is kept, and what a crash leaves."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
+from rclpy.serialization import serialize_message
+from std_msgs.msg import Header, String
+
+from sugiyama_ros.errors import InputError, OutputError
+from sugiyama_ros.formats.mcap_reader import Bag
+from sugiyama_ros.formats.recover import recover
+from sugiyama_ros.nodes import recorder as recorder_module
+from sugiyama_ros.nodes.node import ERROR
+from sugiyama_ros.nodes.qos import STREAM
+from sugiyama_ros.nodes.recorder import Recorder
+
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
+
+
+def recorder(output: Path, *paced: str) -> Recorder:
+    """A recorder in this process."""
+    overrides = [Parameter("output", value=str(output)), Parameter("metadata", value=["a=b=c"])]
+    if paced:
+        overrides.append(Parameter("paced_topics", value=list(paced)))
+    return Recorder(parameter_overrides=overrides)
+
+
+def holds(recording: Recorder, topic: str, messages: int) -> bool:
+    """Whether the recorder has so many messages of a topic; it records its own /diagnostics as well."""
+    return recording._bag.counts.get(topic, 0) >= messages
+
+
+def test_bytes_and_quality_of_service_are_kept(stage, tmp_path: Path) -> None:
+    node = Node("sender")
+    best_effort = QoSProfile(depth=5, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+    latched = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+    plain = node.create_publisher(String, "plain", 10)
+    loose = node.create_publisher(String, "loose", best_effort)
+    early = node.create_publisher(String, "early", latched)
+    hidden = node.create_publisher(String, "_hidden", latched)
+    early.publish(String(data="sent before the recorder was there"))
+    hidden.publish(String(data="not for the file"))
+    recording = recorder(tmp_path / "out.mcap")
+    stage.add(node, recording)
+    stage.until(lambda: holds(recording, "/early", 1))
+    before = time.time_ns()
+    plain.publish(String(data="one"))
+    loose.publish(String(data="two"))
+    stage.until(lambda: holds(recording, "/plain", 1) and holds(recording, "/loose", 1))
+    recording.finish()
+    recording.close()
+    assert recording.failure is None
+    with Bag(tmp_path / "out.mcap") as bag:
+        info = bag.info()
+        assert info.metadata["sugiyama"]["a"] == "b=c"
+        assert {t.name: (t.type, t.reliability, t.durability) for t in info.topics if t.name != "/diagnostics"} == {
+            "/plain": ("std_msgs/msg/String", "reliable", "volatile"),
+            "/loose": ("std_msgs/msg/String", "best_effort", "volatile"),
+            "/early": ("std_msgs/msg/String", "reliable", "transient_local"),
+        }
+        (message,) = bag.raw_messages(["/plain"])
+    assert message.message == serialize_message(String(data="one"))
+    assert before < message.log_time_ns < time.time_ns()
+
+
+def test_a_topic_that_appears_later_is_recorded_too(stage, tmp_path: Path) -> None:
+    node, recording = Node("sender"), recorder(tmp_path / "out.mcap")
+    stage.add(node, recording)
+    stage.for_a_while(0.1)
+    publisher = node.create_publisher(String, "late", STREAM)
+    for k in range(5):
+        publisher.publish(String(data=str(k)))
+    stage.until(lambda: holds(recording, "/late", 5))
+    recording.finish()
+    recording.close()
+    with Bag(tmp_path / "out.mcap") as bag:
+        assert [m.message.data for m in bag.messages(["/late"])] == list("01234")
+
+
+def test_a_topic_that_falls_silent_is_no_longer_waited_for(stage, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(recorder_module, "_PATIENCE_S", 1.0)
+    node = Node("sender")
+    measured = node.create_publisher(Header, "measured", STREAM)
+    state = node.create_publisher(Header, "state", STREAM)
+    # These stand for measured positions: only their stamps and steps are looked at.
+    monkeypatch.setattr(recorder_module.wire, "measured", lambda raw: type("Sample", (), {"step": raw[4]}))
+    recording = recorder(tmp_path / "out.mcap", "/measured", "/state")
+    stage.add(node, recording)
+
+    def send(step: int, *publishers: object) -> None:
+        header = Header()
+        header.stamp.sec = step
+        for publisher in publishers:
+            publisher.publish(header)
+
+    for step in range(3):
+        send(step, measured, state)
+    stage.until(lambda: recording.steps == 3)
+    for step in range(3, 6):
+        send(step, measured)
+    stage.until(lambda: recording.received >= 9)
+    assert recording.steps == 3
+    stage.until(lambda: recording.steps == 6, 5.0)
+    assert recording.health().level == ERROR
+    assert recording.health().message == "gave up waiting for /state"
+    recording.close()
+
+
+def test_an_output_that_cannot_be_written_is_one_line(stage, tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="cannot be written"):
+        recorder(tmp_path / "missing" / "out.mcap")
+    with pytest.raises(InputError, match="recorder: no file given"):
+        Recorder()
+
+
+def test_a_disk_that_refuses_ends_the_recorder_and_no_other(stage, tmp_path: Path, monkeypatch) -> None:
+    node, recording = Node("sender"), recorder(tmp_path / "out.mcap")
+    publisher = node.create_publisher(String, "plain", STREAM)
+    stage.add(node, recording)
+
+    def refuse(*_: object) -> None:
+        raise OutputError("out.mcap: cannot be written: No space left on device; free some space")
+
+    monkeypatch.setattr(recorder_module.BagWriter, "write", refuse)
+    publisher.publish(String(data="one"))
+    stage.until(lambda: recording.failure is not None)
+    recording.close()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_kill_loses_at_most_a_second(stage, tmp_path: Path) -> None:
+    output = tmp_path / "out.mcap"
+    node = Node("sender")
+    publisher = node.create_publisher(Header, "beat", STREAM)
+    stage.add(node)
+    command = [sys.executable, "-m", "sugiyama_ros.nodes.recorder", "--ros-args", "-p", f"output:={output}"]
+    child = subprocess.Popen(command, env=dict(os.environ))
+    sent: list[tuple[int, float]] = []
+
+    def send() -> bool:
+        header = Header()
+        header.stamp.sec = len(sent)
+        publisher.publish(header)
+        sent.append((len(sent), time.monotonic()))
+        time.sleep(0.01)
+        return publisher.get_subscription_count() > 0 and sent[-1][1] > heard_s + 3.0
+
+    try:
+        heard_s = float("inf")
+        stage.until(lambda: publisher.get_subscription_count() > 0)
+        heard_s = time.monotonic()
+        stage.until(send)
+    finally:
+        child.send_signal(signal.SIGKILL)
+        killed_s = time.monotonic()
+        child.wait()
+    assert not output.exists()
+    recovered = recover(output.with_name("out.mcap.part"), output)
+    assert recovered.messages > 0
+    with Bag(output) as bag:
+        kept = [m.message.stamp.sec for m in bag.messages(["/beat"])]
+    assert kept == list(range(kept[0], kept[0] + len(kept)))
+    last_kept_s = dict(sent)[kept[-1]]
+    # A second between two flushes, and what it takes to hear, write and be killed.
+    assert killed_s - last_kept_s < 1.3
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_leaves_a_closed_file(stage, tmp_path: Path, number: signal.Signals) -> None:
+    output = tmp_path / "out.mcap"
+    node = Node("sender")
+    publisher = node.create_publisher(String, "plain", STREAM)
+    stage.add(node)
+    command = [sys.executable, "-m", "sugiyama_ros.nodes.recorder", "--ros-args", "-p", f"output:={output}"]
+    child = subprocess.Popen(command, env=dict(os.environ))
+    try:
+        for k in range(100):
+            publisher.publish(String(data=str(k)))
+        stage.until(lambda: publisher.get_subscription_count() > 0)
+        stage.for_a_while(0.5)
+        child.send_signal(number)
+        assert child.wait(15) == 0
+    finally:
+        child.kill()
+        child.wait()
+    with Bag(output) as bag:
+        assert [m.message.data for m in bag.messages(["/plain"])] == [str(k) for k in range(100)]

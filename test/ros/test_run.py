@@ -1,0 +1,196 @@
+"""The main job as a whole: nothing is lost, and nothing hangs."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from sugiyama_ros.errors import InputError, OutputError, SugiyamaError
+from sugiyama_ros.formats import read_trajectories
+from sugiyama_ros.formats.mcap_reader import Bag
+from sugiyama_ros.nodes import recorder, source, team
+from sugiyama_ros.nodes.estimator import Estimator
+from sugiyama_ros.nodes.node import PacedNode
+from sugiyama_ros.nodes.plan import namespaces
+from sugiyama_ros.nodes.run import RunResult, run
+
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
+
+
+def assert_nothing_lost(result: RunResult, output: Path) -> None:
+    """All 200 steps of 4 vehicles are in the file, on every topic."""
+    assert (result.steps, result.vehicles, result.messages_lost, result.interrupted) == (200, 4, 0, False)
+    assert result.messages_published == result.messages_recorded
+    with Bag(output) as bag:
+        counts = {topic.name: topic.count for topic in bag.info().topics}
+    per_step = {"/clock", "/measured"} | {f"/vehicle_0{v}/{t}" for v in range(4) for t in ("state", "innovation")}
+    assert {name: counts[name] for name in per_step} == dict.fromkeys(per_step, 200)
+    assert counts["/road"] == 1
+    assert all(counts[f"/vehicle_0{v}/parameters"] >= 100 for v in range(4))
+    assert set(counts) == per_step | {"/road", "/markers", "/diagnostics"} | {
+        f"/vehicle_0{v}/parameters" for v in range(4)
+    }
+
+
+@pytest.mark.parametrize("processes", [False, True])
+def test_nothing_is_lost_at_full_speed(ring_csv: Path, tmp_path: Path, processes: bool) -> None:
+    output = tmp_path / "out.mcap"
+    told: list[tuple[int, int]] = []
+    result = run(ring_csv, output, ring_m=100.0, processes=processes, on_progress=lambda k, n: told.append((k, n)))
+    assert_nothing_lost(result, output)
+    assert [d.vehicle for d in result.drivers] == [0, 1, 2, 3]
+    assert all(0.05 < d.one_step_rmse_m < 2.0 for d in result.drivers)
+    assert told == sorted(told)
+    assert told[-1][1] == 200
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["out.mcap", "ring.csv"]
+
+
+def test_what_is_recorded_is_what_was_read(ring_csv: Path, tmp_path: Path) -> None:
+    run(ring_csv, tmp_path / "out.mcap", ring_m=100.0)
+    original, back = read_trajectories(ring_csv, 100.0), read_trajectories(tmp_path / "out.mcap")
+    assert back.position_m == pytest.approx(original.position_m, abs=1e-9)
+    assert (back.leader == original.leader).all()
+    assert back.sha256 == original.sha256
+
+
+def test_a_recording_can_be_run_again(ring_csv: Path, tmp_path: Path) -> None:
+    first = run(ring_csv, tmp_path / "first.mcap", ring_m=100.0)
+    again = run(tmp_path / "first.mcap", tmp_path / "again.mcap")
+    assert_nothing_lost(again, tmp_path / "again.mcap")
+    assert again.drivers == first.drivers
+
+
+def test_a_slow_driver_loses_nothing(ring_csv: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    follow = Estimator._follow
+
+    def slowly(self: Estimator, *arguments: object) -> object:
+        if self.vehicle == 2:
+            time.sleep(0.005)
+        return follow(self, *arguments)
+
+    monkeypatch.setattr(Estimator, "_follow", slowly)
+    assert_nothing_lost(run(ring_csv, tmp_path / "out.mcap", ring_m=100.0), tmp_path / "out.mcap")
+
+
+def test_a_driver_that_stops_is_left_behind(ring_csv: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(source, "_PATIENCE_S", 1.0)
+    monkeypatch.setattr(recorder, "_PATIENCE_S", 1.0)
+    monkeypatch.setattr(team, "_STOP_S", 1.0)
+    take, beat = Estimator._on_measured, PacedNode._on_beat
+
+    def is_stuck(node: PacedNode) -> bool:
+        return isinstance(node, Estimator) and node.vehicle == 2 and node.steps >= 50
+
+    monkeypatch.setattr(Estimator, "_on_measured", lambda self, raw: None if is_stuck(self) else take(self, raw))
+    monkeypatch.setattr(PacedNode, "_on_beat", lambda self: None if is_stuck(self) else beat(self))
+    result = run(ring_csv, tmp_path / "out.mcap", ring_m=100.0)
+    assert result.steps == 200
+    # His state and innovation of 150 steps, and nobody else's.
+    assert result.messages_lost == 300
+    with Bag(tmp_path / "out.mcap") as bag:
+        counts = {topic.name: topic.count for topic in bag.info().topics}
+        told = {s.message for m in bag.messages(["/diagnostics"]) for s in m.message.status}
+    assert counts["/vehicle_02/state"] == 50
+    assert counts["/vehicle_01/state"] == 200
+    assert "gave up waiting for /vehicle_02/estimator" in told
+    assert "gave up waiting for /vehicle_02/innovation, /vehicle_02/state" in told
+
+
+def children(of: int) -> list[int]:
+    """Processes that process ``of`` has started."""
+    return [int(pid) for pid in Path(f"/proc/{of}/task/{of}/children").read_text().split()]
+
+
+def command_line(pid: int) -> str:
+    """How a process was started."""
+    return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode()
+
+
+def kill_when_running(output: Path, wanted: str) -> threading.Thread:
+    """Kill the child of this process whose command line contains ``wanted`` as soon as the run writes its file."""
+
+    def kill() -> None:
+        part = output.with_name(output.name + ".part")
+        while not (part.exists() and part.stat().st_size > 10_000):
+            time.sleep(0.05)
+        for pid in children(os.getpid()):
+            if wanted in command_line(pid):
+                os.kill(pid, signal.SIGKILL)
+
+    thread = threading.Thread(target=kill, daemon=True)
+    thread.start()
+    return thread
+
+
+@pytest.mark.parametrize("wanted", ["vehicle_02", "nodes.replay"])
+def test_a_dead_process_ends_the_run_in_one_line(ring_csv: Path, tmp_path: Path, wanted: str) -> None:
+    output = tmp_path / "out.mcap"
+    killer = kill_when_running(output, wanted)
+    name = "/vehicle_02/estimator" if wanted == "vehicle_02" else "/replay"
+    with pytest.raises(SugiyamaError, match=f"^{name}: ended with code -9: said nothing; its log is /") as caught:
+        run(ring_csv, output, ring_m=100.0, rate=10.0, processes=True)
+    killer.join(5.0)
+    assert "\n" not in str(caught.value)
+    assert children(os.getpid()) == []
+    with Bag(output) as bag:  # the others stopped in good order
+        assert bag.info().messages > 0
+
+
+def test_a_dead_recorder_leaves_what_it_had(ring_csv: Path, tmp_path: Path) -> None:
+    output = tmp_path / "out.mcap"
+    kill_when_running(output, "nodes.recorder")
+    with pytest.raises(SugiyamaError, match=r"^/recorder: ended with code -9"):
+        run(ring_csv, output, ring_m=100.0, rate=10.0, processes=True)
+    assert not output.exists()
+    assert output.with_name("out.mcap.part").exists()
+
+
+@pytest.mark.parametrize("processes", [False, True])
+def test_ctrl_c_leaves_a_closed_file(ring_csv: Path, tmp_path: Path, processes: bool) -> None:
+    output = tmp_path / "out.mcap"
+    code = (
+        "import sys; from pathlib import Path; from sugiyama_ros.nodes.run import run;"
+        f"r = run(Path({str(ring_csv)!r}), Path({str(output)!r}), rate=2.0, ring_m=100.0, processes={processes},"
+        "on_progress=lambda k, n: k >= 8 and print('going', flush=True));"
+        "print('ended', r.interrupted, r.messages_lost, r.steps, flush=True)"
+    )
+    # A terminal sends Ctrl-C to the whole group.
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, start_new_session=True)
+    try:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "going\n"
+        os.killpg(process.pid, signal.SIGINT)
+        said, _ = process.communicate(timeout=40)
+    finally:
+        process.kill()
+        process.wait()
+    ended, interrupted, lost, steps = said.splitlines()[-1].split()
+    assert (ended, interrupted, lost) == ("ended", "True", "0")
+    assert 8 <= int(steps) < 200
+    with Bag(output) as bag:
+        counts = {topic.name: topic.count for topic in bag.info().topics}
+    assert int(steps) <= counts["/vehicle_03/state"] <= counts["/measured"] < 200
+
+
+def test_bad_input_starts_nothing(ring_csv: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError):
+        run(tmp_path / "missing.csv", tmp_path / "out.mcap")
+    with pytest.raises(OutputError, match="cannot be written"):
+        run(ring_csv, tmp_path / "missing" / "out.mcap", ring_m=100.0)
+    assert [p.name for p in tmp_path.iterdir()] == ["ring.csv"]
+
+
+def test_an_output_refused_to_a_process_is_one_line(ring_csv: Path, tmp_path: Path) -> None:
+    with pytest.raises(SugiyamaError, match=r"^/recorder: ended with code 1: .*cannot be written"):
+        run(ring_csv, tmp_path / "missing" / "out.mcap", ring_m=100.0, processes=True)
+    assert children(os.getpid()) == []
+
+
+def test_namespaces_have_as_many_digits_as_needed() -> None:
+    assert namespaces([0, 7, 21]) == ["/vehicle_00", "/vehicle_07", "/vehicle_21"]
+    assert namespaces([7, 1234]) == ["/vehicle_0007", "/vehicle_1234"]
