@@ -419,3 +419,7 @@ def _strict(value: Any) -> Any:
     if isinstance(value, Path):
         return str(value)
     return value.item() if isinstance(value, np.generic) else value
+
+
+if __name__ == "__main__":
+    main()

@@ -25,6 +25,7 @@ except ImportError:  # older than Jazzy's seventh patch
 RUNNER = "SUGIYAMA_RUNNER"
 _SLICE_S = 0.02
 _QUIET_S = 0.2
+_TAKE_DOWN_S = 3
 
 
 @contextmanager
@@ -93,9 +94,13 @@ def run_node(make: Callable[[], PacedNode]) -> None:
             node.finish()
             spinner.until_quiet(lambda: node.received)
             node.close()
+            if node.failure is not None:
+                raise node.failure
+            # All is done. Where many processes end at the same time, Fast DDS 2.14 sometimes waits forever in taking
+            # its participant down (DomainParticipant::set_listener), with Python locked.
+            signal.signal(signal.SIGALRM, signal.SIG_DFL)
+            signal.alarm(_TAKE_DOWN_S)
             spinner.close()
             node.destroy_node()
-        if node.failure is not None:
-            raise node.failure
     except SugiyamaError as error:
         sys.exit(str(error))

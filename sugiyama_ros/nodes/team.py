@@ -21,8 +21,10 @@ from sugiyama_ros.nodes.recorder import Recorder
 from sugiyama_ros.nodes.replay import Replay
 from sugiyama_ros.nodes.spin import RUNNER, Spinner
 
-_STOP_S = 10.0
+_STOP_S = 15.0
 _LAST_STEPS_S = 0.5
+#: Exit codes of a node that was stopped; the alarm is the one that run_node sets when its work is done.
+_ENDED_WELL = (0, -signal.SIGALRM)
 
 
 class Team(Protocol):
@@ -90,7 +92,7 @@ class Processes:
         """Raises SugiyamaError if a process has ended that was not stopped, or not in good order."""
         for name, child in self._children.items():
             code = child.poll()
-            if code is not None and not (self._stopped and code == 0):
+            if code is not None and not (self._stopped and code in _ENDED_WELL):
                 log = self._log(name)
                 lines = log.read_text(errors="replace").split("\n") if log.exists() else []
                 said = next((line.strip() for line in reversed(lines) if line.strip()), "said nothing")
@@ -109,7 +111,7 @@ class Processes:
 
     def close(self) -> None:
         """Remove the logs, unless they tell of a failure."""
-        if not any(child.returncode for child in self._children.values()):
+        if all(child.returncode in _ENDED_WELL for child in self._children.values()):
             rmtree(self._logs)
 
     def _start(self, name: str, module: str, parameters: dict[str, Any]) -> None:

@@ -1,0 +1,236 @@
+"""The command line as a user meets it: what goes wrong is one line and exit code 2, what goes right is one document."""
+
+import json
+import os
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sugiyama_ros import cli
+
+pytestmark = pytest.mark.system
+GOOD = "time_s,vehicle,position_m\n" + "".join(f"{0.5 * t},{v},{20 * v + 4 * t}\n" for t in range(40) for v in range(3))
+
+
+@pytest.fixture
+def sugiyama(monkeypatch, capfd):
+    """Run a command in this process: exit code, stdout, stderr."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["sugiyama", *map(str, arguments)])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        out, err = capfd.readouterr()
+        return end.value.code or 0, out, err
+
+    return run
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "good.csv").write_text(GOOD)
+    return tmp_path
+
+
+def one_line(result, *words):
+    """It was refused as it should be."""
+    code, out, err = result
+    assert code == 2
+    assert out == ""
+    assert err.startswith("error: ")
+    assert err.count("\n") == 1
+    assert all(word in err for word in words), err
+
+
+BAD_CSV = {
+    "empty": ("", ("bad.csv", "empty")),
+    "header only": ("time_s,vehicle,position_m\n", ("bad.csv",)),
+    "wrong columns": ("t,car,x\n0,1,2\n", ("bad.csv", "position_m")),
+    "text": ("time_s,vehicle,position_m\n0,1,2\n0.5,1,far\n", ("bad.csv", "3", "position_m")),
+    "nan": ("time_s,vehicle,position_m\n0,1,2\n0.5,1,nan\n", ("bad.csv", "3", "position_m")),
+    "backward": ("time_s,vehicle,position_m\n0,1,2\n1,1,3\n0.5,1,4\n", ("bad.csv", "4")),
+    "twice": ("time_s,vehicle,position_m\n0,1,2\n0,1,3\n", ("bad.csv", "3")),
+    "irregular": ("time_s,vehicle,position_m\n0,1,2\n1,1,3\n2,1,4\n3.4,1,5\n4,1,6\n", ("bad.csv", "regular")),
+    "one sample": ("time_s,vehicle,position_m\n0,1,2\n", ("bad.csv",)),
+    "negative vehicle": ("time_s,vehicle,position_m\n0,-1,2\n1,-1,3\n", ("bad.csv", "2", "vehicle")),
+    "negative length": ("time_s,vehicle,position_m,length_m\n0,1,2,-4\n1,1,3,-4\n", ("bad.csv", "length")),
+}
+
+
+@pytest.mark.parametrize("what", BAD_CSV)
+@pytest.mark.parametrize("command", ["convert", "run"])
+def test_bad_csv(sugiyama, here, what, command):
+    text, words = BAD_CSV[what]
+    (here / "bad.csv").write_text(text)
+    output = ["out.mcap"] if command == "convert" else ["-o", "out.mcap"]
+    one_line(sugiyama(command, "bad.csv", *output), *words)
+    assert sorted(p.name for p in here.iterdir()) == ["bad.csv", "good.csv"]
+
+
+def bad_bag(kind, good):
+    if kind == "random":
+        return good[:8] + np.random.default_rng(0).bytes(5000)
+    if kind == "cut":
+        return good[: len(good) * 7 // 10]
+    # a chunk record that claims a gigabyte of content, in a kilobyte
+    body = struct.pack("<QQQI", 0, 1, 1 << 30, 0) + struct.pack("<I4sQ", 4, b"zstd", 900) + b"\0" * 900
+    header = bytes([1]) + struct.pack("<Q", 8) + bytes(8)
+    return good[:8] + header + bytes([6]) + struct.pack("<Q", len(body)) + body + good[:8]
+
+
+@pytest.mark.parametrize("kind", ["random", "cut", "gigabyte"])
+@pytest.mark.parametrize("command", ["info", "echo", "convert", "run", "recover"])
+def test_bad_bags(sugiyama, here, kind, command):
+    assert sugiyama("convert", "good.csv", "good.mcap")[0] == 0
+    good = (here / "good.mcap").read_bytes()
+    (here / "good.mcap").unlink()
+    (here / "bad.mcap").write_bytes(bad_bag(kind, good))
+    more = {"echo": ["/measured"], "convert": ["out.mcap"], "run": ["-o", "out.mcap"]}.get(command, [])
+    result = sugiyama(command, "bad.mcap", *more)
+    if (kind, command) in {("cut", "recover"), ("cut", "info")}:
+        # what is whole of a cut file can be told and saved
+        assert result[0] in (0, 2)
+    else:
+        one_line(result, "bad.mcap")
+    assert not (here / "out.mcap").exists()
+    assert not list(here.glob("*.part"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("convert", "missing.csv", "out.mcap"), ("missing.csv",)),
+        (("convert", ".", "out.mcap"), (".",)),
+        (("convert", "good.csv", "nowhere/out.mcap"), ("nowhere",)),
+        (("convert", "good.csv", "good.csv/out.mcap"), ("good.csv",)),
+        (("convert", "good.csv", "out.mcap", "--ring", "-5"), ("ring", "-5")),
+        (("convert", "good.csv", "out.mcap", "--ring", "nan"), ("ring", "nan")),
+        (("run", "good.csv", "-o", "nowhere/out.mcap"), ("nowhere",)),
+        (("run", "good.csv", "-o", "out.mcap", "--rate", "0"), ("--rate 0", "max")),
+        (("run", "good.csv", "-o", "out.mcap", "--rate", "fast"), ("--rate fast",)),
+        (("simulate", "-o", "out.txt"), ("out.txt", ".csv")),
+        (("simulate", "-o", "out.csv", "--set", "v_star"), ("--set v_star", "NAME=VALUE")),
+        (("simulate", "-o", "out.csv", "--set", "speed=3"), ("speed", "v_star")),
+        (("simulate", "-o", "out.csv", "--set", "v_star=-3"), ("v_star", "bounds")),
+        (("simulate", "-o", "out.csv", "--set", "v_star=nan"), ("v_star", "bounds")),
+        (("simulate", "-o", "out.csv", "--ring", "50"), ("--ring 50", "22 vehicles")),
+        (("simulate", "-o", "nowhere/out.csv"), ("nowhere",)),
+        (("fetch", "sugiyama1999"), ("sugiyama1999", "sugiyama2008")),
+        (("info", "missing.mcap"), ("missing.mcap",)),
+        (("info", "good.csv"), ("good.csv",)),
+        (("recover", "missing.mcap"), ("missing.mcap",)),
+        (("recover", "good.csv", "-o", "good.csv"), ("good.csv",)),
+    ],
+)
+def test_bad_arguments(sugiyama, here, arguments, words):
+    one_line(sugiyama(*arguments), *words)
+    assert (here / "good.csv").read_text() == GOOD
+    assert sorted(p.name for p in here.iterdir()) == ["good.csv"]
+
+
+def test_a_refused_output_leaves_what_was_there(sugiyama, here):
+    (here / "out.mcap").write_bytes(b"mine")
+    (here / "bad.csv").write_text(BAD_CSV["nan"][0])
+    one_line(sugiyama("convert", "bad.csv", "out.mcap"))
+    assert (here / "out.mcap").read_bytes() == b"mine"
+
+
+def test_a_full_disk_is_one_line(sugiyama, here):
+    """On a file system of 64 kB; where mounting is not allowed there is nothing to test."""
+    small = here / "small"
+    small.mkdir()
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", small], capture_output=True, check=False
+    )
+    if mounted.returncode:
+        pytest.skip("not allowed to mount a small file system")
+    try:
+        assert sugiyama("simulate", "-o", "large.csv", "--duration", "600")[0] == 0
+        one_line(sugiyama("convert", "large.csv", "small/out.mcap", "--ring", "230"), "out.mcap", "space")
+        one_line(sugiyama("simulate", "-o", "small/out.csv", "--duration", "600"), "out.csv", "space")
+        assert list(small.iterdir()) == []
+    finally:
+        subprocess.run(["umount", small], check=True)
+
+
+def test_names_with_marks_of_their_own(sugiyama, here):
+    (here / "[red]a b.csv").write_text(GOOD)
+    code, out, _ = sugiyama("convert", "[red]a b.csv", "[bold].mcap")
+    assert (code, "[bold].mcap" in out) == (0, True)
+    code, out, _ = sugiyama("info", "[bold].mcap")
+    assert (code, "[bold].mcap" in out, "[red]a b.csv" in out) == (0, True, True)
+
+
+def test_every_json_is_one_document(sugiyama, here):
+    commands = [
+        ("simulate", "-o", "sim.mcap", "--duration", "30", "--json"),
+        ("convert", "good.csv", "good.mcap", "--json"),
+        ("info", "good.mcap", "--json"),
+        ("echo", "good.mcap", "/measured", "--json"),
+        ("echo", "good.mcap", "/road", "--json"),
+        ("recover", "good.mcap", "-o", "again.mcap", "--json"),
+        ("run", "sim.mcap", "-o", "run.mcap", "--json"),
+        ("echo", "run.mcap", "/vehicle_21/parameters", "--json"),
+        ("echo", "run.mcap", "/diagnostics", "--json"),
+        ("echo", "run.mcap", "/markers", "--json"),
+    ]
+    documents = {}
+    for command in commands:
+        code, out, err = sugiyama(*command)
+        assert (code, err) == (0, ""), command
+        documents[command[:3]] = json.loads(out, parse_constant=pytest.fail)
+    run = documents["run", "sim.mcap", "-o"]
+    assert {"steps", "vehicles", "messages_published", "messages_recorded", "messages_lost", "wall_s"} <= set(run)
+    assert {"real_time_factor", "output", "drivers"} <= set(run)
+    keys = {"vehicle", "v_star", "kappa_v", "sigma_nu", "sigma_a", "one_step_rmse_m", "nis_mean"}
+    assert [set(d) for d in run["drivers"]] == [keys] * 22
+    assert (run["steps"], run["vehicles"], run["messages_lost"]) == (91, 22, 0)
+    assert len(documents["echo", "good.mcap", "/measured"]) == 40
+
+
+def test_a_seed_repeats_the_file(sugiyama, here):
+    for name in ("a", "b"):
+        assert sugiyama("simulate", "-o", f"{name}.csv", "--duration", "20", "--seed", "5", "--spread", "0.1")[0] == 0
+    assert (here / "a.csv").read_bytes() == (here / "b.csv").read_bytes()
+
+
+def test_a_collision_is_reported(sugiyama, here):
+    command = ("simulate", "-o", "a.csv", "--duration", "900", "--set", "sigma_a=1.2")
+    code, out, _ = sugiyama(*command, "--json")
+    (collision,) = json.loads(out)["collisions"]
+    assert code == 0
+    code, _, err = sugiyama(*command)
+    where = f"vehicle {collision['vehicle']} into {collision['leader']} at {collision['time_s']:.1f} s"
+    assert (code, err) == (0, f"collision: {where}; the run ends there\n")
+
+
+def test_output_that_nobody_reads_is_no_error(here):
+    subprocess.run(
+        [sys.executable, "-m", "sugiyama_ros.cli", "simulate", "-o", "a.mcap"], check=True, capture_output=True
+    )
+    piped = f"{sys.executable} -m sugiyama_ros.cli echo a.mcap /measured | head -1"
+    told = subprocess.run(["bash", "-c", piped], capture_output=True, text=True, check=False)
+    assert told.stdout.startswith("# 0")
+    assert told.stderr == ""
+
+
+def test_licence_is_asked_for(sugiyama, here, monkeypatch):
+    monkeypatch.setattr(os, "isatty", lambda _: False)
+    code, out, err = sugiyama("fetch", "sugiyama2008")
+    assert (code, out) == (2, "")
+    assert "non-commercial" in err
+    assert err.splitlines()[-1].startswith("error: sugiyama2008: its terms were not accepted")
+    assert sorted(p.name for p in here.iterdir()) == ["good.csv"]
+
+
+def test_progress_is_for_terminals_only(here):
+    command = [sys.executable, "-m", "sugiyama_ros.cli", "run", "good.csv", "-o", "out.mcap"]
+    told = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (told.returncode, told.stderr) == (0, "")
+    assert "\x1b" not in told.stdout
+    assert Path("out.mcap").exists()
