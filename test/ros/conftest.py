@@ -1,7 +1,5 @@
 """Nodes under test: each test has a ROS domain of its own, a deadline, and no way to reach another machine."""
 
-import itertools
-import os
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -11,16 +9,17 @@ import numpy as np
 import pytest
 from rclpy.node import Node
 
+from sugiyama_ros.nodes import environment
 from sugiyama_ros.nodes.spin import Spinner, ros
-
-_domains = itertools.count(os.getpid() * 13)
 
 
 @pytest.fixture(autouse=True)
 def own_domain(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Away from the nodes of other tests, also of those that have just ended."""
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(1 + next(_domains) % 100))
+    """A domain that nobody uses; the variables are put back afterwards."""
+    for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_DOMAIN_ID"):
+        monkeypatch.setenv(name, "")
+        monkeypatch.delenv(name)
+    environment.isolate()
 
 
 class Stage:
