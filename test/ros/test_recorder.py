@@ -1,6 +1,5 @@
 """The recorder: what is kept, and what a crash leaves."""
 
-import os
 import signal
 import subprocess
 import sys
@@ -142,7 +141,7 @@ def test_kill_loses_at_most_a_second(stage, tmp_path: Path) -> None:
     publisher = node.create_publisher(Header, "beat", STREAM)
     stage.add(node)
     command = [sys.executable, "-m", "sugiyama_ros.nodes.recorder", "--ros-args", "-p", f"output:={output}"]
-    child = subprocess.Popen(command, env=dict(os.environ))
+    child = subprocess.Popen(command)
     sent: list[tuple[int, float]] = []
 
     def send() -> bool:
@@ -180,7 +179,7 @@ def test_a_signal_leaves_a_closed_file(stage, tmp_path: Path, number: signal.Sig
     publisher = node.create_publisher(String, "plain", STREAM)
     stage.add(node)
     command = [sys.executable, "-m", "sugiyama_ros.nodes.recorder", "--ros-args", "-p", f"output:={output}"]
-    child = subprocess.Popen(command, env=dict(os.environ))
+    child = subprocess.Popen(command)
     try:
         for k in range(100):
             publisher.publish(String(data=str(k)))
@@ -193,3 +192,29 @@ def test_a_signal_leaves_a_closed_file(stage, tmp_path: Path, number: signal.Sig
         child.wait()
     with Bag(output) as bag:
         assert [m.message.data for m in bag.messages(["/plain"])] == [str(k) for k in range(100)]
+
+
+def test_a_process_that_cannot_be_taken_down_ends_with_its_work_done(stage, tmp_path: Path) -> None:
+    output = tmp_path / "out.mcap"
+    node = Node("sender")
+    publisher = node.create_publisher(String, "plain", STREAM)
+    publisher.publish(String(data="one"))
+    stage.add(node)
+    code = (
+        "from sugiyama_ros.nodes.recorder import Recorder, main\n"
+        "def hang(self):\n"
+        "    while True: pass\n"
+        "Recorder.destroy_node = hang\n"
+        "main()"
+    )
+    child = subprocess.Popen([sys.executable, "-c", code, "--ros-args", "-p", f"output:={output}"])
+    try:
+        stage.until(lambda: publisher.get_subscription_count() > 0)
+        stage.for_a_while(0.5)
+        child.send_signal(signal.SIGINT)
+        assert child.wait(15) == -signal.SIGALRM
+    finally:
+        child.kill()
+        child.wait()
+    with Bag(output) as bag:
+        assert [m.message.data for m in bag.messages(["/plain"])] == ["one"]
