@@ -21,7 +21,7 @@ from sugiyama_ros.driver.parameters import (
     UTILITY,
     V_STAR,
 )
-from sugiyama_ros.road import Array, Ints
+from sugiyama_ros.road import Array
 
 #: The paper's grid of candidate accelerations [m/s^2]; section 3.4.1.
 ACTIONS: Array = np.linspace(-6.0, 4.0, 41, dtype=np.float64)
@@ -92,35 +92,6 @@ def preferences(parameters: Array) -> Preferences:
 
 
 @njit(cache=True)
-def smallest_ratio(
-    gap: float,
-    speed: float,
-    leader_speed: float,
-    driver: Preferences,
-    actions: Array,
-    period: float,
-    horizon: int,
-    ratio: Array,
-    tau_min: Ints,
-) -> None:
-    """Smallest gap over scale of the look-ahead, and the period where it lies, for each action (K,).
-
-    F falls with its argument, so g2, the largest penalty of the look-ahead (section 3.2.2), is the penalty there. The
-    loop over the actions is the inner one, because compilers make vector instructions of it.
-    """
-    _, kappa_v, _, kappa_c, kappa_d, _, _ = driver
-    ratio[:] = np.inf
-    tau_min[:] = 1
-    for tau in range(1, horizon + 1):
-        for k in range(len(actions)):
-            gap_ahead, speed_ahead = anticipate(actions[k], tau, gap, speed, leader_speed, period)
-            here = gap_ahead / gap_scale(speed_ahead, leader_speed, kappa_c, kappa_v, kappa_d)
-            closer = here < ratio[k]
-            ratio[k] = here if closer else ratio[k]
-            tau_min[k] = tau if closer else tau_min[k]
-
-
-@njit(cache=True)
 def utilities(
     gap: float,
     speed: float,
@@ -130,34 +101,51 @@ def utilities(
     period: float,
     horizon: int,
     out: Array,
-    tau_min: Ints,
 ) -> None:
     """Effective utility of holding each action (K,): g1 of phi1 and omega2 times g2 of phi2; Eq. EffectiveUtilityTilde.
 
-    ``tau_min`` (K,) takes the period of the look-ahead with the largest penalty.
+    F falls with its argument, so g2, the largest penalty of the look-ahead (section 3.2.2), is that of the smallest gap
+    over scale. The loop over the actions is the inner one, because compilers make vector instructions of it.
     """
-    v_star, _, kappa_1, _, _, omega_2, _ = driver
-    smallest_ratio(gap, speed, leader_speed, driver, actions, period, horizon, out, tau_min)
+    v_star, kappa_v, kappa_1, kappa_c, kappa_d, omega_2, _ = driver
+    out[:] = np.inf
+    for tau in range(1, horizon + 1):
+        for k in range(len(actions)):
+            gap_ahead, speed_ahead = anticipate(actions[k], tau, gap, speed, leader_speed, period)
+            ratio = gap_ahead / gap_scale(speed_ahead, leader_speed, kappa_c, kappa_v, kappa_d)
+            out[k] = ratio if ratio < out[k] else out[k]
     for k in range(len(actions)):
         reward = desired_speed_reward(speed + period * actions[k], v_star, kappa_1)
         out[k] = reward + omega_2 * collision_penalty(out[k])
 
 
 @njit(cache=True)
+def _closest(
+    action: float, gap: float, speed: float, leader_speed: float, driver: Preferences, period: float, horizon: int
+) -> int:
+    """Period of the look-ahead with the smallest gap over scale."""
+    _, kappa_v, _, kappa_c, kappa_d, _, _ = driver
+    smallest, closest = np.inf, 1
+    for tau in range(1, horizon + 1):
+        gap_ahead, speed_ahead = anticipate(action, tau, gap, speed, leader_speed, period)
+        ratio = gap_ahead / gap_scale(speed_ahead, leader_speed, kappa_c, kappa_v, kappa_d)
+        if ratio < smallest:
+            smallest, closest = ratio, tau
+    return closest
+
+
+@njit(cache=True)
 def _utility_gradient(
     action: float,
-    tau: int,
     gap: float,
     speed: float,
     leader_speed: float,
     driver: Preferences,
     period: float,
+    horizon: int,
     out: Array,
 ) -> None:
-    """Partial derivatives of an action's utility into ``out`` (PARTIALS,), that of the rationality left out.
-
-    tau: the period of the look-ahead with the largest penalty.
-    """
+    """Partial derivatives of an action's utility into ``out`` (PARTIALS,), that of the rationality left out."""
     v_star, kappa_v, kappa_1, kappa_c, kappa_d, omega_2, _ = driver
     next_speed = speed + period * action
     off = (next_speed - v_star) / (kappa_1 * v_star)
@@ -170,6 +158,7 @@ def _utility_gradient(
     out[_KAPPA_1] = -slope * off / kappa_1
     if math.isinf(gap):
         return
+    tau = _closest(action, gap, speed, leader_speed, driver, period, horizon)
     gap_min, speed_min = anticipate(action, tau, gap, speed, leader_speed, period)
     scale = gap_scale(speed_min, leader_speed, kappa_c, kappa_v, kappa_d)
     ratio = gap_min / scale
@@ -194,22 +183,22 @@ def _utility_gradient(
 
 
 @njit(cache=True)
-def _boltzmann(
-    gap: float, speed: float, leader_speed: float, driver: Preferences, actions: Array, period: float, horizon: int
-) -> tuple[Array, Ints, Array, float]:
-    """Utilities, periods of the largest penalty, probabilities and mean of the actions; Eq. MaximumEntropy."""
-    utility, probability = np.empty(len(actions)), np.empty(len(actions))
-    tau_min = np.empty(len(actions), np.int64)
-    utilities(gap, speed, leader_speed, driver, actions, period, horizon, utility, tau_min)
+def _mean(utility: Array, rationality: float, actions: Array) -> tuple[float, float]:
+    """Boltzmann mean of the actions (K,), and the partition function over the weight of the best action."""
     best = utility.max()
-    total, weighted = 0.0, 0.0
+    partition, weighted = 0.0, 0.0
     for k in range(len(actions)):
-        exponent = driver[-1] * (utility[k] - best)
-        probability[k] = math.exp(exponent) if exponent > _NEGLIGIBLE else 0.0
-        total += probability[k]
-        weighted += probability[k] * actions[k]
-    probability /= total
-    return utility, tau_min, probability, weighted / total
+        weight = _weight(utility[k], best, rationality)
+        partition += weight
+        weighted += weight * actions[k]
+    return weighted / partition, partition
+
+
+@njit(cache=True)
+def _weight(utility: float, best: float, rationality: float) -> float:
+    """Boltzmann weight of an action, relative to that of the best."""
+    exponent = rationality * (utility - best)
+    return math.exp(exponent) if exponent > _NEGLIGIBLE else 0.0
 
 
 @njit(cache=True)
@@ -220,7 +209,10 @@ def mean_action(
 
     parameters: (P,); horizon: periods of look-ahead.
     """
-    return float(_boltzmann(gap, speed, leader_speed, preferences(parameters), actions, period, horizon)[-1])
+    driver = preferences(parameters)
+    utility = np.empty(len(actions))
+    utilities(gap, speed, leader_speed, driver, actions, period, horizon, utility)
+    return float(_mean(utility, driver[-1], actions)[0])
 
 
 @njit(cache=True)
@@ -239,17 +231,20 @@ def mean_action_gradient(
     The derivative of a Boltzmann mean is a covariance: d mean(a) = lambda cov(a, d utility).
     """
     driver = preferences(parameters)
-    utility, tau_min, probability, mean = _boltzmann(gap, speed, leader_speed, driver, actions, period, horizon)
-    partial = np.empty(PARTIALS)
+    utility, partial = np.empty(len(actions)), np.empty(PARTIALS)
+    utilities(gap, speed, leader_speed, driver, actions, period, horizon, utility)
+    rationality, best = driver[-1], utility.max()
+    mean, partition = _mean(utility, rationality, actions)
     by_rationality = 0.0
     out[:] = 0.0
     for k in range(len(actions)):
-        if probability[k] == 0.0:
+        probability = _weight(utility[k], best, rationality) / partition
+        if probability == 0.0:
             continue
-        _utility_gradient(actions[k], tau_min[k], gap, speed, leader_speed, driver, period, partial)
-        off = probability[k] * (actions[k] - mean)
+        _utility_gradient(actions[k], gap, speed, leader_speed, driver, period, horizon, partial)
+        off = probability * (actions[k] - mean)
         for j in range(PARTIALS):
-            out[j] += driver[-1] * off * partial[j]
+            out[j] += rationality * off * partial[j]
         by_rationality += off * utility[k]
     out[_RATIONALITY] = by_rationality
     return float(mean)
