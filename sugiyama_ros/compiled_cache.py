@@ -12,7 +12,7 @@ from pathlib import Path
 
 _PACKAGE = Path(__file__).parent
 _FOLDER = "compiled-"
-_MADE_OF = ("driver/*.py", "estimation/*.py", "simulation.py")
+_MADE_OF = ("driver/*.py", "effects/*.py", "estimation/*.py", "criticism/*.py", "simulation.py")
 
 
 def choose() -> None:

@@ -11,6 +11,7 @@ from typing import TypeAlias
 import numpy as np
 from numba import njit
 
+from sugiyama_ros.driver.exponential import LOWEST, exponentials
 from sugiyama_ros.driver.parameters import (
     KAPPA_1,
     KAPPA_C,
@@ -36,36 +37,55 @@ _V_STAR, _KAPPA_V, _KAPPA_1, _KAPPA_C, _KAPPA_D, _OMEGA_2, _RATIONALITY = range(
 
 # exp(-10 (v + 0.25)) overflows for speeds that nobody drives backward; its exponent is capped here.
 _EXPONENT_CAP = 600.0
-# Exponent whose exp, 1e-20, cannot change a sum of order 1.
-_NEGLIGIBLE = -46.0
+# Exponent whose exp, 1e-20, cannot change a sum of order 1, and a probability of that size.
+_NEGLIGIBLE, _NO_CHANCE = -46.0, 1e-20
+# Arrays are this many times some number long: vector instructions take several elements at once, and leave none over.
+_LANES = 16
+# Speed [m/s] above which driving backward costs less than that.
+_FORWARD = 4.35
+
+
+@njit(cache=True, error_model="numpy", fastmath={"arcp", "contract", "nsz", "reassoc"})
+def desired_speed_exponent(speed: float, v_star: float, kappa_1: float) -> float:
+    """Exponent of the first term of phi1."""
+    off = (speed - v_star) / (kappa_1 * v_star)
+    return -off * off
+
+
+@njit(cache=True)
+def backward_penalty(speed: float) -> float:
+    """Second term of phi1: what driving backward costs."""
+    exponent = -10.0 * (speed + 0.25)
+    return math.exp(min(exponent, _EXPONENT_CAP)) if exponent > _NEGLIGIBLE else 0.0
 
 
 @njit(cache=True)
 def desired_speed_reward(speed: float, v_star: float, kappa_1: float) -> float:
     """phi1: reward of driving forward near the desired speed; first equation of section 3.2.1."""
-    off = (speed - v_star) / (kappa_1 * v_star)
-    reward = math.exp(-off * off)
-    backward = -10.0 * (speed + 0.25)
-    if backward > _NEGLIGIBLE:
-        reward -= math.exp(min(backward, _EXPONENT_CAP))
-    return reward
+    return math.exp(desired_speed_exponent(speed, v_star, kappa_1)) - backward_penalty(speed)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", fastmath={"arcp", "contract", "nsz", "reassoc"})
 def gap_scale(speed: float, leader_speed: float, kappa_c: float, kappa_v: float, kappa_d: float) -> float:
     """sigma [m]: the gap within which a driver feels at risk; text below Eq. PairwiseCollisionPenalty."""
-    return kappa_c + kappa_v * abs(speed) + kappa_d * max(speed - leader_speed, 0.0)
+    closing = speed - leader_speed
+    return kappa_c + kappa_v * abs(speed) + kappa_d * (closing if closing > 0.0 else 0.0)
+
+
+@njit(cache=True, error_model="numpy", fastmath={"arcp", "contract", "nsz", "reassoc"})
+def collision_exponent(ratio: float) -> float:
+    """log phi2."""
+    inside = ratio if ratio > 0.0 else 0.0
+    return -inside * (inside + 2.0)
 
 
 @njit(cache=True)
 def collision_penalty(ratio: float) -> float:
     """phi2: subjective risk at a gap of ``ratio`` scales; 1 at contact; Eq. PairwiseCollisionPenalty."""
-    if ratio <= 0.0:
-        return 1.0
-    return math.exp(-ratio * (ratio + 2.0))
+    return math.exp(collision_exponent(ratio))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", fastmath={"arcp", "contract", "nsz", "reassoc"})
 def anticipate(
     action: float, tau: int, gap: float, speed: float, leader_speed: float, period: float
 ) -> tuple[float, float]:
@@ -91,7 +111,7 @@ def preferences(parameters: Array) -> Preferences:
     )
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", fastmath={"arcp", "contract", "nsz", "reassoc"})
 def utilities(
     gap: float,
     speed: float,
@@ -100,23 +120,39 @@ def utilities(
     actions: Array,
     period: float,
     horizon: int,
+    work: Array,
     out: Array,
 ) -> None:
     """Effective utility of holding each action (K,): g1 of phi1 and omega2 times g2 of phi2; Eq. EffectiveUtilityTilde.
 
     F falls with its argument, so g2, the largest penalty of the look-ahead (section 3.2.2), is that of the smallest gap
-    over scale. The loop over the actions is the inner one, because compilers make vector instructions of it.
+    over scale. work: (3, K), overwritten. The loops run over the actions, because compilers make vector instructions of
+    that; they take the exponentials of phi1 and phi2 all together, which is why both formulas are split here.
     """
     v_star, kappa_v, kappa_1, kappa_c, kappa_d, omega_2, _ = driver
-    out[:] = np.inf
+    exponent, scratch, ratio = work[0], work[1], work[2]
+    bits = scratch.view(np.int64)
+    for k in range(len(actions)):
+        e = desired_speed_exponent(speed + period * actions[k], v_star, kappa_1)
+        exponent[k] = e if e > LOWEST else LOWEST
+    exponentials(exponent, scratch, bits, out)
+    if speed + period * actions[0] < _FORWARD:
+        for k in range(len(actions)):
+            out[k] -= backward_penalty(speed + period * actions[k])
+    if math.isinf(gap):
+        return
+    ratio[:] = np.inf
     for tau in range(1, horizon + 1):
         for k in range(len(actions)):
             gap_ahead, speed_ahead = anticipate(actions[k], tau, gap, speed, leader_speed, period)
-            ratio = gap_ahead / gap_scale(speed_ahead, leader_speed, kappa_c, kappa_v, kappa_d)
-            out[k] = ratio if ratio < out[k] else out[k]
+            r = gap_ahead / gap_scale(speed_ahead, leader_speed, kappa_c, kappa_v, kappa_d)
+            ratio[k] = r if r < ratio[k] else ratio[k]
     for k in range(len(actions)):
-        reward = desired_speed_reward(speed + period * actions[k], v_star, kappa_1)
-        out[k] = reward + omega_2 * collision_penalty(out[k])
+        e = collision_exponent(ratio[k])
+        exponent[k] = e if e > LOWEST else LOWEST
+    exponentials(exponent, scratch, bits, ratio)
+    for k in range(len(actions)):
+        out[k] += omega_2 * ratio[k]
 
 
 @njit(cache=True)
@@ -182,23 +218,21 @@ def _utility_gradient(
     out[_KAPPA_C] = by_scale
 
 
-@njit(cache=True)
-def _mean(utility: Array, rationality: float, actions: Array) -> tuple[float, float]:
-    """Boltzmann mean of the actions (K,), and the partition function over the weight of the best action."""
-    best = utility.max()
-    partition, weighted = 0.0, 0.0
-    for k in range(len(actions)):
-        weight = _weight(utility[k], best, rationality)
-        partition += weight
-        weighted += weight * actions[k]
-    return weighted / partition, partition
-
-
-@njit(cache=True)
-def _weight(utility: float, best: float, rationality: float) -> float:
-    """Boltzmann weight of an action, relative to that of the best."""
-    exponent = rationality * (utility - best)
-    return math.exp(exponent) if exponent > _NEGLIGIBLE else 0.0
+@njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"})
+def _weights(utility: Array, rationality: float, work: Array, out: Array) -> float:
+    """Boltzmann weights of the actions (K,), relative to that of the best, into ``out``; returns their sum."""
+    exponent, scratch = work[0], work[1]
+    best = utility[0]
+    for k in range(len(utility)):
+        best = utility[k] if utility[k] > best else best
+    for k in range(len(utility)):
+        e = rationality * (utility[k] - best)
+        exponent[k] = e if e > LOWEST else LOWEST
+    exponentials(exponent, scratch, scratch.view(np.int64), out)
+    partition = 0.0
+    for k in range(len(utility)):
+        partition += out[k]
+    return partition
 
 
 @njit(cache=True)
@@ -210,9 +244,18 @@ def mean_action(
     parameters: (P,); horizon: periods of look-ahead.
     """
     driver = preferences(parameters)
-    utility = np.empty(len(actions))
-    utilities(gap, speed, leader_speed, driver, actions, period, horizon, utility)
-    return float(_mean(utility, driver[-1], actions)[0])
+    count = len(actions)
+    work = np.empty((5, -(-count // _LANES) * _LANES))
+    grid, utility, weight = work[3], work[4], work[2]
+    grid[:count] = actions
+    grid[count:] = actions[count - 1]
+    utilities(gap, speed, leader_speed, driver, grid, period, horizon, work, utility)
+    _weights(utility, driver[-1], work, weight)
+    mean, partition = 0.0, 0.0
+    for k in range(count):
+        partition += weight[k]
+        mean += weight[k] * actions[k]
+    return mean / partition
 
 
 @njit(cache=True)
@@ -231,15 +274,24 @@ def mean_action_gradient(
     The derivative of a Boltzmann mean is a covariance: d mean(a) = lambda cov(a, d utility).
     """
     driver = preferences(parameters)
-    utility, partial = np.empty(len(actions)), np.empty(PARTIALS)
-    utilities(gap, speed, leader_speed, driver, actions, period, horizon, utility)
-    rationality, best = driver[-1], utility.max()
-    mean, partition = _mean(utility, rationality, actions)
+    partial, count = np.empty(PARTIALS), len(actions)
+    work = np.empty((5, -(-count // _LANES) * _LANES))
+    grid, utility = work[3], work[4]
+    grid[: len(actions)] = actions
+    grid[len(actions) :] = actions[-1]
+    utilities(gap, speed, leader_speed, driver, grid, period, horizon, work, utility)
+    rationality, weight = driver[-1], work[2]
+    _weights(utility, rationality, work, weight)
+    mean, partition = 0.0, 0.0
+    for k in range(len(actions)):
+        partition += weight[k]
+        mean += weight[k] * actions[k]
+    mean /= partition
     by_rationality = 0.0
     out[:] = 0.0
     for k in range(len(actions)):
-        probability = _weight(utility[k], best, rationality) / partition
-        if probability == 0.0:
+        probability = weight[k] / partition
+        if probability < _NO_CHANCE:
             continue
         _utility_gradient(actions[k], gap, speed, leader_speed, driver, period, horizon, partial)
         off = probability * (actions[k] - mean)

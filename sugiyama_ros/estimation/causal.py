@@ -7,10 +7,14 @@ alone. A driver is filtered together with a chain of vehicles ahead,
     own -> leader -> ... -> last.
 
 Each but the last drives by the paper's model (Eq. ssm_form) behind the next; the last moves with an AR(1) acceleration,
-because nobody tells what he follows. For a driver the state is (position, speed, noise), where the noise
-n_t = rho n_{t-1} + shock is what his acceleration mean_action(s_t) + n_t has beyond the mean action; for the last
-vehicle it is the whole acceleration. Parameters that are adapted online follow as logarithms that wander
-around their prior (Ornstein-Uhlenbeck), so that one which the data do not hold cannot run away.
+because nobody tells what he follows. For a driver the state is (position, speed, noise, held), where the noise
+n_t = rho n_{t-1} + shock is what his acceleration has beyond what he means and the environment adds, and held is the
+acceleration that he made his car do in the last period (the mean action, but for effects); for the last vehicle the
+noise is the whole acceleration. Parameters that are adapted online follow as logarithms that wander around their prior
+(Ornstein-Uhlenbeck), so that one which the data do not hold cannot run away.
+
+Effects act where they do in ``effects.control``. What their perception takes from beyond a driver's own state and his
+leader's (accelerations, the vehicle behind, the second one ahead) enters with its mean.
 
 The mean action is linearised statistically, over what the driver may be seeing: its Jacobian at a point makes an
 extended Kalman filter whose likelihood is chaotic, because close to contact the mean action jumps.
@@ -19,7 +23,7 @@ One function, ``linearise``, states the model; the compiled ``run`` and the filt
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -40,7 +44,12 @@ from sugiyama_ros.driver.parameters import (
     horizon_at,
     population,
 )
-from sugiyama_ros.driver.utility import ACTIONS, mean_action
+from sugiyama_ros.driver.utility import ACTIONS
+from sugiyama_ros.effects.catalogue import WIDTH, place, whole
+from sugiyama_ros.effects.control import act, noise_factor
+from sugiyama_ros.effects.effect import Seen
+from sugiyama_ros.effects.outlier_noise import weigh
+from sugiyama_ros.effects.sensor_eccentricity import displacement
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Array, Ints
 from sugiyama_ros.trajectories import Trajectories
@@ -53,6 +62,10 @@ LAST_RHO, LAST_SHOCK_STD = 0.9, 0.7
 SETTLING = 6
 #: A vehicle is known by nothing, by one position, or by position and speed.
 UNKNOWN, POSITION, MOVING = 0, 1, 2
+#: Entries of the state for each vehicle: position, speed, noise, held acceleration.
+STATE = 4
+_OUTLIERS, _OFF_CENTRE = place("outlier_noise", "share"), place("sensor_eccentricity", "cosine")
+_DRIFT = place("preference_drift", "std")
 # Acceleration [m/s^2] for which a speed from two positions allows.
 _START_ACCELERATION_STD = 1.0
 # Variance below which a direction of what the driver sees counts as known; keeps the Cholesky factor invertible.
@@ -87,15 +100,15 @@ def _looked_at(m: int, led: bool, vehicles: int, adapted: int) -> tuple[Ints, In
     These are the gap (lengths aside), the own and the leader's speed, or without a leader the own speed alone; then the
     logarithms of the adapted parameters.
     """
-    x, v = 3 * m, 3 * m + 1
+    x, v = STATE * m, STATE * m + 1
     seen = 3 if led else 1
     plus, minus = np.empty(seen + adapted, np.int64), np.full(seen + adapted, -1)
     if led:
-        plus[0], plus[1], plus[2], minus[0] = x + 3, v, v + 3, x
+        plus[0], plus[1], plus[2], minus[0] = x + STATE, v, v + STATE, x
     else:
         plus[0] = v
     for k in range(adapted):
-        plus[seen + k] = 3 * vehicles + k
+        plus[seen + k] = STATE * vehicles + k
     return plus, minus
 
 
@@ -120,60 +133,144 @@ def _root(covariance: Array, plus: Ints, minus: Ints) -> Array:
 
 
 @njit(cache=True)
+def _regress(cross: Array, root: Array, plus: Ints, minus: Ints, slope: Array) -> None:
+    """Regression on the state into ``slope``, from what an action shares with each column of the root; spoils cross."""
+    # The covariance of the action with what is looked at is root @ cross, that of the latter root @ root.T.
+    size = len(plus)
+    slope[:] = 0.0
+    for i in range(size - 1, -1, -1):
+        for k in range(i + 1, size):
+            cross[i] -= root[k, i] * cross[k]
+        cross[i] /= root[i, i]
+        slope[plus[i]] += cross[i]
+        if minus[i] >= 0:
+            slope[minus[i]] -= cross[i]
+
+
+@njit(cache=True)
+def _surroundings(
+    m: int,
+    known: Ints,
+    mean: Array,
+    length: Array,
+    rear: Array,
+    parameters: Array,
+    time: float,
+    scene: Scene,
+) -> Seen:
+    """What driver m of a chain sees where the state is ``mean``; rear: position [m], speed, length of the one behind."""
+    last = len(known) - 1
+    x = STATE * m
+    gap, leader_speed, leader_acceleration = np.inf, 0.0, 0.0
+    second_gap, second_speed, rear_gap, rear_speed = np.inf, 0.0, np.inf, 0.0
+    if m < last and known[m + 1] == MOVING:
+        gap = mean[x + STATE] - mean[x] - 0.5 * (length[m] + length[m + 1])
+        leader_speed = mean[x + STATE + 1]
+        rho = parameters[m + 1, RHO] if m + 1 < last else scene.last_rho
+        leader_acceleration = mean[x + STATE + 3] + rho * mean[x + STATE + 2]
+        if m + 1 < last and known[m + 2] == MOVING:
+            second_gap = mean[x + 2 * STATE] - mean[x + STATE] - 0.5 * (length[m + 1] + length[m + 2])
+            second_speed = mean[x + 2 * STATE + 1]
+    if m > 0:
+        if known[m - 1] == MOVING:
+            rear_gap = mean[x] - mean[x - STATE] - 0.5 * (length[m] + length[m - 1])
+            rear_speed = mean[x - STATE + 1]
+    elif not math.isnan(rear[0]):
+        headway = mean[x] - rear[0]
+        if scene.circumference_m > 0.0:
+            headway -= scene.circumference_m * math.floor(headway / scene.circumference_m)
+        rear_gap, rear_speed = headway - 0.5 * (length[m] + rear[2]), rear[1]
+    return Seen(
+        gap,
+        mean[x + 1],
+        leader_speed,
+        mean[x],
+        time,
+        scene.circumference_m,
+        mean[x + 3] + parameters[m, RHO] * mean[x + 2],
+        leader_acceleration,
+        second_gap,
+        second_speed,
+        rear_gap,
+        rear_speed,
+    )
+
+
+@njit(cache=True)
 def expected_action(
     m: int,
     known: Ints,
     mean: Array,
     covariance: Array,
     length: Array,
+    rear: Array,
     parameters: Array,
     adapted: Ints,
     actions: Array,
+    time: float,
     scene: Scene,
     slope: Array,
-) -> tuple[float, float]:
-    """Expectation [m/s^2] of the mean action of a chain's driver m over what he may be seeing, and its spread.
+    held_slope: Array,
+) -> tuple[float, float, float, float]:
+    """Expectation [m/s^2] over what a chain's driver m may be seeing: of what he holds, and of that with what pushes.
 
     Third-degree spherical cubature (Arasaratnam and Haykin 2009) over the gap, the speeds, and the adapted parameters.
-    ``slope`` (3 M + A,) takes the regression of the mean action on the state; the spread [m^2/s^4] is the variance that
-    this regression leaves.
+    ``held_slope`` and ``slope`` (4 M + A,) take the regressions of both on the state; returned are both expectations
+    and both variances [m^2/s^4] that the regressions leave.
     """
     led = known[m + 1] == MOVING
+    driver = parameters[m].copy()
     plus, minus = _looked_at(m, led, len(known), len(adapted))
     size = len(plus)
     root = _root(covariance, plus, minus)
     centre = mean[plus]
+    here = _surroundings(m, known, mean, length, rear, parameters, time, scene)
     if led:
-        centre[0] -= mean[minus[0]] + 0.5 * (length[m] + length[m + 1])
-    driver = parameters.copy()
-    look, cross = np.empty(size), np.zeros(size)
-    total, squares = 0.0, 0.0
+        centre[0] = here.gap
+    look, cross, held_cross = np.empty(size), np.zeros(size), np.zeros(size)
+    total, squares, held_total, held_squares, memory = 0.0, 0.0, 0.0, 0.0, 0.0
+    first_adapted = size - len(adapted)
     for j in range(size):
         for side in (math.sqrt(size), -math.sqrt(size)):
             for i in range(size):
                 look[i] = centre[i] + side * root[i, j]
             for k in range(len(adapted)):
-                driver[UTILITY[adapted[k]]] = math.exp(look[size - len(adapted) + k])
+                driver[UTILITY[adapted[k]]] = math.exp(look[first_adapted + k])
             gap, speed, leader_speed = (look[0], look[1], look[2]) if led else (np.inf, look[0], 0.0)
-            action = mean_action(gap, speed, leader_speed, driver, actions, scene.period_s, scene.horizon)
+            seen = Seen(
+                gap,
+                speed,
+                leader_speed,
+                here.position,
+                time,
+                here.circumference,
+                here.acceleration,
+                here.leader_acceleration,
+                here.second_gap,
+                here.second_speed,
+                here.rear_gap,
+                here.rear_speed,
+            )
+            held, pushed, kept = act(seen, mean[STATE * m + 3], driver, actions, scene.period_s, scene.horizon)
+            action = held + pushed
+            memory += kept
             total += action
             squares += action * action
             cross[j] += action * side
+            held_total += held
+            held_squares += held * held
+            held_cross[j] += held * side
     weight = 0.5 / size
-    expected = weight * total
+    expected, held_expected = weight * total, weight * held_total
     cross *= weight
+    held_cross *= weight
     spread = max(weight * squares - expected * expected - np.sum(cross * cross), 0.0)
-    # The covariance of the action with what is looked at is root @ cross, that of the latter root @ root.T.
-    for i in range(size - 1, -1, -1):
-        for k in range(i + 1, size):
-            cross[i] -= root[k, i] * cross[k]
-        cross[i] /= root[i, i]
-    slope[:] = 0.0
-    for i in range(size):
-        slope[plus[i]] += cross[i]
-        if minus[i] >= 0:
-            slope[minus[i]] -= cross[i]
-    return expected, spread
+    held_spread = max(weight * held_squares - held_expected * held_expected - np.sum(held_cross * held_cross), 0.0)
+    _regress(cross, root, plus, minus, slope)
+    _regress(held_cross, root, plus, minus, held_slope)
+    slope[STATE * m + 3] += weight * memory
+    held_slope[STATE * m + 3] += weight * memory
+    return held_expected, expected, held_spread, spread
 
 
 @njit(cache=True)
@@ -182,75 +279,109 @@ def linearise(
     covariance: Array,
     known: Ints,
     length: Array,
+    rear: Array,
     parameters: Array,
     adapted: Ints,
     prior_mean: Array,
     prior_var: Array,
     actions: Array,
+    time: float,
     scene: Scene,
     next_mean: Array,
     jacobian: Array,
     noise: Array,
 ) -> float:
-    """One period of Eq. ssm_form for a whole chain; returns the own mean action [m/s^2].
+    """One period of Eq. ssm_form for a whole chain; returns what the own driver means to do [m/s^2].
 
-    mean: (3 M + A,) and its covariance; known: (M,) of UNKNOWN, POSITION, MOVING; length: (M,) [m]; parameters: (M, P)
-    at this period, row 0 with the present value of the adapted ones; adapted: (A,) places in UTILITY; prior_mean,
-    prior_var: (A,) of their logarithms.
-    Overwritten: next_mean (3 M + A,), jacobian (3 M + A, 3 M + A), and the diagonal of Q, noise (3 M + A,).
+    mean: (4 M + A,) and its covariance; known: (M,) of UNKNOWN, POSITION, MOVING; length: (M,) [m]; rear: (3,) position
+    [m], speed and length of the vehicle behind, NaN for none; parameters: (M, WIDTH) at this period, row 0 with the
+    present value of the adapted ones; adapted: (A,) places in UTILITY; prior_mean, prior_var: (A,) of their logarithms;
+    time [s] of the recording.
+    Overwritten: next_mean (4 M + A,), jacobian and the process noise Q, both (4 M + A, 4 M + A).
     """
     vehicles = len(known)
     period = scene.period_s
-    slope = np.empty(len(mean))
+    slope, held_slope = np.empty(len(mean)), np.empty(len(mean))
     own_action = 0.0
     next_mean[:] = mean
     jacobian[:, :] = 0.0
-    noise[:] = 0.0
+    noise[:, :] = 0.0
     for k in range(len(adapted)):
-        p = 3 * vehicles + k
+        p = STATE * vehicles + k
         next_mean[p] = prior_mean[k] + scene.memory * (mean[p] - prior_mean[k])
         jacobian[p, p] = scene.memory
-        noise[p] = prior_var[k] * (1.0 - scene.memory**2)
+        noise[p, p] = prior_var[k] * (1.0 - scene.memory**2)
     for m in range(vehicles):
-        x, v, n = 3 * m, 3 * m + 1, 3 * m + 2
+        x, v, n, b = STATE * m, STATE * m + 1, STATE * m + 2, STATE * m + 3
         jacobian[x, x] = jacobian[v, v] = 1.0
         if known[m] != MOVING:
             continue
         jacobian[x, v] = jacobian[v, n] = period
         next_mean[x] = mean[x] + period * mean[v]
-        noise[x], noise[v] = parameters[m, SIGMA_X] ** 2, parameters[m, SIGMA_V] ** 2
+        noise[x, x], noise[v, v] = parameters[m, SIGMA_X] ** 2, parameters[m, SIGMA_V] ** 2
         if m == vehicles - 1:
             action, rho, shock_std = 0.0, scene.last_rho, scene.last_shock_std
+            next_mean[b] = 0.0
         else:
-            action, spread = expected_action(
+            held, action, held_spread, spread = expected_action(
                 m,
                 known,
                 mean,
                 covariance,
                 length,
-                parameters[m],
+                rear,
+                parameters,
                 adapted if m == 0 else adapted[:0],
                 actions,
+                time,
                 scene,
                 slope,
+                held_slope,
             )
-            noise[v] += period * period * spread
-            jacobian[v] += period * slope
+            noise[v, v] += period * period * spread
+            noise[b, b] = held_spread
+            noise[v, b] = noise[b, v] = period * math.sqrt(spread * held_spread)
+            next_mean[b] = held
+            for k in range(len(mean)):
+                jacobian[v, k] += period * slope[k]
+                jacobian[b, k] = held_slope[k]
             if m == 0:
-                own_action = action
-            rho, shock_std = parameters[m, RHO], parameters[m, SIGMA_A]
+                own_action = held
+            rho = parameters[m, RHO]
+            shock_std = parameters[m, SIGMA_A] * noise_factor(mean[v], parameters[m])
         next_mean[v] = mean[v] + period * (action + mean[n])
         next_mean[n] = rho * mean[n]
         jacobian[n, n] = rho
-        noise[n] = shock_std**2
+        noise[n, n] = shock_std**2
     return own_action
+
+
+@njit(cache=True)
+def _predict(covariance: Array, jacobian: Array, noise: Array, half: Array) -> None:
+    """F P F' + Q in place; most of F is 0. half: (size, size), overwritten."""
+    size = len(covariance)
+    for i in range(size):
+        half[i] = 0.0
+        for k in range(size):
+            factor = jacobian[i, k]
+            if factor != 0.0:
+                for j in range(size):
+                    half[i, j] += factor * covariance[k, j]
+    for i in range(size):
+        covariance[i] = noise[i]
+    for j in range(size):
+        for k in range(size):
+            factor = jacobian[j, k]
+            if factor != 0.0:
+                for i in range(size):
+                    covariance[j, i] += factor * half[i, k]
 
 
 @njit(cache=True)
 def forget_vehicle(m: int, mean: Array, covariance: Array, known: Ints) -> None:
     """Make vehicle m of a chain UNKNOWN, uncorrelated with all else."""
     known[m] = UNKNOWN
-    for k in range(3 * m, 3 * m + 3):
+    for k in range(STATE * m, STATE * (m + 1)):
         mean[k] = 0.0
         covariance[k, :] = 0.0
         covariance[:, k] = 0.0
@@ -272,14 +403,15 @@ def start_vehicle(
     Two-point initialisation (Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation,
     section 5.5.3); ``elapsed``: time [s] since the first.
     """
-    x, v, n = 3 * m, 3 * m + 1, 3 * m + 2
+    x, v, n = STATE * m, STATE * m + 1, STATE * m + 2
     circumference = scene.circumference_m
+    measured -= measurement(measured, parameters[m], scene)[0]
     if known[m] == UNKNOWN:
         known[m] = POSITION
         mean[x] = measured
         if m > 0 and known[m - 1] != UNKNOWN and circumference > 0.0:
-            headway = measured - mean[x - 3]
-            mean[x] = mean[x - 3] + headway - circumference * math.floor(headway / circumference)
+            headway = measured - mean[x - STATE]
+            mean[x] = mean[x - STATE] + headway - circumference * math.floor(headway / circumference)
         return
     known[m] = MOVING
     way = measured - mean[x]
@@ -298,18 +430,43 @@ def start_vehicle(
 
 
 @njit(cache=True)
+def measurement(position: float, parameters: Array, scene: Scene) -> tuple[float, float]:
+    """What a measured position has beyond the true one [m] but noise, and one plus its derivative: an entry of H."""
+    if parameters[_OFF_CENTRE] == 0.0 and parameters[_OFF_CENTRE + 1] == 0.0:
+        return 0.0, 1.0
+    off, slope = displacement(position, scene.circumference_m, parameters[_OFF_CENTRE : _OFF_CENTRE + 2])
+    return off, 1.0 + slope
+
+
+@njit(cache=True)
+def robust(y: float, variance: float, parameters: Array) -> tuple[float, float, float]:
+    """How much of P H' y is added to the mean, how much of P H' H P is taken off P, and the sample's log-likelihood.
+
+    Both are 1/S but for outliers: then the mixture of both updates is replaced by its mean and covariance.
+    """
+    if parameters[_OUTLIERS] == 0.0:
+        return 1.0 / variance, 1.0 / variance, -0.5 * (math.log(variance) + y * y / variance)
+    bad, wide, density = weigh(y, variance, parameters[SIGMA_NU] ** 2, parameters[_OUTLIERS : _OUTLIERS + 2])
+    gain = (1.0 - bad) / variance + bad / wide
+    between = (1.0 - bad) / variance**2 + bad / wide**2 - gain * gain
+    return gain, gain - y * y * between, density
+
+
+@njit(cache=True, nogil=True)
 def run(
     position: Array,
     identity: Ints,
     length: Array,
+    rear: Array,
     parameters: Array,
     adapted: Ints,
     prior_var: Array,
     actions: Array,
+    start_s: float,
     scene: Scene,
     innovation: Array,
     innovation_var: Array,
-    scored: NDArray[np.bool_],
+    log_likelihood: Array,
     means: Array,
     covariances: Array,
     motion: Array,
@@ -317,31 +474,32 @@ def run(
     """Filter one chain over T samples; returns the log-likelihood of Eq. SSM_Likelihood (no 2 pi term).
 
     position: (T, M) [m], NaN where missing; identity: (T, M) which vehicle it is, -1 for none; length: (T, M) [m];
-    parameters: (M, P) at this period; adapted, prior_var: (A,). Filled where they have room: innovation [m],
-    innovation_var [m^2] and scored (T,) of the own position; means (T, 3 M + A) and covariances (T, 3 M + A, 3 M + A)
-    after the update; motion (T, 2), own acceleration and mean action [m/s^2] there.
+    rear: (T, 3) of the vehicle behind as for ``linearise``; parameters: (M, WIDTH) at this period; adapted, prior_var:
+    (A,); start_s: time [s] of the first sample. Filled: innovation [m], innovation_var [m^2] and log_likelihood (T,) of
+    the own position, NaN where there is none or where it does not count. Filled where they have room: means (T, 4 M + A)
+    and covariances (T, 4 M + A, 4 M + A) after the update; motion (T, 2), own acceleration and what he means to do
+    [m/s^2] there.
     """
     samples, vehicles = position.shape
-    size = 3 * vehicles + len(adapted)
+    size = STATE * vehicles + len(adapted)
     circumference = scene.circumference_m
     parameters = parameters.copy()
     mean, covariance, known = np.zeros(size), np.zeros((size, size)), np.zeros(vehicles, np.int64)
-    next_mean, jacobian, noise = np.zeros(size), np.zeros((size, size)), np.zeros(size)
+    next_mean, gain = np.zeros(size), np.zeros(size)
+    jacobian, noise, half = np.zeros((size, size)), np.zeros((size, size)), np.zeros((size, size))
     prior_mean = np.empty(len(adapted))
     for k in range(len(adapted)):
         prior_mean[k] = math.log(parameters[0, UTILITY[adapted[k]]])
-        mean[3 * vehicles + k] = prior_mean[k]
-        covariance[3 * vehicles + k, 3 * vehicles + k] = prior_var[k]
+        mean[STATE * vehicles + k] = prior_mean[k]
+        covariance[STATE * vehicles + k, STATE * vehicles + k] = prior_var[k]
     waited = np.zeros(vehicles, np.int64)
     settled = 0
-    log_likelihood = 0.0
+    total = 0.0
     for t in range(samples):
         if t > 0:
             mean[:] = next_mean
-            covariance[:, :] = jacobian @ covariance @ jacobian.T
-            for k in range(size):
-                covariance[k, k] += noise[k]
-        innovation[t], innovation_var[t], scored[t] = np.nan, np.nan, False
+            _predict(covariance, jacobian, noise, half)
+        innovation[t], innovation_var[t], log_likelihood[t] = np.nan, np.nan, np.nan
         settled += 1
         for m in range(vehicles):
             waited[m] += 1
@@ -351,8 +509,9 @@ def run(
                     settled = 0
             if identity[t, m] < 0:
                 continue
-            x = 3 * m
-            variance = covariance[x, x] + parameters[m, SIGMA_NU] ** 2
+            x = STATE * m
+            off, factor = measurement(mean[x], parameters[m], scene)
+            variance = factor * factor * covariance[x, x] + parameters[m, SIGMA_NU] ** 2
             if m == 0 and known[0] == MOVING:
                 innovation_var[t] = variance
             if math.isnan(position[t, m]):
@@ -361,29 +520,35 @@ def run(
                 start_vehicle(m, position[t, m], waited[m] * scene.period_s, mean, covariance, known, parameters, scene)
                 waited[m] = 0
                 continue
-            y = position[t, m] - mean[x]
+            y = position[t, m] - mean[x] - off
             if circumference > 0.0:
                 y -= circumference * round(y / circumference)
+            step, shrink, density = robust(y, variance, parameters[m])
             if m == 0:
                 innovation[t] = y
                 if settled > SETTLING:
-                    scored[t] = True
-                    log_likelihood -= 0.5 * (math.log(variance) + y * y / variance)
-            gain = covariance[:, x] / variance
-            mean += gain * y
-            covariance -= np.outer(gain, gain) * variance
+                    log_likelihood[t] = density
+                    total += density
+            for i in range(size):
+                gain[i] = factor * covariance[i, x]
+            for i in range(size):
+                mean[i] += gain[i] * step * y
+                for j in range(size):
+                    covariance[i, j] -= gain[i] * gain[j] * shrink
         for k in range(len(adapted)):
-            parameters[0, UTILITY[adapted[k]]] = math.exp(mean[3 * vehicles + k])
+            parameters[0, UTILITY[adapted[k]]] = math.exp(mean[STATE * vehicles + k])
         action = linearise(
             mean,
             covariance,
             known,
             length[t],
+            rear[t],
             parameters,
             adapted,
             prior_mean,
             prior_var,
             actions,
+            start_s + t * scene.period_s,
             scene,
             next_mean,
             jacobian,
@@ -392,25 +557,32 @@ def run(
         if len(means) > 0:
             means[t], covariances[t] = mean, covariance
             motion[t, 0], motion[t, 1] = (next_mean[1] - mean[1]) / scene.period_s, action
-    return log_likelihood
+    return total
 
 
 @dataclass(frozen=True, eq=False)
 class Chain:
     """What is measured of one driver and of the vehicles ahead of him, M in all, own first.
 
-    position_m: (T, M), NaN where missing; identity: (T, M) number of the vehicle, -1 for none; length_m: (T, M).
+    position_m: (T, M), NaN where missing; identity: (T, M) number of the vehicle, -1 for none; length_m: (T, M);
+    rear: (T, 3) filtered position [m] and speed [m/s], and length [m], of the vehicle behind, NaN where there is none;
+    start_s: time [s] of the first sample.
     """
 
     position_m: Array
     identity: Ints
     length_m: Array
+    rear: Array
     period_s: float
+    start_s: float
     circumference_m: float
 
 
-def chain_behind(trajectories: Trajectories, driver: int, vehicles: int = CHAIN) -> Chain:
-    """The chain of ``vehicles`` vehicles that starts with the driver of column ``driver`` and looks ahead."""
+def chain_behind(trajectories: Trajectories, driver: int, vehicles: int = CHAIN, segment: Ints | None = None) -> Chain:
+    """The chain of ``vehicles`` vehicles that starts with the driver of column ``driver`` and looks ahead.
+
+    Where ``segment`` (T,) changes, the recording is broken: from there on the vehicles count as others.
+    """
     samples = np.arange(len(trajectories.position_m))
     column = np.where(trajectories.present[:, driver], driver, -1)
     columns = [column]
@@ -419,34 +591,60 @@ def chain_behind(trajectories: Trajectories, driver: int, vehicles: int = CHAIN)
         # on a ring with few vehicles the chain ends before it bites its own tail
         column = np.where(np.any([column == before for before in columns], axis=0), -1, column)
         columns.append(column)
-    chain = np.stack(columns, axis=1)
-    there = chain >= 0
+    chain = _of_columns(trajectories, np.stack(columns, axis=1), segment)
+    follows = (trajectories.leader == driver) & trajectories.present
+    behind = np.where(follows.any(axis=1), follows.argmax(axis=1), -1)
+    return replace(chain, rear=track(_of_columns(trajectories, behind[:, None], segment)))
+
+
+def _of_columns(trajectories: Trajectories, columns: Ints, segment: Ints | None) -> Chain:
+    """Chain of the vehicles in ``columns`` (T, M), -1 for none, with nobody behind."""
+    samples = np.arange(len(columns))
+    there = columns >= 0
+    identity = trajectories.vehicle[columns]
+    if segment is not None:
+        identity = identity + (int(trajectories.vehicle.max()) + 1) * segment[:, None]
     return Chain(
-        position_m=np.where(there, trajectories.position_m[samples[:, None], chain], np.nan),
-        identity=np.where(there, trajectories.vehicle[chain], -1),
-        length_m=np.where(there, trajectories.length_m[chain], 0.0),
+        position_m=np.where(there, trajectories.position_m[samples[:, None], columns], np.nan),
+        identity=np.where(there, identity, -1),
+        length_m=np.where(there, trajectories.length_m[columns], 0.0),
+        rear=np.full((len(columns), 3), np.nan),
         period_s=trajectories.period_s,
+        start_s=trajectories.start_s,
         circumference_m=trajectories.road.circumference_m,
     )
+
+
+def track(alone: Chain) -> Array:
+    """Filtered position [m] and speed [m/s], and length [m], (T, 3), of one vehicle with an AR(1) acceleration."""
+    filtered = filter_chain(alone, population())
+    tracked = np.column_stack([filtered.mean[:, :2], alone.length_m[:, 0]])
+    tracked[~np.isfinite(filtered.innovation_var)] = np.nan
+    return tracked
 
 
 @dataclass(frozen=True, eq=False)
 class Filtered:
     """What the causal filter says of one driver over T samples, after the update with each.
 
-    innovation_m, innovation_var: (T,), NaN where nothing was predicted or measured; scored: (T,);
-    mean: (T, 3 M + A), covariance: (T, 3 M + A, 3 M + A) of the chain's state and the adapted log parameters;
-    acceleration, mean_action: (T,) [m/s^2] own. The own position is continuous, not wrapped.
+    innovation_m, innovation_var: (T,), NaN where nothing was predicted or measured; sample_log_likelihood: (T,), NaN
+    where a sample does not count; mean: (T, 4 M + A), covariance: (T, 4 M + A, 4 M + A) of the chain's state and the
+    adapted log parameters; acceleration, mean_action: (T,) [m/s^2] own. The own position is continuous, not wrapped.
     """
 
     innovation_m: Array
     innovation_var: Array
-    scored: NDArray[np.bool_]
+    sample_log_likelihood: Array
     mean: Array
     covariance: Array
     acceleration: Array
     mean_action: Array
     log_likelihood: float
+
+    @property
+    def scored(self) -> NDArray[np.bool_]:
+        """(T,): whether a sample counts."""
+        return np.isfinite(self.sample_log_likelihood)
 
 
 @dataclass(frozen=True)
@@ -477,10 +675,22 @@ class Adaptation:
 
 
 def chain_parameters(own: Array, ahead: Array | None, vehicles: int, period_s: float) -> Array:
-    """Parameters (M, P) at ``period_s`` of a chain: ``own`` (P,), then ``ahead`` (P,) for all vehicles ahead."""
-    rows = np.tile(population() if ahead is None else ahead, (vehicles, 1))
-    rows[0] = own
+    """Rows (M, WIDTH) at ``period_s`` of a chain: ``own`` (P,), then ``ahead`` (P,) for all vehicles ahead.
+
+    Either may be a whole row (WIDTH,) with effects; ``ahead`` may be rows, (M - 1, P), for each vehicle ahead.
+    """
+    rows = np.empty((vehicles, WIDTH))
+    rows[1:] = whole(population() if ahead is None else ahead)
+    rows[0] = whole(own)
     return at_period(rows, period_s)
+
+
+def adaptation_of(parameters: Array, given: Adaptation = Adaptation()) -> Adaptation:
+    """How a driver's preferences wander by the effect preference_drift of his row, if it is there; else as given."""
+    if len(parameters) <= _DRIFT or parameters[_DRIFT] == 0.0:
+        return given
+    std = float(parameters[_DRIFT])
+    return Adaptation(("v_star", "kappa_v"), (std, std), float(parameters[_DRIFT + 1]))
 
 
 def filter_chain(
@@ -488,21 +698,22 @@ def filter_chain(
 ) -> Filtered:
     """Filter one driver's chain with his parameters (P,) and those of the drivers ahead (P,), else ``population()``."""
     samples, vehicles = chain.position_m.shape
-    size = 3 * vehicles + len(adaptation.names)
-    innovation, innovation_var, scored = np.empty(samples), np.empty(samples), np.empty(samples, np.bool_)
+    size = STATE * vehicles + len(adaptation_of(parameters, adaptation).names)
     means, covariances, motion = np.empty((samples, size)), np.empty((samples, size, size)), np.empty((samples, 2))
-    log_likelihood = _run(
-        chain, parameters, adaptation, ahead, innovation, innovation_var, scored, means, covariances, motion
-    )
-    return Filtered(innovation, innovation_var, scored, means, covariances, motion[:, 0], motion[:, 1], log_likelihood)
+    innovation, variance, of_sample, total = _run(chain, parameters, adaptation, ahead, means, covariances, motion)
+    return Filtered(innovation, variance, of_sample, means, covariances, motion[:, 0], motion[:, 1], total)
+
+
+def predict_samples(chain: Chain, parameters: Array, ahead: Array | None = None) -> tuple[Array, Array, Array]:
+    """Innovation [m], its variance [m^2] and the log-likelihood of every sample, (T,) each; as in ``Filtered``."""
+    nothing = np.empty((0, 0))
+    return _run(chain, parameters, Adaptation(), ahead, nothing, np.empty((0, 0, 0)), nothing)[:3]
 
 
 def log_likelihood(chain: Chain, parameters: Array, ahead: Array | None = None) -> float:
     """Log-likelihood of one driver's chain in the causal formulation; Eq. SSM_Likelihood (no 2 pi term)."""
-    samples = len(chain.position_m)
     nothing = np.empty((0, 0))
-    outputs = np.empty(samples), np.empty(samples), np.empty(samples, np.bool_)
-    return _run(chain, parameters, Adaptation(), ahead, *outputs, nothing, np.empty((0, 0, 0)), nothing)
+    return _run(chain, parameters, Adaptation(), ahead, nothing, np.empty((0, 0, 0)), nothing)[3]
 
 
 def _run(
@@ -510,28 +721,26 @@ def _run(
     parameters: Array,
     adaptation: Adaptation,
     ahead: Array | None,
-    innovation: Array,
-    innovation_var: Array,
-    scored: NDArray[np.bool_],
     means: Array,
     covariances: Array,
     motion: Array,
-) -> float:
-    period = chain.period_s
-    return float(
-        run(
-            chain.position_m,
-            chain.identity,
-            chain.length_m,
-            chain_parameters(parameters, ahead, chain.position_m.shape[1], period),
-            *adaptation.arrays,
-            ACTIONS,
-            scene_at(period, chain.circumference_m, adaptation.relaxation_s),
-            innovation,
-            innovation_var,
-            scored,
-            means,
-            covariances,
-            motion,
-        )
+) -> tuple[Array, Array, Array, float]:
+    period, samples = chain.period_s, len(chain.position_m)
+    adaptation = adaptation_of(parameters, adaptation)
+    outputs = np.empty(samples), np.empty(samples), np.empty(samples)
+    total = run(
+        chain.position_m,
+        chain.identity,
+        chain.length_m,
+        chain.rear,
+        chain_parameters(parameters, ahead, chain.position_m.shape[1], period),
+        *adaptation.arrays,
+        ACTIONS,
+        chain.start_s,
+        scene_at(period, chain.circumference_m, adaptation.relaxation_s),
+        *outputs,
+        means,
+        covariances,
+        motion,
     )
+    return *outputs, float(total)

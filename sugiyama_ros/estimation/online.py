@@ -14,14 +14,21 @@ from filterpy.kalman import ExtendedKalmanFilter
 
 from sugiyama_ros.driver.parameters import NAMES, SIGMA_NU, UTILITY, check, population
 from sugiyama_ros.driver.utility import ACTIONS
+from sugiyama_ros.effects.catalogue import WIDTH, active, effect, place, whole
+from sugiyama_ros.effects.effect import MEASUREMENT
+from sugiyama_ros.errors import InputError
 from sugiyama_ros.estimation.causal import (
     CHAIN,
     MOVING,
     SETTLING,
+    STATE,
     Adaptation,
+    adaptation_of,
     chain_parameters,
     forget_vehicle,
     linearise,
+    measurement,
+    robust,
     scene_at,
     start_vehicle,
 )
@@ -30,6 +37,9 @@ from sugiyama_ros.road import Array, Ints, Road
 #: Adaptation of the estimator nodes: desired speed and risk premium. The prior stds are about those over the drivers of
 #: the measured experiment, each fitted for himself.
 ADAPT = Adaptation(names=("v_star", "kappa_v"), prior_std=(0.1, 0.4), relaxation_s=900.0)
+#: No vehicle behind.
+NOBODY = (math.nan, -1, 0.0)
+_NO_REAR = np.full(3, np.nan)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +77,8 @@ class _ChainFilter(ExtendedKalmanFilter):  # type: ignore[misc]
 class OnlineFilter:
     """Causal filter of one driver behind a chain of vehicles.
 
-    parameters: (P,) of the driver at the start, at the reference period, those of ``population()`` if left out;
-    ``ahead`` (P,): the same of the drivers ahead; period_s: time [s] between two samples.
+    parameters: (P,) of the driver at the start, at the reference period, those of ``population()`` if left out, or a
+    whole row (WIDTH,) with effects; ``ahead``: the same of the drivers ahead; period_s: time [s] between two samples.
     Raises InputError for parameters out of bounds.
     """
 
@@ -84,41 +94,75 @@ class OnlineFilter:
         parameters = population() if parameters is None else parameters
         check(parameters)
         self.road = road
+        self.period_s = period_s
         self.vehicles = vehicles
-        self._start_parameters = parameters.copy()
-        self._rows_at_start = chain_parameters(parameters, ahead, vehicles, period_s)
-        self._places, self._prior_var = adaptation.arrays
-        self._prior_mean = np.log(self._rows_at_start[0, [UTILITY[k] for k in self._places]])
-        self._scene = scene_at(period_s, road.circumference_m, adaptation.relaxation_s)
-        self._measures = np.zeros((vehicles, 3 * vehicles + len(self._places)))
-        self._measures[np.arange(vehicles), 3 * np.arange(vehicles)] = 1.0
+        self._ahead = ahead
+        self._adaptation = adaptation
+        self._places, _ = adaptation_of(parameters, adaptation).arrays
+        self._take(whole(parameters))
+        self._measures = np.zeros((vehicles, STATE * vehicles + len(self._places)))
+        self._measures[np.arange(vehicles), STATE * np.arange(vehicles)] = 1.0
         self._reads = np.eye(3, self._measures.shape[1])
         self.reset()
 
     def reset(self) -> None:
         """Forget all samples and everything learnt."""
         size = self._measures.shape[1]
-        adapted = slice(3 * self.vehicles, size)
+        adapted = slice(STATE * self.vehicles, size)
         self._rows = self._rows_at_start.copy()
+        self._behind = (
+            OnlineFilter(self.period_s, self.road, adaptation=Adaptation(), vehicles=1) if self._aft else None
+        )
         self._known = np.zeros(self.vehicles, np.int64)
         self._identity: list[int] = [-1] * self.vehicles
         self._waited = [0] * self.vehicles
         self._settled = 0
-        self._noise = np.zeros(size)
         self._filter = _ChainFilter(dim_x=size, dim_z=self.vehicles)
         self._filter.x = np.zeros(size)
         self._filter.P = np.zeros((size, size))
-        self._filter.Q = np.zeros((size, size))
+        self._noise = np.zeros((size, size))
         self._filter.next_mean = np.zeros(size)
         self._filter.F = np.zeros((size, size))
         self._filter.x[adapted] = self._prior_mean
         self._filter.P[adapted, adapted] = np.diag(self._prior_var)
-        self._diagonal_of_q = self._filter.Q.reshape(-1)[:: size + 1]
         self._started = False
+
+    def change(self, parameters: Array) -> None:
+        """Go on with other effects, from a whole row (WIDTH,), and keep all that was learnt.
+
+        The driver's own parameters stay as they are. Raises InputError if that needs a parameter adapted which is not.
+        """
+        row = whole(self._start_parameters[: len(NAMES)])
+        row[len(NAMES) :] = parameters[len(NAMES) :]
+        if adaptation_of(row, self._adaptation).names != self.adapted:
+            raise InputError("effect preference_drift: this filter does not adapt v_star and kappa_v; start it anew")
+        learnt = self._rows[0, : len(NAMES)]
+        self._take(row)
+        self._rows = self._rows_at_start.copy()
+        self._rows[0, : len(NAMES)] = learnt
+        if self._aft and self._behind is None:
+            self._behind = OnlineFilter(self.period_s, self.road, adaptation=Adaptation(), vehicles=1)
+
+    def _take(self, row: Array) -> None:
+        adaptation = adaptation_of(row, self._adaptation)
+        _, self._prior_var = adaptation.arrays
+        self._start_parameters = row
+        # drivers ahead share what is the same for all
+        ahead = whole(population() if self._ahead is None else self._ahead)
+        ahead[len(NAMES) :] = row[len(NAMES) :]
+        for name in active(row):
+            if effect(name).individual:
+                ahead[[place(name, p.name) for p in effect(name).parameters]] = 0.0
+        self._rows_at_start = chain_parameters(row, ahead, self.vehicles, self.period_s)
+        self._prior_mean = np.log(self._rows_at_start[0, [UTILITY[k] for k in self._places]])
+        self._scene = scene_at(self.period_s, self.road.circumference_m, adaptation.relaxation_s)
+        names = active(row)
+        self._aft = bool(names) and self.vehicles > 1
+        self._measured_otherwise = any(effect(name).stage == MEASUREMENT for name in names)
 
     @property
     def parameters(self) -> Array:
-        """The driver's parameters (P,) as known now, at the reference period."""
+        """The driver's whole row (WIDTH,) as known now, at the reference period."""
         known = self._start_parameters.copy()
         for k in self._places:
             known[UTILITY[k]] = self._rows[0, UTILITY[k]]
@@ -126,11 +170,11 @@ class OnlineFilter:
 
     @property
     def parameter_covariance(self) -> Array:
-        """Covariance (P, P) of ``parameters``; zero for those that are not adapted."""
-        covariance = np.zeros((len(NAMES), len(NAMES)))
+        """Covariance (WIDTH, WIDTH) of ``parameters``; zero for those that are not adapted."""
+        covariance = np.zeros((WIDTH, WIDTH))
         places = [UTILITY[k] for k in self._places]
         value = self._rows[0, places]
-        logarithms = self._filter.P[3 * self.vehicles :, 3 * self.vehicles :]
+        logarithms = self._filter.P[STATE * self.vehicles :, STATE * self.vehicles :]
         covariance[np.ix_(places, places)] = logarithms * np.outer(value, value)
         return covariance
 
@@ -139,15 +183,28 @@ class OnlineFilter:
         """Names of the parameters that are adapted."""
         return tuple(NAMES[UTILITY[k]] for k in self._places)
 
-    def step(self, position_m: Sequence[float], identity: Sequence[int], length_m: Sequence[float]) -> Estimate:
+    @property
+    def looks_back(self) -> bool:
+        """Whether it has effects, which may depend on the vehicle behind."""
+        return self._aft
+
+    def step(
+        self,
+        position_m: Sequence[float],
+        identity: Sequence[int],
+        length_m: Sequence[float],
+        time_s: float = 0.0,
+        behind: tuple[float, int, float] = NOBODY,
+    ) -> Estimate:
         """Go on by one period and take in its sample.
 
         position_m: M measured positions [m], own first, then those ahead, NaN where missing; identity: M numbers of
-        these vehicles, -1 for none; length_m: their M lengths [m].
+        these vehicles, -1 for none; length_m: their M lengths [m]; time_s: time of the recording, for effects that
+        depend on it; behind: position, number and length of the vehicle behind, where ``looks_back``.
         """
         kalman = self._filter
         if self._started:
-            self._diagonal_of_q[:] = self._noise
+            kalman.Q = self._noise
             kalman.predict()
         self._started = True
         self._settled = 1 if identity[0] != self._identity[0] else self._settled + 1
@@ -161,36 +218,76 @@ class OnlineFilter:
         known = self._known.tolist()
         sampled = [m for m in chain if identity[m] >= 0 and not math.isnan(position_m[m])]
         moving = [m for m in sampled if known[m] == MOVING]
-        innovation, variance = math.nan, math.nan
+        innovation, variance, density = math.nan, math.nan, math.nan
         if known[0] == MOVING:
-            variance = float(kalman.P[0, 0]) + self._rows[0, SIGMA_NU] ** 2
-        if moving:
+            _, factor = measurement(kalman.x[0], self._rows[0], self._scene)
+            variance = factor * factor * float(kalman.P[0, 0]) + self._rows[0, SIGMA_NU] ** 2
+        if moving and self._measured_otherwise:
+            for m in moving:
+                y, log_density = self._update_with_effects(position_m[m], m)
+                if m == 0:
+                    innovation, density = y, log_density
+        elif moving:
             self._update(np.array([position_m[m] for m in moving]), np.array(moving))
-            innovation = float(kalman.y[0]) if moving[0] == 0 else math.nan
+            if moving[0] == 0:
+                innovation = float(kalman.y[0])
+                density = -0.5 * (math.log(variance) + innovation * innovation / variance)
         for m in sampled:
             if known[m] != MOVING:
                 elapsed = self._waited[m] * self._scene.period_s
                 start_vehicle(m, position_m[m], elapsed, kalman.x, kalman.P, self._known, self._rows, self._scene)
                 self._waited[m] = 0
         for j, k in enumerate(self._places):
-            self._rows[0, UTILITY[k]] = math.exp(kalman.x[3 * self.vehicles + j])
+            self._rows[0, UTILITY[k]] = math.exp(kalman.x[STATE * self.vehicles + j])
         lengths = np.array(length_m)
         mean_action = linearise(
             kalman.x,
             kalman.P,
             self._known,
             lengths,
+            self._rear(behind, time_s),
             self._rows,
             self._places,
             self._prior_mean,
             self._prior_var,
             ACTIONS,
+            time_s,
             self._scene,
             kalman.next_mean,
             kalman.F,
             self._noise,
         )
-        return self._estimate(innovation, variance, mean_action, 0.5 * float(lengths[:2].sum()))
+        return self._estimate(innovation, variance, density, mean_action, 0.5 * float(lengths[:2].sum()))
+
+    def _rear(self, behind: tuple[float, int, float], time_s: float) -> Array:
+        """Position [m], speed and length of the vehicle behind, NaN where it is not known."""
+        if self._behind is None:
+            return _NO_REAR
+        position, number, length = behind
+        estimate = self._behind.step([position], [number], [length], time_s)
+        if math.isnan(estimate.innovation_var):
+            return _NO_REAR
+        return np.array([estimate.position_m, estimate.speed, length])
+
+    def _update_with_effects(self, position_m: float, m: int) -> tuple[float, float]:
+        """Kalman update with the position of one vehicle; its innovation [m] and log-likelihood."""
+        kalman, row = self._filter, self._rows[m]
+        x = STATE * m
+        off, factor = measurement(kalman.x[x], row, self._scene)
+        gain = factor * kalman.P[:, x]
+        variance = factor * gain[x] + row[SIGMA_NU] ** 2
+        y = float(self.road.difference(np.float64(position_m), np.float64(kalman.x[x] + off)))
+        step, shrink, density = robust(y, variance, row)
+        measures = factor * self._measures[[m]]
+        kalman.update(
+            np.array([position_m]),
+            HJacobian=lambda _: measures,
+            Hx=lambda state: state[[x]] + off,
+            R=np.array([[1.0 / step - factor * gain[x]]]),
+            residual=self.road.difference,
+        )
+        kalman.P = kalman.P - np.outer(gain, gain) * (shrink - step)
+        return y, density
 
     def _update(self, position_m: Array, moving: Ints) -> None:
         """Kalman update with the positions of the vehicles ``moving`` of the chain."""
@@ -198,12 +295,14 @@ class OnlineFilter:
         self._filter.update(
             position_m,
             HJacobian=lambda _: measures,
-            Hx=lambda x: x[3 * moving],
+            Hx=lambda x: x[STATE * moving],
             R=np.diag(self._rows[moving, SIGMA_NU] ** 2),
             residual=self.road.difference,
         )
 
-    def _estimate(self, innovation: float, variance: float, mean_action: float, half_lengths_m: float) -> Estimate:
+    def _estimate(
+        self, innovation: float, variance: float, density: float, mean_action: float, half_lengths_m: float
+    ) -> Estimate:
         x, covariance = self._filter.x, self._filter.P
         period = self._scene.period_s
         # the next speed is v + dt a, so the acceleration is (v' - v) / dt, and so is its row of derivatives
@@ -218,12 +317,12 @@ class OnlineFilter:
             acceleration=float(self._filter.next_mean[1] - x[1]) / period,
             covariance=reads @ covariance @ reads.T,
             mean_action=mean_action,
-            gap_m=float(x[3] - x[0]) - half_lengths_m if led else math.inf,
-            approach_rate=float(x[1] - x[4]) if led else 0.0,
+            gap_m=float(x[STATE] - x[0]) - half_lengths_m if led else math.inf,
+            approach_rate=float(x[1] - x[STATE + 1]) if led else 0.0,
             innovation_m=innovation,
             innovation_var=variance,
             nis=nis,
-            log_likelihood=-0.5 * (math.log(variance) + nis) if variance == variance else math.nan,
+            log_likelihood=density,
             scored=not math.isnan(innovation) and self._settled > SETTLING,
         )
 

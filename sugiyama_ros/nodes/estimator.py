@@ -10,10 +10,12 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 from sugiyama_msgs.msg import DriverParameters, Innovation, MeasuredPositions, VehicleState
 from sugiyama_msgs.msg import Road as RoadMessage
+from sugiyama_msgs.srv import AddEffect, RemoveEffect
 
 from sugiyama_ros.driver.parameters import NAMES, PARAMETERS, population
+from sugiyama_ros.effects.catalogue import ENTRIES, PLACES, active, effect, switch_on, whole
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.estimation.online import Estimate, OnlineFilter, warm_up
+from sugiyama_ros.estimation.online import NOBODY, Estimate, OnlineFilter, warm_up
 from sugiyama_ros.nodes import wire
 from sugiyama_ros.nodes.node import ERROR, OK, WARN, Health, PacedNode
 from sugiyama_ros.nodes.qos import LATCHED, STREAM
@@ -58,6 +60,7 @@ class Estimator(PacedNode):
         warm_up()
         declare_driver(self, population())
         self.add_post_set_parameters_callback(lambda _: self._restart())
+        self._effects = whole(np.zeros(len(NAMES)))
         self._road: RoadMessage | None = None
         self._filter: OnlineFilter | None = None
         self._stamp_ns: int | None = None
@@ -69,6 +72,8 @@ class Estimator(PacedNode):
         self._to_innovation = self.create_publisher(Innovation, "innovation", STREAM)
         self._to_parameters = self.create_publisher(DriverParameters, "parameters", STREAM)
         self.create_service(Trigger, "~/reset", self._on_reset)
+        self.create_service(AddEffect, "~/add_effect", self._on_add_effect)
+        self.create_service(RemoveEffect, "~/remove_effect", self._on_remove_effect)
         self.create_subscription(RoadMessage, self.shared("road"), self._on_road, LATCHED)
         self.create_subscription(MeasuredPositions, self.shared("measured"), self._on_measured, STREAM, raw=True)
 
@@ -95,18 +100,61 @@ class Estimator(PacedNode):
         response.message = "" if response.success else "no road yet"
         return response
 
+    def _on_add_effect(self, request: AddEffect.Request, response: AddEffect.Response) -> AddEffect.Response:
+        try:
+            if len(request.name) != len(request.value):
+                raise InputError(f"effect {request.effect}: {len(request.name)} names, {len(request.value)} values")
+            values = dict(zip(request.name, request.value, strict=True))
+            if not any(values.get(name) for name in effect(request.effect).switches):
+                raise InputError(f"effect {request.effect}: give {' or '.join(effect(request.effect).switches)}")
+            self._take_effects(switch_on(self._effects, request.effect, values))
+            response.success = True
+        except InputError as error:
+            response.message = str(error)
+        return response
+
+    def _on_remove_effect(
+        self, request: RemoveEffect.Request, response: RemoveEffect.Response
+    ) -> RemoveEffect.Response:
+        if request.effect in active(self._effects):
+            without = self._effects.copy()
+            without[PLACES[request.effect]] = 0.0
+            self._take_effects(without)
+            response.success = True
+        else:
+            response.message = f"effect {request.effect!r}: is not in the model"
+        return response
+
+    def _take_effects(self, effects: Array) -> None:
+        """Go on with other effects (WIDTH,), and keep what was learnt of the driver."""
+        if self._filter is not None:
+            self._filter.change(effects)
+        self._effects = effects
+        self._show()
+
+    def _show(self) -> None:
+        """Publish the driver's parameters, and those of the effects that act."""
+        if self._filter is None:
+            return
+        places = [k for name in active(self._effects) for k in range(PLACES[name].start, PLACES[name].stop)]
+        self._shown = [*range(len(NAMES)), *places]
+        names = [ENTRIES[k] for k in self._shown]
+        self._parameter_bytes = wire.Parameters(self.vehicle, names, self._filter.adapted)
+
     def _restart(self) -> None:
         """A new filter, from the node's parameters."""
         if self._road is None:
             return
-        parameters = np.array([self.get_parameter(name).value for name in NAMES])
-        self._filter = OnlineFilter(self._road.period_s, Road(self._road.circumference_m), parameters)
-        self._parameter_bytes = wire.Parameters(self.vehicle, NAMES, self._filter.adapted)
+        row = self._effects.copy()
+        row[: len(NAMES)] = [self.get_parameter(name).value for name in NAMES]
+        self._filter = OnlineFilter(self._road.period_s, Road(self._road.circumference_m), row)
+        self._show()
         self._forget()
 
     def _forget(self) -> None:
         self._stamp_ns = self._parameters_ns = None
         self._chain: list[int] = []
+        self._behind = -1
         self._length_m: dict[int, float] = {}
         self._missing_in_a_row = 0
         self._failure = ""
@@ -156,10 +204,24 @@ class Estimator(PacedNode):
             length.append(self._length_m.get(vehicle, 0.0))
         self._missing_in_a_row = self._missing_in_a_row + 1 if isnan(position[0]) else 0
         self._count["missing"] += isnan(position[0])
-        for _ in range(periods - 1):
+        time_s = sample.stamp_ns / wire.NS
+        for skipped in range(periods - 1, 0, -1):
             self._count["skipped"] += 1
-            filter_.step([nan] * len(position), self._chain, length)
-        return filter_.step(position, self._chain, length)
+            before_s = time_s - skipped * filter_.period_s
+            filter_.step([nan] * len(position), self._chain, length, before_s, (nan, self._behind, 0.0))
+        return filter_.step(position, self._chain, length, time_s, self._look_back(sample, filter_))
+
+    def _look_back(self, sample: wire.Sample, filter_: OnlineFilter) -> tuple[float, int, float]:
+        """Position, number and length of the vehicle behind, where the effects need it."""
+        if not filter_.looks_back:
+            return NOBODY
+        if self.vehicle in sample.place:
+            self._behind = sample.behind(self.vehicle)
+        place = sample.place.get(self._behind)
+        if place is None:
+            return nan, self._behind, self._length_m.get(self._behind, 0.0)
+        self._length_m[self._behind] = sample.length_m[place]
+        return sample.position_m[place], self._behind, sample.length_m[place]
 
     def _publish(self, sample: wire.Sample, estimate: Estimate) -> None:
         self.send(self._to_state, wire.state(sample.stamp_ns, self.vehicle, estimate))
@@ -171,7 +233,9 @@ class Estimator(PacedNode):
         if not due and sample.step + 1 != road.steps:
             return
         self._parameters_ns = sample.stamp_ns
-        message = self._parameter_bytes.message(sample.stamp_ns, filter_.parameters, filter_.parameter_covariance)
+        shown = self._shown
+        value, covariance = filter_.parameters[shown], filter_.parameter_covariance[np.ix_(shown, shown)]
+        message = self._parameter_bytes.message(sample.stamp_ns, value, covariance)
         self.send(self._to_parameters, message)
 
     def _fail(self, error: Exception, sample: wire.Sample) -> None:

@@ -51,6 +51,10 @@ class Sample(NamedTuple):
             numbers.append(-1 if leader in numbers else leader)
         return numbers
 
+    def behind(self, vehicle: int) -> int:
+        """Number of the vehicle whose leader is ``vehicle``, -1 for none."""
+        return next((number for number, place in self.place.items() if self.leader[place] == vehicle), -1)
+
 
 @lru_cache(maxsize=4)
 def measured(raw: bytes) -> Sample:

@@ -14,11 +14,14 @@ MAY_IMPORT = {
     "road": set(),
     "trajectories": {"road"},
     "driver": {"road"},
-    "simulation": {"driver", "road", "trajectories"},
+    "effects": {"driver", "road"},
+    "simulation": {"driver", "effects", "road", "trajectories"},
     "formats": {"road", "trajectories"},
-    "estimation": {"driver", "road", "trajectories"},
-    "nodes": {"driver", "estimation", "formats", "road", "simulation", "trajectories"},
-    "cli": {"driver", "formats", "nodes", "road", "simulation", "trajectories"},
+    "estimation": {"driver", "effects", "road", "trajectories"},
+    "criticism": {"driver", "effects", "estimation", "road", "simulation", "trajectories"},
+    "studies": {"criticism", "driver", "effects", "estimation", "road", "simulation", "trajectories"},
+    "nodes": {"criticism", "driver", "effects", "estimation", "formats", "road", "simulation", "trajectories"},
+    "cli": {"criticism", "driver", "effects", "formats", "nodes", "road", "simulation", "studies", "trajectories"},
 }
 ROS = {"rclpy", "rcl_interfaces", "sugiyama_msgs", "std_srvs", "diagnostic_msgs", "visualization_msgs", "rosgraph_msgs"}
 FILES = sorted(PACKAGE.rglob("*.py"))

@@ -6,7 +6,7 @@ import pytest
 from sugiyama_ros.driver.parameters import RHO, SIGMA_A, SIGMA_NU, SIGMA_V, SIGMA_X, V_STAR, defaults
 from sugiyama_ros.driver.utility import ACTIONS, mean_action
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.estimation.causal import CHAIN, MOVING, linearise, scene_at
+from sugiyama_ros.estimation.causal import CHAIN, MOVING, STATE, linearise, scene_at
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation import Simulator, evenly, platoon, simulate
 
@@ -85,24 +85,25 @@ def test_measurement_noise_has_its_std():
 def test_without_noise_the_filters_prediction_is_the_simulation():
     """From the true state of a chain, known exactly, the filter's next mean is the simulator's next state."""
     s = ring_of_22(0, quiet(22))
-    size = 3 * CHAIN
+    size = STATE * CHAIN
     none, nothing = np.empty(0, np.int64), np.empty(0)
-    next_mean, jacobian, noise = np.empty(size), np.empty((size, size)), np.empty(size)
+    next_mean, jacobian, noise = np.empty(size), np.empty((size, size)), np.empty((size, size))
     scene = scene_at(s.period_s, s.road.circumference_m)
     for _ in range(300):
         mean = np.zeros(size)
         chain = np.array([21, 0, 1])  # across the place where the ring begins
-        mean[0::3] = s.position_m[chain] + [0.0, 230.0, 230.0]
-        mean[1::3] = s.speed[chain]
+        mean[0::4] = s.position_m[chain] + [0.0, 230.0, 230.0]
+        mean[1::4] = s.speed[chain]
         known = np.full(CHAIN, MOVING)
         rows = np.stack([s.parameters[0]] * CHAIN)
         linearise(
-            mean, np.zeros((size, size)), known, s.length_m[chain], rows, none, nothing, nothing, ACTIONS, scene,
+            mean, np.zeros((size, size)), known, s.length_m[chain], np.full(3, np.nan), rows, none, nothing, nothing,
+            ACTIONS, 0.0, scene,
             next_mean, jacobian, noise,
         )  # fmt: skip
         s.step()
-        assert next_mean[[0, 3]] == pytest.approx(s.position_m[chain[:2]] + [0.0, 230.0], abs=1e-9)
-        assert next_mean[[1, 4]] == pytest.approx(s.speed[chain[:2]], abs=1e-9)
+        assert next_mean[[0, 4]] == pytest.approx(s.position_m[chain[:2]] + [0.0, 230.0], abs=1e-9)
+        assert next_mean[[1, 5]] == pytest.approx(s.speed[chain[:2]], abs=1e-9)
     assert np.ptp(s.speed) > 1.0
 
 

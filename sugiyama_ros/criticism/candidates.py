@@ -1,0 +1,88 @@
+"""What may be missing from the model: freed constants, faults of the measurement, and every physical effect."""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from sugiyama_ros.criticism.fitting import (
+    LARGEST_STD,
+    Model,
+    Recorded,
+)
+from sugiyama_ros.driver.parameters import index
+from sugiyama_ros.effects.catalogue import DECLARED, EFFECTS, PLACES, place
+from sugiyama_ros.effects.effect import MEASUREMENT, Recording
+
+Kind = Literal["effect", "measurement", "constants"]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """Something that may be added to a model: entries of the rows that are freed, and where their search begins.
+
+    starts: values by place; individual: whether each driver has values of his own.
+    """
+
+    name: str
+    kind: Kind
+    places: tuple[int, ...]
+    starts: tuple[dict[int, float], ...]
+    individual: bool = False
+    summary: str = ""
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of its parameters."""
+        return tuple(DECLARED[k].name for k in self.places)
+
+
+#: Constants that the paper fixes, freed together where they act together.
+_CONSTANTS = (
+    ("response_constants", ("kappa_c", "kappa_d", "kappa_1"), False),
+    ("noise_constants", ("rho", "sigma_x", "sigma_v"), False),
+    ("rationality", ("rationality",), False),
+)
+
+
+def candidates(recording: Recording, drivers: int) -> tuple[Candidate, ...]:
+    """All candidates that make sense for a recording."""
+    found = [
+        Candidate(name, "constants", tuple(index(p) for p in parameters), ({},), individual, "a constant of the paper")
+        for name, parameters, individual in _CONSTANTS
+    ]
+    for e in EFFECTS:
+        starts = e.starts(recording)
+        if not starts or (e.name == "second_leader" and drivers < 3):
+            continue
+        found.append(
+            Candidate(
+                e.name,
+                "measurement" if e.stage == MEASUREMENT else "effect",
+                tuple(range(PLACES[e.name].start, PLACES[e.name].stop)),
+                tuple({place(e.name, p): v for p, v in values.items()} for values in starts),
+                e.individual,
+                e.summary,
+            )
+        )
+    return tuple(found)
+
+
+def recording_of(data: Recorded) -> Recording:
+    """What a search may know of a recording."""
+    t = data.trajectories
+    first, last = float(np.nanmin(t.position_m)), float(np.nanmax(t.position_m))
+    return Recording(t.start_s, t.start_s + t.duration_s, t.road.circumference_m, first, last)
+
+
+def added(model: Model, candidate: Candidate, start: dict[int, float]) -> Model:
+    """The model with the candidate's entries freed and at a start of the search."""
+    rows = model.rows.copy()
+    for k, v in start.items():
+        rows[:, k] = v
+    if candidate.individual:
+        new = tuple(k for k in candidate.places if k not in model.individual)
+        std = model.prior_std + (LARGEST_STD,) * len(new)
+        return replace(model, rows=rows, individual=model.individual + new, prior_std=std)
+    new = tuple(k for k in candidate.places if k not in model.shared and k not in model.individual)
+    return replace(model, rows=rows, shared=model.shared + new)

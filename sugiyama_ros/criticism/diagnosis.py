@@ -1,0 +1,308 @@
+"""Name what is missing from the model, add it, and look again, until nothing more is supported.
+
+Every candidate is looked at in the same way on the data and on data simulated from the model as it stands
+(``bootstrap``), so that a p-value says how often chance, refitting and the filter's approximations give as much.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import t as student
+
+from sugiyama_ros.criticism.bootstrap import resample, seeds
+from sugiyama_ros.criticism.candidates import Candidate, Kind, candidates, recording_of
+from sugiyama_ros.criticism.discover import Discovery, discover
+from sugiyama_ros.criticism.errors import Errors, errors_of
+from sugiyama_ros.criticism.fitting import (
+    FOLDS,
+    Fit,
+    Gain,
+    Recorded,
+    fit,
+    fit_base,
+    gain,
+    held_out,
+    objective,
+    prepare,
+    without_folds,
+)
+from sugiyama_ros.criticism.free_run import filtered_states
+from sugiyama_ros.criticism.screening import Glance, glance
+from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR
+from sugiyama_ros.effects.catalogue import DECLARED
+from sugiyama_ros.trajectories import Trajectories
+
+#: Each driver's own parameters.
+INDIVIDUAL = (SIGMA_NU, SIGMA_A, V_STAR, KAPPA_V)
+#: Simulated recordings for the p-values, also with ``quick``; level of significance, after Bonferroni's correction.
+BOOTSTRAP_RUNS, QUICK_RUNS, LEVEL = 6, 2, 0.05
+# Candidates that are fitted in full in each round, and the share of the best gain above which one is.
+_SHORTLIST, _SHARE = 4, 0.15
+# A gain is not believed below this [nats], whatever the p-value; and simulated gains spread by at least this.
+_LEAST_GAIN, _LEAST_SPREAD = 5.0, 1.5
+# Prior weight of the common spread in that of one candidate, as a number of simulated recordings.
+_COMMON = 4
+# A gain this many times what is needed to be believed is not checked against new simulations.
+_CLEAR = 4.0
+#: Called with what is being done, and the steps done and to do.
+OnProgress = Callable[[str, int, int], None]
+
+#: What to record to tell two effects apart.
+ADVICE: dict[frozenset[str], str] = {
+    frozenset({"actuation_lag", "reaction_delay"}): "record accelerations, or positions at 10 Hz and more",
+    frozenset({"rear_pressure", "reaction_delay"}): "record cars without a follower too",
+    frozenset({"road_grade", "slow_patch"}): "survey the road, or record standing starts on all of it",
+    frozenset({"comfort_limits", "limited_braking"}): "record hard accelerations, as from traffic lights",
+    frozenset({"comfort_limits", "limited_power"}): "record hard braking",
+    frozenset({"drag", "limited_power"}): "record coasting, or accelerations at several speeds",
+    frozenset({"preference_drift", "preference_switch"}): "record for longer",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Looked:
+    """What was found about one candidate in one round; gains in nats."""
+
+    candidate: Candidate
+    fit: Fit
+    gain: float
+    expected: float
+    spread: float
+    p_value: float
+    refined: bool
+
+    @property
+    def score(self) -> float:
+        """Gain beyond what chance gives."""
+        return self.gain - self.expected
+
+
+@dataclass(frozen=True, eq=False)
+class Named:
+    """An effect that was added, with everything that a verdict says of it."""
+
+    name: str
+    kind: Kind
+    parameters: dict[str, float]
+    indistinguishable: tuple[str, ...]
+    advice: tuple[str, ...]
+    p_value: float
+    heldout: Gain
+    before: Errors
+    after: Errors
+    fit: Fit
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """Verdict on a recording; fits: the base model's and the last one's; looked: first round, best first."""
+
+    data: Recorded
+    base: Fit
+    final: Fit
+    named: tuple[Named, ...]
+    looked: tuple[Looked, ...]
+    heldout: dict[str, Gain]
+    discovered: tuple[Discovery, ...]
+    before: Errors
+    after: Errors
+    smallest: dict[str, float]
+    bootstrap_runs: int
+    seed: int
+    wall_s: float
+
+
+def diagnose(
+    trajectories: Trajectories,
+    *,
+    seed: int = 0,
+    quick: bool = False,
+    most: int = 3,
+    workers: int = 4,
+    on_progress: OnProgress = lambda what, done, total: None,
+) -> Diagnosis:
+    """Find what is missing: at most ``most`` effects, one after the other.
+
+    Raises InputError for a recording that is too short.
+    """
+    began = time.monotonic()
+    with ThreadPoolExecutor(workers) as work:
+        on_progress("fitting the base model", 0, 1)
+        data = prepare(trajectories)
+        base = fit_base(data, INDIVIDUAL, work)
+        possible = list(candidates(recording_of(data), data.drivers))
+        runs = QUICK_RUNS if quick else BOOTSTRAP_RUNS
+        current, named, first, null = base, [], [], _Null({})
+        folds = without_folds(data, base, work)
+        before = errors = errors_of(data, folds, work)
+        heldout: dict[str, Gain] = {}
+        smallest: dict[str, float] = {}
+        for number in range(most):
+            looks = []
+            for k, candidate in enumerate(possible):
+                on_progress(f"round {number + 1}: candidates", k, len(possible))
+                looks.append(glance(data, current, candidate, work))
+            shortlist = _shortlist(looks)
+            if number == 0:
+                null = _simulate(data, current, [looks[k].candidate for k in shortlist], runs, seed, work, on_progress)
+            looked = []
+            for k, look in enumerate(looks):
+                on_progress(f"round {number + 1}: fitting", k, len(looks))
+                fitted, rise = look.fit, look.gain
+                if k in shortlist:
+                    fitted = fit(data, look.fit.model, work, iterations=8)
+                    rise = max(rise, _rise(current, fitted))
+                looked.append(null.judge(look.candidate, fitted, rise, len(looks), refined=k in shortlist))
+            looked.sort(key=lambda one: -one.score)
+            if number == 0:
+                first = looked
+                smallest = _smallest(looks, null)
+                for k, one in enumerate(looked):
+                    on_progress("held-out gains", k, len(looked))
+                    models = without_folds(data, one.fit, work)
+                    heldout[one.candidate.name] = gain(data, held_out(data, models, work), errors.samples)
+            best = next((one for one in looked if one.refined), None)
+            if best is None or best.p_value > LEVEL or best.gain < _LEAST_GAIN:
+                break
+            if number and not quick and best.score < _CLEAR * max(_LEAST_GAIN, 3.0 * best.spread):
+                again = _simulate(data, current, [best.candidate], runs, seed + number, work, on_progress)
+                best = again.judge(best.candidate, best.fit, best.gain, len(looks), refined=True)
+                if best.p_value > LEVEL:
+                    break
+            rivals = _indistinguishable(best, looked)
+            grown = replace(best.fit.model, ahead=best.fit.model.rows)
+            current = fit(data, grown, work, iterations=4)
+            models = without_folds(data, current, work)
+            after = errors_of(data, models, work)
+            named.append(
+                Named(
+                    best.candidate.name,
+                    best.candidate.kind,
+                    parameters_of(current, best.candidate),
+                    rivals,
+                    tuple(text for pair, text in ADVICE.items() if best.candidate.name in pair and pair & set(rivals)),
+                    best.p_value,
+                    gain(data, after.samples, errors.samples),
+                    errors,
+                    after,
+                    current,
+                )
+            )
+            errors = after
+            possible = [c for c in possible if c.name != best.candidate.name]
+        on_progress("forces without a name", 0, 1)
+        discovered = [d for d, _ in discover(data, current, work)] if not quick else []
+    return Diagnosis(
+        data,
+        base,
+        current,
+        tuple(named),
+        tuple(first),
+        heldout,
+        tuple(d for d in discovered if d.p_value < LEVEL),
+        before,
+        errors,
+        smallest,
+        runs,
+        seed,
+        time.monotonic() - began,
+    )
+
+
+def parameters_of(fitted: Fit, candidate: Candidate) -> dict[str, float]:
+    """Values of a candidate's parameters, the median driver's where they are individual."""
+    rows = np.median(fitted.model.rows[:, list(candidate.places)], axis=0)
+    return {DECLARED[k].name: float(v) for k, v in zip(candidate.places, rows, strict=True)}
+
+
+def _rise(current: Fit, fitted: Fit) -> float:
+    everywhere = range(FOLDS)
+    return objective(fitted.slopes, fitted.model, everywhere) - objective(current.slopes, current.model, everywhere)
+
+
+def _shortlist(looks: Sequence[Glance]) -> list[int]:
+    """Those fitted in full: the largest gains, and freed constants, which may be far from where a glance looks."""
+    order = sorted(range(len(looks)), key=lambda k: -looks[k].gain)
+    best = max(looks[order[0]].gain, 1.0)
+    chosen = [k for k in order[:_SHORTLIST] if looks[k].gain > _SHARE * best or k in order[:2]]
+    if best > 50.0:
+        chosen += [k for k, look in enumerate(looks) if look.candidate.kind == "constants" and k not in chosen]
+    return chosen
+
+
+@dataclass(frozen=True, eq=False)
+class _Null:
+    """Gains of candidates on simulated recordings in which nothing is missing."""
+
+    gains: dict[str, list[float]]
+
+    def judge(self, candidate: Candidate, fitted: Fit, rise: float, rivals: int, refined: bool) -> Looked:
+        """p-value by Student's t over the simulated gains, whose spread is shared among candidates in part."""
+        gains = np.maximum(self.gains.get(candidate.name, [0.0]), 0.0)
+        spreads = [float(np.std(np.maximum(g, 0.0), ddof=1)) for g in self.gains.values() if len(g) > 1]
+        common = max(float(np.median(spreads)) if spreads else 0.0, _LEAST_SPREAD)
+        expected = float(gains.mean()) if candidate.name in self.gains else 0.5 * len(candidate.places)
+        squares = float(np.sum(np.square(gains - gains.mean())))
+        freedom = len(gains) - 1 + _COMMON
+        spread = float(np.sqrt((squares + _COMMON * common**2) / freedom * (1.0 + 1.0 / len(gains))))
+        p_value = min(1.0, rivals * float(student.sf((rise - expected) / spread, freedom)))
+        return Looked(candidate, fitted, rise, expected, spread, p_value, refined)
+
+    @property
+    def needed(self) -> float:
+        """A gain [nats] that is usually believed."""
+        highest = [
+            float(np.mean(np.maximum(g, 0.0)) + 4.0 * max(np.std(g), _LEAST_SPREAD)) for g in self.gains.values()
+        ]
+        return max(_LEAST_GAIN, float(np.median(highest)) if highest else 0.0)
+
+
+def _simulate(
+    data: Recorded,
+    current: Fit,
+    chosen: Sequence[Candidate],
+    runs: int,
+    seed: int,
+    work: ThreadPoolExecutor,
+    on_progress: OnProgress,
+) -> _Null:
+    states = filtered_states(data, current.model)
+    gains: dict[str, list[float]] = {c.name: [] for c in chosen}
+    for k, rng in enumerate(seeds(seed, runs)):
+        on_progress("simulating the model without it", k, runs)
+        simulated = resample(data, current.model, states, rng)
+        fitted = fit(simulated, current.model, work, iterations=4)
+        for candidate in chosen:
+            gains[candidate.name].append(glance(simulated, fitted, candidate, work).gain)
+    return _Null(gains)
+
+
+def _indistinguishable(best: Looked, looked: Sequence[Looked]) -> tuple[str, ...]:
+    """Candidates whose gain differs from the best one's by less than two paired standard errors over drivers."""
+    names = []
+    for one in looked:
+        if one is best or one.p_value > LEVEL or one.candidate.name == best.candidate.name:
+            continue
+        difference = np.nansum(best.fit.samples.log_likelihood - one.fit.samples.log_likelihood, axis=1)
+        se = float(np.sqrt(len(difference) * np.var(difference, ddof=1))) if len(difference) > 1 else 0.0
+        if best.score - one.score < max(2.0 * se, 3.0) and one.refined:
+            names.append(one.candidate.name)
+    return tuple(names)
+
+
+def _smallest(looks: Sequence[Glance], null: _Null) -> dict[str, float]:
+    """Strength of each effect from which on these data would usually have shown it; of the first parameter."""
+    found = {}
+    for look in looks:
+        if look.candidate.kind == "constants" or look.loss <= 0.0 or not look.candidate.starts[0]:
+            continue
+        start = look.loss_at[look.candidate.places[0]]
+        scaled = start * float(np.sqrt(null.needed / look.loss))
+        # a limit is the stronger the smaller it is
+        if DECLARED[look.candidate.places[0]].name in ("limit", "power"):
+            scaled = start * start / scaled
+        found[look.candidate.name] = scaled
+    return found

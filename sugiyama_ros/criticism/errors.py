@@ -1,0 +1,45 @@
+"""How far a model is off, on samples that it has not been fitted to."""
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+
+import numpy as np
+
+from sugiyama_ros.criticism.fitting import Model, Recorded, Samples, held_out
+from sugiyama_ros.criticism.free_run import HORIZONS_S, FreeRuns, free_runs, rmse
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """Held-out samples and free runs of a model, each predicted by the model fitted without its fold."""
+
+    samples: Samples
+    runs: FreeRuns
+
+    @property
+    def loglik_per_sample(self) -> float:
+        """Natural logarithm, per car and sample, without the 2 pi term."""
+        return self.samples.total / max(int(np.isfinite(self.samples.log_likelihood).sum()), 1)
+
+    @property
+    def one_step_rmse_m(self) -> float:
+        """Of the innovations [m]."""
+        return rmse(self.samples.innovation_m)
+
+    def summary(self) -> dict[str, float]:
+        """All figures by name."""
+        coupled, single = (
+            [rmse(e[:, k]) for k in range(len(HORIZONS_S))] for e in (self.runs.coupled, self.runs.single)
+        )
+        return {
+            "one_step_rmse_m": self.one_step_rmse_m,
+            **{f"free_run_{h:g}s_m": e for h, e in zip(HORIZONS_S, coupled, strict=True)},
+            **{f"single_car_{h:g}s_m": e for h, e in zip(HORIZONS_S, single, strict=True)},
+            "loglik_per_sample": self.loglik_per_sample,
+        }
+
+
+def errors_of(data: Recorded, models: Sequence[Model], work: Executor) -> Errors:
+    """Errors of the models fitted without each fold, from ``fitting.without_folds``."""
+    return Errors(held_out(data, models, work), free_runs(data, models, work))

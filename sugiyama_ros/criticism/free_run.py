@@ -1,0 +1,202 @@
+"""Free runs: from a filtered state on, the model drives alone, and its way is compared with the measured one.
+
+Coupled: all vehicles drive by the model. Single: one vehicle drives behind his leader as he was recorded.
+"""
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from sugiyama_ros.criticism.fitting import Model, Recorded, leaders
+from sugiyama_ros.driver.parameters import RHO, at_period, horizon_at
+from sugiyama_ros.driver.utility import ACTIONS
+from sugiyama_ros.estimation import causal
+from sugiyama_ros.road import Array, Ints
+from sugiyama_ros.simulation import drive
+
+#: Times ahead [s] at which free runs are compared with the measurements, and time [s] between two starts.
+HORIZONS_S = (2.0, 5.0, 10.0)
+_EVERY_S = 2.5
+
+
+@njit(nogil=True, cache=True)
+def _coupled(
+    x: Array,
+    v: Array,
+    n: Array,
+    b: Array,
+    leader: Ints,
+    turn: Array,
+    length: Array,
+    rows: Array,
+    actions: Array,
+    time: float,
+    period: float,
+    horizon: int,
+    circumference: float,
+    out: Array,
+) -> None:
+    """Positions [m] into ``out`` (steps, N) from positions, speeds, noises and held accelerations (N,), which change."""
+    vehicles = len(x)
+    held, pushed = np.empty(vehicles), np.empty(vehicles)
+    acceleration = b + rows[:, RHO] * n
+    for k in range(len(out)):
+        drive(
+            x,
+            v,
+            b,
+            acceleration,
+            length,
+            leader,
+            turn,
+            rows,
+            actions,
+            time,
+            period,
+            horizon,
+            circumference,
+            held,
+            pushed,
+        )
+        for i in range(vehicles):
+            acceleration[i] = held[i] + pushed[i] + n[i]
+            x[i] += period * v[i]
+            v[i] += period * acceleration[i]
+            n[i] *= rows[i, RHO]
+            b[i] = held[i]
+        time += period
+        out[k] = x
+
+
+@njit(nogil=True, cache=True)
+def _single(
+    i: int,
+    recorded: Array,
+    leader: Ints,
+    turn: Array,
+    length: Array,
+    rows: Array,
+    actions: Array,
+    time: float,
+    period: float,
+    horizon: int,
+    circumference: float,
+    out: Array,
+) -> None:
+    """Positions [m] of vehicle i into ``out`` (steps, N); the others are where they were recorded, (steps, N, 4)."""
+    near = np.array([i, leader[i], leader[leader[i]] if leader[i] >= 0 else -1, -1])
+    for j in range(len(leader)):
+        if leader[j] == i:
+            near[3] = j
+    # the vehicle, those ahead and the one behind, as a little road of their own
+    count, place = 0, np.full(len(leader), -1)
+    chosen = np.empty(4, np.int64)
+    for j in near:
+        if j >= 0 and place[j] < 0:
+            place[j] = count
+            chosen[count] = j
+            count += 1
+    chosen = chosen[:count]
+    ahead = np.full(count, -1)
+    for k in range(count):
+        if leader[chosen[k]] >= 0:
+            ahead[k] = place[leader[chosen[k]]]
+    small_rows, small_turn, small_length = rows[chosen], turn[chosen], length[chosen]
+    held, pushed = np.empty(count), np.empty(count)
+    x, v, n, b = recorded[0, i, 0], recorded[0, i, 1], recorded[0, i, 2], recorded[0, i, 3]
+    a = b + rows[i, RHO] * n
+    for k in range(len(out)):
+        xs, vs, bs = recorded[k, chosen, 0].copy(), recorded[k, chosen, 1].copy(), recorded[k, chosen, 3].copy()
+        accelerations = bs + recorded[k, chosen, 2]
+        xs[0], vs[0], bs[0], accelerations[0] = x, v, b, a
+        drive(
+            xs,
+            vs,
+            bs,
+            accelerations,
+            small_length,
+            ahead,
+            small_turn,
+            small_rows,
+            actions,
+            time,
+            period,
+            horizon,
+            circumference,
+            held,
+            pushed,
+        )
+        a = held[0] + pushed[0] + n
+        x += period * v
+        v += period * a
+        n *= rows[i, RHO]
+        b = held[0]
+        time += period
+        out[k, i] = x
+
+
+@dataclass(frozen=True, eq=False)
+class FreeRuns:
+    """Errors [m] of positions in free runs, model minus measurement, (S, H, N) at HORIZONS_S; start: (S,) samples.
+
+    Behind a leader as he was recorded, the error of the gap is that of the position with the other sign.
+    """
+
+    coupled: Array
+    single: Array
+    start: Ints
+
+
+def free_runs(data: Recorded, models: Sequence[Model], work: Executor) -> FreeRuns:
+    """Free runs from every ``_EVERY_S`` seconds, each by the model fitted without the fold in which it starts."""
+    t = data.trajectories
+    steps = [max(1, round(h / t.period_s)) for h in HORIZONS_S]
+    starts = np.arange(causal.SETTLING + 4, len(t.position_m) - steps[-1], max(1, round(_EVERY_S / t.period_s)))
+    jobs = [(data, model, starts[data.fold[starts] == f], steps) for f, model in enumerate(models)]
+    coupled, single = (np.concatenate(errors) for errors in zip(*work.map(_of_fold, jobs), strict=True))
+    order = np.argsort(np.concatenate([job[2] for job in jobs]))
+    return FreeRuns(coupled[order], single[order], starts)
+
+
+def _of_fold(job: tuple[Recorded, Model, Ints, list[int]]) -> tuple[Array, Array]:
+    """Errors of the coupled and of the single free runs from the starts of one fold."""
+    data, model, starts, steps = job
+    t, ring = data.trajectories, data.trajectories.road.circumference_m
+    coupled, single = (np.empty((len(starts), len(steps), data.drivers)) for _ in range(2))
+    if len(starts) == 0:
+        return coupled, single
+    state, rows = filtered_states(data, model), at_period(model.rows, t.period_s)
+    about = (t.length_m, rows, ACTIONS)
+    out = np.empty((steps[-1], data.drivers))
+    for s, k in enumerate(starts):
+        leader = np.where(np.isfinite(state[k, t.leader[k], 0]), t.leader[k], -1)
+        headway = np.where(leader >= 0, state[k, leader, 0] - state[k, :, 0], 0.0)
+        turn = np.nan_to_num(ring * np.floor(headway / ring)) if ring else np.zeros(data.drivers)
+        scene = (t.start_s + k * t.period_s, t.period_s, horizon_at(t.period_s), ring)
+        _coupled(*state[k].T.copy(), leader, turn, *about, *scene, out)
+        measured = t.position_m[k + np.array(steps)]
+        coupled[s] = t.road.difference(out[np.array(steps) - 1], measured)
+        recorded = state[k : k + steps[-1]]
+        for i in range(data.drivers):
+            _single(i, recorded, leader, turn, *about, *scene, out)
+        single[s] = t.road.difference(out[np.array(steps) - 1], measured)
+    return coupled, single
+
+
+def filtered_states(data: Recorded, model: Model) -> Array:
+    """Filtered position, speed, noise and held acceleration of every driver, (T, N, 4); NaN where unknown."""
+    state = np.empty((len(data.fold), data.drivers, 4))
+    for i in range(data.drivers):
+        filtered = causal.filter_chain(data.chains[i], model.rows[i], ahead=leaders(data, model, i))
+        state[:, i] = filtered.mean[:, :4]
+        state[~np.isfinite(filtered.innovation_var), i] = np.nan
+    return state
+
+
+def rmse(errors: Array) -> float:
+    """Root of the mean square of all that are known."""
+    known = errors[np.isfinite(errors)]
+    return float(np.sqrt(np.mean(np.square(known)))) if len(known) else float("nan")

@@ -1,0 +1,172 @@
+"""What a driver does, with all effects: from what is there to see to the acceleration of his car. Compiled."""
+
+from collections.abc import Callable
+from typing import Any
+
+from numba import njit
+
+from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
+from sugiyama_ros.driver.rivals import fvdm, idm
+from sugiyama_ros.driver.utility import mean_action
+from sugiyama_ros.effects import actuation_lag, perception_threshold, speed_dependent_noise
+from sugiyama_ros.effects.catalogue import EFFECTS, LAW, LAW_PLACES, PLACES, place
+from sugiyama_ros.effects.effect import ACTUATION, ENVIRONMENT, MEASUREMENT, PERCEPTION, PREFERENCE, Effect, Seen
+from sugiyama_ros.road import Array
+
+_LAG = place("actuation_lag", "time_constant")
+_THRESHOLD = place("perception_threshold", "threshold")
+_NOISE = place("speed_dependent_noise", "exponent")
+_IDM, _FVDM = LAW_PLACES["idm"], LAW_PLACES["fvdm"]
+_IDM_AT, _IDM_END, _FVDM_AT, _FVDM_END = _IDM.start, _IDM.stop, _FVDM.start, _FVDM.stop
+
+
+@njit(nogil=True)
+def _nothing_perceived(seen: Seen, row: Array) -> Seen:
+    return seen
+
+
+@njit(nogil=True)
+def _nothing_preferred(v_star: float, kappa_v: float, seen: Seen, row: Array) -> tuple[float, float]:
+    return v_star, kappa_v
+
+
+@njit(nogil=True)
+def _nothing_actuated(acceleration: float, seen: Seen, row: Array) -> float:
+    return acceleration
+
+
+@njit(nogil=True)
+def _nothing_pushes(seen: Seen, row: Array) -> float:
+    return 0.0
+
+
+def _places(effect: Effect) -> tuple[int, int, int, int]:
+    """First and last entry in a row, and the places of the first and the last switch."""
+    switches = [place(effect.name, name) for name in effect.switches]
+    return PLACES[effect.name].start, PLACES[effect.name].stop, switches[0], switches[-1]
+
+
+def _then_perceive(before: Callable[..., Any], effect: Effect) -> Callable[..., Any]:
+    first, last, switch, other = _places(effect)
+    perceive = effect.function
+
+    @njit(nogil=True)
+    def perceived(seen: Seen, row: Array) -> Seen:
+        seen = before(seen, row)
+        if row[switch] == 0.0 and row[other] == 0.0:
+            return seen
+        gap, speed, leader_speed = perceive(seen, row[first:last])
+        return Seen(
+            gap,
+            speed,
+            leader_speed,
+            seen.position,
+            seen.time,
+            seen.circumference,
+            seen.acceleration,
+            seen.leader_acceleration,
+            seen.second_gap,
+            seen.second_speed,
+            seen.rear_gap,
+            seen.rear_speed,
+        )
+
+    return perceived  # type: ignore[no-any-return]
+
+
+def _then_prefer(before: Callable[..., Any], effect: Effect) -> Callable[..., Any]:
+    first, last, switch, other = _places(effect)
+    prefer = effect.function
+
+    @njit(nogil=True)
+    def preferred(v_star: float, kappa_v: float, seen: Seen, row: Array) -> tuple[float, float]:
+        v_star, kappa_v = before(v_star, kappa_v, seen, row)
+        if row[switch] == 0.0 and row[other] == 0.0:
+            return v_star, kappa_v
+        return prefer(v_star, kappa_v, seen, row[first:last])
+
+    return preferred  # type: ignore[no-any-return]
+
+
+def _then_actuate(before: Callable[..., Any], effect: Effect) -> Callable[..., Any]:
+    first, last, switch, other = _places(effect)
+    actuate = effect.function
+
+    @njit(nogil=True)
+    def actuated(acceleration: float, seen: Seen, row: Array) -> float:
+        acceleration = before(acceleration, seen, row)
+        if row[switch] == 0.0 and row[other] == 0.0:
+            return acceleration
+        return actuate(acceleration, seen, row[first:last])
+
+    return actuated  # type: ignore[no-any-return]
+
+
+def _then_push(before: Callable[..., Any], effect: Effect) -> Callable[..., Any]:
+    first, last, switch, other = _places(effect)
+    push = effect.function
+
+    @njit(nogil=True)
+    def pushed(seen: Seen, row: Array) -> float:
+        total = before(seen, row)
+        if row[switch] == 0.0 and row[other] == 0.0:
+            return total
+        return total + push(seen, row[first:last])
+
+    return pushed  # type: ignore[no-any-return]
+
+
+_perceive, _prefer, _actuate, _push = _nothing_perceived, _nothing_preferred, _nothing_actuated, _nothing_pushes
+for _effect in EFFECTS:
+    if _effect.function is None:
+        continue
+    if _effect.stage in (PERCEPTION, MEASUREMENT):
+        _perceive = _then_perceive(_perceive, _effect)
+    elif _effect.stage == PREFERENCE:
+        _prefer = _then_prefer(_prefer, _effect)
+    elif _effect.stage == ACTUATION:
+        _actuate = _then_actuate(_actuate, _effect)
+    elif _effect.stage == ENVIRONMENT:
+        _push = _then_push(_push, _effect)
+# compiled code freezes globals, so these are the finished chains
+_perceived, _preferred, _actuated, _pushed = _perceive, _prefer, _actuate, _push
+
+
+@njit(nogil=True)
+def noise_factor(speed: float, row: Array) -> float:
+    """Factor of the std of the acceleration noise at a speed [m/s]."""
+    if row[_NOISE] == 0.0:
+        return 1.0
+    return speed_dependent_noise.noise_factor(speed, row[_NOISE : _NOISE + 1])
+
+
+@njit(nogil=True)
+def act(seen: Seen, held: float, row: Array, actions: Array, period: float, horizon: int) -> tuple[float, float, float]:
+    """What the driver makes his car do until the next period, and what the environment adds; [m/s^2] both.
+
+    Third comes the derivative of the first by ``held``.
+
+    held: what he made it do in the last period; row: (WIDTH,), at this period; changed on the way and restored.
+    """
+    perceived = _perceived(seen, row)
+    v_star, kappa_v = row[V_STAR], row[KAPPA_V]
+    row[V_STAR], row[KAPPA_V] = _preferred(v_star, kappa_v, perceived, row)
+    gap, speed, leader_speed = perceived.gap, perceived.speed, perceived.leader_speed
+    if row[LAW] == 0.0:
+        action = mean_action(gap, speed, leader_speed, row, actions, period, horizon)
+    elif row[LAW] == 1.0:
+        action = idm(gap, speed, leader_speed, row[_IDM_AT:_IDM_END])
+    else:
+        action = fvdm(gap, speed, leader_speed, row[_FVDM_AT:_FVDM_END])
+    row[V_STAR], row[KAPPA_V] = v_star, kappa_v
+    action = _actuated(action, seen, row)
+    kept = 0.0
+    if row[_THRESHOLD] != 0.0:
+        meant = action
+        action = perception_threshold.hold(meant, held, row[_THRESHOLD : _THRESHOLD + 1])
+        kept = 1.0 if action != meant else 0.0
+    if row[_LAG] != 0.0:
+        share = actuation_lag.share(period, row[_LAG : _LAG + 1])
+        action = held + share * (action - held)
+        kept = 1.0 - share * (1.0 - kept)
+    return action, _pushed(seen, row), kept

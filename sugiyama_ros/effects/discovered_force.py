@@ -1,0 +1,62 @@
+"""A missing force that nobody has named: a curve over one covariate, learnt from the data."""
+
+import math
+
+from numba import njit
+
+from sugiyama_ros.driver.parameters import Parameter
+from sugiyama_ros.effects.effect import ENVIRONMENT, Effect, Seen
+from sugiyama_ros.road import Array
+
+#: What the force may depend on; its number in this order, from 1, is the effect's first parameter.
+COVARIATES = ("gap", "speed", "approach_rate", "place", "time", "leader_acceleration", "rear_gap", "second_gap")
+KNOTS = 8
+
+
+@njit(cache=True)
+def push(seen: Seen, p: Array) -> float:
+    """Straight lines between KNOTS values ``p[3:]`` [m/s^2], evenly spaced from ``p[1]`` to ``p[2]``; flat beyond.
+
+    Over the place on a ring the curve is periodic: the last knot is followed by the first.
+    """
+    covariate = p[0]
+    if covariate == 1.0:
+        x = seen.gap
+    elif covariate == 2.0:
+        x = seen.speed
+    elif covariate == 3.0:
+        x = seen.speed - seen.leader_speed
+    elif covariate == 4.0:
+        x = seen.position
+    elif covariate == 5.0:
+        x = seen.time
+    elif covariate == 6.0:
+        x = seen.leader_acceleration
+    elif covariate == 7.0:
+        x = seen.rear_gap
+    else:
+        x = seen.second_gap
+    if covariate == 4.0 and seen.circumference > 0.0:
+        s = (x - p[1]) / seen.circumference
+        s = KNOTS * (s - math.floor(s))
+        k = min(int(s), KNOTS - 1)
+        return p[3 + k] + (s - k) * (p[3 + (k + 1) % KNOTS] - p[3 + k])
+    s = (KNOTS - 1) * min(max((x - p[1]) / (p[2] - p[1]), 0.0), 1.0)
+    k = min(int(s), KNOTS - 2)
+    return p[3 + k] + (s - k) * (p[4 + k] - p[3 + k])
+
+
+_NUMBERS = ", ".join(f"{k}: {name}" for k, name in enumerate(COVARIATES, 1))
+EFFECT = Effect(
+    name="discovered_force",
+    stage=ENVIRONMENT,
+    summary="a force learnt from the data as a curve over one covariate",
+    source="Kristensen, Madsen and Jørgensen, Automatica 40 (2004) 225",
+    parameters=(
+        Parameter("covariate", "", "1", 0.0, 1.0, float(len(COVARIATES)), f"what it depends on ({_NUMBERS})"),
+        Parameter("first", "", "1", 0.0, -1e12, 1e12, "covariate at the first knot"),
+        Parameter("last", "", "1", 0.0, -1e12, 1e12, "covariate at the last knot"),
+        *(Parameter(f"force_{k}", f"f_{k}", "m/s^2", 0.0, -10.0, 10.0, f"force at knot {k}") for k in range(KNOTS)),
+    ),
+    function=push,
+)

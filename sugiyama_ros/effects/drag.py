@@ -1,0 +1,29 @@
+"""Rolling resistance and air drag that the driver does not make up for."""
+
+from numba import njit
+
+from sugiyama_ros.driver.parameters import Parameter
+from sugiyama_ros.effects.effect import ENVIRONMENT, Effect, Seen, at
+from sugiyama_ros.road import Array
+
+
+@njit(cache=True)
+def push(seen: Seen, p: Array) -> float:
+    """-c0 - c2 v^2; the constant part fades at walking pace, because resistance pushes nobody backward."""
+    moving = min(max(seen.speed, 0.0), 1.0)
+    return -p[0] * moving - p[1] * seen.speed * abs(seen.speed)
+
+
+EFFECT = Effect(
+    name="drag",
+    stage=ENVIRONMENT,
+    summary="resistance -c0 - c2 v² beyond what the driver makes up for",
+    source="Treiber and Kesting, Traffic Flow Dynamics (2013), section 21.2",
+    parameters=(
+        Parameter("c0", "c_0", "m/s^2", 0.0, -2.0, 5.0, "constant resistance"),
+        Parameter("c2", "c_2", "1/m", 0.0, -0.1, 0.1, "resistance that grows with the speed squared"),
+    ),
+    starts=at({"c0": 0.05, "c2": 0.001}),
+    function=push,
+    strengths=("c0", "c2"),
+)

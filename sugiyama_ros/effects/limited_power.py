@@ -1,0 +1,24 @@
+"""The engine's power limits the acceleration."""
+
+from numba import njit
+
+from sugiyama_ros.driver.parameters import Parameter
+from sugiyama_ros.effects.effect import ACTUATION, Effect, Seen, at
+from sugiyama_ros.road import Array
+
+
+@njit(cache=True)
+def actuate(acceleration: float, seen: Seen, p: Array) -> float:
+    """At most the power over the speed; below 0.1 m/s the speed counts as that."""
+    return min(acceleration, p[0] / max(seen.speed, 0.1))
+
+
+EFFECT = Effect(
+    name="limited_power",
+    stage=ACTUATION,
+    summary="the engine gives no more than P/v",
+    source="Rakha and Lucic, J. Transp. Eng. 128 (2002) 161",
+    parameters=(Parameter("power", "P", "m^2/s^3", 0.0, 0.2, 1e3, "power per mass of vehicle; 0 for no limit"),),
+    starts=at({"power": 4.0}, {"power": 9.0}, {"power": 20.0}),
+    function=actuate,
+)

@@ -1,0 +1,16 @@
+"""Drivers change their minds slowly and at random."""
+
+from sugiyama_ros.driver.parameters import Parameter
+from sugiyama_ros.effects.effect import PREFERENCE, Effect, at
+
+EFFECT = Effect(
+    name="preference_drift",
+    stage=PREFERENCE,
+    summary="desired speed and risk premium wander at random (Ornstein-Uhlenbeck in their logarithms)",
+    source="Hoogendoorn, Ossen and Schreuder, Transp. Res. Rec. 1965 (2006) 112",
+    parameters=(
+        Parameter("std", "σ_d", "1", 0.0, 0.0, 2.0, "std of log v* and log κ_v over a long time"),
+        Parameter("time_constant", "T_d", "s", 0.0, 1.0, 1e5, "time after which a mood is forgotten"),
+    ),
+    starts=at({"std": 0.1, "time_constant": 30.0}),
+)

@@ -1,0 +1,44 @@
+"""At one moment drivers change their minds."""
+
+import math
+
+from numba import njit
+
+from sugiyama_ros.driver.parameters import Parameter
+from sugiyama_ros.effects.effect import PREFERENCE, Effect, Recording, Seen, Values
+from sugiyama_ros.road import Array
+
+#: Time [s] in which the switch happens; smooth, so that its moment can be searched for.
+RISE_S = 0.5
+_TIMES = 5
+
+
+@njit(cache=True)
+def prefer(v_star: float, kappa_v: float, seen: Seen, p: Array) -> tuple[float, float]:
+    """From ``p[2]`` on, with a rise of some seconds, other preferences."""
+    share = 1.0 / (1.0 + math.exp(min(max((p[2] - seen.time) / RISE_S, -50.0), 50.0)))
+    return v_star * math.exp(p[0] * share), kappa_v * math.exp(p[1] * share)
+
+
+def _starts(recording: Recording) -> tuple[Values, ...]:
+    length = recording.end_s - recording.start_s
+    return tuple(
+        {"v_star_change": -0.05, "kappa_v_change": 0.05, "time": recording.start_s + (k + 1) / (_TIMES + 1) * length}
+        for k in range(_TIMES)
+    )
+
+
+EFFECT = Effect(
+    name="preference_switch",
+    stage=PREFERENCE,
+    summary="desired speed and risk premium change at one moment",
+    source="Hamdar, Treiber, Mahmassani and Kesting, Transp. Res. Rec. 2088 (2008) 208",
+    parameters=(
+        Parameter("v_star_change", "Δv", "1", 0.0, -2.0, 2.0, "change of log v*"),
+        Parameter("kappa_v_change", "Δκ", "1", 0.0, -3.0, 3.0, "change of log κ_v"),
+        Parameter("time", "t_s", "s", 0.0, -1e12, 1e12, "time of the recording at which it happens"),
+    ),
+    starts=_starts,
+    function=prefer,
+    strengths=("v_star_change", "kappa_v_change"),
+)

@@ -1,0 +1,31 @@
+"""A car close behind makes drivers hurry."""
+
+import math
+
+from numba import njit
+
+from sugiyama_ros.driver.parameters import Parameter
+from sugiyama_ros.effects.effect import ACTUATION, Effect, Seen, at
+from sugiyama_ros.road import Array
+
+
+@njit(cache=True)
+def actuate(acceleration: float, seen: Seen, p: Array) -> float:
+    """The acceleration meant, plus a push that falls exponentially with the gap behind."""
+    if math.isinf(seen.rear_gap):
+        return acceleration
+    return acceleration + p[0] * math.exp(-max(seen.rear_gap, 0.0) / p[1])
+
+
+EFFECT = Effect(
+    name="rear_pressure",
+    stage=ACTUATION,
+    summary="drivers accelerate away from a car close behind",
+    source="Nakayama, Sugiyama and Hasebe, Phys. Rev. E 65 (2001) 016112 (backward looking)",
+    parameters=(
+        Parameter("strength", "f_r", "m/s^2", 0.0, -10.0, 20.0, "push at contact"),
+        Parameter("distance", "d_r", "m", 0.0, 0.3, 100.0, "gap in which it falls by a factor e"),
+    ),
+    starts=at({"strength": 0.3, "distance": 2.0}, {"strength": 0.3, "distance": 6.0}),
+    function=actuate,
+)

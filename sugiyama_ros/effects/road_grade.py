@@ -1,0 +1,27 @@
+"""A hill on part of the road."""
+
+from numba import njit
+
+from sugiyama_ros.driver.parameters import Parameter
+from sugiyama_ros.effects.effect import ENVIRONMENT, Effect, Seen
+from sugiyama_ros.effects.place import PLACE, around, bump
+from sugiyama_ros.road import Array
+
+GRAVITY = 9.81
+
+
+@njit(cache=True)
+def push(seen: Seen, p: Array) -> float:
+    """-g times the slope, which rises and falls smoothly."""
+    return -GRAVITY * p[0] * bump(seen, p[1], p[2])
+
+
+EFFECT = Effect(
+    name="road_grade",
+    stage=ENVIRONMENT,
+    summary="gravity on a slope along part of the road",
+    source="Treiber and Kesting, Traffic Flow Dynamics (2013), section 21.2",
+    parameters=(Parameter("grade", "s", "1", 0.0, -0.3, 0.3, "slope in the middle, positive uphill"), *PLACE),
+    starts=around({"grade": 0.01}),
+    function=push,
+)

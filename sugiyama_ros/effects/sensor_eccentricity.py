@@ -1,0 +1,37 @@
+"""The camera stands off the centre of the ring."""
+
+import math
+
+from numba import njit
+
+from sugiyama_ros.driver.parameters import Parameter
+from sugiyama_ros.effects.effect import MEASUREMENT, Effect, Recording, Values
+from sugiyama_ros.road import Array
+
+
+@njit(cache=True)
+def displacement(position: float, circumference: float, p: Array) -> tuple[float, float]:
+    """Measured minus true position [m] at a true one, and its derivative; one wave around the ring."""
+    if circumference == 0.0:
+        return 0.0, 0.0
+    turn = 2.0 * math.pi / circumference
+    cosine, sine = math.cos(turn * position), math.sin(turn * position)
+    return p[0] * cosine + p[1] * sine, turn * (p[1] * cosine - p[0] * sine)
+
+
+def _starts(recording: Recording) -> tuple[Values, ...]:
+    return ({"cosine": 0.1, "sine": 0.1},) if recording.circumference_m else ()
+
+
+EFFECT = Effect(
+    name="sensor_eccentricity",
+    stage=MEASUREMENT,
+    summary="the camera stands off the centre of the ring: positions are displaced by one wave around it",
+    source="geometry: an angle seen from a point beside the centre, to first order",
+    parameters=(
+        Parameter("cosine", "e_c", "m", 0.0, -20.0, 20.0, "displacement at position 0"),
+        Parameter("sine", "e_s", "m", 0.0, -20.0, 20.0, "displacement a quarter of the ring further on"),
+    ),
+    starts=_starts,
+    strengths=("cosine", "sine"),
+)

@@ -1,0 +1,28 @@
+"""On part of the road everybody wants to drive slower (or faster)."""
+
+from numba import njit
+
+from sugiyama_ros.driver.parameters import Parameter
+from sugiyama_ros.effects.effect import PREFERENCE, Effect, Seen
+from sugiyama_ros.effects.place import PLACE, around, bump
+from sugiyama_ros.road import Array
+
+
+@njit(cache=True)
+def prefer(v_star: float, kappa_v: float, seen: Seen, p: Array) -> tuple[float, float]:
+    """The desired speed, less a share that is largest in the middle of the patch."""
+    return v_star * max(1.0 - p[0] * bump(seen, p[1], p[2]), 0.05), kappa_v
+
+
+EFFECT = Effect(
+    name="slow_patch",
+    stage=PREFERENCE,
+    summary="a lower desired speed on part of the road",
+    source="Treiber and Kesting, Traffic Flow Dynamics (2013), section 11.5 (flow-conserving bottlenecks)",
+    parameters=(
+        Parameter("reduction", "r", "1", 0.0, -1.0, 0.95, "share taken off v* in the middle of the patch"),
+        *PLACE,
+    ),
+    starts=around({"reduction": 0.1}),
+    function=prefer,
+)
