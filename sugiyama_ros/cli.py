@@ -136,6 +136,113 @@ def simulate(
 
 
 @app.command()
+def diagnose(
+    source: Annotated[Path, typer.Argument(help="Trajectories: .data, .csv or .mcap.")],
+    add: Annotated[
+        str | None, typer.Option("--add", help="auto: add what is missing until nothing more is supported.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Model file (YAML) to write: all that was added.")
+    ] = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Fewer simulated recordings: rougher p-values, sooner.")
+    ] = False,
+    ring: Ring = None,
+    seed: Seed = 0,
+    as_json: Json = False,
+) -> None:
+    """Say what is missing from the model: where it fails, which effect explains that, and how sure that is."""
+    from sugiyama_ros.criticism.diagnosis import diagnose as find
+    from sugiyama_ros.criticism.model_file import write_model
+    from sugiyama_ros.criticism.verdict import document, sentences
+    from sugiyama_ros.formats import read_trajectories
+
+    if add not in (None, "auto"):
+        raise InputError(f"--add {add}: only auto is known")
+    if output is not None and output.suffix not in (".yaml", ".yml"):
+        raise InputError(f"{output}: give a model file a .yaml name")
+    trajectories = read_trajectories(source, ring)
+    with _stages() as advance:
+        found = find(
+            trajectories,
+            seed=seed,
+            quick=quick,
+            most=8 if add else 3,
+            workers=os.cpu_count() or 1,
+            on_progress=advance,
+        )
+    if output is not None:
+        write_model(output, found.data, found.final)
+    if as_json:
+        _print_json(document(found))
+        return
+    for line in sentences(found):
+        _out.print(escape(line), soft_wrap=True, highlight=False)
+    table = Table(title="Held-out errors, step by step", title_justify="left")
+    steps = [("base model", found.before), *((f"+ {n.name}", n.after) for n in found.named)]
+    names = {name: value for name, value in found.rivals.items()}
+    for heading in ("model", *_ERROR_HEADINGS):
+        table.add_column(escape(heading), justify="left" if heading == "model" else "right")
+    for name, summary in [*((n, e.summary()) for n, e in steps), *names.items()]:
+        table.add_row(escape(name), *_error_cells(summary))
+    _print_wide(table)
+    _print_drivers(document(found)["drivers"])
+    runs = f"{found.bootstrap_runs} simulated recordings" + (" (quick)" if quick else "")
+    _err.print(f"p-values from {runs}; {found.wall_s:.0f} s")
+
+
+@app.command()
+def compare(
+    source: Annotated[Path, typer.Argument(help="Trajectories: .data, .csv or .mcap.")],
+    effects: Annotated[str, typer.Option("--effects", help="Effects to add to the model, separated by commas.")] = "",
+    model: Annotated[Path | None, typer.Option("--model", help="Model file (YAML) to compare too.")] = None,
+    ring: Ring = None,
+    seed: Seed = 0,
+    as_json: Json = False,
+) -> None:
+    """Compare the model with the measurements, and with other models, on samples that no fit has seen."""
+    from sugiyama_ros.criticism.comparison import compare as compare_models
+    from sugiyama_ros.criticism.model_file import read_model
+    from sugiyama_ros.formats import read_trajectories
+
+    given = read_model(model) if model is not None else None
+    trajectories = read_trajectories(source, ring)
+    names = [name.strip() for name in effects.split(",") if name.strip()]
+    with _stages() as advance:
+        compared = compare_models(
+            trajectories, names, given, seed=seed, workers=os.cpu_count() or 1, on_progress=advance
+        )
+    document = {
+        "models": [
+            {
+                "name": c.name,
+                **c.errors.summary(),
+                "heldout_gain_nats": c.gain.nats if c.gain else 0.0 if c.name == "base" else None,
+                "heldout_gain_se": c.gain.se if c.gain else None,
+                "nis_mean": c.nis_mean,
+                "nis_std_error": c.nis_std_error,
+                "autocorrelation": c.autocorrelation,
+                "autocorrelation_band": c.band,
+            }
+            for c in compared
+        ],
+        "seed": seed,
+    }
+    if as_json:
+        _print_json(document)
+        return
+    table = Table(title="Held-out errors", title_justify="left")
+    for heading in ("model", *_ERROR_HEADINGS, "gain [nats]", "mean NIS", "autocorrelation"):
+        table.add_column(escape(heading), justify="left" if heading == "model" else "right")
+    for c in compared:
+        won = f"{c.gain.nats:.0f} ± {c.gain.se:.0f}" if c.gain else ""
+        nis = f"{c.nis_mean:.2f} ± {c.nis_std_error:.2f}"
+        table.add_row(escape(c.name), *_error_cells(c.errors.summary()), won, nis, f"{c.autocorrelation[0]:+.3f}")
+    _print_wide(table)
+    _out.print(f"white innovations have an autocorrelation within ± {compared[0].band:.3f}", highlight=False)
+
+
+@app.command()
 def convert(
     source: Annotated[Path, typer.Argument(help="Trajectories: .data, .csv or .mcap.")],
     output: Annotated[Path, typer.Argument(help="MCAP file to write.")],
@@ -381,6 +488,46 @@ def _progress(what: str) -> Iterator[Callable[[int, int], None] | None]:
     with Progress(*columns, console=_err, transient=True) as bar:
         task = bar.add_task(what, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+@contextmanager
+def _stages() -> Iterator[Callable[[str, int, int], None]]:
+    """A bar for work in several stages, on a terminal; nothing in a pipe."""
+    if not _err.is_terminal:
+        yield lambda what, done, total: None
+        return
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
+    with Progress(*columns, console=_err, transient=True) as bar:
+        task = bar.add_task("starting", total=None)
+        yield lambda what, done, total: bar.update(task, description=what, completed=done, total=total)
+
+
+_ERROR_HEADINGS = (
+    "one-step [m]",
+    "free run 2 s [m]",
+    "5 s",
+    "10 s",
+    "single car 2 s [m]",
+    "5 s",
+    "10 s",
+    "nats per sample",
+)
+
+
+def _error_cells(summary: dict[str, float]) -> list[str]:
+    return [
+        f"{v:.3f}" if name in ("one_step_rmse_m", "loglik_per_sample") else f"{v:.2f}" for name, v in summary.items()
+    ]
+
+
+def _print_drivers(drivers: list[dict[str, float]]) -> None:
+    table = Table(title="By driver, before and after", title_justify="left")
+    for heading in ("vehicle", "held-out gain [nats]", "single car 10 s [m]", "after"):
+        table.add_column(escape(heading), justify="right")
+    for d in drivers:
+        errors = (f"{d[f'single_car_10s_{when}_m']:.2f}" for when in ("before", "after"))
+        table.add_row(str(d["vehicle"]), f"{d['heldout_gain_nats']:.1f}", *errors)
+    _print_wide(table)
 
 
 def _moment(ns: int) -> str:

@@ -130,8 +130,8 @@ class Simulator:
 
     On a ring the last follows the first; on an open road the last has nobody ahead.
 
-    parameters: (N, P) at the reference period, or (N, WIDTH) with effects; length_m: (N,); position_m: (N,) [m] of the centres, increasing, within
-    one circumference; speed: (N,) [m/s], 0 if left out. ``rng`` draws every noise.
+    parameters: (N, P) at the reference period, or (N, WIDTH) with effects; length_m: (N,); position_m: (N,) [m] of the
+    centres, increasing, within one circumference; speed: (N,) [m/s], 0 if left out. ``rng`` draws every noise.
     Raises InputError where the start is impossible (overlapping vehicles, wrong shapes, parameters out of bounds).
     """
 
@@ -167,12 +167,12 @@ class Simulator:
         self.position_m = position_m.astype(np.float64).copy()
         self.speed = np.zeros(vehicles) if speed is None else speed.astype(np.float64).copy()
         self.noise = np.zeros(vehicles)
-        self.held = np.zeros(vehicles)
-        self.acceleration = np.zeros(vehicles)
+        self.held: Array = np.zeros(vehicles)
+        self.acceleration: Array = np.zeros(vehicles)
         self.step_number = 0
         self.start_s = start_s
         self._rng = rng
-        self._rng_of_effects = np.random.default_rng(rng.bit_generator.seed_seq.spawn(1)[0])
+        self._rng_of_effects = rng.spawn(1)[0]
         self._mood = np.zeros((2, vehicles))
         self._touching = self.gap_m <= 0.0
         if self._touching.any():
@@ -218,7 +218,8 @@ class Simulator:
 
     def _accelerate(self) -> None:
         rows = self._wandering()
-        held, pushed = np.empty(len(rows)), np.empty(len(rows))
+        held: Array = np.empty(len(rows))
+        pushed: Array = np.empty(len(rows))
         drive(
             self.position_m,
             self.speed,
@@ -244,7 +245,7 @@ class Simulator:
         std, time = self.parameters[:, _DRIFT].T
         if not std.any():
             return self.parameters
-        memory = np.exp(-self.period_s / np.where(std > 0.0, time, 1.0)) if self.step_number else 0.0
+        memory: Array = np.exp(-self.period_s / np.where(std > 0.0, time, 1.0)) * (self.step_number > 0)
         fresh = self._rng_of_effects.standard_normal(self._mood.shape)
         self._mood = memory * self._mood + std * np.sqrt(1.0 - np.square(memory)) * fresh
         rows = self.parameters.copy()

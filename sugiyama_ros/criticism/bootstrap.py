@@ -13,8 +13,9 @@ from sugiyama_ros.simulation import Simulator
 def resample(data: Recorded, model: Model, states: Array, rng: np.random.Generator) -> Recorded:
     """Data simulated from the model: the same road, vehicles and times, from the state in which the recording begins.
 
-    states: (T, N, 4) as ``free_run.filtered_states`` gives them. Vehicles without a leader drive as they were recorded. After a collision, or where vehicles come, go or change their
-    order, the simulation starts anew from the recorded state, and the recording counts as broken there.
+    states: (T, N, 4) as ``free_run.filtered_states`` gives them. Vehicles without a leader drive as they were recorded.
+    After a collision, or where vehicles come, go or change their order, the simulation starts anew from the recorded
+    state, and the recording counts as broken there.
     """
     t = data.trajectories
     position, speed = states[:, :, 0], states[:, :, 1]
@@ -49,7 +50,7 @@ def _lead(simulator: Simulator, order: Ints, position: Array, speed: Array) -> N
 def _start(
     data: Recorded, model: Model, k: int, position: Array, speed: Array, there: Array, rng: np.random.Generator
 ) -> tuple[Simulator | None, Ints]:
-    """A simulator from the recorded state of sample k, and the column of each of its vehicles; None if none is known."""
+    """A simulator from the recorded state of sample k, None if too little is known, and its vehicles' columns."""
     t = data.trajectories
     columns = np.flatnonzero(there)
     if len(columns) < max(1, int(0.5 * t.present[k].sum())):

@@ -41,7 +41,7 @@ class Candidate:
 _CONSTANTS = (
     ("response_constants", ("kappa_c", "kappa_d", "kappa_1"), False),
     ("noise_constants", ("rho", "sigma_x", "sigma_v"), False),
-    ("rationality", ("rationality",), False),
+    ("rationality", ("rationality",), True),
 )
 
 

@@ -30,6 +30,7 @@ from sugiyama_ros.criticism.fitting import (
     without_folds,
 )
 from sugiyama_ros.criticism.free_run import filtered_states
+from sugiyama_ros.criticism.rivals import by_gaps, in_filter, laws
 from sugiyama_ros.criticism.screening import Glance, glance
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR
 from sugiyama_ros.effects.catalogue import DECLARED
@@ -110,7 +111,9 @@ class Diagnosis:
     before: Errors
     after: Errors
     smallest: dict[str, float]
+    rivals: dict[str, dict[str, float]]
     bootstrap_runs: int
+    quick: bool
     seed: int
     wall_s: float
 
@@ -164,9 +167,16 @@ def diagnose(
                     on_progress("held-out gains", k, len(looked))
                     models = without_folds(data, one.fit, work)
                     heldout[one.candidate.name] = gain(data, held_out(data, models, work), errors.samples)
-            best = next((one for one in looked if one.refined), None)
-            if best is None or best.p_value > LEVEL or best.gain < _LEAST_GAIN:
+            supported = [one for one in looked if one.refined and one.p_value <= LEVEL and one.gain >= _LEAST_GAIN]
+            predicted = [
+                gain(data, held_out(data, without_folds(data, one.fit, work), work), errors.samples)
+                for one in supported
+            ]
+            supported = [one for one, g in zip(supported, predicted, strict=True) if g.nats > 0.0]
+            predicted = [g for g in predicted if g.nats > 0.0]
+            if not supported:
                 break
+            best = supported[int(np.argmax([g.nats for g in predicted]))]
             if number and not quick and best.score < _CLEAR * max(_LEAST_GAIN, 3.0 * best.spread):
                 again = _simulate(data, current, [best.candidate], runs, seed + number, work, on_progress)
                 best = again.judge(best.candidate, best.fit, best.gain, len(looks), refined=True)
@@ -193,6 +203,10 @@ def diagnose(
             )
             errors = after
             possible = [c for c in possible if c.name != best.candidate.name]
+        others: dict[str, dict[str, float]] = {}
+        for k, law in enumerate(laws()):
+            on_progress("rival models", k, len(laws()))
+            others |= _rival(data, law, work)
         on_progress("forces without a name", 0, 1)
         discovered = [d for d, _ in discover(data, current, work)] if not quick else []
     return Diagnosis(
@@ -206,10 +220,21 @@ def diagnose(
         before,
         errors,
         smallest,
+        others,
         runs,
+        quick,
         seed,
         time.monotonic() - began,
     )
+
+
+def _rival(data: Recorded, law: str, work: ThreadPoolExecutor) -> dict[str, dict[str, float]]:
+    """Errors of a rival calibrated in the filter, and of the same by least squares on gaps."""
+    fitted = in_filter(data, law, work)
+    return {
+        law: errors_of(data, without_folds(data, fitted, work), work).summary(),
+        f"{law}_least_squares": errors_of(data, by_gaps(data, law, fitted, work), work).summary(),
+    }
 
 
 def parameters_of(fitted: Fit, candidate: Candidate) -> dict[str, float]:
@@ -255,7 +280,7 @@ class _Null:
     def needed(self) -> float:
         """A gain [nats] that is usually believed."""
         highest = [
-            float(np.mean(np.maximum(g, 0.0)) + 4.0 * max(np.std(g), _LEAST_SPREAD)) for g in self.gains.values()
+            float(np.mean(np.maximum(g, 0.0)) + 4.0 * max(float(np.std(g)), _LEAST_SPREAD)) for g in self.gains.values()
         ]
         return max(_LEAST_GAIN, float(np.median(highest)) if highest else 0.0)
 

@@ -26,7 +26,7 @@ _FROM_DATA = {"gap": 0, "speed": 1, "approach_rate": 2, "rear_gap": 3, "second_g
 
 @dataclass(frozen=True)
 class Discovery:
-    """A force [m/s^2] over one covariate: its values at the knots, its strength (largest minus smallest), its p-value."""
+    """A force [m/s^2] over one covariate, given at knots; strength: largest minus smallest."""
 
     covariate: str
     strength: float

@@ -27,6 +27,11 @@ class Errors:
         """Of the innovations [m]."""
         return rmse(self.samples.innovation_m)
 
+    def by_driver(self) -> list[tuple[float, float]]:
+        """Log-likelihood [nats] and single-car 10-s error [m] of every driver."""
+        totals = np.nansum(self.samples.log_likelihood, axis=1)
+        return [(float(total), rmse(self.runs.single[:, -1, i])) for i, total in enumerate(totals)]
+
     def summary(self) -> dict[str, float]:
         """All figures by name."""
         coupled, single = (

@@ -5,9 +5,9 @@ information is that of two least-squares problems, sum(dy dy' / S + dS dS' / 2 S
 maximum in a few steps (with damping after Levenberg and Marquardt). What belongs to one driver is independent of what
 belongs to another but for the shared parameters, so the system to solve is an arrow.
 
-Parameters are searched in logarithms where they have a sign. Drivers are taken to be draws of one population: each one's
-own parameters are held to the median driver's by a normal prior whose std is that over the drivers, each fitted for
-himself (empirical Bayes), so that a parameter which the data of one driver do not hold stays near the others'.
+Parameters are searched in logarithms where they have a sign. Drivers are taken to be draws of one population: each
+one's own parameters are held to the median driver's by a normal prior whose std is that over the drivers, each fitted
+for himself (empirical Bayes), so that a parameter which the data of one driver do not hold stays near the others'.
 """
 
 import math
@@ -103,7 +103,7 @@ def _columns(trajectories: Trajectories, driver: int, m: int) -> Ints:
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Innovation y [m], its variance S [m^2] and log-likelihood of every driver's samples, (N, T); NaN if not scored."""
+    """Innovation y [m], its variance S [m^2] and log-likelihood of all samples, (N, T); NaN if not scored."""
 
     innovation_m: Array
     innovation_var: Array
@@ -301,8 +301,8 @@ def solve(all_slopes: Sequence[Slopes], model: Model, folds: Sequence[int], damp
         rest += g[individual:] - cross.T @ inverse @ g_own
         parts.append((inverse, cross, g_own))
     ridge = (damping + 1e-9) * np.diag(np.abs(np.diag(reduced))) + 1e-6 * np.eye(shared)
-    of_shared = np.linalg.solve(reduced + ridge, rest)
-    of_own = np.array([inverse @ (g - cross @ of_shared) for inverse, cross, g in parts])
+    of_shared: Array = np.linalg.solve(reduced + ridge, rest).astype(np.float64)
+    of_own: Array = np.array([inverse @ (g - cross @ of_shared) for inverse, cross, g in parts], dtype=np.float64)
     promise = 0.5 * float(rest @ of_shared) + 0.5 * sum(float(g @ inverse @ g) for inverse, _, g in parts)
     return Step(of_own, of_shared, promise)
 
@@ -387,7 +387,7 @@ def start_model(drivers: int, individual: Sequence[int]) -> Model:
 
 
 def fit_base(data: Recorded, individual: Sequence[int], work: Executor, start: Model | None = None) -> Fit:
-    """Fit every driver for himself; then again as draws of one population, with the drivers ahead as they were found."""
+    """Fit every driver for himself, then as draws of one population, with the drivers ahead as they were found."""
     first = fit(data, start or start_model(data.drivers, individual), work, iterations=6)
     return fit(data, as_population(first.model), work)
 

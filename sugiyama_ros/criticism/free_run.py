@@ -39,7 +39,7 @@ def _coupled(
     circumference: float,
     out: Array,
 ) -> None:
-    """Positions [m] into ``out`` (steps, N) from positions, speeds, noises and held accelerations (N,), which change."""
+    """Positions [m] into ``out`` (steps, N), from positions, speeds, noises and held accelerations (N,)."""
     vehicles = len(x)
     held, pushed = np.empty(vehicles), np.empty(vehicles)
     acceleration = b + rows[:, RHO] * n
@@ -93,24 +93,24 @@ def _single(
             near[3] = j
     # the vehicle, those ahead and the one behind, as a little road of their own
     count, place = 0, np.full(len(leader), -1)
-    chosen = np.empty(4, np.int64)
+    chosen: Ints = np.empty(4, np.int64)
     for j in near:
         if j >= 0 and place[j] < 0:
             place[j] = count
             chosen[count] = j
             count += 1
-    chosen = chosen[:count]
     ahead = np.full(count, -1)
     for k in range(count):
         if leader[chosen[k]] >= 0:
             ahead[k] = place[leader[chosen[k]]]
-    small_rows, small_turn, small_length = rows[chosen], turn[chosen], length[chosen]
+    near = chosen[:count]
+    small_rows, small_turn, small_length = rows[near], turn[near], length[near]
     held, pushed = np.empty(count), np.empty(count)
     x, v, n, b = recorded[0, i, 0], recorded[0, i, 1], recorded[0, i, 2], recorded[0, i, 3]
     a = b + rows[i, RHO] * n
     for k in range(len(out)):
-        xs, vs, bs = recorded[k, chosen, 0].copy(), recorded[k, chosen, 1].copy(), recorded[k, chosen, 3].copy()
-        accelerations = bs + recorded[k, chosen, 2]
+        xs, vs, bs = recorded[k, near, 0].copy(), recorded[k, near, 1].copy(), recorded[k, near, 3].copy()
+        accelerations = bs + recorded[k, near, 2]
         xs[0], vs[0], bs[0], accelerations[0] = x, v, b, a
         drive(
             xs,
@@ -176,12 +176,13 @@ def _of_fold(job: tuple[Recorded, Model, Ints, list[int]]) -> tuple[Array, Array
         headway = np.where(leader >= 0, state[k, leader, 0] - state[k, :, 0], 0.0)
         turn = np.nan_to_num(ring * np.floor(headway / ring)) if ring else np.zeros(data.drivers)
         scene = (t.start_s + k * t.period_s, t.period_s, horizon_at(t.period_s), ring)
-        _coupled(*state[k].T.copy(), leader, turn, *about, *scene, out)
+        x, v, n, b = state[k].T.copy()
+        _coupled(x, v, n, b, leader, turn, *about, *scene, out)  # type: ignore[arg-type]
         measured = t.position_m[k + np.array(steps)]
         coupled[s] = t.road.difference(out[np.array(steps) - 1], measured)
         recorded = state[k : k + steps[-1]]
         for i in range(data.drivers):
-            _single(i, recorded, leader, turn, *about, *scene, out)
+            _single(i, recorded, leader, turn, *about, *scene, out)  # type: ignore[arg-type]
         single[s] = t.road.difference(out[np.array(steps) - 1], measured)
     return coupled, single
 

@@ -28,6 +28,7 @@ from sugiyama_ros.criticism.fitting import (
     sums,
     value,
 )
+from sugiyama_ros.estimation import causal
 from sugiyama_ros.road import Array
 
 # Steps with the derivatives of the start, at most, and the log-likelihood that one must promise.
@@ -59,11 +60,12 @@ def glance(data: Recorded, base: Fit, candidate: Candidate, work: Executor) -> G
     best, worst = int(np.argmax(looks)), int(np.argmin(looks))
     loss = base.log_likelihood - looks[worst], candidate.starts[worst]
     model, at = starts[best], samples[best]
-    if OUTLIERS in candidate.places or np.any(base.model.rows[:, OUTLIERS] > 0.0):
+    if OUTLIERS in candidate.places:
         fitted = fit(data, model, work, iterations=_ITERATIONS_OF_ROBUST)
         return Glance(candidate, fitted, objective(fitted.slopes, fitted.model, range(FOLDS)) - before, *loss)
     columns = [_column(data, model, at, k, work) for k in candidate.places]
     fresh = [k for k in candidate.places if k in model.individual]
+    robust = bool(np.any(base.model.rows[:, OUTLIERS] > 0.0))
     first_shared = len(base.model.individual)
 
     def slopes_at(samples: Samples) -> list[Slopes]:
@@ -74,9 +76,14 @@ def glance(data: Recorded, base: Fit, candidate: Candidate, work: Executor) -> G
                 for j, old in enumerate((s.innovation, s.variance))
             )
             y, variance = samples.innovation_m[i], samples.innovation_var[i]
-            density = -dy * (y / variance) - 0.5 * dvar * (1.0 - y * y / variance) / variance
             now = (y, variance, samples.log_likelihood[i])
-            found.append(sums(now, dy, dvar, density, data.fold, robust=False))
+            # with outliers y counts as much as its density's slope says, which is 1/S without
+            weight = np.ones_like(y)
+            if robust:
+                row = model.rows[i]
+                weight = np.array([_weight(a, b, row) for a, b in zip(y, variance, strict=True)])
+            density = -weight * (dy * (y / variance) + 0.5 * dvar * (1.0 - weight * y * y / variance) / variance)
+            found.append(sums(now, dy, dvar, density, data.fold, robust=robust))
         return found
 
     everywhere = range(FOLDS)
@@ -95,6 +102,11 @@ def glance(data: Recorded, base: Fit, candidate: Candidate, work: Executor) -> G
         else:
             share *= 0.3
     return Glance(candidate, Fit(model, at, tuple(here)), now - before, *loss)
+
+
+def _weight(y: float, variance: float, row: Array) -> float:
+    """What the update with an innovation counts, of what it would count if no sample were an outlier."""
+    return float(causal.robust(y, variance, row)[0]) * variance if np.isfinite(y) else 1.0
 
 
 def _promise(base: Fit, samples: Samples) -> float:

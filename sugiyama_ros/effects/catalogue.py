@@ -132,7 +132,7 @@ def place(effect_name: str, parameter: str) -> int:
     names = [p.name for p in effect(effect_name).parameters]
     if parameter not in names:
         raise InputError(f"effect {effect_name}: has no parameter {parameter!r}; it has {', '.join(names)}")
-    return PLACES[effect_name].start + names.index(parameter)
+    return int(PLACES[effect_name].start) + names.index(parameter)
 
 
 def whole(parameters: Array) -> Array:

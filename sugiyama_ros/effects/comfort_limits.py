@@ -12,7 +12,7 @@ from sugiyama_ros.road import Array
 @njit(cache=True)
 def actuate(acceleration: float, seen: Seen, p: Array) -> float:
     """A tanh(a / A): one smooth saturation."""
-    return p[0] * math.tanh(acceleration / p[0])
+    return float(p[0]) * math.tanh(acceleration / p[0])
 
 
 EFFECT = Effect(

@@ -1,7 +1,7 @@
 """What a driver does, with all effects: from what is there to see to the acceleration of his car. Compiled."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeAlias
 
 from numba import njit
 
@@ -11,8 +11,10 @@ from sugiyama_ros.driver.utility import mean_action
 from sugiyama_ros.effects import actuation_lag, perception_threshold, speed_dependent_noise
 from sugiyama_ros.effects.catalogue import EFFECTS, LAW, LAW_PLACES, PLACES, place
 from sugiyama_ros.effects.effect import ACTUATION, ENVIRONMENT, MEASUREMENT, PERCEPTION, PREFERENCE, Effect, Seen
+from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Array
 
+_Preferred: TypeAlias = Callable[..., tuple[float, float]]
 _LAG = place("actuation_lag", "time_constant")
 _THRESHOLD = place("perception_threshold", "threshold")
 _NOISE = place("speed_dependent_noise", "exponent")
@@ -40,15 +42,21 @@ def _nothing_pushes(seen: Seen, row: Array) -> float:
     return 0.0
 
 
+def _function(effect: Effect) -> Callable[..., Any]:
+    if effect.function is None:
+        raise InputError(f"effect {effect.name}: has no function")
+    return effect.function
+
+
 def _places(effect: Effect) -> tuple[int, int, int, int]:
     """First and last entry in a row, and the places of the first and the last switch."""
     switches = [place(effect.name, name) for name in effect.switches]
     return PLACES[effect.name].start, PLACES[effect.name].stop, switches[0], switches[-1]
 
 
-def _then_perceive(before: Callable[..., Any], effect: Effect) -> Callable[..., Any]:
+def _then_perceive(before: Callable[..., Seen], effect: Effect) -> Callable[..., Seen]:
     first, last, switch, other = _places(effect)
-    perceive = effect.function
+    perceive: Callable[..., Any] = _function(effect)
 
     @njit(nogil=True)
     def perceived(seen: Seen, row: Array) -> Seen:
@@ -71,52 +79,56 @@ def _then_perceive(before: Callable[..., Any], effect: Effect) -> Callable[..., 
             seen.rear_speed,
         )
 
-    return perceived  # type: ignore[no-any-return]
+    return perceived
 
 
-def _then_prefer(before: Callable[..., Any], effect: Effect) -> Callable[..., Any]:
+def _then_prefer(before: _Preferred, effect: Effect) -> _Preferred:
     first, last, switch, other = _places(effect)
-    prefer = effect.function
+    prefer: Callable[..., Any] = _function(effect)
 
     @njit(nogil=True)
     def preferred(v_star: float, kappa_v: float, seen: Seen, row: Array) -> tuple[float, float]:
         v_star, kappa_v = before(v_star, kappa_v, seen, row)
         if row[switch] == 0.0 and row[other] == 0.0:
             return v_star, kappa_v
-        return prefer(v_star, kappa_v, seen, row[first:last])
+        v_star, kappa_v = prefer(v_star, kappa_v, seen, row[first:last])
+        return v_star, kappa_v
 
-    return preferred  # type: ignore[no-any-return]
+    return preferred
 
 
-def _then_actuate(before: Callable[..., Any], effect: Effect) -> Callable[..., Any]:
+def _then_actuate(before: Callable[..., float], effect: Effect) -> Callable[..., float]:
     first, last, switch, other = _places(effect)
-    actuate = effect.function
+    actuate: Callable[..., Any] = _function(effect)
 
     @njit(nogil=True)
     def actuated(acceleration: float, seen: Seen, row: Array) -> float:
         acceleration = before(acceleration, seen, row)
         if row[switch] == 0.0 and row[other] == 0.0:
             return acceleration
-        return actuate(acceleration, seen, row[first:last])
+        return float(actuate(acceleration, seen, row[first:last]))
 
-    return actuated  # type: ignore[no-any-return]
+    return actuated
 
 
-def _then_push(before: Callable[..., Any], effect: Effect) -> Callable[..., Any]:
+def _then_push(before: Callable[..., float], effect: Effect) -> Callable[..., float]:
     first, last, switch, other = _places(effect)
-    push = effect.function
+    push: Callable[..., Any] = _function(effect)
 
     @njit(nogil=True)
     def pushed(seen: Seen, row: Array) -> float:
         total = before(seen, row)
         if row[switch] == 0.0 and row[other] == 0.0:
             return total
-        return total + push(seen, row[first:last])
+        return float(total + push(seen, row[first:last]))
 
-    return pushed  # type: ignore[no-any-return]
+    return pushed
 
 
-_perceive, _prefer, _actuate, _push = _nothing_perceived, _nothing_preferred, _nothing_actuated, _nothing_pushes
+_perceive: Callable[..., Seen] = _nothing_perceived
+_prefer: _Preferred = _nothing_preferred
+_actuate: Callable[..., float] = _nothing_actuated
+_push: Callable[..., float] = _nothing_pushes
 for _effect in EFFECTS:
     if _effect.function is None:
         continue

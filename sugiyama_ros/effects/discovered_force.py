@@ -40,10 +40,10 @@ def push(seen: Seen, p: Array) -> float:
         s = (x - p[1]) / seen.circumference
         s = KNOTS * (s - math.floor(s))
         k = min(int(s), KNOTS - 1)
-        return p[3 + k] + (s - k) * (p[3 + (k + 1) % KNOTS] - p[3 + k])
+        return float(p[3 + k] + (s - k) * (p[3 + (k + 1) % KNOTS] - p[3 + k]))
     s = (KNOTS - 1) * min(max((x - p[1]) / (p[2] - p[1]), 0.0), 1.0)
     k = min(int(s), KNOTS - 2)
-    return p[3 + k] + (s - k) * (p[4 + k] - p[3 + k])
+    return float(p[3 + k] + (s - k) * (p[4 + k] - p[3 + k]))
 
 
 _NUMBERS = ", ".join(f"{k}: {name}" for k, name in enumerate(COVARIATES, 1))

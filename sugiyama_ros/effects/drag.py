@@ -11,7 +11,7 @@ from sugiyama_ros.road import Array
 def push(seen: Seen, p: Array) -> float:
     """-c0 - c2 v^2; the constant part fades at walking pace, because resistance pushes nobody backward."""
     moving = min(max(seen.speed, 0.0), 1.0)
-    return -p[0] * moving - p[1] * seen.speed * abs(seen.speed)
+    return float(-p[0] * moving - p[1] * seen.speed * abs(seen.speed))
 
 
 EFFECT = Effect(

@@ -10,7 +10,7 @@ from sugiyama_ros.road import Array
 @njit(cache=True)
 def actuate(acceleration: float, seen: Seen, p: Array) -> float:
     """At least -B."""
-    return max(acceleration, -p[0])
+    return max(acceleration, -float(p[0]))
 
 
 EFFECT = Effect(

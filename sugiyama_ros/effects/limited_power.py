@@ -10,7 +10,7 @@ from sugiyama_ros.road import Array
 @njit(cache=True)
 def actuate(acceleration: float, seen: Seen, p: Array) -> float:
     """At most the power over the speed; below 0.1 m/s the speed counts as that."""
-    return min(acceleration, p[0] / max(seen.speed, 0.1))
+    return min(acceleration, float(p[0]) / max(seen.speed, 0.1))
 
 
 EFFECT = Effect(

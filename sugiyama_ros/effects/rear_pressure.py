@@ -14,7 +14,7 @@ def actuate(acceleration: float, seen: Seen, p: Array) -> float:
     """The acceleration meant, plus a push that falls exponentially with the gap behind."""
     if math.isinf(seen.rear_gap):
         return acceleration
-    return acceleration + p[0] * math.exp(-max(seen.rear_gap, 0.0) / p[1])
+    return acceleration + float(p[0]) * math.exp(-max(seen.rear_gap, 0.0) / p[1])
 
 
 EFFECT = Effect(

@@ -13,7 +13,7 @@ GRAVITY = 9.81
 @njit(cache=True)
 def push(seen: Seen, p: Array) -> float:
     """-g times the slope, which rises and falls smoothly."""
-    return -GRAVITY * p[0] * bump(seen, p[1], p[2])
+    return float(-GRAVITY * p[0] * bump(seen, p[1], p[2]))
 
 
 EFFECT = Effect(

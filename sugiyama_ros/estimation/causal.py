@@ -158,7 +158,7 @@ def _surroundings(
     time: float,
     scene: Scene,
 ) -> Seen:
-    """What driver m of a chain sees where the state is ``mean``; rear: position [m], speed, length of the one behind."""
+    """What driver m of a chain sees at the state ``mean``; rear: position [m], speed and length of the one behind."""
     last = len(known) - 1
     x = STATE * m
     gap, leader_speed, leader_acceleration = np.inf, 0.0, 0.0
@@ -476,9 +476,9 @@ def run(
     position: (T, M) [m], NaN where missing; identity: (T, M) which vehicle it is, -1 for none; length: (T, M) [m];
     rear: (T, 3) of the vehicle behind as for ``linearise``; parameters: (M, WIDTH) at this period; adapted, prior_var:
     (A,); start_s: time [s] of the first sample. Filled: innovation [m], innovation_var [m^2] and log_likelihood (T,) of
-    the own position, NaN where there is none or where it does not count. Filled where they have room: means (T, 4 M + A)
-    and covariances (T, 4 M + A, 4 M + A) after the update; motion (T, 2), own acceleration and what he means to do
-    [m/s^2] there.
+    the own position, NaN where there is none or where it does not count. Filled where they have room: means
+    (T, 4 M + A) and covariances (T, 4 M + A, 4 M + A) after the update; motion (T, 2), own acceleration and what he
+    means to do [m/s^2] there.
     """
     samples, vehicles = position.shape
     size = STATE * vehicles + len(adapted)

@@ -276,7 +276,7 @@ class OnlineFilter:
         off, factor = measurement(kalman.x[x], row, self._scene)
         gain = factor * kalman.P[:, x]
         variance = factor * gain[x] + row[SIGMA_NU] ** 2
-        y = float(self.road.difference(np.float64(position_m), np.float64(kalman.x[x] + off)))
+        y = float(self.road.difference(np.array([position_m]), kalman.x[[x]] + off)[0])
         step, shrink, density = robust(y, variance, row)
         measures = factor * self._measures[[m]]
         kalman.update(

@@ -134,6 +134,8 @@ def test_without_a_leader_only_the_desired_speed_counts():
 @given(seen, st.lists(st.floats(0.8, 1.2), min_size=COUNT, max_size=COUNT))
 def test_derivatives_equal_finite_differences(s, factors):
     p = defaults() * np.array(factors)
+    # simple numbers lie on kinks, where some speed or closing speed of the look-ahead is exactly 0
+    s = (s[0], s[1] + 1.37e-3, s[2] + 3.11e-3)
     out = np.empty(PARTIALS)
     value = mean_action_gradient(*s, p, ACTIONS, DT, H, out)
     assert value == pytest.approx(mean_action(*s, p, ACTIONS, DT, H), abs=1e-12)
@@ -148,12 +150,10 @@ def test_derivatives_equal_finite_differences(s, factors):
 
     for j in range(PARTIALS):
         e = 1e-5
+        one_sided = [(moved(j, e) - value) / e, (value - moved(j, -e)) / e]
         central = (8 * (moved(j, e) - moved(j, -e)) - (moved(j, 2 * e) - moved(j, -2 * e))) / (12 * e)
-        # |v|, max(closing, 0) and the period of the smallest ratio have kinks; beside one the two sides disagree, and no
-        # less so with half the step, while on a smooth curve they then disagree half as much
-        sides = [abs((moved(j, h) - value) / h - (value - moved(j, -h)) / h) for h in (e, e / 2)]
-        smooth = sides[1] < 0.75 * sides[0] + 1e-7
-        if smooth and sides[0] < 1e-3 * (1 + abs(central)):
+        # |v|, max(closing, 0) and the period of the smallest ratio have kinks; beside one the sides disagree
+        if abs(one_sided[0] - one_sided[1]) < 1e-3 * (1 + abs(central)):
             assert out[j] == pytest.approx(central, rel=1e-6, abs=1e-6)
 
 

@@ -1,0 +1,132 @@
+"""A fitted model as a YAML file: what acts, every driver's parameters, how well they are known, and from what data."""
+
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from sugiyama_ros.criticism.fitting import FOLDS, Fit, Recorded, coordinate
+from sugiyama_ros.driver.parameters import COUNT, NAMES, check
+from sugiyama_ros.effects.catalogue import ENTRIES, WIDTH, active, effect, place, switch_on
+from sugiyama_ros.errors import InputError, OutputError
+from sugiyama_ros.road import Array, Ints
+
+_FORMAT = 1
+# A model of so many drivers has a file of a few megabytes.
+_LARGEST_BYTES = 50_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class ModelFile:
+    """vehicle: (N,) numbers; rows: (N, WIDTH); effects: names of those that act; sha256 of the data fitted."""
+
+    vehicle: Ints
+    rows: Array
+    effects: tuple[str, ...]
+    source: str
+    sha256: str
+
+    def rows_of(self, vehicles: Ints) -> Array:
+        """Rows (N, WIDTH) of these vehicles; the median driver's for one that is not in the file."""
+        typical = np.median(self.rows, axis=0)
+        known = {int(v): k for k, v in enumerate(self.vehicle)}
+        return np.array([self.rows[known[int(v)]] if int(v) in known else typical for v in vehicles])
+
+
+def write_model(path: Path, data: Recorded, fitted: Fit) -> None:
+    """Write a fitted model. Raises OutputError."""
+    model, t = fitted.model, data.trajectories
+    stds = _stds(fitted)
+    drivers = {}
+    for i, vehicle in enumerate(t.vehicle.tolist()):
+        row = model.rows[i]
+        drivers[vehicle] = {
+            "parameters": {name: float(v) for name, v in zip(NAMES, row, strict=False)},
+            "std": {ENTRIES[k]: float(s) for k, s in zip(model.individual, stds[i], strict=False)},
+            "effects": {
+                name: {p.name: float(row[place(name, p.name)]) for p in effect(name).parameters} for name in active(row)
+            },
+        }
+    shared = stds[0][len(model.individual) :]
+    document = {
+        "sugiyama_model": _FORMAT,
+        "version": version("sugiyama_ros"),
+        "data": {"source": t.source, "sha256": t.sha256, "log_likelihood": fitted.log_likelihood},
+        "effects": list(active(model.rows)),
+        "shared_std": {ENTRIES[k]: float(s) for k, s in zip(model.shared, shared, strict=True)},
+        "drivers": drivers,
+    }
+    beside = path.with_name(path.name + ".part")
+    try:
+        beside.write_text(yaml.safe_dump(document, sort_keys=False, allow_unicode=True))
+        beside.replace(path)
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error.strerror}; choose another place") from None
+
+
+def read_model(path: Path) -> ModelFile:
+    """Read a model file. Raises InputError, which names the field."""
+    try:
+        if path.stat().st_size > _LARGEST_BYTES:
+            raise InputError(f"{path}: larger than {_LARGEST_BYTES // 1_000_000} MB; is it a model file?")
+        document: Any = yaml.safe_load(path.read_text())
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    except (yaml.YAMLError, UnicodeDecodeError):
+        raise InputError(f"{path}: is not YAML; give a file that `sugiyama diagnose --output` wrote") from None
+    if not isinstance(document, dict) or document.get("sugiyama_model") != _FORMAT:
+        raise InputError(
+            f"{path}: is not a model file of format {_FORMAT}; write one with `sugiyama diagnose --output`"
+        )
+    drivers = document.get("drivers")
+    if not isinstance(drivers, dict) or not drivers:
+        raise InputError(f"{path}: drivers: none there")
+    rows, vehicles = [], []
+    for vehicle, about in drivers.items():
+        where = f"{path}: drivers: {vehicle}"
+        row: Array = np.zeros(WIDTH)
+        try:
+            row[:COUNT] = [float(about["parameters"][name]) for name in NAMES]
+            for name, values in about.get("effects", {}).items():
+                row = switch_on(row, str(name), {str(p): float(v) for p, v in values.items()})
+            check(row[:COUNT])
+            vehicles.append(int(vehicle))
+        except InputError as error:
+            raise InputError(f"{where}: {error}") from None
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise InputError(f"{where}: {type(error).__name__} {error}; give every parameter a number") from None
+        rows.append(row)
+    about_data = document.get("data")
+    known = about_data if isinstance(about_data, dict) else {}
+    stacked = np.array(rows)
+    return ModelFile(
+        np.array(vehicles), stacked, active(stacked), str(known.get("source", "")), str(known.get("sha256", ""))
+    )
+
+
+def _stds(fitted: Fit) -> list[Array]:
+    """Standard deviations of every driver's own parameters and of the shared ones, from the information."""
+    model = fitted.model
+    own = len(model.individual)
+    prior = np.diag(1.0 / np.array(model.prior_std) ** 2)
+    reduced = np.zeros((len(model.shared),) * 2)
+    parts = []
+    for s in fitted.slopes:
+        h = s.information[list(range(FOLDS))].sum(axis=0)
+        inverse = np.linalg.inv(h[:own, :own] + prior)
+        cross = h[:own, own:]
+        reduced += h[own:, own:] - cross.T @ inverse @ cross
+        parts.append((inverse, cross))
+    shared = np.linalg.pinv(reduced + 1e-9 * np.eye(len(reduced)))
+    places = [*model.individual, *model.shared]
+    stds = []
+    for (inverse, cross), row in zip(parts, model.rows, strict=True):
+        lift = inverse @ cross
+        variances = np.concatenate([np.diag(inverse + lift @ shared @ lift.T), np.diag(shared)])
+        # from a coordinate to the parameter itself: d p = p d log p
+        scale = np.where(coordinate(row[places], places) == row[places], 1.0, np.abs(row[places]))
+        stds.append(np.sqrt(np.maximum(variances, 0.0)) * scale)
+    return stds
