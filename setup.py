@@ -54,7 +54,10 @@ setup(
     entry_points={
         "console_scripts": [
             f"sugiyama = {name}.cli:main",
-            *(f"{node} = {name}.nodes.{node}:main" for node in ("estimator", "recorder", "replay", "simulator")),
+            *(
+                f"{node} = {name}.nodes.{node}:main"
+                for node in ("critic", "estimator", "recorder", "replay", "simulator")
+            ),
         ]
     },
 )

@@ -42,6 +42,7 @@ _CONSTANTS = (
     ("response_constants", ("kappa_c", "kappa_d", "kappa_1"), False),
     ("noise_constants", ("rho", "sigma_x", "sigma_v"), False),
     ("rationality", ("rationality",), True),
+    ("risk_constants", ("kappa_c", "kappa_d"), True),
 )
 
 

@@ -168,15 +168,14 @@ def diagnose(
                     models = without_folds(data, one.fit, work)
                     heldout[one.candidate.name] = gain(data, held_out(data, models, work), errors.samples)
             supported = [one for one in looked if one.refined and one.p_value <= LEVEL and one.gain >= _LEAST_GAIN]
-            predicted = [
-                gain(data, held_out(data, without_folds(data, one.fit, work), work), errors.samples)
-                for one in supported
-            ]
-            supported = [one for one, g in zip(supported, predicted, strict=True) if g.nats > 0.0]
-            predicted = [g for g in predicted if g.nats > 0.0]
-            if not supported:
+            best, most_won = None, 0.0
+            for one in supported:
+                predicted = errors_of(data, without_folds(data, one.fit, work), work)
+                won = gain(data, predicted.samples, errors.samples).nats
+                if won > most_won and predicted.no_worse_than(errors):
+                    best, most_won = one, won
+            if best is None:
                 break
-            best = supported[int(np.argmax([g.nats for g in predicted]))]
             if number and not quick and best.score < _CLEAR * max(_LEAST_GAIN, 3.0 * best.spread):
                 again = _simulate(data, current, [best.candidate], runs, seed + number, work, on_progress)
                 best = again.judge(best.candidate, best.fit, best.gain, len(looks), refined=True)

@@ -10,6 +10,10 @@ from sugiyama_ros.criticism.fitting import Model, Recorded, Samples, held_out
 from sugiyama_ros.criticism.free_run import HORIZONS_S, FreeRuns, free_runs, rmse
 
 
+#: Share by which a free run's error may be larger than before without counting as worse: two starts differ by more.
+TOLERANCE = 0.05
+
+
 @dataclass(frozen=True, eq=False)
 class Errors:
     """Held-out samples and free runs of a model, each predicted by the model fitted without its fold."""
@@ -31,6 +35,12 @@ class Errors:
         """Log-likelihood [nats] and single-car 10-s error [m] of every driver."""
         totals = np.nansum(self.samples.log_likelihood, axis=1)
         return [(float(total), rmse(self.runs.single[:, -1, i])) for i, total in enumerate(totals)]
+
+    def no_worse_than(self, other: "Errors") -> bool:
+        """Whether no free run's error is larger by more than TOLERANCE, at any horizon."""
+        ours, theirs = self.summary(), other.summary()
+        names = [name for name in ours if name.startswith(("free_run", "single_car"))]
+        return all(not ours[name] > (1.0 + TOLERANCE) * theirs[name] for name in names)
 
     def summary(self) -> dict[str, float]:
         """All figures by name."""

@@ -105,9 +105,10 @@ class Estimator(PacedNode):
             if len(request.name) != len(request.value):
                 raise InputError(f"effect {request.effect}: {len(request.name)} names, {len(request.value)} values")
             values = dict(zip(request.name, request.value, strict=True))
+            effects = switch_on(self._effects, request.effect, values)
             if not any(values.get(name) for name in effect(request.effect).switches):
                 raise InputError(f"effect {request.effect}: give {' or '.join(effect(request.effect).switches)}")
-            self._take_effects(switch_on(self._effects, request.effect, values))
+            self._take_effects(effects)
             response.success = True
         except InputError as error:
             response.message = str(error)

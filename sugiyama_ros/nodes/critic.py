@@ -1,0 +1,142 @@
+"""The critic: a bank of models follows all vehicles; which one predicts best says what the running model misses."""
+
+from math import nan
+from typing import Any
+
+import numpy as np
+from rcl_interfaces.msg import ParameterDescriptor
+from sugiyama_msgs.msg import MeasuredPositions, Verdict
+from sugiyama_msgs.msg import Road as RoadMessage
+from sugiyama_msgs.srv import AddEffect
+
+from sugiyama_ros.driver.parameters import NAMES, population
+from sugiyama_ros.estimation.bank import Bank, strengths
+from sugiyama_ros.estimation.causal import CHAIN
+from sugiyama_ros.estimation.online import NOBODY, warm_up
+from sugiyama_ros.nodes import wire
+from sugiyama_ros.nodes.estimator import declare_driver
+from sugiyama_ros.nodes.node import ERROR, OK, WARN, Health, PacedNode
+from sugiyama_ros.nodes.plan import estimators, namespaces
+from sugiyama_ros.nodes.qos import LATCHED, STREAM
+from sugiyama_ros.nodes.spin import run_node
+from sugiyama_ros.road import Road
+
+_VERDICT_EVERY_NS = 5 * wire.NS
+
+
+class Critic(PacedNode):
+    """Publishes a verdict every 5 s of the recording; ``~/add_effect`` hands an effect on to all running estimators.
+
+    Parameters: those of a driver, from which every model of the bank starts; ``forget_s``. A jump back in time starts
+    the bank anew.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("critic", **options)
+        warm_up()
+        declare_driver(self, population())
+        self._forget_s = float(
+            self.declare_parameter("forget_s", 120.0, ParameterDescriptor(description="memory of the scores [s]")).value
+        )
+        self._road: RoadMessage | None = None
+        self._bank: Bank | None = None
+        self._chains: dict[int, list[int]] = {}
+        self._stamp_ns: int | None = None
+        self._told_ns = 0
+        self._failure = ""
+        self._to_verdict = self.create_publisher(Verdict, "verdict", STREAM)
+        self.create_service(AddEffect, "~/add_effect", self._on_add_effect)
+        self.create_subscription(RoadMessage, self.shared("road"), self._on_road, LATCHED)
+        self.create_subscription(MeasuredPositions, self.shared("measured"), self._on_measured, STREAM, raw=True)
+
+    def health(self) -> Health:
+        """ERROR after a failure of a filter, WARN without a road."""
+        if self._failure:
+            return Health(ERROR, self._failure, {})
+        if self._road is None:
+            return Health(WARN, "waiting for the road", {})
+        return Health(OK, "comparing", {"samples": self._bank.samples if self._bank else 0})
+
+    def _on_road(self, road: RoadMessage) -> None:
+        self._road, self._bank = road, None
+        self.announce()
+
+    def _on_measured(self, raw: bytes) -> None:
+        if self._road is None:
+            return
+        sample = wire.measured(raw)
+        try:
+            self._follow(sample, self._road)
+        except Exception as error:
+            if not self._failure:
+                self._failure = f"at {sample.stamp_ns / wire.NS:.3f} s: {error!r}"
+                self.get_logger().error(self._failure)
+        self.taken(sample.step + 1, last=sample.step + 1 == self._road.steps)
+        self.report_if_worse()
+
+    def _follow(self, sample: wire.Sample, road: RoadMessage) -> None:
+        jumped = self._stamp_ns is not None and sample.stamp_ns < self._stamp_ns
+        if self._bank is None or jumped:
+            row = np.array([self.get_parameter(name).value for name in NAMES])
+            vehicles = sorted(sample.place)
+            self._bank = Bank(vehicles, road.period_s, Road(road.circumference_m), row, self._forget_s)
+            self._chains, self._failure = {v: sample.chain(v, CHAIN) for v in vehicles}, ""
+            self._told_ns = sample.stamp_ns
+        if self._stamp_ns == sample.stamp_ns:
+            return
+        self._stamp_ns = sample.stamp_ns
+        self._bank.forget()
+        for vehicle in self._chains:
+            if vehicle in sample.place:
+                self._chains[vehicle] = sample.chain(vehicle, CHAIN)
+            places = [sample.place.get(v) for v in self._chains[vehicle]]
+            position = [nan if p is None else sample.position_m[p] for p in places]
+            length = [0.0 if p is None else sample.length_m[p] for p in places]
+            behind, rear = NOBODY, sample.behind(vehicle)
+            if rear >= 0:
+                p = sample.place[rear]
+                behind = sample.position_m[p], rear, sample.length_m[p]
+            time_s = sample.stamp_ns / wire.NS
+            self._bank.step(vehicle, position, self._chains[vehicle], length, time_s, behind)
+        if sample.stamp_ns - self._told_ns >= _VERDICT_EVERY_NS or sample.step + 1 == road.steps:
+            self._told_ns = sample.stamp_ns
+            self._publish(sample, self._bank)
+
+    def _publish(self, sample: wire.Sample, bank: Bank) -> None:
+        weights = bank.weights
+        message = Verdict(
+            best=bank.names[int(weights.argmax())],
+            model=list(bank.names),
+            weight=weights.tolist(),
+            log_likelihood=bank.gains.tolist(),
+            strength=strengths(bank.names).tolist(),
+            samples=bank.samples,
+        )
+        message.header.stamp = wire.time_message(sample.stamp_ns)
+        message.header.frame_id = wire.FRAME
+        self.send(self._to_verdict, message)
+
+    def _on_add_effect(self, request: AddEffect.Request, response: AddEffect.Response) -> AddEffect.Response:
+        """Hand on to every estimator that runs; what each says of it stands in its own log."""
+        names = estimators(namespaces(self._chains)) if self._chains else []
+        clients = [self.create_client(AddEffect, f"{name}/add_effect") for name in names]
+        ready = [client for client in clients if client.service_is_ready() or client.wait_for_service(1.0)]
+        for client in ready:
+            future = client.call_async(request)
+            future.add_done_callback(lambda done: self._on_answer(done.result()))
+        response.success = bool(ready) and len(ready) == len(clients)
+        response.message = "" if response.success else f"{len(ready)} of {len(clients)} estimators answer"
+        return response
+
+    def _on_answer(self, answer: AddEffect.Response) -> None:
+        if not answer.success:
+            self.get_logger().error(answer.message)
+
+
+def main() -> None:
+    """Run one critic."""
+    run_node(Critic)
+
+
+if __name__ == "__main__":
+    main()

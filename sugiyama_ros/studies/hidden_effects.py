@@ -1,0 +1,175 @@
+"""Benchmark of the diagnosis: simulated recordings with a hidden effect, and how often it is named.
+
+    python -m sugiyama_ros.studies.hidden_effects --seeds 10 -o docs/hidden_effects.md
+
+22 drivers whose desired speeds and risk premiums differ by 10 %, from rest with gaps of 2 m on a ring of 230 m, 250 s at
+1/3 s. Strengths are such that the true effect, added and fitted, gains some 100-300 nats (strong) or 20-50 (weak). Runs
+in which cars collide are drawn again; an effect with which they always do starts from uniform flow. The forms that are
+not in the catalogue can be named by nobody: right is a force without a name, or nothing.
+"""
+
+import argparse
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+
+from sugiyama_ros.criticism.diagnosis import diagnose
+from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, defaults
+from sugiyama_ros.effects.catalogue import switch_on, whole
+from sugiyama_ros.road import Road
+from sugiyama_ros.simulation import Simulation, Simulator, evenly, platoon, simulate
+from sugiyama_ros.trajectories import Trajectories
+
+DRIVERS, RING_M, DURATION_S, LENGTH_M = 22, 230.0, 250.0, 4.33
+Strengths = Mapping[str, float]
+#: Strong and weak form of each effect; places and times are drawn for each recording.
+STRENGTHS: Mapping[str, tuple[Strengths, Strengths]] = {
+    "reaction_delay": ({"delay": 0.12}, {"delay": 0.07}),
+    "actuation_lag": ({"time_constant": 0.3}, {"time_constant": 0.2}),
+    "second_leader": ({"weight": 0.2}, {"weight": 0.1}),
+    "rear_pressure": ({"strength": 2.0, "distance": 2.5}, {"strength": 0.8, "distance": 2.5}),
+    "comfort_limits": ({"limit": 6.0}, {"limit": 9.0}),
+    "limited_power": ({"power": 13.0}, {"power": 20.0}),
+    "limited_braking": ({"limit": 3.5}, {"limit": 4.5}),
+    "drag": ({"c0": 0.5, "c2": 0.006}, {"c0": 0.25, "c2": 0.004}),
+    "road_grade": ({"grade": 0.03, "width": 80.0}, {"grade": 0.015, "width": 80.0}),
+    "slow_patch": ({"reduction": 0.07, "width": 80.0}, {"reduction": 0.03, "width": 80.0}),
+    "perception_threshold": ({"threshold": 1.0}, {"threshold": 0.5}),
+    "speed_dependent_noise": ({"exponent": 0.45}, {"exponent": 0.2}),
+    "preference_drift": ({"std": 0.05, "time_constant": 30.0}, {"std": 0.025, "time_constant": 30.0}),
+    "preference_switch": (
+        {"v_star_change": -0.06, "kappa_v_change": 0.1},
+        {"v_star_change": -0.03, "kappa_v_change": 0.05},
+    ),
+    "outlier_noise": ({"share": 0.01, "factor": 4.0}, {"share": 0.004, "factor": 3.5}),
+    "sensor_eccentricity": ({"cosine": 0.9, "sine": 0.6}, {"cosine": 0.45, "sine": 0.3}),
+}
+NONE = "none"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a diagnosis said of one recording; gains in nats."""
+
+    hidden: str
+    strength: str
+    seed: int
+    first: str
+    named: tuple[str, ...]
+    indistinguishable: tuple[str, ...]
+    p_value: float
+    gain: float
+    oracle_gain: float
+    discovered: tuple[str, ...]
+    wall_s: float
+
+
+def hide(name: str, values: Strengths, seed: int) -> tuple[Simulation, Strengths]:
+    """A recording with a hidden effect that does not collide, and the effect's values."""
+    for attempt in range(60):
+        rng = np.random.default_rng([seed, attempt])
+        rows = whole(defaults(DRIVERS))
+        for k in (V_STAR, KAPPA_V):
+            rows[:, k] *= np.exp(0.1 * rng.standard_normal(DRIVERS))
+        if name in ("road_grade", "slow_patch"):
+            values = {**values, "centre": float(rng.uniform(0.0, RING_M))}
+        if name == "preference_switch":
+            values = {**values, "time": float(rng.uniform(0.3, 0.7) * DURATION_S)}
+        if name != NONE:
+            rows = switch_on(rows, name, values)
+        length, road = np.full(DRIVERS, LENGTH_M), Road(RING_M)
+        gentle = attempt >= 30
+        start = evenly(length, road) if gentle else platoon(length, 2.0)
+        speed = np.full(DRIVERS, 5.0 if gentle else 0.0)
+        run = simulate(Simulator(rows, length, start, road, rng, speed=speed), DURATION_S)
+        if not run.collisions:
+            return run, values
+    raise ValueError(f"{name} {values}: cars always collide")
+
+
+def judge(hidden: str, strength: str, measured: Trajectories, seed: int, quick: bool) -> Outcome:
+    """Diagnose one recording."""
+    d = diagnose(measured, seed=seed, quick=quick, workers=1)
+    first = d.named[0] if d.named else None
+    oracle = next((one.gain for one in d.looked if one.candidate.name == hidden), 0.0)
+    return Outcome(
+        hidden,
+        strength,
+        seed,
+        first.name if first else NONE,
+        tuple(n.name for n in d.named),
+        first.indistinguishable if first else (),
+        first.p_value if first else 1.0,
+        first.heldout.nats if first else 0.0,
+        oracle,
+        tuple(one.covariate for one in d.discovered),
+        d.wall_s,
+    )
+
+
+def _one(job: tuple[str, str, int, bool]) -> Outcome:
+    hidden, strength, seed, quick = job
+    values = STRENGTHS[hidden][strength == "weak"] if hidden != NONE else {}
+    run, _ = hide(hidden, values, seed)
+    return judge(hidden, strength, run.measured, seed, quick)
+
+
+def report(outcomes: Sequence[Outcome]) -> str:
+    """Markdown: rates, and for every hidden effect what was named first."""
+    lines = ["| strength | recordings | first name right | true effect in the set | mean set size | wrong name | none |"]
+    lines.append("|---|---|---|---|---|---|---|")
+    for strength in ("strong", "weak"):
+        of = [o for o in outcomes if o.strength == strength and o.hidden != NONE]
+        if of:
+            right = sum(o.first == o.hidden for o in of)
+            inside = sum(o.hidden in (o.first, *o.indistinguishable) for o in of)
+            sizes = [1 + len(o.indistinguishable) for o in of if o.first != NONE]
+            none = sum(o.first == NONE for o in of)
+            size = f"{np.mean(sizes):.2f}" if sizes else "-"
+            lines.append(f"| {strength} | {len(of)} | {right} | {inside} | {size} | {len(of) - inside - none} | {none} |")
+    free = [o for o in outcomes if o.hidden == NONE]
+    lines += ["", f"Without an effect: {sum(o.first != NONE for o in free)} false alarms in {len(free)} recordings.", ""]
+    lines += ["| hidden | strength | gain of the true effect [nats] | first names |", "|---|---|---|---|"]
+    for hidden, strength in sorted({(o.hidden, o.strength) for o in outcomes}):
+        of = [o for o in outcomes if (o.hidden, o.strength) == (hidden, strength)]
+        names = {n: sum(o.first == n for o in of) for n in sorted({o.first for o in of})}
+        gains = f"{np.median([o.oracle_gain for o in of]):.0f}"
+        lines.append(f"| {hidden} | {strength} | {gains} | {', '.join(f'{n} ({k})' for n, k in names.items())} |")
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    """Run the benchmark and write its table; outcomes go to stdout as JSON lines."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--free", type=int, default=40, help="recordings without an effect")
+    parser.add_argument("--strength", choices=["strong", "weak", "both"], default="both")
+    parser.add_argument("--effects", nargs="*", default=list(STRENGTHS))
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--workers", type=int, default=4)
+    parser.add_argument("-o", "--output", type=Path)
+    given = parser.parse_args()
+    strengths = ["strong", "weak"] if given.strength == "both" else [given.strength]
+    jobs = [(e, s, seed, given.quick) for seed in range(given.seeds) for s in strengths for e in given.effects]
+    jobs += [(NONE, NONE, seed, given.quick) for seed in range(given.free)]
+    outcomes = []
+    with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn")) as pool:
+        for future in as_completed([pool.submit(_one, job) for job in jobs]):
+            try:
+                outcomes.append(future.result())
+            except ValueError as error:
+                print(error, file=sys.stderr)
+                continue
+            print(json.dumps(asdict(outcomes[-1])), flush=True)
+    if given.output:
+        given.output.write_text(report(outcomes))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,140 @@
+"""A hidden effect in replayed topics: the critic's verdict, the effect added by a service, the error that falls."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from sugiyama_msgs.msg import DriverParameters, Innovation, Verdict
+from sugiyama_msgs.srv import AddEffect, RemoveEffect, Seek
+
+from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, V_STAR, defaults, population
+from sugiyama_ros.effects.catalogue import switch_on, whole
+from sugiyama_ros.estimation.causal import chain_behind, filter_chain
+from sugiyama_ros.estimation.online import ADAPT
+from sugiyama_ros.formats.plain_csv import write_csv
+from sugiyama_ros.nodes.critic import Critic
+from sugiyama_ros.nodes.estimator import Estimator
+from sugiyama_ros.nodes.qos import STREAM
+from sugiyama_ros.nodes.replay import Replay
+from sugiyama_ros.road import Road
+from sugiyama_ros.simulation import Simulator, evenly, simulate
+
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(150)]
+DRIVERS, RING_M, DELAY_S = 10, 140.0, 0.3
+OWN = {"sigma_a": 0.273, "kappa_v": 0.3225}
+
+
+@pytest.fixture(scope="module")
+def delayed():
+    """Drivers with a reaction delay on a ring, at once at speed, without a collision."""
+    rng = np.random.default_rng(0)
+    p = defaults(DRIVERS)
+    p[:, V_STAR] *= np.exp(0.05 * rng.standard_normal(DRIVERS))
+    p[:, KAPPA_V] = OWN["kappa_v"]
+    rows = switch_on(whole(p), "reaction_delay", {"delay": DELAY_S})
+    length, road = np.full(DRIVERS, 4.33), Road(RING_M)
+    run = simulate(Simulator(rows, length, evenly(length, road), road, rng, speed=np.full(DRIVERS, 6.0)), 150.0)
+    assert not run.collisions
+    return run.measured
+
+
+class Ears(Node):
+    """Hears innovations, verdicts and parameters."""
+
+    def __init__(self) -> None:
+        super().__init__("ears")
+        self.squares: dict[int, list[float]] = {v: [] for v in range(DRIVERS)}
+        self.verdicts: list[Verdict] = []
+        self.names: dict[int, list[str]] = {}
+        for v in range(DRIVERS):
+            self.create_subscription(Innovation, f"/vehicle_{v:02}/innovation", self._on_innovation, STREAM)
+            self.create_subscription(DriverParameters, f"/vehicle_{v:02}/parameters", self._on_parameters, STREAM)
+        self.create_subscription(Verdict, "/verdict", self.verdicts.append, STREAM)
+
+    def _on_innovation(self, message: Innovation) -> None:
+        self.squares[message.vehicle].append(message.innovation_m**2 if message.scored else np.nan)
+
+    def _on_parameters(self, message: DriverParameters) -> None:
+        self.names[message.vehicle] = list(message.name)
+
+    def pass_done(self, samples: int) -> bool:
+        """Whether every estimator has answered to every sample."""
+        return all(len(s) >= samples for s in self.squares.values())
+
+    def rmse(self) -> float:
+        """Of all scored innovations since the last call."""
+        value = float(np.sqrt(np.nanmean([s for squares in self.squares.values() for s in squares])))
+        self.squares = {v: [] for v in range(DRIVERS)}
+        return value
+
+
+def batch_rmse(measured, row) -> float:
+    """What the batch filter says that the estimators' one-step error is."""
+    filtered = [filter_chain(chain_behind(measured, i), row, ADAPT, ahead(row)) for i in range(DRIVERS)]
+    errors = [np.where(f.scored, f.innovation_m**2, np.nan) for f in filtered]
+    return float(np.sqrt(np.nanmean(errors)))
+
+
+def ahead(row):
+    """The estimators know nothing of the drivers ahead but the effects that all share."""
+    other = whole(population())
+    other[len(population()) :] = row[len(population()) :]
+    return other
+
+
+def test_a_hidden_delay_is_named_added_and_the_error_falls(stage, delayed, tmp_path: Path) -> None:
+    source = tmp_path / "delayed.csv"
+    write_csv(delayed, source)
+    samples = len(delayed.position_m)
+    driver = [Parameter(name, value=value) for name, value in OWN.items()]
+    ears, critic = Ears(), Critic(parameter_overrides=driver)
+    estimators = [Estimator(namespace=f"/vehicle_{v:02}", parameter_overrides=driver) for v in range(DRIVERS)]
+    about = {"source": str(source), "ring": RING_M, "rate": 0.0}
+    about["wait_for"] = ["/critic", *(f"/vehicle_{v:02}/estimator" for v in range(DRIVERS))]
+    replay = Replay(parameter_overrides=[Parameter(k, value=v) for k, v in about.items()])
+    stage.add(replay, critic, ears, *estimators)
+    stage.until(lambda: ears.pass_done(samples), 100.0)
+    before = ears.rmse()
+    verdict = ears.verdicts[-1]
+    gains = dict(zip(verdict.model, verdict.log_likelihood, strict=True))
+    assert verdict.best == "reaction_delay", gains
+    assert sum(verdict.weight) == pytest.approx(1.0)
+    assert verdict.samples > 0.9 * DRIVERS * samples
+
+    request = AddEffect.Request(effect="reaction_delay", name=["delay"], value=[DELAY_S])
+    assert stage.call(AddEffect, "/critic/add_effect", request).success
+    stage.until(lambda: all(e._filter.looks_back for e in estimators))
+    assert stage.call(Seek, "/replay/seek", Seek.Request(time_s=0.0)).success
+    stage.until(lambda: ears.pass_done(samples), 100.0)
+    after = ears.rmse()
+
+    row = whole(population())
+    row[SIGMA_A], row[KAPPA_V] = OWN["sigma_a"], OWN["kappa_v"]
+    expected = [batch_rmse(delayed, r) for r in (row, switch_on(row, "reaction_delay", {"delay": DELAY_S}))]
+    assert before - after > 0.001
+    assert [before, after] == pytest.approx(expected, abs=1e-6)
+    assert all(names[-1] == "reaction_delay.delay" for names in ears.names.values())
+
+
+def test_effects_are_checked_added_and_removed(stage, ring_csv: Path) -> None:
+    about = {"source": str(ring_csv), "ring": 100.0, "rate": 0.0, "wait_for": ["/vehicle_00/estimator"]}
+    replay = Replay(parameter_overrides=[Parameter(k, value=v) for k, v in about.items()])
+    estimator = Estimator(namespace="/vehicle_00")
+    stage.add(replay, estimator)
+    stage.until(lambda: estimator.steps == 200)
+
+    def add(effect: str, **values: float):
+        request = AddEffect.Request(effect=effect, name=list(values), value=list(values.values()))
+        return stage.call(AddEffect, "/vehicle_00/estimator/add_effect", request)
+
+    assert "effect 'teleport': not known" in add("teleport", x=1.0).message
+    assert "has no parameter 'weight'" in add("drag", weight=1.0).message
+    assert "out of bounds" in add("drag", c0=99.0).message
+    assert "give c0 or c2" in add("drag").message
+    assert add("drag", c0=0.2).success
+    assert add("second_leader", weight=0.2).success
+    remove = "/vehicle_00/estimator/remove_effect"
+    assert stage.call(RemoveEffect, remove, RemoveEffect.Request(effect="drag")).success
+    assert "is not in the model" in stage.call(RemoveEffect, remove, RemoveEffect.Request(effect="drag")).message
