@@ -9,7 +9,6 @@ import numpy as np
 from sugiyama_ros.criticism.fitting import Model, Recorded, Samples, held_out
 from sugiyama_ros.criticism.free_run import HORIZONS_S, FreeRuns, free_runs, rmse
 
-
 #: Share by which a free run's error may be larger than before without counting as worse: two starts differ by more.
 TOLERANCE = 0.05
 

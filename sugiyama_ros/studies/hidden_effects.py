@@ -2,8 +2,8 @@
 
     python -m sugiyama_ros.studies.hidden_effects --seeds 10 -o docs/hidden_effects.md
 
-22 drivers whose desired speeds and risk premiums differ by 10 %, from rest with gaps of 2 m on a ring of 230 m, 250 s at
-1/3 s. Strengths are such that the true effect, added and fitted, gains some 100-300 nats (strong) or 20-50 (weak). Runs
+22 drivers whose desired speeds and risk premiums differ by 10 %, from rest with gaps of 2 m on a ring of 230 m, 250 s
+at 1/3 s. Strengths are such that the true effect, added and fitted, gains some 100-300 nats (strong) or 20-50 (weak). Runs
 in which cars collide are drawn again; an effect with which they always do starts from uniform flow. The forms that are
 not in the catalogue can be named by nobody: right is a force without a name, or nothing.
 """
@@ -122,7 +122,9 @@ def _one(job: tuple[str, str, int, bool]) -> Outcome:
 
 def report(outcomes: Sequence[Outcome]) -> str:
     """Markdown: rates, and for every hidden effect what was named first."""
-    lines = ["| strength | recordings | first name right | true effect in the set | mean set size | wrong name | none |"]
+    lines = [
+        "| strength | recordings | first name right | true effect in the set | mean set size | wrong name | none |"
+    ]
     lines.append("|---|---|---|---|---|---|---|")
     for strength in ("strong", "weak"):
         of = [o for o in outcomes if o.strength == strength and o.hidden != NONE]
@@ -132,9 +134,15 @@ def report(outcomes: Sequence[Outcome]) -> str:
             sizes = [1 + len(o.indistinguishable) for o in of if o.first != NONE]
             none = sum(o.first == NONE for o in of)
             size = f"{np.mean(sizes):.2f}" if sizes else "-"
-            lines.append(f"| {strength} | {len(of)} | {right} | {inside} | {size} | {len(of) - inside - none} | {none} |")
+            lines.append(
+                f"| {strength} | {len(of)} | {right} | {inside} | {size} | {len(of) - inside - none} | {none} |"
+            )
     free = [o for o in outcomes if o.hidden == NONE]
-    lines += ["", f"Without an effect: {sum(o.first != NONE for o in free)} false alarms in {len(free)} recordings.", ""]
+    lines += [
+        "",
+        f"Without an effect: {sum(o.first != NONE for o in free)} false alarms in {len(free)} recordings.",
+        "",
+    ]
     lines += ["| hidden | strength | gain of the true effect [nats] | first names |", "|---|---|---|---|"]
     for hidden, strength in sorted({(o.hidden, o.strength) for o in outcomes}):
         of = [o for o in outcomes if (o.hidden, o.strength) == (hidden, strength)]
