@@ -124,10 +124,13 @@ def diagnose(
     seed: int = 0,
     quick: bool = False,
     most: int = 3,
+    verdict_only: bool = False,
     workers: int = 4,
     on_progress: OnProgress = lambda what, done, total: None,
 ) -> Diagnosis:
     """Find what is missing: at most ``most`` effects, one after the other.
+
+    verdict_only: leave out the rivals, the forces without a name and the held-out gains of what is not named.
 
     Raises InputError for a recording that is too short.
     """
@@ -163,7 +166,7 @@ def diagnose(
             if number == 0:
                 first = looked
                 smallest = _smallest(looks, null)
-                for k, one in enumerate(looked):
+                for k, one in enumerate([] if verdict_only else looked):
                     on_progress("held-out gains", k, len(looked))
                     models = without_folds(data, one.fit, work)
                     heldout[one.candidate.name] = gain(data, held_out(data, models, work), errors.samples)
@@ -203,11 +206,11 @@ def diagnose(
             errors = after
             possible = [c for c in possible if c.name != best.candidate.name]
         others: dict[str, dict[str, float]] = {}
-        for k, law in enumerate(laws()):
+        for k, law in enumerate([] if verdict_only else laws()):
             on_progress("rival models", k, len(laws()))
             others |= _rival(data, law, work)
         on_progress("forces without a name", 0, 1)
-        discovered = [d for d, _ in discover(data, current, work)] if not quick else []
+        discovered = [d for d, _ in discover(data, current, work)] if not (quick or verdict_only) else []
     return Diagnosis(
         data,
         base,

@@ -55,19 +55,29 @@ def _bounded(acceleration: float) -> float:
 
 @njit(cache=True)
 def idm(gap: float, speed: float, leader_speed: float, p: Array) -> float:
-    """Intelligent driver model, p = v0, T, s0, a, b."""
+    """Acceleration [m/s^2] of the intelligent driver model, p = v0, T, s0, a, b; Eqs. (2) and (3) of its paper.
+
+    gap [m], infinite without a leader; speeds [m/s]. Brakes as hard as possible from contact on.
+    The dynamic part of the wanted gap is not below 0, so that a much faster leader does not repel.
+    """
+    if gap <= 0.0:
+        return _HARDEST
     free = 1.0 - (max(speed, 0.0) / p[0]) ** 4
-    if math.isinf(gap):
+    if gap == math.inf:
         return _bounded(p[3] * free)
     wanted = p[2] + max(0.0, speed * p[1] + speed * (speed - leader_speed) / (2.0 * math.sqrt(p[3] * p[4])))
-    ratio = wanted / max(gap, 0.1)
+    ratio = wanted / gap
     return _bounded(p[3] * (free - ratio * ratio))
 
 
 @njit(cache=True)
 def fvdm(gap: float, speed: float, leader_speed: float, p: Array) -> float:
-    """Full velocity difference model, p = kappa, lambda, V1, V2, C1, C2."""
-    if math.isinf(gap):
+    """Acceleration [m/s^2] of the full velocity difference model, p = kappa, lambda, V1, V2, C1, C2.
+
+    gap [m], infinite without a leader; speeds [m/s]. The optimal velocity is Helbing and Tilch's, which the model's
+    paper takes over.
+    """
+    if gap == math.inf:
         return _bounded(p[0] * (p[2] + p[3] - speed))
     optimal = p[2] + p[3] * math.tanh(p[4] * gap - p[5])
     return _bounded(p[0] * (optimal - speed) + p[1] * (leader_speed - speed))

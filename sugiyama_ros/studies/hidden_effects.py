@@ -3,7 +3,7 @@
     python -m sugiyama_ros.studies.hidden_effects --seeds 10 -o docs/hidden_effects.md
 
 22 drivers whose desired speeds and risk premiums differ by 10 %, from rest with gaps of 2 m on a ring of 230 m, 250 s
-at 1/3 s. Strengths are such that the true effect, added and fitted, gains some 100-300 nats (strong) or 20-50 (weak). Runs
+at 1/3 s. Strengths: the true effect, added and fitted, gains some 100-300 nats (strong) or 20-50 (weak). Runs
 in which cars collide are drawn again; an effect with which they always do starts from uniform flow. The forms that are
 not in the catalogue can be named by nobody: right is a force without a name, or nothing.
 """
@@ -95,7 +95,7 @@ def hide(name: str, values: Strengths, seed: int) -> tuple[Simulation, Strengths
 
 def judge(hidden: str, strength: str, measured: Trajectories, seed: int, quick: bool) -> Outcome:
     """Diagnose one recording."""
-    d = diagnose(measured, seed=seed, quick=quick, workers=1)
+    d = diagnose(measured, seed=seed, quick=quick, most=2, verdict_only=True, workers=1)
     first = d.named[0] if d.named else None
     oracle = next((one.gain for one in d.looked if one.candidate.name == hidden), 0.0)
     return Outcome(

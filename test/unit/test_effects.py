@@ -1,0 +1,294 @@
+"""Every effect: declared well, nothing at zero strength, the same physics in simulator, batch and online filter."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sugiyama_ros.driver.parameters import COUNT, KAPPA_V, SIGMA_NU, V_STAR, defaults
+from sugiyama_ros.effects.catalogue import (
+    DECLARED,
+    EFFECTS,
+    ENTRIES,
+    LAW,
+    PLACES,
+    WIDTH,
+    active,
+    effect,
+    place,
+    switch_on,
+    whole,
+)
+from sugiyama_ros.effects.effect import STAGES, Recording
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.estimation.causal import chain_behind, filter_chain, log_likelihood
+from sugiyama_ros.estimation.online import ADAPT, NOBODY, OnlineFilter
+from sugiyama_ros.road import Road
+from sugiyama_ros.simulation import Simulator, evenly, simulate
+
+#: Values at which each effect acts on the recording below.
+ACTING = {
+    "reaction_delay": {"delay": 0.1},
+    "second_leader": {"weight": 0.6},
+    "gap_offset": {"offset": 0.5},
+    "perception_threshold": {"threshold": 0.5},
+    "slow_patch": {"reduction": 0.2, "centre": 50.0, "width": 60.0},
+    "preference_switch": {"v_star_change": -0.2, "kappa_v_change": 0.2, "time": 20.0},
+    "preference_drift": {"std": 0.1, "time_constant": 20.0},
+    "rear_pressure": {"strength": 2.0, "distance": 4.0},
+    "comfort_limits": {"limit": 1.0},
+    "limited_power": {"power": 5.0},
+    "limited_braking": {"limit": 0.5},
+    "actuation_lag": {"time_constant": 0.3},
+    "speed_dependent_noise": {"exponent": 0.5},
+    "drag": {"c0": 0.3, "c2": 0.003},
+    "road_grade": {"grade": 0.03, "centre": 50.0, "width": 60.0},
+    "external_push": {"strength": -2.0, "time": 20.0, "duration": 1.0},
+    "discovered_force": {"covariate": 2.0, "first": 0.0, "last": 10.0, "force_0": 0.5, "force_7": -0.5},
+    "outlier_noise": {"share": 0.1, "factor": 4.0},
+    "sensor_eccentricity": {"cosine": 1.5, "sine": 1.0},
+}
+#: Draw random numbers of their own, or act on measurements alone.
+CHANCE = ("preference_drift", "outlier_noise")
+NAMES_OF_EFFECTS = [e.name for e in EFFECTS]
+DRIVERS, RING_M = 8, 110.0
+
+
+def recording(rows, seed=0, duration_s=60.0):
+    rng = np.random.default_rng(seed)
+    length, road = np.full(DRIVERS, 4.33), Road(RING_M)
+    start = evenly(length, road) + rng.uniform(-1.0, 1.0, DRIVERS)
+    simulator = Simulator(rows, length, start, road, rng, speed=rng.uniform(3.0, 6.0, DRIVERS))
+    return simulate(simulator, duration_s, stop_at_collision=False)
+
+
+def drivers():
+    p = defaults(DRIVERS)
+    p[:, KAPPA_V] = 0.4
+    return p
+
+
+def online_steps(t, driver, row, ahead=None, adaptation=ADAPT):
+    chain = chain_behind(t, driver)
+    online = OnlineFilter(t.period_s, t.road, row, ahead, adaptation)
+    behind = int(np.flatnonzero(t.leader[0] == driver)[0])
+    return online, [
+        online.step(
+            chain.position_m[k],
+            chain.identity[k],
+            chain.length_m[k],
+            chain.start_s + k * t.period_s,
+            (t.position_m[k, behind], behind, t.length_m[behind]),
+        )
+        for k in range(len(chain.position_m))
+    ]
+
+
+def test_the_catalogue_is_tested_whole():
+    assert set(ACTING) == set(NAMES_OF_EFFECTS)
+    assert len(ENTRIES) == len(DECLARED) == WIDTH
+    assert len(set(ENTRIES)) == WIDTH
+
+
+@pytest.mark.parametrize("name", NAMES_OF_EFFECTS)
+def test_an_effect_is_declared(name):
+    e = effect(name)
+    assert e.stage in STAGES
+    assert e.summary
+    assert e.source
+    for p in e.parameters:
+        assert p.default == 0.0
+        assert p.lower < p.upper
+        assert p.unit
+        assert p.description
+    assert set(e.switches) <= {p.name for p in e.parameters}
+    for start in e.starts(Recording(0.0, 100.0, 230.0, 0.0, 230.0)):
+        assert set(start) == {p.name for p in e.parameters}
+        switch_on(np.zeros(WIDTH), name, start)
+
+
+@pytest.mark.parametrize("name", NAMES_OF_EFFECTS)
+def test_at_zero_strength_the_model_is_the_base_model(name):
+    """Bit for bit, whatever the other parameters of the effect are."""
+    weak = whole(drivers())
+    for parameter, value in ACTING[name].items():
+        if parameter not in effect(name).switches:
+            weak[:, place(name, parameter)] = value
+    if name == "discovered_force":
+        weak[:, place(name, "covariate")] = 0.0
+    base, same = recording(drivers()), recording(weak)
+    assert np.array_equal(base.position_m, same.position_m)
+    assert np.array_equal(base.measured.position_m, same.measured.position_m)
+    chain = chain_behind(base.measured, 3)
+    plain, with_zero = filter_chain(chain, drivers()[3]), filter_chain(chain, weak[3], ahead=weak[4])
+    plain = filter_chain(chain, drivers()[3], ahead=drivers()[4])
+    assert np.array_equal(plain.innovation_m, with_zero.innovation_m, equal_nan=True)
+    assert np.array_equal(plain.mean, with_zero.mean)
+    _, first = online_steps(base.measured, 3, drivers()[3])
+    _, second = online_steps(base.measured, 3, weak[3])
+    assert [s.speed for s in first] == [s.speed for s in second]
+
+
+@pytest.mark.parametrize("name", NAMES_OF_EFFECTS)
+def test_an_effect_acts_and_leaves_the_noise_alone(name):
+    base, changed = recording(drivers()), recording(switch_on(whole(drivers()), name, ACTING[name]))
+    if name == "gap_offset":
+        assert not np.array_equal(base.position_m, changed.position_m)
+    else:
+        assert not np.array_equal(base.measured.position_m, changed.measured.position_m)
+    noise = [r.measured.road.difference(r.measured.position_m, r.position_m) for r in (base, changed)]
+    if effect(name).stage != "measurement" or name == "gap_offset":
+        assert noise[0] == pytest.approx(noise[1], abs=1e-9)
+
+
+@pytest.mark.parametrize("name", NAMES_OF_EFFECTS)
+def test_the_online_filter_is_the_batch_filter(name):
+    row = switch_on(whole(drivers()[0]), name, ACTING[name])
+    t = recording(switch_on(whole(drivers()), name, ACTING[name]), duration_s=40.0).measured
+    online, steps = online_steps(t, 2, row)
+    ahead = whole(defaults())
+    ahead = online._rows_at_start[1]
+    chain = chain_behind(t, 2)
+    batch = filter_chain(chain, row, ADAPT, ahead)
+    for field in ("innovation_m", "innovation_var"):
+        ours = np.array([getattr(s, field) for s in steps])
+        assert ours == pytest.approx(getattr(batch, field), abs=1e-9, nan_ok=True)
+    total = sum(s.log_likelihood for s in steps if s.scored)
+    assert total == pytest.approx(batch.log_likelihood, abs=1e-8)
+    assert online.parameters[V_STAR] > 0.0
+
+
+@pytest.mark.parametrize(
+    "name", [n for n in NAMES_OF_EFFECTS if n not in ("perception_threshold", "external_push", "gap_offset")]
+)
+def test_the_true_effect_predicts_better(name):
+    """At the true parameters; a Gaussian filter cannot follow what a threshold holds back."""
+    base = drivers()
+    # noise that keeps the drivers busy
+    base[:, 1] = 0.8
+    rows = switch_on(whole(base), name, ACTING[name])
+    t = recording(rows, seed=3, duration_s=120.0).measured
+    gain = 0.0
+    for i in range(DRIVERS):
+        chain = chain_behind(t, i)
+        gain += log_likelihood(chain, rows[i], rows[i]) - log_likelihood(chain, base[i], base[i])
+    # a likelihood ratio of 20, the usual meaning of strong evidence
+    assert gain > np.log(20.0)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        n
+        for n in NAMES_OF_EFFECTS
+        if effect(n).stage != "measurement" and n not in (*CHANCE, "perception_threshold", "limited_braking")
+    ],
+)
+def test_without_noise_the_filter_follows_the_simulator(name):
+    """Nearly without noise the batch filter predicts better with the effect; nobody brakes hard in such traffic."""
+    quiet = drivers()
+    quiet[:, [SIGMA_NU, 1, 10, 11]] = 1e-4
+    rows = switch_on(whole(quiet), name, ACTING[name])
+    t = recording(rows, duration_s=60.0).measured
+    with_effect, without = (
+        [filter_chain(chain_behind(t, i), r, ahead=r).innovation_m[20:] for i in range(DRIVERS)]
+        for r in (rows[0], whole(quiet)[0])
+    )
+    ours, theirs = (float(np.sqrt(np.nanmean(np.square(e)))) for e in (with_effect, without))
+    if name in ("speed_dependent_noise",):
+        assert ours == pytest.approx(theirs, rel=0.5)
+    else:
+        assert ours < theirs
+
+
+def test_any_set_of_effects_combines():
+    rows = whole(drivers())
+    for name, values in ACTING.items():
+        gentle = {
+            k: v * (0.3 if k in effect(name).switches and k not in ("covariate", "limit", "power") else 1.0)
+            for k, v in values.items()
+        }
+        rows = switch_on(rows, name, gentle)
+    assert set(active(rows)) == set(NAMES_OF_EFFECTS)
+    t = recording(rows, duration_s=40.0).measured
+    assert np.isfinite(t.position_m).all()
+    online, steps = online_steps(t, 1, rows[1])
+    batch = filter_chain(chain_behind(t, 1), rows[1], ADAPT, online._rows_at_start[1])
+    assert np.isfinite(batch.mean).all()
+    assert [s.innovation_m for s in steps] == pytest.approx(batch.innovation_m, abs=1e-8, nan_ok=True)
+
+
+def test_an_effect_added_in_mid_run_keeps_what_was_learnt():
+    t = recording(switch_on(whole(drivers()), "drag", ACTING["drag"])).measured
+    chain = chain_behind(t, 0)
+    online = OnlineFilter(t.period_s, t.road, drivers()[0])
+    for k in range(60):
+        online.step(chain.position_m[k], chain.identity[k], chain.length_m[k], 0.0, NOBODY)
+    learnt, state = online.parameters[V_STAR], online._filter.x.copy()
+    online.change(switch_on(whole(defaults()), "drag", ACTING["drag"]))
+    assert active(online.parameters) == ("drag",)
+    assert online.parameters[V_STAR] == learnt
+    assert np.array_equal(online._filter.x, state)
+    estimate = online.step(chain.position_m[60], chain.identity[60], chain.length_m[60], 0.0, NOBODY)
+    assert np.isfinite(estimate.innovation_m)
+
+
+def test_bad_values_are_refused_in_one_line():
+    row = np.zeros(WIDTH)
+    with pytest.raises(InputError, match="effect 'drug': not known; the effects are reaction_delay"):
+        effect("drug")
+    with pytest.raises(InputError, match="effect drag: has no parameter 'c3'; it has c0, c2"):
+        switch_on(row, "drag", {"c3": 1.0})
+    with pytest.raises(InputError, match="effect reaction_delay: delay = 9 s is out of bounds; give 0 to 2"):
+        switch_on(row, "reaction_delay", {"delay": 9.0})
+    assert row[LAW] == 0.0
+    assert whole(defaults())[:COUNT] == pytest.approx(defaults())
+    assert PLACES["drag"].stop - PLACES["drag"].start == 2
+
+
+USERS = """
+from numba import njit
+from sugiyama_ros.driver.parameters import Parameter
+from sugiyama_ros.effects.effect import ENVIRONMENT, Effect, at
+
+
+@njit
+def push(seen, p):
+    return -p[0] * seen.speed
+
+
+EFFECT = Effect(
+    name="syrup", stage=ENVIRONMENT, summary="drag that grows with the speed", source="here",
+    parameters=(Parameter("k", "k", "1/s", 0.0, 0.0, 5.0, "drag per speed"),), starts=at({"k": 0.01}), function=push,
+)
+"""
+USE = """
+import numpy as np
+from sugiyama_ros.effects.catalogue import effect, switch_on, whole
+from sugiyama_ros.driver.parameters import defaults
+from sugiyama_ros.road import Road
+from sugiyama_ros.simulation import Simulator, simulate
+p = switch_on(whole(defaults(1)), "syrup", {"k": 1.0})
+s = Simulator(p, np.array([4.0]), np.array([0.0]), Road(), np.random.default_rng(0))
+print(simulate(s, 60.0).speed[-1, 0])
+"""
+
+
+@pytest.mark.parametrize(("entry", "expected"), [("mine:EFFECT", "speed"), ("mine:MISSING", "cannot be loaded")])
+def test_a_user_adds_an_effect_by_an_entry_point(tmp_path: Path, entry: str, expected: str) -> None:
+    (tmp_path / "mine.py").write_text(USERS)
+    about = tmp_path / "mine-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: mine\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text(f"[sugiyama_ros.effects]\nsyrup = {entry}\n")
+    environment = os.environ | {"PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "compiled")}
+    done = subprocess.run([sys.executable, "-c", USE], env=environment, capture_output=True, text=True, check=False)
+    if expected == "speed":
+        assert done.returncode == 0, done.stderr
+        # the base model settles near v* = 10.26 m/s; syrup slows it down
+        assert 2.0 < float(done.stdout) < 8.0
+    else:
+        assert "effect syrup (mine:MISSING): cannot be loaded" in done.stderr

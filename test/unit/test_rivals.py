@@ -1,0 +1,232 @@
+"""The rival laws against their closed forms, and their calibration against runs whose parameters are known."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sugiyama_ros.criticism.least_squares import Following, fit_gaps, gap_errors
+from sugiyama_ros.driver.rivals import LAWS, fvdm, idm
+from sugiyama_ros.driver.utility import ACTIONS
+from sugiyama_ros.errors import InputError
+
+FUNCTIONS = (idm, fvdm)
+IDM, FVDM = (np.array([p.default for p in law.parameters]) for law in LAWS)
+DT, HALF_LENGTHS = 1.0 / 3.0, 4.33
+speeds = st.floats(0.0, 12.0)
+
+
+def rows(law):
+    """Parameters anywhere within their bounds."""
+    return st.tuples(*(st.floats(p.lower, p.upper) for p in law.parameters)).map(np.array)
+
+
+def name(entry):
+    return getattr(entry, "name", "")
+
+
+BOTH = pytest.mark.parametrize(("law", "function"), list(zip(LAWS, FUNCTIONS, strict=True)), ids=name)
+
+
+# --- the laws --------------------------------------------------------------------------------------------------------
+
+
+def test_a_law_declares_its_parameters_in_the_order_of_its_function():
+    assert [[p.name for p in law.parameters] for law in LAWS] == [
+        ["v0", "T", "s0", "a", "b"],
+        ["kappa", "lambda", "V1", "V2", "C1", "C2"],
+    ]
+    for p in (p for law in LAWS for p in law.parameters):
+        assert p.lower < p.default < p.upper
+        assert "Phys. Rev. E" in p.description
+
+
+@given(st.floats(0.0, 9.9))
+def test_idm_rests_in_its_equilibrium_gap(speed):
+    """Treiber, Hennecke and Helbing (2000), Eq. (5): s_e = (s0 + v T) / sqrt(1 - (v / v0)^4)."""
+    v0, T, s0, _, _ = IDM
+    gap = (s0 + speed * T) / math.sqrt(1.0 - (speed / v0) ** 4)
+    assert idm(gap, speed, speed, IDM) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_idm_is_eqs_2_and_3():
+    v0, T, s0, a, b = IDM
+    wanted = s0 + 7.0 * T + 7.0 * (7.0 - 5.0) / (2.0 * math.sqrt(a * b))
+    assert idm(12.0, 7.0, 5.0, IDM) == pytest.approx(a * (1.0 - (7.0 / v0) ** 4 - (wanted / 12.0) ** 2), abs=1e-12)
+    assert idm(math.inf, 7.0, 0.0, IDM) == pytest.approx(a * (1.0 - (7.0 / v0) ** 4), abs=1e-12)
+
+
+@given(st.floats(0.0, 60.0))
+def test_fvdm_rests_at_its_optimal_velocity(gap):
+    _, _, V1, V2, C1, C2 = FVDM
+    speed = V1 + V2 * math.tanh(C1 * gap - C2)
+    assert fvdm(gap, speed, speed, FVDM) == pytest.approx(0.0, abs=1e-12)
+    assert fvdm(gap, speed, speed - 0.7, FVDM) == pytest.approx(-0.7 * FVDM[1], abs=1e-12)
+
+
+def test_fvdm_without_a_leader_goes_to_its_highest_optimal_velocity():
+    kappa, _, V1, V2, _, _ = FVDM
+    assert fvdm(math.inf, 8.0, 0.0, FVDM) == pytest.approx(kappa * (V1 + V2 - 8.0), abs=1e-12)
+
+
+@pytest.mark.parametrize("function", FUNCTIONS)
+@given(gap=st.floats(-5.0, 100.0), speed=speeds, leader_speed=speeds, by=st.floats(0.01, 5.0), data=st.data())
+def test_more_room_never_slows_and_a_faster_leader_never_does(function, gap, speed, leader_speed, by, data):
+    p = data.draw(rows(LAWS[FUNCTIONS.index(function)]))
+    here = function(gap, speed, leader_speed, p) - 1e-12
+    assert function(gap + by, speed, leader_speed, p) >= here
+    assert function(gap, speed, leader_speed + by, p) >= here
+
+
+@pytest.mark.parametrize("function", FUNCTIONS)
+@given(gap=st.floats(-5.0, 100.0), speed=speeds, share=st.floats(0.0, 2.0), by=st.floats(0.01, 5.0), data=st.data())
+def test_whoever_drives_faster_accelerates_less(function, gap, speed, share, by, data):
+    """For the IDM up to a leader of twice the speed, beyond which its wanted gap may shrink with the speed."""
+    p = data.draw(rows(LAWS[FUNCTIONS.index(function)]))
+    leader_speed = share * speed
+    assert function(gap, speed + by, leader_speed, p) <= function(gap, speed, leader_speed, p) + 1e-12
+
+
+@pytest.mark.parametrize("function", FUNCTIONS)
+@given(
+    gap=st.floats(-1e300, 1e300) | st.sampled_from([math.inf, -math.inf, 0.0, 5e-324]),
+    speed=st.floats(-1e150, 1e150),
+    leader_speed=st.floats(-1e150, 1e150),
+    data=st.data(),
+)
+def test_every_acceleration_is_one_that_a_driver_can_choose(function, gap, speed, leader_speed, data):
+    p = data.draw(rows(LAWS[FUNCTIONS.index(function)]))
+    assert ACTIONS[0] <= function(gap, speed, leader_speed, p) <= ACTIONS[-1]
+
+
+@pytest.mark.parametrize("gap", [0.0, -0.01, -5.0, -math.inf])
+def test_idm_brakes_inside_another_vehicle_even_if_it_wants_no_gap(gap):
+    p = IDM.copy()
+    p[2] = 0.0
+    assert idm(gap, 0.0, 0.0, p) == ACTIONS[0]
+
+
+# --- their calibration -----------------------------------------------------------------------------------------------
+
+
+def follow(function, p, samples=450):
+    """Positions and speeds of a car and of his leader, who drives, brakes to a stop and starts again; no noise."""
+    time = DT * np.arange(samples)
+    leader_speed = np.maximum(5.0 + 4.0 * np.sin(0.11 * time) + 3.0 * np.sin(0.31 * time), 0.0)
+    leader = 20.0 + np.concatenate(([0.0], np.cumsum(DT * leader_speed[:-1])))
+    x, v = np.zeros(samples), np.zeros(samples)
+    v[0] = 4.0
+    for t in range(samples - 1):
+        a = function(leader[t] - x[t] - HALF_LENGTHS, v[t], leader_speed[t], p)
+        x[t + 1], v[t + 1] = x[t] + DT * v[t], max(v[t] + DT * a, 0.0)
+    return x, v, leader, leader_speed
+
+
+def following(states):
+    return Following(*states, half_lengths_m=HALF_LENGTHS, period_s=DT, source="vehicle 7")
+
+
+TRUTH = {"idm": np.array([11.0, 0.6, 1.1, 1.9, 2.6]), "fvdm": np.array([0.4, 0.7, 4.6, 5.8, 0.15, 0.8])}
+EVERYWHERE = np.ones(450, dtype=bool)
+
+
+@BOTH
+def test_the_true_parameters_make_no_error(law, function):
+    true = TRUTH[law.name]
+    errors = gap_errors(law, true, following(follow(function, true)), EVERYWHERE)
+    assert np.isnan(errors[0])
+    assert np.abs(errors[1:]).max() < 1e-9
+
+
+@BOTH
+def test_the_true_parameters_are_found(law, function):
+    true = TRUTH[law.name]
+    found = fit_gaps(law, following(follow(function, true)), EVERYWHERE)
+    assert found.rmse_m < 1e-4
+    assert found.parameters == pytest.approx(true, rel=1e-3)
+
+
+@BOTH
+def test_noise_in_the_positions_is_what_remains(law, function):
+    """White noise of std 0.2 m: rmse near it (the start's own error adds a little), never above what the truth leaves."""
+    true, rng = TRUTH[law.name], np.random.default_rng(5)
+    x, v, leader, leader_speed = follow(function, true)
+    noisy = following((x + 0.2 * rng.standard_normal(len(x)), v, leader, leader_speed))
+    found = fit_gaps(law, noisy, EVERYWHERE)
+    left = np.sqrt(np.nanmean(np.square(gap_errors(law, true, noisy, EVERYWHERE))))
+    # the std of an estimated std over 449 samples is 0.2 / sqrt(898); four of them
+    assert 0.2 - 4.0 * 0.2 / math.sqrt(898) < found.rmse_m <= left
+
+
+@BOTH
+def test_samples_that_are_not_chosen_do_not_count(law, function):
+    states = follow(function, TRUTH[law.name])
+    chosen = EVERYWHERE.copy()
+    chosen[120:200] = False
+    chosen[300:310] = False
+    rng = np.random.default_rng(2)
+    wild = [np.where(chosen, column, 100.0 * rng.standard_normal(len(column))) for column in states]
+    gone = [np.where(chosen, column, np.nan) for column in states]
+    one, two = fit_gaps(law, following(states), chosen), fit_gaps(law, following(wild), chosen)
+    three = fit_gaps(law, following(gone), EVERYWHERE)
+    assert np.array_equal(one.parameters, two.parameters)
+    assert np.array_equal(one.parameters, three.parameters)
+    assert one.rmse_m == two.rmse_m == three.rmse_m
+
+
+def test_each_part_of_a_run_gives_its_own_driver():
+    """Two drivers one after the other in one recording: a mask on either finds that one."""
+    first, then = TRUTH["idm"], np.array([9.0, 1.0, 2.0, 1.2, 1.8])
+    states = [np.concatenate(pair) for pair in zip(follow(idm, first), follow(idm, then), strict=True)]
+    early = np.arange(900) < 450
+    assert fit_gaps(LAWS[0], following(states), early).parameters == pytest.approx(first, rel=1e-3)
+    assert fit_gaps(LAWS[0], following(states), ~early).parameters == pytest.approx(then, rel=1e-3)
+
+
+def test_a_run_starts_anew_from_the_measured_state_after_a_break():
+    x, v, leader, leader_speed = follow(idm, TRUTH["idm"])
+    chosen = EVERYWHERE.copy()
+    chosen[200] = False
+    errors = gap_errors(LAWS[0], IDM, following((x, v, leader, leader_speed)), chosen)
+    assert np.array_equal(np.flatnonzero(np.isnan(errors)), [0, 200, 201])
+    # Euler's rule: a first step shows the measured speed alone, a second the law
+    a = idm(leader[201] - x[201] - HALF_LENGTHS, v[201], leader_speed[201], IDM)
+    assert errors[202] == pytest.approx(0.0, abs=1e-12)
+    assert errors[203] == pytest.approx(x[203] - (x[202] + DT * max(v[201] + DT * a, 0.0)), abs=1e-12)
+
+
+def test_many_rows_at_once_are_each_alone():
+    f = following(follow(idm, TRUTH["idm"]))
+    both = gap_errors(LAWS[0], np.array([IDM, TRUTH["idm"]]), f, EVERYWHERE)
+    alone = [gap_errors(LAWS[0], p, f, EVERYWHERE) for p in (IDM, TRUTH["idm"])]
+    assert np.array_equal(both, alone, equal_nan=True)
+
+
+def test_nobody_drives_backward():
+    """Behind a leader who stands, 3 m ahead of bumpers, a driver from 1 m/s stops and stays."""
+    still = np.zeros(60)
+    speed = np.full(60, 1.0)
+    f = Following(still, speed, still + 3.0, still, half_lengths_m=0.0, period_s=DT)
+    position = -gap_errors(LAWS[0], IDM, f, np.ones(60, dtype=bool))[1:]
+    assert np.all(np.diff(position) >= 0.0)
+    assert 0.0 < position[-1] < 3.0
+
+
+@BOTH
+def test_parameters_stay_within_their_bounds_where_the_data_say_nothing(law, function):
+    """A leader at constant speed, followed at constant gap: no parameter but their combination is held."""
+    time = DT * np.arange(100)
+    f = Following(5.0 * time, np.full(100, 5.0), 5.0 * time + 14.0, np.full(100, 5.0), HALF_LENGTHS, DT)
+    found = fit_gaps(law, f, np.ones(100, dtype=bool))
+    assert found.rmse_m < 1e-3
+    assert all(p.lower <= q <= p.upper for p, q in zip(law.parameters, found.parameters, strict=True))
+
+
+def test_too_little_data_is_said_in_one_line():
+    f = following(follow(idm, TRUTH["idm"]))
+    with pytest.raises(InputError, match=r"^vehicle 7: 5 samples cannot hold 5 parameters of idm; give more$"):
+        fit_gaps(LAWS[0], f, np.arange(450) < 6)
+    with pytest.raises(InputError, match="vehicle 7: positions and speeds differ in length"):
+        following((f.position_m[:-1], f.speed, f.leader_position_m, f.leader_speed))
