@@ -45,6 +45,7 @@ Ring = Annotated[
 Out = Annotated[Path, typer.Option("--output", "-o", help="MCAP file to write.")]
 Rate = Annotated[str, typer.Option("--rate", help="Times real time, or max: as fast as the nodes take it.")]
 Separate = Annotated[bool, typer.Option("--processes", help="Each node in a process of its own.")]
+ModelFile = Annotated[Path | None, typer.Option("--model", help="Model file (YAML) that `diagnose -o` wrote.")]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of everything random.")]
 
 
@@ -55,24 +56,65 @@ def demo(
     ] = None,
     output: Out = Path("sugiyama-demo.mcap"),
     ring: Ring = None,
+    hidden: Annotated[
+        str, typer.Option("--hidden", help="Effect that the simulated drivers have and the model lacks; or random.")
+    ] = "slow_patch",
     seed: Seed = 1,
     as_json: Json = False,
 ) -> None:
-    """Estimate the drivers of the Sugiyama experiment, simulated or measured, and record it all."""
+    """Replay an experiment with a hidden effect as ROS topics, find out what is missing, add it, and replay again.
+
+    With --data, the drivers of a measured experiment are estimated instead.
+    """
     if data is not None:
         _print_run(_run(data, output, 0.0, False, ring), as_json)
         return
+    from sugiyama_ros.criticism.diagnosis import diagnose as find
+    from sugiyama_ros.criticism.model_file import write_model
+    from sugiyama_ros.criticism.verdict import document, sentences
     from sugiyama_ros.formats.convert import write_trajectories
+    from sugiyama_ros.studies.hidden_effects import STRENGTHS, hide
 
-    if not as_json:
-        _err.print("Simulating 22 drivers on a ring of 230 m for 250 s; v* and kappa_v differ by 10 % among them.")
-    simulated = _simulated(22, 230.0, 250.0, 2.0, 1.0 / 3.0, None, 0.1, seed, [])
+    if hidden == "random":
+        hidden = list(STRENGTHS)[int(np.random.default_rng(seed).integers(len(STRENGTHS)))]
+    if hidden not in STRENGTHS:
+        raise InputError(f"--hidden {hidden}: not among {', '.join(STRENGTHS)}, random")
+    simulated, values = hide(hidden, STRENGTHS[hidden][0], seed)
+    _err.print("22 simulated drivers on a ring of 230 m, 250 s. They have something that the model lacks.")
     with tempfile.TemporaryDirectory() as directory:
-        source = Path(directory) / "simulated.mcap"
+        source, model = Path(directory) / "simulated.mcap", Path(directory) / "model.yaml"
         write_trajectories(simulated.measured, source)
-        result = _run(source, output, 0.0, False, None)
-    _print_run(result, as_json, simulated.parameters)
-    _tell_collisions(simulated)
+        before = _run(source, Path(directory) / "before.mcap", 0.0, False, None)
+        with _stages() as advance:
+            found = find(
+                simulated.measured,
+                seed=seed,
+                quick=True,
+                most=1,
+                verdict_only=True,
+                workers=os.cpu_count() or 1,
+                on_progress=advance,
+            )
+        write_model(model, found.data, found.final)
+        after = _run(source, output, 0.0, False, None, model)
+    rmse = [math.sqrt(sum(d.one_step_rmse_m**2 for d in r.drivers) / len(r.drivers)) for r in (before, after)]
+    if as_json:
+        _print_json(
+            {
+                "hidden": {"name": hidden, "parameters": values},
+                **document(found),
+                "published_one_step_rmse_m": {"before": rmse[0], "after": rmse[1]},
+                "messages_lost": before.messages_lost + after.messages_lost,
+                "output": str(output),
+            }
+        )
+        return
+    _out.print(f"before: the estimators' one-step error is {rmse[0]:.4f} m", highlight=False)
+    for line in sentences(found):
+        _out.print(escape(line), soft_wrap=True, highlight=False)
+    _out.print(f"after: with what was found, it is {rmse[1]:.4f} m; all topics are in {output}", highlight=False)
+    truth = ", ".join(f"{k} {v:.3g}" for k, v in values.items())
+    _out.print(f"hidden was: {hidden} ({truth})", highlight=False)
 
 
 @app.command()
@@ -82,10 +124,12 @@ def run(
     rate: Rate = "max",
     processes: Separate = False,
     ring: Ring = None,
+    model: ModelFile = None,
+    critic: Annotated[bool, typer.Option("--critic", help="A critic listens and publishes /verdict.")] = False,
     as_json: Json = False,
 ) -> None:
     """Replay trajectories as ROS topics through one estimator for each driver, and record all topics."""
-    _print_run(_run(source, output, _rate(rate), processes, ring), as_json)
+    _print_run(_run(source, output, _rate(rate), processes, ring, model, critic), as_json)
 
 
 @app.command()
@@ -103,6 +147,10 @@ def simulate(
     parameter: Annotated[
         list[str] | None, typer.Option("--set", help="NAME=VALUE of a parameter, for all drivers; may be repeated.")
     ] = None,
+    effect: Annotated[
+        list[str] | None, typer.Option("--effect", help="NAME:PARAMETER=VALUE[,...] of an effect; may be repeated.")
+    ] = None,
+    model: ModelFile = None,
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
@@ -113,7 +161,9 @@ def simulate(
     writers: dict[str, Callable[[Any, Path], object]] = {".mcap": write_trajectories, ".csv": write_csv}
     if output.suffix not in writers:
         raise InputError(f"{output}: cannot be written as {output.suffix or 'nothing'}; give a .mcap or .csv name")
-    simulated = _simulated(vehicles, ring, duration, gap, period, horizon, spread, seed, parameter or [])
+    simulated = _simulated(
+        vehicles, ring, duration, gap, period, horizon, spread, seed, parameter or [], effect or [], model
+    )
     writers[output.suffix](simulated.measured, output)
     speed = simulated.speed[len(simulated.speed) // 2 :]
     second_half = {"v_avg": speed.mean(), "v_min": speed.min(axis=1).mean(), "v_max": speed.max(axis=1).mean()}
@@ -195,7 +245,7 @@ def diagnose(
 def compare(
     source: Annotated[Path, typer.Argument(help="Trajectories: .data, .csv or .mcap.")],
     effects: Annotated[str, typer.Option("--effects", help="Effects to add to the model, separated by commas.")] = "",
-    model: Annotated[Path | None, typer.Option("--model", help="Model file (YAML) to compare too.")] = None,
+    model: ModelFile = None,
     ring: Ring = None,
     seed: Seed = 0,
     as_json: Json = False,
@@ -397,7 +447,15 @@ def _rate(text: str) -> float:
     return rate
 
 
-def _run(source: Path, output: Path, rate: float, processes: bool, ring: float | None) -> "RunResult":
+def _run(
+    source: Path,
+    output: Path,
+    rate: float,
+    processes: bool,
+    ring: float | None,
+    model: Path | None = None,
+    critic: bool = False,
+) -> "RunResult":
     try:
         from sugiyama_ros.nodes.run import run as run_nodes
     except ModuleNotFoundError as error:
@@ -405,7 +463,16 @@ def _run(source: Path, output: Path, rate: float, processes: bool, ring: float |
             raise
         raise InputError(f"{error.name}: not installed; run `make demo` once, or source a ROS 2 workspace") from None
     with _progress("replaying") as advance:
-        return run_nodes(source, output, rate=rate, processes=processes, ring_m=ring, on_progress=advance)
+        return run_nodes(
+            source,
+            output,
+            rate=rate,
+            processes=processes,
+            ring_m=ring,
+            model=model,
+            critic=critic,
+            on_progress=advance,
+        )
 
 
 def _simulated(
@@ -418,20 +485,33 @@ def _simulated(
     spread: float,
     seed: int,
     settings: Iterable[str],
+    effects: Iterable[str],
+    model: Path | None,
 ) -> "Simulation":
-    """A run of drivers with the paper's parameters, changed by ``settings``, that start from rest."""
+    """A run of drivers with the paper's parameters or those of a model file, changed by ``settings``, from rest."""
+    from sugiyama_ros.criticism.model_file import read_model
     from sugiyama_ros.driver.parameters import defaults, index
+    from sugiyama_ros.effects.catalogue import switch_on, whole
     from sugiyama_ros.simulation import Simulator, platoon, simulate
     from sugiyama_ros.trajectories import DEFAULT_LENGTH_M
 
     rng = np.random.default_rng(seed)
-    parameters = defaults(vehicles)
+    parameters = whole(defaults(vehicles))
+    if model is not None:
+        parameters = read_model(model).rows_of(np.arange(vehicles))
     for setting in settings:
         name, _, value = setting.partition("=")
         try:
             parameters[:, index(name)] = float(value)
         except ValueError:
             raise InputError(f"--set {setting}: is not NAME=VALUE with a number as value") from None
+    for text in effects:
+        name, _, pairs = text.partition(":")
+        try:
+            values = {k: float(v) for k, _, v in (pair.partition("=") for pair in pairs.split(","))}
+        except ValueError:
+            raise InputError(f"--effect {text}: is not NAME:PARAMETER=VALUE[,PARAMETER=VALUE]") from None
+        parameters = switch_on(parameters, name, values)
     if spread > 0.0:
         for k in (V_STAR, KAPPA_V):
             parameters[:, k] *= np.exp(spread * rng.standard_normal(vehicles))

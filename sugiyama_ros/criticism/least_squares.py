@@ -1,6 +1,6 @@
 """Classic calibration of the rival laws: one car drives behind his measured leader, least squares on his gaps.
 
-Treiber and Kesting, Traffic Flow Dynamics (2013), chapter 17: the global approach, with absolute errors of gaps.
+Treiber and Kesting, Traffic Flow Dynamics, on calibration: the global approach, with absolute errors of gaps.
 """
 
 from dataclasses import dataclass
@@ -79,10 +79,7 @@ def _run(law: int, rows: Array, states: Array, half_lengths: float, period: floa
             else:
                 x, v = position, max(speed, 0.0)
             gap = leader_position - x - half_lengths
-            if law == 0:
-                a = idm(gap, v, leader_speed, rows[k])
-            else:
-                a = fvdm(gap, v, leader_speed, rows[k])
+            a = idm(gap, v, leader_speed, rows[k]) if law == 0 else fvdm(gap, v, leader_speed, rows[k])
             x += period * v
             v = max(v + period * a, 0.0)
 

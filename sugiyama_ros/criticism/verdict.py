@@ -34,7 +34,10 @@ def document(d: Diagnosis) -> dict[str, Any]:
                 "gain_nats": one.gain,
                 "p_value": one.p_value,
             }
-            for one in sorted(d.looked, key=lambda one: -d.heldout[one.candidate.name].nats)
+            for one in sorted(
+                (one for one in d.looked if one.candidate.name in d.heldout),
+                key=lambda one: -d.heldout[one.candidate.name].nats,
+            )
         ],
         "smallest_detectable": [
             {"name": name, "parameter": effect(name).parameters[0].name, "value": value}

@@ -55,10 +55,10 @@ def _bounded(acceleration: float) -> float:
 
 @njit(cache=True)
 def idm(gap: float, speed: float, leader_speed: float, p: Array) -> float:
-    """Acceleration [m/s^2] of the intelligent driver model, p = v0, T, s0, a, b; Eqs. (2) and (3) of its paper.
+    """Acceleration [m/s^2] of the intelligent driver model, p = v0, T, s0, a, b.
 
-    gap [m], infinite without a leader; speeds [m/s]. Brakes as hard as possible from contact on.
-    The dynamic part of the wanted gap is not below 0, so that a much faster leader does not repel.
+    gap [m], infinite without a leader; speeds [m/s]. Brakes as hard as possible from contact on. The moving part of the
+    wanted gap is kept at or above 0, so that a leader who is much faster does not slow the driver down.
     """
     if gap <= 0.0:
         return _HARDEST

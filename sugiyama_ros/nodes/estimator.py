@@ -2,6 +2,7 @@
 
 import re
 from math import isnan, nan
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from sugiyama_msgs.msg import DriverParameters, Innovation, MeasuredPositions, V
 from sugiyama_msgs.msg import Road as RoadMessage
 from sugiyama_msgs.srv import AddEffect, RemoveEffect
 
+from sugiyama_ros.criticism.model_file import read_model
 from sugiyama_ros.driver.parameters import NAMES, PARAMETERS, population
 from sugiyama_ros.effects.catalogue import ENTRIES, PLACES, active, effect, switch_on, whole
 from sugiyama_ros.errors import InputError
@@ -58,9 +60,10 @@ class Estimator(PacedNode):
             )
         self.vehicle = int(found[1])
         warm_up()
-        declare_driver(self, population())
+        row = self._start_row()
+        declare_driver(self, row)
         self.add_post_set_parameters_callback(lambda _: self._restart())
-        self._effects = whole(np.zeros(len(NAMES)))
+        self._effects = row
         self._road: RoadMessage | None = None
         self._filter: OnlineFilter | None = None
         self._stamp_ns: int | None = None
@@ -76,6 +79,14 @@ class Estimator(PacedNode):
         self.create_service(RemoveEffect, "~/remove_effect", self._on_remove_effect)
         self.create_subscription(RoadMessage, self.shared("road"), self._on_road, LATCHED)
         self.create_subscription(MeasuredPositions, self.shared("measured"), self._on_measured, STREAM, raw=True)
+
+    def _start_row(self) -> Array:
+        """The driver's row from the model file, if one is given, or of a driver of whom nothing is known."""
+        about = ParameterDescriptor(description="model file (YAML) with drivers and effects", read_only=True)
+        file = str(self.declare_parameter("model", "", about).value)
+        if not file:
+            return whole(population())
+        return read_model(Path(file)).rows_of(np.array([self.vehicle]))[0]
 
     def health(self) -> Health:
         """ERROR after a failure of the filter, WARN without a road or a position."""
@@ -247,8 +258,8 @@ class Estimator(PacedNode):
 
 
 def declare_driver(node: Node, default: Array) -> None:
-    """Declare the parameters of a driver, ``default`` (P,), with the descriptions and ranges that the code declares."""
-    for p, value in zip(PARAMETERS, default.tolist(), strict=True):
+    """Declare a driver's parameters, with defaults from a row (P,) or longer, as the code describes them."""
+    for p, value in zip(PARAMETERS, default[: len(PARAMETERS)].tolist(), strict=True):
         node.declare_parameter(
             p.name,
             value,

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from sugiyama_ros.criticism.model_file import read_model
 from sugiyama_ros.driver.parameters import NAMES, population
 from sugiyama_ros.formats import read_trajectories
 from sugiyama_ros.trajectories import Trajectories
 
-REPLAY, RECORDER = "/replay", "/recorder"
+REPLAY, RECORDER, CRITIC = "/replay", "/recorder", "/critic"
 
 
 def namespaces(vehicles: Iterable[int]) -> list[str]:
@@ -34,18 +35,31 @@ def step_topics(spaces: Iterable[str]) -> list[str]:
 class Plan:
     """Replay ``source``, which holds ``trajectories``, and record it in ``output``.
 
-    rate: times real time; 0 is as fast as the nodes take it.
+    rate: times real time; 0 is as fast as the nodes take it. model: file with the drivers and effects from which the
+    estimators start; critic: whether a critic listens.
     """
 
     trajectories: Trajectories
     source: Path
     output: Path
     rate: float
+    model: Path | None = None
+    critic: bool = False
 
     @classmethod
-    def read(cls, source: Path, output: Path, rate: float, ring_m: float | None) -> "Plan":
+    def read(
+        cls,
+        source: Path,
+        output: Path,
+        rate: float,
+        ring_m: float | None,
+        model: Path | None = None,
+        critic: bool = False,
+    ) -> "Plan":
         """A plan for a file of trajectories; ``ring_m`` [m] where the file does not tell. Raises InputError."""
-        return cls(read_trajectories(source, ring_m), source, output, rate)
+        if model is not None:
+            read_model(model)
+        return cls(read_trajectories(source, ring_m), source, output, rate, model, critic)
 
     @property
     def namespaces(self) -> list[str]:
@@ -63,13 +77,23 @@ class Plan:
         return step_topics(self.namespaces)
 
     @property
+    def estimator(self) -> dict[str, Any]:
+        """Parameters of every estimator."""
+        return {"model": str(self.model)} if self.model is not None else {}
+
+    @property
+    def followers(self) -> list[str]:
+        """Full names of the nodes that the replay waits for, but for the recorder."""
+        return [*self.estimators, *([CRITIC] if self.critic else [])]
+
+    @property
     def replay(self) -> dict[str, Any]:
         """Parameters of the replay."""
         return {
             "source": str(self.source),
             "ring": self.trajectories.road.circumference_m,
             "rate": float(self.rate),
-            "wait_for": [RECORDER, *self.estimators],
+            "wait_for": [RECORDER, *self.followers],
         }
 
     @property
@@ -82,6 +106,7 @@ class Plan:
             "vehicles": len(t.vehicle),
             "steps": len(t.position_m),
             "rate": self.rate or "max",
+            "model": str(self.model or ""),
             "start_parameters": json.dumps(dict(zip(NAMES, population().tolist(), strict=True))),
         }
         return {

@@ -75,19 +75,22 @@ def run(
     rate: float = 0.0,
     processes: bool = False,
     ring_m: float | None = None,
+    model: Path | None = None,
+    critic: bool = False,
     on_progress: OnProgress | None = None,
 ) -> RunResult:
     """Replay ``source`` through one estimator for each driver and record everything in ``output``.
 
     rate: times real time; 0 is as fast as the nodes take it. processes: one process for each node instead of one for
-    all. ring_m: circumference [m] where the file does not tell. A signal (SIGINT, SIGTERM) ends the run early, in good
-    order. To be called in the main thread, where signals come.
+    all. ring_m: circumference [m] where the file does not tell. model: file with the drivers and effects from which
+    the estimators start; critic: whether a critic listens, and its verdicts are recorded. A signal (SIGINT, SIGTERM)
+    ends the run early, in good order. To be called in the main thread, where signals come.
 
     Raises InputError or OutputError for files that cannot be read or written, and SugiyamaError where a node has
     ended or has not started.
     """
     environment.isolate()
-    plan = Plan.read(source, output, rate, ring_m)
+    plan = Plan.read(source, output, rate, ring_m, model, critic)
     total = len(plan.trajectories.position_m)
     began = time.monotonic()
     with ros() as asked_to_stop:
@@ -98,7 +101,7 @@ def run(
             while not asked_to_stop() and monitor.steps < total:
                 spinner.slice()
                 team.check()
-                missing = {REPLAY, RECORDER, *plan.estimators} - set(monitor.last)
+                missing = {REPLAY, RECORDER, *plan.followers} - set(monitor.last)
                 if missing and time.monotonic() - began > _START_S:
                     raise SugiyamaError(
                         f"{min(missing)}: not heard of after {_START_S:.0f} s; is the machine overloaded?"

@@ -14,9 +14,10 @@ from rclpy.parameter import Parameter
 
 from sugiyama_ros.errors import SugiyamaError
 from sugiyama_ros.estimation.online import warm_up
+from sugiyama_ros.nodes.critic import Critic
 from sugiyama_ros.nodes.estimator import Estimator
 from sugiyama_ros.nodes.node import PacedNode
-from sugiyama_ros.nodes.plan import RECORDER, REPLAY, Plan
+from sugiyama_ros.nodes.plan import CRITIC, RECORDER, REPLAY, Plan
 from sugiyama_ros.nodes.recorder import Recorder
 from sugiyama_ros.nodes.replay import Replay
 from sugiyama_ros.nodes.spin import RUNNER, Spinner
@@ -47,10 +48,13 @@ class OneProcess:
 
     def __init__(self, plan: Plan) -> None:
         self._replay = Replay(plan.trajectories, parameter_overrides=_overrides(plan.replay))
-        self._estimators = [Estimator(namespace=n) for n in plan.namespaces]
+        own = _overrides(plan.estimator)
+        self._followers: list[PacedNode] = [Estimator(namespace=n, parameter_overrides=own) for n in plan.namespaces]
+        if plan.critic:
+            self._followers.append(Critic())
         # Last, so that it finds the topics of all the others at once.
         self._recorder = Recorder(parameter_overrides=_overrides(plan.recorder))
-        self.nodes: list[PacedNode] = [self._replay, *self._estimators, self._recorder]
+        self.nodes: list[PacedNode] = [self._replay, *self._followers, self._recorder]
 
     def check(self) -> None:
         """Raises the error that a node has met."""
@@ -61,8 +65,8 @@ class OneProcess:
     def stop(self, spinner: Spinner) -> None:
         """Stop the nodes one after the other."""
         self._replay.finish()
-        spinner.until(lambda: all(node.steps == self._replay.next_step for node in self._estimators), _STOP_S)
-        for node in [*self._estimators, self._recorder]:
+        spinner.until(lambda: all(node.steps == self._replay.next_step for node in self._followers), _STOP_S)
+        for node in [*self._followers, self._recorder]:
             node.finish()
         spinner.until(lambda: self._recorder.received == sum(node.published for node in self.nodes), _STOP_S)
         self._recorder.close()
@@ -85,7 +89,9 @@ class Processes:
         self._children: dict[str, subprocess.Popen[bytes]] = {}
         self._start(RECORDER, "recorder", plan.recorder)
         for name in plan.estimators:
-            self._start(name, "estimator", {})
+            self._start(name, "estimator", plan.estimator)
+        if plan.critic:
+            self._start(CRITIC, "critic", {})
         self._start(REPLAY, "replay", plan.replay)
 
     def check(self) -> None:

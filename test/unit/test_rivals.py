@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sugiyama_ros.criticism.least_squares import Following, fit_gaps, gap_errors
@@ -18,16 +18,14 @@ DT, HALF_LENGTHS = 1.0 / 3.0, 4.33
 speeds = st.floats(0.0, 12.0)
 
 
+BOTH = pytest.mark.parametrize(
+    ("law", "function"), list(zip(LAWS, FUNCTIONS, strict=True)), ids=lambda one: getattr(one, "name", "")
+)
+
+
 def rows(law):
     """Parameters anywhere within their bounds."""
     return st.tuples(*(st.floats(p.lower, p.upper) for p in law.parameters)).map(np.array)
-
-
-def name(entry):
-    return getattr(entry, "name", "")
-
-
-BOTH = pytest.mark.parametrize(("law", "function"), list(zip(LAWS, FUNCTIONS, strict=True)), ids=name)
 
 
 # --- the laws --------------------------------------------------------------------------------------------------------
@@ -43,21 +41,23 @@ def test_a_law_declares_its_parameters_in_the_order_of_its_function():
         assert "Phys. Rev. E" in p.description
 
 
+@settings(deadline=None)  # the first call compiles
 @given(st.floats(0.0, 9.9))
 def test_idm_rests_in_its_equilibrium_gap(speed):
-    """Treiber, Hennecke and Helbing (2000), Eq. (5): s_e = (s0 + v T) / sqrt(1 - (v / v0)^4)."""
+    """Treiber, Hennecke and Helbing (2000): s_e = (s0 + v T) / sqrt(1 - (v / v0)^4)."""
     v0, T, s0, _, _ = IDM
     gap = (s0 + speed * T) / math.sqrt(1.0 - (speed / v0) ** 4)
     assert idm(gap, speed, speed, IDM) == pytest.approx(0.0, abs=1e-12)
 
 
-def test_idm_is_eqs_2_and_3():
+def test_idm_is_its_formula():
     v0, T, s0, a, b = IDM
     wanted = s0 + 7.0 * T + 7.0 * (7.0 - 5.0) / (2.0 * math.sqrt(a * b))
     assert idm(12.0, 7.0, 5.0, IDM) == pytest.approx(a * (1.0 - (7.0 / v0) ** 4 - (wanted / 12.0) ** 2), abs=1e-12)
     assert idm(math.inf, 7.0, 0.0, IDM) == pytest.approx(a * (1.0 - (7.0 / v0) ** 4), abs=1e-12)
 
 
+@settings(deadline=None)  # the first call compiles
 @given(st.floats(0.0, 60.0))
 def test_fvdm_rests_at_its_optimal_velocity(gap):
     _, _, V1, V2, C1, C2 = FVDM
@@ -72,6 +72,7 @@ def test_fvdm_without_a_leader_goes_to_its_highest_optimal_velocity():
 
 
 @pytest.mark.parametrize("function", FUNCTIONS)
+@settings(deadline=None)  # the first call compiles
 @given(gap=st.floats(-5.0, 100.0), speed=speeds, leader_speed=speeds, by=st.floats(0.01, 5.0), data=st.data())
 def test_more_room_never_slows_and_a_faster_leader_never_does(function, gap, speed, leader_speed, by, data):
     p = data.draw(rows(LAWS[FUNCTIONS.index(function)]))
@@ -81,6 +82,7 @@ def test_more_room_never_slows_and_a_faster_leader_never_does(function, gap, spe
 
 
 @pytest.mark.parametrize("function", FUNCTIONS)
+@settings(deadline=None)  # the first call compiles
 @given(gap=st.floats(-5.0, 100.0), speed=speeds, share=st.floats(0.0, 2.0), by=st.floats(0.01, 5.0), data=st.data())
 def test_whoever_drives_faster_accelerates_less(function, gap, speed, share, by, data):
     """For the IDM up to a leader of twice the speed, beyond which its wanted gap may shrink with the speed."""
@@ -90,6 +92,7 @@ def test_whoever_drives_faster_accelerates_less(function, gap, speed, share, by,
 
 
 @pytest.mark.parametrize("function", FUNCTIONS)
+@settings(deadline=None)  # the first call compiles
 @given(
     gap=st.floats(-1e300, 1e300) | st.sampled_from([math.inf, -math.inf, 0.0, 5e-324]),
     speed=st.floats(-1e150, 1e150),
@@ -150,7 +153,7 @@ def test_the_true_parameters_are_found(law, function):
 
 @BOTH
 def test_noise_in_the_positions_is_what_remains(law, function):
-    """White noise of std 0.2 m: rmse near it (the start's own error adds a little), never above what the truth leaves."""
+    """White noise of std 0.2 m: the rmse is near it, and never above what the true parameters leave."""
     true, rng = TRUTH[law.name], np.random.default_rng(5)
     x, v, leader, leader_speed = follow(function, true)
     noisy = following((x + 0.2 * rng.standard_normal(len(x)), v, leader, leader_speed))
