@@ -19,7 +19,7 @@ endif
 
 help:
 	@cat <<- END
-	make demo   set up, then estimate the drivers of a simulated ring road
+	make demo   set up, then find what the model of a simulated experiment misses
 	make test   set up, then run the tests
 	make lint   set up, then check style and types
 	The first run sets up .venv and takes some minutes. PYTHON=python3.12 chooses the Python of a new .venv.

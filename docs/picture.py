@@ -1,6 +1,7 @@
-"""The picture in README.md, from the recording that ``sugiyama demo`` writes.
+"""The picture in README.md, from a recorded run.
 
-sugiyama demo -o demo.mcap && python docs/picture.py demo.mcap docs/demo.png
+sugiyama simulate --spread 0.1 --seed 1 -o ring.mcap && sugiyama run ring.mcap -o run.mcap
+python docs/picture.py run.mcap docs/demo.png
 """
 
 import sys
@@ -10,7 +11,7 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 
-from sugiyama_ros.driver.parameters import KAPPA_V, NAMES, V_STAR
+from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
 from sugiyama_ros.formats.mcap_reader import Bag
 
 mpl.use("Agg")
@@ -27,7 +28,7 @@ def main(recording: Path, picture: Path) -> None:
             if topic.endswith("/state"):
                 states[m.vehicle].append((time_s, m.position_m, m.speed))
             else:
-                std = np.sqrt(np.diag(m.covariance.reshape(len(NAMES), len(NAMES))))
+                std = np.sqrt(np.diag(m.covariance.reshape(len(m.name), len(m.name))))
                 parameters[m.vehicle].append((time_s, *m.value[[V_STAR, KAPPA_V]], *std[[V_STAR, KAPPA_V]]))
 
     figure, (road, *panels) = plt.subplots(

@@ -42,6 +42,8 @@ INDIVIDUAL = (SIGMA_NU, SIGMA_A, V_STAR, KAPPA_V)
 BOOTSTRAP_RUNS, QUICK_RUNS, LEVEL = 6, 2, 0.05
 # Candidates that are fitted in full in each round, and the share of the best gain above which one is.
 _SHORTLIST, _SHARE = 4, 0.15
+# Newton steps of a full fit, from where a glance has come to.
+_ITERATIONS = 4
 # A gain is not believed below this [nats], whatever the p-value; and simulated gains spread by at least this.
 _LEAST_GAIN, _LEAST_SPREAD = 5.0, 1.5
 # Prior weight of the common spread in that of one candidate, as a number of simulated recordings.
@@ -159,7 +161,7 @@ def diagnose(
                 on_progress(f"round {number + 1}: fitting", k, len(looks))
                 fitted, rise = look.fit, look.gain
                 if k in shortlist:
-                    fitted = fit(data, look.fit.model, work, iterations=8)
+                    fitted = fit(data, look.fit.model, work, iterations=_ITERATIONS)
                     rise = max(rise, _rise(current, fitted))
                 looked.append(null.judge(look.candidate, fitted, rise, len(looks), refined=k in shortlist))
             looked.sort(key=lambda one: -one.score)
@@ -251,12 +253,12 @@ def _rise(current: Fit, fitted: Fit) -> float:
 
 
 def _shortlist(looks: Sequence[Glance]) -> list[int]:
-    """Those fitted in full: the largest gains, and freed constants, which may be far from where a glance looks."""
+    """Those fitted in full: the largest gains, and the noises, whose best values may lie far from a glance."""
     order = sorted(range(len(looks)), key=lambda k: -looks[k].gain)
     best = max(looks[order[0]].gain, 1.0)
     chosen = [k for k in order[:_SHORTLIST] if looks[k].gain > _SHARE * best or k in order[:2]]
     if best > 50.0:
-        chosen += [k for k, look in enumerate(looks) if look.candidate.kind == "constants" and k not in chosen]
+        chosen += [k for k, look in enumerate(looks) if look.candidate.name == "noise_constants" and k not in chosen]
     return chosen
 
 
