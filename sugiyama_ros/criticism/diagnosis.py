@@ -82,6 +82,11 @@ class Looked:
         """Gain beyond what chance gives."""
         return self.gain - self.expected
 
+    @property
+    def predictive(self) -> float:
+        """Gain that new data may be expected to show: what chance gives in sample is missing there (after Akaike)."""
+        return self.gain - 2.0 * self.expected
+
 
 @dataclass(frozen=True, eq=False)
 class Named:
@@ -173,12 +178,12 @@ def diagnose(
                     models = without_folds(data, one.fit, work)
                     heldout[one.candidate.name] = gain(data, held_out(data, models, work), errors.samples)
             supported = [one for one in looked if one.refined and one.p_value <= LEVEL and one.gain >= _LEAST_GAIN]
-            best, most_won = None, 0.0
-            for one in supported:
+            best = None
+            for one in sorted(supported, key=lambda one: -one.predictive):
                 predicted = errors_of(data, without_folds(data, one.fit, work), work)
-                won = gain(data, predicted.samples, errors.samples).nats
-                if won > most_won and predicted.no_worse_than(errors):
-                    best, most_won = one, won
+                if gain(data, predicted.samples, errors.samples).nats > 0.0 and predicted.no_worse_than(errors):
+                    best = one
+                    break
             if best is None:
                 break
             if number and not quick and best.score < _CLEAR * max(_LEAST_GAIN, 3.0 * best.spread):
