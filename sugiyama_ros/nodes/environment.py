@@ -7,6 +7,8 @@ import sys
 
 # Domains whose ports lie outside the range from which Linux takes ephemeral ports.
 _DOMAINS = range(1, 102)
+# Participants for whose ports a domain has room.
+_PARTICIPANTS = 120
 
 
 def find_packages() -> None:
@@ -19,14 +21,19 @@ def isolate() -> None:
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     if "ROS_DOMAIN_ID" not in os.environ:
         domains = random.sample(_DOMAINS, len(_DOMAINS))
-        os.environ["ROS_DOMAIN_ID"] = str(next(filter(_is_free, domains), domains[0]))
+        os.environ["ROS_DOMAIN_ID"] = str(next(filter(is_free, domains), domains[0]))
 
 
-def _is_free(domain: int) -> bool:
-    """Whether nobody holds the port that the first participant of a domain listens to (DDSI-RTPS, section 9.6.1)."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.bind(("", 7410 + 250 * domain))
-        except OSError:
-            return False
+def is_free(domain: int) -> bool:
+    """Whether nobody holds a port that a participant of a domain listens to (DDSI-RTPS, section 9.6.1).
+
+    All are asked: of a run that was killed, any process may be the last to notice, and its road would be believed.
+    """
+    first = 7410 + 250 * domain
+    for port in range(first, first + 2 * _PARTICIPANTS, 2):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(("", port))
+            except OSError:
+                return False
     return True

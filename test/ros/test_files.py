@@ -1,6 +1,7 @@
 """Parameter files and launch files fit the code."""
 
 import ast
+import socket
 from importlib.metadata import entry_points
 from pathlib import Path
 
@@ -9,6 +10,8 @@ import yaml
 from rclpy.parameter import Parameter
 
 from sugiyama_ros.driver.parameters import NAMES
+from sugiyama_ros.nodes.critic import Critic
+from sugiyama_ros.nodes.environment import is_free
 from sugiyama_ros.nodes.estimator import Estimator
 from sugiyama_ros.nodes.node import PacedNode
 from sugiyama_ros.nodes.recorder import Recorder
@@ -16,11 +19,13 @@ from sugiyama_ros.nodes.replay import Replay
 from sugiyama_ros.nodes.simulator import SimulatorNode
 
 ROOT = Path(__file__).parents[2]
-EXECUTABLES = ("estimator", "recorder", "replay", "simulator")
+EXECUTABLES = ("critic", "estimator", "recorder", "replay", "simulator")
 
 
 def make(executable: str, ring_csv: Path, tmp_path: Path) -> PacedNode:
     """A node with nothing given but what it must be given."""
+    if executable == "critic":
+        return Critic()
     if executable == "estimator":
         return Estimator(namespace="/vehicle_00")
     if executable == "recorder":
@@ -66,3 +71,11 @@ def test_launch_files_start_what_is_there(path: Path) -> None:
     installed = {e.name for e in entry_points(group="console_scripts") if e.value.startswith("sugiyama_ros.nodes.")}
     if installed:  # not in a checkout that has not been installed
         assert executables <= installed
+
+
+def test_a_domain_is_not_free_while_any_of_its_participants_lives() -> None:
+    for port in (7410 + 250 * 90, 7410 + 250 * 90 + 46):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as held:
+            held.bind(("", port))
+            assert not is_free(90)
+    assert is_free(90)

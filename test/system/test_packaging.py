@@ -15,11 +15,11 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 COLCON = "colcon-common-extensions==0.3.0"
-PROGRAMS = {"sugiyama", "estimator", "recorder", "replay", "simulator"}
+PROGRAMS = {"sugiyama", "critic", "estimator", "recorder", "replay", "simulator"}
 INTERFACES = sorted([*ROOT.glob("msg_defs/msg/*.msg"), *ROOT.glob("msg_defs/srv/*.srv")])
 
 #: Fields without a unit of their own; a covariance is in the units of what it belongs to.
-WITHOUT_UNIT = {"covariance", "log_likelihood", "nis"}
+WITHOUT_UNIT = {"covariance", "log_likelihood", "nis", "weight"}
 
 
 def run(*command: str | Path, cwd: Path, env: Mapping[str, str] | None = None) -> subprocess.CompletedProcess[str]:
