@@ -66,15 +66,16 @@ def drive(
     out: Array,
     pushed: Array,
 ) -> None:
-    """What every driver makes his car do into ``out``, and what the environment adds into ``pushed``, both (N,).
+    """What drivers make their cars do into ``out``, and what the environment adds into ``pushed``, (D,) each.
 
+    These are the first D = len(out) of the N vehicles;
     held, acceleration: (N,) [m/s^2] of the last period; rows: (N, WIDTH) at this period; time [s] of the recording.
     """
     follower = np.full(len(leader), -1)
     for i in range(len(leader)):
         if leader[i] >= 0:
             follower[leader[i]] = i
-    for i in range(len(position)):
+    for i in range(len(out)):
         gap, leader_speed = see(i, leader[i], position, speed, length, turn)
         leader_acceleration, second_gap, second_speed, rear_gap, rear_speed = 0.0, np.inf, 0.0, np.inf, 0.0
         if leader[i] >= 0:

@@ -84,6 +84,7 @@ def added(model: Model, candidate: Candidate, start: dict[int, float]) -> Model:
     if candidate.individual:
         new = tuple(k for k in candidate.places if k not in model.individual)
         std = model.prior_std + (LARGEST_STD,) * len(new)
-        return replace(model, rows=rows, individual=model.individual + new, prior_std=std)
+        shared = tuple(k for k in model.shared if k not in new)
+        return replace(model, rows=rows, individual=model.individual + new, shared=shared, prior_std=std)
     new = tuple(k for k in candidate.places if k not in model.shared and k not in model.individual)
     return replace(model, rows=rows, shared=model.shared + new)

@@ -128,6 +128,6 @@ def _compared(
 
 
 def _floor(data: Recorded, base: Fit, seed: int, work: ThreadPoolExecutor) -> Compared:
-    simulated = resample(data, base.model, filtered_states(data, base.model), seeds(seed, 1)[0])
+    simulated = resample(data, base.model, filtered_states(data, base.model, work), seeds(seed, 1)[0])
     fitted = fit(simulated, base.model, work)
     return _compared("floor", simulated, without_folds(simulated, fitted, work), None, work)

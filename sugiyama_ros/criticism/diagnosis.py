@@ -24,14 +24,14 @@ from sugiyama_ros.criticism.fitting import (
     fit,
     fit_base,
     gain,
-    held_out,
+    held_out_nearly,
     objective,
     prepare,
     without_folds,
 )
 from sugiyama_ros.criticism.free_run import filtered_states
 from sugiyama_ros.criticism.rivals import by_gaps, in_filter, laws
-from sugiyama_ros.criticism.screening import Glance, glance
+from sugiyama_ros.criticism.screening import Glance, forecast, glance, refine
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR
 from sugiyama_ros.effects.catalogue import DECLARED
 from sugiyama_ros.trajectories import Trajectories
@@ -42,8 +42,8 @@ INDIVIDUAL = (SIGMA_NU, SIGMA_A, V_STAR, KAPPA_V)
 BOOTSTRAP_RUNS, QUICK_RUNS, LEVEL = 6, 2, 0.05
 # Candidates that are fitted in full in each round, and the share of the best gain above which one is.
 _SHORTLIST, _SHARE = 4, 0.15
-# Newton steps of a full fit, from where a glance has come to.
-_ITERATIONS = 4
+# Candidates that are looked at again after the first round.
+_LATER_LOOKS = 8
 # A gain is not believed below this [nats], whatever the p-value; and simulated gains spread by at least this.
 _LEAST_GAIN, _LEAST_SPREAD = 5.0, 1.5
 # Prior weight of the common spread in that of one candidate, as a number of simulated recordings.
@@ -137,7 +137,7 @@ def diagnose(
 ) -> Diagnosis:
     """Find what is missing: at most ``most`` effects, one after the other.
 
-    verdict_only: leave out the rivals, the forces without a name and the held-out gains of what is not named.
+    verdict_only: leave out the rivals and the forces without a name.
 
     Raises InputError for a recording that is too short.
     """
@@ -146,18 +146,20 @@ def diagnose(
         on_progress("fitting the base model", 0, 1)
         data = prepare(trajectories)
         base = fit_base(data, INDIVIDUAL, work)
-        possible = list(candidates(recording_of(data), data.drivers))
+        possible = candidates(recording_of(data), data.drivers)
         runs = QUICK_RUNS if quick else BOOTSTRAP_RUNS
         current, named, first, null = base, [], [], _Null({})
-        folds = without_folds(data, base, work)
-        before = errors = errors_of(data, folds, work)
+        before = errors = errors_of(data, without_folds(data, base, work), work)
         heldout: dict[str, Gain] = {}
         smallest: dict[str, float] = {}
+        seen: dict[str, tuple[Fit, Glance]] = {}
         for number in range(most):
+            chosen = _worth_a_look(data, possible, seen, current) if seen else possible
             looks = []
-            for k, candidate in enumerate(possible):
-                on_progress(f"round {number + 1}: candidates", k, len(possible))
+            for k, candidate in enumerate(chosen):
+                on_progress(f"round {number + 1}: candidates", k, len(chosen))
                 looks.append(glance(data, current, candidate, work))
+            seen |= {look.candidate.name: (current, look) for look in looks}
             shortlist = _shortlist(looks)
             if number == 0:
                 null = _simulate(data, current, [looks[k].candidate for k in shortlist], runs, seed, work, on_progress)
@@ -166,17 +168,16 @@ def diagnose(
                 on_progress(f"round {number + 1}: fitting", k, len(looks))
                 fitted, rise = look.fit, look.gain
                 if k in shortlist:
-                    fitted = fit(data, look.fit.model, work, iterations=_ITERATIONS)
+                    fitted = refine(data, look, work)
                     rise = max(rise, _rise(current, fitted))
-                looked.append(null.judge(look.candidate, fitted, rise, len(looks), refined=k in shortlist))
+                looked.append(null.judge(look.candidate, fitted, rise, len(possible), refined=k in shortlist))
             looked.sort(key=lambda one: -one.score)
             if number == 0:
                 first = looked
                 smallest = _smallest(looks, null)
-                for k, one in enumerate([] if verdict_only else looked):
-                    on_progress("held-out gains", k, len(looked))
-                    models = without_folds(data, one.fit, work)
-                    heldout[one.candidate.name] = gain(data, held_out(data, models, work), errors.samples)
+                nearly = held_out_nearly(data, base)
+                for one in looked:
+                    heldout[one.candidate.name] = gain(data, held_out_nearly(data, one.fit), nearly)
             supported = [one for one in looked if one.refined and one.p_value <= LEVEL and one.gain >= _LEAST_GAIN]
             best = None
             for one in sorted(supported, key=lambda one: -one.predictive):
@@ -188,7 +189,7 @@ def diagnose(
                 break
             if number and not quick and best.score < _CLEAR * max(_LEAST_GAIN, 3.0 * best.spread):
                 again = _simulate(data, current, [best.candidate], runs, seed + number, work, on_progress)
-                best = again.judge(best.candidate, best.fit, best.gain, len(looks), refined=True)
+                best = again.judge(best.candidate, best.fit, best.gain, len(possible), refined=True)
                 if best.p_value > LEVEL:
                     break
             rivals = _indistinguishable(best, looked)
@@ -211,11 +212,11 @@ def diagnose(
                 )
             )
             errors = after
-            possible = [c for c in possible if c.name != best.candidate.name]
+            possible = tuple(c for c in possible if c.name != best.candidate.name)
         others: dict[str, dict[str, float]] = {}
         for k, law in enumerate([] if verdict_only else laws()):
             on_progress("rival models", k, len(laws()))
-            others |= _rival(data, law, work)
+            others |= _rival(data, law, work, quick)
         on_progress("forces without a name", 0, 1)
         discovered = [d for d, _ in discover(data, current, work)] if not (quick or verdict_only) else []
     return Diagnosis(
@@ -237,13 +238,13 @@ def diagnose(
     )
 
 
-def _rival(data: Recorded, law: str, work: ThreadPoolExecutor) -> dict[str, dict[str, float]]:
-    """Errors of a rival calibrated in the filter, and of the same by least squares on gaps."""
+def _rival(data: Recorded, law: str, work: ThreadPoolExecutor, quick: bool) -> dict[str, dict[str, float]]:
+    """Errors of a rival calibrated in the filter, and, but for ``quick``, of the same by least squares on gaps."""
     fitted = in_filter(data, law, work)
-    return {
-        law: errors_of(data, without_folds(data, fitted, work), work).summary(),
-        f"{law}_least_squares": errors_of(data, by_gaps(data, law, fitted, work), work).summary(),
-    }
+    found = {law: errors_of(data, without_folds(data, fitted, work), work).summary()}
+    if not quick:
+        found[f"{law}_least_squares"] = errors_of(data, by_gaps(data, law, fitted, work), work).summary()
+    return found
 
 
 def parameters_of(fitted: Fit, candidate: Candidate) -> dict[str, float]:
@@ -255,6 +256,14 @@ def parameters_of(fitted: Fit, candidate: Candidate) -> dict[str, float]:
 def _rise(current: Fit, fitted: Fit) -> float:
     everywhere = range(FOLDS)
     return objective(fitted.slopes, fitted.model, everywhere) - objective(current.slopes, current.model, everywhere)
+
+
+def _worth_a_look(
+    data: Recorded, possible: Sequence[Candidate], seen: dict[str, tuple[Fit, Glance]], current: Fit
+) -> list[Candidate]:
+    """Candidates that promise most over the current model, by what was seen of them before."""
+    order = sorted(possible, key=lambda c: -forecast(data, *seen[c.name], current))
+    return order[:_LATER_LOOKS]
 
 
 def _shortlist(looks: Sequence[Glance]) -> list[int]:
@@ -303,14 +312,15 @@ def _simulate(
     work: ThreadPoolExecutor,
     on_progress: OnProgress,
 ) -> _Null:
-    states = filtered_states(data, current.model)
+    states = filtered_states(data, current.model, work)
     gains: dict[str, list[float]] = {c.name: [] for c in chosen}
     for k, rng in enumerate(seeds(seed, runs)):
         on_progress("simulating the model without it", k, runs)
         simulated = resample(data, current.model, states, rng)
         fitted = fit(simulated, current.model, work, iterations=4)
         for candidate in chosen:
-            gains[candidate.name].append(glance(simulated, fitted, candidate, work).gain)
+            look = glance(simulated, fitted, candidate, work)
+            gains[candidate.name].append(max(look.gain, _rise(fitted, refine(simulated, look, work))))
     return _Null(gains)
 
 

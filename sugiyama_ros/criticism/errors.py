@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sugiyama_ros.criticism.fitting import Model, Recorded, Samples, held_out
-from sugiyama_ros.criticism.free_run import HORIZONS_S, FreeRuns, free_runs, rmse
+from sugiyama_ros.criticism.fitting import Model, Recorded, Samples, of_folds
+from sugiyama_ros.criticism.free_run import HORIZONS_S, FreeRuns, follow, free_runs, rmse
 
 #: Share by which a free run's error may be larger than before without counting as worse: two starts differ by more.
 TOLERANCE = 0.05
@@ -56,4 +56,6 @@ class Errors:
 
 def errors_of(data: Recorded, models: Sequence[Model], work: Executor) -> Errors:
     """Errors of the models fitted without each fold, from ``fitting.without_folds``."""
-    return Errors(held_out(data, models, work), free_runs(data, models, work))
+    followed = [follow(data, model, work) for model in models]
+    samples = of_folds(data, [samples for samples, _ in followed])
+    return Errors(samples, free_runs(data, models, [states for _, states in followed], work))

@@ -16,6 +16,7 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import njit
 
 from sugiyama_ros.driver.parameters import COUNT, OMEGA_2, RHO, population
 from sugiyama_ros.effects.catalogue import DECLARED, place, whole
@@ -198,8 +199,9 @@ def _within(values: Array, places: Sequence[int], upper: Array) -> Array:
 class Slopes:
     """One driver's score and information in each fold, own parameters first, then the shared ones.
 
-    score: (F, K); information: (F, K, K); log_likelihood: (F,); innovation, variance, density: (K, T), the derivatives
-    of every sample's innovation, of its variance and of its log-likelihood.
+    score: (F, K); information: (F, K, K); log_likelihood: (F,); innovation, variance: (K, T), the derivatives of every
+    sample's innovation and of its variance; density: (K, T), what that of its log-likelihood has beyond theirs, which
+    is nothing but with outliers.
     """
 
     score: Array
@@ -208,6 +210,63 @@ class Slopes:
     innovation: Array
     variance: Array
     density: Array
+
+
+def sums(
+    samples: tuple[Array, Array, Array], derivatives: tuple[Array, Array, Array], row: Array, fold: Ints
+) -> Slopes:
+    """Score and information from a driver's samples, (T,) each, and their derivatives, (K, T) each, as in ``Slopes``.
+
+    With outliers an innovation counts as much as the slope of its density says, and the information is that of the
+    densities' products.
+    """
+    (y, variance, density), (dy, dvar, direct) = samples, derivatives
+    score, information, total = np.zeros((FOLDS, len(dy))), np.zeros((FOLDS, len(dy), len(dy))), np.zeros(FOLDS)
+    robust = bool(row[OUTLIERS] > 0.0)
+    slope = density_slope(y, variance, dy, dvar, row) + direct
+    _add_up(variance, density, dy, dvar, slope, fold, robust, score, information, total)
+    return Slopes(score, information, total, dy, dvar, direct)
+
+
+@njit(nogil=True, cache=True)
+def _add_up(
+    variance: Array,
+    density: Array,
+    dy: Array,
+    dvar: Array,
+    slope: Array,
+    fold: Ints,
+    robust: bool,
+    score: Array,
+    information: Array,
+    total: Array,
+) -> None:
+    """Score (F, K), information (F, K, K) and log-likelihood (F,) of every fold, from scored samples."""
+    places = len(dy)
+    for t in range(len(fold)):
+        if math.isnan(density[t]):
+            continue
+        f, s = fold[t], variance[t]
+        total[f] += density[t]
+        for i in range(places):
+            score[f, i] += slope[i, t]
+            for j in range(i + 1):
+                if robust:
+                    h = slope[i, t] * slope[j, t]
+                else:
+                    h = (dy[i, t] * dy[j, t] + 0.5 * dvar[i, t] * dvar[j, t] / s) / s
+                information[f, i, j] += h
+                if j < i:
+                    information[f, j, i] += h
+
+
+def density_slope(y: Array, variance: Array, dy: Array, dvar: Array, row: Array) -> Array:
+    """Derivatives (K, T) of log-likelihoods through those of innovations and their variances."""
+    weight = np.ones_like(y)
+    if row[OUTLIERS] > 0.0:
+        causal.weigh_samples(y, variance, row, weight, np.empty_like(y))
+    by_y, by_variance = weight * y / variance, 0.5 * weight * (1.0 - weight * y * y / variance) / variance
+    return np.asarray(-(dy * by_y + dvar * by_variance))
 
 
 def _slopes_of(
@@ -223,7 +282,7 @@ def _slopes_of(
     at = own_of(chain, row, ahead)
     coordinates = coordinate(row[places], places)
     steps = difference_steps(coordinates, places)
-    dy, dvar, dll = (np.empty((len(places), len(fold))) for _ in range(3))
+    dy, dvar, direct = (np.empty((len(places), len(fold))) for _ in range(3))
     for k, step in enumerate(steps):
         moved = coordinates.copy()
         moved[k] += step
@@ -233,25 +292,9 @@ def _slopes_of(
             changed_ahead = ahead.copy()
             changed_ahead[:, places[k]] = changed[places[k]]
         y, variance, density = own_of(chain, changed, changed_ahead)
-        dy[k], dvar[k], dll[k] = (y - at[0]) / step, (variance - at[1]) / step, (density - at[2]) / step
-    return sums(at, dy, dvar, dll, fold, robust=row[OUTLIERS] > 0.0), at
-
-
-def sums(at: tuple[Array, Array, Array], dy: Array, dvar: Array, dll: Array, fold: Ints, robust: bool) -> Slopes:
-    """Score and information from samples and their derivatives (K, T); of the densities' products with outliers."""
-    scored = np.isfinite(at[2])
-    score, information, total = np.zeros((FOLDS, len(dy))), np.zeros((FOLDS, len(dy), len(dy))), np.zeros(FOLDS)
-    for f in range(FOLDS):
-        mask = scored & (fold == f)
-        s = at[1][mask]
-        score[f] = dll[:, mask].sum(axis=1)
-        total[f] = at[2][mask].sum()
-        if robust:
-            information[f] = dll[:, mask] @ dll[:, mask].T
-        else:
-            a, b = dy[:, mask] / np.sqrt(s), dvar[:, mask] / (math.sqrt(2.0) * s)
-            information[f] = a @ a.T + b @ b.T
-    return Slopes(score, information, total, dy, dvar, dll)
+        dy[k], dvar[k], direct[k] = (y - at[0]) / step, (variance - at[1]) / step, (density - at[2]) / step
+    direct -= density_slope(at[0], at[1], dy, dvar, row) if row[OUTLIERS] > 0.0 else direct
+    return sums(at, (dy, dvar, direct), row, fold), at
 
 
 def _star_slopes(
@@ -269,6 +312,15 @@ def slopes(data: Recorded, model: Model, work: Executor) -> tuple[list[Slopes], 
     outputs = list(work.map(_star_slopes, jobs))
     y, variance, density = (np.array([o[1][k] for o in outputs]) for k in range(3))
     return [o[0] for o in outputs], Samples(y, variance, density)
+
+
+def renewed(data: Recorded, all_slopes: Sequence[Slopes], model: Model, samples: Samples) -> list[Slopes]:
+    """Slopes at a model near by, whose samples are known, with the derivatives of the samples as they were."""
+    arrays = zip(samples.innovation_m, samples.innovation_var, samples.log_likelihood, strict=True)
+    return [
+        sums(at, (s.innovation, s.variance, s.density), row, data.fold)
+        for s, row, at in zip(all_slopes, model.rows, arrays, strict=True)
+    ]
 
 
 # --- the search ------------------------------------------------------------------------------------------------------
@@ -350,28 +402,51 @@ class Fit:
 def fit(
     data: Recorded, model: Model, work: Executor, *, folds: Sequence[int] = tuple(range(FOLDS)), iterations: int = 12
 ) -> Fit:
-    """Maximise the likelihood of the samples in ``folds``, from ``model`` on."""
-    here, samples = slopes(data, model, work)
-    now = objective(here, model, folds)
-    damping = 1e-3
+    """Maximise the likelihood of the samples in ``folds``, from ``model`` on; ``iterations``: steps tried at most."""
+    start, samples = slopes(data, model, work)
+    return climb(data, Fit(model, samples, tuple(start)), work, folds=folds, iterations=iterations)
+
+
+def climb(
+    data: Recorded,
+    start: Fit,
+    work: Executor,
+    *,
+    folds: Sequence[int] = tuple(range(FOLDS)),
+    iterations: int,
+    enough: float = _ENOUGH,
+    renew: bool = True,
+) -> Fit:
+    """Go on from a model with slopes, until a step promises less than ``enough`` [nats].
+
+    The derivatives of the samples, by far the dearest part, are kept from step to step and taken anew (with ``renew``)
+    where they have become so poor that a step gains less than half of what it promises.
+    """
+    here = start
+    now = objective(here.slopes, here.model, folds)
+    damping, fresh = 1e-3, True
     for _ in range(iterations):
-        step = solve(here, model, folds, damping)
-        if step.promise < _ENOUGH:
+        step = solve(here.slopes, here.model, folds, damping)
+        if step.promise < enough or damping > 1e4:
             break
-        candidate = moved(data, model, step)
-        there, candidate_samples = slopes(data, candidate, work)
+        candidate = moved(data, here.model, step)
+        samples = evaluate(data, candidate, work)
+        there = renewed(data, here.slopes, candidate, samples)
         after = objective(there, candidate, folds)
-        if after > now:
-            model, here, samples = candidate, there, candidate_samples
+        rise = after - now
+        if rise > 0.0:
+            here, now = Fit(candidate, samples, tuple(there)), after
             damping = max(damping / 10.0, 1e-6)
-            now, rise = after, after - now
-            if rise < _ENOUGH:
-                break
-        else:
+        if 0.0 < rise < enough and (fresh or not renew):
+            break
+        if rise > 0.5 * step.promise:
+            fresh = False
+        elif renew and (rise > 0.0 or not fresh) and step.promise > 5.0 * enough:
+            anew, samples = slopes(data, here.model, work)
+            here, fresh = Fit(here.model, samples, tuple(anew)), True
+        elif rise <= 0.0:
             damping *= 20.0
-            if damping > 1e4:
-                break
-    return Fit(model, samples, tuple(here))
+    return here
 
 
 def objective(all_slopes: Sequence[Slopes], model: Model, folds: Sequence[int]) -> float:
@@ -417,13 +492,40 @@ def without_folds(data: Recorded, fitted: Fit, work: Executor, *, refit: bool = 
 
 def held_out(data: Recorded, models: Sequence[Model], work: Executor) -> Samples:
     """Samples of every fold as predicted by the model fitted without it, from ``without_folds``."""
+    return of_folds(data, [evaluate(data, model, work) for model in models])
+
+
+def of_folds(data: Recorded, by_model: Sequence[Samples]) -> Samples:
+    """Samples put together, those of each fold from what the model of that number says of all."""
     outputs = [np.full((data.drivers, len(data.fold)), np.nan) for _ in range(3)]
-    for f, model in enumerate(models):
-        samples = evaluate(data, model, work)
+    for f, samples in enumerate(by_model):
         mask = data.fold == f
         arrays = (samples.innovation_m, samples.innovation_var, samples.log_likelihood)
         for output, array in zip(outputs, arrays, strict=True):
             output[:, mask] = array[:, mask]
+    return Samples(*outputs)
+
+
+def held_out_nearly(data: Recorded, fitted: Fit) -> Samples:
+    """As ``held_out`` after ``without_folds``, but with the samples' derivatives instead of the filter, at once."""
+    outputs = [np.full((data.drivers, len(data.fold)), np.nan) for _ in range(3)]
+    places = [*fitted.model.individual, *fitted.model.shared]
+    at = coordinate(fitted.model.rows[:, places], places)
+    for f in range(FOLDS):
+        others = [k for k in range(FOLDS) if k != f]
+        model = moved(data, fitted.model, solve(fitted.slopes, fitted.model, others, 1e-6))
+        change = coordinate(model.rows[:, places], places) - at
+        mask = data.fold == f
+        for i, s in enumerate(fitted.slopes):
+            y = fitted.samples.innovation_m[i, mask] + change[i] @ s.innovation[:, mask]
+            before = fitted.samples.innovation_var[i, mask]
+            variance = np.maximum(before + change[i] @ s.variance[:, mask], 0.2 * before)
+            density = np.empty_like(y)
+            causal.weigh_samples(y, variance, fitted.model.rows[i], np.empty_like(y), density)
+            density += change[i] @ s.density[:, mask]
+            density[np.isnan(fitted.samples.log_likelihood[i, mask])] = np.nan
+            for output, array in zip(outputs, (y, variance, density), strict=True):
+                output[i, mask] = array
     return Samples(*outputs)
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from sugiyama_ros.criticism.fitting import Model, Recorded, leaders
+from sugiyama_ros.criticism.fitting import Model, Recorded, Samples, leaders
 from sugiyama_ros.driver.parameters import RHO, at_period, horizon_at
 from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.estimation import causal
@@ -105,7 +105,7 @@ def _single(
             ahead[k] = place[leader[chosen[k]]]
     near = chosen[:count]
     small_rows, small_turn, small_length = rows[near], turn[near], length[near]
-    held, pushed = np.empty(count), np.empty(count)
+    held, pushed = np.empty(1), np.empty(1)
     x, v, n, b = recorded[0, i, 0], recorded[0, i, 1], recorded[0, i, 2], recorded[0, i, 3]
     a = b + rows[i, RHO] * n
     for k in range(len(out)):
@@ -150,51 +150,60 @@ class FreeRuns:
     start: Ints
 
 
-def free_runs(data: Recorded, models: Sequence[Model], work: Executor) -> FreeRuns:
-    """Free runs from every ``_EVERY_S`` seconds, each by the model fitted without the fold in which it starts."""
+def free_runs(data: Recorded, models: Sequence[Model], states: Sequence[Array], work: Executor) -> FreeRuns:
+    """Free runs from every ``_EVERY_S`` seconds, each by the model fitted without the fold in which it starts.
+
+    states: filtered states of all drivers by each of the models, (T, N, 4), as ``filtered_states`` gives them.
+    """
     t = data.trajectories
-    steps = [max(1, round(h / t.period_s)) for h in HORIZONS_S]
+    steps = np.array([max(1, round(h / t.period_s)) for h in HORIZONS_S])
     starts = np.arange(causal.SETTLING + 4, len(t.position_m) - steps[-1], max(1, round(_EVERY_S / t.period_s)))
-    jobs = [(data, model, starts[data.fold[starts] == f], steps) for f, model in enumerate(models)]
-    coupled, single = (np.concatenate(errors) for errors in zip(*work.map(_of_fold, jobs), strict=True))
-    order = np.argsort(np.concatenate([job[2] for job in jobs]))
-    return FreeRuns(coupled[order], single[order], starts)
+    rows = [at_period(model.rows, t.period_s) for model in models]
+    jobs = [(data, rows[f], states[f], int(k), steps) for k, f in zip(starts, data.fold[starts], strict=True)]
+    errors = list(work.map(_from_start, jobs))
+    empty = np.empty((0, len(steps), data.drivers))
+    coupled, single = (np.array([e[j] for e in errors]) if errors else empty for j in range(2))
+    return FreeRuns(coupled, single, starts)
 
 
-def _of_fold(job: tuple[Recorded, Model, Ints, list[int]]) -> tuple[Array, Array]:
-    """Errors of the coupled and of the single free runs from the starts of one fold."""
-    data, model, starts, steps = job
+def _from_start(job: tuple[Recorded, Array, Array, int, Ints]) -> tuple[Array, Array]:
+    """Errors (H, N) of the coupled and of the single free runs from one sample on."""
+    data, rows, state, k, steps = job
     t, ring = data.trajectories, data.trajectories.road.circumference_m
-    coupled, single = (np.empty((len(starts), len(steps), data.drivers)) for _ in range(2))
-    if len(starts) == 0:
-        return coupled, single
-    state, rows = filtered_states(data, model), at_period(model.rows, t.period_s)
     about = (t.length_m, rows, ACTIONS)
     out = np.empty((steps[-1], data.drivers))
-    for s, k in enumerate(starts):
-        leader = np.where(np.isfinite(state[k, t.leader[k], 0]), t.leader[k], -1)
-        headway = np.where(leader >= 0, state[k, leader, 0] - state[k, :, 0], 0.0)
-        turn = np.nan_to_num(ring * np.floor(headway / ring)) if ring else np.zeros(data.drivers)
-        scene = (t.start_s + k * t.period_s, t.period_s, horizon_at(t.period_s), ring)
-        x, v, n, b = state[k].T.copy()
-        _coupled(x, v, n, b, leader, turn, *about, *scene, out)  # type: ignore[arg-type]
-        measured = t.position_m[k + np.array(steps)]
-        coupled[s] = t.road.difference(out[np.array(steps) - 1], measured)
-        recorded = state[k : k + steps[-1]]
-        for i in range(data.drivers):
-            _single(i, recorded, leader, turn, *about, *scene, out)  # type: ignore[arg-type]
-        single[s] = t.road.difference(out[np.array(steps) - 1], measured)
-    return coupled, single
-
-
-def filtered_states(data: Recorded, model: Model) -> Array:
-    """Filtered position, speed, noise and held acceleration of every driver, (T, N, 4); NaN where unknown."""
-    state = np.empty((len(data.fold), data.drivers, 4))
+    leader = np.where(np.isfinite(state[k, t.leader[k], 0]), t.leader[k], -1)
+    headway = np.where(leader >= 0, state[k, leader, 0] - state[k, :, 0], 0.0)
+    turn = np.nan_to_num(ring * np.floor(headway / ring)) if ring else np.zeros(data.drivers)
+    scene = (t.start_s + k * t.period_s, t.period_s, horizon_at(t.period_s), ring)
+    x, v, n, b = state[k].T.copy()
+    _coupled(x, v, n, b, leader, turn, *about, *scene, out)  # type: ignore[arg-type]
+    measured = t.position_m[k + steps]
+    coupled = t.road.difference(out[steps - 1], measured)
+    recorded = state[k : k + steps[-1]]
     for i in range(data.drivers):
-        filtered = causal.filter_chain(data.chains[i], model.rows[i], ahead=leaders(data, model, i))
-        state[:, i] = filtered.mean[:, :4]
-        state[~np.isfinite(filtered.innovation_var), i] = np.nan
-    return state
+        _single(i, recorded, leader, turn, *about, *scene, out)  # type: ignore[arg-type]
+    return coupled, t.road.difference(out[steps - 1], measured)
+
+
+def filtered_states(data: Recorded, model: Model, work: Executor) -> Array:
+    """Filtered position, speed, noise and held acceleration of every driver, (T, N, 4); NaN where unknown."""
+    return follow(data, model, work)[1]
+
+
+def follow(data: Recorded, model: Model, work: Executor) -> tuple[Samples, Array]:
+    """What the model says of every sample, and the filtered states as in ``filtered_states``."""
+    jobs = [(data.chains[i], model.rows[i], leaders(data, model, i)) for i in range(data.drivers)]
+    outputs = list(work.map(_follow_driver, jobs))
+    y, variance, density = (np.array([o[k] for o in outputs]) for k in range(3))
+    states = np.stack([o[3] for o in outputs], axis=1)
+    states[~np.isfinite(variance.T)] = np.nan
+    return Samples(y, variance, density), states
+
+
+def _follow_driver(job: tuple[causal.Chain, Array, Array]) -> tuple[Array, Array, Array, Array]:
+    chain, row, ahead = job
+    return causal.predict_states(chain, row, ahead)
 
 
 def rmse(errors: Array) -> float:

@@ -99,10 +99,10 @@ def gap_errors(law: Law, parameters: Array, following: Following, chosen: Mask) 
     return errors.reshape(*parameters.shape[:-1], len(states))
 
 
-def fit_gaps(law: Law, following: Following, chosen: Mask) -> Calibrated:
+def fit_gaps(law: Law, following: Following, chosen: Mask, start: Array | None = None) -> Calibrated:
     """The law's parameters, within their bounds, with the least squares of errors of the gaps where ``chosen`` (T,).
 
-    The runs are those of ``gap_errors``.
+    The runs are those of ``gap_errors``. Searched from ``start`` (n,), or without it from the best of many.
     Raises InputError where there are not more samples to compare than parameters.
     """
     default, lower, upper = (np.array([getattr(p, of) for p in law.parameters]) for of in ("default", "lower", "upper"))
@@ -125,6 +125,9 @@ def fit_gaps(law: Law, following: Following, chosen: Mask) -> Calibrated:
             errors, start, slopes, bounds=(lower, upper), x_scale=default, ftol=_ENOUGH, xtol=_ENOUGH, max_nfev=most
         )
 
+    if start is not None:
+        found = search(np.clip(start, lower, upper), _MOST)
+        return Calibrated(found.x, float(np.sqrt(np.mean(np.square(found.fun)))))
     places = qmc.Halton(len(default), scramble=False).random(_LOOKED_AT)
     starts = np.clip(default * _FACTOR ** (2.0 * places - 1.0), lower, upper)
     starts = starts[np.argsort(np.square(errors(starts)).sum(axis=1))]

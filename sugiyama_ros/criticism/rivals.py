@@ -34,7 +34,7 @@ def in_filter(data: Recorded, law: str, work: Executor) -> Fit:
 
 def by_gaps(data: Recorded, law: str, fitted: Fit, work: Executor) -> tuple[Model, ...]:
     """For every fold, the rival with parameters by least squares on the gaps outside it; the rest as in ``fitted``."""
-    states = filtered_states(data, fitted.model)
+    states = filtered_states(data, fitted.model, work)
     places = LAW_PLACES[law]
     jobs = [(data, law, states, i, fitted.model.rows[i, places]) for i in range(data.drivers)]
     found = np.stack(list(work.map(_fit_driver, jobs)))
@@ -67,8 +67,11 @@ def _fit_driver(job: tuple[Recorded, str, Array, int, Array]) -> Array:
     inside = np.diff(data.block, prepend=-1) == 0
     known = np.isfinite(following.states).all(axis=1) & inside
     one = next(candidate for candidate in LAWS if candidate.name == law)
+    if known.sum() <= _FEWEST:
+        return np.tile(start, (FOLDS, 1))
+    everywhere = fit_gaps(one, following, known).parameters
     masks = [known & (data.fold != f) for f in range(FOLDS)]
-    return np.array([fit_gaps(one, following, m).parameters if m.sum() > _FEWEST else start for m in masks])
+    return np.array([fit_gaps(one, following, m, everywhere).parameters if m.sum() > _FEWEST else start for m in masks])
 
 
 def laws() -> Sequence[str]:

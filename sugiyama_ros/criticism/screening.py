@@ -17,12 +17,11 @@ from sugiyama_ros.criticism.fitting import (
     Model,
     Recorded,
     Samples,
-    Slopes,
+    climb,
     coordinate,
+    density_slope,
     difference_steps,
     evaluate,
-    fit,
-    moved,
     objective,
     solve,
     sums,
@@ -31,9 +30,12 @@ from sugiyama_ros.criticism.fitting import (
 from sugiyama_ros.estimation import causal
 from sugiyama_ros.road import Array
 
-# Steps with the derivatives of the start, at most, and the log-likelihood that one must promise.
+# Steps at most, and the log-likelihood [nats] that one must promise.
 _LOOKS, _PROMISE = 3, 0.2
-_ITERATIONS_OF_ROBUST = 3
+# Steps of a full fit at most.
+_STEPS = 6
+# A candidate that promises less than this [nats] is not looked at any closer.
+_HOPELESS = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,60 +55,73 @@ class Glance:
 
 def glance(data: Recorded, base: Fit, candidate: Candidate, work: Executor) -> Glance:
     """Add a candidate to a fitted model by a step or two."""
-    before = objective(base.slopes, base.model, range(FOLDS))
+    everywhere = range(FOLDS)
+    before = objective(base.slopes, base.model, everywhere)
     starts = [added(base.model, candidate, start) for start in candidate.starts]
     samples = [evaluate(data, model, work) for model in starts]
     looks = [_promise(base, s) for s in samples]
     best, worst = int(np.argmax(looks)), int(np.argmin(looks))
     loss = base.log_likelihood - looks[worst], candidate.starts[worst]
     model, at = starts[best], samples[best]
-    if OUTLIERS in candidate.places:
-        fitted = fit(data, model, work, iterations=_ITERATIONS_OF_ROBUST)
-        return Glance(candidate, fitted, objective(fitted.slopes, fitted.model, range(FOLDS)) - before, *loss)
-    columns = [_column(data, model, at, k, work) for k in candidate.places]
-    fresh = [k for k in candidate.places if k in model.individual]
-    robust = bool(np.any(base.model.rows[:, OUTLIERS] > 0.0))
-    first_shared = len(base.model.individual)
+    known = [*base.model.individual, *base.model.shared]
+    places = [*model.individual, *model.shared]
+    new = {k: _column(data, model, at, k, work) for k in places if k not in known}
+    here = []
+    for i, (s, row) in enumerate(zip(base.slopes, model.rows, strict=True)):
+        old = (s.innovation, s.variance, s.density)
+        dy, dvar, direct = (
+            np.array([new[k][i][j] if k in new else old[j][known.index(k)] for k in places]) for j in range(3)
+        )
+        now = at.innovation_m[i], at.innovation_var[i], at.log_likelihood[i]
+        here.append(sums(now, (dy, dvar, direct), row, data.fold))
+    fitted = Fit(model, at, tuple(here))
+    reached = objective(here, model, everywhere)
+    if reached + solve(here, model, everywhere, 1e-3).promise > before + _HOPELESS:
+        fitted = climb(data, fitted, work, iterations=_LOOKS, enough=_PROMISE, renew=False)
+        reached = objective(fitted.slopes, fitted.model, everywhere)
+    return Glance(candidate, fitted, reached - before, *loss)
 
-    def slopes_at(samples: Samples) -> list[Slopes]:
-        found = []
-        for i, s in enumerate(base.slopes):
-            dy, dvar = (
-                np.insert(old, len(old) if not fresh else first_shared, [c[i][j] for c in columns], axis=0)
-                for j, old in enumerate((s.innovation, s.variance))
+
+def refine(data: Recorded, look: Glance, work: Executor) -> Fit:
+    """Fit in full, from where a glance has come to."""
+    return climb(data, look.fit, work, iterations=_STEPS, enough=_PROMISE)
+
+
+def forecast(data: Recorded, before: Fit, look: Glance, current: Fit) -> float:
+    """Gain [nats] that a candidate, looked at when the model was ``before``, promises over ``current``.
+
+    As if what it changes in every sample were the same now; costs no filter.
+    """
+    candidate = look.candidate
+    model = added(current.model, candidate, {})
+    rows = model.rows.copy()
+    rows[:, candidate.places] = look.fit.model.rows[:, candidate.places]
+    model = replace(model, rows=rows)
+    known = [*current.model.individual, *current.model.shared]
+    looked = [*look.fit.model.individual, *look.fit.model.shared]
+    places = [*model.individual, *model.shared]
+    here = []
+    for i, row in enumerate(rows):
+        now, then, with_it = current.samples, before.samples, look.fit.samples
+        y = now.innovation_m[i] + with_it.innovation_m[i] - then.innovation_m[i]
+        ratio = with_it.innovation_var[i] / then.innovation_var[i]
+        variance = now.innovation_var[i] * ratio
+        density = np.empty_like(y)
+        causal.weigh_samples(y, variance, row, np.empty_like(y), density)
+        density[np.isnan(now.log_likelihood[i])] = np.nan
+        old, new = current.slopes[i], look.fit.slopes[i]
+        derivatives = tuple(
+            np.array([a[known.index(k)] if k in known else b[looked.index(k)] for k in places])
+            for a, b in (
+                (old.innovation, new.innovation),
+                (old.variance, new.variance),
+                (old.density, new.density),
             )
-            y, variance = samples.innovation_m[i], samples.innovation_var[i]
-            now = (y, variance, samples.log_likelihood[i])
-            # with outliers y counts as much as its density's slope says, which is 1/S without
-            weight = np.ones_like(y)
-            if robust:
-                row = model.rows[i]
-                weight = np.array([_weight(a, b, row) for a, b in zip(y, variance, strict=True)])
-            density = -weight * (dy * (y / variance) + 0.5 * dvar * (1.0 - weight * y * y / variance) / variance)
-            found.append(sums(now, dy, dvar, density, data.fold, robust=robust))
-        return found
-
+        )
+        here.append(sums((y, variance, density), derivatives, row, data.fold))  # type: ignore[arg-type]
     everywhere = range(FOLDS)
-    here = slopes_at(at)
-    now, share = objective(here, model, everywhere), 1.0
-    for _ in range(_LOOKS):
-        step = solve(here, model, everywhere, 1e-3)
-        if step.promise < _PROMISE:
-            break
-        tried = moved(data, model, step, share)
-        samples_there = evaluate(data, tried, work)
-        there = slopes_at(samples_there)
-        then = objective(there, tried, everywhere)
-        if then > now:
-            model, at, here, now = tried, samples_there, there, then
-        else:
-            share *= 0.3
-    return Glance(candidate, Fit(model, at, tuple(here)), now - before, *loss)
-
-
-def _weight(y: float, variance: float, row: Array) -> float:
-    """What the update with an innovation counts, of what it would count if no sample were an outlier."""
-    return float(causal.robust(y, variance, row)[0]) * variance if np.isfinite(y) else 1.0
+    reached = objective(here, model, everywhere) + solve(here, model, everywhere, 1e-3).promise
+    return reached - objective(current.slopes, current.model, everywhere)
 
 
 def _promise(base: Fit, samples: Samples) -> float:
@@ -125,16 +140,20 @@ def _promise(base: Fit, samples: Samples) -> float:
     return total
 
 
-def _column(data: Recorded, model: Model, at: Samples, place: int, work: Executor) -> list[tuple[Array, Array]]:
-    """Derivatives of every driver's innovations and variances by one parameter."""
+def _column(data: Recorded, model: Model, at: Samples, place: int, work: Executor) -> list[tuple[Array, Array, Array]]:
+    """Derivatives of every driver's samples by one parameter, as ``Slopes`` keeps them, (T,) each."""
     coordinates = coordinate(model.rows[:, [place]], [place])
     step = difference_steps(coordinates, [place]).max()
     rows = model.rows.copy()
     rows[:, place] = value(coordinates + step, [place])[:, 0]
     there = evaluate(data, replace(model, rows=rows), work)
-    return [
-        ((y - y0) / step, (s - s0) / step)
-        for y, y0, s, s0 in zip(
-            there.innovation_m, at.innovation_m, there.innovation_var, at.innovation_var, strict=True
-        )
-    ]
+    found = []
+    for i, row in enumerate(model.rows):
+        y, variance = at.innovation_m[i], at.innovation_var[i]
+        dy, dvar = (there.innovation_m[i] - y) / step, (there.innovation_var[i] - variance) / step
+        direct = np.zeros_like(dy)
+        if row[OUTLIERS] > 0.0:
+            direct = (there.log_likelihood[i] - at.log_likelihood[i]) / step
+            direct -= density_slope(y, variance, dy, dvar, row)
+        found.append((dy, dvar, direct))
+    return found

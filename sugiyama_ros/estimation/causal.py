@@ -113,10 +113,9 @@ def _looked_at(m: int, led: bool, vehicles: int, adapted: int) -> tuple[Ints, In
 
 
 @njit(cache=True)
-def _root(covariance: Array, plus: Ints, minus: Ints) -> Array:
-    """Lower Cholesky factor (D, D) of the covariance of differences of state entries, as ``_looked_at`` gives them."""
+def _root(covariance: Array, plus: Ints, minus: Ints, root: Array) -> None:
+    """Lower Cholesky factor of the covariance of differences of state entries, as ``_looked_at`` gives, into ``root``."""
     size = len(plus)
-    root = np.zeros((size, size))
     for i in range(size):
         for j in range(i + 1):
             entry = covariance[plus[i], plus[j]]
@@ -129,7 +128,7 @@ def _root(covariance: Array, plus: Ints, minus: Ints) -> Array:
             for k in range(j):
                 entry -= root[i, k] * root[j, k]
             root[i, j] = math.sqrt(max(entry, _KNOWN_VAR)) if i == j else entry / root[j, j]
-    return root
+        root[i, i + 1 :] = 0.0
 
 
 @njit(cache=True)
@@ -219,15 +218,19 @@ def expected_action(
     and both variances [m^2/s^4] that the regressions leave.
     """
     led = known[m + 1] == MOVING
-    driver = parameters[m].copy()
+    driver = parameters[m].copy() if len(adapted) > 0 else parameters[m]
     plus, minus = _looked_at(m, led, len(known), len(adapted))
     size = len(plus)
-    root = _root(covariance, plus, minus)
-    centre = mean[plus]
+    work = np.empty((size + 4, size))
+    root, centre, look, cross, held_cross = work[:size], work[size], work[size + 1], work[size + 2], work[size + 3]
+    _root(covariance, plus, minus, root)
+    for i in range(size):
+        centre[i] = mean[plus[i]]
     here = _surroundings(m, known, mean, length, rear, parameters, time, scene)
     if led:
         centre[0] = here.gap
-    look, cross, held_cross = np.empty(size), np.zeros(size), np.zeros(size)
+    cross[:] = 0.0
+    held_cross[:] = 0.0
     total, squares, held_total, held_squares, memory = 0.0, 0.0, 0.0, 0.0, 0.0
     first_adapted = size - len(adapted)
     for j in range(size):
@@ -358,23 +361,26 @@ def linearise(
 
 @njit(cache=True)
 def _predict(covariance: Array, jacobian: Array, noise: Array, half: Array) -> None:
-    """F P F' + Q in place; most of F is 0. half: (size, size), overwritten."""
+    """F P F' + Q in place; most of F is 0. half: (size, size), overwritten, with (F P)' so that all rows run on."""
     size = len(covariance)
+    row = np.empty(size)
     for i in range(size):
-        half[i] = 0.0
+        row[:] = 0.0
         for k in range(size):
             factor = jacobian[i, k]
             if factor != 0.0:
                 for j in range(size):
-                    half[i, j] += factor * covariance[k, j]
+                    row[j] += factor * covariance[k, j]
+        for j in range(size):
+            half[j, i] = row[j]
     for i in range(size):
-        covariance[i] = noise[i]
-    for j in range(size):
+        for j in range(size):
+            covariance[i, j] = noise[i, j]
         for k in range(size):
-            factor = jacobian[j, k]
+            factor = jacobian[i, k]
             if factor != 0.0:
-                for i in range(size):
-                    covariance[j, i] += factor * half[i, k]
+                for j in range(size):
+                    covariance[i, j] += factor * half[k, j]
 
 
 @njit(cache=True)
@@ -453,6 +459,14 @@ def robust(y: float, variance: float, parameters: Array) -> tuple[float, float, 
 
 
 @njit(cache=True, nogil=True)
+def weigh_samples(y: Array, variance: Array, parameters: Array, weight: Array, density: Array) -> None:
+    """What each innovation (T,) counts, 1 but for outliers, and its log-likelihood; into the last two, (T,) each."""
+    for t in range(len(y)):
+        gain, _, density[t] = robust(y[t], variance[t], parameters)
+        weight[t] = gain * variance[t]
+
+
+@njit(cache=True, nogil=True)
 def run(
     position: Array,
     identity: Ints,
@@ -477,8 +491,8 @@ def run(
     rear: (T, 3) of the vehicle behind as for ``linearise``; parameters: (M, WIDTH) at this period; adapted, prior_var:
     (A,); start_s: time [s] of the first sample. Filled: innovation [m], innovation_var [m^2] and log_likelihood (T,) of
     the own position, NaN where there is none or where it does not count. Filled where they have room: means
-    (T, 4 M + A) and covariances (T, 4 M + A, 4 M + A) after the update; motion (T, 2), own acceleration and what he
-    means to do [m/s^2] there.
+    (T, 4 M + A) after the update; covariances (T, 4 M + A, 4 M + A) there, and with them motion (T, 2), own
+    acceleration and what he means to do [m/s^2].
     """
     samples, vehicles = position.shape
     size = STATE * vehicles + len(adapted)
@@ -555,7 +569,9 @@ def run(
             noise,
         )
         if len(means) > 0:
-            means[t], covariances[t] = mean, covariance
+            means[t] = mean
+        if len(covariances) > 0:
+            covariances[t] = covariance
             motion[t, 0], motion[t, 1] = (next_mean[1] - mean[1]) / scene.period_s, action
     return total
 
@@ -708,6 +724,15 @@ def predict_samples(chain: Chain, parameters: Array, ahead: Array | None = None)
     """Innovation [m], its variance [m^2] and the log-likelihood of every sample, (T,) each; as in ``Filtered``."""
     nothing = np.empty((0, 0))
     return _run(chain, parameters, Adaptation(), ahead, nothing, np.empty((0, 0, 0)), nothing)[:3]
+
+
+def predict_states(chain: Chain, parameters: Array, ahead: Array | None = None) -> tuple[Array, Array, Array, Array]:
+    """As ``predict_samples``, and the own state (T, STATE) after the update with each sample; as in ``Filtered``."""
+    nothing = np.empty((0, 0))
+    size = STATE * chain.position_m.shape[1] + len(adaptation_of(parameters).names)
+    means = np.empty((len(chain.position_m), size))
+    y, variance, density, _ = _run(chain, parameters, Adaptation(), ahead, means, np.empty((0, 0, 0)), nothing)
+    return y, variance, density, means[:, :STATE]
 
 
 def log_likelihood(chain: Chain, parameters: Array, ahead: Array | None = None) -> float:
