@@ -78,13 +78,13 @@ def compare(
 
         next_step("base")
         base = fit_base(data, INDIVIDUAL, work)
-        found = [_compared("base", data, without_folds(data, base, work, refit=True), None, work)]
+        found = [_compared("base", data, without_folds(data, base, work), None, work)]
         current = base
         for name in effects:
             next_step(name)
             current = fit(data, glance(data, current, possible[name], work).fit.model, work)
         if effects:
-            models = without_folds(data, current, work, refit=True)
+            models = without_folds(data, current, work)
             found.append(_compared("base + " + " + ".join(effects), data, models, found[0].errors, work))
         if model is not None:
             next_step("model file")
@@ -96,7 +96,7 @@ def compare(
         for law in laws():
             next_step(law)
             fitted = in_filter(data, law, work)
-            models = without_folds(data, fitted, work, refit=True)
+            models = without_folds(data, fitted, work)
             found.append(_compared(law, data, models, found[0].errors, work))
             next_step(f"{law}, least squares")
             found.append(

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from sugiyama_ros.driver.parameters import COUNT, OMEGA_2, RHO, population
 from sugiyama_ros.effects.catalogue import DECLARED, place, whole
@@ -30,12 +31,19 @@ from sugiyama_ros.trajectories import Trajectories
 BLOCK_S, FOLDS = 25.0, 5
 #: Std over the drivers, in a parameter's coordinate (a logarithm for most), before it is known; and least and largest.
 PRIOR_STD, LEAST_STD, LARGEST_STD = 1.0, 0.05, 1.0
-# Step of the difference quotients in a logarithm, and relative to 0.1 or the value in a linear coordinate.
-_STEP = 1e-4
+# Step of the difference quotients in a logarithm, and as part of the longest step of the search in a linear coordinate;
+# once the information is known, as part of a parameter's std, and the longest in a logarithm. The likelihood is smooth
+# at these scales only: close to contact the filter amplifies any smaller change without end.
+_STEP, _PART_OF_STD, _LONGEST_STEP = 0.01, 0.5, 0.05
 # Longest step of the search in a logarithm.
 _LONGEST = 0.7
 # A search has ended when a step promises less log-likelihood than this.
-_ENOUGH = 0.02
+_ENOUGH = 0.1
+# Steps from the fit to all folds to that without one.
+_STEPS_WITHOUT = 2
+# What held-out samples may differ from fitted ones where the filter is not run anew: innovations by this many of their
+# standard deviations, variances by this factor. Derivatives do not know where a change ends.
+_MOST_OFF, _MOST_WIDER = 1.0, 2.0
 OUTLIERS = place("outlier_noise", "share")
 _TIMES = (place("preference_switch", "time"), place("external_push", "time"))
 _CENTRES = (place("road_grade", "centre"), place("slow_patch", "centre"))
@@ -180,10 +188,10 @@ def value(coordinates: Array, places: Sequence[int]) -> Array:
     return np.where(sign == 0.0, coordinates, sign * np.exp(np.where(sign == 0.0, 0.0, coordinates)))
 
 
-def difference_steps(coordinates: Array, places: Sequence[int]) -> Array:
-    """Steps of difference quotients."""
+def difference_steps(data: Recorded, places: Sequence[int]) -> Array:
+    """Steps of difference quotients where nothing is known of the information yet."""
     linear = _SIGN[list(places)] == 0.0
-    return np.where(linear, _STEP * np.maximum(np.abs(coordinates), 0.1), _STEP)
+    return np.where(linear, _STEP * _reach(data, places), _STEP)
 
 
 def _within(values: Array, places: Sequence[int], upper: Array) -> Array:
@@ -276,12 +284,12 @@ def _slopes_of(
     individual: tuple[int, ...],
     shared: tuple[int, ...],
     fold: Ints,
+    steps: Array,
 ) -> tuple[Slopes, tuple[Array, Array, Array]]:
     """Score and information of one driver by difference quotients."""
     places = [*individual, *shared]
     at = own_of(chain, row, ahead)
     coordinates = coordinate(row[places], places)
-    steps = difference_steps(coordinates, places)
     dy, dvar, direct = (np.empty((len(places), len(fold))) for _ in range(3))
     for k, step in enumerate(steps):
         moved = coordinates.copy()
@@ -298,20 +306,37 @@ def _slopes_of(
 
 
 def _star_slopes(
-    job: tuple[causal.Chain, Array, Array, tuple[int, ...], tuple[int, ...], Ints],
+    job: tuple[causal.Chain, Array, Array, tuple[int, ...], tuple[int, ...], Ints, Array],
 ) -> tuple[Slopes, tuple[Array, Array, Array]]:
     return _slopes_of(*job)
 
 
-def slopes(data: Recorded, model: Model, work: Executor) -> tuple[list[Slopes], Samples]:
-    """Scores and informations of all drivers, and the samples, at a model."""
+def slopes(
+    data: Recorded, model: Model, work: Executor, known: Sequence[Slopes] | None = None
+) -> tuple[list[Slopes], Samples]:
+    """Scores and informations of all drivers, and the samples, at a model; ``known``: slopes at one near by."""
+    places = [*model.individual, *model.shared]
+    steps = np.tile(difference_steps(data, places), (data.drivers, 1))
+    if known is not None:
+        steps = _informed_steps(data, model, known)
     jobs = [
-        (data.chains[i], model.rows[i], leaders(data, model, i), model.individual, model.shared, data.fold)
+        (data.chains[i], model.rows[i], leaders(data, model, i), model.individual, model.shared, data.fold, steps[i])
         for i in range(data.drivers)
     ]
     outputs = list(work.map(_star_slopes, jobs))
     y, variance, density = (np.array([o[1][k] for o in outputs]) for k in range(3))
     return [o[0] for o in outputs], Samples(y, variance, density)
+
+
+def _informed_steps(data: Recorded, model: Model, all_slopes: Sequence[Slopes]) -> Array:
+    """Steps of difference quotients, (N, K), from the information; a shared parameter's is that of all drivers."""
+    places, own = [*model.individual, *model.shared], len(model.individual)
+    information = np.array([np.diag(s.information.sum(axis=0)) for s in all_slopes])
+    information[:, :own] += 1.0 / np.square(np.array(model.prior_std))
+    information[:, own:] = information[:, own:].sum(axis=0)
+    longest = difference_steps(data, places) * (_LONGEST_STEP / _STEP)
+    steps = _PART_OF_STD / np.sqrt(np.maximum(information, 1e-12))
+    return np.asarray(np.clip(steps, 0.02 * longest, longest))
 
 
 def renewed(data: Recorded, all_slopes: Sequence[Slopes], model: Model, samples: Samples) -> list[Slopes]:
@@ -335,24 +360,25 @@ class Step:
     promise: float
 
 
-def solve(all_slopes: Sequence[Slopes], model: Model, folds: Sequence[int], damping: float) -> Step:
-    """Newton step of ``model`` on the samples of ``folds``, with the prior in proportion."""
+def solve(all_slopes: Sequence[Slopes], model: Model, folds: Sequence[int], damping: float | Array) -> Step:
+    """Newton step of ``model`` on the samples of ``folds``, with the prior in proportion; damping: of each driver's."""
+    damped = np.broadcast_to(damping, len(all_slopes))
     individual = len(model.individual)
     shared = all_slopes[0].score.shape[1] - individual
     std, share, use = np.array(model.prior_std), len(folds) / FOLDS, list(folds)
     prior = share * np.diag(1.0 / std**2)
     reduced, rest = np.zeros((shared, shared)), np.zeros(shared)
     parts = []
-    for s, away in zip(all_slopes, model.away, strict=True):
+    for s, away, damp in zip(all_slopes, model.away, damped, strict=True):
         g, h = s.score[use].sum(axis=0), s.information[use].sum(axis=0)
         g_own = g[:individual] - share * away / std
         h_own = h[:individual, :individual] + prior
-        inverse = np.linalg.inv(h_own + damping * np.diag(np.diag(h_own)))
+        inverse = np.linalg.inv(h_own + damp * np.diag(np.diag(h_own)))
         cross = h[:individual, individual:]
         reduced += h[individual:, individual:] - cross.T @ inverse @ cross
         rest += g[individual:] - cross.T @ inverse @ g_own
         parts.append((inverse, cross, g_own))
-    ridge = (damping + 1e-9) * np.diag(np.abs(np.diag(reduced))) + 1e-6 * np.eye(shared)
+    ridge = (damped.max() + 1e-9) * np.diag(np.abs(np.diag(reduced))) + 1e-6 * np.eye(shared)
     of_shared: Array = np.linalg.solve(reduced + ridge, rest).astype(np.float64)
     of_own: Array = np.array([inverse @ (g - cross @ of_shared) for inverse, cross, g in parts], dtype=np.float64)
     promise = 0.5 * float(rest @ of_shared) + 0.5 * sum(float(g @ inverse @ g) for inverse, _, g in parts)
@@ -423,36 +449,70 @@ def climb(
     where they have become so poor that a step gains less than half of what it promises.
     """
     here = start
-    now = objective(here.slopes, here.model, folds)
-    damping, fresh = 1e-3, True
-    for _ in range(iterations):
+    damping: Array = np.full(data.drivers, 1e-3)
+    fresh = True
+    taken = 0
+    while taken < iterations:
         step = solve(here.slopes, here.model, folds, damping)
-        if step.promise < enough or damping > 1e4:
+        if step.promise < enough or damping.min() > 1e4:
+            if fresh or not renew:
+                break
+            here, fresh = _anew(data, here, work), True
+            continue
+        taken += 1
+        there = _at(data, here, moved(data, here.model, step), work)
+        rise = objectives(there.slopes, there.model, folds) - objectives(here.slopes, here.model, folds)
+        if here.model.shared:
+            rise = np.full_like(rise, rise.mean())
+        better = rise > 0.0
+        here = _mixed(here, there, better)
+        damping = np.where(better, np.maximum(damping / 10.0, 1e-6), damping)
+        gained = float(rise[better].sum())
+        if gained < enough and fresh and better.any():
             break
-        candidate = moved(data, here.model, step)
-        samples = evaluate(data, candidate, work)
-        there = renewed(data, here.slopes, candidate, samples)
-        after = objective(there, candidate, folds)
-        rise = after - now
-        if rise > 0.0:
-            here, now = Fit(candidate, samples, tuple(there)), after
-            damping = max(damping / 10.0, 1e-6)
-        if 0.0 < rise < enough and (fresh or not renew):
-            break
-        if rise > 0.5 * step.promise:
+        if gained > 0.5 * step.promise:
             fresh = False
-        elif renew and (rise > 0.0 or not fresh) and step.promise > 5.0 * enough:
-            anew, samples = slopes(data, here.model, work)
-            here, fresh = Fit(here.model, samples, tuple(anew)), True
-        elif rise <= 0.0:
-            damping *= 20.0
+        elif renew and (gained > 0.0 or not fresh):
+            here, fresh = _anew(data, here, work), True
+        damping = np.where(better | (not fresh), damping, 20.0 * damping)
     return here
 
 
+def _at(data: Recorded, here: Fit, model: Model, work: Executor) -> Fit:
+    """A model near by, with the derivatives as they were."""
+    samples = evaluate(data, model, work)
+    return Fit(model, samples, tuple(renewed(data, here.slopes, model, samples)))
+
+
+def _mixed(here: Fit, there: Fit, better: NDArray[np.bool_]) -> Fit:
+    """One fit for some drivers and the other for the rest."""
+    if better.all() or not better.any():
+        return there if better.all() else here
+    a, b, pick = there.samples, here.samples, better[:, None]
+    samples = Samples(
+        np.where(pick, a.innovation_m, b.innovation_m).astype(np.float64),
+        np.where(pick, a.innovation_var, b.innovation_var).astype(np.float64),
+        np.where(pick, a.log_likelihood, b.log_likelihood).astype(np.float64),
+    )
+    rows = np.where(pick, there.model.rows, here.model.rows).astype(np.float64)
+    chosen = tuple(x if yes else y for yes, x, y in zip(better, there.slopes, here.slopes, strict=True))
+    return Fit(replace(here.model, rows=rows), samples, chosen)
+
+
+def _anew(data: Recorded, here: Fit, work: Executor) -> Fit:
+    anew, samples = slopes(data, here.model, work, here.slopes)
+    return Fit(here.model, samples, tuple(anew))
+
+
+def objectives(all_slopes: Sequence[Slopes], model: Model, folds: Sequence[int]) -> Array:
+    """Log-likelihood of each driver's samples in ``folds`` and log prior, in proportion; (N,)."""
+    likelihood = np.array([s.log_likelihood[list(folds)].sum() for s in all_slopes])
+    return np.asarray(likelihood - 0.5 * len(folds) / FOLDS * np.square(model.away).sum(axis=1))
+
+
 def objective(all_slopes: Sequence[Slopes], model: Model, folds: Sequence[int]) -> float:
-    """Log-likelihood of the samples in ``folds`` and log prior, in proportion."""
-    likelihood = sum(float(s.log_likelihood[list(folds)].sum()) for s in all_slopes)
-    return likelihood - 0.5 * len(folds) / FOLDS * float(np.sum(np.square(model.away)))
+    """The same of all drivers."""
+    return float(objectives(all_slopes, model, folds).sum())
 
 
 def start_model(drivers: int, individual: Sequence[int]) -> Model:
@@ -463,7 +523,7 @@ def start_model(drivers: int, individual: Sequence[int]) -> Model:
 
 def fit_base(data: Recorded, individual: Sequence[int], work: Executor, start: Model | None = None) -> Fit:
     """Fit every driver for himself, then as draws of one population, with the drivers ahead as they were found."""
-    first = fit(data, start or start_model(data.drivers, individual), work, iterations=6)
+    first = fit(data, start or start_model(data.drivers, individual), work, iterations=10)
     return fit(data, as_population(first.model), work)
 
 
@@ -477,17 +537,14 @@ def as_population(model: Model) -> Model:
     return replace(model, prior_std=tuple(std.tolist()), ahead=model.rows)
 
 
-def without_folds(data: Recorded, fitted: Fit, work: Executor, *, refit: bool = False) -> tuple[Model, ...]:
-    """For every fold, the model fitted without it.
-
-    By one Newton step from the fit to all folds, or with ``refit`` by a search that never sees the fold.
-    """
-    models = []
-    for f in range(FOLDS):
-        others = [k for k in range(FOLDS) if k != f]
-        model = moved(data, fitted.model, solve(fitted.slopes, fitted.model, others, 1e-6))
-        models.append(fit(data, model, work, folds=others, iterations=3).model if refit else model)
-    return tuple(models)
+def without_folds(data: Recorded, fitted: Fit, work: Executor) -> tuple[Model, ...]:
+    """For every fold, the model fitted to the others: a few steps from the fit to all, which must raise their score."""
+    folds = range(FOLDS)
+    fits = [
+        climb(data, fitted, work, folds=[k for k in folds if k != f], iterations=_STEPS_WITHOUT, renew=False)
+        for f in folds
+    ]
+    return tuple(one.model for one in fits)
 
 
 def held_out(data: Recorded, models: Sequence[Model], work: Executor) -> Samples:
@@ -517,9 +574,10 @@ def held_out_nearly(data: Recorded, fitted: Fit) -> Samples:
         change = coordinate(model.rows[:, places], places) - at
         mask = data.fold == f
         for i, s in enumerate(fitted.slopes):
-            y = fitted.samples.innovation_m[i, mask] + change[i] @ s.innovation[:, mask]
             before = fitted.samples.innovation_var[i, mask]
-            variance = np.maximum(before + change[i] @ s.variance[:, mask], 0.2 * before)
+            most = _MOST_OFF * np.sqrt(before)
+            y = fitted.samples.innovation_m[i, mask] + np.clip(change[i] @ s.innovation[:, mask], -most, most)
+            variance = np.clip(before + change[i] @ s.variance[:, mask], before / _MOST_WIDER, before * _MOST_WIDER)
             density = np.empty_like(y)
             causal.weigh_samples(y, variance, fitted.model.rows[i], np.empty_like(y), density)
             density += change[i] @ s.density[:, mask]

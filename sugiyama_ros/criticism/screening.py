@@ -143,7 +143,7 @@ def _promise(base: Fit, samples: Samples) -> float:
 def _column(data: Recorded, model: Model, at: Samples, place: int, work: Executor) -> list[tuple[Array, Array, Array]]:
     """Derivatives of every driver's samples by one parameter, as ``Slopes`` keeps them, (T,) each."""
     coordinates = coordinate(model.rows[:, [place]], [place])
-    step = difference_steps(coordinates, [place]).max()
+    step = float(difference_steps(data, [place])[0])
     rows = model.rows.copy()
     rows[:, place] = value(coordinates + step, [place])[:, 0]
     there = evaluate(data, replace(model, rows=rows), work)

@@ -114,7 +114,7 @@ def _looked_at(m: int, led: bool, vehicles: int, adapted: int) -> tuple[Ints, In
 
 @njit(cache=True)
 def _root(covariance: Array, plus: Ints, minus: Ints, root: Array) -> None:
-    """Lower Cholesky factor of the covariance of differences of state entries, as ``_looked_at`` gives, into ``root``."""
+    """Lower Cholesky factor of the covariance of what is looked at, as ``_looked_at`` gives it, into ``root``."""
     size = len(plus)
     for i in range(size):
         for j in range(i + 1):
