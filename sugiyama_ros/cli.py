@@ -27,6 +27,7 @@ from sugiyama_ros.errors import InputError, SugiyamaError
 from sugiyama_ros.road import Array, Road
 
 if TYPE_CHECKING:
+    from sugiyama_ros.criticism.comparison import Compared
     from sugiyama_ros.nodes.run import RunResult
     from sugiyama_ros.simulation import Simulation
 
@@ -251,6 +252,7 @@ def compare(
     as_json: Json = False,
 ) -> None:
     """Compare the model with the measurements, and with other models, on samples that no fit has seen."""
+    from sugiyama_ros.criticism.comparison import collective_of
     from sugiyama_ros.criticism.comparison import compare as compare_models
     from sugiyama_ros.criticism.model_file import read_model
     from sugiyama_ros.formats import read_trajectories
@@ -262,11 +264,18 @@ def compare(
         compared = compare_models(
             trajectories, names, given, seed=seed, workers=os.cpu_count() or 1, on_progress=advance
         )
+    measured = collective_of(trajectories)
     document = {
         "models": [
             {
                 "name": c.name,
                 **c.errors.summary(),
+                **c.errors.details(),
+                "collective": {name: {"mean": m, "std": s} for name, (m, s) in c.collective.items()},
+                "drivers": [
+                    {"vehicle": int(v), "log_likelihood": ll, "single_car_10s_m": error}
+                    for v, (ll, error) in zip(trajectories.vehicle, c.errors.by_driver(), strict=True)
+                ],
                 "heldout_gain_nats": c.gain.nats if c.gain else 0.0 if c.name == "base" else None,
                 "heldout_gain_se": c.gain.se if c.gain else None,
                 "nis_mean": c.nis_mean,
@@ -276,6 +285,7 @@ def compare(
             }
             for c in compared
         ],
+        "measured": dataclasses.asdict(measured),
         "seed": seed,
     }
     if as_json:
@@ -289,6 +299,8 @@ def compare(
         nis = f"{c.nis_mean:.2f} ± {c.nis_std_error:.2f}"
         table.add_row(escape(c.name), *_error_cells(c.errors.summary()), won, nis, f"{c.autocorrelation[0]:+.3f}")
     _print_wide(table)
+    _print_details(compared)
+    _print_collective(dataclasses.asdict(measured), compared)
     _out.print(f"white innovations have an autocorrelation within ± {compared[0].band:.3f}", highlight=False)
 
 
@@ -598,6 +610,41 @@ def _error_cells(summary: dict[str, float]) -> list[str]:
     return [
         f"{v:.3f}" if name in ("one_step_rmse_m", "loglik_per_sample") else f"{v:.2f}" for name, v in summary.items()
     ]
+
+
+def _print_details(compared: "list[Compared]") -> None:
+    """Errors of gap, speed and time gap after 10 s."""
+    figures = {
+        "gap [m]": "gap_m",
+        "of mean gap [%]": "gap_relative",
+        "fit [%]": "gap_fit_percent",
+        "speed [m/s]": "speed_mps",
+        "time gap [s]": "time_gap_s",
+    }
+    table = Table(title="Held-out errors of 10-s free runs: coupled, and of a single car", title_justify="left")
+    for heading in ("model", *figures, *figures):
+        table.add_column(escape(heading), justify="left" if heading == "model" else "right")
+    for c in compared:
+        details = c.errors.details()
+        values = [
+            details.get(f"{run}_10s_{name}", math.nan) * (100.0 if name == "gap_relative" else 1.0)
+            for run in ("free_run", "single_car")
+            for name in figures.values()
+        ]
+        table.add_row(escape(c.name), *(f"{v:.2f}" if abs(v) < 10.0 else f"{v:.0f}" for v in values))
+    _print_wide(table)
+
+
+def _print_collective(measured: dict[str, float], compared: "list[Compared]") -> None:
+    table = Table(title="Collective measures: measured, and of simulations", title_justify="left")
+    headings = ("mean speed [m/s]", "least", "largest", "wave speed [m/s]", "queue [vehicles]", "period [s]")
+    for heading in ("", *headings):
+        table.add_column(escape(heading), justify="left" if not heading else "right")
+    table.add_row("measured", *(f"{v:.2f}" for v in measured.values()))
+    for c in compared:
+        if c.collective:
+            table.add_row(escape(c.name), *(f"{m:.2f} ± {s:.2f}" for m, s in c.collective.values()))
+    _print_wide(table)
 
 
 def _print_drivers(drivers: list[dict[str, float]]) -> None:

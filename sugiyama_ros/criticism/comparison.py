@@ -2,15 +2,17 @@
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
 from sugiyama_ros.criticism.bootstrap import resample, seeds
 from sugiyama_ros.criticism.candidates import candidates, recording_of
+from sugiyama_ros.criticism.collective import Collective, collective
 from sugiyama_ros.criticism.diagnosis import INDIVIDUAL
 from sugiyama_ros.criticism.errors import Errors, errors_of
 from sugiyama_ros.criticism.fitting import (
+    FOLDS,
     Fit,
     Gain,
     Model,
@@ -23,18 +25,22 @@ from sugiyama_ros.criticism.fitting import (
 )
 from sugiyama_ros.criticism.free_run import filtered_states
 from sugiyama_ros.criticism.model_file import ModelFile
-from sugiyama_ros.criticism.rivals import by_gaps, in_filter, laws
-from sugiyama_ros.criticism.screening import glance
+from sugiyama_ros.criticism.rivals import by_gaps, has_parameters, in_filter, laws
+from sugiyama_ros.criticism.screening import glance, refine
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.estimation.causal import chain_behind, track
 from sugiyama_ros.trajectories import Trajectories
 
 _LAGS = 10
+# Simulations of a whole recording for the collective measures.
+_SIMULATIONS = 3
 
 
 @dataclass(frozen=True, eq=False)
 class Compared:
     """One model's held-out errors, its gain over the base model, and how its innovations look.
 
+    collective: measures of the whole road in simulations of the model, averaged over runs, each with their std.
     nis_mean and nis_std_error: mean of y^2/S, 1 for a model that knows its own uncertainty; autocorrelation: of the
     normalised innovations at lags 1 to 10, within ``band`` for white ones at the 95 % level.
     """
@@ -46,6 +52,7 @@ class Compared:
     nis_std_error: float
     autocorrelation: tuple[float, ...]
     band: float
+    collective: dict[str, tuple[float, float]]
 
 
 def compare(
@@ -68,7 +75,7 @@ def compare(
         for name in effects:
             if name not in possible:
                 raise InputError(f"effect {name!r}: not among what can be added here: {', '.join(possible)}")
-        steps = 3 + 2 * len(laws()) + len(effects) + (model is not None)
+        steps = 2 + sum(1 + has_parameters(law) for law in laws()) + len(effects) + (model is not None)
         done = 0
 
         def next_step(what: str) -> None:
@@ -76,40 +83,72 @@ def compare(
             on_progress(what, done, steps)
             done += 1
 
+        def judged(name: str, models: Sequence[Model], simulated: Model | None) -> Compared:
+            base = found[0].errors if found else None
+            of_road = _simulated_collective(data, simulated, seed, work) if simulated is not None else {}
+            return _compared(name, data, models, base, of_road, work)
+
+        found: list[Compared] = []
         next_step("base")
         base = fit_base(data, INDIVIDUAL, work)
-        found = [_compared("base", data, without_folds(data, base, work), None, work)]
+        found.append(judged("base", without_folds(data, base, work, refit=True), base.model))
         current = base
         for name in effects:
             next_step(name)
-            current = fit(data, glance(data, current, possible[name], work).fit.model, work)
+            current = refine(data, glance(data, current, possible[name], work), work)
         if effects:
-            models = without_folds(data, current, work)
-            found.append(_compared("base + " + " + ".join(effects), data, models, found[0].errors, work))
+            found.append(
+                judged("base + " + " + ".join(effects), without_folds(data, current, work, refit=True), current.model)
+            )
         if model is not None:
             next_step("model file")
             rows = model.rows_of(trajectories.vehicle)
             given = Model(rows, (), (), (), rows)
-            found.append(
-                _compared(f"file: {', '.join(model.effects) or 'base'}", data, [given] * 5, found[0].errors, work)
-            )
+            found.append(judged(f"file: {', '.join(model.effects) or 'base'}", [given] * FOLDS, given))
         for law in laws():
             next_step(law)
             fitted = in_filter(data, law, work)
-            models = without_folds(data, fitted, work)
-            found.append(_compared(law, data, models, found[0].errors, work))
-            next_step(f"{law}, least squares")
-            found.append(
-                _compared(f"{law}_least_squares", data, by_gaps(data, law, fitted, work), found[0].errors, work)
-            )
+            found.append(judged(law, without_folds(data, fitted, work, refit=True), fitted.model))
+            if has_parameters(law):
+                next_step(f"{law}, least squares")
+                found.append(judged(f"{law}_least_squares", by_gaps(data, law, fitted, work), None))
         next_step("floor")
         found.append(_floor(data, base, seed, work))
         on_progress("done", steps, steps)
     return found
 
 
+def collective_of(trajectories: Trajectories) -> Collective:
+    """Collective measures of trajectories, with speeds from a filter that knows no driver model."""
+    t = trajectories
+    tracks = [track(chain_behind(t, i, vehicles=1)) for i in range(len(t.vehicle))]
+    position, speed = (np.stack([one[:, k] for one in tracks], axis=1) for k in range(2))
+    led = t.leader >= 0
+    ahead = np.take_along_axis(position, np.maximum(t.leader, 0), axis=1)
+    headway = np.where(led, t.road.space_headway(ahead, position), np.nan)
+    return collective(speed, headway, np.where(led, t.leader, -1), t.period_s)
+
+
+def _simulated_collective(
+    data: Recorded, model: Model, seed: int, work: ThreadPoolExecutor
+) -> dict[str, tuple[float, float]]:
+    """Mean and std over simulations of the whole recording by a model."""
+    states = filtered_states(data, model, work)
+    runs = [resample(data, model, states, rng).trajectories for rng in seeds(seed, _SIMULATIONS)]
+    found = [asdict(one) for one in work.map(collective_of, runs)]
+    return {
+        name: (float(np.mean([one[name] for one in found])), float(np.std([one[name] for one in found], ddof=1)))
+        for name in found[0]
+    }
+
+
 def _compared(
-    name: str, data: Recorded, models: Sequence[Model], base: Errors | None, work: ThreadPoolExecutor
+    name: str,
+    data: Recorded,
+    models: Sequence[Model],
+    base: Errors | None,
+    of_road: dict[str, tuple[float, float]],
+    work: ThreadPoolExecutor,
 ) -> Compared:
     errors = errors_of(data, models, work)
     s = errors.samples
@@ -124,10 +163,11 @@ def _compared(
         float(np.nanstd(nis) / np.sqrt(max(len(nis) - 1, 1))),
         tuple(float(np.nanmean(normal[:, k:] * normal[:, :-k])) for k in range(1, _LAGS + 1)),
         float(1.96 / np.sqrt(max(scored.sum(), 1))),
+        of_road,
     )
 
 
 def _floor(data: Recorded, base: Fit, seed: int, work: ThreadPoolExecutor) -> Compared:
     simulated = resample(data, base.model, filtered_states(data, base.model, work), seeds(seed, 1)[0])
     fitted = fit(simulated, base.model, work)
-    return _compared("floor", simulated, without_folds(simulated, fitted, work), None, work)
+    return _compared("floor", simulated, without_folds(simulated, fitted, work, refit=True), None, {}, work)

@@ -30,7 +30,7 @@ from sugiyama_ros.criticism.fitting import (
     without_folds,
 )
 from sugiyama_ros.criticism.free_run import filtered_states
-from sugiyama_ros.criticism.rivals import by_gaps, in_filter, laws
+from sugiyama_ros.criticism.rivals import by_gaps, has_parameters, in_filter, laws
 from sugiyama_ros.criticism.screening import Glance, forecast, glance, refine
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR
 from sugiyama_ros.effects.catalogue import DECLARED
@@ -149,7 +149,7 @@ def diagnose(
         possible = candidates(recording_of(data), data.drivers)
         runs = QUICK_RUNS if quick else BOOTSTRAP_RUNS
         current, named, first, null = base, [], [], _Null({})
-        before = errors = errors_of(data, without_folds(data, base, work), work)
+        before = errors = errors_of(data, without_folds(data, base, work, refit=not quick), work)
         heldout: dict[str, Gain] = {}
         smallest: dict[str, float] = {}
         seen: dict[str, tuple[Fit, Glance]] = {}
@@ -181,8 +181,9 @@ def diagnose(
             supported = [one for one in looked if one.refined and one.p_value <= LEVEL and one.gain >= _LEAST_GAIN]
             best = None
             for one in sorted(supported, key=lambda one: -one.predictive):
-                predicted = errors_of(data, without_folds(data, one.fit, work), work)
-                if gain(data, predicted.samples, errors.samples).nats > 0.0 and predicted.no_worse_than(errors):
+                predicted = errors_of(data, without_folds(data, one.fit, work, refit=not quick), work)
+                won = gain(data, predicted.samples, errors.samples)
+                if won.nats > -won.se and predicted.no_worse_than(errors):
                     best = one
                     break
             if best is None:
@@ -194,8 +195,8 @@ def diagnose(
                     break
             rivals = _indistinguishable(best, looked)
             grown = replace(best.fit.model, ahead=best.fit.model.rows)
-            current = fit(data, grown, work, iterations=4)
-            models = without_folds(data, current, work)
+            current = fit(data, grown, work)
+            models = without_folds(data, current, work, refit=not quick)
             after = errors_of(data, models, work)
             named.append(
                 Named(
@@ -241,8 +242,8 @@ def diagnose(
 def _rival(data: Recorded, law: str, work: ThreadPoolExecutor, quick: bool) -> dict[str, dict[str, float]]:
     """Errors of a rival calibrated in the filter, and, but for ``quick``, of the same by least squares on gaps."""
     fitted = in_filter(data, law, work)
-    found = {law: errors_of(data, without_folds(data, fitted, work), work).summary()}
-    if not quick:
+    found = {law: errors_of(data, without_folds(data, fitted, work, refit=not quick), work).summary()}
+    if not quick and has_parameters(law):
         found[f"{law}_least_squares"] = errors_of(data, by_gaps(data, law, fitted, work), work).summary()
     return found
 
@@ -317,7 +318,7 @@ def _simulate(
     for k, rng in enumerate(seeds(seed, runs)):
         on_progress("simulating the model without it", k, runs)
         simulated = resample(data, current.model, states, rng)
-        fitted = fit(simulated, current.model, work, iterations=4)
+        fitted = fit(simulated, current.model, work)
         for candidate in chosen:
             look = glance(simulated, fitted, candidate, work)
             gains[candidate.name].append(max(look.gain, _rise(fitted, refine(simulated, look, work))))

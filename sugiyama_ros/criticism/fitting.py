@@ -40,7 +40,7 @@ _LONGEST = 0.7
 # A search has ended when a step promises less log-likelihood than this.
 _ENOUGH = 0.1
 # Steps from the fit to all folds to that without one.
-_STEPS_WITHOUT = 2
+_STEPS_WITHOUT = 4
 # What held-out samples may differ from fitted ones where the filter is not run anew: innovations by this many of their
 # standard deviations, variances by this factor. Derivatives do not know where a change ends.
 _MOST_OFF, _MOST_WIDER = 1.0, 2.0
@@ -66,6 +66,7 @@ class Recorded:
     ahead: Ints
     block: Ints
     fold: Ints
+    segment: Ints
     upper: Array
 
     @property
@@ -99,7 +100,8 @@ def prepare(trajectories: Trajectories, segment: Ints | None = None) -> Recorded
     upper = np.array([p.upper for p in DECLARED])
     upper[:COUNT] = upper_bounds(trajectories)
     upper[RHO] = 0.99
-    return Recorded(trajectories, chains, ahead, block, block % FOLDS, upper)
+    unbroken = np.zeros(samples, np.int64) if segment is None else segment
+    return Recorded(trajectories, chains, ahead, block, block % FOLDS, unbroken, upper)
 
 
 def _columns(trajectories: Trajectories, driver: int, m: int) -> Ints:
@@ -360,17 +362,27 @@ class Step:
     promise: float
 
 
-def solve(all_slopes: Sequence[Slopes], model: Model, folds: Sequence[int], damping: float | Array) -> Step:
-    """Newton step of ``model`` on the samples of ``folds``, with the prior in proportion; damping: of each driver's."""
+def solve(
+    all_slopes: Sequence[Slopes],
+    model: Model,
+    folds: Sequence[int],
+    damping: float | Array,
+    curvature: Sequence[int] | None = None,
+) -> Step:
+    """Newton step of ``model`` on the samples of ``folds``, with the prior in proportion.
+
+    damping: the drivers'; curvature: the folds that the information is taken from, if others.
+    """
+    curved = list(folds if curvature is None else curvature)
     damped = np.broadcast_to(damping, len(all_slopes))
     individual = len(model.individual)
     shared = all_slopes[0].score.shape[1] - individual
     std, share, use = np.array(model.prior_std), len(folds) / FOLDS, list(folds)
-    prior = share * np.diag(1.0 / std**2)
+    prior = len(curved) / FOLDS * np.diag(1.0 / std**2)
     reduced, rest = np.zeros((shared, shared)), np.zeros(shared)
     parts = []
     for s, away, damp in zip(all_slopes, model.away, damped, strict=True):
-        g, h = s.score[use].sum(axis=0), s.information[use].sum(axis=0)
+        g, h = s.score[use].sum(axis=0), s.information[curved].sum(axis=0)
         g_own = g[:individual] - share * away / std
         h_own = h[:individual, :individual] + prior
         inverse = np.linalg.inv(h_own + damp * np.diag(np.diag(h_own)))
@@ -474,7 +486,7 @@ def climb(
             fresh = False
         elif renew and (gained > 0.0 or not fresh):
             here, fresh = _anew(data, here, work), True
-        damping = np.where(better | (not fresh), damping, 20.0 * damping)
+        damping = np.where(better | (not fresh), damping, np.maximum(10.0 * damping, 0.1))
     return here
 
 
@@ -537,14 +549,30 @@ def as_population(model: Model) -> Model:
     return replace(model, prior_std=tuple(std.tolist()), ahead=model.rows)
 
 
-def without_folds(data: Recorded, fitted: Fit, work: Executor) -> tuple[Model, ...]:
-    """For every fold, the model fitted to the others: a few steps from the fit to all, which must raise their score."""
-    folds = range(FOLDS)
-    fits = [
-        climb(data, fitted, work, folds=[k for k in folds if k != f], iterations=_STEPS_WITHOUT, renew=False)
-        for f in folds
-    ]
-    return tuple(one.model for one in fits)
+def without_folds(data: Recorded, fitted: Fit, work: Executor, *, refit: bool) -> tuple[Model, ...]:
+    """For every fold, the model fitted to the others.
+
+    With ``refit`` by a search that does not see the fold, else nearly, as ``_without`` gives it.
+    """
+    models = []
+    for f in range(FOLDS):
+        model = _without(data, fitted, f)
+        if refit:
+            others = [k for k in range(FOLDS) if k != f]
+            model = fit(data, model, work, folds=others, iterations=_STEPS_WITHOUT).model
+        models.append(model)
+    return tuple(models)
+
+
+def _without(data: Recorded, fitted: Fit, fold: int) -> Model:
+    """The model fitted to all folds but one, by the infinitesimal jackknife (Giordano et al. 2019).
+
+    One step with the information of all folds, in proportion: that of the others alone may be next to nothing for a
+    parameter, and the step without end.
+    """
+    others = [k for k in range(FOLDS) if k != fold]
+    step = solve(fitted.slopes, fitted.model, others, 1e-6, curvature=range(FOLDS))
+    return moved(data, fitted.model, step, FOLDS / (FOLDS - 1))
 
 
 def held_out(data: Recorded, models: Sequence[Model], work: Executor) -> Samples:
@@ -569,8 +597,7 @@ def held_out_nearly(data: Recorded, fitted: Fit) -> Samples:
     places = [*fitted.model.individual, *fitted.model.shared]
     at = coordinate(fitted.model.rows[:, places], places)
     for f in range(FOLDS):
-        others = [k for k in range(FOLDS) if k != f]
-        model = moved(data, fitted.model, solve(fitted.slopes, fitted.model, others, 1e-6))
+        model = _without(data, fitted, f)
         change = coordinate(model.rows[:, places], places) - at
         mask = data.fold == f
         for i, s in enumerate(fitted.slopes):

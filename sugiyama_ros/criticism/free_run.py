@@ -39,7 +39,7 @@ def _coupled(
     circumference: float,
     out: Array,
 ) -> None:
-    """Positions [m] into ``out`` (steps, N), from positions, speeds, noises and held accelerations (N,)."""
+    """Positions [m] and speeds into ``out`` (steps, N, 2), from positions, speeds, noises and what is held (N,)."""
     vehicles = len(x)
     held, pushed = np.empty(vehicles), np.empty(vehicles)
     acceleration = b + rows[:, RHO] * n
@@ -68,7 +68,7 @@ def _coupled(
             n[i] *= rows[i, RHO]
             b[i] = held[i]
         time += period
-        out[k] = x
+        out[k, :, 0], out[k, :, 1] = x, v
 
 
 @njit(nogil=True, cache=True)
@@ -86,7 +86,7 @@ def _single(
     circumference: float,
     out: Array,
 ) -> None:
-    """Positions [m] of vehicle i into ``out`` (steps, N); the others are where they were recorded, (steps, N, 4)."""
+    """Positions [m] and speeds of vehicle i into ``out`` (steps, N, 2); the others are as recorded, (steps, N, 4)."""
     near = np.array([i, leader[i], leader[leader[i]] if leader[i] >= 0 else -1, -1])
     for j in range(len(leader)):
         if leader[j] == i:
@@ -135,18 +135,25 @@ def _single(
         n *= rows[i, RHO]
         b = held[0]
         time += period
-        out[k, i] = x
+        out[k, i, 0], out[k, i, 1] = x, v
 
 
 @dataclass(frozen=True, eq=False)
 class FreeRuns:
-    """Errors [m] of positions in free runs, model minus measurement, (S, H, N) at HORIZONS_S; start: (S,) samples.
+    """Errors of free runs, model minus measurement, (S, H, N) at HORIZONS_S; start: (S,) samples.
 
-    Behind a leader as he was recorded, the error of the gap is that of the position with the other sign.
+    coupled, single: of positions [m]; behind a leader as he was recorded, the error of the gap is that of the position
+    with the other sign. coupled_speed, single_speed: of speeds [m/s], against the filtered ones; coupled_gap: of gaps
+    [m]. gap, speed: measured and filtered there, NaN without a leader.
     """
 
     coupled: Array
     single: Array
+    coupled_speed: Array
+    single_speed: Array
+    coupled_gap: Array
+    gap: Array
+    speed: Array
     start: Ints
 
 
@@ -158,32 +165,45 @@ def free_runs(data: Recorded, models: Sequence[Model], states: Sequence[Array], 
     t = data.trajectories
     steps = np.array([max(1, round(h / t.period_s)) for h in HORIZONS_S])
     starts = np.arange(causal.SETTLING + 4, len(t.position_m) - steps[-1], max(1, round(_EVERY_S / t.period_s)))
+    starts = starts[data.segment[starts - causal.SETTLING] == data.segment[starts + steps[-1]]]
     rows = [at_period(model.rows, t.period_s) for model in models]
     jobs = [(data, rows[f], states[f], int(k), steps) for k, f in zip(starts, data.fold[starts], strict=True)]
     errors = list(work.map(_from_start, jobs))
     empty = np.empty((0, len(steps), data.drivers))
-    coupled, single = (np.array([e[j] for e in errors]) if errors else empty for j in range(2))
-    return FreeRuns(coupled, single, starts)
+    fields = [np.array([e[j] for e in errors]) if errors else empty for j in range(7)]
+    coupled, single, coupled_speed, single_speed, coupled_gap, gap, speed = fields
+    return FreeRuns(coupled, single, coupled_speed, single_speed, coupled_gap, gap, speed, starts)
 
 
-def _from_start(job: tuple[Recorded, Array, Array, int, Ints]) -> tuple[Array, Array]:
-    """Errors (H, N) of the coupled and of the single free runs from one sample on."""
+def _from_start(job: tuple[Recorded, Array, Array, int, Ints]) -> tuple[Array, ...]:
+    """The fields of FreeRuns from one sample on, (H, N) each."""
     data, rows, state, k, steps = job
     t, ring = data.trajectories, data.trajectories.road.circumference_m
     about = (t.length_m, rows, ACTIONS)
-    out = np.empty((steps[-1], data.drivers))
     leader = np.where(np.isfinite(state[k, t.leader[k], 0]), t.leader[k], -1)
     headway = np.where(leader >= 0, state[k, leader, 0] - state[k, :, 0], 0.0)
     turn = np.nan_to_num(ring * np.floor(headway / ring)) if ring else np.zeros(data.drivers)
     scene = (t.start_s + k * t.period_s, t.period_s, horizon_at(t.period_s), ring)
     x, v, n, b = state[k].T.copy()
-    _coupled(x, v, n, b, leader, turn, *about, *scene, out)  # type: ignore[arg-type]
-    measured = t.position_m[k + steps]
-    coupled = t.road.difference(out[steps - 1], measured)
+    coupled, single = (np.empty((steps[-1], data.drivers, 2)) for _ in range(2))
+    _coupled(x, v, n, b, leader, turn, *about, *scene, coupled)  # type: ignore[arg-type]
     recorded = state[k : k + steps[-1]]
     for i in range(data.drivers):
-        _single(i, recorded, leader, turn, *about, *scene, out)  # type: ignore[arg-type]
-    return coupled, t.road.difference(out[steps - 1], measured)
+        _single(i, recorded, leader, turn, *about, *scene, single)  # type: ignore[arg-type]
+    coupled, single = coupled[steps - 1], single[steps - 1]
+    measured, speed = t.position_m[k + steps], state[k + steps, :, 1]
+    errors = t.road.difference(coupled[:, :, 0], measured)
+    led = leader >= 0
+    gap = t.road.space_headway(measured[:, leader], measured) - 0.5 * (t.length_m[leader] + t.length_m)
+    return (
+        errors,
+        t.road.difference(single[:, :, 0], measured),
+        coupled[:, :, 1] - speed,
+        single[:, :, 1] - speed,
+        np.where(led, errors[:, leader] - errors, np.nan),
+        np.where(led, gap, np.nan),
+        speed,
+    )
 
 
 def filtered_states(data: Recorded, model: Model, work: Executor) -> Array:

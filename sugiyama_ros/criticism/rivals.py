@@ -77,3 +77,8 @@ def _fit_driver(job: tuple[Recorded, str, Array, int, Array]) -> Array:
 def laws() -> Sequence[str]:
     """Names of the rivals."""
     return [law.name for law in LAWS]
+
+
+def has_parameters(name: str) -> bool:
+    """Whether there is anything to calibrate but noises."""
+    return any(law.name == name and law.parameters for law in LAWS)

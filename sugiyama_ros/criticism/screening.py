@@ -31,9 +31,9 @@ from sugiyama_ros.estimation import causal
 from sugiyama_ros.road import Array
 
 # Steps at most, and the log-likelihood [nats] that one must promise.
-_LOOKS, _PROMISE = 3, 0.2
+_LOOKS, _PROMISE = 6, 0.2
 # Steps of a full fit at most.
-_STEPS = 6
+_STEPS = 20
 # A candidate that promises less than this [nats] is not looked at any closer.
 _HOPELESS = 1.0
 
@@ -125,7 +125,10 @@ def forecast(data: Recorded, before: Fit, look: Glance, current: Fit) -> float:
 
 
 def _promise(base: Fit, samples: Samples) -> float:
-    """Log-likelihood once the parameters of the base have given way to the candidate, to first order."""
+    """Log-likelihood once the parameters of the base have given way to the candidate, to first order.
+
+    Of what they promise, half is believed: a start far off promises much.
+    """
     total = samples.total
     for s, y, variance, density in zip(
         base.slopes, samples.innovation_m, samples.innovation_var, samples.log_likelihood, strict=True
@@ -136,7 +139,7 @@ def _promise(base: Fit, samples: Samples) -> float:
         dy, dvar = s.innovation[:own, scored], s.variance[:own, scored]
         score = -(dy * (y / variance) + 0.5 * dvar * (1.0 - y * y / variance) / variance).sum(axis=1)
         information = s.information.sum(axis=0)[:own, :own] + np.diag(1.0 / np.array(base.model.prior_std) ** 2)
-        total += 0.5 * float(score @ np.linalg.solve(information, score))
+        total += 0.25 * float(score @ np.linalg.solve(information, score))
     return total
 
 

@@ -1,4 +1,7 @@
-"""Rival car-following models: a driver's acceleration as a function of what he sees. Compiled, pure, finite."""
+"""Rival car-following models: a driver's acceleration as a function of what he sees. Compiled, pure, finite.
+
+The last one, constant speed, has no acceleration but noise: what a model must beat to be worth anything.
+"""
 
 import math
 from dataclasses import dataclass
@@ -44,6 +47,7 @@ LAWS: tuple[Law, ...] = (
             Parameter("C2", "C_2", "1", 1.0, -5.0, 10.0, f"optimal velocity: place of the turning point; {_FVDM}"),
         ),
     ),
+    Law("constant_speed", ()),
 )
 
 

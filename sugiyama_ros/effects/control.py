@@ -168,6 +168,8 @@ def act(seen: Seen, held: float, row: Array, actions: Array, period: float, hori
         action = mean_action(gap, speed, leader_speed, row, actions, period, horizon)
     elif row[LAW] == 1.0:
         action = idm(gap, speed, leader_speed, row[_IDM_AT:_IDM_END])
+    elif row[LAW] == 3.0:
+        action = 0.0
     else:
         action = fvdm(gap, speed, leader_speed, row[_FVDM_AT:_FVDM_END])
     row[V_STAR], row[KAPPA_V] = v_star, kappa_v

@@ -13,8 +13,9 @@ acceleration that he made his car do in the last period (the mean action, but fo
 noise is the whole acceleration. Parameters that are adapted online follow as logarithms that wander around their prior
 (Ornstein-Uhlenbeck), so that one which the data do not hold cannot run away.
 
-Effects act where they do in ``effects.control``. What their perception takes from beyond a driver's own state and his
-leader's (accelerations, the vehicle behind, the second one ahead) enters with its mean.
+Effects act where they do in ``effects.control``. What they take from beyond a driver's own speed and his leader's
+position and speed (the vehicle behind, the second one ahead) enters with its mean, and so do the accelerations, but for
+drivers who see late.
 
 The mean action is linearised statistically, over what the driver may be seeing: its Jacobian at a point makes an
 extended Kalman filter whose likelihood is chaotic, because close to contact the mean action jumps.
@@ -65,7 +66,7 @@ UNKNOWN, POSITION, MOVING = 0, 1, 2
 #: Entries of the state for each vehicle: position, speed, noise, held acceleration.
 STATE = 4
 _OUTLIERS, _OFF_CENTRE = place("outlier_noise", "share"), place("sensor_eccentricity", "cosine")
-_DRIFT = place("preference_drift", "std")
+_DRIFT, _DELAY = place("preference_drift", "std"), place("reaction_delay", "delay")
 # Acceleration [m/s^2] for which a speed from two positions allows.
 _START_ACCELERATION_STD = 1.0
 # Variance below which a direction of what the driver sees counts as known; keeps the Cholesky factor invertible.
@@ -94,17 +95,19 @@ def scene_at(period_s: float, circumference_m: float, relaxation_s: float = math
 
 
 @njit(cache=True)
-def _looked_at(m: int, led: bool, vehicles: int, adapted: int) -> tuple[Ints, Ints]:
+def _looked_at(m: int, led: bool, delayed: bool, vehicles: int, adapted: int) -> tuple[Ints, Ints]:
     """What the action of driver m depends on, as differences of state entries: places to add and to take off, or -1.
 
-    These are the gap (lengths aside), the own and the leader's speed, or without a leader the own speed alone; then the
-    logarithms of the adapted parameters.
+    These are the gap (lengths aside), the own and the leader's speed, or without a leader the own speed alone; for one
+    who sees late also the noises of both, part of the accelerations; then the logarithms of the adapted parameters.
     """
     x, v = STATE * m, STATE * m + 1
-    seen = 3 if led else 1
+    seen = (5 if delayed else 3) if led else 1
     plus, minus = np.empty(seen + adapted, np.int64), np.full(seen + adapted, -1)
     if led:
         plus[0], plus[1], plus[2], minus[0] = x + STATE, v, v + STATE, x
+        if delayed:
+            plus[3], plus[4] = x + 2, x + STATE + 2
     else:
         plus[0] = v
     for k in range(adapted):
@@ -219,7 +222,8 @@ def expected_action(
     """
     led = known[m + 1] == MOVING
     driver = parameters[m].copy() if len(adapted) > 0 else parameters[m]
-    plus, minus = _looked_at(m, led, len(known), len(adapted))
+    delayed = led and driver[_DELAY] != 0.0
+    plus, minus = _looked_at(m, led, delayed, len(known), len(adapted))
     size = len(plus)
     work = np.empty((size + 4, size))
     root, centre, look, cross, held_cross = work[:size], work[size], work[size + 1], work[size + 2], work[size + 3]
@@ -233,6 +237,7 @@ def expected_action(
     held_cross[:] = 0.0
     total, squares, held_total, held_squares, memory = 0.0, 0.0, 0.0, 0.0, 0.0
     first_adapted = size - len(adapted)
+    leader_rho = parameters[m + 1, RHO] if m + 2 < len(known) else scene.last_rho
     for j in range(size):
         for side in (math.sqrt(size), -math.sqrt(size)):
             for i in range(size):
@@ -240,6 +245,10 @@ def expected_action(
             for k in range(len(adapted)):
                 driver[UTILITY[adapted[k]]] = math.exp(look[first_adapted + k])
             gap, speed, leader_speed = (look[0], look[1], look[2]) if led else (np.inf, look[0], 0.0)
+            acceleration, leader_acceleration = here.acceleration, here.leader_acceleration
+            if delayed:
+                acceleration += driver[RHO] * (look[3] - centre[3])
+                leader_acceleration += leader_rho * (look[4] - centre[4])
             seen = Seen(
                 gap,
                 speed,
@@ -247,8 +256,8 @@ def expected_action(
                 here.position,
                 time,
                 here.circumference,
-                here.acceleration,
-                here.leader_acceleration,
+                acceleration,
+                leader_acceleration,
                 here.second_gap,
                 here.second_speed,
                 here.rear_gap,

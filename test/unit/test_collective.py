@@ -1,0 +1,54 @@
+"""Collective measures of waves that are known."""
+
+import numpy as np
+import pytest
+
+from sugiyama_ros.criticism.collective import collective
+
+PERIOD_S, RING_M, DRIVERS = 1.0 / 3.0, 230.0, 22
+
+
+def wave(speed_of_wave: float, mean: float = 7.0, swing: float = 3.0):
+    """Drivers whose speed is a sine over place and time that moves at ``speed_of_wave``, once around the ring."""
+    time = np.arange(900)[:, None] * PERIOD_S
+    number = 2.0 * np.pi / RING_M
+    position = RING_M / DRIVERS * np.arange(DRIVERS) * np.ones((900, 1))
+    speed = np.empty((900, DRIVERS))
+    for k in range(900):
+        speed[k] = mean + swing * np.sin(number * (position[k] - speed_of_wave * time[k]))
+        if k + 1 < 900:
+            position[k + 1] = position[k] + PERIOD_S * speed[k]
+    leader = np.tile((np.arange(DRIVERS) + 1) % DRIVERS, (900, 1))
+    headway = np.mod(np.take_along_axis(position, leader, axis=1) - position, RING_M)
+    return speed, headway, leader
+
+
+@pytest.mark.parametrize("speed_of_wave", [-4.0, -6.0])
+def test_speed_and_period_of_a_wave(speed_of_wave):
+    speed, headway, leader = wave(speed_of_wave)
+    found = collective(speed, headway, leader, PERIOD_S)
+    # drivers are slower where the wave is, so that they meet it at their own mean speed
+    assert found.wave_speed == pytest.approx(speed_of_wave, abs=0.5)
+    meets = RING_M / (speed.mean() - speed_of_wave)
+    assert found.period_s == pytest.approx(meets, rel=0.05)
+    assert found.mean_speed == pytest.approx(speed.mean())
+    assert found.least_speed == pytest.approx(speed.min(axis=1).mean())
+
+
+def test_missing_samples_and_drivers_do_not_matter():
+    speed, headway, leader = wave(-5.0)
+    whole = collective(speed, headway, leader, PERIOD_S)
+    speed[:7] = np.nan
+    speed[400:420, 3] = np.nan
+    found = collective(speed, headway, leader, PERIOD_S)
+    assert found.wave_speed == pytest.approx(whole.wave_speed, abs=0.2)
+    assert found.period_s == pytest.approx(whole.period_s, abs=2.0 * PERIOD_S)
+
+
+def test_queue_counts_those_who_stand():
+    speed = np.full((50, 4), 8.0)
+    speed[:, :3] = 0.5
+    found = collective(speed, np.full((50, 4), 10.0), np.full((50, 4), -1), PERIOD_S)
+    assert found.queue_vehicles == 3.0
+    assert np.isnan(found.wave_speed)
+    assert np.isnan(found.period_s)
