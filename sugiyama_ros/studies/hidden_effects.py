@@ -22,6 +22,7 @@ import numpy as np
 from sugiyama_ros.criticism.diagnosis import diagnose
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, defaults
 from sugiyama_ros.effects.catalogue import switch_on, whole
+from sugiyama_ros.effects.discovered_force import COVARIATES
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation import Simulation, Simulator, evenly, platoon, simulate
 from sugiyama_ros.trajectories import Trajectories
@@ -50,7 +51,23 @@ STRENGTHS: Mapping[str, tuple[Strengths, Strengths]] = {
     "outlier_noise": ({"share": 0.006, "factor": 4.0}, {"share": 0.0015, "factor": 4.0}),
     "sensor_eccentricity": ({"cosine": 0.8, "sine": 0.6}, {"cosine": 0.3, "sine": 0.2}),
 }
-NONE = "none"
+NONE, PAIR, FORM = "none", "pair", "form"
+#: Two at once, strong forms both.
+PAIRS = (
+    ("slow_patch", "actuation_lag"),
+    ("drag", "outlier_noise"),
+    ("second_leader", "sensor_eccentricity"),
+    ("limited_power", "preference_switch"),
+)
+#: Forces [m/s^2] that are not in the catalogue, as effects of the simulator: covariate, its range, values at knots.
+FORMS: Mapping[str, tuple[str, float, float, tuple[float, ...]]] = {
+    "hurry at medium gaps": ("gap", 1.0, 12.0, (0.0, 0.0, 0.6, 0.9, 0.6, 0.0, 0.0, 0.0)),
+    "reluctance at medium speed": ("speed", 2.0, 10.0, (0.0, 0.0, -0.4, -0.8, -0.8, -0.4, 0.0, 0.0)),
+    "overreaction to approach": ("approach_rate", -2.0, 2.0, (0.8, 0.5, 0.2, 0.0, 0.0, -0.2, -0.5, -0.8)),
+    "brake lights": ("leader_acceleration", -3.0, 3.0, (-0.9, -0.6, -0.3, 0.0, 0.0, 0.0, 0.0, 0.0)),
+    "two rough places": ("place", 0.0, RING_M, (0.0, -0.5, 0.0, 0.0, 0.0, -0.5, 0.0, 0.0)),
+    "tiring": ("time", 0.0, DURATION_S, (0.3, 0.2, 0.1, 0.0, -0.1, -0.2, -0.3, -0.4)),
+}
 
 
 @dataclass(frozen=True)
@@ -72,30 +89,38 @@ class Outcome:
 
 def hide(name: str, values: Strengths, seed: int) -> tuple[Simulation, Strengths]:
     """A recording with a hidden effect that does not collide, and the effect's values."""
+    run, values_of = hide_all({name: values} if name != NONE else {}, seed)
+    return run, values_of.get(name, {})
+
+
+def hide_all(effects: Mapping[str, Strengths], seed: int) -> tuple[Simulation, dict[str, Strengths]]:
+    """A recording with several hidden effects, and their values. Raises ValueError where cars always collide."""
     for attempt in range(60):
         rng = np.random.default_rng([seed, attempt])
         rows = whole(defaults(DRIVERS))
         for k in (V_STAR, KAPPA_V):
             rows[:, k] *= np.exp(0.1 * rng.standard_normal(DRIVERS))
-        if name in ("road_grade", "slow_patch"):
-            values = {**values, "centre": float(rng.uniform(0.0, RING_M))}
-        if name == "preference_switch":
-            values = {**values, "time": float(rng.uniform(0.3, 0.7) * DURATION_S)}
-        if name != NONE:
+        drawn = {}
+        for name, values in effects.items():
+            if name in ("road_grade", "slow_patch"):
+                values = {**values, "centre": float(rng.uniform(0.0, RING_M))}
+            if name == "preference_switch":
+                values = {**values, "time": float(rng.uniform(0.3, 0.7) * DURATION_S)}
             rows = switch_on(rows, name, values)
+            drawn[name] = values
         length, road = np.full(DRIVERS, LENGTH_M), Road(RING_M)
         gentle = attempt >= 30
         start = evenly(length, road) if gentle else platoon(length, 2.0)
         speed = np.full(DRIVERS, 5.0 if gentle else 0.0)
         run = simulate(Simulator(rows, length, start, road, rng, speed=speed), DURATION_S)
         if not run.collisions:
-            return run, values
-    raise ValueError(f"{name} {values}: cars always collide")
+            return run, drawn
+    raise ValueError(f"{', '.join(effects)}: cars always collide")
 
 
 def judge(hidden: str, strength: str, measured: Trajectories, seed: int, quick: bool) -> Outcome:
-    """Diagnose one recording."""
-    d = diagnose(measured, seed=seed, quick=quick, most=2, verdict_only=True, workers=1)
+    """Diagnose one recording; of a form that is not in the catalogue, forces without a name too."""
+    d = diagnose(measured, seed=seed, quick=quick, most=3, verdict_only=strength != FORM, workers=1)
     first = d.named[0] if d.named else None
     oracle = next((one.gain for one in d.looked if one.candidate.name == hidden), 0.0)
     return Outcome(
@@ -115,8 +140,15 @@ def judge(hidden: str, strength: str, measured: Trajectories, seed: int, quick: 
 
 def _one(job: tuple[str, str, int, bool]) -> Outcome:
     hidden, strength, seed, quick = job
-    values = STRENGTHS[hidden][strength == "weak"] if hidden != NONE else {}
-    run, _ = hide(hidden, values, seed)
+    effects: dict[str, Strengths] = {}
+    if strength == FORM:
+        covariate, low, high, values = FORMS[hidden]
+        force = {f"force_{k}": v for k, v in enumerate(values)}
+        number = float(1 + COVARIATES.index(covariate))
+        effects["discovered_force"] = {"covariate": number, "first": low, "last": high, **force}
+    elif hidden != NONE:
+        effects = {name: STRENGTHS[name][strength == "weak"] for name in hidden.split("+")}
+    run, _ = hide_all(effects, seed)
     return judge(hidden, strength, run.measured, seed, quick)
 
 
@@ -137,6 +169,17 @@ def report(outcomes: Sequence[Outcome]) -> str:
             lines.append(
                 f"| {strength} | {len(of)} | {right} | {inside} | {size} | {len(of) - inside - none} | {none} |"
             )
+    for strength, count in ((PAIR, 2), (FORM, 0)):
+        of = [o for o in outcomes if o.strength == strength]
+        both = sum(len(set(o.hidden.split("+")) & set(o.named)) == count for o in of)
+        covariates = sum(bool(o.discovered) and o.discovered[0] == FORMS[o.hidden][0] for o in of if not count)
+        if of and count:
+            lines += ["", f"Two at once: both named in {both} of {len(of)} recordings."]
+        elif of:
+            lines += [
+                "",
+                f"Not in the catalogue: the force found along the right covariate in {covariates} of {len(of)}.",
+            ]
     free = [o for o in outcomes if o.hidden == NONE]
     lines += [
         "",
@@ -157,6 +200,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--free", type=int, default=40, help="recordings without an effect")
+    parser.add_argument("--pairs", type=int, default=10, help="recordings of each pair of effects")
+    parser.add_argument("--forms", type=int, default=2, help="recordings of each form that is not in the catalogue")
     parser.add_argument("--strength", choices=["strong", "weak", "both"], default="both")
     parser.add_argument("--effects", nargs="*", default=list(STRENGTHS))
     parser.add_argument("--quick", action="store_true")
@@ -165,6 +210,8 @@ def main() -> None:
     given = parser.parse_args()
     strengths = ["strong", "weak"] if given.strength == "both" else [given.strength]
     jobs = [(e, s, seed, given.quick) for seed in range(given.seeds) for s in strengths for e in given.effects]
+    jobs += [("+".join(pair), PAIR, seed, given.quick) for seed in range(given.pairs) for pair in PAIRS]
+    jobs += [(form, FORM, seed, False) for seed in range(given.forms) for form in FORMS]
     jobs += [(NONE, NONE, seed, given.quick) for seed in range(given.free)]
     outcomes = []
     with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn")) as pool:

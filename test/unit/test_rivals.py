@@ -13,13 +13,13 @@ from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.errors import InputError
 
 FUNCTIONS = (idm, fvdm)
-IDM, FVDM = (np.array([p.default for p in law.parameters]) for law in LAWS)
+IDM, FVDM = (np.array([p.default for p in law.parameters]) for law in LAWS[:2])
 DT, HALF_LENGTHS = 1.0 / 3.0, 4.33
 speeds = st.floats(0.0, 12.0)
 
 
 BOTH = pytest.mark.parametrize(
-    ("law", "function"), list(zip(LAWS, FUNCTIONS, strict=True)), ids=lambda one: getattr(one, "name", "")
+    ("law", "function"), list(zip(LAWS[:2], FUNCTIONS, strict=True)), ids=lambda one: getattr(one, "name", "")
 )
 
 
@@ -32,7 +32,7 @@ def rows(law):
 
 
 def test_a_law_declares_its_parameters_in_the_order_of_its_function():
-    assert [[p.name for p in law.parameters] for law in LAWS] == [
+    assert [[p.name for p in law.parameters] for law in LAWS[:2]] == [
         ["v0", "T", "s0", "a", "b"],
         ["kappa", "lambda", "V1", "V2", "C1", "C2"],
     ]

@@ -1,0 +1,229 @@
+"""Fits, held-out scores and the diagnosis on small simulated recordings whose truth is known."""
+
+import json
+import os
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+import yaml
+
+from sugiyama_ros.criticism.diagnosis import INDIVIDUAL, diagnose
+from sugiyama_ros.criticism.errors import errors_of
+from sugiyama_ros.criticism.fitting import (
+    FOLDS,
+    evaluate,
+    fit,
+    fit_base,
+    held_out,
+    held_out_nearly,
+    objective,
+    prepare,
+    slopes,
+    start_model,
+    without_folds,
+)
+from sugiyama_ros.criticism.model_file import read_model, write_model
+from sugiyama_ros.criticism.verdict import document, sentences
+from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, defaults
+from sugiyama_ros.effects.catalogue import switch_on, whole
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.road import Road
+from sugiyama_ros.simulation import Simulator, platoon, simulate
+
+CARS, RING_M, LENGTH_M = 7, 77.0, 4.33
+
+
+def recording(effect: str = "", duration_s: float = 100.0, seed: int = 1, **values: float):
+    rng = np.random.default_rng(seed)
+    rows = whole(defaults(CARS))
+    for k in (V_STAR, KAPPA_V):
+        rows[:, k] *= np.exp(0.1 * rng.standard_normal(CARS))
+    if effect:
+        rows = switch_on(rows, effect, values)
+    length = np.full(CARS, LENGTH_M)
+    return simulate(Simulator(rows, length, platoon(length, 4.0), Road(RING_M), rng), duration_s)
+
+
+@pytest.fixture(scope="module")
+def work():
+    with ThreadPoolExecutor(2) as pool:
+        yield pool
+
+
+@pytest.fixture(scope="module")
+def fitted(work):
+    run = recording()
+    data = prepare(run.measured)
+    return run, data, fit_base(data, INDIVIDUAL, work)
+
+
+def test_a_fit_is_at_a_maximum(fitted, work):
+    _, data, base = fitted
+    again = fit(data, base.model, work, iterations=10)
+    everywhere = range(FOLDS)
+    rise = objective(again.slopes, again.model, everywhere) - objective(base.slopes, base.model, everywhere)
+    assert -1e-9 <= rise < 0.5
+
+
+def test_a_fit_beats_the_truth_by_as_much_as_its_freedom_allows(fitted, work):
+    run, data, base = fitted
+    truth = start_model(CARS, INDIVIDUAL)
+    truth.rows[:], truth.ahead[:] = run.parameters, run.parameters
+    excess = 2.0 * (base.log_likelihood - evaluate(data, truth, work).total)
+    # chi-squared with 4 parameters per driver, of which the prior holds some: mean 28, 99.9 % below 56
+    assert 0.0 < excess < 56.0
+
+
+def test_slopes_are_those_of_the_likelihood(fitted, work):
+    _, data, base = fitted
+    here, _ = slopes(data, base.model, work, base.slopes)
+    score = sum(s.score.sum(axis=0) for s in here)
+    size = sum(np.abs(s.score).sum(axis=0) for s in here)
+    # at the maximum what single folds want cancels, but for what the prior holds
+    assert np.all(np.abs(score) < 0.5 * size)
+
+
+def test_held_out_scores_cost_what_was_fitted(fitted, work):
+    _, data, base = fitted
+    searched = held_out(data, without_folds(data, base, work, refit=True), work).total
+    stepped = held_out(data, without_folds(data, base, work, refit=False), work).total
+    nearly = held_out_nearly(data, base).total
+    lost = base.log_likelihood - searched
+    # Akaike: a parameter costs about one nat, half of it in sample; 28 parameters, some held by the prior
+    assert 5.0 < lost < 84.0
+    assert base.log_likelihood - stepped == pytest.approx(lost, rel=0.5)
+    assert nearly == pytest.approx(stepped, abs=0.1 * lost)
+
+
+def test_free_runs_start_where_the_filter_is(fitted, work):
+    _, data, base = fitted
+    errors = errors_of(data, without_folds(data, base, work, refit=False), work)
+    found = errors.summary()
+    # a free run of 2 s cannot be worse than one of 10 s, and one step is mostly measurement noise (sigma_nu 0.263 m)
+    assert 0.263 < found["one_step_rmse_m"] < found["free_run_2s_m"] < found["free_run_10s_m"]
+    assert errors.no_worse_than(errors)
+    details = errors.details()
+    assert details["single_car_10s_gap_m"] == pytest.approx(found["single_car_10s_m"], rel=1e-9)
+    assert details["single_car_2s_gap_fit_percent"] < 100.0
+
+
+@pytest.fixture(scope="module")
+def hidden():
+    run = recording("slow_patch", reduction=0.2, centre=20.0, width=25.0)
+    return run, diagnose(run.measured, quick=True, most=1, workers=2, seed=3)
+
+
+def test_a_hidden_effect_is_named(hidden):
+    _, d = hidden
+    assert d.named[0].name == "slow_patch"
+    assert d.named[0].p_value < 0.01
+    assert d.named[0].parameters["reduction"] == pytest.approx(0.2, abs=0.06)
+    assert d.after.loglik_per_sample > d.before.loglik_per_sample
+
+
+def test_document_says_what_is_promised(hidden):
+    _, d = hidden
+    found = document(d)
+    json.dumps(found, allow_nan=False)
+    assert {"verdict", "candidates", "errors", "bootstrap_runs", "seed", "wall_s", "quick"} <= set(found)
+    (named,) = found["verdict"]["effects"]
+    assert {
+        "name",
+        "kind",
+        "parameters",
+        "indistinguishable",
+        "p_value",
+        "heldout_gain_nats",
+        "heldout_gain_se",
+        "free_run_rmse_before_m",
+        "free_run_rmse_after_m",
+    } <= set(named)
+    assert found["verdict"]["none_detectable"] is False
+    for errors in (found["errors"][name] for name in ("before", "after", "idm", "fvdm")):
+        assert {f"free_run_{h}s_m" for h in (2, 5, 10)} | {"one_step_rmse_m", "single_car_10s_m"} < set(errors)
+    gains = [c["heldout_gain_nats"] for c in found["candidates"]]
+    assert gains == sorted(gains, reverse=True)
+    assert {c["name"] for c in found["candidates"]} >= {"reaction_delay", "slow_patch", "noise_constants"}
+    assert sentences(d)[0].startswith("slow_patch (reduction 0.")
+
+
+def test_the_same_seed_says_the_same(hidden):
+    run, d = hidden
+    again = diagnose(run.measured, quick=True, most=1, workers=1, seed=3, verdict_only=True)
+    assert [(n.name, n.p_value, n.parameters) for n in again.named] == [
+        (n.name, n.p_value, n.parameters) for n in d.named
+    ]
+
+
+def test_a_model_file_gives_the_model_back(hidden, tmp_path):
+    run, d = hidden
+    path = tmp_path / "model.yaml"
+    write_model(path, d.data, d.final)
+    read = read_model(path)
+    assert read.effects == ("slow_patch",)
+    assert read.rows_of(run.measured.vehicle) == pytest.approx(d.final.model.rows)
+    assert yaml.safe_load(path.read_text())["shared_std"]["slow_patch.reduction"] > 0.0
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("[1, 2", "model.yaml"),
+        ("nonsense: 3\n", "model file of format 1"),
+        ("!!python/object/apply:os.system ['true']\n", "model.yaml"),
+    ],
+)
+def test_a_bad_model_file_is_one_clear_line(tmp_path, text, says):
+    path = tmp_path / "model.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=says) as error:
+        read_model(path)
+    assert "\n" not in str(error.value)
+
+
+def test_too_short_a_recording_is_refused():
+    with pytest.raises(InputError, match="at least 8 s"):
+        prepare(recording(duration_s=5.0).measured)
+
+
+def test_diagnose_and_compare_on_the_command_line(hidden, tmp_path):
+    run, d = hidden
+    write_model(tmp_path / "model.yaml", d.data, d.final)
+    lines = ["time_s,vehicle,position_m,length_m"]
+    for k, row in enumerate(run.measured.position_m[:151]):
+        lines += [f"{k / 3.0:.6f},{v},{x:.5f},{LENGTH_M}" for v, x in enumerate(row)]
+    (tmp_path / "run.csv").write_text("\n".join(lines) + "\n")
+    command = [sys.executable, "-m", "sugiyama_ros.cli", "compare", "run.csv", "--ring", str(RING_M)]
+    done = subprocess.run(
+        [*command, "--model", "model.yaml", "--json"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ,
+    )
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    names = [m["name"] for m in found["models"]]
+    assert names == [
+        "base",
+        "file: slow_patch",
+        "idm",
+        "idm_least_squares",
+        "fvdm",
+        "fvdm_least_squares",
+        "constant_speed",
+        "floor",
+    ]
+    scores = {m["name"]: m["loglik_per_sample"] for m in found["models"]}
+    assert scores["file: slow_patch"] > scores["base"] > scores["constant_speed"]
+    assert found["measured"]["mean_speed"] > 0.0
+    done = subprocess.run(
+        [*command, "--effects", "telepathy"], cwd=tmp_path, capture_output=True, text=True, check=False, env=os.environ
+    )
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith("error: effect 'telepathy'")
+    assert done.stderr.count("\n") == 1
