@@ -30,6 +30,7 @@ from sugiyama_ros.criticism.fitting import (
     without_folds,
 )
 from sugiyama_ros.criticism.free_run import filtered_states
+from sugiyama_ros.criticism.locate import Located, locate
 from sugiyama_ros.criticism.rivals import by_gaps, has_parameters, in_filter, laws
 from sugiyama_ros.criticism.screening import Glance, forecast, glance, refine
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR
@@ -117,6 +118,8 @@ class Diagnosis:
     discovered: tuple[Discovery, ...]
     before: Errors
     after: Errors
+    where_before: Located
+    where_after: Located
     smallest: dict[str, float]
     rivals: dict[str, dict[str, float]]
     bootstrap_runs: int
@@ -218,6 +221,8 @@ def diagnose(
         for k, law in enumerate([] if verdict_only else laws()):
             on_progress("rival models", k, len(laws()))
             others |= _rival(data, law, work, quick)
+        on_progress("where it fails", 0, 1)
+        where = [locate(data, one.model, e.samples, work) for one, e in ((base, before), (current, errors))]
         on_progress("forces without a name", 0, 1)
         discovered = [d for d, _ in discover(data, current, work)] if not (quick or verdict_only) else []
     return Diagnosis(
@@ -230,6 +235,8 @@ def diagnose(
         tuple(d for d in discovered if d.p_value < LEVEL),
         before,
         errors,
+        where[0],
+        where[1],
         smallest,
         others,
         runs,

@@ -38,7 +38,7 @@ class Discovery:
 
 def discover(data: Recorded, fitted: Fit, work: Executor) -> list[tuple[Discovery, Glance]]:
     """Every covariate's curve, best supported first; p-values are corrected for their number (Bonferroni)."""
-    looked_at = _looked_at(data, fitted, work)
+    seen = looked_at(data, filtered_states(data, fitted.model, work))
     found = []
     for number, covariate in enumerate(COVARIATES, 1):
         t = data.trajectories
@@ -51,7 +51,7 @@ def discover(data: Recorded, fitted: Fit, work: Executor) -> list[tuple[Discover
         elif covariate == "leader_acceleration":
             low, high = -3.0, 3.0
         else:
-            values = looked_at[_FROM_DATA[covariate]]
+            values = seen[_FROM_DATA[covariate]]
             values = values[np.isfinite(values)]
             if len(values) < 100:
                 continue
@@ -69,10 +69,9 @@ def discover(data: Recorded, fitted: Fit, work: Executor) -> list[tuple[Discover
     return sorted(found, key=lambda pair: -pair[0].gain_nats)
 
 
-def _looked_at(data: Recorded, fitted: Fit, work: Executor) -> tuple[Array, ...]:
-    """Filtered gaps, speeds, approach rates, gaps behind and gaps ahead of the leader, (T, N) each."""
+def looked_at(data: Recorded, state: Array) -> tuple[Array, ...]:
+    """Gaps, speeds, approach rates, gaps behind and gaps ahead of the leader, (T, N) each, of filtered states."""
     t = data.trajectories
-    state = filtered_states(data, fitted.model, work)
     x, v = t.road.wrap(state[:, :, 0]), state[:, :, 1]
     leader = t.leader
     led = leader >= 0

@@ -1,9 +1,16 @@
 """A diagnosis as a document (for ``--json``) and as sentences."""
 
+from dataclasses import asdict
 from typing import Any
 
+import numpy as np
+
 from sugiyama_ros.criticism.diagnosis import Diagnosis, Named, parameters_of
+from sugiyama_ros.criticism.locate import Bin, Located
 from sugiyama_ros.effects.catalogue import DECLARED, EFFECTS, effect
+
+# Bins that are told of in words.
+_WORST = 3
 
 
 def document(d: Diagnosis) -> dict[str, Any]:
@@ -39,6 +46,7 @@ def document(d: Diagnosis) -> dict[str, Any]:
                 key=lambda one: -d.heldout[one.candidate.name].nats,
             )
         ],
+        "where": {"before": _where(d.where_before), "after": _where(d.where_after)},
         "smallest_detectable": [
             {"name": name, "parameter": effect(name).parameters[0].name, "value": value}
             for name, value in d.smallest.items()
@@ -70,6 +78,24 @@ def _named(n: Named) -> dict[str, Any]:
     }
 
 
+def _where(located: Located) -> dict[str, Any]:
+    """Bins in which the model fails, worst first, how many were looked at, and maps of the bias."""
+    return {
+        "bins_looked_at": len(located.bins),
+        "flagged": [asdict(b) for b in located.flagged],
+        "maps": [
+            {
+                "first": m.first,
+                "second": m.second,
+                "first_edges": m.first_edges.tolist(),
+                "second_edges": m.second_edges.tolist(),
+                "bias": [[None if np.isnan(b) else float(b) for b in row] for row in m.bias],
+            }
+            for m in located.maps
+        ],
+    }
+
+
 def _drivers(d: Diagnosis) -> list[dict[str, Any]]:
     """Per driver: held-out gain of all that was added, and single-car errors before and after."""
     before, after = d.before.by_driver(), d.after.by_driver()
@@ -82,6 +108,11 @@ def _drivers(d: Diagnosis) -> list[dict[str, Any]]:
         }
         for v, b, a in zip(d.data.trajectories.vehicle, before, after, strict=True)
     ]
+
+
+def _told(b: Bin) -> str:
+    value = b.label or f"{b.low:.3g} to {b.high:.3g}"
+    return f"{b.covariate} {value} ({b.bias:+.2f} std)"
 
 
 def sentences(d: Diagnosis) -> list[str]:
@@ -107,6 +138,12 @@ def sentences(d: Diagnosis) -> list[str]:
         if n.indistinguishable:
             advice = f" To tell them apart: {'; '.join(n.advice)}." if n.advice else ""
             lines.append(f"  Cannot be told apart from: {', '.join(n.indistinguishable)}.{advice}")
+    for located, of in ((d.where_before, "The base model"), (d.where_after, "The model with what was added")):
+        if located is d.where_after and not d.named:
+            continue
+        worst = "; ".join(_told(b) for b in located.flagged[:_WORST])
+        count = f"{len(located.flagged)} of {len(located.bins)} bins"
+        lines.append(f"{of} is biased in {count}" + (f", most of all at {worst}." if worst else "."))
     lines += [
         f"A force without a name depends on {one.covariate}: by {one.strength:.2f} m/s² (p {one.p_value:.1g})."
         for one in d.discovered

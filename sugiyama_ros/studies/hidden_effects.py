@@ -120,7 +120,14 @@ def hide_all(effects: Mapping[str, Strengths], seed: int) -> tuple[Simulation, d
 
 def judge(hidden: str, strength: str, measured: Trajectories, seed: int, quick: bool) -> Outcome:
     """Diagnose one recording; of a form that is not in the catalogue, forces without a name too."""
-    d = diagnose(measured, seed=seed, quick=quick, most=3, verdict_only=strength != FORM, workers=1)
+    d = diagnose(
+        measured,
+        seed=seed,
+        quick=quick,
+        most=2 if strength in (PAIR, FORM) else 1,
+        verdict_only=strength != FORM,
+        workers=1,
+    )
     first = d.named[0] if d.named else None
     oracle = next((one.gain for one in d.looked if one.candidate.name == hidden), 0.0)
     return Outcome(

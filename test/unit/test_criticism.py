@@ -227,3 +227,15 @@ def test_diagnose_and_compare_on_the_command_line(hidden, tmp_path):
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith("error: effect 'telepathy'")
     assert done.stderr.count("\n") == 1
+
+
+def test_where_the_model_fails_is_where_the_slow_patch_is(hidden):
+    _, d = hidden
+    places = [b for b in d.where_before.bins if b.covariate == "place"]
+    assert len(places) == 10
+    centre = min(places, key=lambda b: abs(0.5 * (b.low + b.high) - 20.0))
+    assert centre.bias < 0.0
+    assert any(b.covariate == "place" for b in d.where_before.flagged)
+    after = [b for b in d.where_after.flagged if b.covariate == "place"]
+    assert len(after) < len([b for b in d.where_before.flagged if b.covariate == "place"])
+    assert [(m.first, m.second) for m in d.where_before.maps] == [("speed", "gap"), ("place", "time")]
