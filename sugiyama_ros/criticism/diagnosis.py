@@ -15,7 +15,7 @@ from scipy.stats import t as student
 from sugiyama_ros.criticism.bootstrap import resample, seeds
 from sugiyama_ros.criticism.candidates import Candidate, Kind, candidates, recording_of
 from sugiyama_ros.criticism.discover import Discovery, discover
-from sugiyama_ros.criticism.errors import Errors, errors_of
+from sugiyama_ros.criticism.errors import TOLERANCE, Errors, errors_of
 from sugiyama_ros.criticism.fitting import (
     FOLDS,
     Fit,
@@ -183,10 +183,11 @@ def diagnose(
                     heldout[one.candidate.name] = gain(data, held_out_nearly(data, one.fit), nearly)
             supported = [one for one in looked if one.refined and one.p_value <= LEVEL and one.gain >= _LEAST_GAIN]
             best = None
+            now = errors_of(data, without_folds(data, current, work, refit=False), work)
             for one in sorted(supported, key=lambda one: -one.predictive):
-                predicted = errors_of(data, without_folds(data, one.fit, work, refit=not quick), work)
-                won = gain(data, predicted.samples, errors.samples)
-                if won.nats > -won.se and predicted.no_worse_than(errors):
+                predicted = errors_of(data, without_folds(data, one.fit, work, refit=False), work)
+                won = gain(data, predicted.samples, now.samples)
+                if won.nats > -won.se and predicted.no_worse_than(now):
                     best = one
                     break
             if best is None:
@@ -197,22 +198,24 @@ def diagnose(
                 if best.p_value > LEVEL:
                     break
             rivals = _indistinguishable(best, looked)
-            grown = replace(best.fit.model, ahead=best.fit.model.rows)
-            current = fit(data, grown, work)
-            models = without_folds(data, current, work, refit=not quick)
-            after = errors_of(data, models, work)
+            grown = fit(data, replace(best.fit.model, ahead=best.fit.model.rows), work)
+            after = errors_of(data, without_folds(data, grown, work, refit=not quick), work)
+            won = gain(data, after.samples, errors.samples)
+            if won.nats <= 0.0 or (won.nats < won.se and after.worst_change(errors) > TOLERANCE):
+                break
+            current = grown
             named.append(
                 Named(
                     best.candidate.name,
                     best.candidate.kind,
-                    parameters_of(current, best.candidate),
+                    parameters_of(grown, best.candidate),
                     rivals,
                     tuple(text for pair, text in ADVICE.items() if best.candidate.name in pair and pair & set(rivals)),
                     best.p_value,
-                    gain(data, after.samples, errors.samples),
+                    won,
                     errors,
                     after,
-                    current,
+                    grown,
                 )
             )
             errors = after
@@ -295,7 +298,11 @@ class _Null:
         gains = np.maximum(self.gains.get(candidate.name, [0.0]), 0.0)
         spreads = [float(np.std(np.maximum(g, 0.0), ddof=1)) for g in self.gains.values() if len(g) > 1]
         common = max(float(np.median(spreads)) if spreads else 0.0, _LEAST_SPREAD)
-        expected = float(gains.mean()) if candidate.name in self.gains else 0.5 * len(candidate.places)
+        expected = float(gains.mean())
+        if not candidate.individual:
+            # a shared parameter gains half a nat by chance (Wilks), which a few simulations know less well
+            known = len(gains) if candidate.name in self.gains else 0
+            expected = (known * expected + _COMMON * 0.5 * len(candidate.places)) / (known + _COMMON)
         squares = float(np.sum(np.square(gains - gains.mean())))
         freedom = len(gains) - 1 + _COMMON
         spread = float(np.sqrt((squares + _COMMON * common**2) / freedom * (1.0 + 1.0 / len(gains))))

@@ -48,6 +48,12 @@ class Errors:
                     return False
         return True
 
+    def worst_change(self, other: "Errors") -> float:
+        """Largest relative change of a free run's error, over all horizons."""
+        ours, theirs = self.summary(), other.summary()
+        names = [name for name in ours if name.startswith(("free_run", "single_car"))]
+        return max(ours[name] / theirs[name] - 1.0 for name in names)
+
     def summary(self) -> dict[str, float]:
         """All figures by name."""
         coupled, single = (

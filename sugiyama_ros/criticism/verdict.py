@@ -79,9 +79,9 @@ def _named(n: Named) -> dict[str, Any]:
 
 
 def _where(located: Located) -> dict[str, Any]:
-    """Bins in which the model fails, worst first, how many were looked at, and maps of the bias."""
+    """All bins, those in which the model fails (worst first), and maps of the bias."""
     return {
-        "bins_looked_at": len(located.bins),
+        "bins": [asdict(b) for b in located.bins],
         "flagged": [asdict(b) for b in located.flagged],
         "maps": [
             {

@@ -206,6 +206,7 @@ def main() -> None:
     """Run the benchmark and write its table; outcomes go to stdout as JSON lines."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--free", type=int, default=40, help="recordings without an effect")
     parser.add_argument("--pairs", type=int, default=10, help="recordings of each pair of effects")
     parser.add_argument("--forms", type=int, default=2, help="recordings of each form that is not in the catalogue")
@@ -215,11 +216,15 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=4)
     parser.add_argument("-o", "--output", type=Path)
     given = parser.parse_args()
+
+    def seeds(count: int) -> range:
+        return range(given.first_seed, given.first_seed + count)
+
     strengths = ["strong", "weak"] if given.strength == "both" else [given.strength]
-    jobs = [(e, s, seed, given.quick) for seed in range(given.seeds) for s in strengths for e in given.effects]
-    jobs += [("+".join(pair), PAIR, seed, given.quick) for seed in range(given.pairs) for pair in PAIRS]
-    jobs += [(form, FORM, seed, False) for seed in range(given.forms) for form in FORMS]
-    jobs += [(NONE, NONE, seed, given.quick) for seed in range(given.free)]
+    jobs = [(e, s, seed, given.quick) for seed in seeds(given.seeds) for s in strengths for e in given.effects]
+    jobs += [("+".join(pair), PAIR, seed, given.quick) for seed in seeds(given.pairs) for pair in PAIRS]
+    jobs += [(form, FORM, seed, False) for seed in seeds(given.forms) for form in FORMS]
+    jobs += [(NONE, NONE, seed, given.quick) for seed in seeds(given.free)]
     outcomes = []
     with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn")) as pool:
         for future in as_completed([pool.submit(_one, job) for job in jobs]):
