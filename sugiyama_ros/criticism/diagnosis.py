@@ -4,6 +4,7 @@ Every candidate is looked at in the same way on the data and on data simulated f
 (``bootstrap``), so that a p-value says how often chance, refitting and the filter's approximations give as much.
 """
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -297,16 +298,19 @@ class _Null:
         """p-value by Student's t over the simulated gains, whose spread is shared among candidates in part."""
         gains = np.maximum(self.gains.get(candidate.name, [0.0]), 0.0)
         spreads = [float(np.std(np.maximum(g, 0.0), ddof=1)) for g in self.gains.values() if len(g) > 1]
-        common = max(float(np.median(spreads)) if spreads else 0.0, _LEAST_SPREAD)
+        # chi-squared variables of K parameters spread by sqrt(2 / K) of their mean, whatever the filter scales them by
+        freedom = len(candidate.places) * (len(fitted.model.rows) if candidate.individual else 1)
+        least = max(_LEAST_SPREAD, float(gains.mean()) * math.sqrt(2.0 / freedom))
+        common = max(float(np.median(spreads)) if spreads else 0.0, least)
         expected = float(gains.mean())
         if not candidate.individual:
             # a shared parameter gains half a nat by chance (Wilks), which a few simulations know less well
-            known = len(gains) if candidate.name in self.gains else 0
-            expected = (known * expected + _COMMON * 0.5 * len(candidate.places)) / (known + _COMMON)
+            runs = len(gains) if candidate.name in self.gains else 0
+            expected = (runs * expected + _COMMON * 0.5 * len(candidate.places)) / (runs + _COMMON)
         squares = float(np.sum(np.square(gains - gains.mean())))
-        freedom = len(gains) - 1 + _COMMON
-        spread = float(np.sqrt((squares + _COMMON * common**2) / freedom * (1.0 + 1.0 / len(gains))))
-        p_value = min(1.0, rivals * float(student.sf((rise - expected) / spread, freedom)))
+        known = len(gains) - 1 + _COMMON
+        spread = float(np.sqrt((squares + _COMMON * common**2) / known * (1.0 + 1.0 / len(gains))))
+        p_value = min(1.0, rivals * float(student.sf((rise - expected) / spread, known)))
         return Looked(candidate, fitted, rise, expected, spread, p_value, refined)
 
     @property

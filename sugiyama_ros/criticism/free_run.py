@@ -13,6 +13,8 @@ from numba import njit
 from sugiyama_ros.criticism.fitting import Model, Recorded, Samples, leaders
 from sugiyama_ros.driver.parameters import RHO, at_period, horizon_at
 from sugiyama_ros.driver.utility import ACTIONS
+from sugiyama_ros.effects.catalogue import PLACES
+from sugiyama_ros.effects.sensor_eccentricity import displacement
 from sugiyama_ros.estimation import causal
 from sugiyama_ros.road import Array, Ints
 from sugiyama_ros.simulation import drive
@@ -20,6 +22,7 @@ from sugiyama_ros.simulation import drive
 #: Times ahead [s] at which free runs are compared with the measurements, and time [s] between two starts.
 HORIZONS_S = (2.0, 5.0, 10.0)
 _EVERY_S = 2.5
+_OFF_CENTRE = PLACES["sensor_eccentricity"]
 
 
 @njit(nogil=True, cache=True)
@@ -41,6 +44,8 @@ def _coupled(
 ) -> None:
     """Positions [m] and speeds into ``out`` (steps, N, 2), from positions, speeds, noises and what is held (N,)."""
     vehicles = len(x)
+    # what drivers prefer is changed in place on the way, and other free runs share these rows
+    rows = rows.copy()
     held, pushed = np.empty(vehicles), np.empty(vehicles)
     acceleration = b + rows[:, RHO] * n
     for k in range(len(out)):
@@ -192,18 +197,26 @@ def _from_start(job: tuple[Recorded, Array, Array, int, Ints]) -> tuple[Array, .
         _single(i, recorded, leader, turn, *about, *scene, single)  # type: ignore[arg-type]
     coupled, single = coupled[steps - 1], single[steps - 1]
     measured, speed = t.position_m[k + steps], state[k + steps, :, 1]
-    errors = t.road.difference(coupled[:, :, 0], measured)
+    errors = t.road.difference(_as_measured(coupled[:, :, 0], rows, ring), measured)
     led = leader >= 0
     gap = t.road.space_headway(measured[:, leader], measured) - 0.5 * (t.length_m[leader] + t.length_m)
     return (
         errors,
-        t.road.difference(single[:, :, 0], measured),
+        t.road.difference(_as_measured(single[:, :, 0], rows, ring), measured),
         coupled[:, :, 1] - speed,
         single[:, :, 1] - speed,
         np.where(led, errors[:, leader] - errors, np.nan),
         np.where(led, gap, np.nan),
         speed,
     )
+
+
+def _as_measured(position: Array, rows: Array, ring: float) -> Array:
+    """Where positions (H, N) [m] are measured: with an eccentric camera, not where they are."""
+    if not rows[:, _OFF_CENTRE].any():
+        return position
+    off = [[displacement(x, ring, row[_OFF_CENTRE])[0] for x, row in zip(at, rows, strict=True)] for at in position]
+    return np.asarray(position + np.array(off))
 
 
 def filtered_states(data: Recorded, model: Model, work: Executor) -> Array:
