@@ -8,6 +8,7 @@ from importlib.metadata import entry_points
 
 import numpy as np
 
+from sugiyama_ros.compiled_cache import USERS
 from sugiyama_ros.driver.parameters import COUNT, PARAMETERS, Parameter
 from sugiyama_ros.driver.rivals import LAWS
 from sugiyama_ros.effects import (
@@ -35,7 +36,6 @@ from sugiyama_ros.effects.effect import STAGES, Effect, Values
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Array
 
-_GROUP = "sugiyama_ros.effects"
 #: Ours; within a stage they act in this order.
 BUILT_IN: tuple[Effect, ...] = tuple(
     module.EFFECT
@@ -66,7 +66,7 @@ BUILT_IN: tuple[Effect, ...] = tuple(
 def _users() -> tuple[Effect, ...]:
     """Effects of other packages. Raises InputError for one that cannot be loaded or is none."""
     found = []
-    for point in sorted(entry_points(group=_GROUP), key=lambda point: point.name):
+    for point in sorted(entry_points(group=USERS), key=lambda point: point.name):
         try:
             effect = point.load()
         except Exception as error:

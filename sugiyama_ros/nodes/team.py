@@ -47,14 +47,22 @@ class OneProcess:
     """All nodes in this process."""
 
     def __init__(self, plan: Plan) -> None:
-        self._replay = Replay(plan.trajectories, parameter_overrides=_overrides(plan.replay))
+        self.nodes: list[PacedNode] = []
         own = _overrides(plan.estimator)
-        self._followers: list[PacedNode] = [Estimator(namespace=n, parameter_overrides=own) for n in plan.namespaces]
-        if plan.critic:
-            self._followers.append(Critic())
-        # Last, so that it finds the topics of all the others at once.
-        self._recorder = Recorder(parameter_overrides=_overrides(plan.recorder))
-        self.nodes: list[PacedNode] = [self._replay, *self._followers, self._recorder]
+        try:
+            self._replay = Replay(plan.trajectories, parameter_overrides=_overrides(plan.replay))
+            self.nodes.append(self._replay)
+            self.nodes += (Estimator(namespace=n, parameter_overrides=own) for n in plan.namespaces)
+            if plan.critic:
+                self.nodes.append(Critic())
+            self._followers = self.nodes[1:]
+            # Last, so that it finds the topics of all the others at once.
+            self._recorder = Recorder(parameter_overrides=_overrides(plan.recorder))
+            self.nodes.append(self._recorder)
+        except SugiyamaError:
+            # a replay that lived on would go on telling other runs of this process its road
+            self.close()
+            raise
 
     def check(self) -> None:
         """Raises the error that a node has met."""

@@ -194,3 +194,11 @@ def test_an_output_refused_to_a_process_is_one_line(ring_csv: Path, tmp_path: Pa
 def test_namespaces_have_as_many_digits_as_needed() -> None:
     assert namespaces([0, 7, 21]) == ["/vehicle_00", "/vehicle_07", "/vehicle_21"]
     assert namespaces([7, 1234]) == ["/vehicle_0007", "/vehicle_1234"]
+
+
+def test_a_run_that_is_refused_leaves_no_road_behind(ring_csv, tmp_path):
+    """Its road would be believed by the next run of the same process, in the same domain."""
+    with pytest.raises(OutputError):
+        run(ring_csv, tmp_path / "nowhere/refused.mcap")
+    kept = tmp_path / "kept.mcap"
+    assert_nothing_lost(run(ring_csv, kept, ring_m=100.0), kept)

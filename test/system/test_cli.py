@@ -20,6 +20,11 @@ GOOD = "time_s,vehicle,position_m\n" + "".join(f"{0.5 * t},{v},{20 * v + 4 * t}\
 def sugiyama(monkeypatch, capfd):
     """Run a command in this process: exit code, stdout, stderr."""
 
+    # a run chooses a ROS domain for its process; the next one chooses anew
+    for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_DOMAIN_ID"):
+        monkeypatch.setenv(name, "")
+        monkeypatch.delenv(name)
+
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["sugiyama", *map(str, arguments)])
         with pytest.raises(SystemExit) as end:

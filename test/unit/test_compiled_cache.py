@@ -1,5 +1,6 @@
 """Compiled code is not used any more once a file that it was made of has changed."""
 
+import importlib
 import os
 from pathlib import Path
 
@@ -39,6 +40,19 @@ def test_other_files_do_not_matter(package, monkeypatch):
     first = chosen(monkeypatch)
     (package / "cli.py").write_text("")
     assert chosen(monkeypatch) == first
+
+
+def test_users_effects_matter(package, monkeypatch, tmp_path):
+    first = chosen(monkeypatch)
+    (tmp_path / "site/mine-1.0.dist-info").mkdir(parents=True)
+    (tmp_path / "site/mine-1.0.dist-info/entry_points.txt").write_text("[sugiyama_ros.effects]\nsyrup = mine:EFFECT\n")
+    monkeypatch.syspath_prepend(tmp_path / "site")
+    without_file = chosen(monkeypatch)
+    (tmp_path / "site/mine.py").write_text("a = 1\n")
+    importlib.invalidate_caches()
+    with_file = chosen(monkeypatch)
+    (tmp_path / "site/mine.py").write_text("a = 22\n")
+    assert len({first, without_file, with_file, chosen(monkeypatch)}) == 4
 
 
 def test_the_users_folder_is_kept(package, monkeypatch):
