@@ -1,8 +1,9 @@
-"""exp of many numbers at once, in a form that compilers make vector instructions of; libm's takes one at a time."""
+"""exp in a form that compilers make vector instructions of where it stands in a loop; libm's takes one at a time."""
 
-from numba import njit
+from typing import Any
 
-from sugiyama_ros.road import Array, Ints
+from numba import njit, types
+from numba.extending import intrinsic
 
 #: Arguments below this count as this: exp(-600) is far below anything that is added to it here.
 LOWEST = -600.0
@@ -14,22 +15,33 @@ _LN_2, _REST = 0.6931471803691238, 1.9082149292705877e-10
 _BIAS, _MANTISSA_BITS = 1023, 52
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"})
-def exponentials(x: Array, scratch: Array, bits: Ints, out: Array) -> None:
-    """exp(x) into ``out``, all (K,), for LOWEST <= x <= 700; relative error below 1e-14.
+@intrinsic
+def _bits(_: Any, x: Any) -> Any:
+    """The bits of a float64 as an integer."""
+    return types.int64(types.float64), lambda context, builder, _, values: builder.bitcast(
+        values[0], context.get_value_type(types.int64)
+    )
 
-    scratch: (K,), overwritten, and ``bits`` the same memory seen as integers. x = k ln 2 + r; the polynomial is
-    Taylor's of exp(r), |r| < 0.35; 2^k is put together from its bits.
+
+@intrinsic
+def _of_bits(_: Any, bits: Any) -> Any:
+    """The float64 of these bits."""
+    return types.float64(types.int64), lambda context, builder, _, values: builder.bitcast(
+        values[0], context.get_value_type(types.float64)
+    )
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"})
+def exponential(x: float) -> float:
+    """exp(x) for x <= 700, as if x were LOWEST below; relative error below 1e-14.
+
+    x = k ln 2 + r; the polynomial is Taylor's of exp(r), |r| < 0.35; 2^k is put together from its bits.
     """
-    for j in range(len(x)):
-        rounded = x[j] * _PER_LN_2 + _ROUNDING
-        scratch[j] = rounded
-        k = rounded - _ROUNDING
-        r = (x[j] - k * _LN_2) - k * _REST
-        tail = 1.0 / 40320.0 + r * (1.0 / 362880.0 + r * (1.0 / 3628800.0 + r * (1.0 / 39916800.0)))
-        middle = 1.0 / 24.0 + r * (1.0 / 120.0 + r * (1.0 / 720.0 + r * (1.0 / 5040.0 + r * tail)))
-        out[j] = 1.0 + r * (1.0 + r * (0.5 + r * (1.0 / 6.0 + r * middle)))
-    for j in range(len(x)):
-        bits[j] = (bits[j] << _MANTISSA_BITS) + (_BIAS << _MANTISSA_BITS)
-    for j in range(len(x)):
-        out[j] *= scratch[j]
+    bounded = x if x > LOWEST else LOWEST
+    rounded = bounded * _PER_LN_2 + _ROUNDING
+    k = rounded - _ROUNDING
+    r = (bounded - k * _LN_2) - k * _REST
+    tail = 1.0 / 40320.0 + r * (1.0 / 362880.0 + r * (1.0 / 3628800.0 + r * (1.0 / 39916800.0)))
+    middle = 1.0 / 24.0 + r * (1.0 / 120.0 + r * (1.0 / 720.0 + r * (1.0 / 5040.0 + r * tail)))
+    power: float = _of_bits((_bits(rounded) + _BIAS) << _MANTISSA_BITS)
+    return (1.0 + r * (1.0 + r * (0.5 + r * (1.0 / 6.0 + r * middle)))) * power

@@ -11,7 +11,7 @@ from typing import TypeAlias
 import numpy as np
 from numba import njit
 
-from sugiyama_ros.driver.exponential import LOWEST, exponentials
+from sugiyama_ros.driver.exponential import exponential
 from sugiyama_ros.driver.parameters import (
     KAPPA_1,
     KAPPA_C,
@@ -37,26 +37,30 @@ _V_STAR, _KAPPA_V, _KAPPA_1, _KAPPA_C, _KAPPA_D, _OMEGA_2, _RATIONALITY = range(
 
 # exp(-10 (v + 0.25)) overflows for speeds that nobody drives backward; its exponent is capped here.
 _EXPONENT_CAP = 600.0
-# Exponent whose exp, 1e-20, cannot change a sum of order 1, and a probability of that size.
-_NEGLIGIBLE, _NO_CHANCE = -46.0, 1e-20
+# Probability of an action that cannot change a mean.
+_NO_CHANCE = 1e-20
+# Utility of an action that is none.
+_NEVER = -1e300
 # Arrays are this many times some number long: vector instructions take several elements at once, and leave none over.
 _LANES = 16
-# Speed [m/s] above which driving backward costs less than that.
+# Speed [m/s] above which driving backward costs less than 1e-20.
 _FORWARD = 4.35
+# What a compiler may do to numbers that are finite, so that it can compute several at once.
+_FAST = {"arcp", "contract", "nnan", "nsz", "reassoc"}
 
 
-@njit(cache=True, error_model="numpy", fastmath={"arcp", "contract", "nsz", "reassoc"})
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
 def desired_speed_exponent(speed: float, v_star: float, kappa_1: float) -> float:
     """Exponent of the first term of phi1."""
     off = (speed - v_star) / (kappa_1 * v_star)
     return -off * off
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
 def backward_penalty(speed: float) -> float:
     """Second term of phi1: what driving backward costs."""
     exponent = -10.0 * (speed + 0.25)
-    return math.exp(min(exponent, _EXPONENT_CAP)) if exponent > _NEGLIGIBLE else 0.0
+    return exponential(exponent if exponent < _EXPONENT_CAP else _EXPONENT_CAP)
 
 
 @njit(cache=True)
@@ -65,14 +69,14 @@ def desired_speed_reward(speed: float, v_star: float, kappa_1: float) -> float:
     return math.exp(desired_speed_exponent(speed, v_star, kappa_1)) - backward_penalty(speed)
 
 
-@njit(cache=True, error_model="numpy", fastmath={"arcp", "contract", "nsz", "reassoc"})
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
 def gap_scale(speed: float, leader_speed: float, kappa_c: float, kappa_v: float, kappa_d: float) -> float:
     """sigma [m]: the gap within which a driver feels at risk; text below Eq. PairwiseCollisionPenalty."""
     closing = speed - leader_speed
     return kappa_c + kappa_v * abs(speed) + kappa_d * (closing if closing > 0.0 else 0.0)
 
 
-@njit(cache=True, error_model="numpy", fastmath={"arcp", "contract", "nsz", "reassoc"})
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
 def collision_exponent(ratio: float) -> float:
     """log phi2."""
     inside = ratio if ratio > 0.0 else 0.0
@@ -85,7 +89,7 @@ def collision_penalty(ratio: float) -> float:
     return math.exp(collision_exponent(ratio))
 
 
-@njit(cache=True, error_model="numpy", fastmath={"arcp", "contract", "nsz", "reassoc"})
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
 def anticipate(
     action: float, tau: int, gap: float, speed: float, leader_speed: float, period: float
 ) -> tuple[float, float]:
@@ -111,7 +115,59 @@ def preferences(parameters: Array) -> Preferences:
     )
 
 
-@njit(cache=True, error_model="numpy", fastmath={"arcp", "contract", "nsz", "reassoc"})
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
+def _smallest_gaps(
+    gap: float,
+    speed: float,
+    leader_speed: float,
+    driver: Preferences,
+    actions: Array,
+    period: float,
+    horizon: int,
+    smallest: Array,
+    scale: Array,
+) -> None:
+    """Gap [m] and scale [m], (K,) each, where their ratio is smallest in the look-ahead, for each action (K,)."""
+    _, kappa_v, _, kappa_c, kappa_d, _, _ = driver
+    for k in range(len(actions)):
+        smallest[k], speed_ahead = anticipate(actions[k], 1, gap, speed, leader_speed, period)
+        scale[k] = gap_scale(speed_ahead, leader_speed, kappa_c, kappa_v, kappa_d)
+    for tau in range(2, horizon + 1):
+        for k in range(len(actions)):
+            gap_ahead, speed_ahead = anticipate(actions[k], tau, gap, speed, leader_speed, period)
+            scale_ahead = gap_scale(speed_ahead, leader_speed, kappa_c, kappa_v, kappa_d)
+            closer = gap_ahead * scale[k] < smallest[k] * scale_ahead
+            smallest[k] = gap_ahead if closer else smallest[k]
+            scale[k] = scale_ahead if closer else scale[k]
+
+
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
+def _reward_alone(speed: float, driver: Preferences, actions: Array, period: float, out: Array) -> None:
+    """g1 of phi1's first term."""
+    v_star, _, kappa_1, _, _, _, _ = driver
+    for k in range(len(actions)):
+        out[k] = exponential(desired_speed_exponent(speed + period * actions[k], v_star, kappa_1))
+
+
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
+def _reward_and_risk(
+    speed: float, driver: Preferences, actions: Array, period: float, smallest: Array, scale: Array, out: Array
+) -> None:
+    """g1 of phi1's first term and omega2 times g2 of phi2."""
+    v_star, _, kappa_1, _, _, omega_2, _ = driver
+    for k in range(len(actions)):
+        reward = exponential(desired_speed_exponent(speed + period * actions[k], v_star, kappa_1))
+        out[k] = reward + omega_2 * exponential(collision_exponent(smallest[k] / scale[k]))
+
+
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
+def _take_off_backward(speed: float, actions: Array, period: float, out: Array) -> None:
+    """g1 of phi1's second term."""
+    for k in range(len(actions)):
+        out[k] -= backward_penalty(speed + period * actions[k])
+
+
+@njit(cache=True)
 def utilities(
     gap: float,
     speed: float,
@@ -120,39 +176,23 @@ def utilities(
     actions: Array,
     period: float,
     horizon: int,
-    work: Array,
+    smallest: Array,
+    scale: Array,
     out: Array,
 ) -> None:
     """Effective utility of holding each action (K,): g1 of phi1 and omega2 times g2 of phi2; Eq. EffectiveUtilityTilde.
 
     F falls with its argument, so g2, the largest penalty of the look-ahead (section 3.2.2), is that of the smallest gap
-    over scale. work: (3, K), overwritten. The loops run over the actions, because compilers make vector instructions of
-    that; they take the exponentials of phi1 and phi2 all together, which is why both formulas are split here.
+    over scale; both, (K,), are overwritten. Every loop runs over the actions and is a function of its own, because
+    compilers make vector instructions of that.
     """
-    v_star, kappa_v, kappa_1, kappa_c, kappa_d, omega_2, _ = driver
-    exponent, scratch, ratio = work[0], work[1], work[2]
-    bits = scratch.view(np.int64)
-    for k in range(len(actions)):
-        e = desired_speed_exponent(speed + period * actions[k], v_star, kappa_1)
-        exponent[k] = e if e > LOWEST else LOWEST
-    exponentials(exponent, scratch, bits, out)
-    if speed + period * actions[0] < _FORWARD:
-        for k in range(len(actions)):
-            out[k] -= backward_penalty(speed + period * actions[k])
     if math.isinf(gap):
-        return
-    ratio[:] = np.inf
-    for tau in range(1, horizon + 1):
-        for k in range(len(actions)):
-            gap_ahead, speed_ahead = anticipate(actions[k], tau, gap, speed, leader_speed, period)
-            r = gap_ahead / gap_scale(speed_ahead, leader_speed, kappa_c, kappa_v, kappa_d)
-            ratio[k] = r if r < ratio[k] else ratio[k]
-    for k in range(len(actions)):
-        e = collision_exponent(ratio[k])
-        exponent[k] = e if e > LOWEST else LOWEST
-    exponentials(exponent, scratch, bits, ratio)
-    for k in range(len(actions)):
-        out[k] += omega_2 * ratio[k]
+        _reward_alone(speed, driver, actions, period, out)
+    else:
+        _smallest_gaps(gap, speed, leader_speed, driver, actions, period, horizon, smallest, scale)
+        _reward_and_risk(speed, driver, actions, period, smallest, scale, out)
+    if speed + period * actions[0] < _FORWARD:
+        _take_off_backward(speed, actions, period, out)
 
 
 @njit(cache=True)
@@ -218,21 +258,46 @@ def _utility_gradient(
     out[_KAPPA_C] = by_scale
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"})
-def _weights(utility: Array, rationality: float, work: Array, out: Array) -> float:
-    """Boltzmann weights of the actions (K,), relative to that of the best, into ``out``; returns their sum."""
-    exponent, scratch = work[0], work[1]
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
+def _weights(utility: Array, rationality: float, actions: Array, out: Array) -> tuple[float, float]:
+    """Boltzmann weights of the actions (K,), relative to that of the best, into ``out``; their sum and the mean."""
     best = utility[0]
     for k in range(len(utility)):
         best = utility[k] if utility[k] > best else best
+    partition, mean = 0.0, 0.0
     for k in range(len(utility)):
-        e = rationality * (utility[k] - best)
-        exponent[k] = e if e > LOWEST else LOWEST
-    exponentials(exponent, scratch, scratch.view(np.int64), out)
-    partition = 0.0
-    for k in range(len(utility)):
-        partition += out[k]
-    return partition
+        weight = exponential(rationality * (utility[k] - best))
+        out[k] = weight
+        partition += weight
+        mean += weight * actions[k]
+    return partition, mean / partition
+
+
+@njit(cache=True)
+def _room_for(actions: Array) -> Array:
+    """Work space (4, at least K) for ``_consider``."""
+    return np.empty((4, -(-len(actions) // _LANES) * _LANES))
+
+
+@njit(cache=True)
+def _consider(
+    gap: float,
+    speed: float,
+    leader_speed: float,
+    driver: Preferences,
+    actions: Array,
+    period: float,
+    horizon: int,
+    work: Array,
+) -> tuple[float, float]:
+    """Sum of the actions' weights, and their mean; the weights into ``work[0]``, the utilities into ``work[1]``."""
+    count = len(actions)
+    grid, utility = work[2], work[1]
+    grid[:count] = actions
+    grid[count:] = actions[count - 1]
+    utilities(gap, speed, leader_speed, driver, grid, period, horizon, work[0], work[3], utility)
+    utility[count:] = _NEVER
+    return _weights(utility, driver[-1], grid, work[0])
 
 
 @njit(cache=True)
@@ -244,18 +309,7 @@ def mean_action(
     parameters: (P,); horizon: periods of look-ahead.
     """
     driver = preferences(parameters)
-    count = len(actions)
-    work = np.empty((5, -(-count // _LANES) * _LANES))
-    grid, utility, weight = work[3], work[4], work[2]
-    grid[:count] = actions
-    grid[count:] = actions[count - 1]
-    utilities(gap, speed, leader_speed, driver, grid, period, horizon, work, utility)
-    _weights(utility, driver[-1], work, weight)
-    mean, partition = 0.0, 0.0
-    for k in range(count):
-        partition += weight[k]
-        mean += weight[k] * actions[k]
-    return mean / partition
+    return float(_consider(gap, speed, leader_speed, driver, actions, period, horizon, _room_for(actions))[1])
 
 
 @njit(cache=True)
@@ -274,19 +328,9 @@ def mean_action_gradient(
     The derivative of a Boltzmann mean is a covariance: d mean(a) = lambda cov(a, d utility).
     """
     driver = preferences(parameters)
-    partial, count = np.empty(PARTIALS), len(actions)
-    work = np.empty((5, -(-count // _LANES) * _LANES))
-    grid, utility = work[3], work[4]
-    grid[: len(actions)] = actions
-    grid[len(actions) :] = actions[-1]
-    utilities(gap, speed, leader_speed, driver, grid, period, horizon, work, utility)
-    rationality, weight = driver[-1], work[2]
-    _weights(utility, rationality, work, weight)
-    mean, partition = 0.0, 0.0
-    for k in range(len(actions)):
-        partition += weight[k]
-        mean += weight[k] * actions[k]
-    mean /= partition
+    rationality, partial, work = driver[-1], np.empty(PARTIALS), _room_for(actions)
+    partition, mean = _consider(gap, speed, leader_speed, driver, actions, period, horizon, work)
+    weight, utility = work[0], work[1]
     by_rationality = 0.0
     out[:] = 0.0
     for k in range(len(actions)):

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import Any, TypeAlias
 
+import numpy as np
 from numba import njit
 
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
@@ -12,7 +13,7 @@ from sugiyama_ros.effects import actuation_lag, perception_threshold, speed_depe
 from sugiyama_ros.effects.catalogue import EFFECTS, LAW, LAW_PLACES, PLACES, place
 from sugiyama_ros.effects.effect import ACTUATION, ENVIRONMENT, MEASUREMENT, PERCEPTION, PREFERENCE, Effect, Seen
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.road import Array
+from sugiyama_ros.road import Array, Ints
 
 _Preferred: TypeAlias = Callable[..., tuple[float, float]]
 _LAG = place("actuation_lag", "time_constant")
@@ -144,6 +145,24 @@ for _effect in EFFECTS:
 _perceived, _preferred, _actuated, _pushed = _perceive, _prefer, _actuate, _push
 
 
+def _switches(*stages: str) -> Ints:
+    """Places in a row of everything that switches an effect of these stages on."""
+    return np.array([place(e.name, name) for e in EFFECTS if e.stage in stages for name in e.switches], dtype=np.int64)
+
+
+_PERCEIVING, _PREFERRING = _switches(PERCEPTION, MEASUREMENT), _switches(PREFERENCE)
+_ACTUATING, _PUSHING = _switches(ACTUATION), _switches(ENVIRONMENT)
+
+
+@njit(nogil=True)
+def _any_of(switches: Ints, row: Array) -> bool:
+    """Whether an effect is on; a driver without effects need not go through all of them."""
+    for k in switches:
+        if row[k] != 0.0:
+            return True
+    return False
+
+
 @njit(nogil=True)
 def noise_factor(speed: float, row: Array) -> float:
     """Factor of the std of the acceleration noise at a speed [m/s]."""
@@ -160,9 +179,10 @@ def act(seen: Seen, held: float, row: Array, actions: Array, period: float, hori
 
     held: what he made it do in the last period; row: (WIDTH,), at this period; changed on the way and restored.
     """
-    perceived = _perceived(seen, row)
+    perceived = _perceived(seen, row) if _any_of(_PERCEIVING, row) else seen
     v_star, kappa_v = row[V_STAR], row[KAPPA_V]
-    row[V_STAR], row[KAPPA_V] = _preferred(v_star, kappa_v, perceived, row)
+    if _any_of(_PREFERRING, row):
+        row[V_STAR], row[KAPPA_V] = _preferred(v_star, kappa_v, perceived, row)
     gap, speed, leader_speed = perceived.gap, perceived.speed, perceived.leader_speed
     if row[LAW] == 0.0:
         action = mean_action(gap, speed, leader_speed, row, actions, period, horizon)
@@ -173,7 +193,8 @@ def act(seen: Seen, held: float, row: Array, actions: Array, period: float, hori
     else:
         action = fvdm(gap, speed, leader_speed, row[_FVDM_AT:_FVDM_END])
     row[V_STAR], row[KAPPA_V] = v_star, kappa_v
-    action = _actuated(action, seen, row)
+    if _any_of(_ACTUATING, row):
+        action = _actuated(action, seen, row)
     kept = 0.0
     if row[_THRESHOLD] != 0.0:
         meant = action
@@ -183,4 +204,4 @@ def act(seen: Seen, held: float, row: Array, actions: Array, period: float, hori
         share = actuation_lag.share(period, row[_LAG : _LAG + 1])
         action = held + share * (action - held)
         kept = 1.0 - share * (1.0 - kept)
-    return action, _pushed(seen, row), kept
+    return action, _pushed(seen, row) if _any_of(_PUSHING, row) else 0.0, kept

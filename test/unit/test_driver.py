@@ -71,7 +71,7 @@ def literal_mean_action(gap, v, leader_v, p):
 def test_utility_is_the_papers(s, a):
     p = defaults()
     out = np.empty(1)
-    utilities(*s, preferences(p), np.array([a]), DT, H, np.empty((3, 1)), out)
+    utilities(*s, preferences(p), np.array([a]), DT, H, np.empty(1), np.empty(1), out)
     assert out[0] == pytest.approx(literal_utility(a, *s, p), rel=1e-12, abs=1e-12)
 
 
