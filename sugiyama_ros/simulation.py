@@ -23,7 +23,7 @@ from sugiyama_ros.driver.parameters import (
     check,
     horizon_at,
 )
-from sugiyama_ros.driver.utility import ACTIONS
+from sugiyama_ros.driver.utility import ACTIONS, room_for
 from sugiyama_ros.effects.catalogue import PLACES, whole
 from sugiyama_ros.effects.control import act, noise_factor
 from sugiyama_ros.effects.effect import Seen
@@ -71,7 +71,7 @@ def drive(
     These are the first D = len(out) of the N vehicles;
     held, acceleration: (N,) [m/s^2] of the last period; rows: (N, WIDTH) at this period; time [s] of the recording.
     """
-    follower = np.full(len(leader), -1)
+    follower, room = np.full(len(leader), -1), room_for(actions)
     for i in range(len(leader)):
         if leader[i] >= 0:
             follower[leader[i]] = i
@@ -98,7 +98,7 @@ def drive(
             rear_gap,
             rear_speed,
         )
-        out[i], pushed[i], _ = act(seen, held[i], rows[i], actions, period, horizon)
+        out[i], pushed[i], _ = act(seen, held[i], rows[i], room, period, horizon)
 
 
 @dataclass(frozen=True)

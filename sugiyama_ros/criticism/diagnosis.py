@@ -9,6 +9,8 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 from scipy.stats import t as student
@@ -52,6 +54,10 @@ _LEAST_GAIN, _LEAST_SPREAD = 5.0, 1.5
 _COMMON = 4
 # A gain this many times what is needed to be believed is not checked against new simulations.
 _CLEAR = 4.0
+# Fits that are under way at the same time, all on the same workers.
+_AT_ONCE = 3
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
 #: Called with what is being done, and the steps done and to do.
 OnProgress = Callable[[str, int, int], None]
 
@@ -71,13 +77,18 @@ ADVICE: dict[frozenset[str], str] = {
 class Looked:
     """What was found about one candidate in one round; gains in nats."""
 
-    candidate: Candidate
+    look: Glance
     fit: Fit
     gain: float
     expected: float
     spread: float
     p_value: float
     refined: bool
+
+    @property
+    def candidate(self) -> Candidate:
+        """What was looked at."""
+        return self.look.candidate
 
     @property
     def score(self) -> float:
@@ -159,23 +170,20 @@ def diagnose(
         seen: dict[str, tuple[Fit, Glance]] = {}
         for number in range(most):
             chosen = _worth_a_look(data, possible, seen, current) if seen else possible
-            looks = []
-            for k, candidate in enumerate(chosen):
-                on_progress(f"round {number + 1}: candidates", k, len(chosen))
-                looks.append(glance(data, current, candidate, work))
+            look_at = partial(glance, data, current, work=work)
+            looks = _at_once(look_at, chosen, f"round {number + 1}: candidates", on_progress)
             seen |= {look.candidate.name: (current, look) for look in looks}
             shortlist = _shortlist(looks)
             if number == 0:
-                null = _simulate(data, current, [looks[k].candidate for k in shortlist], runs, seed, work, on_progress)
-            looked = []
-            for k, look in enumerate(looks):
-                on_progress(f"round {number + 1}: fitting", k, len(looks))
-                fitted, rise = look.fit, look.gain
-                if k in shortlist:
-                    fitted = refine(data, look, work)
-                    rise = max(rise, _rise(current, fitted))
-                looked.append(null.judge(look.candidate, fitted, rise, len(possible), refined=k in shortlist))
-            looked.sort(key=lambda one: -one.score)
+                # what nobody would believe need not be disproved
+                doubtful = [k for k in shortlist if null.judge(looks[k], len(possible)).p_value <= LEVEL]
+                chosen = [looks[k].candidate for k in doubtful or shortlist[:1]]
+                null = _simulate(data, current, chosen, runs, seed, work, on_progress)
+            looked = [null.judge(look, len(possible)) for look in looks]
+            hopeful = [looked[k] for k in shortlist if looked[k].p_value <= LEVEL]
+            in_full = partial(_in_full, data, current, work)
+            fitted = _at_once(in_full, hopeful, f"round {number + 1}: fitting", on_progress)
+            looked = sorted([*fitted, *(one for one in looked if one not in hopeful)], key=lambda one: -one.score)
             if number == 0:
                 first = looked
                 smallest = _smallest(looks, null)
@@ -195,7 +203,7 @@ def diagnose(
                 break
             if number and not quick and best.score < _CLEAR * max(_LEAST_GAIN, 3.0 * best.spread):
                 again = _simulate(data, current, [best.candidate], runs, seed + number, work, on_progress)
-                best = again.judge(best.candidate, best.fit, best.gain, len(possible), refined=True)
+                best = replace(best, p_value=again.judge(best.look, len(possible)).p_value)
                 if best.p_value > LEVEL:
                     break
             rivals = _indistinguishable(best, looked)
@@ -265,6 +273,24 @@ def parameters_of(fitted: Fit, candidate: Candidate) -> dict[str, float]:
     return {DECLARED[k].name: float(v) for k, v in zip(candidate.places, rows, strict=True)}
 
 
+def _in_full(data: Recorded, current: Fit, work: ThreadPoolExecutor, one: Looked) -> Looked:
+    """The same, fitted in full; what chance gives is still that of a glance."""
+    refined = refine(data, one.look, work)
+    return replace(one, fit=refined, gain=max(one.gain, _rise(current, refined)), refined=True)
+
+
+def _at_once(
+    function: Callable[[_Item], _Result], items: Sequence[_Item], what: str, on_progress: OnProgress
+) -> list[_Result]:
+    """Results for all items; while one waits for the last of its filters, another uses the processors."""
+    results = []
+    with ThreadPoolExecutor(_AT_ONCE) as pool:
+        for k, result in enumerate(pool.map(function, items)):
+            on_progress(what, k + 1, len(items))
+            results.append(result)
+    return results
+
+
 def _rise(current: Fit, fitted: Fit) -> float:
     everywhere = range(FOLDS)
     return objective(fitted.slopes, fitted.model, everywhere) - objective(current.slopes, current.model, everywhere)
@@ -294,12 +320,13 @@ class _Null:
 
     gains: dict[str, list[float]]
 
-    def judge(self, candidate: Candidate, fitted: Fit, rise: float, rivals: int, refined: bool) -> Looked:
+    def judge(self, look: Glance, rivals: int) -> Looked:
         """p-value by Student's t over the simulated gains, whose spread is shared among candidates in part."""
+        candidate = look.candidate
         gains = np.maximum(self.gains.get(candidate.name, [0.0]), 0.0)
         spreads = [float(np.std(np.maximum(g, 0.0), ddof=1)) for g in self.gains.values() if len(g) > 1]
         # chi-squared variables of K parameters spread by sqrt(2 / K) of their mean, whatever the filter scales them by
-        freedom = len(candidate.places) * (len(fitted.model.rows) if candidate.individual else 1)
+        freedom = len(candidate.places) * (len(look.fit.model.rows) if candidate.individual else 1)
         least = max(_LEAST_SPREAD, float(gains.mean()) * math.sqrt(2.0 / freedom))
         common = max(float(np.median(spreads)) if spreads else 0.0, least)
         expected = float(gains.mean())
@@ -310,8 +337,8 @@ class _Null:
         squares = float(np.sum(np.square(gains - gains.mean())))
         known = len(gains) - 1 + _COMMON
         spread = float(np.sqrt((squares + _COMMON * common**2) / known * (1.0 + 1.0 / len(gains))))
-        p_value = min(1.0, rivals * float(student.sf((rise - expected) / spread, known)))
-        return Looked(candidate, fitted, rise, expected, spread, p_value, refined)
+        p_value = min(1.0, rivals * float(student.sf((look.gain - expected) / spread, known)))
+        return Looked(look, look.fit, look.gain, expected, spread, p_value, refined=False)
 
     @property
     def needed(self) -> float:
@@ -332,15 +359,14 @@ def _simulate(
     on_progress: OnProgress,
 ) -> _Null:
     states = filtered_states(data, current.model, work)
-    gains: dict[str, list[float]] = {c.name: [] for c in chosen}
-    for k, rng in enumerate(seeds(seed, runs)):
-        on_progress("simulating the model without it", k, runs)
+
+    def one_run(rng: np.random.Generator) -> list[float]:
         simulated = resample(data, current.model, states, rng)
         fitted = fit(simulated, current.model, work)
-        for candidate in chosen:
-            look = glance(simulated, fitted, candidate, work)
-            gains[candidate.name].append(max(look.gain, _rise(fitted, refine(simulated, look, work))))
-    return _Null(gains)
+        return [glance(simulated, fitted, candidate, work).gain for candidate in chosen]
+
+    gains = _at_once(one_run, seeds(seed, runs), "simulating the model without it", on_progress)
+    return _Null({candidate.name: list(one) for candidate, one in zip(chosen, zip(*gains, strict=True), strict=True)})
 
 
 def _indistinguishable(best: Looked, looked: Sequence[Looked]) -> tuple[str, ...]:

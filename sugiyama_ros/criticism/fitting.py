@@ -37,8 +37,9 @@ PRIOR_STD, LEAST_STD, LARGEST_STD = 1.0, 0.05, 1.0
 _STEP, _PART_OF_STD, _LONGEST_STEP = 0.01, 0.5, 0.05
 # Longest step of the search in a logarithm.
 _LONGEST = 0.7
-# A search has ended when a step promises less log-likelihood than this.
-_ENOUGH = 0.1
+# A search has ended when a step promises less log-likelihood [nats] than this; from step to step of the difference
+# quotients the likelihood of a recording is rough by about 1.
+_ENOUGH = 0.5
 # Steps from the fit to all folds to that without one.
 _STEPS_WITHOUT = 4
 # What held-out samples may differ from fitted ones where the filter is not run anew: innovations by this many of their

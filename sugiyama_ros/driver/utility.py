@@ -41,6 +41,8 @@ _EXPONENT_CAP = 600.0
 _NO_CHANCE = 1e-20
 # Utility of an action that is none.
 _NEVER = -1e300
+# Rows of the room in which actions are considered.
+_WEIGHT, _UTILITY, _GRID, _SCALE, _HANDICAP = range(5)
 # Arrays are this many times some number long: vector instructions take several elements at once, and leave none over.
 _LANES = 16
 # Speed [m/s] above which driving backward costs less than 1e-20.
@@ -259,14 +261,14 @@ def _utility_gradient(
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
-def _weights(utility: Array, rationality: float, actions: Array, out: Array) -> tuple[float, float]:
+def _weights(utility: Array, handicap: Array, rationality: float, actions: Array, out: Array) -> tuple[float, float]:
     """Boltzmann weights of the actions (K,), relative to that of the best, into ``out``; their sum and the mean."""
     best = utility[0]
     for k in range(len(utility)):
         best = utility[k] if utility[k] > best else best
     partition, mean = 0.0, 0.0
     for k in range(len(utility)):
-        weight = exponential(rationality * (utility[k] - best))
+        weight = exponential(rationality * (utility[k] + handicap[k] - best))
         out[k] = weight
         partition += weight
         mean += weight * actions[k]
@@ -274,30 +276,35 @@ def _weights(utility: Array, rationality: float, actions: Array, out: Array) -> 
 
 
 @njit(cache=True)
-def _room_for(actions: Array) -> Array:
-    """Work space (4, at least K) for ``_consider``."""
-    return np.empty((4, -(-len(actions) // _LANES) * _LANES))
+def room_for(actions: Array) -> Array:
+    """Room (5, at least K) in which a driver considers the actions (K,), one moment after the other.
+
+    Rows: weights, utilities, actions, scales, and what an action that only fills the row up is worth less.
+    """
+    count = len(actions)
+    room = np.zeros((5, -(-count // _LANES) * _LANES))
+    room[_GRID, :count] = actions
+    room[_GRID, count:] = actions[count - 1]
+    room[_HANDICAP, count:] = _NEVER
+    return room
 
 
 @njit(cache=True)
 def _consider(
-    gap: float,
-    speed: float,
-    leader_speed: float,
-    driver: Preferences,
-    actions: Array,
-    period: float,
-    horizon: int,
-    work: Array,
+    gap: float, speed: float, leader_speed: float, driver: Preferences, room: Array, period: float, horizon: int
 ) -> tuple[float, float]:
-    """Sum of the actions' weights, and their mean; the weights into ``work[0]``, the utilities into ``work[1]``."""
-    count = len(actions)
-    grid, utility = work[2], work[1]
-    grid[:count] = actions
-    grid[count:] = actions[count - 1]
-    utilities(gap, speed, leader_speed, driver, grid, period, horizon, work[0], work[3], utility)
-    utility[count:] = _NEVER
-    return _weights(utility, driver[-1], grid, work[0])
+    """Sum of the actions' weights, and their mean; weights and utilities stay in the room."""
+    weight, utility, grid = room[_WEIGHT], room[_UTILITY], room[_GRID]
+    utilities(gap, speed, leader_speed, driver, grid, period, horizon, weight, room[_SCALE], utility)
+    return _weights(utility, room[_HANDICAP], driver[-1], grid, weight)
+
+
+@njit(cache=True)
+def considered_action(
+    gap: float, speed: float, leader_speed: float, parameters: Array, room: Array, period: float, horizon: int
+) -> float:
+    """``mean_action`` over the actions in a room of ``room_for``, which may be used again and again."""
+    return _consider(gap, speed, leader_speed, preferences(parameters), room, period, horizon)[1]
 
 
 @njit(cache=True)
@@ -308,8 +315,7 @@ def mean_action(
 
     parameters: (P,); horizon: periods of look-ahead.
     """
-    driver = preferences(parameters)
-    return float(_consider(gap, speed, leader_speed, driver, actions, period, horizon, _room_for(actions))[1])
+    return considered_action(gap, speed, leader_speed, parameters, room_for(actions), period, horizon)
 
 
 @njit(cache=True)
@@ -328,9 +334,9 @@ def mean_action_gradient(
     The derivative of a Boltzmann mean is a covariance: d mean(a) = lambda cov(a, d utility).
     """
     driver = preferences(parameters)
-    rationality, partial, work = driver[-1], np.empty(PARTIALS), _room_for(actions)
-    partition, mean = _consider(gap, speed, leader_speed, driver, actions, period, horizon, work)
-    weight, utility = work[0], work[1]
+    rationality, partial, room = driver[-1], np.empty(PARTIALS), room_for(actions)
+    partition, mean = _consider(gap, speed, leader_speed, driver, room, period, horizon)
+    weight, utility = room[_WEIGHT], room[_UTILITY]
     by_rationality = 0.0
     out[:] = 0.0
     for k in range(len(actions)):

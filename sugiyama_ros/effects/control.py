@@ -8,7 +8,7 @@ from numba import njit
 
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
 from sugiyama_ros.driver.rivals import fvdm, idm
-from sugiyama_ros.driver.utility import mean_action
+from sugiyama_ros.driver.utility import considered_action
 from sugiyama_ros.effects import actuation_lag, perception_threshold, speed_dependent_noise
 from sugiyama_ros.effects.catalogue import EFFECTS, LAW, LAW_PLACES, PLACES, place
 from sugiyama_ros.effects.effect import ACTUATION, ENVIRONMENT, MEASUREMENT, PERCEPTION, PREFERENCE, Effect, Seen
@@ -157,7 +157,7 @@ _ACTUATING, _PUSHING = _switches(ACTUATION), _switches(ENVIRONMENT)
 @njit(nogil=True)
 def _any_of(switches: Ints, row: Array) -> bool:
     """Whether an effect is on; a driver without effects need not go through all of them."""
-    for k in switches:
+    for k in switches:  # noqa: SIM110 (numba has no any())
         if row[k] != 0.0:
             return True
     return False
@@ -172,12 +172,13 @@ def noise_factor(speed: float, row: Array) -> float:
 
 
 @njit(nogil=True)
-def act(seen: Seen, held: float, row: Array, actions: Array, period: float, horizon: int) -> tuple[float, float, float]:
+def act(seen: Seen, held: float, row: Array, room: Array, period: float, horizon: int) -> tuple[float, float, float]:
     """What the driver makes his car do until the next period, and what the environment adds; [m/s^2] both.
 
     Third comes the derivative of the first by ``held``.
 
     held: what he made it do in the last period; row: (WIDTH,), at this period; changed on the way and restored.
+    room: of ``room_for`` the actions that he considers.
     """
     perceived = _perceived(seen, row) if _any_of(_PERCEIVING, row) else seen
     v_star, kappa_v = row[V_STAR], row[KAPPA_V]
@@ -185,7 +186,7 @@ def act(seen: Seen, held: float, row: Array, actions: Array, period: float, hori
         row[V_STAR], row[KAPPA_V] = _preferred(v_star, kappa_v, perceived, row)
     gap, speed, leader_speed = perceived.gap, perceived.speed, perceived.leader_speed
     if row[LAW] == 0.0:
-        action = mean_action(gap, speed, leader_speed, row, actions, period, horizon)
+        action = considered_action(gap, speed, leader_speed, row, room, period, horizon)
     elif row[LAW] == 1.0:
         action = idm(gap, speed, leader_speed, row[_IDM_AT:_IDM_END])
     elif row[LAW] == 3.0:

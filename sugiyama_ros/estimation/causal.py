@@ -45,7 +45,7 @@ from sugiyama_ros.driver.parameters import (
     horizon_at,
     population,
 )
-from sugiyama_ros.driver.utility import ACTIONS
+from sugiyama_ros.driver.utility import ACTIONS, room_for
 from sugiyama_ros.effects.catalogue import WIDTH, place, whole
 from sugiyama_ros.effects.control import act, noise_factor
 from sugiyama_ros.effects.effect import Seen
@@ -208,7 +208,7 @@ def expected_action(
     rear: Array,
     parameters: Array,
     adapted: Ints,
-    actions: Array,
+    room: Array,
     time: float,
     scene: Scene,
     slope: Array,
@@ -263,7 +263,7 @@ def expected_action(
                 here.rear_gap,
                 here.rear_speed,
             )
-            held, pushed, kept = act(seen, mean[STATE * m + 3], driver, actions, scene.period_s, scene.horizon)
+            held, pushed, kept = act(seen, mean[STATE * m + 3], driver, room, scene.period_s, scene.horizon)
             action = held + pushed
             memory += kept
             total += action
@@ -296,7 +296,7 @@ def linearise(
     adapted: Ints,
     prior_mean: Array,
     prior_var: Array,
-    actions: Array,
+    room: Array,
     time: float,
     scene: Scene,
     next_mean: Array,
@@ -308,7 +308,7 @@ def linearise(
     mean: (4 M + A,) and its covariance; known: (M,) of UNKNOWN, POSITION, MOVING; length: (M,) [m]; rear: (3,) position
     [m], speed and length of the vehicle behind, NaN for none; parameters: (M, WIDTH) at this period, row 0 with the
     present value of the adapted ones; adapted: (A,) places in UTILITY; prior_mean, prior_var: (A,) of their logarithms;
-    time [s] of the recording.
+    room: of ``room_for`` the drivers' actions; time [s] of the recording.
     Overwritten: next_mean (4 M + A,), jacobian and the process noise Q, both (4 M + A, 4 M + A).
     """
     vehicles = len(known)
@@ -344,7 +344,7 @@ def linearise(
                 rear,
                 parameters,
                 adapted if m == 0 else adapted[:0],
-                actions,
+                room,
                 time,
                 scene,
                 slope,
@@ -506,7 +506,7 @@ def run(
     samples, vehicles = position.shape
     size = STATE * vehicles + len(adapted)
     circumference = scene.circumference_m
-    parameters = parameters.copy()
+    parameters, room = parameters.copy(), room_for(actions)
     mean, covariance, known = np.zeros(size), np.zeros((size, size)), np.zeros(vehicles, np.int64)
     next_mean, gain = np.zeros(size), np.zeros(size)
     jacobian, noise, half = np.zeros((size, size)), np.zeros((size, size)), np.zeros((size, size))
@@ -570,7 +570,7 @@ def run(
             adapted,
             prior_mean,
             prior_var,
-            actions,
+            room,
             start_s + t * scene.period_s,
             scene,
             next_mean,

@@ -13,7 +13,7 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
 from sugiyama_ros.driver.parameters import NAMES, SIGMA_NU, UTILITY, check, population
-from sugiyama_ros.driver.utility import ACTIONS
+from sugiyama_ros.driver.utility import ACTIONS, room_for
 from sugiyama_ros.effects.catalogue import WIDTH, active, effect, place, whole
 from sugiyama_ros.effects.effect import MEASUREMENT
 from sugiyama_ros.errors import InputError
@@ -97,6 +97,7 @@ class OnlineFilter:
         self.period_s = period_s
         self.vehicles = vehicles
         self._ahead = ahead
+        self._room = room_for(ACTIONS)
         self._adaptation = adaptation
         self._places, _ = adaptation_of(parameters, adaptation).arrays
         self._take(whole(parameters))
@@ -250,7 +251,7 @@ class OnlineFilter:
             self._places,
             self._prior_mean,
             self._prior_var,
-            ACTIONS,
+            self._room,
             time_s,
             self._scene,
             kalman.next_mean,
