@@ -230,9 +230,9 @@ def diagnose(
             errors = after
             possible = tuple(c for c in possible if c.name != best.candidate.name)
         others: dict[str, dict[str, float]] = {}
-        for k, law in enumerate([] if verdict_only else laws()):
-            on_progress("rival models", k, len(laws()))
-            others |= _rival(data, law, work, quick)
+        rival = partial(_rival, data, work, quick)
+        for found in _at_once(rival, [] if verdict_only else laws(), "rival models", on_progress):
+            others |= found
         on_progress("where it fails", 0, 1)
         where = [locate(data, one.model, e.samples, work) for one, e in ((base, before), (current, errors))]
         on_progress("forces without a name", 0, 1)
@@ -258,7 +258,7 @@ def diagnose(
     )
 
 
-def _rival(data: Recorded, law: str, work: ThreadPoolExecutor, quick: bool) -> dict[str, dict[str, float]]:
+def _rival(data: Recorded, work: ThreadPoolExecutor, quick: bool, law: str) -> dict[str, dict[str, float]]:
     """Errors of a rival calibrated in the filter, and, but for ``quick``, of the same by least squares on gaps."""
     fitted = in_filter(data, law, work)
     found = {law: errors_of(data, without_folds(data, fitted, work, refit=not quick), work).summary()}
