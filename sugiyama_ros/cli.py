@@ -9,7 +9,8 @@ import math
 import os
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import datetime, timezone
 from pathlib import Path
@@ -22,7 +23,8 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
+from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, index
+from sugiyama_ros.effects.catalogue import ENTRIES
 from sugiyama_ros.errors import InputError, SugiyamaError
 from sugiyama_ros.road import Array, Road
 
@@ -187,6 +189,113 @@ def simulate(
 
 
 @app.command()
+def calibrate(
+    source: Annotated[Path, typer.Argument(help="Trajectories: .data, .csv or .mcap.")],
+    formulation: Annotated[
+        str, typer.Option("--formulation", help="paper: perceived states are smoothed; causal: they are filtered.")
+    ] = "causal",
+    parameters: Annotated[
+        str, typer.Option("--parameters", help="Names, separated by commas, of what is estimated.")
+    ] = "sigma_nu,sigma_a,v_star,kappa_v",
+    effects: Annotated[
+        str, typer.Option("--effects", help="Names, separated by commas, of effects to fit with it (causal).")
+    ] = "",
+    regularise: Annotated[
+        bool,
+        typer.Option("--regularise", help="causal: drivers are draws of one population; paper: its own penalty."),
+    ] = False,
+    scheduler: Annotated[
+        str | None, typer.Option("--scheduler", help="Dask scheduler, as tcp://host:8786, whose workers do the work.")
+    ] = None,
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="Model file (YAML) to write.")] = None,
+    ring: Ring = None,
+    as_json: Json = False,
+) -> None:
+    """Estimate every driver's parameters by maximum likelihood, and say how well the data hold them."""
+    from sugiyama_ros.criticism.calibrated import as_population, each_for_himself
+    from sugiyama_ros.estimation.workers import workers
+    from sugiyama_ros.formats import read_trajectories
+
+    if formulation not in ("paper", "causal"):
+        raise InputError(f"--formulation {formulation}: give paper or causal")
+    if output is not None and output.suffix not in (".yaml", ".yml"):
+        raise InputError(f"{output}: give a model file a .yaml name")
+    names = [name.strip() for name in parameters.split(",") if name.strip()]
+    added = [name.strip() for name in effects.split(",") if name.strip()]
+    if added and formulation == "paper":
+        raise InputError("--effects: the paper's formulation knows none; use --formulation causal")
+    trajectories = read_trajectories(source, ring)
+    began = time.monotonic()
+    with _progress("calibrating") as advance, workers(len(trajectories.vehicle), scheduler) as work:
+        kept = output.with_name(output.name + ".fits") if output is not None else None
+        if added or (regularise and formulation == "causal"):
+            found = as_population(trajectories, names, added, work)
+        else:
+            found = each_for_himself(
+                trajectories,
+                "paper" if formulation == "paper" else "causal",
+                names,
+                is_regularised=regularise,
+                work=work,
+                kept=kept,
+                on_progress=advance or (lambda done, total: None),
+            )
+    wall_s = time.monotonic() - began
+    if output is not None:
+        found.write(output)
+        kept.unlink(missing_ok=True) if kept is not None else None
+    places = [index(name) for name in names]
+    drivers: list[dict[str, Any]] = [
+        {
+            "vehicle": int(vehicle),
+            **{name: float(row[k]) for name, k in zip(names, places, strict=True)},
+            "log_likelihood": float(value),
+            "std": std,
+            "identified": identified,
+        }
+        for vehicle, row, value, std, identified in zip(
+            trajectories.vehicle, found.rows, found.log_likelihood, found.std, found.identified, strict=True
+        )
+    ]
+    together = _effects_of(found.rows, found.shared_std)
+    document = {
+        "formulation": formulation,
+        "drivers": drivers,
+        "effects": together,
+        "log_likelihood": float(found.log_likelihood.sum()),
+        "wall_s": wall_s,
+    }
+    if as_json:
+        _print_json(document)
+        return
+    table = Table(title=f"Calibration, {formulation} formulation", title_justify="left")
+    for heading in ("vehicle", *names, "log-likelihood"):
+        table.add_column(heading, justify="right")
+    for d in drivers:
+        cells = [
+            f"{d[n]:.3f} ± {d['std'][n]:.3f}" if d["identified"][n] else f"{d[n]:.3g} (not identified)" for n in names
+        ]
+        table.add_row(str(d["vehicle"]), *cells, f"{d['log_likelihood']:.1f}")
+    mean = found.rows[:, places].mean(axis=0)
+    table.add_row("mean", *(f"{m:.3f}" for m in mean), f"{document['log_likelihood']:.1f}")
+    _print_wide(table)
+    for name, values in together.items():
+        _out.print(f"{name}: " + ", ".join(f"{p} {v['value']:.4g} ± {v['std']:.2g}" for p, v in values.items()))
+    if output is not None:
+        _out.print(f"model file: {escape(str(output))}", soft_wrap=True, highlight=False)
+
+
+def _effects_of(rows: Array, shared_std: Mapping[str, float]) -> dict[str, dict[str, dict[str, float]]]:
+    """Value and std of what was fitted for all drivers alike, by effect (or by the model itself) and parameter."""
+    found: dict[str, dict[str, dict[str, float]]] = {}
+    for entry, std in shared_std.items():
+        name, _, parameter = entry.rpartition(".")
+        value = float(rows[0, ENTRIES.index(entry)])
+        found.setdefault(name or "constants", {})[parameter] = {"value": value, "std": std}
+    return found
+
+
+@app.command()
 def diagnose(
     source: Annotated[Path, typer.Argument(help="Trajectories: .data, .csv or .mcap.")],
     add: Annotated[
@@ -219,6 +328,7 @@ def diagnose(
             seed=seed,
             quick=quick,
             most=8 if add else 3,
+            add_forces=add is not None,
             workers=os.cpu_count() or 1,
             on_progress=advance,
         )

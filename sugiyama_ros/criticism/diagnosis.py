@@ -147,12 +147,13 @@ def diagnose(
     quick: bool = False,
     most: int = 3,
     verdict_only: bool = False,
+    add_forces: bool = False,
     workers: int = 4,
     on_progress: OnProgress = lambda what, done, total: None,
 ) -> Diagnosis:
     """Find what is missing: at most ``most`` effects, one after the other.
 
-    verdict_only: leave out the rivals and the forces without a name.
+    verdict_only: leave out the rivals and the forces without a name; add_forces: add the best of these at the end.
 
     Raises InputError for a recording that is too short.
     """
@@ -206,37 +207,32 @@ def diagnose(
                 best = replace(best, p_value=again.judge(best.look, len(possible)).p_value)
                 if best.p_value > LEVEL:
                     break
-            rivals = _indistinguishable(best, looked)
-            grown = fit(data, replace(best.fit.model, ahead=best.fit.model.rows), work)
-            after = errors_of(data, without_folds(data, grown, work, refit=not quick), work)
-            won = gain(data, after.samples, errors.samples)
-            if won.nats <= 0.0 or (won.nats < won.se and after.worst_change(errors) > TOLERANCE):
+            step = _grow(data, best.fit, errors, work, quick)
+            if step is None:
                 break
-            current = grown
-            named.append(
-                Named(
-                    best.candidate.name,
-                    best.candidate.kind,
-                    parameters_of(grown, best.candidate),
-                    rivals,
-                    tuple(text for pair, text in ADVICE.items() if best.candidate.name in pair and pair & set(rivals)),
-                    best.p_value,
-                    won,
-                    errors,
-                    after,
-                    grown,
-                )
-            )
+            current, after, won = step
+            rivals = _indistinguishable(best, looked)
+            advice = tuple(text for pair, text in ADVICE.items() if best.candidate.name in pair and pair & set(rivals))
+            named.append(_named(best.candidate, rivals, advice, best.p_value, won, errors, after, current))
             errors = after
             possible = tuple(c for c in possible if c.name != best.candidate.name)
+        on_progress("forces without a name", 0, 1)
+        forces = [] if quick or verdict_only else discover(data, current, work)
+        forces = [(force, look) for force, look in forces if force.p_value < LEVEL]
+        for force, look in forces if add_forces else []:
+            step = _grow(data, refine(data, look, work), errors, work, quick)
+            # a curve that is flexible where there are few data may predict a step well, and go astray in a free run
+            if step is not None and step[2].nats > step[2].se and step[1].no_worse_than(errors):
+                current, after, won = step
+                named.append(_named(look.candidate, (), (), force.p_value, won, errors, after, current))
+                errors = after
+                break
         others: dict[str, dict[str, float]] = {}
         rival = partial(_rival, data, work, quick)
         for found in _at_once(rival, [] if verdict_only else laws(), "rival models", on_progress):
             others |= found
         on_progress("where it fails", 0, 1)
         where = [locate(data, one.model, e.samples, work) for one, e in ((base, before), (current, errors))]
-        on_progress("forces without a name", 0, 1)
-        discovered = [d for d, _ in discover(data, current, work)] if not (quick or verdict_only) else []
     return Diagnosis(
         data,
         base,
@@ -244,7 +240,7 @@ def diagnose(
         tuple(named),
         tuple(first),
         heldout,
-        tuple(d for d in discovered if d.p_value < LEVEL),
+        tuple(force for force, _ in forces),
         before,
         errors,
         where[0],
@@ -258,6 +254,32 @@ def diagnose(
     )
 
 
+def _grow(
+    data: Recorded, fitted: Fit, errors: Errors, work: ThreadPoolExecutor, quick: bool
+) -> tuple[Fit, Errors, Gain] | None:
+    """A model with something added, its errors and its gain over the one with ``errors``; None if it does not hold."""
+    grown = fit(data, replace(fitted.model, ahead=fitted.model.rows), work)
+    after = errors_of(data, without_folds(data, grown, work, refit=not quick), work)
+    won = gain(data, after.samples, errors.samples)
+    if won.nats <= 0.0 or (won.nats < won.se and after.worst_change(errors) > TOLERANCE):
+        return None
+    return grown, after, won
+
+
+def _named(
+    candidate: Candidate,
+    rivals: tuple[str, ...],
+    advice: tuple[str, ...],
+    p_value: float,
+    won: Gain,
+    before: Errors,
+    after: Errors,
+    grown: Fit,
+) -> Named:
+    values = parameters_of(grown, candidate)
+    return Named(candidate.name, candidate.kind, values, rivals, advice, p_value, won, before, after, grown)
+
+
 def _rival(data: Recorded, work: ThreadPoolExecutor, quick: bool, law: str) -> dict[str, dict[str, float]]:
     """Errors of a rival calibrated in the filter, and, but for ``quick``, of the same by least squares on gaps."""
     fitted = in_filter(data, law, work)
@@ -269,8 +291,9 @@ def _rival(data: Recorded, work: ThreadPoolExecutor, quick: bool, law: str) -> d
 
 def parameters_of(fitted: Fit, candidate: Candidate) -> dict[str, float]:
     """Values of a candidate's parameters, the median driver's where they are individual."""
-    rows = np.median(fitted.model.rows[:, list(candidate.places)], axis=0)
-    return {DECLARED[k].name: float(v) for k, v in zip(candidate.places, rows, strict=True)}
+    places = sorted({*candidate.places, *candidate.starts[0]})
+    rows = np.median(fitted.model.rows[:, places], axis=0)
+    return {DECLARED[k].name: float(v) for k, v in zip(places, rows, strict=True)}
 
 
 def _in_full(data: Recorded, current: Fit, work: ThreadPoolExecutor, one: Looked) -> Looked:

@@ -19,11 +19,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sugiyama_ros.driver.parameters import COUNT, OMEGA_2, RHO, population
+from sugiyama_ros.driver.parameters import COUNT, NAMES, OMEGA_2, RHO, population
 from sugiyama_ros.effects.catalogue import DECLARED, place, whole
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.estimation import causal
-from sugiyama_ros.estimation.calibration import upper_bounds
+from sugiyama_ros.estimation.calibration import calibrate, upper_bounds
 from sugiyama_ros.road import Array, Ints
 from sugiyama_ros.trajectories import Trajectories
 
@@ -535,9 +535,26 @@ def start_model(drivers: int, individual: Sequence[int]) -> Model:
 
 
 def fit_base(data: Recorded, individual: Sequence[int], work: Executor, start: Model | None = None) -> Fit:
-    """Fit every driver for himself, then as draws of one population, with the drivers ahead as they were found."""
-    first = fit(data, start or start_model(data.drivers, individual), work, iterations=10)
-    return fit(data, as_population(first.model), work)
+    """Fit every driver for himself, then as draws of one population, with the drivers ahead as they were found.
+
+    Without a ``start`` the search begins where the paper's likelihood, which is cheap, has its maximum.
+    """
+    first = start or start_model(data.drivers, individual)
+    near = _by_paper(data, first, work) if start is None else None
+    found = fit(data, near or first, work, iterations=10 if near is None else 3)
+    return fit(data, as_population(found.model), work)
+
+
+def _by_paper(data: Recorded, model: Model, work: Executor) -> Model | None:
+    """The model with drivers as the paper's formulation finds them; None where that does not apply."""
+    names = [NAMES[k] for k in model.individual]
+    try:
+        fits = list(calibrate(data.trajectories, "paper", names, work=work))
+    except InputError:
+        return None
+    rows = model.rows.copy()
+    rows[:, model.individual] = np.array([one.parameters for one in fits])[:, model.individual]
+    return as_population(replace(model, rows=rows))
 
 
 def as_population(model: Model) -> Model:

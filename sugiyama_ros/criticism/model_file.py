@@ -1,5 +1,6 @@
 """A fitted model as a YAML file: what acts, every driver's parameters, how well they are known, and from what data."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -13,8 +14,12 @@ from sugiyama_ros.driver.parameters import COUNT, NAMES, check
 from sugiyama_ros.effects.catalogue import ENTRIES, WIDTH, active, effect, place, switch_on
 from sugiyama_ros.errors import InputError, OutputError
 from sugiyama_ros.road import Array, Ints
+from sugiyama_ros.trajectories import Trajectories
 
 _FORMAT = 1
+# libyaml where it is there: ten times faster
+_DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 # A model of so many drivers has a file of a few megabytes.
 _LARGEST_BYTES = 50_000_000
 
@@ -38,30 +43,43 @@ class ModelFile:
 
 def write_model(path: Path, data: Recorded, fitted: Fit) -> None:
     """Write a fitted model. Raises OutputError."""
-    model, t = fitted.model, data.trajectories
-    stds = _stds(fitted)
+    model = fitted.model
+    stds = stds_of(fitted)
+    own = [{ENTRIES[k]: float(s) for k, s in zip(model.individual, std, strict=False)} for std in stds]
+    shared = stds[0][len(model.individual) :]
+    shared_std = {ENTRIES[k]: float(s) for k, s in zip(model.shared, shared, strict=True)}
+    write_drivers(path, data.trajectories, model.rows, own, shared_std, fitted.log_likelihood)
+
+
+def write_drivers(
+    path: Path,
+    trajectories: Trajectories,
+    rows: Array,
+    own_std: Sequence[Mapping[str, float]],
+    shared_std: Mapping[str, float],
+    log_likelihood: float,
+) -> None:
+    """Write drivers' rows (N, WIDTH) and how well they are known as a model file. Raises OutputError."""
     drivers = {}
-    for i, vehicle in enumerate(t.vehicle.tolist()):
-        row = model.rows[i]
+    for vehicle, row, std in zip(trajectories.vehicle.tolist(), rows, own_std, strict=True):
         drivers[vehicle] = {
             "parameters": {name: float(v) for name, v in zip(NAMES, row, strict=False)},
-            "std": {ENTRIES[k]: float(s) for k, s in zip(model.individual, stds[i], strict=False)},
+            "std": dict(std),
             "effects": {
                 name: {p.name: float(row[place(name, p.name)]) for p in effect(name).parameters} for name in active(row)
             },
         }
-    shared = stds[0][len(model.individual) :]
     document = {
         "sugiyama_model": _FORMAT,
         "version": version("sugiyama_ros"),
-        "data": {"source": t.source, "sha256": t.sha256, "log_likelihood": fitted.log_likelihood},
-        "effects": list(active(model.rows)),
-        "shared_std": {ENTRIES[k]: float(s) for k, s in zip(model.shared, shared, strict=True)},
+        "data": {"source": trajectories.source, "sha256": trajectories.sha256, "log_likelihood": log_likelihood},
+        "effects": list(active(rows)),
+        "shared_std": dict(shared_std),
         "drivers": drivers,
     }
     beside = path.with_name(path.name + ".part")
     try:
-        beside.write_text(yaml.safe_dump(document, sort_keys=False, allow_unicode=True))
+        beside.write_text(yaml.dump(document, Dumper=_DUMPER, sort_keys=False, allow_unicode=True))
         beside.replace(path)
     except OSError as error:
         raise OutputError(f"{path}: cannot be written: {error.strerror}; choose another place") from None
@@ -72,7 +90,7 @@ def read_model(path: Path) -> ModelFile:
     try:
         if path.stat().st_size > _LARGEST_BYTES:
             raise InputError(f"{path}: larger than {_LARGEST_BYTES // 1_000_000} MB; is it a model file?")
-        document: Any = yaml.safe_load(path.read_text())
+        document: Any = yaml.load(path.read_text(), Loader=_LOADER)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     except (yaml.YAMLError, UnicodeDecodeError):
@@ -107,7 +125,7 @@ def read_model(path: Path) -> ModelFile:
     )
 
 
-def _stds(fitted: Fit) -> list[Array]:
+def stds_of(fitted: Fit) -> list[Array]:
     """Standard deviations of every driver's own parameters and of the shared ones, from the information."""
     model = fitted.model
     own = len(model.individual)

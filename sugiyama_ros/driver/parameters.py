@@ -120,15 +120,16 @@ def at_period(parameters: Array, period_s: float) -> Array:
     return scaled
 
 
-def gradient_at_reference(gradient: Array, parameters: Array, period_s: float) -> Array:
-    """Gradient (P,) by ``parameters`` (P,), from ``gradient`` (P,) by ``at_period(parameters, period_s)``."""
+def jacobian_at_reference(parameters: Array, period_s: float) -> Array:
+    """Derivatives (P, P) of ``at_period(parameters, period_s)`` by ``parameters`` (P,): column by row."""
     rho, ratio = parameters[RHO], REFERENCE_HORIZON / horizon_at(period_s)
     scaled = at_period(parameters, period_s)
     rho_slope = ratio * rho ** (ratio - 1.0)
     shrink = scaled[SIGMA_A] / parameters[SIGMA_A]
     shrink_slope = shrink * (rho / (1.0 - rho**2) - scaled[RHO] * rho_slope / (1.0 - scaled[RHO] ** 2))
-    pulled = gradient.copy()
-    pulled[RHO] = gradient[RHO] * rho_slope + gradient[SIGMA_A] * parameters[SIGMA_A] * shrink_slope
-    pulled[SIGMA_A] = gradient[SIGMA_A] * shrink
-    pulled[[SIGMA_X, SIGMA_V]] *= np.sqrt(period_s / REFERENCE_PERIOD_S)
-    return pulled
+    jacobian = np.eye(COUNT)
+    jacobian[RHO, RHO], jacobian[RHO, SIGMA_A] = rho_slope, parameters[SIGMA_A] * shrink_slope
+    jacobian[SIGMA_A, SIGMA_A] = shrink
+    for k in (SIGMA_X, SIGMA_V):
+        jacobian[k, k] = np.sqrt(period_s / REFERENCE_PERIOD_S)
+    return jacobian

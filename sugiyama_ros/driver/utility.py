@@ -19,7 +19,6 @@ from sugiyama_ros.driver.parameters import (
     KAPPA_V,
     OMEGA_2,
     RATIONALITY,
-    UTILITY,
     V_STAR,
 )
 from sugiyama_ros.road import Array
@@ -27,38 +26,31 @@ from sugiyama_ros.road import Array
 #: The paper's grid of candidate accelerations [m/s^2]; section 3.4.1.
 ACTIONS: Array = np.linspace(-6.0, 4.0, 41, dtype=np.float64)
 
-#: The utility's parameters as scalars, in the order of UTILITY.
+#: The utility's parameters as scalars, in the order of ``parameters.UTILITY``.
 Preferences: TypeAlias = tuple[float, float, float, float, float, float, float]
-
-#: Order of the mean action's partial derivatives: what the driver sees, then the utility's parameters.
-GAP, SPEED, LEADER_SPEED = range(3)
-PARTIALS = 3 + len(UTILITY)
-_V_STAR, _KAPPA_V, _KAPPA_1, _KAPPA_C, _KAPPA_D, _OMEGA_2, _RATIONALITY = range(3, PARTIALS)
 
 # exp(-10 (v + 0.25)) overflows for speeds that nobody drives backward; its exponent is capped here.
 _EXPONENT_CAP = 600.0
-# Probability of an action that cannot change a mean.
-_NO_CHANCE = 1e-20
 # Utility of an action that is none.
 _NEVER = -1e300
 # Rows of the room in which actions are considered.
 _WEIGHT, _UTILITY, _GRID, _SCALE, _HANDICAP = range(5)
 # Arrays are this many times some number long: vector instructions take several elements at once, and leave none over.
 _LANES = 16
-# Speed [m/s] above which driving backward costs less than 1e-20.
-_FORWARD = 4.35
-# What a compiler may do to numbers that are finite, so that it can compute several at once.
-_FAST = {"arcp", "contract", "nnan", "nsz", "reassoc"}
+#: Speed [m/s] above which driving backward costs less than 1e-20.
+FORWARD = 4.35
+#: What a compiler may do to numbers that are finite, so that it can compute several at once.
+FAST = {"arcp", "contract", "nnan", "nsz", "reassoc"}
 
 
-@njit(cache=True, error_model="numpy", fastmath=_FAST)
+@njit(cache=True, error_model="numpy", fastmath=FAST)
 def desired_speed_exponent(speed: float, v_star: float, kappa_1: float) -> float:
     """Exponent of the first term of phi1."""
     off = (speed - v_star) / (kappa_1 * v_star)
     return -off * off
 
 
-@njit(cache=True, error_model="numpy", fastmath=_FAST)
+@njit(cache=True, error_model="numpy", fastmath=FAST)
 def backward_penalty(speed: float) -> float:
     """Second term of phi1: what driving backward costs."""
     exponent = -10.0 * (speed + 0.25)
@@ -71,14 +63,14 @@ def desired_speed_reward(speed: float, v_star: float, kappa_1: float) -> float:
     return math.exp(desired_speed_exponent(speed, v_star, kappa_1)) - backward_penalty(speed)
 
 
-@njit(cache=True, error_model="numpy", fastmath=_FAST)
+@njit(cache=True, error_model="numpy", fastmath=FAST)
 def gap_scale(speed: float, leader_speed: float, kappa_c: float, kappa_v: float, kappa_d: float) -> float:
     """sigma [m]: the gap within which a driver feels at risk; text below Eq. PairwiseCollisionPenalty."""
     closing = speed - leader_speed
     return kappa_c + kappa_v * abs(speed) + kappa_d * (closing if closing > 0.0 else 0.0)
 
 
-@njit(cache=True, error_model="numpy", fastmath=_FAST)
+@njit(cache=True, error_model="numpy", fastmath=FAST)
 def collision_exponent(ratio: float) -> float:
     """log phi2."""
     inside = ratio if ratio > 0.0 else 0.0
@@ -91,7 +83,7 @@ def collision_penalty(ratio: float) -> float:
     return math.exp(collision_exponent(ratio))
 
 
-@njit(cache=True, error_model="numpy", fastmath=_FAST)
+@njit(cache=True, error_model="numpy", fastmath=FAST)
 def anticipate(
     action: float, tau: int, gap: float, speed: float, leader_speed: float, period: float
 ) -> tuple[float, float]:
@@ -117,7 +109,7 @@ def preferences(parameters: Array) -> Preferences:
     )
 
 
-@njit(cache=True, error_model="numpy", fastmath=_FAST)
+@njit(cache=True, error_model="numpy", fastmath=FAST)
 def _smallest_gaps(
     gap: float,
     speed: float,
@@ -143,7 +135,7 @@ def _smallest_gaps(
             scale[k] = scale_ahead if closer else scale[k]
 
 
-@njit(cache=True, error_model="numpy", fastmath=_FAST)
+@njit(cache=True, error_model="numpy", fastmath=FAST)
 def _reward_alone(speed: float, driver: Preferences, actions: Array, period: float, out: Array) -> None:
     """g1 of phi1's first term."""
     v_star, _, kappa_1, _, _, _, _ = driver
@@ -151,7 +143,7 @@ def _reward_alone(speed: float, driver: Preferences, actions: Array, period: flo
         out[k] = exponential(desired_speed_exponent(speed + period * actions[k], v_star, kappa_1))
 
 
-@njit(cache=True, error_model="numpy", fastmath=_FAST)
+@njit(cache=True, error_model="numpy", fastmath=FAST)
 def _reward_and_risk(
     speed: float, driver: Preferences, actions: Array, period: float, smallest: Array, scale: Array, out: Array
 ) -> None:
@@ -162,7 +154,7 @@ def _reward_and_risk(
         out[k] = reward + omega_2 * exponential(collision_exponent(smallest[k] / scale[k]))
 
 
-@njit(cache=True, error_model="numpy", fastmath=_FAST)
+@njit(cache=True, error_model="numpy", fastmath=FAST)
 def _take_off_backward(speed: float, actions: Array, period: float, out: Array) -> None:
     """g1 of phi1's second term."""
     for k in range(len(actions)):
@@ -193,74 +185,11 @@ def utilities(
     else:
         _smallest_gaps(gap, speed, leader_speed, driver, actions, period, horizon, smallest, scale)
         _reward_and_risk(speed, driver, actions, period, smallest, scale, out)
-    if speed + period * actions[0] < _FORWARD:
+    if speed + period * actions[0] < FORWARD:
         _take_off_backward(speed, actions, period, out)
 
 
-@njit(cache=True)
-def _closest(
-    action: float, gap: float, speed: float, leader_speed: float, driver: Preferences, period: float, horizon: int
-) -> int:
-    """Period of the look-ahead with the smallest gap over scale."""
-    _, kappa_v, _, kappa_c, kappa_d, _, _ = driver
-    smallest, closest = np.inf, 1
-    for tau in range(1, horizon + 1):
-        gap_ahead, speed_ahead = anticipate(action, tau, gap, speed, leader_speed, period)
-        ratio = gap_ahead / gap_scale(speed_ahead, leader_speed, kappa_c, kappa_v, kappa_d)
-        if ratio < smallest:
-            smallest, closest = ratio, tau
-    return closest
-
-
-@njit(cache=True)
-def _utility_gradient(
-    action: float,
-    gap: float,
-    speed: float,
-    leader_speed: float,
-    driver: Preferences,
-    period: float,
-    horizon: int,
-    out: Array,
-) -> None:
-    """Partial derivatives of an action's utility into ``out`` (PARTIALS,), that of the rationality left out."""
-    v_star, kappa_v, kappa_1, kappa_c, kappa_d, omega_2, _ = driver
-    next_speed = speed + period * action
-    off = (next_speed - v_star) / (kappa_1 * v_star)
-    slope = -2.0 * off * math.exp(-off * off)
-    backward = -10.0 * (next_speed + 0.25)
-    brake = 10.0 * math.exp(backward) if backward < _EXPONENT_CAP else 0.0
-    out[:] = 0.0
-    out[SPEED] = slope / (kappa_1 * v_star) + brake
-    out[_V_STAR] = -slope * next_speed / (kappa_1 * v_star * v_star)
-    out[_KAPPA_1] = -slope * off / kappa_1
-    if math.isinf(gap):
-        return
-    tau = _closest(action, gap, speed, leader_speed, driver, period, horizon)
-    gap_min, speed_min = anticipate(action, tau, gap, speed, leader_speed, period)
-    scale = gap_scale(speed_min, leader_speed, kappa_c, kappa_v, kappa_d)
-    ratio = gap_min / scale
-    penalty = collision_penalty(ratio)
-    out[_OMEGA_2] = penalty
-    if ratio <= 0.0:
-        return
-    # d utility = by_gap d gap_min + by_scale d scale
-    by_gap = -2.0 * omega_2 * (ratio + 1.0) * penalty / scale
-    by_scale = -ratio * by_gap
-    closing = speed_min - leader_speed
-    scale_by_speed = math.copysign(kappa_v, speed_min)
-    if closing > 0.0:
-        scale_by_speed += kappa_d
-        out[LEADER_SPEED] = -kappa_d * by_scale
-        out[_KAPPA_D] = closing * by_scale
-    out[GAP] = by_gap
-    out[SPEED] += -tau * period * by_gap + scale_by_speed * by_scale
-    out[LEADER_SPEED] += tau * period * by_gap
-    out[_KAPPA_V] = abs(speed_min) * by_scale
-    out[_KAPPA_C] = by_scale
-
-
-@njit(cache=True, error_model="numpy", fastmath=_FAST)
+@njit(cache=True, error_model="numpy", fastmath=FAST)
 def _weights(utility: Array, handicap: Array, rationality: float, actions: Array, out: Array) -> tuple[float, float]:
     """Boltzmann weights of the actions (K,), relative to that of the best, into ``out``; their sum and the mean."""
     best = utility[0]
@@ -316,37 +245,3 @@ def mean_action(
     parameters: (P,); horizon: periods of look-ahead.
     """
     return considered_action(gap, speed, leader_speed, parameters, room_for(actions), period, horizon)
-
-
-@njit(cache=True)
-def mean_action_gradient(
-    gap: float,
-    speed: float,
-    leader_speed: float,
-    parameters: Array,
-    actions: Array,
-    period: float,
-    horizon: int,
-    out: Array,
-) -> float:
-    """The mean action [m/s^2], and its partial derivatives into ``out`` (PARTIALS,).
-
-    The derivative of a Boltzmann mean is a covariance: d mean(a) = lambda cov(a, d utility).
-    """
-    driver = preferences(parameters)
-    rationality, partial, room = driver[-1], np.empty(PARTIALS), room_for(actions)
-    partition, mean = _consider(gap, speed, leader_speed, driver, room, period, horizon)
-    weight, utility = room[_WEIGHT], room[_UTILITY]
-    by_rationality = 0.0
-    out[:] = 0.0
-    for k in range(len(actions)):
-        probability = weight[k] / partition
-        if probability < _NO_CHANCE:
-            continue
-        _utility_gradient(actions[k], gap, speed, leader_speed, driver, period, horizon, partial)
-        off = probability * (actions[k] - mean)
-        for j in range(PARTIALS):
-            out[j] += rationality * off * partial[j]
-        by_rationality += off * utility[k]
-    out[_RATIONALITY] = by_rationality
-    return float(mean)

@@ -1,17 +1,31 @@
-"""Maximum-likelihood calibration of many drivers, each for himself (section 5 of the paper)."""
+"""Maximum-likelihood calibration of many drivers, each for himself (section 5 of the paper).
 
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
-from functools import partial
-from multiprocessing import get_context
+Fisher scoring: the expected information of innovations y with variance S is sum(dy dy' / S + dS dS' / 2 S^2), so the
+utility's parameters are a least-squares problem (S does not depend on them) and the noises come with it. The search
+runs in logarithms, with damping after Levenberg and Marquardt, between bounds. Nothing of one driver depends on
+another, so any executor will do: threads, processes, or the workers of a Dask cluster.
+"""
+
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.optimize import minimize
 
-from sugiyama_ros.driver.parameters import PARAMETERS, SIGMA_A, V_STAR, defaults, index
+from sugiyama_ros.driver.parameters import (
+    COUNT,
+    KAPPA_V,
+    NAMES,
+    PARAMETERS,
+    SIGMA_A,
+    V_STAR,
+    defaults,
+    index,
+    population,
+)
 from sugiyama_ros.estimation import causal, paper
+from sugiyama_ros.estimation.paper import Scored
 from sugiyama_ros.road import Array, Ints
 from sugiyama_ros.trajectories import Trajectories
 
@@ -26,68 +40,196 @@ _FASTEST = 30.0
 _START_SIGMA_A = 1.0
 # No parameter is searched for below this, in its own unit.
 _SMALLEST = 1e-3
-# Step of the difference quotients, in logarithms: the likelihood is smooth to about 1e-9.
-_STEP = 1e-5
+# Longest step in a logarithm; steps at most; a step that promises less log-likelihood ends the search.
+_LONGEST, _STEPS, _ENOUGH = 0.7, 60, 1e-4
+# The same for the causal likelihood, which is rough at a small scale.
+_ENOUGH_CAUSAL = 0.02
+# Difference quotients of the causal filter: part of a parameter's std, bounds of the step in a logarithm, first one.
+_PART_OF_STD, _SHORTEST_STEP, _LONGEST_STEP, _FIRST_STEP = 0.5, 5e-3, 0.05, 0.03
+# Std of a logarithm from which on a parameter does not count as identified.
+_VAGUE = 0.5
+#: The paper's regularisation, Eq. Regularized_SSM_Likelihood: centre and weight of v* [m/s] and kappa_v [s].
+REGULARISATION = ((V_STAR, 11.0, 50.0), (KAPPA_V, 0.5, 500.0))
+# Jobs that are handed to an executor at a time, so that memory stays bounded however many drivers there are.
+_BATCH = 512
+#: Score at parameters (P,), given the information (P, P) at some near by, if there is any yet.
+Score = Callable[[Array, Array | None], Scored]
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
     """Maximum-likelihood estimate of one driver.
 
-    parameters: (P,) with the estimated ones replaced; log_likelihood: there, no 2 pi term; at_bound: names of the
-    estimated ones that lie on a bound, that is which the data do not hold.
+    parameters: (P,) with the estimated ones replaced; log_likelihood: there, no 2 pi term nor regularisation; std:
+    (P,), from the expected information, 0 for what was given and infinite for what lies on a bound; at_bound: names of
+    the estimated ones that do, so which the data do not hold.
     """
 
     vehicle: int
     parameters: Array
     log_likelihood: float
+    std: Array
     at_bound: tuple[str, ...]
+
+    def identified(self, name: str) -> bool:
+        """Whether the data hold a parameter: it lies on no bound, and is known to half of its value."""
+        k = index(name)
+        return name not in self.at_bound and bool(self.std[k] < _VAGUE * abs(self.parameters[k]))
 
 
 def fit_driver(
-    objective: Callable[[Array], tuple[float, Array]], vehicle: int, start: Array, places: Ints, upper: Array
+    score: Score,
+    vehicle: int,
+    start: Array,
+    places: Ints,
+    upper: Array,
+    enough: float = _ENOUGH,
+    careful: Score | None = None,
 ) -> Fit:
-    """Maximise ``objective``, parameters (P,) -> (log-likelihood, gradient (P,)), over the entries ``places``.
+    """Maximise a likelihood over the entries ``places``, from ``start`` (P,), between lower bounds and ``upper``.
 
-    The search (L-BFGS-B) runs in the logarithms, from ``start`` (P,), between the declared lower bounds and ``upper``
-    (P,).
+    careful: a better score, from which the errors are taken at the maximum.
     """
-    bounds = [(np.log(max(PARAMETERS[k].lower, _SMALLEST)), np.log(upper[k])) for k in places]
+    sign = np.sign(start[places])
+    low, high = (np.array([getattr(PARAMETERS[k], side) for k in places]) for side in ("lower", "upper"))
+    high = np.minimum(high, upper[places])
+    # of negative parameters the logarithm of the size is searched
+    smallest = np.log(np.maximum(np.where(sign > 0.0, low, -high), _SMALLEST))
+    largest = np.log(np.maximum(np.where(sign > 0.0, high, -low), _SMALLEST))
 
-    def negative(logarithms: Array) -> tuple[float, Array]:
+    def at(x: Array, information: Array | None) -> tuple[Scored, Array, Array]:
         parameters = start.copy()
-        parameters[places] = np.exp(logarithms)
-        value, gradient = objective(parameters)
-        return -value, -gradient[places] * parameters[places]
+        parameters[places] = sign * np.exp(x)
+        scored = score(parameters, information)
+        scale = parameters[places]
+        return (
+            scored,
+            scored.gradient[places] * scale,
+            scored.information[np.ix_(places, places)] * np.outer(scale, scale),
+        )
 
-    found = minimize(negative, np.log(start[places]), jac=True, method="L-BFGS-B", bounds=bounds)
+    x = np.clip(np.log(np.abs(start[places])), smallest, largest)
+    here, gradient, information = at(x, None)
+    damping = 1e-3
+    for _ in range(_STEPS):
+        free = ~(((x <= smallest) & (gradient < 0.0)) | ((x >= largest) & (gradient > 0.0)))
+        if not free.any():
+            break
+        h = information[np.ix_(free, free)]
+        ridge = np.diag(damping * np.diag(h) + 1e-9)
+        change = np.zeros_like(x)
+        change[free] = np.linalg.solve(h + ridge, gradient[free])
+        if 0.5 * float(gradient @ change) < enough or damping > 1e8:
+            break
+        moved = np.clip(x + np.clip(change, -_LONGEST, _LONGEST), smallest, largest)
+        there, gradient_there, information_there = at(moved, here.information)
+        if there.log_likelihood > here.log_likelihood:
+            x, here, gradient, information = moved, there, gradient_there, information_there
+            damping = max(damping / 10.0, 1e-9)
+        else:
+            damping = max(damping * 10.0, 1e-2)
     parameters = start.copy()
-    parameters[places] = np.exp(found.x)
-    at_bound = tuple(
-        PARAMETERS[k].name for k, x, (low, high) in zip(places, found.x, bounds, strict=True) if x in (low, high)
+    parameters[places] = sign * np.exp(x)
+    if careful is not None:
+        scale = np.outer(parameters[places], parameters[places])
+        information = careful(parameters, here.information).information[np.ix_(places, places)] * scale
+    bound = (x <= smallest) | (x >= largest)
+    std: Array = np.zeros(len(start))
+    std[places] = np.inf
+    inside = ~bound
+    if inside.any():
+        covariance = np.linalg.pinv(information[np.ix_(inside, inside)], hermitian=True)
+        std[places[inside]] = np.sqrt(np.maximum(np.diag(covariance), 0.0)) * np.exp(x[inside])
+    return Fit(
+        vehicle, parameters, here.log_likelihood, std, tuple(NAMES[k] for k, b in zip(places, bound, strict=True) if b)
     )
-    return Fit(vehicle, parameters, float(-found.fun), at_bound)
 
 
-def _causal_objective(chain: causal.Chain, places: Ints, parameters: Array) -> tuple[float, Array]:
-    """The causal log-likelihood and its gradient at ``places``, by central differences in the logarithms."""
-    gradient = np.zeros(len(parameters))
-    for k in places:
-        low, high = parameters.copy(), parameters.copy()
-        low[k] *= np.exp(-_STEP)
-        high[k] *= np.exp(_STEP)
-        rise = causal.log_likelihood(chain, high) - causal.log_likelihood(chain, low)
-        gradient[k] = rise / (2.0 * _STEP * parameters[k])
-    return causal.log_likelihood(chain, parameters), gradient
+def causal_score(
+    chain: causal.Chain,
+    ahead: Array | None,
+    places: Ints,
+    parameters: Array,
+    information: Array | None,
+    central: bool = False,
+) -> Scored:
+    """Score of the causal formulation by difference quotients of innovations and variances, in the logarithms.
+
+    central: to both sides, for twice the work: one jump of the rough likelihood then does less harm.
+    """
+    y, variance, density = causal.predict_samples(chain, parameters, ahead)
+    steps = np.full(len(places), _FIRST_STEP)
+    if information is not None:
+        held = np.diag(information)[places] * parameters[places] ** 2
+        steps = np.clip(_PART_OF_STD / np.sqrt(np.maximum(held, 1e-12)), _SHORTEST_STEP, _LONGEST_STEP)
+    scored = np.isfinite(density)
+    y, variance = y[scored], variance[scored]
+    dy, dvar = np.empty((len(places), len(y))), np.empty((len(places), len(y)))
+    for j, (k, step) in enumerate(zip(places, steps, strict=True)):
+        moved = parameters.copy()
+        moved[k] *= np.exp(step)
+        y_up, variance_up, _ = causal.predict_samples(chain, moved, ahead)
+        y_down, variance_down, span = y, variance, step
+        if central:
+            moved[k] = parameters[k] * np.exp(-step)
+            y_down, variance_down = (one[scored] for one in causal.predict_samples(chain, moved, ahead)[:2])
+            span = 2.0 * step
+        dy[j], dvar[j] = (y_up[scored] - y_down) / span, (variance_up[scored] - variance_down) / span
+    slope = -(dy * (y / variance) + 0.5 * dvar * (1.0 - y * y / variance) / variance).sum(axis=1)
+    curvature = (dy / variance) @ dy.T + 0.5 * (dvar / variance**2) @ dvar.T
+    gradient, full = np.zeros(COUNT), np.zeros((COUNT, COUNT))
+    scale = parameters[places]
+    gradient[places] = slope / scale
+    full[np.ix_(places, places)] = curvature / np.outer(scale, scale)
+    return Scored(float(density[scored].sum()), gradient, full)
 
 
-def _fit_one(trajectories: Trajectories, formulation: Formulation, start: Array, places: Ints, driver: int) -> Fit:
-    objective: Callable[[Array], tuple[float, Array]]
-    if formulation == "paper":
-        objective = partial(paper.log_likelihood, paper.perceive(trajectories, driver))
-    else:
-        objective = partial(_causal_objective, causal.chain_behind(trajectories, driver), places)
-    return fit_driver(objective, int(trajectories.vehicle[driver]), start, places, upper_bounds(trajectories))
+def regularised(scored: Scored, parameters: Array) -> Scored:
+    """Eq. Regularized_SSM_Likelihood."""
+    value, gradient, information = scored.log_likelihood, scored.gradient.copy(), scored.information.copy()
+    for k, centre, weight in REGULARISATION:
+        off = parameters[k] - centre
+        value -= weight * off * off
+        gradient[k] -= 2.0 * weight * off
+        information[k, k] += 2.0 * weight
+    return Scored(value, gradient, information)
+
+
+@dataclass(frozen=True, eq=False)
+class _Job:
+    """One driver's data and the search for his parameters; of the paper's formulation ``perceived``, else ``chain``."""
+
+    vehicle: int
+    start: Array
+    places: Ints
+    upper: Array
+    is_regularised: bool
+    perceived: paper.Perceived | None = None
+    chain: causal.Chain | None = None
+    ahead: Array | None = None
+
+    def score(self, parameters: Array, information: Array | None, central: bool = False) -> Scored:
+        if self.perceived is not None:
+            return paper.score(self.perceived, parameters)
+        assert self.chain is not None
+        return causal_score(self.chain, self.ahead, self.places, parameters, information, central)
+
+    def objective(self, parameters: Array, information: Array | None) -> Scored:
+        scored = self.score(parameters, information)
+        return regularised(scored, parameters) if self.is_regularised else scored
+
+    def careful(self, parameters: Array, _: Array | None) -> Scored:
+        # what the search knows of the information may come from a jump, which would make the next steps short, too
+        rough = self.score(parameters, None, central=True)
+        return self.score(parameters, rough.information, central=True)
+
+
+def _carry_out(job: _Job) -> Fit:
+    search = (job.objective, job.vehicle, job.start, job.places, job.upper)
+    found = fit_driver(*search) if job.perceived is not None else fit_driver(*search, _ENOUGH_CAUSAL, job.careful)
+    if job.is_regularised:
+        found = replace(found, log_likelihood=job.score(found.parameters, None).log_likelihood)
+    return found
 
 
 def upper_bounds(trajectories: Trajectories) -> Array:
@@ -102,22 +244,41 @@ def calibrate(
     trajectories: Trajectories,
     formulation: Formulation = "causal",
     estimated: Sequence[str] = ESTIMATED,
-    start: Array | None = None,
-    workers: int = 1,
+    *,
+    is_regularised: bool = False,
+    starts: Mapping[int, Array] | None = None,
+    skip: Collection[int] = (),
+    work: Executor | None = None,
 ) -> Iterator[Fit]:
-    """Fit every driver, over ``workers`` processes, and yield the fits in the order of the vehicles.
+    """Fit every driver for himself, and yield the fits in the order of the vehicles.
 
-    start: (P,), else the paper's mean with a larger acceleration noise. Raises InputError for an unknown parameter, or
-    data that the formulation cannot take.
+    starts: parameters (P,) by vehicle, from which the search begins, and which the drivers ahead are taken to have;
+    without them it begins at the paper's mean with a larger acceleration noise. skip: vehicles to leave out; work: what
+    carries the searches out, in turn if nothing does. Raises InputError for an unknown parameter, or data that the
+    formulation cannot take.
     """
     places = np.array([index(name) for name in estimated])
-    if start is None:
-        start = defaults()
-        start[SIGMA_A] = _START_SIGMA_A
-    one = partial(_fit_one, trajectories, formulation, start, places)
-    drivers = range(len(trajectories.vehicle))
-    if workers == 1:
-        yield from map(one, drivers)
-        return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        yield from pool.map(one, drivers)
+    upper = upper_bounds(trajectories)
+    begin = defaults()
+    begin[SIGMA_A] = _START_SIGMA_A
+    known = starts or {}
+
+    def job(driver: int) -> _Job:
+        vehicle = int(trajectories.vehicle[driver])
+        one = _Job(vehicle, known.get(vehicle, begin), places, upper, is_regularised)
+        if formulation == "paper":
+            return replace(one, perceived=paper.perceive(trajectories, driver))
+        chain = causal.chain_behind(trajectories, driver)
+        ahead = [known.get(_most(chain.identity[:, m]), population()) for m in range(1, causal.CHAIN)]
+        return replace(one, chain=chain, ahead=np.array(ahead))
+
+    left = [i for i, v in enumerate(trajectories.vehicle.tolist()) if v not in set(skip)]
+    for first in range(0, len(left), _BATCH):
+        jobs = map(job, left[first : first + _BATCH])
+        yield from map(_carry_out, jobs) if work is None else work.map(_carry_out, list(jobs))
+
+
+def _most(identity: Ints) -> int:
+    """Who is there in most samples, or -1."""
+    values, counts = np.unique(identity[identity >= 0], return_counts=True)
+    return int(values[np.argmax(counts)]) if len(values) else -1

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from sugiyama_ros.driver.moments import mean_actions
 from sugiyama_ros.driver.parameters import (
     COUNT,
     RHO,
@@ -19,10 +20,10 @@ from sugiyama_ros.driver.parameters import (
     SIGMA_X,
     UTILITY,
     at_period,
-    gradient_at_reference,
     horizon_at,
+    jacobian_at_reference,
 )
-from sugiyama_ros.driver.utility import ACTIONS, PARTIALS, mean_action_gradient
+from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Array
 from sugiyama_ros.trajectories import Trajectories
@@ -33,6 +34,8 @@ MARGIN_BEFORE, MARGIN_AFTER = 2, 3
 UNSCORED = 3
 # Variances at the start of position [m^2], smoothed speed [m^2/s^2] and acceleration [m^2/s^4].
 _START_VAR = 1.0
+# Change from one sample to the next below which covariances count as being at rest.
+_AT_REST = 1e-15
 _NOISES = (SIGMA_NU, SIGMA_A, RHO, SIGMA_X, SIGMA_V)
 
 
@@ -131,122 +134,155 @@ def _predict(covariance: Array, period: float, rho: float, out: Array) -> None:
     out[2, 2] = rho * rho * aa
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def run(
-    gap: Array,
-    speed: Array,
-    leader_speed: Array,
+    action: Array,
+    partials: Array,
     measured: Array,
+    first_speed: float,
     parameters: Array,
-    actions: Array,
     period: float,
-    horizon: int,
     innovation: Array,
     innovation_var: Array,
     means: Array,
     gradient: Array,
+    information: Array,
 ) -> float:
     """Kalman filter of one driver with the mean action as control; returns Eq. SSM_Likelihood.
 
-    gap, speed, leader_speed, measured: (T',); parameters: (P,) at this period. Filled: innovation [m] and its variance
-    (T',), the state after the update, means (T', 3), and the derivatives of the log-likelihood, gradient (P,).
+    action: (T',) [m/s^2], and its derivatives by the utility's parameters, partials (7, T'); measured: (T',) [m];
+    first_speed [m/s]: perceived with the first sample; parameters: (P,) at this period. Filled: innovation [m] and its
+    variance (T',), the state after the update, means (T', 3) if there is room, the derivatives of the log-likelihood,
+    gradient (P,), and its expected information (P, P).
     """
-    samples = len(measured)
     noises = len(_NOISES)
-    rho = parameters[RHO]
-    noise_var = parameters[SIGMA_NU] ** 2
-    partial, partial_before = np.empty(PARTIALS), np.zeros(PARTIALS)
-    mean = np.zeros(3)
-    covariance, scratch = np.diag(np.full(3, _START_VAR)), np.empty((3, 3))
-    # derivatives of the mean with respect to the utility's parameters and the noises, of the covariance to the noises
+    rho, noise_var = parameters[RHO], parameters[SIGMA_NU] ** 2
+    mean, gain = np.zeros(3), np.zeros(3)
+    covariance, ahead = np.diag(np.full(3, _START_VAR)), np.zeros((3, 3))
+    # derivatives of the mean, (3, P), and of the covariance and the gain to the noises
     d_mean = np.zeros((3, COUNT))
-    d_covariance = np.zeros((noises, 3, 3))
-    d_gain = np.empty(3)
-    action_before = 0.0
-    log_likelihood = 0.0
+    d_covariance, d_ahead, d_gain = np.zeros((noises, 3, 3)), np.zeros((noises, 3, 3)), np.zeros((noises, 3))
+    d_variance = np.zeros(noises)
+    variance, log_likelihood = 0.0, 0.0
+    # the covariance depends on no data: once it has come to rest it is left alone
+    at_rest = False
     gradient[:] = 0.0
-    for t in range(samples):
-        action = mean_action_gradient(gap[t], speed[t], leader_speed[t], parameters, actions, period, horizon, partial)
+    information[:, :] = 0.0
+    for t in range(len(measured)):
         if t == 0:
-            mean[0], mean[1], mean[2] = measured[0], speed[0], 0.0
+            mean[0], mean[1] = measured[0], first_speed
+            ahead[:, :] = covariance
         else:
             for j in range(COUNT):
                 d_mean[0, j] += period * d_mean[1, j]
                 d_mean[1, j] += period * d_mean[2, j]
                 d_mean[2, j] *= rho
             for k in range(len(UTILITY)):
-                d_mean[2, UTILITY[k]] += partial[3 + k] - rho * partial_before[3 + k]
-            d_mean[2, RHO] += mean[2] - action_before
-            for k in range(noises):
-                _predict(d_covariance[k], period, rho, scratch)
-                d_covariance[k] = scratch
-            # d (Phi P Phi') / d rho
-            for k in range(2):
-                by_rho = covariance[k, 2] + period * covariance[k + 1, 2]
-                d_covariance[2, k, 2] += by_rho
-                d_covariance[2, 2, k] += by_rho
-            d_covariance[2, 2, 2] += 2.0 * rho * covariance[2, 2]
-            d_covariance[1, 2, 2] += 2.0 * parameters[SIGMA_A]
-            d_covariance[3, 0, 0] += 2.0 * parameters[SIGMA_X]
-            d_covariance[4, 1, 1] += 2.0 * parameters[SIGMA_V]
+                d_mean[2, UTILITY[k]] += partials[k, t] - rho * partials[k, t - 1]
+            d_mean[2, RHO] += mean[2] - action[t - 1]
             mean[0] += period * mean[1]
             mean[1] += period * mean[2]
-            mean[2] = rho * mean[2] + action - rho * action_before
-            _predict(covariance, period, rho, scratch)
-            covariance[:, :] = scratch
-            covariance[0, 0] += parameters[SIGMA_X] ** 2
-            covariance[1, 1] += parameters[SIGMA_V] ** 2
-            covariance[2, 2] += parameters[SIGMA_A] ** 2
+            mean[2] = rho * mean[2] + action[t] - rho * action[t - 1]
+        if not at_rest:
+            before = variance
+            if t > 0:
+                _predict(covariance, period, rho, ahead)
+                ahead[0, 0] += parameters[SIGMA_X] ** 2
+                ahead[1, 1] += parameters[SIGMA_V] ** 2
+                ahead[2, 2] += parameters[SIGMA_A] ** 2
+                for k in range(noises):
+                    _predict(d_covariance[k], period, rho, d_ahead[k])
+                # d (Phi P Phi') / d rho
+                for k in range(2):
+                    by_rho = covariance[k, 2] + period * covariance[k + 1, 2]
+                    d_ahead[2, k, 2] += by_rho
+                    d_ahead[2, 2, k] += by_rho
+                d_ahead[2, 2, 2] += 2.0 * rho * covariance[2, 2]
+                d_ahead[1, 2, 2] += 2.0 * parameters[SIGMA_A]
+                d_ahead[3, 0, 0] += 2.0 * parameters[SIGMA_X]
+                d_ahead[4, 1, 1] += 2.0 * parameters[SIGMA_V]
+            variance = ahead[0, 0] + noise_var
+            for i in range(3):
+                gain[i] = ahead[i, 0] / variance
+            for k in range(noises):
+                d_variance[k] = d_ahead[k, 0, 0] + (2.0 * parameters[SIGMA_NU] if k == 0 else 0.0)
+                for i in range(3):
+                    d_gain[k, i] = (d_ahead[k, i, 0] - gain[i] * d_variance[k]) / variance
+            moved = abs(variance - before)
+            for i in range(3):
+                for j in range(3):
+                    after = ahead[i, j] - gain[i] * gain[j] * variance
+                    moved = max(moved, abs(after - covariance[i, j]))
+                    covariance[i, j] = after
+                    for k in range(noises):
+                        d_after = d_ahead[k, i, j] - (
+                            d_gain[k, i] * gain[j] * variance
+                            + gain[i] * d_gain[k, j] * variance
+                            + gain[i] * gain[j] * d_variance[k]
+                        )
+                        moved = max(moved, abs(d_after - d_covariance[k, i, j]))
+                        d_covariance[k, i, j] = d_after
+            at_rest = moved < _AT_REST
         y = measured[t] - mean[0]
-        variance = covariance[0, 0] + noise_var
         innovation[t], innovation_var[t] = y, variance
-        gain = covariance[:, 0] / variance
         if t >= UNSCORED:
             log_likelihood -= 0.5 * (math.log(variance) + y * y / variance)
             for j in range(COUNT):
                 gradient[j] += y / variance * d_mean[0, j]
+                for i in range(j + 1):
+                    information[i, j] += d_mean[0, i] * d_mean[0, j] / variance
             for k in range(noises):
-                d_variance = d_covariance[k, 0, 0] + (2.0 * parameters[SIGMA_NU] if k == 0 else 0.0)
-                gradient[_NOISES[k]] -= 0.5 * d_variance / variance * (1.0 - y * y / variance)
+                gradient[_NOISES[k]] -= 0.5 * d_variance[k] / variance * (1.0 - y * y / variance)
+                for i in range(noises):
+                    information[_NOISES[i], _NOISES[k]] += 0.5 * d_variance[i] * d_variance[k] / variance**2
         for j in range(COUNT):
             by_position = d_mean[0, j]
             for i in range(3):
                 d_mean[i, j] -= gain[i] * by_position
-        for k in range(noises):
-            d_variance = d_covariance[k, 0, 0] + (2.0 * parameters[SIGMA_NU] if k == 0 else 0.0)
-            for i in range(3):
-                d_gain[i] = (d_covariance[k, i, 0] - gain[i] * d_variance) / variance
-                d_mean[i, _NOISES[k]] += d_gain[i] * y
-            for i in range(3):
-                for j in range(3):
-                    d_covariance[k, i, j] -= (
-                        d_gain[i] * gain[j] * variance + gain[i] * d_gain[j] * variance + gain[i] * gain[j] * d_variance
-                    )
-        mean += gain * y
-        covariance -= np.outer(gain, gain) * variance
+        for i in range(3):
+            mean[i] += gain[i] * y
+            for k in range(noises):
+                d_mean[i, _NOISES[k]] += d_gain[k, i] * y
         if len(means) > 0:
             means[t] = mean
-        action_before = action
-        partial_before[:] = partial
     return log_likelihood
 
 
-def log_likelihood(perceived: Perceived, parameters: Array) -> tuple[float, Array]:
-    """Log-likelihood (no 2 pi term; Eq. SSM_Likelihood) of one driver's parameters (P,), and its gradient (P,)."""
-    samples = len(perceived.measured_m)
-    gradient = np.empty(COUNT)
+@dataclass(frozen=True, eq=False)
+class Scored:
+    """Log-likelihood (no 2 pi term), its gradient (P,) and its expected information (P, P)."""
+
+    log_likelihood: float
+    gradient: Array
+    information: Array
+
+
+def score(perceived: Perceived, parameters: Array) -> Scored:
+    """Eq. SSM_Likelihood of one driver's parameters (P,), with what a search for its maximum asks for."""
+    samples, scaled = len(perceived.measured_m), at_period(parameters, perceived.period_s)
+    action, partials = np.empty(samples), np.empty((len(UTILITY), samples))
+    seen = (perceived.gap_m, perceived.speed, perceived.leader_speed)
+    mean_actions(*seen, scaled, ACTIONS, perceived.period_s, horizon_at(perceived.period_s), action, partials)
+    gradient, upper = np.empty(COUNT), np.empty((COUNT, COUNT))
     value = run(
-        perceived.gap_m,
-        perceived.speed,
-        perceived.leader_speed,
+        action,
+        partials,
         perceived.measured_m,
-        at_period(parameters, perceived.period_s),
-        ACTIONS,
+        perceived.speed[0],
+        scaled,
         perceived.period_s,
-        horizon_at(perceived.period_s),
         np.empty(samples),
         np.empty(samples),
         np.empty((0, 3)),
         gradient,
+        upper,
     )
-    return float(value), gradient_at_reference(gradient, parameters, perceived.period_s)
+    jacobian = jacobian_at_reference(parameters, perceived.period_s)
+    information = np.triu(upper) + np.triu(upper, 1).T
+    return Scored(float(value), jacobian @ gradient, jacobian @ information @ jacobian.T)
+
+
+def log_likelihood(perceived: Perceived, parameters: Array) -> tuple[float, Array]:
+    """Log-likelihood (no 2 pi term; Eq. SSM_Likelihood) of one driver's parameters (P,), and its gradient (P,)."""
+    scored = score(perceived, parameters)
+    return scored.log_likelihood, scored.gradient

@@ -14,14 +14,25 @@ MAY_IMPORT = {
     "road": set(),
     "trajectories": {"road"},
     "driver": {"road"},
-    "effects": {"driver", "road"},
+    "effects": {"compiled_cache", "driver", "road"},
     "simulation": {"driver", "effects", "road", "trajectories"},
     "formats": {"road", "trajectories"},
     "estimation": {"driver", "effects", "road", "trajectories"},
     "criticism": {"driver", "effects", "estimation", "road", "simulation", "trajectories"},
     "studies": {"criticism", "driver", "effects", "estimation", "road", "simulation", "trajectories"},
     "nodes": {"criticism", "driver", "effects", "estimation", "formats", "road", "simulation", "trajectories"},
-    "cli": {"criticism", "driver", "effects", "formats", "nodes", "road", "simulation", "studies", "trajectories"},
+    "cli": {
+        "criticism",
+        "driver",
+        "effects",
+        "estimation",
+        "formats",
+        "nodes",
+        "road",
+        "simulation",
+        "studies",
+        "trajectories",
+    },
 }
 ROS = {"rclpy", "rcl_interfaces", "sugiyama_msgs", "std_srvs", "diagnostic_msgs", "visualization_msgs", "rosgraph_msgs"}
 FILES = sorted(PACKAGE.rglob("*.py"))

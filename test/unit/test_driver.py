@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sugiyama_ros.driver.moments import mean_actions
 from sugiyama_ros.driver.parameters import (
     COUNT,
     KAPPA_V,
@@ -21,20 +22,18 @@ from sugiyama_ros.driver.parameters import (
     at_period,
     check,
     defaults,
-    gradient_at_reference,
     horizon_at,
     index,
+    jacobian_at_reference,
     population,
 )
 from sugiyama_ros.driver.utility import (
     ACTIONS,
-    PARTIALS,
     anticipate,
     collision_penalty,
     desired_speed_reward,
     gap_scale,
     mean_action,
-    mean_action_gradient,
     preferences,
     utilities,
 )
@@ -124,10 +123,27 @@ def test_anticipation_is_eulers_rule():
 def test_without_a_leader_only_the_desired_speed_counts():
     p = defaults()
     assert mean_action(np.inf, p[V_STAR], 0.0, p, ACTIONS, DT, H) == pytest.approx(0.0, abs=0.1)
-    out = np.empty(PARTIALS)
-    mean_action_gradient(np.inf, 5.0, 0.0, p, ACTIONS, DT, H, out)
-    assert np.all(np.isfinite(out))
-    assert out[0] == out[2] == out[3 + UTILITY.index(KAPPA_V)] == 0.0
+    value, partials = at_moments([(np.inf, 5.0, 0.0)], p)
+    assert value[0] == pytest.approx(mean_action(np.inf, 5.0, 0.0, p, ACTIONS, DT, H), abs=1e-12)
+    assert np.all(np.isfinite(partials))
+    assert partials[UTILITY.index(KAPPA_V), 0] == pytest.approx(0.0, abs=1e-100)
+
+
+def at_moments(seen, p):
+    """Mean actions at several moments, and their derivatives."""
+    gap, speed, leader_speed = np.array(seen, dtype=float).T.copy()
+    mean, partials = np.empty(len(seen)), np.empty((len(UTILITY), len(seen)))
+    mean_actions(gap, speed, leader_speed, p, ACTIONS, DT, H, mean, partials)
+    return mean, partials
+
+
+def test_many_moments_are_as_many_single_ones():
+    """More than one block, and a last one that is not full."""
+    rng = np.random.default_rng(3)
+    seen = np.column_stack([rng.uniform(-1, 30, 700), rng.uniform(-1, 14, 700), rng.uniform(-1, 14, 700)])
+    p = defaults()
+    mean, _ = at_moments(seen, p)
+    assert mean == pytest.approx([mean_action(*s, p, ACTIONS, DT, H) for s in seen], abs=1e-12)
 
 
 @settings(deadline=None, max_examples=200)
@@ -136,25 +152,20 @@ def test_derivatives_equal_finite_differences(s, factors):
     p = defaults() * np.array(factors)
     # simple numbers lie on kinks, where some speed or closing speed of the look-ahead is exactly 0
     s = (s[0], s[1] + 1.37e-3, s[2] + 3.11e-3)
-    out = np.empty(PARTIALS)
-    value = mean_action_gradient(*s, p, ACTIONS, DT, H, out)
-    assert value == pytest.approx(mean_action(*s, p, ACTIONS, DT, H), abs=1e-12)
+    (value,), partials = at_moments([s], p)
 
     def moved(j, step):
-        s2, p2 = list(s), p.copy()
-        if j < 3:
-            s2[j] += step
-        else:
-            p2[UTILITY[j - 3]] += step
-        return mean_action(*s2, p2, ACTIONS, DT, H)
+        changed = p.copy()
+        changed[UTILITY[j]] += step
+        return mean_action(*s, changed, ACTIONS, DT, H)
 
-    for j in range(PARTIALS):
+    for j in range(len(UTILITY)):
         e = 1e-5
         one_sided = [(moved(j, e) - value) / e, (value - moved(j, -e)) / e]
         central = (8 * (moved(j, e) - moved(j, -e)) - (moved(j, 2 * e) - moved(j, -2 * e))) / (12 * e)
         # |v|, max(closing, 0) and the period of the smallest ratio have kinks; beside one the sides disagree
         if abs(one_sided[0] - one_sided[1]) < 1e-3 * (1 + abs(central)):
-            assert out[j] == pytest.approx(central, rel=1e-6, abs=1e-6)
+            assert partials[j, 0] == pytest.approx(central, rel=1e-6, abs=1e-6)
 
 
 def test_parameters_are_declared_once_and_in_bounds():
@@ -190,7 +201,7 @@ def test_other_periods_rescale_as_in_the_paper():
 def test_gradient_is_pulled_back_to_the_reference_period():
     p, period = population(), 0.1
     weights = np.arange(1.0, COUNT + 1)
-    gradient = gradient_at_reference(weights, p, period)
+    gradient = jacobian_at_reference(p, period) @ weights
     for k in range(COUNT):
         e = 1e-6 * max(abs(p[k]), 1e-2)
         low, high = p.copy(), p.copy()

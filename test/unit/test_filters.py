@@ -3,7 +3,17 @@
 import numpy as np
 import pytest
 
-from sugiyama_ros.driver.parameters import RHO, SIGMA_A, SIGMA_NU, SIGMA_V, SIGMA_X, V_STAR, defaults, population
+from sugiyama_ros.driver.parameters import (
+    RHO,
+    SIGMA_A,
+    SIGMA_NU,
+    SIGMA_V,
+    SIGMA_X,
+    UTILITY,
+    V_STAR,
+    defaults,
+    population,
+)
 from sugiyama_ros.driver.utility import ACTIONS, mean_action
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.estimation import paper
@@ -88,20 +98,19 @@ def test_the_papers_filter_is_the_dense_posterior(jam):
     filtered, innovation, variance = dense_posterior(
         z, paper.phi(p[RHO], DT), controls @ paper.UPSILON.T, paper.omega(p), start, np.eye(3), p[SIGMA_NU] ** 2
     )
-    y, s, means, gradient = np.empty(kept), np.empty(kept), np.empty((kept, 3)), np.empty(len(p))
+    y, s, means = np.empty(kept), np.empty(kept), np.empty((kept, 3))
     value = paper.run(
-        perceived.gap_m[:kept],
-        perceived.speed[:kept],
-        perceived.leader_speed[:kept],
+        action,
+        np.zeros((len(UTILITY), kept)),
         z,
+        perceived.speed[0],
         p,
-        ACTIONS,
         DT,
-        4,
         y,
         s,
         means,
-        gradient,
+        np.empty(len(p)),
+        np.empty((len(p), len(p))),
     )
     assert means == pytest.approx(filtered, abs=1e-9)
     assert y == pytest.approx(innovation, abs=1e-9)

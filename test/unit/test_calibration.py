@@ -1,0 +1,149 @@
+"""Calibration: its maximum, its errors, its bounds, and that a calibration which was cut off goes on."""
+
+import os
+import signal
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from sugiyama_ros.criticism.calibrated import as_population, each_for_himself
+from sugiyama_ros.criticism.model_file import read_model
+from sugiyama_ros.driver.parameters import KAPPA_V, NAMES, SIGMA_A, SIGMA_NU, V_STAR, defaults, index
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.estimation import calibration, paper
+from sugiyama_ros.estimation.calibration import ESTIMATED, calibrate, regularised
+from sugiyama_ros.estimation.workers import workers
+from sugiyama_ros.road import Road
+from sugiyama_ros.simulation import Simulator, platoon, simulate
+
+PLACES = [SIGMA_NU, SIGMA_A, V_STAR, KAPPA_V]
+
+
+@pytest.fixture(scope="module")
+def jam():
+    """22 cars on the ring, from rest with gaps of 2 m, for 250 s; all drive at the paper's parameters."""
+    length, road = np.full(22, 4.33), Road(230.0)
+    rng = np.random.default_rng(4)
+    return simulate(Simulator(defaults(22), length, platoon(length, 2.0), road, rng), 250.0).measured
+
+
+@pytest.fixture(scope="module")
+def causal_fits(jam):
+    with ThreadPoolExecutor(2) as work:
+        return each_for_himself(jam, "causal", ESTIMATED, work=work)
+
+
+def test_the_truth_lies_within_the_errors_of_the_causal_fits(causal_fits):
+    """22 drivers' z are a chi-squared variable for each parameter; at p = 1e-4 on either side, and bias within."""
+    std = np.array([[s[name] for name in ESTIMATED] for s in causal_fits.std])
+    z = (causal_fits.rows[:, PLACES] - defaults()[PLACES]) / std
+    assert np.all(np.sum(z**2, axis=0) < 60.0)  # chi2.isf(1e-4, 22) = 54.9, and a tenth for what is approximate
+    assert np.all(np.sum(z**2, axis=0) > 5.2)  # chi2.ppf(1e-4, 22) = 5.2
+
+
+def test_the_papers_fits_are_maxima(jam):
+    for fit in calibrate(jam, "paper"):
+        score = paper.score(paper.perceive(jam, fit.vehicle), fit.parameters)
+        scale = fit.parameters[PLACES]
+        gradient = score.gradient[PLACES] * scale
+        information = score.information[np.ix_(PLACES, PLACES)] * np.outer(scale, scale)
+        assert float(gradient @ np.linalg.solve(information, gradient)) < 1e-3
+        assert fit.at_bound == ()
+
+
+def test_the_papers_information_is_the_mean_curvature(jam):
+    """Summed over drivers at the fits, minus the Hessian scatters about it: within 30 % for each noise and v*."""
+    observed, expected = np.zeros(len(NAMES)), np.zeros(len(NAMES))
+    for fit in calibrate(jam, "paper"):
+        perceived = paper.perceive(jam, fit.vehicle)
+        score = paper.score(perceived, fit.parameters)
+        for k in PLACES:
+            e = 1e-4 * fit.parameters[k]
+            sides = []
+            for step in (e, -e):
+                moved = fit.parameters.copy()
+                moved[k] += step
+                sides.append(paper.log_likelihood(perceived, moved)[1][k])
+            observed[k] -= (sides[0] - sides[1]) / (2 * e)
+            expected[k] += score.information[k, k]
+    assert observed[PLACES] / expected[PLACES] == pytest.approx(1.0, abs=0.3)
+
+
+def test_regularisation_is_the_papers(jam):
+    perceived, p = paper.perceive(jam, 3), defaults()
+    plain = paper.score(perceived, p)
+    pulled = regularised(plain, p)
+    v_star, kappa_v = p[V_STAR], p[KAPPA_V]
+    penalty = 50.0 * (v_star - 11.0) ** 2 + 500.0 * (kappa_v - 0.5) ** 2
+    assert plain.log_likelihood - pulled.log_likelihood == pytest.approx(penalty)
+    assert plain.gradient[V_STAR] - pulled.gradient[V_STAR] == pytest.approx(100.0 * (v_star - 11.0))
+    fits = list(calibrate(jam, "paper", is_regularised=True))
+    free = list(calibrate(jam, "paper"))
+    assert all(a.log_likelihood <= b.log_likelihood + 1e-3 for a, b in zip(fits, free, strict=True))
+    assert np.mean([f.parameters[KAPPA_V] for f in fits]) > np.mean([f.parameters[KAPPA_V] for f in free]) + 0.02
+
+
+def test_a_calibration_that_was_cut_off_goes_on(jam, tmp_path, monkeypatch):
+    whole = each_for_himself(jam, "paper", ESTIMATED)
+    kept = tmp_path / "fits"
+    carried_out = []
+    carry_out = calibration._carry_out
+
+    def counted(job):
+        if len(carried_out) == 9:
+            raise KeyboardInterrupt
+        carried_out.append(job.vehicle)
+        return carry_out(job)
+
+    monkeypatch.setattr(calibration, "_carry_out", counted)
+    with pytest.raises(KeyboardInterrupt):
+        each_for_himself(jam, "paper", ESTIMATED, kept=kept)
+    # the last line was half written when the power failed
+    kept.write_text(kept.read_text()[:-30])
+    monkeypatch.setattr(calibration, "_carry_out", lambda job: carried_out.append(job.vehicle) or carry_out(job))
+    resumed = each_for_himself(jam, "paper", ESTIMATED, kept=kept)
+    assert sorted(carried_out) == sorted([*range(22), 8])
+    assert np.array_equal(resumed.rows, whole.rows)
+    assert resumed.std == whole.std
+    # another question is not answered with these fits
+    carried_out.clear()
+    each_for_himself(jam, "paper", ("v_star",), kept=kept)
+    assert len(carried_out) == 22
+
+
+def test_a_population_narrows_what_single_drivers_leave_wide(jam, causal_fits, tmp_path):
+    with ThreadPoolExecutor(2) as work:
+        pooled = as_population(jam, ESTIMATED, (), work)
+    spread = [np.std(c.rows[:, V_STAR]) for c in (pooled, causal_fits)]
+    assert spread[0] < spread[1]
+    # all drivers are alike here
+    error = [np.mean((c.rows[:, V_STAR] - defaults()[V_STAR]) ** 2) for c in (pooled, causal_fits)]
+    assert error[0] < error[1]
+    pooled.write(tmp_path / "model.yaml")
+    assert read_model(tmp_path / "model.yaml").rows == pytest.approx(pooled.rows)
+
+
+def test_any_parameters_may_be_estimated(jam):
+    fit = next(iter(calibrate(jam, "paper", ("omega_2", "rho"))))
+    assert fit.parameters[index("omega_2")] < 0.0
+    assert fit.std[index("rho")] > 0.0
+    assert fit.parameters[V_STAR] == defaults()[V_STAR]
+    with pytest.raises(InputError, match="parameter 'speed': not known"):
+        next(iter(calibrate(jam, "paper", ("speed",))))
+
+
+def test_a_dask_cluster_gives_the_same_also_when_a_worker_dies(jam):
+    distributed = pytest.importorskip("distributed")
+    with (
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster,
+        workers(22, cluster.scheduler_address) as work,
+    ):
+        pids = distributed.default_client().run(os.getpid)
+        fits = calibrate(jam, "causal", work=work)
+        first = next(fits)
+        os.kill(min(pids.values()), signal.SIGKILL)
+        spread = [first, *fits]
+    alone = list(calibrate(jam, "causal"))
+    assert [fit.vehicle for fit in spread] == list(range(22))
+    assert np.array_equal([fit.parameters for fit in spread], [fit.parameters for fit in alone])
