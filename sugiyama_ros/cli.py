@@ -25,7 +25,7 @@ from rich.table import Table
 
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, index
 from sugiyama_ros.effects.catalogue import ENTRIES
-from sugiyama_ros.errors import InputError, SugiyamaError
+from sugiyama_ros.errors import InputError, OutputError, SugiyamaError
 from sugiyama_ros.road import Array, Road
 
 if TYPE_CHECKING:
@@ -350,6 +350,64 @@ def diagnose(
     _print_drivers(document(found)["drivers"])
     runs = f"{found.bootstrap_runs} simulated recordings" + (" (quick)" if quick else "")
     _err.print(f"p-values from {runs}; {found.wall_s:.0f} s")
+
+
+@app.command()
+def study(
+    name: Annotated[str, typer.Argument(help="Which study; without one, the list of all.")] = "",
+    source: Annotated[
+        Path | None, typer.Argument(help="Trajectories of measured drivers: .data, .csv or .mcap.")
+    ] = None,
+    runs: Annotated[int, typer.Option("--runs", min=1, help="Simulated runs of each case.")] = 8,
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="Picture to write: .png or .pdf.")] = None,
+    ring: Ring = None,
+    seed: Seed = 0,
+    as_json: Json = False,
+) -> None:
+    """Answer a question of the paper anew, by simulation or on measured drivers."""
+    from sugiyama_ros.estimation.workers import workers
+    from sugiyama_ros.formats import read_trajectories
+    from sugiyama_ros.studies.all_studies import STUDIES
+    from sugiyama_ros.studies.all_studies import study as study_of
+    from sugiyama_ros.studies.study import Asked
+
+    if not name:
+        for one in STUDIES.values():
+            _out.print(f"{one.name:12} {one.question}", highlight=False)
+        return
+    if output is not None and output.suffix not in (".png", ".pdf"):
+        raise InputError(f"{output}: give a picture a name that ends in .png or .pdf")
+    asked = study_of(name)
+    trajectories = read_trajectories(source, ring) if source is not None else None
+    with workers(runs) as work:
+        answer = asked.answer(Asked(trajectories, runs, seed, work))
+        if output is not None:
+            _draw(answer.draw, output)
+    if as_json:
+        _print_json({"study": name, "paper": asked.paper, "rows": answer.rows, "seed": seed})
+        return
+    headings = list(dict.fromkeys(heading for row in answer.rows for heading in row))
+    table = Table(title=asked.question, title_justify="left")
+    for heading in headings:
+        table.add_column(escape(heading), justify="right")
+    for row in answer.rows:
+        cells = (row.get(heading, "") for heading in headings)
+        table.add_row(*(f"{c:.4g}" if isinstance(c, float) else escape(str(c)) for c in cells))
+    _print_wide(table)
+    _out.print(f"The paper: {asked.paper}", soft_wrap=True, highlight=False)
+
+
+def _draw(draw: Callable[[Any], None], output: Path) -> None:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12, 7), layout="constrained")
+    draw(figure)
+    beside = output.with_name(f".{output.name}")
+    try:
+        figure.savefig(beside, dpi=120, format=output.suffix[1:])
+        beside.replace(output)
+    except OSError as error:
+        raise OutputError(f"{output}: cannot be written: {error.strerror}; choose another place") from None
 
 
 @app.command()

@@ -1,0 +1,90 @@
+"""Are there types of drivers, and how sure is that?"""
+
+from typing import Any
+
+import numpy as np
+from scipy.cluster.hierarchy import dendrogram, fcluster, linkage
+from scipy.spatial.distance import pdist, squareform
+
+from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, V_STAR
+from sugiyama_ros.estimation.calibration import calibrate
+from sugiyama_ros.road import Array, Ints
+from sugiyama_ros.studies.study import Answer, Asked, Study
+
+_PLACES, _MOST, _DRAWS = [SIGMA_A, V_STAR, KAPPA_V], 6, 200
+
+
+def silhouette(points: Array, label: Ints) -> float:
+    """Mean silhouette (Rousseeuw 1987) of a clustering of points (N, K)."""
+    distance = squareform(pdist(points))
+    widths = []
+    for i, own in enumerate(label):
+        same = (label == own) & (np.arange(len(label)) != i)
+        if not same.any():
+            widths.append(0.0)
+            continue
+        inside = distance[i, same].mean()
+        nearest = min(distance[i, label == other].mean() for other in np.unique(label) if other != own)
+        widths.append((nearest - inside) / max(nearest, inside))
+    return float(np.mean(widths))
+
+
+def adjusted_rand(a: Ints, b: Ints) -> float:
+    """Agreement of two clusterings beyond chance (Hubert and Arabie 1985): 1 for the same, 0 for chance."""
+    table = np.array([[np.sum((a == x) & (b == y)) for y in np.unique(b)] for x in np.unique(a)])
+
+    def pairs(n: Array | Ints) -> float:
+        return float(np.sum(n * (n - 1) / 2))
+
+    both, rows, columns = pairs(table), pairs(table.sum(axis=1)), pairs(table.sum(axis=0))
+    chance = rows * columns / pairs(np.array([len(a)]))
+    return (both - chance) / (0.5 * (rows + columns) - chance)
+
+
+def answer(asked: Asked) -> Answer:
+    """Ward's clustering of standardised sigma_a, v* and kappa_v; their number is that of the largest silhouette.
+
+    Stability: the estimates are drawn anew within their errors and clustered again; agreement with the first.
+    """
+    fits = [fit for fit in calibrate(asked.measured, "paper") if fit.identified("v_star")]
+    values = np.array([fit.parameters[_PLACES] for fit in fits])
+    std = np.array([fit.std[_PLACES] for fit in fits])
+    centre, scale = values.mean(axis=0), values.std(axis=0)
+    points = (values - centre) / scale
+    tree = linkage(points, "ward")
+    counts = range(2, _MOST + 1)
+    labels = {n: fcluster(tree, n, "maxclust") for n in counts}
+    rng = np.random.default_rng(asked.seed)
+    rows = []
+    for n in counts:
+        agreement = []
+        for _ in range(_DRAWS):
+            drawn = (values + std * rng.standard_normal(values.shape) - centre) / scale
+            agreement.append(adjusted_rand(labels[n], fcluster(linkage(drawn, "ward"), n, "maxclust")))
+        rows.append(
+            {
+                "clusters": n,
+                "silhouette": silhouette(points, labels[n]),
+                "agreement of draws": float(np.mean(agreement)),
+                "sizes": " ".join(str(int(np.sum(labels[n] == k))) for k in np.unique(labels[n])),
+                "drivers": len(fits),
+            }
+        )
+
+    def draw(figure: Any) -> None:
+        left, right = figure.subplots(1, 2)
+        dendrogram(tree, labels=[fit.vehicle for fit in fits], ax=left)
+        left.set(xlabel="vehicle", ylabel="distance")
+        shown = right.scatter(values[:, 1], values[:, 2], c=labels[4], s=600.0 * values[:, 0] / values[:, 0].max() / 6)
+        right.set(xlabel="v* [m/s]", ylabel="kappa_v [s]", title="four clusters; size: sigma_a")
+        figure.colorbar(shown)
+
+    return Answer(tuple(rows), draw)
+
+
+STUDY = Study(
+    "types",
+    "Are there types of drivers?",
+    "Four broadly meaningful clusters (section 5.2).",
+    answer,
+)
