@@ -130,19 +130,29 @@ def fit_driver(
             damping = max(damping * 10.0, 1e-2)
     parameters = start.copy()
     parameters[places] = sign * np.exp(x)
-    if careful is not None:
-        scale = np.outer(parameters[places], parameters[places])
-        information = careful(parameters, here.information).information[np.ix_(places, places)] * scale
     bound = (x <= smallest) | (x >= largest)
+    inside = places[~bound]
     std: Array = np.zeros(len(start))
     std[places] = np.inf
-    inside = ~bound
-    if inside.any():
-        covariance = np.linalg.pinv(information[np.ix_(inside, inside)], hermitian=True)
-        std[places[inside]] = np.sqrt(np.maximum(np.diag(covariance), 0.0)) * np.exp(x[inside])
+    if len(inside):
+        std[inside] = _stds(here if careful is None else careful(parameters, here.information), inside)
     return Fit(
         vehicle, parameters, here.log_likelihood, std, tuple(NAMES[k] for k, b in zip(places, bound, strict=True) if b)
     )
+
+
+def _stds(scored: Scored, places: Ints) -> Array:
+    """Standard deviations of the parameters at ``places`` at a maximum.
+
+    From the expected information, or where the samples' gradients scatter by more than that, from the sandwich of both
+    (Huber 1967), which holds for a likelihood that is an approximation, too.
+    """
+    block = np.ix_(places, places)
+    covariance = np.linalg.pinv(scored.information[block], hermitian=True)
+    variance = np.diag(covariance)
+    if scored.scatter is not None:
+        variance = np.maximum(variance, np.diag(covariance @ scored.scatter[block] @ covariance))
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
 def causal_score(
@@ -175,13 +185,15 @@ def causal_score(
             y_down, variance_down = (one[scored] for one in causal.predict_samples(chain, moved, ahead)[:2])
             span = 2.0 * step
         dy[j], dvar[j] = (y_up[scored] - y_down) / span, (variance_up[scored] - variance_down) / span
-    slope = -(dy * (y / variance) + 0.5 * dvar * (1.0 - y * y / variance) / variance).sum(axis=1)
+    slopes = -(dy * (y / variance) + 0.5 * dvar * (1.0 - y * y / variance) / variance)
     curvature = (dy / variance) @ dy.T + 0.5 * (dvar / variance**2) @ dvar.T
-    gradient, full = np.zeros(COUNT), np.zeros((COUNT, COUNT))
+    gradient, full, scatter = np.zeros(COUNT), np.zeros((COUNT, COUNT)), np.zeros((COUNT, COUNT))
     scale = parameters[places]
-    gradient[places] = slope / scale
-    full[np.ix_(places, places)] = curvature / np.outer(scale, scale)
-    return Scored(float(density[scored].sum()), gradient, full)
+    block = np.ix_(places, places)
+    gradient[places] = slopes.sum(axis=1) / scale
+    full[block] = curvature / np.outer(scale, scale)
+    scatter[block] = slopes @ slopes.T / np.outer(scale, scale)
+    return Scored(float(density[scored].sum()), gradient, full, scatter)
 
 
 def regularised(scored: Scored, parameters: Array) -> Scored:

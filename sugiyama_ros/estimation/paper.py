@@ -250,11 +250,16 @@ def run(
 
 @dataclass(frozen=True, eq=False)
 class Scored:
-    """Log-likelihood (no 2 pi term), its gradient (P,) and its expected information (P, P)."""
+    """Log-likelihood (no 2 pi term), its gradient (P,) and its expected information (P, P).
+
+    scatter: (P, P), the sum of the products of all samples' gradients, where it is known: the information as it was
+    realised.
+    """
 
     log_likelihood: float
     gradient: Array
     information: Array
+    scatter: Array | None = None
 
 
 def score(perceived: Perceived, parameters: Array) -> Scored:

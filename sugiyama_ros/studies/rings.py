@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sugiyama_ros.criticism.collective import Collective, collective
-from sugiyama_ros.driver.parameters import SIGMA_A, V_STAR, defaults
+from sugiyama_ros.driver.parameters import SIGMA_A, defaults
 from sugiyama_ros.estimation.calibration import calibrate
 from sugiyama_ros.road import Array, Road
 from sugiyama_ros.simulation import Simulation, Simulator, evenly, platoon, simulate
@@ -15,10 +15,12 @@ from sugiyama_ros.trajectories import Trajectories
 
 #: The ring and the cars of the experiment, duration of a run and its last part, which is summed up; SI units.
 RING_M, CARS, LENGTH_M, DURATION_S, LAST_S = 230.0, 22, 4.33, 500.0, 150.0
-#: Gap [m] of a start out of a jam; the paper's factor of sigma_a in simulations with estimated drivers.
-JAM_GAP_M, DEFLATED = 2.0, 0.5
-# A road has a wave where, in the mean over time, the slowest vehicle is slower, and the fastest so much faster [m/s].
-_SLOW, _RANGE = 3.0, 4.0
+#: Gap [m] of a start out of a jam.
+JAM_GAP_M = 2.0
+#: Factor of sigma_a in simulations with estimated drivers: the paper's (section 6), and one with which few collide.
+PAPERS_FACTOR, FACTOR = 0.5, 0.25
+# A road has a wave where, in the mean over time, the slowest vehicle is slower than this part of the fastest's speed.
+_SLOW = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +63,7 @@ def outcome(ring: Ring) -> Outcome:
     leader = np.tile(np.roll(np.arange(len(ring.drivers)), -1), (len(speed), 1))
     headway = np.mod(np.roll(position, -1, axis=1) - position, ring.ring_m)
     road = collective(speed, headway, leader, ring.period_s)
-    wave = road.least_speed < _SLOW and road.largest_speed - road.least_speed > _RANGE
+    wave = road.least_speed < _SLOW * road.largest_speed
     flow = 3600.0 * len(ring.drivers) / ring.ring_m * road.mean_speed
     return Outcome(road, wave and not s.collisions, bool(s.collisions), flow)
 
@@ -76,16 +78,10 @@ def alike(cars: int = CARS) -> Array:
     return defaults(cars)
 
 
-def estimated(trajectories: Trajectories) -> Array:
-    """Drivers (N, P) as the paper finds them, with half of the acceleration noise, as it simulates them (section 6).
-
-    A desired speed that the data do not hold is replaced by the median of the others.
-    """
-    fits = list(calibrate(trajectories, "paper"))
-    rows = np.array([fit.parameters for fit in fits])
-    known = np.array([fit.identified("v_star") for fit in fits])
-    rows[~known, V_STAR] = np.median(rows[known, V_STAR])
-    rows[:, SIGMA_A] *= DEFLATED
+def estimated(trajectories: Trajectories, factor: float = FACTOR) -> Array:
+    """Drivers (N, P) as the paper finds them, regularised, with part of the acceleration noise (sections 4.4 and 6)."""
+    rows = np.array([fit.parameters for fit in calibrate(trajectories, "paper", is_regularised=True)])
+    rows[:, SIGMA_A] *= factor
     return rows
 
 
