@@ -8,7 +8,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .NOTPARALLEL:
-.PHONY: help demo test lint
+.PHONY: help demo test lint bench
 
 # What another environment that is active in the shell would mix into ours: Python's, and ROS's.
 unexport PYTHONPATH PYTHONHOME VIRTUAL_ENV PIP_USER PIP_TARGET PIP_PREFIX
@@ -22,6 +22,7 @@ help:
 	make demo   set up, then find what the model of a simulated experiment misses
 	make test   set up, then run the tests
 	make lint   set up, then check style and types
+	make bench  set up, then measure the speed of the calibration
 	The first run sets up .venv and takes some minutes. PYTHON=python3.12 chooses the Python of a new .venv.
 	END
 
@@ -30,6 +31,9 @@ demo: $(DONE)/package
 
 test: $(DONE)/package $(DONE)/tools
 	@.venv/bin/python -m pytest
+
+bench: $(DONE)/package
+	@.venv/bin/python -m sugiyama_ros.studies.speed --many 10000
 
 lint: $(DONE)/package $(DONE)/tools
 	@.venv/bin/ruff check .

@@ -398,8 +398,10 @@ def study(
 
 
 def _draw(draw: Callable[[Any], None], output: Path) -> None:
-    from matplotlib.figure import Figure
-
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise InputError("--output: matplotlib is not installed; pip install 'sugiyama_ros[pictures]'") from None
     figure = Figure(figsize=(12, 7), layout="constrained")
     draw(figure)
     beside = output.with_name(f".{output.name}")

@@ -75,9 +75,11 @@ def answer(asked: Asked) -> Answer:
         left, right = figure.subplots(1, 2)
         dendrogram(tree, labels=[fit.vehicle for fit in fits], ax=left)
         left.set(xlabel="vehicle", ylabel="distance")
-        shown = right.scatter(values[:, 1], values[:, 2], c=labels[4], s=600.0 * values[:, 0] / values[:, 0].max() / 6)
+        for k in np.unique(labels[4]):
+            of = values[labels[4] == k]
+            right.scatter(of[:, 1], of[:, 2], s=200.0 * of[:, 0], label=f"type {k}")
         right.set(xlabel="v* [m/s]", ylabel="kappa_v [s]", title="four clusters; size: sigma_a")
-        figure.colorbar(shown)
+        right.legend()
 
     return Answer(tuple(rows), draw)
 

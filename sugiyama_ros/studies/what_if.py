@@ -38,9 +38,12 @@ def compare(asked: Asked, cases: Cases) -> Answer:
     def draw(figure: Any) -> None:
         columns = min(3, len(cases))
         lines = -(-len(cases) // columns)
-        for axes, (name, make) in zip(figure.subplots(lines, columns, squeeze=False).flat, cases.items(), strict=False):
+        places = iter(figure.subplots(lines, columns, squeeze=False).flat)
+        for (name, make), axes in zip(cases.items(), places, strict=False):
             space_time(axes, run(make(asked.seed)))
             axes.set(title=name)
+        for axes in list(places):
+            axes.set_visible(False)
 
     return Answer(rows, draw)
 
