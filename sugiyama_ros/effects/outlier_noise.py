@@ -30,5 +30,5 @@ EFFECT = Effect(
         Parameter("share", "ε", "1", 0.0, 0.0, 0.6, "share of outliers"),
         Parameter("factor", "k", "1", 0.0, 1.2, 50.0, "their std over that of the other measurements"),
     ),
-    starts=at({"share": 0.05, "factor": 3.0}),
+    starts=at({"share": 0.05, "factor": 3.0}, {"share": 0.005, "factor": 5.0}),
 )

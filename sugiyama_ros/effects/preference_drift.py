@@ -12,5 +12,5 @@ EFFECT = Effect(
         Parameter("std", "σ_d", "1", 0.0, 0.0, 2.0, "std of log v* and log κ_v over a long time"),
         Parameter("time_constant", "T_d", "s", 0.0, 1.0, 1e5, "time after which a mood is forgotten"),
     ),
-    starts=at({"std": 0.1, "time_constant": 30.0}),
+    starts=at({"std": 0.1, "time_constant": 30.0}, {"std": 0.03, "time_constant": 30.0}),
 )
