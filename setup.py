@@ -38,6 +38,7 @@ setup(
     ],
     # rclpy and the messages come from ROS, or from requirements.txt
     install_requires=[
+        "bokeh>=3.4",
         "filterpy>=2",
         "lz4>=4",
         "mcap>=1.2",

@@ -475,6 +475,30 @@ def compare(
 
 
 @app.command()
+def report(
+    source: Annotated[Path, typer.Argument(help="MCAP file that `run` recorded.")],
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="HTML file to write.")] = None,
+    diagnosis: Annotated[
+        Path | None, typer.Option("--diagnosis", help="Document that `diagnose --json` printed of the same data.")
+    ] = None,
+    show: Annotated[bool, typer.Option("--open", help="Open it in the browser.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Write a page to look at: what was measured, what the model says, where it fails, what is missing."""
+    from sugiyama_ros.page.recording import read_diagnosis, read_recording
+    from sugiyama_ros.page.report import write_report
+
+    page = output or source.with_suffix(".html")
+    if page.suffix != ".html":
+        raise InputError(f"{page}: give the page a .html name")
+    found = read_diagnosis(diagnosis) if diagnosis is not None else None
+    write_report(read_recording(source), found, page)
+    _tell({"output": str(page), "size_bytes": page.stat().st_size}, f"page: {page}", as_json)
+    if show:
+        typer.launch(str(page))
+
+
+@app.command()
 def convert(
     source: Annotated[Path, typer.Argument(help="Trajectories: .data, .csv or .mcap.")],
     output: Annotated[Path, typer.Argument(help="MCAP file to write.")],

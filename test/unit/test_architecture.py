@@ -21,6 +21,7 @@ MAY_IMPORT = {
     "criticism": {"driver", "effects", "estimation", "road", "simulation", "trajectories"},
     "studies": {"criticism", "driver", "effects", "estimation", "road", "simulation", "trajectories"},
     "nodes": {"criticism", "driver", "effects", "estimation", "formats", "road", "simulation", "trajectories"},
+    "page": {"formats", "road", "trajectories"},
     "cli": {
         "criticism",
         "driver",
@@ -28,6 +29,7 @@ MAY_IMPORT = {
         "estimation",
         "formats",
         "nodes",
+        "page",
         "road",
         "simulation",
         "studies",

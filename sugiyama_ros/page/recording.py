@@ -1,0 +1,90 @@
+"""What a recorded run says, as arrays over samples and vehicles."""
+
+import json
+from collections import defaultdict
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.formats import read_trajectories
+from sugiyama_ros.formats.mcap_reader import Bag
+from sugiyama_ros.road import Array
+from sugiyama_ros.trajectories import Trajectories
+
+_FIELDS = {
+    "state": ("speed", "acceleration", "mean_action", "gap_m", "approach_rate"),
+    "innovation": ("innovation_m", "innovation_var", "nis", "scored"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A recorded run: trajectories, and what the estimators published, (T, N) each by name; NaN where nothing was.
+
+    series: speed, its std speed_std, acceleration, mean_action, gap_m, approach_rate, innovation_m, innovation_var,
+    nis, scored; SI units. verdict: time (K,) [s], and the weight of each model by name, (K,).
+    """
+
+    trajectories: Trajectories
+    time_s: Array
+    series: dict[str, Array]
+    verdict_s: Array
+    weights: dict[str, Array]
+
+    @property
+    def has_estimates(self) -> bool:
+        """Whether estimators have run."""
+        return bool(np.isfinite(self.series["speed"]).any())
+
+
+def read_recording(path: Path) -> Recording:
+    """Read a bag that `sugiyama run` recorded, or one of trajectories alone. Raises InputError."""
+    trajectories = read_trajectories(path, None)
+    t = trajectories
+    samples, vehicles = t.position_m.shape
+    names = ["speed_std", *(name for fields in _FIELDS.values() for name in fields)]
+    series: dict[str, Array] = {name: np.full((samples, vehicles), np.nan) for name in names}
+    column = {int(v): k for k, v in enumerate(t.vehicle)}
+    weights: defaultdict[str, list[float]] = defaultdict(list)
+    times: list[float] = []
+    with Bag(path) as bag:
+        topics = {topic.name for topic in bag.info().topics}
+        wanted = {n for n in topics if n.endswith(("/state", "/innovation", "/verdict"))}
+        for topic, _, _, message in bag.messages(wanted) if wanted else ():
+            time_s = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+            if topic.endswith("/verdict"):
+                times.append(time_s)
+                for name, weight in zip(message.model, message.weight, strict=True):
+                    weights[name].append(float(weight))
+                continue
+            step, k = round((time_s - t.start_s) / t.period_s), column.get(int(message.vehicle))
+            if k is None or not 0 <= step < samples:
+                continue
+            kind = topic.rpartition("/")[2]
+            for name in _FIELDS[kind]:
+                series[name][step, k] = getattr(message, name)
+            if kind == "state":
+                series["speed_std"][step, k] = np.sqrt(max(float(message.covariance[4]), 0.0))
+    return Recording(
+        t,
+        np.asarray(t.start_s + np.arange(samples) * t.period_s, dtype=np.float64),
+        series,
+        np.array(times),
+        {name: np.array(values) for name, values in weights.items() if len(values) == len(times)},
+    )
+
+
+def read_diagnosis(path: Path) -> dict[str, Any]:
+    """A document that `sugiyama diagnose --json` printed. Raises InputError."""
+    try:
+        document = json.loads(path.read_text())
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    except ValueError:
+        raise InputError(f"{path}: is not JSON; give what `sugiyama diagnose --json` printed") from None
+    if not isinstance(document, dict) or not {"verdict", "candidates", "errors", "drivers"} <= set(document):
+        raise InputError(f"{path}: is no diagnosis; give what `sugiyama diagnose --json` printed")
+    return document

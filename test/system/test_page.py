@@ -1,0 +1,99 @@
+"""The page, in a real browser where there is one: all panels, no error in its console, nothing from the network."""
+
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.page.recording import read_diagnosis, read_recording
+from sugiyama_ros.page.report import report, write_report
+
+pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+DIAGNOSIS = {
+    "verdict": {
+        "effects": [
+            {"name": "drag", "heldout_gain_nats": 50.0, "heldout_gain_se": 9.0, "indistinguishable": ["limited_power"]}
+        ]
+    },
+    "candidates": [{"name": "drag", "heldout_gain_nats": 50.0, "heldout_gain_se": 9.0}],
+    "errors": {"before": {"one_step_rmse_m": 0.4}, "after": {"one_step_rmse_m": 0.39}},
+    "drivers": [{"vehicle": v, "single_car_10s_before_m": 2.0, "single_car_10s_after_m": 1.5} for v in range(6)],
+}
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """Six cars on a ring, run through the estimators."""
+    folder = tmp_path_factory.mktemp("page")
+    for arguments in (
+        ("simulate", "-o", "sim.mcap", "--vehicles", "6", "--ring", "80", "--duration", "40"),
+        ("run", "sim.mcap", "-o", "run.mcap", "--critic"),
+    ):
+        command = [shutil.which("sugiyama") or "sugiyama", *arguments]
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+    return folder / "run.mcap"
+
+
+@pytest.fixture(scope="module")
+def page(recorded):
+    (recorded.parent / "diagnosis.json").write_text(json.dumps(DIAGNOSIS))
+    output = recorded.with_suffix(".html")
+    write_report(read_recording(recorded), read_diagnosis(recorded.parent / "diagnosis.json"), output)
+    return output
+
+
+def test_what_was_recorded_is_read_back(recorded):
+    r = read_recording(recorded)
+    assert r.trajectories.position_m.shape == (121, 6)
+    assert r.has_estimates
+    assert np.isfinite(r.series["speed"][5:]).all()
+    scored = r.series["scored"] > 0.0
+    assert 0.05 < np.sqrt(np.mean(r.series["innovation_m"][scored] ** 2)) < 1.0
+    assert set(r.weights) >= {"base"}
+    assert np.sum(list(r.weights.values()), axis=0) == pytest.approx(1.0)
+
+
+def test_a_page_of_trajectories_alone_says_what_was_measured(recorded):
+    text = report(read_recording(recorded.parent / "sim.mcap"), None)
+    assert "What was measured" in text
+    assert "Where it fails" not in text
+
+
+def test_no_page_asks_for_anything_from_elsewhere(page):
+    text = page.read_text()
+    assert len(text) < 5_000_000
+    assert not re.search(r"<(script|link|img)[^>]+(src|href)=[\"']?https?:", text)
+    assert "drag: held-out gain 50 ± 9 nats; cannot be told apart from limited_power" in text
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+def test_a_browser_shows_all_panels(page, tmp_path):
+    command = [
+        CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", "--v=0",
+        f"--user-data-dir={tmp_path}", "--host-resolver-rules=MAP * ~NOTFOUND", "--virtual-time-budget=10000",
+        "--window-size=1280,4000", "--dump-dom", page.as_uri(),
+    ]  # fmt: skip
+    shown = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    console = [line for line in shown.stderr.splitlines() if "CONSOLE" in line]
+    assert not [line for line in console if "rror" in line], console
+    for heading in ("What was measured", "What the model says", "Where it fails", "What is missing", "After adding it"):
+        assert heading in shown.stdout
+    # every panel has been filled in by the script: its view is in a shadow root, which is told by Bokeh's class
+    assert shown.stdout.count('class="panel"') == 11
+    assert shown.stdout.count("data-root-id") == 11
+
+
+@pytest.mark.parametrize(
+    ("text", "words"), [("{", "is not JSON"), ("[]", "is no diagnosis"), ("{}", "is no diagnosis")]
+)
+def test_a_diagnosis_that_is_none_is_said_so(tmp_path: Path, text, words):
+    (tmp_path / "d.json").write_text(text)
+    with pytest.raises(InputError, match=words):
+        read_diagnosis(tmp_path / "d.json")
