@@ -24,7 +24,7 @@ table { border-collapse: collapse; } tr { border-bottom: 1px solid #8884; }
 td, th { padding: .2rem .8rem; text-align: right; } td:first-child, th:first-child { text-align: left; }
 @media (prefers-color-scheme: dark) {
   body { background: #111; color: #ddd; }
-  .panel { filter: invert(.92) hue-rotate(180deg); }
+  .panel { background: #fff; color: #111; color-scheme: light; filter: invert(.92) hue-rotate(180deg); }
 }
 """
 
