@@ -499,6 +499,29 @@ def report(
 
 
 @app.command()
+def live(
+    source: Annotated[
+        Path | None, typer.Argument(help="Trajectories to replay; without, the page shows the graph that runs.")
+    ] = None,
+    output: Out = Path("sugiyama-live.mcap"),
+    rate: Rate = "1",
+    ring: Ring = None,
+    model: ModelFile = None,
+    port: Annotated[int, typer.Option("--port", min=1024, max=65535, help="Port on this machine.")] = 5006,
+    show: Annotated[bool, typer.Option("--open", help="Open it in the browser.")] = False,
+) -> None:
+    """Serve a page, on this machine alone, that shows the topics while they come; Ctrl-C ends it."""
+    from sugiyama_ros.nodes.live import serve
+
+    def ready(url: str) -> None:
+        _err.print(f"live page: {url} (Ctrl-C ends it)")
+        if show:
+            typer.launch(url)
+
+    serve(source, output, rate=_rate(rate), ring_m=ring, model=model, port=port, on_ready=ready)
+
+
+@app.command()
 def convert(
     source: Annotated[Path, typer.Argument(help="Trajectories: .data, .csv or .mcap.")],
     output: Annotated[Path, typer.Argument(help="MCAP file to write.")],

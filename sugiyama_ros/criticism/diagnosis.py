@@ -164,7 +164,7 @@ def diagnose(
         base = fit_base(data, INDIVIDUAL, work)
         possible = candidates(recording_of(data), data.drivers)
         runs = QUICK_RUNS if quick else BOOTSTRAP_RUNS
-        current, named, first, null = base, [], [], _Null({})
+        current, named, first, null = base, [], [], _Null({}, {})
         before = errors = errors_of(data, without_folds(data, base, work, refit=not quick), work)
         heldout: dict[str, Gain] = {}
         smallest: dict[str, float] = {}
@@ -339,19 +339,25 @@ def _shortlist(looks: Sequence[Glance]) -> list[int]:
 
 @dataclass(frozen=True, eq=False)
 class _Null:
-    """Gains of candidates on simulated recordings in which nothing is missing."""
+    """Gains of candidates on simulated recordings in which nothing is missing.
+
+    scale: std of half a chi-squared variable with the candidate's number of parameters.
+    """
 
     gains: dict[str, list[float]]
+    scale: dict[str, float]
 
     def judge(self, look: Glance, rivals: int) -> Looked:
         """p-value by Student's t over the simulated gains, whose spread is shared among candidates in part."""
         candidate = look.candidate
         gains = np.maximum(self.gains.get(candidate.name, [0.0]), 0.0)
-        spreads = [float(np.std(np.maximum(g, 0.0), ddof=1)) for g in self.gains.values() if len(g) > 1]
+        spreads = [
+            float(np.std(np.maximum(g, 0.0), ddof=1)) / self.scale[name] for name, g in self.gains.items() if len(g) > 1
+        ]
         # chi-squared variables of K parameters spread by sqrt(2 / K) of their mean, whatever the filter scales them by
-        freedom = len(candidate.places) * (len(look.fit.model.rows) if candidate.individual else 1)
+        freedom = _freedom(candidate, len(look.fit.model.rows))
         least = max(_LEAST_SPREAD, float(gains.mean()) * math.sqrt(2.0 / freedom))
-        common = max(float(np.median(spreads)) if spreads else 0.0, least)
+        common = max(float(np.median(spreads)) * math.sqrt(0.5 * freedom) if spreads else 0.0, least)
         expected = float(gains.mean())
         if not candidate.individual:
             # a shared parameter gains half a nat by chance (Wilks), which a few simulations know less well
@@ -372,6 +378,11 @@ class _Null:
         return max(_LEAST_GAIN, float(np.median(highest)) if highest else 0.0)
 
 
+def _freedom(candidate: Candidate, drivers: int) -> int:
+    """Number of parameters that a candidate adds."""
+    return len(candidate.places) * (drivers if candidate.individual else 1)
+
+
 def _simulate(
     data: Recorded,
     current: Fit,
@@ -389,7 +400,9 @@ def _simulate(
         return [glance(simulated, fitted, candidate, work).gain for candidate in chosen]
 
     gains = _at_once(one_run, seeds(seed, runs), "simulating the model without it", on_progress)
-    return _Null({candidate.name: list(one) for candidate, one in zip(chosen, zip(*gains, strict=True), strict=True)})
+    by_candidate = zip(chosen, zip(*gains, strict=True), strict=True)
+    scale = {c.name: math.sqrt(0.5 * _freedom(c, data.drivers)) for c in chosen}
+    return _Null({candidate.name: list(one) for candidate, one in by_candidate}, scale)
 
 
 def _indistinguishable(best: Looked, looked: Sequence[Looked]) -> tuple[str, ...]:

@@ -35,7 +35,8 @@ _TOOLS = "pan,wheel_zoom,box_zoom,reset,save"
 _SINGLE = np.float32
 
 
-def _figure(title: str, x: str, y: str, **more: Any) -> Any:
+def panel(title: str, x: str, y: str, **more: Any) -> Any:
+    """An empty figure that is as wide as there is room."""
     return figure(
         title=title,
         x_axis_label=x,
@@ -48,7 +49,7 @@ def _figure(title: str, x: str, y: str, **more: Any) -> Any:
     )
 
 
-def _legend_above(plot: Any) -> None:
+def legend_above(plot: Any) -> None:
     """A legend that hides nothing, and in which a click hides a line."""
     plot.legend.click_policy = "hide"
     plot.legend.orientation = "horizontal"
@@ -71,7 +72,7 @@ def space_time(r: Recording) -> UIElement:
         }
     )
     colours = LinearColorMapper(Cividis256, low=0.0, high=float(np.nanquantile(speed, 0.99)), nan_color=GREY)
-    plot = _figure("Where everybody was, and how fast", "time [s]", "position [m]")
+    plot = panel("Where everybody was, and how fast", "time [s]", "position [m]")
     plot.scatter("time", "position", source=source, size=2, color={"field": "speed", "transform": colours})
     plot.add_layout(ColorBar(color_mapper=colours, ticker=BasicTicker(), title="speed [m/s]"), "right")
     return plot
@@ -81,7 +82,7 @@ def speed_profile(r: Recording) -> UIElement:
     """Mean, least and largest speed of all vehicles."""
     speed = r.series["speed"] if r.has_estimates else _speeds(r)
     whole = np.isfinite(speed).any(axis=1)
-    plot = _figure("Speeds of all vehicles", "time [s]", "speed [m/s]")
+    plot = panel("Speeds of all vehicles", "time [s]", "speed [m/s]")
     for label, of, colour in (("largest", np.nanmax, ORANGE), ("mean", np.nanmean, BLUE), ("least", np.nanmin, GREEN)):
         plot.line(
             r.time_s[whole],
@@ -90,7 +91,7 @@ def speed_profile(r: Recording) -> UIElement:
             legend_label=label,
             line_width=2,
         )
-    _legend_above(plot)
+    legend_above(plot)
     return plot
 
 
@@ -114,7 +115,7 @@ def ring(r: Recording) -> UIElement:
     all_frames = ColumnDataSource({name: values.ravel() for name, values in frames.items()})
     shown = ColumnDataSource({**{n: v[0] for n, v in frames.items()}, "vehicle": [str(v) for v in t.vehicle]})
     colours = LinearColorMapper(Cividis256, low=0.0, high=float(np.nanquantile(speed, 0.99)), nan_color=GREY)
-    plot = _figure("The road from above", "x [m]", "y [m]", match_aspect=t.road.is_ring)
+    plot = panel("The road from above", "x [m]", "y [m]", match_aspect=t.road.is_ring)
     plot.scatter("x", "y", source=shown, size=12, line_color="black", color={"field": "speed", "transform": colours})
     plot.add_tools(HoverTool(tooltips=[("vehicle", "@vehicle"), ("speed", "@speed{0.0} m/s")]))
     last = len(frames["x"]) - 1
@@ -160,15 +161,15 @@ def driver(r: Recording, select: Select) -> UIElement:
     }
     everything = ColumnDataSource({name: values.T.ravel().astype(_SINGLE) for name, values in arrays.items()})
     shown = ColumnDataSource({"time": r.time_s, **{n: v[:, 0].astype(_SINGLE) for n, v in arrays.items()}})
-    speed = _figure("What the model says of one driver: speed, with one sigma", "time [s]", "speed [m/s]")
+    speed = panel("What the model says of one driver: speed, with one sigma", "time [s]", "speed [m/s]")
     speed.varea("time", "low", "high", source=shown, color=BLUE, alpha=0.3)
     speed.line("time", "measured", source=shown, color=GREY, legend_label="from two positions, smoothed")
     speed.line("time", "speed", source=shown, color=BLUE, legend_label="filtered", line_width=2)
-    _legend_above(speed)
-    error = _figure("Error of the next position, with two sigma", "time [s]", "innovation [m]", x_range=speed.x_range)
+    legend_above(speed)
+    error = panel("Error of the next position, with two sigma", "time [s]", "innovation [m]", x_range=speed.x_range)
     error.varea("time", "below", "above", source=shown, color=ORANGE, alpha=0.3)
     error.line("time", "innovation", source=shown, color=VERMILION)
-    meant = _figure("What he means to do", "time [s]", "mean action [m/s²]", x_range=speed.x_range)
+    meant = panel("What he means to do", "time [s]", "mean action [m/s²]", x_range=speed.x_range)
     meant.line("time", "meant", source=shown, color=GREEN)
     select.js_on_change(
         "value",
@@ -195,7 +196,7 @@ def error_over_time(r: Recording) -> UIElement:
     number = np.convolve(counts.sum(axis=1), kernel)[: len(y)]
     with np.errstate(invalid="ignore", divide="ignore"):
         error = np.sqrt(summed / number)
-    plot = _figure(f"One-step error of all drivers, over {_MOVING_S:g} s", "time [s]", "error [m]")
+    plot = panel(f"One-step error of all drivers, over {_MOVING_S:g} s", "time [s]", "error [m]")
     plot.line(r.time_s, error.astype(_SINGLE), color=VERMILION, line_width=2)
     return plot
 
@@ -206,7 +207,7 @@ def bias_map(
     """Mean innovation, in its standard deviations, over two quantities, (T, N) each."""
     z = r.series["innovation_m"] / np.sqrt(r.series["innovation_var"])
     known = (r.series["scored"] > 0.0) & np.isfinite(z) & np.isfinite(x) & np.isfinite(y)
-    plot = _figure(title, x_label, y_label)
+    plot = panel(title, x_label, y_label)
     if known.any():
         edges = [_edges(a[known], bins) for a, bins in ((x, x_bins), (y, y_bins))]
         count = np.histogram2d(x[known], y[known], bins=edges)[0]
@@ -242,7 +243,7 @@ def by_driver(r: Recording, select: Select) -> UIElement:
     error = np.sqrt(np.square(np.where(known, y, 0.0)).sum(axis=0) / np.maximum(known.sum(axis=0), 1))
     names = [str(v) for v in r.trajectories.vehicle]
     source = ColumnDataSource({"vehicle": names, "error": error})
-    plot = _figure("One-step error by driver: click one", "vehicle", "error [m]", x_range=FactorRange(factors=names))
+    plot = panel("One-step error by driver: click one", "vehicle", "error [m]", x_range=FactorRange(factors=names))
     plot.vbar("vehicle", top="error", source=source, width=0.8, color=BLUE)
     plot.add_tools(TapTool())
     plot.xaxis.major_label_orientation = math.pi / 4
@@ -258,11 +259,11 @@ def by_driver(r: Recording, select: Select) -> UIElement:
 
 def weights(r: Recording) -> UIElement:
     """Probability of each model of the critic's bank over time."""
-    plot = _figure("What the critic believes while it listens", "time [s]", "probability")
+    plot = panel("What the critic believes while it listens", "time [s]", "probability")
     shown = sorted(r.weights, key=lambda name: -float(r.weights[name].max()))[:5]
     for name, colour in zip(shown, (BLUE, VERMILION, GREEN, ORANGE, GREY), strict=False):
         plot.line(r.verdict_s, r.weights[name], color=colour, legend_label=name, line_width=2)
-    _legend_above(plot)
+    legend_above(plot)
     return plot
 
 
@@ -281,7 +282,7 @@ def candidates(diagnosis: Mapping[str, Any]) -> UIElement:
             "colour": [VERMILION if n in named else BLUE for n in names],
         }
     )
-    plot = _figure(
+    plot = panel(
         "What may be missing; red: named", "held-out gain [nats]", "candidate", y_range=FactorRange(factors=names)
     )
     plot.hbar("name", right="gain", source=source, height=0.7, color="colour")
@@ -294,7 +295,7 @@ def before_and_after(diagnosis: Mapping[str, Any]) -> UIElement:
     """Error of every driver before and after what was found was added."""
     of = diagnosis["drivers"]
     names = [str(d["vehicle"]) for d in of]
-    plot = _figure(
+    plot = panel(
         "Before and after: 10-s free run of one car", "vehicle", "error [m]", x_range=FactorRange(factors=names)
     )
     for label, key, colour in (
@@ -303,7 +304,7 @@ def before_and_after(diagnosis: Mapping[str, Any]) -> UIElement:
     ):
         values = [math.nan if d[key] is None else float(d[key]) for d in of]
         plot.scatter(names, values, size=9, color=colour, legend_label=label)
-    _legend_above(plot)
+    legend_above(plot)
     plot.xaxis.major_label_orientation = math.pi / 4
     return plot
 

@@ -20,7 +20,7 @@ MAY_IMPORT = {
     "estimation": {"driver", "effects", "road", "trajectories"},
     "criticism": {"driver", "effects", "estimation", "road", "simulation", "trajectories"},
     "studies": {"criticism", "driver", "effects", "estimation", "road", "simulation", "trajectories"},
-    "nodes": {"criticism", "driver", "effects", "estimation", "formats", "road", "simulation", "trajectories"},
+    "nodes": {"criticism", "driver", "effects", "estimation", "formats", "page", "road", "simulation", "trajectories"},
     "page": {"formats", "road", "trajectories"},
     "cli": {
         "criticism",
