@@ -40,6 +40,8 @@ _LONGEST = 0.7
 # A search has ended when a step promises less log-likelihood [nats] than this; from step to step of the difference
 # quotients the likelihood of a recording is rough by about 1.
 _ENOUGH = 0.5
+# Prior stds from the median driver beyond which a driver is looked at again.
+_FAR_AWAY = 3.5
 # Steps from the fit to all folds to that without one.
 _STEPS_WITHOUT = 4
 # What held-out samples may differ from fitted ones where the filter is not run anew: innovations by this many of their
@@ -542,18 +544,41 @@ def fit_base(data: Recorded, individual: Sequence[int], work: Executor, start: M
     first = start or start_model(data.drivers, individual)
     near = _by_paper(data, first, work) if start is None else None
     found = fit(data, near or first, work, iterations=10 if near is None else 3)
-    return fit(data, as_population(found.model), work)
+    return _second_chance(data, fit(data, as_population(found.model), work), work)
+
+
+def _second_chance(data: Recorded, found: Fit, work: Executor) -> Fit:
+    """Let drivers who are unlike all others start again as the median driver; they keep what is better.
+
+    The likelihood of a driver has several maxima, and a search may have ended in a poor one far away.
+    """
+    far = np.abs(found.model.away).max(axis=1) > _FAR_AWAY
+    if not far.any():
+        return found
+    own = list(found.model.individual)
+    rows = found.model.rows.copy()
+    rows[np.ix_(far, own)] = np.median(rows[:, own], axis=0)
+    again = fit(data, replace(found.model, rows=rows), work)
+    everywhere = range(FOLDS)
+    better = objectives(again.slopes, again.model, everywhere) > objectives(found.slopes, found.model, everywhere)
+    return climb(data, _mixed(found, again, better), work, iterations=4)
 
 
 def _by_paper(data: Recorded, model: Model, work: Executor) -> Model | None:
-    """The model with drivers as the paper's formulation finds them; None where that does not apply."""
+    """The model with drivers as the paper's formulation finds them; None where that does not apply.
+
+    What a driver's data do not hold is that of the median driver whose do, or where the search begins anyway.
+    """
     names = [NAMES[k] for k in model.individual]
     try:
         fits = list(calibrate(data.trajectories, "paper", names, work=work))
     except InputError:
         return None
     rows = model.rows.copy()
-    rows[:, model.individual] = np.array([one.parameters for one in fits])[:, model.individual]
+    for k, name in zip(model.individual, names, strict=True):
+        known = [one.parameters[k] for one in fits if one.identified(name)]
+        if known:
+            rows[:, k] = [one.parameters[k] if one.identified(name) else np.median(known) for one in fits]
     return as_population(replace(model, rows=rows))
 
 
