@@ -63,6 +63,7 @@ def demo(
         str, typer.Option("--hidden", help="Effect that the simulated drivers have and the model lacks; or random.")
     ] = "slow_patch",
     seed: Seed = 1,
+    show: Annotated[bool, typer.Option("--open", help="Open the page that it writes in the browser.")] = False,
     as_json: Json = False,
 ) -> None:
     """Replay an experiment with a hidden effect as ROS topics, find out what is missing, add it, and replay again.
@@ -76,6 +77,8 @@ def demo(
     from sugiyama_ros.criticism.model_file import write_model
     from sugiyama_ros.criticism.verdict import document, sentences
     from sugiyama_ros.formats.convert import write_trajectories
+    from sugiyama_ros.page.recording import read_recording
+    from sugiyama_ros.page.report import write_report
     from sugiyama_ros.studies.hidden_effects import STRENGTHS, hide
 
     if hidden == "random":
@@ -100,6 +103,10 @@ def demo(
             )
         write_model(model, found.data, found.final)
         after = _run(source, output, 0.0, False, None, model)
+    page = output.with_suffix(".html")
+    write_report(read_recording(output), document(found), page)
+    if show:
+        typer.launch(str(page))
     rmse = [math.sqrt(sum(d.one_step_rmse_m**2 for d in r.drivers) / len(r.drivers)) for r in (before, after)]
     if as_json:
         _print_json(
@@ -109,6 +116,7 @@ def demo(
                 "published_one_step_rmse_m": {"before": rmse[0], "after": rmse[1]},
                 "messages_lost": before.messages_lost + after.messages_lost,
                 "output": str(output),
+                "report": str(page),
             }
         )
         return
@@ -118,6 +126,7 @@ def demo(
     _out.print(f"after: with what was found, it is {rmse[1]:.4f} m; all topics are in {output}", highlight=False)
     truth = ", ".join(f"{k} {v:.3g}" for k, v in values.items())
     _out.print(f"hidden was: {hidden} ({truth})", highlight=False)
+    _out.print(f"a page to look at: {escape(str(page))}", soft_wrap=True, highlight=False)
 
 
 @app.command()

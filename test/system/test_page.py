@@ -3,17 +3,22 @@
 import json
 import re
 import shutil
+import signal
+import socket
 import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.page.recording import read_diagnosis, read_recording
 from sugiyama_ros.page.report import report, write_report
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
+SUGIYAMA = str(Path(sys.executable).with_name("sugiyama"))
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 DIAGNOSIS = {
     "verdict": {
@@ -35,7 +40,7 @@ def recorded(tmp_path_factory):
         ("simulate", "-o", "sim.mcap", "--vehicles", "6", "--ring", "80", "--duration", "40"),
         ("run", "sim.mcap", "-o", "run.mcap", "--critic"),
     ):
-        command = [shutil.which("sugiyama") or "sugiyama", *arguments]
+        command = [SUGIYAMA, *arguments]
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
     return folder / "run.mcap"
@@ -88,6 +93,50 @@ def test_a_browser_shows_all_panels(page, tmp_path):
     # every panel has been filled in by the script: its view is in a shadow root, which is told by Bokeh's class
     assert shown.stdout.count('class="panel"') == 11
     assert shown.stdout.count("data-root-id") == 11
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+def test_the_live_page_streams_and_its_buttons_call_the_services(recorded, tmp_path):
+    playwright = pytest.importorskip("playwright.sync_api")
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    source = recorded.parent / "sim.mcap"
+    command = [SUGIYAMA, "live", source, "--rate", "2", "--port", port, "-o", tmp_path / "live.mcap"]
+    served = subprocess.Popen(list(map(str, command)), stderr=subprocess.PIPE, text=True)
+    problems, asked = [], set()
+    try:
+        assert f"http://localhost:{port}" in served.stderr.readline()
+        with playwright.sync_playwright() as driver:
+            browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+            page = browser.new_page()
+            page.on("console", lambda message: problems.append(message.text) if message.type == "error" else None)
+            page.on("request", lambda request: asked.add(request.url.split("/")[2]))
+            page.goto(f"http://localhost:{port}")
+            page.get_by_text("effects added: none").wait_for(timeout=30_000)
+            page.get_by_text("vehicle 5").wait_for(state="attached", timeout=30_000)
+            page.get_by_role("button", name="add").click()
+            page.get_by_text("effects added: reaction_delay").wait_for(timeout=10_000)
+            page.wait_for_timeout(1500)
+            page.get_by_role("button", name="remove").click()
+            page.get_by_text("effects added: none").wait_for(timeout=10_000)
+            page.get_by_role("button", name="pause").click()
+            page.wait_for_timeout(500)
+            assert page.locator("canvas").count() >= 6
+            browser.close()
+    finally:
+        served.send_signal(signal.SIGINT)
+        code = served.wait(30)
+        served.stderr.close()
+    assert code == 0
+    assert problems == []
+    assert asked == {f"localhost:{port}"}
+    r = read_recording(tmp_path / "live.mcap")
+    assert r.has_estimates
+    with Bag(tmp_path / "live.mcap") as bag:
+        names = [set(m.message.name) for m in bag.messages(["/vehicle_03/parameters"])]
+    assert any("reaction_delay.delay" in one for one in names)
+    assert "reaction_delay.delay" not in names[0]
 
 
 @pytest.mark.parametrize(

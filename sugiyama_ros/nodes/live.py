@@ -1,0 +1,229 @@
+"""The live page's ears and hands in the graph, and the server that shows the page on this machine."""
+
+import math
+import signal
+from collections import deque
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from bokeh.server.server import Server
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
+from rclpy.node import Node
+from std_srvs.srv import Trigger
+from sugiyama_msgs.msg import Innovation, MeasuredPositions, VehicleState, Verdict
+from sugiyama_msgs.msg import Road as RoadMessage
+from sugiyama_msgs.srv import AddEffect, RemoveEffect
+from tornado.ioloop import IOLoop, PeriodicCallback
+
+from sugiyama_ros.effects.catalogue import EFFECTS, effect
+from sugiyama_ros.effects.effect import Recording
+from sugiyama_ros.errors import SugiyamaError
+from sugiyama_ros.nodes import environment, wire
+from sugiyama_ros.nodes.plan import REPLAY, Plan, estimators, namespaces
+from sugiyama_ros.nodes.qos import LATCHED, STREAM
+from sugiyama_ros.nodes.spin import Spinner, ros
+from sugiyama_ros.nodes.team import OneProcess
+from sugiyama_ros.page.live import KEPT, News, page
+
+_MOVING_S = 10.0
+# Time [s] that the nodes have the processor at a stretch, and from one stretch to the next.
+_STRETCH_S, _EVERY_S = 0.01, 0.015
+
+
+class View(Node):
+    """Hears everything that the page shows, and calls the services that its buttons stand for."""
+
+    def __init__(self, rate: float) -> None:
+        super().__init__("view", start_parameter_services=False)
+        self.rate = rate
+        self.circumference_m = 0.0
+        self.vehicles: Sequence[int] = ()
+        self.weights: Mapping[str, float] = {}
+        self._now: dict[int, tuple[float, float]] = {}
+        self.now: Mapping[int, tuple[float, float]] = self._now
+        self.added: Sequence[str] = ()
+        self.said = ""
+        self.effects: Sequence[str] = [
+            e.name for e in EFFECTS if e.function is not None and e.starts(self._recording())
+        ]
+        self._strength: dict[str, float] = {}
+        self._watched = -1
+        self._news = News()
+        self._speed: dict[int, float] = {}
+        self._std: dict[int, float] = {}
+        self._squares: deque[tuple[float, float]] = deque(maxlen=100_000)
+        self._road: RoadMessage | None = None
+        self.create_subscription(RoadMessage, "/road", self._on_road, LATCHED)
+        self.create_subscription(MeasuredPositions, "/measured", self._on_measured, STREAM, raw=True)
+        self.create_subscription(Verdict, "/verdict", self._on_verdict, STREAM)
+
+    def news(self) -> News:
+        """What is new since the last call."""
+        news, self._news = self._news, News()
+        return news
+
+    def watch(self, vehicle: int) -> None:
+        """Whose traces are kept."""
+        self._watched = vehicle
+        self._news.driver.clear()
+
+    def pause(self, paused: bool) -> None:
+        """Call the replay's ~/pause or ~/resume."""
+        self._call(Trigger, f"{REPLAY}/{'pause' if paused else 'resume'}", Trigger.Request())
+
+    def set_rate(self, rate: float) -> None:
+        """Set the replay's parameter ``rate``."""
+        value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=rate)
+        request = SetParameters.Request(parameters=[Parameter(name="rate", value=value)])
+        self._call(SetParameters, f"{REPLAY}/set_parameters", request)
+        self.rate = rate
+
+    def add(self, name: str) -> None:
+        """Call every estimator's ~/add_effect, with the critic's strength or that at which a search would begin."""
+        values = dict(effect(name).starts(self._recording())[0])
+        first = effect(name).parameters[0].name
+        if first in values and self._strength.get(name):
+            values[first] = self._strength[name]
+        request = AddEffect.Request(effect=name, name=list(values), value=[float(v) for v in values.values()])
+        for estimator in estimators(namespaces(self.vehicles)):
+            self._call(AddEffect, f"{estimator}/add_effect", request)
+        self.added = tuple(dict.fromkeys([*self.added, name]))
+
+    def remove(self, name: str) -> None:
+        """Call every estimator's ~/remove_effect."""
+        for estimator in estimators(namespaces(self.vehicles)):
+            self._call(RemoveEffect, f"{estimator}/remove_effect", RemoveEffect.Request(effect=name))
+        self.added = tuple(one for one in self.added if one != name)
+
+    def _recording(self) -> Recording:
+        road = getattr(self, "_road", None)
+        length = float(road.circumference_m) if road is not None else 0.0
+        duration = float(road.period_s * road.steps) if road is not None else 1.0
+        return Recording(0.0, duration, length, 0.0, length)
+
+    def _call(self, kind: type, service: str, request: Any) -> None:
+        client = self.create_client(kind, service)
+        if not client.service_is_ready() and not client.wait_for_service(0.5):
+            self.said = f"{service} does not answer"
+            self.destroy_client(client)
+            return
+
+        def done(future: Any) -> None:
+            answer = future.result()
+            self.said = getattr(answer, "message", "")
+            self.destroy_client(client)
+
+        client.call_async(request).add_done_callback(done)
+
+    def _on_road(self, road: RoadMessage) -> None:
+        self._road, self.circumference_m = road, float(road.circumference_m)
+
+    def _on_measured(self, raw: bytes) -> None:
+        if self._road is None:
+            return
+        sample = wire.measured(raw)
+        if not self.vehicles:
+            self.vehicles = sorted(sample.place)
+            for v, space in zip(self.vehicles, namespaces(self.vehicles), strict=True):
+                self._speed[v] = self._std[v] = math.nan
+                self.create_subscription(VehicleState, f"{space}/state", self._on_state, STREAM)
+                self.create_subscription(Innovation, f"{space}/innovation", self._on_innovation, STREAM)
+        time_s = sample.stamp_ns / wire.NS
+        for vehicle, place in sample.place.items():
+            position = sample.position_m[place]
+            speed = self._speed.get(vehicle, math.nan)
+            self._now[vehicle] = (position, speed)
+            self._news.time_s.append(time_s)
+            self._news.place_m.append(position)
+            self._news.speed.append(speed)
+        # nobody may be looking for hours
+        surplus = len(self._news.time_s) - KEPT * len(self.vehicles)
+        if surplus > 0:
+            for values in (self._news.time_s, self._news.place_m, self._news.speed):
+                del values[:surplus]
+        if self._squares:
+            while self._squares and self._squares[0][0] < time_s - _MOVING_S:
+                self._squares.popleft()
+            if self._squares:
+                mean = sum(square for _, square in self._squares) / len(self._squares)
+                self._news.error_s.append(time_s)
+                self._news.error_m.append(math.sqrt(mean))
+                del self._news.error_s[:-KEPT], self._news.error_m[:-KEPT]
+
+    def _on_state(self, message: VehicleState) -> None:
+        self._speed[message.vehicle] = message.speed
+        self._std[message.vehicle] = math.sqrt(max(message.covariance[4], 0.0))
+
+    def _on_innovation(self, message: Innovation) -> None:
+        time_s = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+        if self._squares and time_s < self._squares[-1][0] - 1.0:
+            self._squares.clear()
+        if message.scored:
+            self._squares.append((time_s, message.innovation_m**2))
+        if message.vehicle == self._watched:
+            v = message.vehicle
+            std = math.sqrt(max(message.innovation_var, 0.0))
+            self._news.driver.append((time_s, self._speed[v], self._std[v], message.innovation_m, std))
+            del self._news.driver[:-KEPT]
+
+    def _on_verdict(self, message: Verdict) -> None:
+        self.weights = dict(zip(message.model, message.weight, strict=True))
+        self._strength = dict(zip(message.model, message.strength, strict=True))
+
+
+def serve(
+    source: Path | None,
+    output: Path,
+    *,
+    rate: float = 1.0,
+    ring_m: float | None = None,
+    model: Path | None = None,
+    port: int = 5006,
+    on_ready: Any = lambda url: None,
+) -> None:
+    """Show the live page on localhost until a signal comes: of a replay of ``source``, or of the graph that runs.
+
+    Raises InputError or OutputError for files, SugiyamaError where the port is taken.
+    """
+    if source is not None:
+        environment.isolate()
+    plan = Plan.read(source, output, rate, ring_m, model, critic=True) if source is not None else None
+    with ros() as asked_to_stop:
+        team = OneProcess(plan) if plan is not None else None
+        view = View(rate)
+        spinner = Spinner([*(team.nodes if team is not None else ()), view])
+        loop = IOLoop.current()
+        try:
+            names = [f"{host}:{port}" for host in ("localhost", "127.0.0.1")]
+            server = Server({"/": page(view)}, address="127.0.0.1", port=port, allow_websocket_origin=names)
+        except OSError as error:
+            spinner.close()
+            if team is not None:
+                team.close()
+            raise SugiyamaError(f"port {port}: {error.strerror}; choose another one with --port") from None
+
+        def stretch() -> None:
+            spinner.until(lambda: False, _STRETCH_S)
+            if team is not None:
+                team.check()
+            if asked_to_stop():
+                loop.stop()
+
+        turns = PeriodicCallback(stretch, 1000 * _EVERY_S)
+        server.start()
+        turns.start()
+        on_ready(f"http://localhost:{port}")
+        try:
+            loop.start()
+        finally:
+            turns.stop()
+            server.stop()
+            if team is not None:
+                team.stop(spinner)
+            spinner.close()
+            if team is not None:
+                team.close()
+            view.destroy_node()
+            signal.signal(signal.SIGINT, signal.default_int_handler)

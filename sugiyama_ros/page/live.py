@@ -1,0 +1,183 @@
+"""The live page: the same story while it happens, from what a feed has heard since it was last asked."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from bokeh.document import Document
+from bokeh.layouts import column, row
+from bokeh.models import (
+    BasicTicker,
+    Button,
+    ColorBar,
+    ColumnDataSource,
+    Div,
+    FactorRange,
+    LinearColorMapper,
+    Select,
+    Toggle,
+)
+from bokeh.palettes import Cividis256
+
+from sugiyama_ros.page.panels import BLUE, GREY, ORANGE, VERMILION, panel
+
+#: Time [s] between two updates of the page, and samples that it keeps of each vehicle.
+UPDATE_S, KEPT = 0.1, 750
+_FASTEST = 12.0
+
+
+@dataclass
+class News:
+    """What a feed has heard since it was last asked; lists run in parallel.
+
+    space-time: time [s], place [m] and speed [m/s] of every vehicle at every sample; errors: time and one-step error
+    [m] of all drivers over the last seconds; driver: time, speed, its std, innovation, its std, of the one watched.
+    """
+
+    time_s: list[float] = field(default_factory=list)
+    place_m: list[float] = field(default_factory=list)
+    speed: list[float] = field(default_factory=list)
+    error_s: list[float] = field(default_factory=list)
+    error_m: list[float] = field(default_factory=list)
+    driver: list[tuple[float, float, float, float, float]] = field(default_factory=list)
+
+
+class Feed(Protocol):
+    """Where the page hears the news, and whom it tells what its buttons ask for."""
+
+    circumference_m: float
+    rate: float
+    vehicles: Sequence[int]
+    weights: Mapping[str, float]
+    now: Mapping[int, tuple[float, float]]
+    effects: Sequence[str]
+    added: Sequence[str]
+    said: str
+
+    def news(self) -> News:
+        """What is new."""
+
+    def watch(self, vehicle: int) -> None:
+        """Whose traces are asked for."""
+
+    def pause(self, paused: bool) -> None:
+        """Hold the replay, or let it go on."""
+
+    def set_rate(self, rate: float) -> None:
+        """Times real time."""
+
+    def add(self, effect: str) -> None:
+        """Add an effect to all estimators."""
+
+    def remove(self, effect: str) -> None:
+        """Remove it again."""
+
+
+def page(feed: Feed) -> Callable[[Document], None]:
+    """What fills a new document of Bokeh's server."""
+    return lambda document: _Page(feed).fill(document)
+
+
+class _Page:
+    def __init__(self, feed: Feed) -> None:
+        self._feed = feed
+        self._watched = -1
+        self._space = ColumnDataSource({"time": [], "place": [], "speed": []})
+        self._error = ColumnDataSource({"time": [], "error": []})
+        self._road = ColumnDataSource({"x": [], "y": [], "speed": []})
+        names = ("time", "speed", "low", "high", "innovation", "below", "above")
+        self._driver = ColumnDataSource({name: [] for name in names})
+        self._weights = ColumnDataSource({"name": [], "weight": []})
+        self._select = Select(title="driver", options=[], width=160)
+        self._effect = Select(title="effect", options=list(feed.effects), value=feed.effects[0], width=220)
+        self._said = Div(text="waiting for the road")
+
+    def fill(self, document: Document) -> None:
+        document.title = "sugiyama live"
+        document.add_root(self._layout())
+        document.add_periodic_callback(self._update, round(1000 * UPDATE_S))
+
+    def _layout(self) -> Any:
+        colours = LinearColorMapper(Cividis256, low=0.0, high=_FASTEST, nan_color=GREY)
+        colour = {"field": "speed", "transform": colours}
+        space = panel("Where everybody is, and how fast", "time [s]", "position [m]")
+        space.scatter("time", "place", source=self._space, size=2, color=colour)
+        space.add_layout(ColorBar(color_mapper=colours, ticker=BasicTicker(), title="speed [m/s]"), "right")
+        ring = panel("The road from above", "x [m]", "y [m]", match_aspect=True)
+        ring.scatter("x", "y", source=self._road, size=12, line_color="black", color=colour)
+        error = panel("One-step error of all drivers, over 10 s", "time [s]", "error [m]")
+        error.line("time", "error", source=self._error, color=VERMILION, line_width=2)
+        speed = panel("The driver: speed, with one sigma", "time [s]", "speed [m/s]")
+        speed.varea("time", "low", "high", source=self._driver, color=BLUE, alpha=0.3)
+        speed.line("time", "speed", source=self._driver, color=BLUE, line_width=2)
+        innovation = panel("Error of his next position, with two sigma", "time [s]", "innovation [m]")
+        innovation.varea("time", "below", "above", source=self._driver, color=ORANGE, alpha=0.3)
+        innovation.line("time", "innovation", source=self._driver, color=VERMILION)
+        self._models = FactorRange(factors=[])
+        critic = panel("What the critic believes", "probability", "model", y_range=self._models, x_range=(0.0, 1.0))
+        critic.hbar("name", right="weight", source=self._weights, height=0.7, color=BLUE)
+        rates = sorted({1.0, 2.0, 4.0, 8.0, self._feed.rate})
+        pause = Toggle(label="pause", width=90)
+        rate = Select(title="rate", value=f"{self._feed.rate:g}", options=[f"{r:g}" for r in rates], width=80)
+        add, remove = Button(label="add", width=70), Button(label="remove", width=70)
+        pause.on_change("active", lambda _, __, new: self._feed.pause(bool(new)))
+        rate.on_change("value", lambda _, __, new: self._feed.set_rate(float(new)))
+        self._select.on_change("value", lambda _, __, new: self._watch(int(new.split()[-1])))
+        add.on_click(lambda: self._feed.add(self._effect.value))
+        remove.on_click(lambda: self._feed.remove(self._effect.value))
+        wide = {"sizing_mode": "stretch_width"}
+        return column(
+            row(pause, rate, self._select, self._effect, add, remove),
+            self._said,
+            row(space, error, **wide),
+            row(ring, critic, **wide),
+            row(speed, innovation, **wide),
+            **wide,
+        )
+
+    def _watch(self, vehicle: int) -> None:
+        self._watched = vehicle
+        self._feed.watch(vehicle)
+        self._driver.data = {name: [] for name in self._driver.data}
+
+    def _update(self) -> None:
+        feed = self._feed
+        if not feed.vehicles:
+            return
+        if not self._select.options:
+            self._select.options = [f"vehicle {v}" for v in feed.vehicles]
+            self._select.value = self._select.options[0]
+        new = feed.news()
+        if new.time_s:
+            rows = {"time": new.time_s, "place": new.place_m, "speed": new.speed}
+            self._space.stream(rows, rollover=KEPT * len(feed.vehicles))
+        if new.error_s:
+            self._error.stream({"time": new.error_s, "error": new.error_m}, rollover=KEPT)
+        if new.driver:
+            time, speed, std, innovation, spread = np.array(new.driver).T
+            self._driver.stream(
+                {
+                    "time": time,
+                    "speed": speed,
+                    "low": speed - std,
+                    "high": speed + std,
+                    "innovation": innovation,
+                    "below": -2.0 * spread,
+                    "above": 2.0 * spread,
+                },
+                rollover=KEPT,
+            )
+        if feed.now:
+            place, speed = np.array(list(feed.now.values())).T
+            x, y = place, np.zeros_like(place)
+            if feed.circumference_m > 0.0:
+                radius, angle = feed.circumference_m / (2.0 * np.pi), 2.0 * np.pi * place / feed.circumference_m
+                x, y = radius * np.cos(angle), radius * np.sin(angle)
+            self._road.data = {"x": x, "y": y, "speed": speed}
+        if feed.weights:
+            best = sorted(feed.weights, key=lambda name: feed.weights[name])[-6:]
+            self._models.factors = best
+            self._weights.data = {"name": best, "weight": [feed.weights[name] for name in best]}
+        added = ", ".join(feed.added) or "none"
+        self._said.text = f"effects added: {added}. {feed.said}"
