@@ -35,7 +35,7 @@ from sugiyama_ros.criticism.fitting import (
 from sugiyama_ros.criticism.free_run import filtered_states
 from sugiyama_ros.criticism.locate import Located, locate
 from sugiyama_ros.criticism.rivals import by_gaps, has_parameters, in_filter, laws
-from sugiyama_ros.criticism.screening import Glance, forecast, glance, refine
+from sugiyama_ros.criticism.screening import Glance, carried_over, forecast, glance, refine
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR
 from sugiyama_ros.effects.catalogue import DECLARED
 from sugiyama_ros.trajectories import Trajectories
@@ -171,7 +171,7 @@ def diagnose(
         seen: dict[str, tuple[Fit, Glance]] = {}
         for number in range(most):
             chosen = _worth_a_look(data, possible, seen, current) if seen else possible
-            look_at = partial(glance, data, current, work=work)
+            look_at = partial(_look, data, current, seen, work)
             looks = _at_once(look_at, chosen, f"round {number + 1}: candidates", on_progress)
             seen |= {look.candidate.name: (current, look) for look in looks}
             shortlist = _shortlist(looks)
@@ -327,6 +327,19 @@ def _worth_a_look(
     return order[:_LATER_LOOKS]
 
 
+def _look(
+    data: Recorded,
+    current: Fit,
+    seen: dict[str, tuple[Fit, Glance]],
+    work: ThreadPoolExecutor,
+    candidate: Candidate,
+) -> Glance:
+    """Look at a candidate, also from where an earlier look at it has ended."""
+    before = seen.get(candidate.name)
+    also = carried_over(*before, current) if before and before[1].gain > 0.0 else None
+    return glance(data, current, candidate, work, also)
+
+
 def _shortlist(looks: Sequence[Glance]) -> list[int]:
     """Those fitted in full: the largest gains, and the noises, whose best values may lie far from a glance."""
     order = sorted(range(len(looks)), key=lambda k: -looks[k].gain)
@@ -358,11 +371,10 @@ class _Null:
         freedom = _freedom(candidate, len(look.fit.model.rows))
         least = max(_LEAST_SPREAD, float(gains.mean()) * math.sqrt(2.0 / freedom))
         common = max(float(np.median(spreads)) * math.sqrt(0.5 * freedom) if spreads else 0.0, least)
-        expected = float(gains.mean())
-        if not candidate.individual:
-            # a shared parameter gains half a nat by chance (Wilks), which a few simulations know less well
-            runs = len(gains) if candidate.name in self.gains else 0
-            expected = (runs * expected + _COMMON * 0.5 * len(candidate.places)) / (runs + _COMMON)
+        # a parameter gains half a nat by chance (Wilks), which a few simulations know less well if it is but one
+        runs = len(gains) if candidate.name in self.gains else 0
+        weight = 0 if candidate.individual and runs else _COMMON
+        expected = (runs * float(gains.mean()) + weight * 0.5 * freedom) / (runs + weight)
         squares = float(np.sum(np.square(gains - gains.mean())))
         known = len(gains) - 1 + _COMMON
         spread = float(np.sqrt((squares + _COMMON * common**2) / known * (1.0 + 1.0 / len(gains))))

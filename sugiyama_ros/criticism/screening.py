@@ -53,14 +53,14 @@ class Glance:
     loss_at: dict[int, float]
 
 
-def glance(data: Recorded, base: Fit, candidate: Candidate, work: Executor) -> Glance:
-    """Add a candidate to a fitted model by a step or two."""
+def glance(data: Recorded, base: Fit, candidate: Candidate, work: Executor, also: Model | None = None) -> Glance:
+    """Add a candidate to a fitted model by a step or two, from its starts, and from ``also`` if that is given."""
     everywhere = range(FOLDS)
     before = objective(base.slopes, base.model, everywhere)
-    starts = [added(base.model, candidate, start) for start in candidate.starts]
+    starts = [added(base.model, candidate, start) for start in candidate.starts] + ([also] if also else [])
     samples = [evaluate(data, model, work) for model in starts]
-    looks = [_promise(base, s) for s in samples]
-    best, worst = int(np.argmax(looks)), int(np.argmin(looks))
+    looks = [_promise(base, model, s) for model, s in zip(starts, samples, strict=True)]
+    best, worst = int(np.argmax(looks)), int(np.argmin(looks[: len(candidate.starts)]))
     loss = base.log_likelihood - looks[worst], candidate.starts[worst]
     model, at = starts[best], samples[best]
     known = [*base.model.individual, *base.model.shared]
@@ -85,6 +85,18 @@ def glance(data: Recorded, base: Fit, candidate: Candidate, work: Executor) -> G
 def refine(data: Recorded, look: Glance, work: Executor) -> Fit:
     """Fit in full, from where a glance has come to."""
     return climb(data, look.fit, work, iterations=_STEPS, enough=_PROMISE)
+
+
+def carried_over(before: Fit, look: Glance, current: Fit) -> Model:
+    """The current model with a candidate as it was looked at ``before``: what gave way to it then gives way again."""
+    candidate = look.candidate
+    model = added(current.model, candidate, candidate.starts[0])
+    rows = model.rows.copy()
+    rows[:, candidate.places] = look.fit.model.rows[:, candidate.places]
+    own = list(before.model.individual)
+    shift = coordinate(look.fit.model.rows[:, own], own) - coordinate(before.model.rows[:, own], own)
+    rows[:, own] = value(coordinate(rows[:, own], own) + shift, own)
+    return replace(model, rows=rows)
 
 
 def forecast(data: Recorded, before: Fit, look: Glance, current: Fit) -> float:
@@ -124,20 +136,18 @@ def forecast(data: Recorded, before: Fit, look: Glance, current: Fit) -> float:
     return reached - objective(current.slopes, current.model, everywhere)
 
 
-def _promise(base: Fit, samples: Samples) -> float:
+def _promise(base: Fit, model: Model, samples: Samples) -> float:
     """Log-likelihood once the parameters of the base have given way to the candidate, to first order.
 
     Of what they promise, half is believed: a start far off promises much.
     """
     total = samples.total
-    for s, y, variance, density in zip(
-        base.slopes, samples.innovation_m, samples.innovation_var, samples.log_likelihood, strict=True
-    ):
+    own = len(base.model.individual)
+    arrays = zip(samples.innovation_m, samples.innovation_var, samples.log_likelihood, strict=True)
+    for s, row, (y, variance, density) in zip(base.slopes, model.rows, arrays, strict=True):
         scored = np.isfinite(density)
-        y, variance = y[scored], variance[scored]
-        own = len(base.model.individual)
         dy, dvar = s.innovation[:own, scored], s.variance[:own, scored]
-        score = -(dy * (y / variance) + 0.5 * dvar * (1.0 - y * y / variance) / variance).sum(axis=1)
+        score = density_slope(y[scored], variance[scored], dy, dvar, row).sum(axis=1)
         information = s.information.sum(axis=0)[:own, :own] + np.diag(1.0 / np.array(base.model.prior_std) ** 2)
         total += 0.25 * float(score @ np.linalg.solve(information, score))
     return total
