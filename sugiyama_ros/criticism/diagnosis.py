@@ -54,6 +54,8 @@ _LEAST_GAIN, _LEAST_SPREAD = 5.0, 1.5
 _COMMON = 4
 # A gain this many times what is needed to be believed is not checked against new simulations.
 _CLEAR = 4.0
+# What changes no mean motion: a free run, which has no noise, cannot speak against it.
+_OF_NOISE = ("noise_constants", "outlier_noise", "speed_dependent_noise")
 # Fits that are under way at the same time, all on the same workers.
 _AT_ONCE = 3
 _Item = TypeVar("_Item")
@@ -197,7 +199,8 @@ def diagnose(
             for one in sorted(supported, key=lambda one: -one.predictive):
                 predicted = errors_of(data, without_folds(data, one.fit, work, refit=False), work)
                 won = gain(data, predicted.samples, now.samples)
-                if won.nats > -won.se and predicted.no_worse_than(now):
+                holds = one.candidate.name in _OF_NOISE or predicted.no_worse_than(now)
+                if won.nats > -won.se and holds:
                     best = one
                     break
             if best is None:
