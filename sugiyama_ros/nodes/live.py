@@ -54,6 +54,7 @@ class View(Node):
         self._speed: dict[int, float] = {}
         self._std: dict[int, float] = {}
         self._squares: deque[tuple[float, float]] = deque(maxlen=100_000)
+        self._latest_s = -math.inf
         self._road: RoadMessage | None = None
         self.create_subscription(RoadMessage, "/road", self._on_road, LATCHED)
         self.create_subscription(MeasuredPositions, "/measured", self._on_measured, STREAM, raw=True)
@@ -130,36 +131,26 @@ class View(Node):
                 self._speed[v] = self._std[v] = math.nan
                 self.create_subscription(VehicleState, f"{space}/state", self._on_state, STREAM)
                 self.create_subscription(Innovation, f"{space}/innovation", self._on_innovation, STREAM)
-        time_s = sample.stamp_ns / wire.NS
-        for vehicle, place in sample.place.items():
-            position = sample.position_m[place]
-            speed = self._speed.get(vehicle, math.nan)
-            self._now[vehicle] = (position, speed)
-            self._news.time_s.append(time_s)
-            self._news.place_m.append(position)
-            self._news.speed.append(speed)
-        # nobody may be looking for hours
-        surplus = len(self._news.time_s) - KEPT * len(self.vehicles)
-        if surplus > 0:
-            for values in (self._news.time_s, self._news.place_m, self._news.speed):
-                del values[:surplus]
-        if self._squares:
-            while self._squares and self._squares[0][0] < time_s - _MOVING_S:
-                self._squares.popleft()
-            if self._squares:
-                mean = sum(square for _, square in self._squares) / len(self._squares)
-                self._news.error_s.append(time_s)
-                self._news.error_m.append(math.sqrt(mean))
-                del self._news.error_s[:-KEPT], self._news.error_m[:-KEPT]
 
     def _on_state(self, message: VehicleState) -> None:
-        self._speed[message.vehicle] = message.speed
-        self._std[message.vehicle] = math.sqrt(max(message.covariance[4], 0.0))
+        v = message.vehicle
+        self._speed[v], self._std[v] = message.speed, math.sqrt(max(message.covariance[4], 0.0))
+        self._now[v] = (message.position_m, message.speed)
+        self._news.time_s.append(_seconds(message))
+        self._news.place_m.append(message.position_m)
+        self._news.speed.append(message.speed)
+        # nobody may be looking for hours
+        if len(self._news.time_s) > 2 * KEPT * len(self.vehicles):
+            for values in (self._news.time_s, self._news.place_m, self._news.speed):
+                del values[: len(values) // 2]
 
     def _on_innovation(self, message: Innovation) -> None:
-        time_s = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
-        if self._squares and time_s < self._squares[-1][0] - 1.0:
+        time_s = _seconds(message)
+        if time_s < self._latest_s - 1.0:
             self._squares.clear()
+        if time_s != self._latest_s:
+            self._sum_up()
+            self._latest_s = time_s
         if message.scored:
             self._squares.append((time_s, message.innovation_m**2))
         if message.vehicle == self._watched:
@@ -168,9 +159,23 @@ class View(Node):
             self._news.driver.append((time_s, self._speed[v], self._std[v], message.innovation_m, std))
             del self._news.driver[:-KEPT]
 
+    def _sum_up(self) -> None:
+        """The error up to the last sample, now that there is a newer one."""
+        while self._squares and self._squares[0][0] < self._latest_s - _MOVING_S:
+            self._squares.popleft()
+        if self._squares:
+            mean = sum(square for _, square in self._squares) / len(self._squares)
+            self._news.error_s.append(self._latest_s)
+            self._news.error_m.append(math.sqrt(mean))
+            del self._news.error_s[:-KEPT], self._news.error_m[:-KEPT]
+
     def _on_verdict(self, message: Verdict) -> None:
         self.weights = dict(zip(message.model, message.weight, strict=True))
         self._strength = dict(zip(message.model, message.strength, strict=True))
+
+
+def _seconds(message: VehicleState | Innovation) -> float:
+    return float(message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec)
 
 
 def serve(
