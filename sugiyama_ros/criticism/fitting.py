@@ -645,7 +645,7 @@ def held_out_nearly(data: Recorded, fitted: Fit) -> Samples:
         mask = data.fold == f
         for i, s in enumerate(fitted.slopes):
             before = fitted.samples.innovation_var[i, mask]
-            most = _MOST_OFF * np.sqrt(before)
+            most = _MOST_OFF * np.sqrt(np.maximum(before, 0.0))
             y = fitted.samples.innovation_m[i, mask] + np.clip(change[i] @ s.innovation[:, mask], -most, most)
             variance = np.clip(before + change[i] @ s.variance[:, mask], before / _MOST_WIDER, before * _MOST_WIDER)
             density = np.empty_like(y)
