@@ -10,15 +10,16 @@ from numba import njit
 from sugiyama_ros.driver.exponential import exponential
 from sugiyama_ros.driver.parameters import UTILITY
 from sugiyama_ros.driver.utility import (
+    FAR,
     FAST,
     FORWARD,
     Preferences,
-    anticipate,
     backward_penalty,
-    collision_exponent,
-    desired_speed_exponent,
-    gap_scale,
+    collision_penalty,
+    forward_reward,
+    gap_and_scale,
     preferences,
+    reward_and_risk,
 )
 from sugiyama_ros.road import Array
 
@@ -27,8 +28,6 @@ BLOCK = 256
 _V_STAR, _KAPPA_V, _KAPPA_1, _KAPPA_C, _KAPPA_D, _OMEGA_2, _RATIONALITY = range(len(UTILITY))
 # Weight of an action that cannot change a mean, relative to the best one's.
 _NO_CHANCE = 1e-20
-# Gap [m] of a driver without a leader: far enough, and finite, so that every derivative is.
-_FAR = 1e9
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
@@ -45,15 +44,12 @@ def _closest(
     tau: Array,
 ) -> None:
     """Gap [m], scale [m] and period of the look-ahead where their ratio is smallest, (B,) each; section 3.2.2."""
-    _, kappa_v, _, kappa_c, kappa_d, _, _ = driver
     for t in range(len(gap)):
-        smallest[t], speed_ahead = anticipate(action, 1, gap[t], speed[t], leader_speed[t], period)
-        scale[t] = gap_scale(speed_ahead, leader_speed[t], kappa_c, kappa_v, kappa_d)
+        smallest[t], scale[t] = gap_and_scale(action, 1, gap[t], speed[t], leader_speed[t], driver, period)
         tau[t] = 1.0
     for ahead in range(2, horizon + 1):
         for t in range(len(gap)):
-            gap_ahead, speed_ahead = anticipate(action, ahead, gap[t], speed[t], leader_speed[t], period)
-            scale_ahead = gap_scale(speed_ahead, leader_speed[t], kappa_c, kappa_v, kappa_d)
+            gap_ahead, scale_ahead = gap_and_scale(action, ahead, gap[t], speed[t], leader_speed[t], driver, period)
             closer = gap_ahead * scale[t] < smallest[t] * scale_ahead
             smallest[t] = gap_ahead if closer else smallest[t]
             scale[t] = scale_ahead if closer else scale[t]
@@ -61,14 +57,11 @@ def _closest(
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
-def _utility(
+def _add_up(
     action: float, speed: Array, driver: Preferences, period: float, smallest: Array, scale: Array, out: Array
 ) -> None:
-    """Effective utility of an action; Eq. EffectiveUtilityTilde."""
-    v_star, _, kappa_1, _, _, omega_2, _ = driver
     for t in range(len(speed)):
-        reward = exponential(desired_speed_exponent(speed[t] + period * action, v_star, kappa_1))
-        out[t] = reward + omega_2 * exponential(collision_exponent(smallest[t] / scale[t]))
+        out[t] = reward_and_risk(speed[t] + period * action, smallest[t], scale[t], driver)
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
@@ -120,10 +113,10 @@ def _add_partials(
         off_mean = weight[t] * (action - mean[t])
         next_speed = speed[t] + period * action
         off = (next_speed - v_star) / (kappa_1 * v_star)
-        slope = -2.0 * off * exponential(-off * off)
+        slope = -2.0 * off * forward_reward(next_speed, v_star, kappa_1)
         ratio = smallest[t] / scale[t]
         ratio = ratio if ratio > 0.0 else 0.0
-        penalty = exponential(collision_exponent(ratio))
+        penalty = collision_penalty(ratio)
         by_scale = 2.0 * omega_2 * ratio * (ratio + 1.0) * penalty / scale[t]
         speed_ahead = speed[t] + tau[t] * period * action
         closing = speed_ahead - leader_speed[t]
@@ -164,13 +157,13 @@ def mean_actions(
         for t in range(BLOCK):
             # the last block is filled up with its last moment
             at = first + min(t, taken - 1)
-            seen[0, t], seen[1, t], seen[2, t] = min(gap[at], _FAR), speed[at], leader_speed[at]
+            seen[0, t], seen[1, t], seen[2, t] = min(gap[at], FAR), speed[at], leader_speed[at]
         slowest = np.min(seen[1])
         best[:], partition[:], average[:], sums[:] = -np.inf, 0.0, 0.0, 0.0
         for k in range(count):
             a = actions[k]
             _closest(a, seen[0], seen[1], seen[2], driver, period, horizon, smallest[k], scale[k], tau[k])
-            _utility(a, seen[1], driver, period, smallest[k], scale[k], utility[k])
+            _add_up(a, seen[1], driver, period, smallest[k], scale[k], utility[k])
             if slowest + period * a < FORWARD:
                 _take_off_backward(a, seen[1], period, utility[k])
             _highest(utility[k], best)

@@ -5,7 +5,6 @@ gap is infinite. All functions are pure and compiled; a driver's parameters are 
 ``driver.parameters`` and already rescaled to ``period`` [s].
 """
 
-import math
 from typing import TypeAlias
 
 import numpy as np
@@ -37,6 +36,8 @@ _NEVER = -1e300
 _WEIGHT, _UTILITY, _GRID, _SCALE, _HANDICAP = range(5)
 # Arrays are this many times some number long: vector instructions take several elements at once, and leave none over.
 _LANES = 16
+#: Gap [m] that stands for an infinite one, of a driver without a leader: no risk, and all numbers stay finite.
+FAR = 1e9
 #: Speed [m/s] above which driving backward costs less than 1e-20.
 FORWARD = 4.35
 #: What a compiler may do to numbers that are finite, so that it can compute several at once.
@@ -44,10 +45,10 @@ FAST = {"arcp", "contract", "nnan", "nsz", "reassoc"}
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
-def desired_speed_exponent(speed: float, v_star: float, kappa_1: float) -> float:
-    """Exponent of the first term of phi1."""
+def forward_reward(speed: float, v_star: float, kappa_1: float) -> float:
+    """First term of phi1: what a speed near the desired one is worth."""
     off = (speed - v_star) / (kappa_1 * v_star)
-    return -off * off
+    return exponential(-off * off)
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
@@ -60,7 +61,7 @@ def backward_penalty(speed: float) -> float:
 @njit(cache=True)
 def desired_speed_reward(speed: float, v_star: float, kappa_1: float) -> float:
     """phi1: reward of driving forward near the desired speed; first equation of section 3.2.1."""
-    return math.exp(desired_speed_exponent(speed, v_star, kappa_1)) - backward_penalty(speed)
+    return forward_reward(speed, v_star, kappa_1) - backward_penalty(speed)
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
@@ -71,16 +72,10 @@ def gap_scale(speed: float, leader_speed: float, kappa_c: float, kappa_v: float,
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
-def collision_exponent(ratio: float) -> float:
-    """log phi2."""
-    inside = ratio if ratio > 0.0 else 0.0
-    return -inside * (inside + 2.0)
-
-
-@njit(cache=True)
 def collision_penalty(ratio: float) -> float:
     """phi2: subjective risk at a gap of ``ratio`` scales; 1 at contact; Eq. PairwiseCollisionPenalty."""
-    return math.exp(collision_exponent(ratio))
+    inside = ratio if ratio > 0.0 else 0.0
+    return exponential(-inside * (inside + 2.0))
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
@@ -110,6 +105,27 @@ def preferences(parameters: Array) -> Preferences:
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
+def gap_and_scale(
+    action: float, tau: int, gap: float, speed: float, leader_speed: float, driver: Preferences, period: float
+) -> tuple[float, float]:
+    """Gap [m] expected ``tau`` periods ahead, and sigma [m] there."""
+    _, kappa_v, _, kappa_c, kappa_d, _, _ = driver
+    gap_ahead, speed_ahead = anticipate(action, tau, gap, speed, leader_speed, period)
+    return gap_ahead, gap_scale(speed_ahead, leader_speed, kappa_c, kappa_v, kappa_d)
+
+
+@njit(cache=True, error_model="numpy", fastmath=FAST)
+def reward_and_risk(next_speed: float, gap: float, scale: float, driver: Preferences) -> float:
+    """Eq. EffectiveUtilityTilde but for the second term of phi1: g1 of the first and omega2 times g2 of phi2.
+
+    F falls with its argument, so g2, the largest penalty of the look-ahead (section 3.2.2), is that of the smallest gap
+    over scale, which are these.
+    """
+    v_star, _, kappa_1, _, _, omega_2, _ = driver
+    return forward_reward(next_speed, v_star, kappa_1) + omega_2 * collision_penalty(gap / scale)
+
+
+@njit(cache=True, error_model="numpy", fastmath=FAST)
 def _smallest_gaps(
     gap: float,
     speed: float,
@@ -122,36 +138,22 @@ def _smallest_gaps(
     scale: Array,
 ) -> None:
     """Gap [m] and scale [m], (K,) each, where their ratio is smallest in the look-ahead, for each action (K,)."""
-    _, kappa_v, _, kappa_c, kappa_d, _, _ = driver
     for k in range(len(actions)):
-        smallest[k], speed_ahead = anticipate(actions[k], 1, gap, speed, leader_speed, period)
-        scale[k] = gap_scale(speed_ahead, leader_speed, kappa_c, kappa_v, kappa_d)
+        smallest[k], scale[k] = gap_and_scale(actions[k], 1, gap, speed, leader_speed, driver, period)
     for tau in range(2, horizon + 1):
         for k in range(len(actions)):
-            gap_ahead, speed_ahead = anticipate(actions[k], tau, gap, speed, leader_speed, period)
-            scale_ahead = gap_scale(speed_ahead, leader_speed, kappa_c, kappa_v, kappa_d)
+            gap_ahead, scale_ahead = gap_and_scale(actions[k], tau, gap, speed, leader_speed, driver, period)
             closer = gap_ahead * scale[k] < smallest[k] * scale_ahead
             smallest[k] = gap_ahead if closer else smallest[k]
             scale[k] = scale_ahead if closer else scale[k]
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
-def _reward_alone(speed: float, driver: Preferences, actions: Array, period: float, out: Array) -> None:
-    """g1 of phi1's first term."""
-    v_star, _, kappa_1, _, _, _, _ = driver
-    for k in range(len(actions)):
-        out[k] = exponential(desired_speed_exponent(speed + period * actions[k], v_star, kappa_1))
-
-
-@njit(cache=True, error_model="numpy", fastmath=FAST)
-def _reward_and_risk(
+def _add_up(
     speed: float, driver: Preferences, actions: Array, period: float, smallest: Array, scale: Array, out: Array
 ) -> None:
-    """g1 of phi1's first term and omega2 times g2 of phi2."""
-    v_star, _, kappa_1, _, _, omega_2, _ = driver
     for k in range(len(actions)):
-        reward = exponential(desired_speed_exponent(speed + period * actions[k], v_star, kappa_1))
-        out[k] = reward + omega_2 * exponential(collision_exponent(smallest[k] / scale[k]))
+        out[k] = reward_and_risk(speed + period * actions[k], smallest[k], scale[k], driver)
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
@@ -174,17 +176,14 @@ def utilities(
     scale: Array,
     out: Array,
 ) -> None:
-    """Effective utility of holding each action (K,): g1 of phi1 and omega2 times g2 of phi2; Eq. EffectiveUtilityTilde.
+    """Effective utility of holding each action (K,); Eq. EffectiveUtilityTilde.
 
-    F falls with its argument, so g2, the largest penalty of the look-ahead (section 3.2.2), is that of the smallest gap
-    over scale; both, (K,), are overwritten. Every loop runs over the actions and is a function of its own, because
-    compilers make vector instructions of that.
+    smallest, scale: (K,), overwritten. Every loop runs over the actions and is a function of its own, because compilers
+    make vector instructions of that.
     """
-    if math.isinf(gap):
-        _reward_alone(speed, driver, actions, period, out)
-    else:
-        _smallest_gaps(gap, speed, leader_speed, driver, actions, period, horizon, smallest, scale)
-        _reward_and_risk(speed, driver, actions, period, smallest, scale, out)
+    near = min(gap, FAR)
+    _smallest_gaps(near, speed, leader_speed, driver, actions, period, horizon, smallest, scale)
+    _add_up(speed, driver, actions, period, smallest, scale, out)
     if speed + period * actions[0] < FORWARD:
         _take_off_backward(speed, actions, period, out)
 
