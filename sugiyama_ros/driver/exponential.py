@@ -31,7 +31,21 @@ def _of_bits(_: Any, bits: Any) -> Any:
     )
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"})
+@intrinsic
+def _fma(_: Any, x: Any, y: Any, z: Any) -> Any:
+    """x y + z, rounded once."""
+    number = types.float64
+    return number(number, number, number), lambda context, builder, _, values: builder.fma(*values)
+
+
+@njit(cache=True)
+def _horner(r: float, above: float, coefficient: float) -> float:
+    # an intrinsic is called without its first argument, which is numba's
+    sum_: float = _fma(r, above, coefficient)  # type: ignore[call-arg]
+    return sum_
+
+
+@njit(cache=True, error_model="numpy")
 def exponential(x: float) -> float:
     """exp(x) for x <= 700, as if x were LOWEST below; relative error below 1e-14.
 
@@ -40,9 +54,12 @@ def exponential(x: float) -> float:
     bounded = x if x > LOWEST else LOWEST
     rounded = bounded * _PER_LN_2 + _ROUNDING
     k = rounded - _ROUNDING
-    r = (bounded - k * _LN_2) - k * _REST
-    tail = 1.0 / 40320.0 + r * (1.0 / 362880.0 + r * (1.0 / 3628800.0 + r * (1.0 / 39916800.0)))
-    middle = 1.0 / 24.0 + r * (1.0 / 120.0 + r * (1.0 / 720.0 + r * (1.0 / 5040.0 + r * tail)))
-    # an intrinsic is called without its first argument, which is numba's
+    r = _horner(-k, _REST, _horner(-k, _LN_2, bounded))
+    p = _horner(r, 1.0 / 39916800.0, 1.0 / 3628800.0)
+    p = _horner(r, _horner(r, p, 1.0 / 362880.0), 1.0 / 40320.0)
+    p = _horner(r, _horner(r, p, 1.0 / 5040.0), 1.0 / 720.0)
+    p = _horner(r, _horner(r, p, 1.0 / 120.0), 1.0 / 24.0)
+    p = _horner(r, _horner(r, p, 1.0 / 6.0), 0.5)
+    p = _horner(r, _horner(r, p, 1.0), 1.0)
     power: float = _of_bits((_bits(rounded) + _BIAS) << _MANTISSA_BITS)  # type: ignore[call-arg]
-    return (1.0 + r * (1.0 + r * (0.5 + r * (1.0 / 6.0 + r * middle)))) * power
+    return p * power

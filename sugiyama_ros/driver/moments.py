@@ -11,7 +11,6 @@ from sugiyama_ros.driver.exponential import exponential
 from sugiyama_ros.driver.parameters import UTILITY
 from sugiyama_ros.driver.utility import (
     FAR,
-    FAST,
     FORWARD,
     Preferences,
     backward_penalty,
@@ -19,20 +18,19 @@ from sugiyama_ros.driver.utility import (
     forward_reward,
     gap_and_scale,
     preferences,
-    reward_and_risk,
 )
 from sugiyama_ros.road import Array
 
 #: Moments that are taken together; what is kept of them stays in the processor's nearest memory.
-BLOCK = 256
+BLOCK = 64
 _V_STAR, _KAPPA_V, _KAPPA_1, _KAPPA_C, _KAPPA_D, _OMEGA_2, _RATIONALITY = range(len(UTILITY))
 # Weight of an action that cannot change a mean, relative to the best one's.
 _NO_CHANCE = 1e-20
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(cache=True, error_model="numpy")
 def _closest(
-    action: float,
+    actions: Array,
     gap: Array,
     speed: Array,
     leader_speed: Array,
@@ -43,90 +41,126 @@ def _closest(
     scale: Array,
     tau: Array,
 ) -> None:
-    """Gap [m], scale [m] and period of the look-ahead where their ratio is smallest, (B,) each; section 3.2.2."""
-    for t in range(len(gap)):
-        smallest[t], scale[t] = gap_and_scale(action, 1, gap[t], speed[t], leader_speed[t], driver, period)
-        tau[t] = 1.0
-    for ahead in range(2, horizon + 1):
+    """Gap [m], scale [m] and period of the look-ahead where their ratio is smallest, (K, B) each; section 3.2.2."""
+    for k in range(len(actions)):
         for t in range(len(gap)):
-            gap_ahead, scale_ahead = gap_and_scale(action, ahead, gap[t], speed[t], leader_speed[t], driver, period)
-            closer = gap_ahead * scale[t] < smallest[t] * scale_ahead
-            smallest[t] = gap_ahead if closer else smallest[t]
-            scale[t] = scale_ahead if closer else scale[t]
-            tau[t] = float(ahead) if closer else tau[t]
+            smallest[k, t], scale[k, t] = gap_and_scale(
+                actions[k], 1, gap[t], speed[t], leader_speed[t], driver, period
+            )
+            tau[k, t] = 1.0
+        for ahead in range(2, horizon + 1):
+            for t in range(len(gap)):
+                gap_ahead, scale_ahead = gap_and_scale(
+                    actions[k], ahead, gap[t], speed[t], leader_speed[t], driver, period
+                )
+                closer = gap_ahead * scale[k, t] < smallest[k, t] * scale_ahead
+                smallest[k, t] = gap_ahead if closer else smallest[k, t]
+                scale[k, t] = scale_ahead if closer else scale[k, t]
+                tau[k, t] = float(ahead) if closer else tau[k, t]
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(cache=True, error_model="numpy")
 def _add_up(
-    action: float, speed: Array, driver: Preferences, period: float, smallest: Array, scale: Array, out: Array
-) -> None:
-    for t in range(len(speed)):
-        out[t] = reward_and_risk(speed[t] + period * action, smallest[t], scale[t], driver)
-
-
-@njit(cache=True, error_model="numpy", fastmath=FAST)
-def _take_off_backward(action: float, speed: Array, period: float, out: Array) -> None:
-    """The second term of phi1."""
-    for t in range(len(speed)):
-        out[t] -= backward_penalty(speed[t] + period * action)
-
-
-@njit(cache=True, error_model="numpy", fastmath=FAST)
-def _highest(utility: Array, best: Array) -> None:
-    for t in range(len(best)):
-        best[t] = utility[t] if utility[t] > best[t] else best[t]
-
-
-@njit(cache=True, error_model="numpy", fastmath=FAST)
-def _weigh(
-    utility: Array, best: Array, rationality: float, action: float, weight: Array, partition: Array, mean: Array
-) -> float:
-    """Boltzmann weights relative to the best action's; adds them up, and the action with them; the largest one."""
-    largest = 0.0
-    for t in range(len(utility)):
-        w = exponential(rationality * (utility[t] - best[t]))
-        weight[t] = w
-        partition[t] += w
-        mean[t] += w * action
-        largest = w if w > largest else largest
-    return largest
-
-
-@njit(cache=True, error_model="numpy", fastmath=FAST)
-def _add_partials(
-    action: float,
+    actions: Array,
     speed: Array,
-    leader_speed: Array,
     driver: Preferences,
     period: float,
-    smallest: Array,
+    ratio: Array,
+    scale: Array,
+    reward: Array,
+    risk: Array,
+    utility: Array,
+    best: Array,
+) -> None:
+    """Eq. EffectiveUtilityTilde: phi1's first term, phi2, the utility, (K, B) each, and the best action's, (B,).
+
+    ratio: (K, B), comes as the gap and leaves as the gap over the scale.
+    """
+    v_star, _, kappa_1, _, _, omega_2, _ = driver
+    slowest = np.min(speed)
+    best[:] = -np.inf
+    for k in range(len(actions)):
+        for t in range(len(speed)):
+            reward[k, t] = forward_reward(speed[t] + period * actions[k], v_star, kappa_1)
+            ratio[k, t] /= scale[k, t]
+            risk[k, t] = collision_penalty(ratio[k, t])
+            utility[k, t] = reward[k, t] + omega_2 * risk[k, t]
+        if slowest + period * actions[k] < FORWARD:
+            for t in range(len(speed)):
+                utility[k, t] -= backward_penalty(speed[t] + period * actions[k])
+        for t in range(len(speed)):
+            best[t] = utility[k, t] if utility[k, t] > best[t] else best[t]
+
+
+@njit(cache=True, error_model="numpy")
+def _weigh(
+    actions: Array, utility: Array, best: Array, rationality: float, weight: Array, partition: Array, mean: Array
+) -> None:
+    """Boltzmann weights relative to the best action's, (K, B), their sums and the mean actions, (B,)."""
+    partition[:], mean[:] = 0.0, 0.0
+    for k in range(len(actions)):
+        for t in range(len(best)):
+            w = exponential(rationality * (utility[k, t] - best[t]))
+            weight[k, t] = w
+            partition[t] += w
+            mean[t] += w * actions[k]
+    for t in range(len(best)):
+        mean[t] /= partition[t]
+
+
+@njit(cache=True, error_model="numpy")
+def _add_partials(
+    actions: Array,
+    speed: Array,
+    leader_speed: Array,
+    v_star: float,
+    period: float,
+    ratio: Array,
     scale: Array,
     tau: Array,
+    reward: Array,
+    risk: Array,
     utility: Array,
     weight: Array,
     mean: Array,
     out: Array,
 ) -> None:
-    """Add to ``out`` (7, B) an action's part of the covariance of actions and utilities' derivatives."""
-    v_star, _, kappa_1, _, _, omega_2, _ = driver
-    for t in range(len(speed)):
-        off_mean = weight[t] * (action - mean[t])
-        next_speed = speed[t] + period * action
-        off = (next_speed - v_star) / (kappa_1 * v_star)
-        slope = -2.0 * off * forward_reward(next_speed, v_star, kappa_1)
-        ratio = smallest[t] / scale[t]
-        ratio = ratio if ratio > 0.0 else 0.0
-        penalty = collision_penalty(ratio)
-        by_scale = 2.0 * omega_2 * ratio * (ratio + 1.0) * penalty / scale[t]
-        speed_ahead = speed[t] + tau[t] * period * action
-        closing = speed_ahead - leader_speed[t]
-        out[_V_STAR, t] -= off_mean * slope * next_speed / (kappa_1 * v_star * v_star)
-        out[_KAPPA_1, t] -= off_mean * slope * off / kappa_1
-        out[_OMEGA_2, t] += off_mean * penalty
-        out[_KAPPA_C, t] += off_mean * by_scale
-        out[_KAPPA_V, t] += off_mean * by_scale * abs(speed_ahead)
-        out[_KAPPA_D, t] += off_mean * by_scale * (closing if closing > 0.0 else 0.0)
-        out[_RATIONALITY, t] += off_mean * utility[t]
+    """Covariances of actions and utilities' derivatives into ``out`` (7, B), but for the factors of ``_factors``."""
+    out[:] = 0.0
+    for k in range(len(actions)):
+        mattering = 0
+        for t in range(len(speed)):
+            mattering += weight[k, t] > _NO_CHANCE
+        if mattering == 0:
+            continue
+        for t in range(len(speed)):
+            off_mean = weight[k, t] * (actions[k] - mean[t])
+            next_speed = speed[t] + period * actions[k]
+            by_off = off_mean * (next_speed - v_star) * reward[k, t]
+            inside = ratio[k, t] if ratio[k, t] > 0.0 else 0.0
+            by_scale = off_mean * inside * (inside + 1.0) * risk[k, t] / scale[k, t]
+            speed_ahead = speed[t] + tau[k, t] * period * actions[k]
+            closing = speed_ahead - leader_speed[t]
+            out[_V_STAR, t] += by_off * next_speed
+            out[_KAPPA_1, t] += by_off * (next_speed - v_star)
+            out[_OMEGA_2, t] += off_mean * risk[k, t]
+            out[_KAPPA_C, t] += by_scale
+            out[_KAPPA_V, t] += by_scale * abs(speed_ahead)
+            out[_KAPPA_D, t] += by_scale * (closing if closing > 0.0 else 0.0)
+            out[_RATIONALITY, t] += off_mean * utility[k, t]
+
+
+@njit(cache=True)
+def _factors(driver: Preferences) -> Array:
+    """What the sums of ``_add_partials`` are to be multiplied by, (7,); all but the last with the rationality."""
+    v_star, _, kappa_1, _, _, omega_2, rationality = driver
+    factors = np.full(len(UTILITY), rationality)
+    factors[_V_STAR] *= 2.0 / (kappa_1 * kappa_1 * v_star**3)
+    factors[_KAPPA_1] *= 2.0 / (kappa_1**3 * v_star * v_star)
+    for j in (_KAPPA_C, _KAPPA_V, _KAPPA_D):
+        factors[j] *= 2.0 * omega_2
+    factors[_RATIONALITY] = 1.0
+    return factors
 
 
 @njit(cache=True, nogil=True)
@@ -146,48 +180,24 @@ def mean_actions(
     gap [m] (infinite without a leader), speed, leader_speed: (T,); parameters: (P,) at this period; actions: (K,).
     The derivative of a Boltzmann mean is a covariance: d mean(a) = lambda cov(a, d utility).
     """
-    driver = preferences(parameters)
-    rationality, count = driver[-1], len(actions)
-    utility, weight = np.empty((count, BLOCK)), np.empty((count, BLOCK))
-    smallest, scale, tau = np.empty((count, BLOCK)), np.empty((count, BLOCK)), np.empty((count, BLOCK))
-    seen, best, partition, average = np.empty((3, BLOCK)), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
-    sums, largest = np.empty((len(UTILITY), BLOCK)), np.empty(count)
+    driver, shape = preferences(parameters), (len(actions), BLOCK)
+    v_star, rationality, factors = driver[0], driver[-1], _factors(driver)
+    smallest, scale, tau, reward = np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape)
+    risk, utility, weight = np.empty(shape), np.empty(shape), np.empty(shape)
+    own, ahead, near = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
+    best, partition, average, sums = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty((len(UTILITY), BLOCK))
     for first in range(0, len(gap), BLOCK):
         taken = min(BLOCK, len(gap) - first)
         for t in range(BLOCK):
             # the last block is filled up with its last moment
             at = first + min(t, taken - 1)
-            seen[0, t], seen[1, t], seen[2, t] = min(gap[at], FAR), speed[at], leader_speed[at]
-        slowest = np.min(seen[1])
-        best[:], partition[:], average[:], sums[:] = -np.inf, 0.0, 0.0, 0.0
-        for k in range(count):
-            a = actions[k]
-            _closest(a, seen[0], seen[1], seen[2], driver, period, horizon, smallest[k], scale[k], tau[k])
-            _add_up(a, seen[1], driver, period, smallest[k], scale[k], utility[k])
-            if slowest + period * a < FORWARD:
-                _take_off_backward(a, seen[1], period, utility[k])
-            _highest(utility[k], best)
-        for k in range(count):
-            largest[k] = _weigh(utility[k], best, rationality, actions[k], weight[k], partition, average)
-        average /= partition
-        for k in range(count):
-            if largest[k] > _NO_CHANCE:
-                _add_partials(
-                    actions[k],
-                    seen[1],
-                    seen[2],
-                    driver,
-                    period,
-                    smallest[k],
-                    scale[k],
-                    tau[k],
-                    utility[k],
-                    weight[k],
-                    average,
-                    sums,
-                )
+            near[t], own[t], ahead[t] = min(gap[at], FAR), speed[at], leader_speed[at]
+        _closest(actions, near, own, ahead, driver, period, horizon, smallest, scale, tau)
+        _add_up(actions, own, driver, period, smallest, scale, reward, risk, utility, best)
+        _weigh(actions, utility, best, rationality, weight, partition, average)
+        kept = (smallest, scale, tau, reward, risk, utility, weight)
+        _add_partials(actions, own, ahead, v_star, period, *kept, average, sums)
         for t in range(taken):
             mean[first + t] = average[t]
             for j in range(len(UTILITY)):
-                factor = 1.0 if j == _RATIONALITY else rationality
-                partials[j, first + t] = factor * sums[j, t] / partition[t]
+                partials[j, first + t] = factors[j] * sums[j, t] / partition[t]

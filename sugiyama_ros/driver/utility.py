@@ -34,24 +34,24 @@ _EXPONENT_CAP = 600.0
 _NEVER = -1e300
 # Rows of the room in which actions are considered.
 _WEIGHT, _UTILITY, _GRID, _SCALE, _HANDICAP = range(5)
-# Arrays are this many times some number long: vector instructions take several elements at once, and leave none over.
+# Rows are a multiple of this long, and summed in as many lanes: several elements per vector instruction, in an order
+# that is written down. No compiler may choose one (no fastmath): each time that it compiles, it would round otherwise.
 _LANES = 16
 #: Gap [m] that stands for an infinite one, of a driver without a leader: no risk, and all numbers stay finite.
 FAR = 1e9
 #: Speed [m/s] above which driving backward costs less than 1e-20.
 FORWARD = 4.35
-#: What a compiler may do to numbers that are finite, so that it can compute several at once.
-FAST = {"arcp", "contract", "nnan", "nsz", "reassoc"}
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(cache=True, error_model="numpy")
 def forward_reward(speed: float, v_star: float, kappa_1: float) -> float:
     """First term of phi1: what a speed near the desired one is worth."""
-    off = (speed - v_star) / (kappa_1 * v_star)
+    # the reciprocal is that of all actions
+    off = (speed - v_star) * (1.0 / (kappa_1 * v_star))
     return exponential(-off * off)
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(cache=True, error_model="numpy")
 def backward_penalty(speed: float) -> float:
     """Second term of phi1: what driving backward costs."""
     exponent = -10.0 * (speed + 0.25)
@@ -64,21 +64,21 @@ def desired_speed_reward(speed: float, v_star: float, kappa_1: float) -> float:
     return forward_reward(speed, v_star, kappa_1) - backward_penalty(speed)
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(cache=True, error_model="numpy")
 def gap_scale(speed: float, leader_speed: float, kappa_c: float, kappa_v: float, kappa_d: float) -> float:
     """sigma [m]: the gap within which a driver feels at risk; text below Eq. PairwiseCollisionPenalty."""
     closing = speed - leader_speed
     return kappa_c + kappa_v * abs(speed) + kappa_d * (closing if closing > 0.0 else 0.0)
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(cache=True, error_model="numpy")
 def collision_penalty(ratio: float) -> float:
     """phi2: subjective risk at a gap of ``ratio`` scales; 1 at contact; Eq. PairwiseCollisionPenalty."""
     inside = ratio if ratio > 0.0 else 0.0
     return exponential(-inside * (inside + 2.0))
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(cache=True, error_model="numpy")
 def anticipate(
     action: float, tau: int, gap: float, speed: float, leader_speed: float, period: float
 ) -> tuple[float, float]:
@@ -104,7 +104,7 @@ def preferences(parameters: Array) -> Preferences:
     )
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(cache=True, error_model="numpy")
 def gap_and_scale(
     action: float, tau: int, gap: float, speed: float, leader_speed: float, driver: Preferences, period: float
 ) -> tuple[float, float]:
@@ -114,7 +114,7 @@ def gap_and_scale(
     return gap_ahead, gap_scale(speed_ahead, leader_speed, kappa_c, kappa_v, kappa_d)
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(cache=True, error_model="numpy")
 def reward_and_risk(next_speed: float, gap: float, scale: float, driver: Preferences) -> float:
     """Eq. EffectiveUtilityTilde but for the second term of phi1: g1 of the first and omega2 times g2 of phi2.
 
@@ -125,7 +125,7 @@ def reward_and_risk(next_speed: float, gap: float, scale: float, driver: Prefere
     return forward_reward(next_speed, v_star, kappa_1) + omega_2 * collision_penalty(gap / scale)
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(cache=True, error_model="numpy")
 def _smallest_gaps(
     gap: float,
     speed: float,
@@ -148,7 +148,7 @@ def _smallest_gaps(
             scale[k] = scale_ahead if closer else scale[k]
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(cache=True, error_model="numpy")
 def _add_up(
     speed: float, driver: Preferences, actions: Array, period: float, smallest: Array, scale: Array, out: Array
 ) -> None:
@@ -156,7 +156,7 @@ def _add_up(
         out[k] = reward_and_risk(speed + period * actions[k], smallest[k], scale[k], driver)
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(cache=True, error_model="numpy")
 def _take_off_backward(speed: float, actions: Array, period: float, out: Array) -> None:
     """g1 of phi1's second term."""
     for k in range(len(actions)):
@@ -188,26 +188,50 @@ def utilities(
         _take_off_backward(speed, actions, period, out)
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
-def _weights(utility: Array, handicap: Array, rationality: float, actions: Array, out: Array) -> tuple[float, float]:
-    """Boltzmann weights of the actions (K,), relative to that of the best, into ``out``; their sum and the mean."""
-    best = utility[0]
+@njit(cache=True, error_model="numpy")
+def _largest(values: Array) -> float:
+    """Of a row of the room, which is overwritten."""
+    for start in range(_LANES, len(values), _LANES):
+        for lane in range(_LANES):
+            other = values[start + lane]
+            values[lane] = other if other > values[lane] else values[lane]
+    best: float = values[0]
+    for lane in range(1, _LANES):
+        best = values[lane] if values[lane] > best else best
+    return best
+
+
+@njit(cache=True, error_model="numpy")
+def _sum(values: Array) -> float:
+    """Of a row of the room, which is overwritten."""
+    for start in range(_LANES, len(values), _LANES):
+        for lane in range(_LANES):
+            values[lane] += values[start + lane]
+    for lane in range(8):
+        values[lane] += values[lane + 8]
+    for lane in range(4):
+        values[lane] += values[lane + 4]
+    total: float = (values[0] + values[1]) + (values[2] + values[3])
+    return total
+
+
+@njit(cache=True, error_model="numpy")
+def _mean(utility: Array, handicap: Array, rationality: float, actions: Array, weight: Array, scratch: Array) -> float:
+    """Boltzmann mean of the actions (K,)."""
     for k in range(len(utility)):
-        best = utility[k] if utility[k] > best else best
-    partition, mean = 0.0, 0.0
+        scratch[k] = utility[k]
+    best = _largest(scratch)
     for k in range(len(utility)):
-        weight = exponential(rationality * (utility[k] + handicap[k] - best))
-        out[k] = weight
-        partition += weight
-        mean += weight * actions[k]
-    return partition, mean / partition
+        weight[k] = exponential(rationality * (utility[k] + handicap[k] - best))
+        scratch[k] = weight[k] * actions[k]
+    return _sum(scratch) / _sum(weight)
 
 
 @njit(cache=True)
 def room_for(actions: Array) -> Array:
     """Room (5, at least K) in which a driver considers the actions (K,), one moment after the other.
 
-    Rows: weights, utilities, actions, scales, and what an action that only fills the row up is worth less.
+    Rows: weights, utilities, actions, scratch, and what an action that only fills the row up is worth less.
     """
     count = len(actions)
     room = np.zeros((5, -(-count // _LANES) * _LANES))
@@ -218,21 +242,14 @@ def room_for(actions: Array) -> Array:
 
 
 @njit(cache=True)
-def _consider(
-    gap: float, speed: float, leader_speed: float, driver: Preferences, room: Array, period: float, horizon: int
-) -> tuple[float, float]:
-    """Sum of the actions' weights, and their mean; weights and utilities stay in the room."""
-    weight, utility, grid = room[_WEIGHT], room[_UTILITY], room[_GRID]
-    utilities(gap, speed, leader_speed, driver, grid, period, horizon, weight, room[_SCALE], utility)
-    return _weights(utility, room[_HANDICAP], driver[-1], grid, weight)
-
-
-@njit(cache=True)
 def considered_action(
     gap: float, speed: float, leader_speed: float, parameters: Array, room: Array, period: float, horizon: int
 ) -> float:
     """``mean_action`` over the actions in a room of ``room_for``, which may be used again and again."""
-    return _consider(gap, speed, leader_speed, preferences(parameters), room, period, horizon)[1]
+    driver = preferences(parameters)
+    weight, utility, grid, scale = room[_WEIGHT], room[_UTILITY], room[_GRID], room[_SCALE]
+    utilities(gap, speed, leader_speed, driver, grid, period, horizon, weight, scale, utility)
+    return _mean(utility, room[_HANDICAP], driver[-1], grid, weight, scale)
 
 
 @njit(cache=True)

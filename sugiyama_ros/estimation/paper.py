@@ -163,7 +163,7 @@ def run(
     d_mean = np.zeros((3, COUNT))
     d_covariance, d_ahead, d_gain = np.zeros((noises, 3, 3)), np.zeros((noises, 3, 3)), np.zeros((noises, 3))
     d_variance = np.zeros(noises)
-    variance, log_likelihood = 0.0, 0.0
+    variance, log_variance, log_likelihood = 0.0, 0.0, 0.0
     # the covariance depends on no data: once it has come to rest it is left alone
     at_rest = False
     gradient[:] = 0.0
@@ -202,6 +202,7 @@ def run(
                 d_ahead[3, 0, 0] += 2.0 * parameters[SIGMA_X]
                 d_ahead[4, 1, 1] += 2.0 * parameters[SIGMA_V]
             variance = ahead[0, 0] + noise_var
+            log_variance = math.log(variance)
             for i in range(3):
                 gain[i] = ahead[i, 0] / variance
             for k in range(noises):
@@ -226,19 +227,19 @@ def run(
         y = measured[t] - mean[0]
         innovation[t], innovation_var[t] = y, variance
         if t >= UNSCORED:
-            log_likelihood -= 0.5 * (math.log(variance) + y * y / variance)
-            for j in range(COUNT):
-                gradient[j] += y / variance * d_mean[0, j]
-                for i in range(j + 1):
-                    information[i, j] += d_mean[0, i] * d_mean[0, j] / variance
+            log_likelihood -= 0.5 * (log_variance + y * y / variance)
+            for i in range(COUNT):
+                relative = d_mean[0, i] / variance
+                gradient[i] += relative * y
+                for j in range(COUNT):
+                    information[i, j] += relative * d_mean[0, j]
             for k in range(noises):
                 gradient[_NOISES[k]] -= 0.5 * d_variance[k] / variance * (1.0 - y * y / variance)
                 for i in range(noises):
                     information[_NOISES[i], _NOISES[k]] += 0.5 * d_variance[i] * d_variance[k] / variance**2
-        for j in range(COUNT):
-            by_position = d_mean[0, j]
-            for i in range(3):
-                d_mean[i, j] -= gain[i] * by_position
+        for i in range(2, -1, -1):
+            for j in range(COUNT):
+                d_mean[i, j] -= gain[i] * d_mean[0, j]
         for i in range(3):
             mean[i] += gain[i] * y
             for k in range(noises):
@@ -268,7 +269,7 @@ def score(perceived: Perceived, parameters: Array) -> Scored:
     action, partials = np.empty(samples), np.empty((len(UTILITY), samples))
     seen = (perceived.gap_m, perceived.speed, perceived.leader_speed)
     mean_actions(*seen, scaled, ACTIONS, perceived.period_s, horizon_at(perceived.period_s), action, partials)
-    gradient, upper = np.empty(COUNT), np.empty((COUNT, COUNT))
+    gradient, information = np.empty(COUNT), np.empty((COUNT, COUNT))
     value = run(
         action,
         partials,
@@ -280,10 +281,9 @@ def score(perceived: Perceived, parameters: Array) -> Scored:
         np.empty(samples),
         np.empty((0, 3)),
         gradient,
-        upper,
+        information,
     )
     jacobian = jacobian_at_reference(parameters, perceived.period_s)
-    information = np.triu(upper) + np.triu(upper, 1).T
     return Scored(float(value), jacobian @ gradient, jacobian @ information @ jacobian.T)
 
 

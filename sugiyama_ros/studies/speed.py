@@ -19,7 +19,7 @@ from scipy.optimize import minimize
 
 from sugiyama_ros.criticism.calibrated import each_for_himself
 from sugiyama_ros.driver.parameters import NAMES, SIGMA_A, defaults
-from sugiyama_ros.driver.utility import ACTIONS
+from sugiyama_ros.driver.utility import ACTIONS, FORWARD
 from sugiyama_ros.estimation import causal, paper
 from sugiyama_ros.estimation.calibration import ESTIMATED, calibrate
 from sugiyama_ros.estimation.workers import workers
@@ -95,9 +95,13 @@ def plain_fit(perceived: paper.Perceived) -> float:
     return -float(minimize(negative, np.log(start[_PLACES]), method="L-BFGS-B").fun)
 
 
-def floor(moments: int) -> float:
-    """Time [s] of the exponentials of one likelihood, three for each action at each moment, in one call of numpy."""
-    x = -np.random.default_rng(0).uniform(0.0, 10.0, (3, len(ACTIONS), moments))
+def floor(perceived: paper.Perceived) -> float:
+    """Time [s] of the exponentials of one likelihood in one call of numpy.
+
+    At each moment each action takes three (both terms of the utility, the weight), and where it ends slow a fourth.
+    """
+    slow = perceived.speed[:, None] + perceived.period_s * ACTIONS < FORWARD
+    x = -np.random.default_rng(0).uniform(0.0, 10.0, 3 * slow.size + int(slow.sum()))
     out = np.empty_like(x)
     return best_of(50, lambda: np.exp(x, out=out))
 
@@ -111,7 +115,7 @@ def main() -> None:
     perceived, p = paper.perceive(t, 3), defaults()
     chain = causal.chain_behind(t, 3)
     found: dict[str, float] = {
-        "floor_s": floor(len(perceived.measured_m)),
+        "floor_s": floor(perceived),
         "likelihood_with_gradient_s": best_of(50, lambda: paper.score(perceived, p)),
         "causal_likelihood_s": best_of(20, lambda: causal.log_likelihood(chain, p)),
         "plain_likelihood_s": best_of(3, lambda: plain_likelihood(perceived, p)),
