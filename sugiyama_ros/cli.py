@@ -221,7 +221,7 @@ def calibrate(
     as_json: Json = False,
 ) -> None:
     """Estimate every driver's parameters by maximum likelihood, and say how well the data hold them."""
-    from sugiyama_ros.criticism.calibrated import as_population, each_for_himself
+    from sugiyama_ros.criticism.calibrated import all_together, each_for_himself
     from sugiyama_ros.estimation.workers import workers
     from sugiyama_ros.formats import read_trajectories
 
@@ -238,7 +238,7 @@ def calibrate(
     with _progress("calibrating") as advance, workers(len(trajectories.vehicle), scheduler) as work:
         kept = output.with_name(output.name + ".fits") if output is not None else None
         if added or (regularise and formulation == "causal"):
-            found = as_population(trajectories, names, added, work)
+            found = all_together(trajectories, names, added, work)
         else:
             found = each_for_himself(
                 trajectories,
@@ -250,9 +250,9 @@ def calibrate(
                 on_progress=advance or (lambda done, total: None),
             )
     wall_s = time.monotonic() - began
-    if output is not None:
+    if output is not None and kept is not None:
         found.write(output)
-        kept.unlink(missing_ok=True) if kept is not None else None
+        kept.unlink(missing_ok=True)
     places = [index(name) for name in names]
     drivers: list[dict[str, Any]] = [
         {

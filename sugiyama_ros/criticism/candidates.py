@@ -1,18 +1,16 @@
 """What may be missing from the model: freed constants, faults of the measurement, and every physical effect."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
-from sugiyama_ros.criticism.fitting import (
-    LARGEST_STD,
-    Model,
-    Recorded,
-)
+from sugiyama_ros.criticism.fitting import LARGEST_STD, Model, Recorded
 from sugiyama_ros.driver.parameters import index
 from sugiyama_ros.effects.catalogue import DECLARED, EFFECTS, PLACES, place
 from sugiyama_ros.effects.effect import MEASUREMENT, Recording
+from sugiyama_ros.errors import InputError
 
 Kind = Literal["effect", "measurement", "constants"]
 
@@ -67,6 +65,15 @@ def candidates(recording: Recording, drivers: int) -> tuple[Candidate, ...]:
             )
         )
     return tuple(found)
+
+
+def named(data: Recorded, names: Sequence[str]) -> list[Candidate]:
+    """The candidates of these names. Raises InputError for one that is none."""
+    possible = {c.name: c for c in candidates(recording_of(data), data.drivers)}
+    for name in names:
+        if name not in possible:
+            raise InputError(f"effect {name!r}: not among what can be added here: {', '.join(possible)}")
+    return [possible[name] for name in names]
 
 
 def recording_of(data: Recorded) -> Recording:

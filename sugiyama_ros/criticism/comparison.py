@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from sugiyama_ros.criticism.bootstrap import resample, seeds
-from sugiyama_ros.criticism.candidates import candidates, recording_of
+from sugiyama_ros.criticism.candidates import named
 from sugiyama_ros.criticism.collective import Collective, collective
 from sugiyama_ros.criticism.diagnosis import INDIVIDUAL
 from sugiyama_ros.criticism.errors import Errors, errors_of
@@ -26,8 +26,7 @@ from sugiyama_ros.criticism.fitting import (
 from sugiyama_ros.criticism.free_run import filtered_states
 from sugiyama_ros.criticism.model_file import ModelFile
 from sugiyama_ros.criticism.rivals import by_gaps, has_parameters, in_filter, laws
-from sugiyama_ros.criticism.screening import glance, refine
-from sugiyama_ros.errors import InputError
+from sugiyama_ros.criticism.screening import with_candidate
 from sugiyama_ros.estimation.causal import chain_behind, track
 from sugiyama_ros.trajectories import Trajectories
 
@@ -71,10 +70,7 @@ def compare(
     """
     with ThreadPoolExecutor(workers) as work:
         data = prepare(trajectories)
-        possible = {c.name: c for c in candidates(recording_of(data), data.drivers)}
-        for name in effects:
-            if name not in possible:
-                raise InputError(f"effect {name!r}: not among what can be added here: {', '.join(possible)}")
+        chosen = named(data, effects)
         steps = 2 + sum(1 + has_parameters(law) for law in laws()) + len(effects) + (model is not None)
         done = 0
 
@@ -93,9 +89,9 @@ def compare(
         base = fit_base(data, INDIVIDUAL, work)
         found.append(judged("base", without_folds(data, base, work, refit=True), base.model))
         current = base
-        for name in effects:
-            next_step(name)
-            current = refine(data, glance(data, current, possible[name], work), work)
+        for candidate in chosen:
+            next_step(candidate.name)
+            current = with_candidate(data, current, candidate, work)
         if effects:
             found.append(
                 judged("base + " + " + ".join(effects), without_folds(data, current, work, refit=True), current.model)

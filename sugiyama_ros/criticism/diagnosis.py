@@ -195,7 +195,9 @@ def diagnose(
                     heldout[one.candidate.name] = gain(data, held_out_nearly(data, one.fit), nearly)
             supported = [one for one in looked if one.refined and one.p_value <= LEVEL and one.gain >= _LEAST_GAIN]
             best = None
-            now = errors_of(data, without_folds(data, current, work, refit=False), work)
+            now = errors
+            if supported and not quick:
+                now = errors_of(data, without_folds(data, current, work, refit=False), work)
             for one in sorted(supported, key=lambda one: -one.predictive):
                 predicted = errors_of(data, without_folds(data, one.fit, work, refit=False), work)
                 won = gain(data, predicted.samples, now.samples)

@@ -43,12 +43,8 @@ class ModelFile:
 
 def write_model(path: Path, data: Recorded, fitted: Fit) -> None:
     """Write a fitted model. Raises OutputError."""
-    model = fitted.model
-    stds = stds_of(fitted)
-    own = [{ENTRIES[k]: float(s) for k, s in zip(model.individual, std, strict=False)} for std in stds]
-    shared = stds[0][len(model.individual) :]
-    shared_std = {ENTRIES[k]: float(s) for k, s in zip(model.shared, shared, strict=True)}
-    write_drivers(path, data.trajectories, model.rows, own, shared_std, fitted.log_likelihood)
+    own, shared = stds_of(fitted)
+    write_drivers(path, data.trajectories, fitted.model.rows, own, shared, fitted.log_likelihood)
 
 
 def write_drivers(
@@ -125,8 +121,8 @@ def read_model(path: Path) -> ModelFile:
     )
 
 
-def stds_of(fitted: Fit) -> list[Array]:
-    """Standard deviations of every driver's own parameters and of the shared ones, from the information."""
+def stds_of(fitted: Fit) -> tuple[list[dict[str, float]], dict[str, float]]:
+    """Standard deviations by name, from the information: of every driver's own parameters, and of the shared ones."""
     model = fitted.model
     own = len(model.individual)
     prior = np.diag(1.0 / np.array(model.prior_std) ** 2)
@@ -140,11 +136,14 @@ def stds_of(fitted: Fit) -> list[Array]:
         parts.append((inverse, cross))
     shared = np.linalg.pinv(reduced + 1e-9 * np.eye(len(reduced)))
     places = [*model.individual, *model.shared]
-    stds = []
+    found = []
     for (inverse, cross), row in zip(parts, model.rows, strict=True):
         lift = inverse @ cross
         variances = np.concatenate([np.diag(inverse + lift @ shared @ lift.T), np.diag(shared)])
         # from a coordinate to the parameter itself: d p = p d log p
         scale = np.where(coordinate(row[places], places) == row[places], 1.0, np.abs(row[places]))
-        stds.append(np.sqrt(np.maximum(variances, 0.0)) * scale)
-    return stds
+        found.append((np.sqrt(np.maximum(variances, 0.0)) * scale).tolist())
+    names = [ENTRIES[k] for k in places]
+    return [dict(zip(names[:own], std[:own], strict=True)) for std in found], dict(
+        zip(names[own:], found[0][own:], strict=True)
+    )

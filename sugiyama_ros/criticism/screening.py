@@ -87,6 +87,11 @@ def refine(data: Recorded, look: Glance, work: Executor) -> Fit:
     return climb(data, look.fit, work, iterations=_STEPS, enough=_PROMISE)
 
 
+def with_candidate(data: Recorded, base: Fit, candidate: Candidate, work: Executor) -> Fit:
+    """A fitted model with a candidate added, fitted in full."""
+    return refine(data, glance(data, base, candidate, work), work)
+
+
 def carried_over(before: Fit, look: Glance, current: Fit) -> Model:
     """The current model with a candidate as it was looked at ``before``: what gave way to it then gives way again."""
     candidate = look.candidate

@@ -284,7 +284,8 @@ def calibrate(
         ahead = [known.get(_most(chain.identity[:, m]), population()) for m in range(1, causal.CHAIN)]
         return replace(one, chain=chain, ahead=np.array(ahead))
 
-    left = [i for i, v in enumerate(trajectories.vehicle.tolist()) if v not in set(skip)]
+    skipped = set(skip)
+    left = [i for i, v in enumerate(trajectories.vehicle.tolist()) if v not in skipped]
     for first in range(0, len(left), _BATCH):
         jobs = map(job, left[first : first + _BATCH])
         yield from map(_carry_out, jobs) if work is None else work.map(_carry_out, list(jobs))

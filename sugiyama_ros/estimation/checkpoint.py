@@ -1,7 +1,7 @@
 """Fits kept on disk while a long calibration runs, so that one which is cut off goes on where it stopped."""
 
 import json
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -14,7 +14,8 @@ from sugiyama_ros.estimation.calibration import Fit
 class Checkpoint:
     """A file of one JSON document a line: what is being calibrated, then every fit, with the name of its pass.
 
-    about: what must be the same for the fits to be taken up again. Used as a context; the file is removed by ``done``.
+    about: what must be the same for the fits to be taken up again. Used as a context; whoever has
+    the fits safe elsewhere removes the file.
     """
 
     def __init__(self, path: Path, about: dict[str, Any]) -> None:
@@ -40,17 +41,13 @@ class Checkpoint:
         if self._stream is not None:
             self._stream.close()
 
-    def resume(self, name: str, fits: Callable[[Collection[int]], Iterator[Fit]]) -> Iterator[Fit]:
-        """Fits of a pass: those on disk, then the others, from ``fits`` (which skips the vehicles given), kept too."""
+    def resume(self, name: str, fits: Callable[..., Iterator[Fit]]) -> Iterator[Fit]:
+        """Fits of a pass: those on disk, then the others, from ``fits(skip=vehicles)``, which are kept too."""
         kept = self._fits.get(name, {})
         yield from kept.values()
-        for fit in fits(kept.keys()):
+        for fit in fits(skip=kept.keys()):
             self._write(name, fit)
             yield fit
-
-    def done(self) -> None:
-        """All is safe elsewhere."""
-        self.path.unlink(missing_ok=True)
 
     def _read(self) -> int:
         """Take in what is there; the length [bytes] of what is whole."""

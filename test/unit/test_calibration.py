@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from sugiyama_ros.criticism.calibrated import as_population, each_for_himself
+from sugiyama_ros.criticism.calibrated import all_together, each_for_himself
 from sugiyama_ros.criticism.model_file import read_model
 from sugiyama_ros.driver.parameters import KAPPA_V, NAMES, SIGMA_A, SIGMA_NU, V_STAR, defaults, index
 from sugiyama_ros.errors import InputError
@@ -114,7 +114,7 @@ def test_a_calibration_that_was_cut_off_goes_on(jam, tmp_path, monkeypatch):
 
 def test_a_population_narrows_what_single_drivers_leave_wide(jam, causal_fits, tmp_path):
     with ThreadPoolExecutor(2) as work:
-        pooled = as_population(jam, ESTIMATED, (), work)
+        pooled = all_together(jam, ESTIMATED, (), work)
     spread = [np.std(c.rows[:, V_STAR]) for c in (pooled, causal_fits)]
     assert spread[0] < spread[1]
     # all drivers are alike here
