@@ -25,7 +25,7 @@ from rich.table import Table
 
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, index
 from sugiyama_ros.effects.catalogue import ENTRIES
-from sugiyama_ros.errors import InputError, OutputError, SugiyamaError
+from sugiyama_ros.errors import InputError, SugiyamaError
 from sugiyama_ros.road import Array, Road
 
 if TYPE_CHECKING:
@@ -229,8 +229,7 @@ def calibrate(
         raise InputError(f"--formulation {formulation}: give paper or causal")
     if output is not None and output.suffix not in (".yaml", ".yml"):
         raise InputError(f"{output}: give a model file a .yaml name")
-    names = [name.strip() for name in parameters.split(",") if name.strip()]
-    added = [name.strip() for name in effects.split(",") if name.strip()]
+    names, added = _names(parameters), _names(effects)
     if added and formulation == "paper":
         raise InputError("--effects: the paper's formulation knows none; use --formulation causal")
     trajectories = read_trajectories(source, ring)
@@ -407,18 +406,16 @@ def study(
 
 
 def _draw(draw: Callable[[Any], None], output: Path) -> None:
+    from sugiyama_ros.formats.writing import replacing
+
     try:
         from matplotlib.figure import Figure
     except ImportError:
         raise InputError("--output: matplotlib is not installed; pip install 'sugiyama_ros[pictures]'") from None
     figure = Figure(figsize=(12, 7), layout="constrained")
     draw(figure)
-    beside = output.with_name(f".{output.name}")
-    try:
-        figure.savefig(beside, dpi=120, format=output.suffix[1:])
-        beside.replace(output)
-    except OSError as error:
-        raise OutputError(f"{output}: cannot be written: {error.strerror}; choose another place") from None
+    with replacing(output) as stream:
+        figure.savefig(stream, dpi=120, format=output.suffix[1:])
 
 
 @app.command()
@@ -438,7 +435,7 @@ def compare(
 
     given = read_model(model) if model is not None else None
     trajectories = read_trajectories(source, ring)
-    names = [name.strip() for name in effects.split(",") if name.strip()]
+    names = _names(effects)
     with _stages() as advance:
         compared = compare_models(
             trajectories, names, given, seed=seed, workers=os.cpu_count() or 1, on_progress=advance
@@ -527,6 +524,7 @@ def live(
         if show:
             typer.launch(url)
 
+    _err.print("starting the nodes")
     serve(source, output, rate=_rate(rate), ring_m=ring, model=model, port=port, on_ready=ready)
 
 
@@ -670,6 +668,11 @@ def main() -> None:
         # whoever read our output has had enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
+
+
+def _names(text: str) -> list[str]:
+    """Of a list with commas."""
+    return [name.strip() for name in text.split(",") if name.strip()]
 
 
 def _rate(text: str) -> float:

@@ -1,7 +1,7 @@
 """The live page's ears and hands in the graph, and the server that shows the page on this machine."""
 
+import contextlib
 import math
-import signal
 from collections import deque
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -25,7 +25,8 @@ from sugiyama_ros.nodes.plan import REPLAY, Plan, estimators, namespaces
 from sugiyama_ros.nodes.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.spin import Spinner, ros
 from sugiyama_ros.nodes.team import OneProcess
-from sugiyama_ros.page.live import KEPT, News, page
+from sugiyama_ros.page.live import KEPT, Log, page
+from sugiyama_ros.road import Road
 
 _MOVING_S = 10.0
 # Time [s] that the nodes have the processor at a stretch, and from one stretch to the next.
@@ -38,37 +39,27 @@ class View(Node):
     def __init__(self, rate: float) -> None:
         super().__init__("view", start_parameter_services=False)
         self.rate = rate
-        self.circumference_m = 0.0
+        self.road = Road()
+        self.space, self.error = Log(0), Log(KEPT)
+        self.driver: Mapping[int, Log] = {}
         self.vehicles: Sequence[int] = ()
         self.weights: Mapping[str, float] = {}
         self._now: dict[int, tuple[float, float]] = {}
         self.now: Mapping[int, tuple[float, float]] = self._now
         self.added: Sequence[str] = ()
         self.said = ""
+        self._duration_s = 1.0
         self.effects: Sequence[str] = [
             e.name for e in EFFECTS if e.function is not None and e.starts(self._recording())
         ]
         self._strength: dict[str, float] = {}
-        self._watched = -1
-        self._news = News()
         self._speed: dict[int, float] = {}
         self._std: dict[int, float] = {}
         self._squares: deque[tuple[float, float]] = deque(maxlen=100_000)
         self._latest_s = -math.inf
-        self._road: RoadMessage | None = None
         self.create_subscription(RoadMessage, "/road", self._on_road, LATCHED)
         self.create_subscription(MeasuredPositions, "/measured", self._on_measured, STREAM, raw=True)
         self.create_subscription(Verdict, "/verdict", self._on_verdict, STREAM)
-
-    def news(self) -> News:
-        """What is new since the last call."""
-        news, self._news = self._news, News()
-        return news
-
-    def watch(self, vehicle: int) -> None:
-        """Whose traces are kept."""
-        self._watched = vehicle
-        self._news.driver.clear()
 
     def pause(self, paused: bool) -> None:
         """Call the replay's ~/pause or ~/resume."""
@@ -99,10 +90,7 @@ class View(Node):
         self.added = tuple(one for one in self.added if one != name)
 
     def _recording(self) -> Recording:
-        road = getattr(self, "_road", None)
-        length = float(road.circumference_m) if road is not None else 0.0
-        duration = float(road.period_s * road.steps) if road is not None else 1.0
-        return Recording(0.0, duration, length, 0.0, length)
+        return Recording(0.0, self._duration_s, self.road.circumference_m, 0.0, self.road.circumference_m)
 
     def _call(self, kind: type, service: str, request: Any) -> None:
         client = self.create_client(kind, service)
@@ -119,30 +107,24 @@ class View(Node):
         client.call_async(request).add_done_callback(done)
 
     def _on_road(self, road: RoadMessage) -> None:
-        self._road, self.circumference_m = road, float(road.circumference_m)
+        self.road, self._duration_s = Road(float(road.circumference_m)), float(road.period_s * road.steps)
 
     def _on_measured(self, raw: bytes) -> None:
-        if self._road is None:
+        if self.vehicles:
             return
-        sample = wire.measured(raw)
-        if not self.vehicles:
-            self.vehicles = sorted(sample.place)
-            for v, space in zip(self.vehicles, namespaces(self.vehicles), strict=True):
-                self._speed[v] = self._std[v] = math.nan
-                self.create_subscription(VehicleState, f"{space}/state", self._on_state, STREAM)
-                self.create_subscription(Innovation, f"{space}/innovation", self._on_innovation, STREAM)
+        vehicles = sorted(wire.measured(raw).place)
+        for v, space in zip(vehicles, namespaces(vehicles), strict=True):
+            self._speed[v] = self._std[v] = math.nan
+            self.create_subscription(VehicleState, f"{space}/state", self._on_state, STREAM)
+            self.create_subscription(Innovation, f"{space}/innovation", self._on_innovation, STREAM)
+        self.space, self.driver = Log(KEPT * len(vehicles)), {v: Log(KEPT) for v in vehicles}
+        self.vehicles = vehicles
 
     def _on_state(self, message: VehicleState) -> None:
         v = message.vehicle
         self._speed[v], self._std[v] = message.speed, math.sqrt(max(message.covariance[4], 0.0))
         self._now[v] = (message.position_m, message.speed)
-        self._news.time_s.append(_seconds(message))
-        self._news.place_m.append(message.position_m)
-        self._news.speed.append(message.speed)
-        # nobody may be looking for hours
-        if len(self._news.time_s) > 2 * KEPT * len(self.vehicles):
-            for values in (self._news.time_s, self._news.place_m, self._news.speed):
-                del values[: len(values) // 2]
+        self.space.add(_seconds(message), message.position_m, message.speed)
 
     def _on_innovation(self, message: Innovation) -> None:
         time_s = _seconds(message)
@@ -153,11 +135,8 @@ class View(Node):
             self._latest_s = time_s
         if message.scored:
             self._squares.append((time_s, message.innovation_m**2))
-        if message.vehicle == self._watched:
-            v = message.vehicle
-            std = math.sqrt(max(message.innovation_var, 0.0))
-            self._news.driver.append((time_s, self._speed[v], self._std[v], message.innovation_m, std))
-            del self._news.driver[:-KEPT]
+        v, std = message.vehicle, math.sqrt(max(message.innovation_var, 0.0))
+        self.driver[v].add(time_s, self._speed[v], self._std[v], message.innovation_m, std)
 
     def _sum_up(self) -> None:
         """The error up to the last sample, now that there is a newer one."""
@@ -165,9 +144,7 @@ class View(Node):
             self._squares.popleft()
         if self._squares:
             mean = sum(square for _, square in self._squares) / len(self._squares)
-            self._news.error_s.append(self._latest_s)
-            self._news.error_m.append(math.sqrt(mean))
-            del self._news.error_s[:-KEPT], self._news.error_m[:-KEPT]
+            self.error.add(self._latest_s, math.sqrt(mean))
 
     def _on_verdict(self, message: Verdict) -> None:
         self.weights = dict(zip(message.model, message.weight, strict=True))
@@ -195,19 +172,18 @@ def serve(
     if source is not None:
         environment.isolate()
     plan = Plan.read(source, output, rate, ring_m, model, critic=True) if source is not None else None
-    with ros() as asked_to_stop:
-        team = OneProcess(plan) if plan is not None else None
+    with ros() as asked_to_stop, contextlib.ExitStack() as stack:
         view = View(rate)
+        stack.callback(view.destroy_node)
+        server = _server(view, port)
+        team = OneProcess(plan) if plan is not None else None
+        if team is not None:
+            stack.callback(team.close)
         spinner = Spinner([*(team.nodes if team is not None else ()), view])
+        stack.callback(spinner.close)
+        if team is not None:
+            stack.callback(team.stop, spinner)
         loop = IOLoop.current()
-        try:
-            names = [f"{host}:{port}" for host in ("localhost", "127.0.0.1")]
-            server = Server({"/": page(view)}, address="127.0.0.1", port=port, allow_websocket_origin=names)
-        except OSError as error:
-            spinner.close()
-            if team is not None:
-                team.close()
-            raise SugiyamaError(f"port {port}: {error.strerror}; choose another one with --port") from None
 
         def stretch() -> None:
             spinner.until(lambda: False, _STRETCH_S)
@@ -218,17 +194,16 @@ def serve(
 
         turns = PeriodicCallback(stretch, 1000 * _EVERY_S)
         server.start()
+        stack.callback(server.stop)
         turns.start()
+        stack.callback(turns.stop)
         on_ready(f"http://localhost:{port}")
-        try:
-            loop.start()
-        finally:
-            turns.stop()
-            server.stop()
-            if team is not None:
-                team.stop(spinner)
-            spinner.close()
-            if team is not None:
-                team.close()
-            view.destroy_node()
-            signal.signal(signal.SIGINT, signal.default_int_handler)
+        loop.start()
+
+
+def _server(view: View, port: int) -> Server:
+    names = [f"{host}:{port}" for host in ("localhost", "127.0.0.1")]
+    try:
+        return Server({"/": page(view)}, address="127.0.0.1", port=port, allow_websocket_origin=names)
+    except OSError as error:
+        raise SugiyamaError(f"port {port}: {error.strerror}; choose another one with --port") from None

@@ -1,7 +1,8 @@
 """The live page: the same story while it happens, from what a feed has heard since it was last asked."""
 
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from itertools import islice
 from typing import Any, Protocol
 
 import numpy as np
@@ -20,33 +21,40 @@ from bokeh.models import (
 )
 from bokeh.palettes import Cividis256
 
-from sugiyama_ros.page.panels import BLUE, GREY, ORANGE, VERMILION, panel
+from sugiyama_ros.page.panels import BLUE, GREY, ORANGE, VERMILION, from_above, panel
+from sugiyama_ros.road import Array, Road
 
 #: Time [s] between two updates of the page, and samples that it keeps of each vehicle.
 UPDATE_S, KEPT = 0.1, 750
 _FASTEST = 12.0
 
 
-@dataclass
-class News:
-    """What a feed has heard since it was last asked; lists run in parallel.
+class Log:
+    """The latest rows that were heard; whoever reads remembers how many he has seen, so that many can read."""
 
-    space-time: time [s], place [m] and speed [m/s] of every vehicle at every sample; errors: time and one-step error
-    [m] of all drivers over the last seconds; driver: time, speed, its std, innovation, its std, of the one watched.
-    """
+    def __init__(self, kept: int) -> None:
+        self._rows: deque[tuple[float, ...]] = deque(maxlen=kept)
+        self.heard = 0
 
-    time_s: list[float] = field(default_factory=list)
-    place_m: list[float] = field(default_factory=list)
-    speed: list[float] = field(default_factory=list)
-    error_s: list[float] = field(default_factory=list)
-    error_m: list[float] = field(default_factory=list)
-    driver: list[tuple[float, float, float, float, float]] = field(default_factory=list)
+    def add(self, *row: float) -> None:
+        """Keep a row, and forget the oldest one if there are too many."""
+        self._rows.append(row)
+        self.heard += 1
+
+    def since(self, seen: int) -> Array:
+        """What is kept of the rows after the first ``seen`` ones, (rows, columns)."""
+        new = min(self.heard - seen, len(self._rows))
+        return np.array(list(islice(self._rows, len(self._rows) - new, None)))
 
 
 class Feed(Protocol):
-    """Where the page hears the news, and whom it tells what its buttons ask for."""
+    """Where the page hears the news, and whom it tells what its buttons ask for.
 
-    circumference_m: float
+    space: time [s], place [m] and speed [m/s] of every vehicle at every sample; error: time [s] and one-step error [m]
+    of all drivers over the last seconds; driver: of each vehicle, time, speed, its std, innovation, its std.
+    """
+
+    road: Road
     rate: float
     vehicles: Sequence[int]
     weights: Mapping[str, float]
@@ -54,12 +62,9 @@ class Feed(Protocol):
     effects: Sequence[str]
     added: Sequence[str]
     said: str
-
-    def news(self) -> News:
-        """What is new."""
-
-    def watch(self, vehicle: int) -> None:
-        """Whose traces are asked for."""
+    space: Log
+    error: Log
+    driver: Mapping[int, Log]
 
     def pause(self, paused: bool) -> None:
         """Hold the replay, or let it go on."""
@@ -83,6 +88,7 @@ class _Page:
     def __init__(self, feed: Feed) -> None:
         self._feed = feed
         self._watched = -1
+        self._seen: dict[Log, int] = {}
         self._space = ColumnDataSource({"time": [], "place": [], "speed": []})
         self._error = ColumnDataSource({"time": [], "error": []})
         self._road = ColumnDataSource({"x": [], "y": [], "speed": []})
@@ -138,8 +144,14 @@ class _Page:
 
     def _watch(self, vehicle: int) -> None:
         self._watched = vehicle
-        self._feed.watch(vehicle)
+        self._seen.pop(self._feed.driver[vehicle], None)
         self._driver.data = {name: [] for name in self._driver.data}
+
+    def _new(self, log: Log) -> Array:
+        """Columns of what the page has not shown yet; none if that is nothing."""
+        rows = log.since(self._seen.get(log, 0))
+        self._seen[log] = log.heard
+        return rows.T
 
     def _update(self) -> None:
         feed = self._feed
@@ -148,14 +160,12 @@ class _Page:
         if not self._select.options:
             self._select.options = [f"vehicle {v}" for v in feed.vehicles]
             self._select.value = self._select.options[0]
-        new = feed.news()
-        if new.time_s:
-            rows = {"time": new.time_s, "place": new.place_m, "speed": new.speed}
-            self._space.stream(rows, rollover=KEPT * len(feed.vehicles))
-        if new.error_s:
-            self._error.stream({"time": new.error_s, "error": new.error_m}, rollover=KEPT)
-        if new.driver:
-            time, speed, std, innovation, spread = np.array(new.driver).T
+        if len(new := self._new(feed.space)):
+            self._space.stream(dict(zip(("time", "place", "speed"), new, strict=True)), KEPT * len(feed.vehicles))
+        if len(new := self._new(feed.error)):
+            self._error.stream(dict(zip(("time", "error"), new, strict=True)), KEPT)
+        if len(new := self._new(feed.driver[self._watched])):
+            time, speed, std, innovation, spread = new
             self._driver.stream(
                 {
                     "time": time,
@@ -166,14 +176,11 @@ class _Page:
                     "below": -2.0 * spread,
                     "above": 2.0 * spread,
                 },
-                rollover=KEPT,
+                KEPT,
             )
         if feed.now:
             place, speed = np.array(list(feed.now.values())).T
-            x, y = place, np.zeros_like(place)
-            if feed.circumference_m > 0.0:
-                radius, angle = feed.circumference_m / (2.0 * np.pi), 2.0 * np.pi * place / feed.circumference_m
-                x, y = radius * np.cos(angle), radius * np.sin(angle)
+            x, y = from_above(feed.road, place)
             self._road.data = {"x": x, "y": y, "speed": speed}
         if feed.weights:
             best = sorted(feed.weights, key=lambda name: feed.weights[name])[-6:]

@@ -26,7 +26,7 @@ from bokeh.palettes import Cividis256, PuOr11
 from bokeh.plotting import figure
 
 from sugiyama_ros.page.recording import Recording
-from sugiyama_ros.road import Array
+from sugiyama_ros.road import Array, Road
 
 # Okabe and Ito's colours.
 BLUE, ORANGE, GREEN, VERMILION, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#777777"
@@ -49,6 +49,14 @@ def panel(title: str, x: str, y: str, **more: Any) -> Any:
     )
 
 
+def from_above(road: Road, position_m: Array) -> tuple[Array, Array]:
+    """Coordinates [m] of positions on a road that lies in a circle, or straight on."""
+    if not road.is_ring:
+        return position_m, np.zeros_like(position_m)
+    radius = road.circumference_m / (2.0 * np.pi)
+    return radius * np.cos(position_m / radius), radius * np.sin(position_m / radius)
+
+
 def legend_above(plot: Any) -> None:
     """A legend that hides nothing, and in which a click hides a line."""
     plot.legend.click_policy = "hide"
@@ -61,7 +69,7 @@ def space_time(r: Recording) -> UIElement:
     """Position over time of every vehicle, coloured by speed."""
     t = r.trajectories
     position = t.road.wrap(t.position_m) if t.road.is_ring else t.position_m
-    speed = r.series["speed"] if r.has_estimates else _speeds(r)
+    speed = _speeds(r)
     known = np.isfinite(position)
     time = np.broadcast_to(r.time_s[:, None], position.shape)
     source = ColumnDataSource(
@@ -80,7 +88,7 @@ def space_time(r: Recording) -> UIElement:
 
 def speed_profile(r: Recording) -> UIElement:
     """Mean, least and largest speed of all vehicles."""
-    speed = r.series["speed"] if r.has_estimates else _speeds(r)
+    speed = _speeds(r)
     whole = np.isfinite(speed).any(axis=1)
     plot = panel("Speeds of all vehicles", "time [s]", "speed [m/s]")
     for label, of, colour in (("largest", np.nanmax, ORANGE), ("mean", np.nanmean, BLUE), ("least", np.nanmin, GREEN)):
@@ -98,14 +106,8 @@ def speed_profile(r: Recording) -> UIElement:
 def ring(r: Recording) -> UIElement:
     """The road from above, at a time that a slider or a button chooses."""
     t = r.trajectories
-    speed = r.series["speed"] if r.has_estimates else _speeds(r)
-    circumference = t.road.circumference_m
-    if t.road.is_ring:
-        angle = 2.0 * np.pi * t.position_m / circumference
-        radius = circumference / (2.0 * np.pi)
-        x, y = radius * np.cos(angle), radius * np.sin(angle)
-    else:
-        x, y = t.position_m, np.zeros_like(t.position_m)
+    speed = _speeds(r)
+    x, y = from_above(t.road, t.position_m)
     every = max(1, len(x) // 1500)
     frames = {
         "x": np.round(x[::every], 2).astype(_SINGLE),
@@ -153,7 +155,7 @@ def driver(r: Recording, select: Select) -> UIElement:
         "low": s["speed"] - s["speed_std"],
         "high": s["speed"] + s["speed_std"],
         "speed": s["speed"],
-        "measured": _speeds(r),
+        "measured": _naive_speeds(r),
         "meant": s["mean_action"],
         "innovation": s["innovation_m"],
         "below": -2.0 * std,
@@ -310,12 +312,15 @@ def before_and_after(diagnosis: Mapping[str, Any]) -> UIElement:
 
 
 def _speeds(r: Recording) -> Array:
+    """Speeds (T, N) [m/s]: filtered ones where estimators have run."""
+    return r.series["speed"] if r.has_estimates else _naive_speeds(r)
+
+
+def _naive_speeds(r: Recording) -> Array:
     """Speeds (T, N) [m/s] from differences of measured positions, smoothed over 5 samples."""
     t = r.trajectories
-    way = np.diff(t.position_m, axis=0, append=np.nan)
-    if t.road.is_ring:
-        way -= t.road.circumference_m * np.round(way / t.road.circumference_m)
-    speed = way / t.period_s
+    speed = np.full_like(t.position_m, np.nan)
+    speed[:-1] = t.road.difference(t.position_m[1:], t.position_m[:-1]) / t.period_s
     known = np.isfinite(speed)
     number, summed = (_moving_sum(a) for a in (known.astype(np.float64), np.where(known, speed, 0.0)))
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -10,7 +10,7 @@ from bokeh.embed import components
 from bokeh.models import Select, UIElement
 from bokeh.resources import Resources
 
-from sugiyama_ros.errors import OutputError
+from sugiyama_ros.formats.writing import replacing
 from sugiyama_ros.page import panels
 from sugiyama_ros.page.recording import Recording
 
@@ -32,12 +32,8 @@ td, th { padding: .2rem .8rem; text-align: right; } td:first-child, th:first-chi
 def write_report(recording: Recording, diagnosis: Mapping[str, Any] | None, output: Path) -> None:
     """Write the page. Raises OutputError."""
     page = report(recording, diagnosis)
-    beside = output.with_name(f".{output.name}.part")
-    try:
-        beside.write_text(page)
-        beside.replace(output)
-    except OSError as error:
-        raise OutputError(f"{output}: cannot be written: {error.strerror}; choose another place") from None
+    with replacing(output) as stream:
+        stream.write(page.encode())
 
 
 def report(r: Recording, diagnosis: Mapping[str, Any] | None) -> str:

@@ -106,6 +106,7 @@ def test_the_live_page_streams_and_its_buttons_call_the_services(recorded, tmp_p
     served = subprocess.Popen(list(map(str, command)), stderr=subprocess.PIPE, text=True)
     problems, asked = [], set()
     try:
+        assert "starting" in served.stderr.readline()
         assert f"http://localhost:{port}" in served.stderr.readline()
         with playwright.sync_playwright() as driver:
             browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
