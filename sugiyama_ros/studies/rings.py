@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -47,7 +48,7 @@ class Outcome:
 
 
 def run(ring: Ring) -> Simulation:
-    """Simulate one ring, from rest or, if it is not jammed, from the speed that drivers with such gaps would have."""
+    """Simulate one ring, from rest."""
     cars = len(ring.drivers)
     length, road = np.full(cars, ring.length_m), Road(ring.ring_m)
     start = platoon(length, JAM_GAP_M) if ring.jammed else evenly(length, road)
@@ -106,10 +107,10 @@ def summed_up(found: Sequence[Outcome]) -> dict[str, float]:
     }
 
 
-def space_time(axes: object, simulation: Simulation) -> None:
+def space_time(axes: Any, simulation: Simulation) -> None:
     """Draw trajectories, coloured by speed."""
     s = simulation
     time = np.arange(len(s.position_m)) * s.measured.period_s
     for i in range(s.position_m.shape[1]):
-        axes.scatter(time, s.position_m[:, i], c=s.speed[:, i], s=0.3, cmap="viridis", vmin=0.0, vmax=12.0)  # type: ignore[attr-defined]
-    axes.set(xlabel="time [s]", ylabel="position [m]")  # type: ignore[attr-defined]
+        axes.scatter(time, s.position_m[:, i], c=s.speed[:, i], s=0.3, cmap="viridis", vmin=0.0, vmax=12.0)
+    axes.set(xlabel="time [s]", ylabel="position [m]")
