@@ -26,9 +26,9 @@ from sugiyama_ros.nodes.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.spin import Spinner, ros
 from sugiyama_ros.nodes.team import OneProcess
 from sugiyama_ros.page.live import KEPT, Log, page
+from sugiyama_ros.page.panels import MOVING_S
 from sugiyama_ros.road import Road
 
-_MOVING_S = 10.0
 # Time [s] that the nodes have the processor at a stretch, and from one stretch to the next.
 _STRETCH_S, _EVERY_S = 0.01, 0.015
 
@@ -140,7 +140,7 @@ class View(Node):
 
     def _sum_up(self) -> None:
         """The error up to the last sample, now that there is a newer one."""
-        while self._squares and self._squares[0][0] < self._latest_s - _MOVING_S:
+        while self._squares and self._squares[0][0] < self._latest_s - MOVING_S:
             self._squares.popleft()
         if self._squares:
             mean = sum(square for _, square in self._squares) / len(self._squares)

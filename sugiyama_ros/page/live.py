@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from html import escape
 from itertools import islice
 from typing import Any, Protocol
 
@@ -21,7 +22,7 @@ from bokeh.models import (
 )
 from bokeh.palettes import Cividis256
 
-from sugiyama_ros.page.panels import BLUE, GREY, ORANGE, VERMILION, from_above, panel
+from sugiyama_ros.page.panels import BLUE, GREY, MOVING_S, ORANGE, VERMILION, from_above, panel
 from sugiyama_ros.road import Array, Road
 
 #: Time [s] between two updates of the page, and samples that it keeps of each vehicle.
@@ -112,7 +113,7 @@ class _Page:
         space.add_layout(ColorBar(color_mapper=colours, ticker=BasicTicker(), title="speed [m/s]"), "right")
         ring = panel("The road from above", "x [m]", "y [m]", match_aspect=True)
         ring.scatter("x", "y", source=self._road, size=12, line_color="black", color=colour)
-        error = panel("One-step error of all drivers, over 10 s", "time [s]", "error [m]")
+        error = panel(f"One-step error of all drivers, over {MOVING_S:g} s", "time [s]", "error [m]")
         error.line("time", "error", source=self._error, color=VERMILION, line_width=2)
         speed = panel("The driver: speed, with one sigma", "time [s]", "speed [m/s]")
         speed.varea("time", "low", "high", source=self._driver, color=BLUE, alpha=0.3)
@@ -187,4 +188,6 @@ class _Page:
             self._models.factors = best
             self._weights.data = {"name": best, "weight": [feed.weights[name] for name in best]}
         added = ", ".join(feed.added) or "none"
-        self._said.text = f"effects added: {added}. {feed.said}"
+        error = self._error.data["error"]
+        shown = f"one-step error over {MOVING_S:g} s: {error[-1]:.3f} m; " if len(error) else ""
+        self._said.text = f"{shown}effects added: {added}. {escape(feed.said)}"

@@ -30,7 +30,9 @@ from sugiyama_ros.road import Array, Road
 
 # Okabe and Ito's colours.
 BLUE, ORANGE, GREEN, VERMILION, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#777777"
-_HEIGHT, _MOVING_S, _LEAST_IN_BIN, _MOST_SHOWN = 320, 10.0, 8, 12
+#: Time [s] over which the one-step error is taken together.
+MOVING_S = 10.0
+_HEIGHT, _LEAST_IN_BIN, _MOST_SHOWN = 320, 8, 12
 _TOOLS = "pan,wheel_zoom,box_zoom,reset,save"
 _SINGLE = np.float32
 
@@ -190,7 +192,7 @@ def driver(r: Recording, select: Select) -> UIElement:
 def error_over_time(r: Recording) -> UIElement:
     """One-step error of all drivers, as a moving root mean square."""
     y = np.where(r.series["scored"] > 0.0, r.series["innovation_m"], np.nan)
-    width = max(1, round(_MOVING_S / r.trajectories.period_s))
+    width = max(1, round(MOVING_S / r.trajectories.period_s))
     known = np.isfinite(y)
     squares, counts = np.where(known, y, 0.0) ** 2, known.astype(float)
     kernel = np.ones(width)
@@ -198,7 +200,7 @@ def error_over_time(r: Recording) -> UIElement:
     number = np.convolve(counts.sum(axis=1), kernel)[: len(y)]
     with np.errstate(invalid="ignore", divide="ignore"):
         error = np.sqrt(summed / number)
-    plot = panel(f"One-step error of all drivers, over {_MOVING_S:g} s", "time [s]", "error [m]")
+    plot = panel(f"One-step error of all drivers, over {MOVING_S:g} s", "time [s]", "error [m]")
     plot.line(r.time_s, error.astype(_SINGLE), color=VERMILION, line_width=2)
     return plot
 
