@@ -25,8 +25,8 @@ from bokeh.palettes import Cividis256
 from sugiyama_ros.page.panels import BLUE, GREY, MOVING_S, ORANGE, VERMILION, from_above, panel
 from sugiyama_ros.road import Array, Road
 
-#: Time [s] between two updates of the page, and samples that it keeps of each vehicle.
-UPDATE_S, KEPT = 0.1, 750
+#: Time [s] between two updates of the page's curves, and of its words; samples that it keeps of each vehicle.
+UPDATE_S, TELL_S, KEPT = 0.1, 0.5, 750
 _FASTEST = 12.0
 
 
@@ -104,6 +104,7 @@ class _Page:
         document.title = "sugiyama live"
         document.add_root(self._layout())
         document.add_periodic_callback(self._update, round(1000 * UPDATE_S))
+        document.add_periodic_callback(self._tell, round(1000 * TELL_S))
 
     def _layout(self) -> Any:
         colours = LinearColorMapper(Cividis256, low=0.0, high=_FASTEST, nan_color=GREY)
@@ -183,6 +184,9 @@ class _Page:
             place, speed = np.array(list(feed.now.values())).T
             x, y = from_above(feed.road, place)
             self._road.data = {"x": x, "y": y, "speed": speed}
+
+    def _tell(self) -> None:
+        feed = self._feed
         if feed.weights:
             best = sorted(feed.weights, key=lambda name: feed.weights[name])[-6:]
             self._models.factors = best
@@ -190,4 +194,5 @@ class _Page:
         added = ", ".join(feed.added) or "none"
         error = self._error.data["error"]
         shown = f"one-step error over {MOVING_S:g} s: {error[-1]:.3f} m; " if len(error) else ""
-        self._said.text = f"{shown}effects added: {added}. {escape(feed.said)}"
+        if feed.vehicles:
+            self._said.text = f"{shown}effects added: {added}. {escape(feed.said)}"
