@@ -513,19 +513,22 @@ def live(
     rate: Rate = "1",
     ring: Ring = None,
     model: ModelFile = None,
-    port: Annotated[int, typer.Option("--port", min=1024, max=65535, help="Port on this machine.")] = 5006,
+    host: Annotated[
+        str, typer.Option("--host", help="Address to listen on; beyond this machine, the page asks for a token.")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option("--port", min=1024, max=65535, help="Port to listen on.")] = 5006,
     show: Annotated[bool, typer.Option("--open", help="Open it in the browser.")] = False,
 ) -> None:
-    """Serve a page, on this machine alone, that shows the topics while they come; Ctrl-C ends it."""
+    """Serve a page that shows the topics while they come, for this machine alone; Ctrl-C ends it."""
     from sugiyama_ros.nodes.live import serve
 
     def ready(url: str) -> None:
-        _err.print(f"live page: {url} (Ctrl-C ends it)")
+        _err.print(f"live page: {url} (Ctrl-C ends it)", soft_wrap=True)
         if show:
             typer.launch(url)
 
     _err.print("starting the nodes")
-    serve(source, output, rate=_rate(rate), ring_m=ring, model=model, port=port, on_ready=ready)
+    serve(source, output, rate=_rate(rate), ring_m=ring, model=model, host=host, port=port, on_ready=ready)
 
 
 @app.command()

@@ -1,9 +1,11 @@
 """The live page's ears and hands in the graph, and the server that shows the page on this machine."""
 
 import contextlib
+import logging
 import math
+import socket
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,10 +27,13 @@ from sugiyama_ros.nodes.plan import REPLAY, Plan, estimators, namespaces
 from sugiyama_ros.nodes.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.spin import Spinner, ros
 from sugiyama_ros.nodes.team import OneProcess
+from sugiyama_ros.page.guard import Guard
 from sugiyama_ros.page.live import KEPT, Log, page
 from sugiyama_ros.page.panels import MOVING_S
 from sugiyama_ros.road import Road
 
+#: The address of this machine that no other one reaches.
+LOCAL = "127.0.0.1"
 # Time [s] that the nodes have the processor at a stretch, and from one stretch to the next.
 _STRETCH_S, _EVERY_S = 0.01, 0.015
 
@@ -162,10 +167,14 @@ def serve(
     rate: float = 1.0,
     ring_m: float | None = None,
     model: Path | None = None,
+    host: str = LOCAL,
     port: int = 5006,
-    on_ready: Any = lambda url: None,
+    on_ready: Callable[[str], None] = lambda url: None,
 ) -> None:
-    """Show the live page on localhost until a signal comes: of a replay of ``source``, or of the graph that runs.
+    """Show the live page until a signal comes: of a replay of ``source``, or of the graph that runs.
+
+    host: address on which to listen; on any but that of this machine alone, the page asks for a token, which is in the
+    address that ``on_ready`` is told.
 
     Raises InputError or OutputError for files, SugiyamaError where the port is taken.
     """
@@ -175,7 +184,7 @@ def serve(
     with ros() as asked_to_stop, contextlib.ExitStack() as stack:
         view = View(rate)
         stack.callback(view.destroy_node)
-        server = _server(view, port)
+        server, url = _server(view, host, port)
         team = OneProcess(plan) if plan is not None else None
         if team is not None:
             stack.callback(team.close)
@@ -197,13 +206,23 @@ def serve(
         stack.callback(server.stop)
         turns.start()
         stack.callback(turns.stop)
-        on_ready(f"http://localhost:{port}")
+        on_ready(url)
         loop.start()
 
 
-def _server(view: View, port: int) -> Server:
-    names = [f"{host}:{port}" for host in ("localhost", "127.0.0.1")]
+def _server(view: View, host: str, port: int) -> tuple[Server, str]:
+    """The server, which listens already, and the address of the page."""
+    more: dict[str, Any] = {}
+    if host == LOCAL:
+        url = f"http://localhost:{port}"
+        more["allow_websocket_origin"] = [f"{name}:{port}" for name in ("localhost", LOCAL)]
+    else:
+        # by what name a browser reaches this machine is not known; a page of another site has no cookie
+        logging.getLogger("bokeh.server.util").setLevel(logging.ERROR)
+        guard = Guard()
+        url = f"http://{socket.gethostname() if host == '0.0.0.0' else host}:{port}/?token={guard.token}"
+        more |= {"allow_websocket_origin": ["*"], "auth_provider": guard}
     try:
-        return Server({"/": page(view)}, address="127.0.0.1", port=port, allow_websocket_origin=names)
+        return Server({"/": page(view)}, address=host, port=port, **more), url
     except OSError as error:
-        raise SugiyamaError(f"port {port}: {error.strerror}; choose another one with --port") from None
+        raise SugiyamaError(f"{host}, port {port}: {error.strerror}; choose others with --host and --port") from None

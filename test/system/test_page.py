@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 from contextlib import contextmanager
+from http.client import HTTPConnection
 from pathlib import Path
 
 import numpy as np
@@ -183,6 +184,32 @@ def test_adding_the_effect_that_is_there_lowers_the_error_that_the_page_shows(tm
         after = shown(page, 12)
     # the ratio of means over 40 and 60 s of 22 cars has a standard error of 2 %
     assert after < 0.96 * before
+
+
+def test_beyond_this_machine_the_page_asks_for_a_token(recorded, tmp_path):
+    command = [SUGIYAMA, "live", recorded.parent / "sim.mcap", "--host", "127.0.0.2", "--port", "5107"]
+    command += ["-o", tmp_path / "live.mcap"]
+    served = subprocess.Popen(list(map(str, command)), stderr=subprocess.PIPE, text=True)
+
+    def status(path, **headers):
+        connection = HTTPConnection("127.0.0.2", 5107, timeout=10)
+        connection.request("GET", path, headers=headers)
+        code = connection.getresponse().status
+        connection.close()
+        return code
+
+    try:
+        served.stderr.readline()
+        path = re.search(r"127.0.0.2:5107(\S+)", served.stderr.readline()).group(1)
+        socket_headers = {"Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13"}
+        for refused in ("/", "/?token=x", "/metadata", "/autoload.js?bokeh-autoload-element=1"):
+            assert status(refused) == 403
+        assert status("/ws", **socket_headers, **{"Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ=="}) == 403
+        assert status(path) == 200
+    finally:
+        served.send_signal(signal.SIGINT)
+        assert served.wait(30) == 0
+        served.stderr.close()
 
 
 @pytest.mark.parametrize(
