@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bokeh.util.token import generate_jwt_token
 
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.mcap_reader import Bag
@@ -191,21 +192,25 @@ def test_beyond_this_machine_the_page_asks_for_a_token(recorded, tmp_path):
     command += ["-o", tmp_path / "live.mcap"]
     served = subprocess.Popen(list(map(str, command)), stderr=subprocess.PIPE, text=True)
 
-    def status(path, **headers):
+    def ask(path, **headers):
         connection = HTTPConnection("127.0.0.2", 5107, timeout=10)
         connection.request("GET", path, headers=headers)
-        code = connection.getresponse().status
+        answer = connection.getresponse()
+        body = answer.fp.read() if answer.status == 101 else answer.read()
         connection.close()
-        return code
+        return answer.status, body
 
     try:
         served.stderr.readline()
         path = re.search(r"127.0.0.2:5107(\S+)", served.stderr.readline()).group(1)
         socket_headers = {"Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13"}
         for refused in ("/", "/?token=x", "/metadata", "/autoload.js?bokeh-autoload-element=1"):
-            assert status(refused) == 403
-        assert status("/ws", **socket_headers, **{"Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ=="}) == 403
-        assert status(path) == 200
+            assert ask(refused)[0] == 403
+        # a web socket is closed as soon as it is open, and nothing is sent
+        protocol = f"bokeh, {generate_jwt_token('a')}"
+        key = {"Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==", "Sec-WebSocket-Protocol": protocol}
+        assert b"ACK" not in ask("/ws", **socket_headers, **key)[1]
+        assert ask(path)[0] == 200
     finally:
         served.send_signal(signal.SIGINT)
         assert served.wait(30) == 0
