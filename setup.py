@@ -35,6 +35,7 @@ setup(
         (f"share/{name}", ["package.xml"]),
         (f"share/{name}/launch", files("launch/*.launch.py")),
         (f"share/{name}/config", files("config/*.yaml")),
+        (f"share/{name}/layouts", files("layouts/*")),
     ],
     # rclpy and the messages come from ROS, or from requirements.txt
     install_requires=[

@@ -217,6 +217,25 @@ def test_beyond_this_machine_the_page_asks_for_a_token(recorded, tmp_path):
         served.stderr.close()
 
 
+def test_layouts_for_other_programs_name_what_is_recorded(recorded):
+    layouts = Path(__file__).parents[2] / "layouts"
+    asked = re.findall(r'"value": "(/[^"]+)"', (layouts / "lichtblick.json").read_text())
+    asked += re.findall(r'curve name="([^"]+)"', (layouts / "plotjuggler.xml").read_text())
+    assert len(asked) == 23
+    with Bag(recorded) as bag:
+        topics = {topic.name for topic in bag.info().topics}
+        latest = {name: message for name, _, _, message in bag.messages(topics)}
+    for path in asked:
+        topic, field, place = re.fullmatch(r"(/\w+/\w+)[./](\w+)(?:\[(\d)\])?", path).groups()
+        value = getattr(latest[topic], field)
+        if place:
+            wanted = {"2": "v_star", "3": "kappa_v"}[place]
+            assert latest[topic].name[int(place)] == wanted
+            value = value[int(place)]
+        assert np.isfinite(value)
+    assert {"/markers", "/verdict", "/diagnostics"} <= topics
+
+
 @pytest.mark.parametrize(
     ("text", "words"), [("{", "is not JSON"), ("[]", "is no diagnosis"), ("{}", "is no diagnosis")]
 )
