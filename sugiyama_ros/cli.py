@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import datetime, timezone
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -408,14 +409,18 @@ def study(
 def _draw(draw: Callable[[Any], None], output: Path) -> None:
     from sugiyama_ros.formats.writing import replacing
 
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise InputError("--output: matplotlib is not installed; pip install 'sugiyama_ros[pictures]'") from None
+    _needs_matplotlib("--output")
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(12, 7), layout="constrained")
     draw(figure)
     with replacing(output) as stream:
         figure.savefig(stream, dpi=120, format=output.suffix[1:])
+
+
+def _needs_matplotlib(option: str) -> None:
+    if find_spec("matplotlib") is None:
+        raise InputError(f"{option}: matplotlib is not installed; pip install 'sugiyama_ros[pictures]'")
 
 
 @app.command()
@@ -487,6 +492,9 @@ def report(
     diagnosis: Annotated[
         Path | None, typer.Option("--diagnosis", help="Document that `diagnose --json` printed of the same data.")
     ] = None,
+    figures: Annotated[
+        Path | None, typer.Option("--figures", help="Directory in which to write figures for a paper too: PDF and PNG.")
+    ] = None,
     show: Annotated[bool, typer.Option("--open", help="Open it in the browser.")] = False,
     as_json: Json = False,
 ) -> None:
@@ -497,9 +505,17 @@ def report(
     page = output or source.with_suffix(".html")
     if page.suffix != ".html":
         raise InputError(f"{page}: give the page a .html name")
-    found = read_diagnosis(diagnosis) if diagnosis is not None else None
-    write_report(read_recording(source), found, page)
-    _tell({"output": str(page), "size_bytes": page.stat().st_size}, f"page: {page}", as_json)
+    if figures is not None:
+        _needs_matplotlib("--figures")
+    found, recording = read_diagnosis(diagnosis) if diagnosis is not None else None, read_recording(source)
+    write_report(recording, found, page)
+    written: list[Path] = []
+    if figures is not None:
+        from sugiyama_ros.page.figures import write_figures
+
+        written = write_figures(recording, found, figures)
+    text = f"page: {page}" + (f"; {len(written)} figures in {figures}" if written else "")
+    _tell({"output": str(page), "size_bytes": page.stat().st_size, "figures": written}, text, as_json)
     if show:
         typer.launch(str(page))
 

@@ -1,6 +1,7 @@
 """The panels of the page, from arrays. Colours are told apart by the colour-blind; every axis has its unit."""
 
 import math
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -30,6 +31,8 @@ from sugiyama_ros.road import Array, Road
 
 # Okabe and Ito's colours.
 BLUE, ORANGE, GREEN, VERMILION, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#777777"
+#: For as many models as are compared.
+COLOURS = (GREY, BLUE, VERMILION, ORANGE, GREEN, "#56B4E9", "#CC79A7", "#000000")
 #: Time [s] over which the one-step error is taken together.
 MOVING_S = 10.0
 _HEIGHT, _LEAST_IN_BIN, _MOST_SHOWN = 320, 8, 12
@@ -71,7 +74,7 @@ def space_time(r: Recording) -> UIElement:
     """Position over time of every vehicle, coloured by speed."""
     t = r.trajectories
     position = t.road.wrap(t.position_m) if t.road.is_ring else t.position_m
-    speed = _speeds(r)
+    speed = speeds(r)
     known = np.isfinite(position)
     time = np.broadcast_to(r.time_s[:, None], position.shape)
     source = ColumnDataSource(
@@ -90,7 +93,7 @@ def space_time(r: Recording) -> UIElement:
 
 def speed_profile(r: Recording) -> UIElement:
     """Mean, least and largest speed of all vehicles."""
-    speed = _speeds(r)
+    speed = speeds(r)
     whole = np.isfinite(speed).any(axis=1)
     plot = panel("Speeds of all vehicles", "time [s]", "speed [m/s]")
     for label, of, colour in (("largest", np.nanmax, ORANGE), ("mean", np.nanmean, BLUE), ("least", np.nanmin, GREEN)):
@@ -108,7 +111,7 @@ def speed_profile(r: Recording) -> UIElement:
 def ring(r: Recording) -> UIElement:
     """The road from above, at a time that a slider or a button chooses."""
     t = r.trajectories
-    speed = _speeds(r)
+    speed = speeds(r)
     x, y = from_above(t.road, t.position_m)
     every = max(1, len(x) // 1500)
     frames = {
@@ -242,11 +245,8 @@ def _edges(values: Array, bins: int) -> Array:
 
 def by_driver(r: Recording, select: Select) -> UIElement:
     """One-step error of every driver; a click chooses him."""
-    y = np.where(r.series["scored"] > 0.0, r.series["innovation_m"], np.nan)
-    known = np.isfinite(y)
-    error = np.sqrt(np.square(np.where(known, y, 0.0)).sum(axis=0) / np.maximum(known.sum(axis=0), 1))
     names = [str(v) for v in r.trajectories.vehicle]
-    source = ColumnDataSource({"vehicle": names, "error": error})
+    source = ColumnDataSource({"vehicle": names, "error": r.error_by_driver})
     plot = panel("One-step error by driver: click one", "vehicle", "error [m]", x_range=FactorRange(factors=names))
     plot.vbar("vehicle", top="error", source=source, width=0.8, color=BLUE)
     plot.add_tools(TapTool())
@@ -313,7 +313,27 @@ def before_and_after(diagnosis: Mapping[str, Any]) -> UIElement:
     return plot
 
 
-def _speeds(r: Recording) -> Array:
+def growth(diagnosis: Mapping[str, Any]) -> UIElement:
+    """How the error of free runs grows with time, of every model."""
+    plot = panel("Free runs: all cars (line), one car behind his measured leader (dashed)", "after [s]", "error [m]")
+    for (name, errors), colour in zip(
+        diagnosis["errors"].items(), (GREY, BLUE, VERMILION, ORANGE, GREEN), strict=False
+    ):
+        for run, dash in (("free_run", "solid"), ("single_car", "dashed")):
+            seconds, values = error_growth(errors, run)
+            plot.line(seconds, values, color=colour, line_dash=dash, line_width=2, legend_label=name.replace("_", " "))
+    legend_above(plot)
+    return plot
+
+
+def error_growth(errors: Mapping[str, Any], run: str) -> tuple[list[float], list[float]]:
+    """Horizons [s] and errors [m] of free runs of one kind, in order."""
+    known = ((re.fullmatch(rf"{run}_([\d.]+)s_m", key), value) for key, value in errors.items())
+    pairs = sorted((float(match[1]), float(value)) for match, value in known if match and value is not None)
+    return [0.0, *(h for h, _ in pairs)], [0.0, *(value for _, value in pairs)]
+
+
+def speeds(r: Recording) -> Array:
     """Speeds (T, N) [m/s]: filtered ones where estimators have run."""
     return r.series["speed"] if r.has_estimates else _naive_speeds(r)
 

@@ -18,6 +18,8 @@ _FIELDS = {
     "state": ("speed", "acceleration", "mean_action", "gap_m", "approach_rate"),
     "innovation": ("innovation_m", "innovation_var", "nis", "scored"),
 }
+# What a diagnosis has, of what is shown.
+_ASKED = {"verdict", "candidates", "smallest_detectable", "errors", "drivers"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +40,14 @@ class Recording:
     def has_estimates(self) -> bool:
         """Whether estimators have run."""
         return bool(np.isfinite(self.series["speed"]).any())
+
+    @property
+    def error_by_driver(self) -> Array:
+        """Root mean square (N,) of the one-step errors [m]; 0 of a driver who has none."""
+        y = np.where(self.series["scored"] > 0.0, self.series["innovation_m"], np.nan)
+        known = np.isfinite(y)
+        mean = np.square(np.where(known, y, 0.0)).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+        return np.asarray(np.sqrt(mean), dtype=np.float64)
 
 
 def read_recording(path: Path) -> Recording:
@@ -85,6 +95,6 @@ def read_diagnosis(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     except ValueError:
         raise InputError(f"{path}: is not JSON; give what `sugiyama diagnose --json` printed") from None
-    if not isinstance(document, dict) or not {"verdict", "candidates", "errors", "drivers"} <= set(document):
+    if not isinstance(document, dict) or not set(document) >= _ASKED:
         raise InputError(f"{path}: is no diagnosis; give what `sugiyama diagnose --json` printed")
     return document

@@ -70,7 +70,9 @@ def report(r: Recording, diagnosis: Mapping[str, Any] | None) -> str:
     if diagnosis is not None:
         missing.append(panels.candidates(diagnosis))
         sections.append(("What is missing", _told(diagnosis), missing))
-        sections.append(("After adding it", _errors(diagnosis), [panels.before_and_after(diagnosis)]))
+        sections.append(
+            ("After adding it", _errors(diagnosis), [panels.growth(diagnosis), panels.before_and_after(diagnosis)])
+        )
     else:
         hint = (
             "<p>For what is missing, give this page the document that <code>sugiyama diagnose --json</code> prints.</p>"
@@ -101,16 +103,15 @@ def _page(r: Recording, sections: Sequence[tuple[str, str, Sequence[UIElement]]]
 
 def _told(diagnosis: Mapping[str, Any]) -> str:
     """The verdict in words."""
-    effects = diagnosis["verdict"]["effects"]
-    if not effects:
-        return "<p>Nothing that is missing can be detected in these data.</p>"
     lines = []
-    for n in effects:
+    for n in diagnosis["verdict"]["effects"]:
         text = f"{n['name']}: held-out gain {n['heldout_gain_nats']:.0f} ± {n['heldout_gain_se']:.0f} nats"
         if n["indistinguishable"]:
             text += f"; cannot be told apart from {', '.join(n['indistinguishable'])}"
         lines.append(f"<li>{escape(text)}</li>")
-    return f"<ul>{''.join(lines)}</ul>"
+    found = f"<ul>{''.join(lines)}</ul>" if lines else "<p>Nothing that is missing can be detected in these data.</p>"
+    least = ", ".join(f"{s['name']} ({s['parameter']} {s['value']:.2g})" for s in diagnosis["smallest_detectable"])
+    return found + (f"<p>What these data would usually have shown: {escape(least)}.</p>" if least else "")
 
 
 def _errors(diagnosis: Mapping[str, Any]) -> str:

@@ -33,7 +33,11 @@ DIAGNOSIS = {
         ]
     },
     "candidates": [{"name": "drag", "heldout_gain_nats": 50.0, "heldout_gain_se": 9.0}],
-    "errors": {"before": {"one_step_rmse_m": 0.4}, "after": {"one_step_rmse_m": 0.39}},
+    "smallest_detectable": [{"name": "reaction_delay", "parameter": "delay", "value": 0.05}],
+    "errors": {
+        "before": {"one_step_rmse_m": 0.4, "free_run_2s_m": 0.5, "free_run_10s_m": 3.0, "single_car_10s_m": 2.0},
+        "after": {"one_step_rmse_m": 0.39, "free_run_2s_m": 0.4, "free_run_10s_m": None, "single_car_10s_m": 1.5},
+    },
     "drivers": [{"vehicle": v, "single_car_10s_before_m": 2.0, "single_car_10s_after_m": 1.5} for v in range(6)],
 }
 
@@ -81,7 +85,21 @@ def test_no_page_asks_for_anything_from_elsewhere(page):
     text = page.read_text()
     assert len(text) < 5_000_000
     assert not re.search(r"<(script|link|img)[^>]+(src|href)=[\"']?https?:", text)
+    assert "reaction_delay (delay 0.05)" in text
     assert "drag: held-out gain 50 ± 9 nats; cannot be told apart from limited_power" in text
+
+
+def test_figures_for_a_paper(recorded, page, tmp_path):
+    pytest.importorskip("matplotlib")
+    options = ["--diagnosis", recorded.parent / "diagnosis.json", "--figures", tmp_path / "figures"]
+    command = [SUGIYAMA, "report", recorded, "-o", tmp_path / "r.html", *options, "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    names = {"space_time", "speeds", "one_step_error", "candidates", "free_runs", "before_and_after"}
+    files = [Path(f) for f in json.loads(done.stdout)["figures"]]
+    assert {f.name for f in files} == {f"{n}.{kind}" for n in names for kind in ("pdf", "png")}
+    for f in files:
+        start = f.read_bytes()[:4]
+        assert start == {".pdf": b"%PDF", ".png": b"\x89PNG"}[f.suffix]
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
@@ -97,8 +115,8 @@ def test_a_browser_shows_all_panels(page, tmp_path):
     for heading in ("What was measured", "What the model says", "Where it fails", "What is missing", "After adding it"):
         assert heading in shown.stdout
     # every panel has been filled in by the script: its view is in a shadow root, which is told by Bokeh's class
-    assert shown.stdout.count('class="panel"') == 11
-    assert shown.stdout.count("data-root-id") == 11
+    assert shown.stdout.count('class="panel"') == 12
+    assert shown.stdout.count("data-root-id") == 12
 
 
 @contextmanager
