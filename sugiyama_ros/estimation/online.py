@@ -32,14 +32,20 @@ from sugiyama_ros.estimation.causal import (
     scene_at,
     start_vehicle,
 )
+from sugiyama_ros.estimation.noise import NOISES, Learning, NoiseLearner
 from sugiyama_ros.road import Array, Ints, Road
 
 #: Adaptation of the estimator nodes: desired speed and risk premium. The prior stds are about those over the drivers of
 #: the measured experiment, each fitted for himself.
-ADAPT = Adaptation(names=("v_star", "kappa_v"), prior_std=(0.1, 0.4), relaxation_s=900.0)
+ADAPT = Adaptation(names=("v_star", "kappa_v"), prior_std=(0.1, 0.4), relaxation_s=6000.0)
+#: Learning of the estimator nodes: measurement noise and acceleration noise.
+LEARN = Learning()
 #: No vehicle behind.
 NOBODY = (math.nan, -1, 0.0)
 _NO_REAR = np.full(3, np.nan)
+_OUTLIERS = place("outlier_noise", "share")
+# Squared normalised innovation of a gross error, which the filter does not take in; but not more of them in a row.
+_GROSS, _MOST_REFUSED = 36.0, 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +85,7 @@ class OnlineFilter:
 
     parameters: (P,) of the driver at the start, at the reference period, those of ``population()`` if left out, or a
     whole row (WIDTH,) with effects; ``ahead``: the same of the drivers ahead; period_s: time [s] between two samples.
+    adaptation: what of his preferences is learnt; learning: how his noises are, None if they are not.
     Raises InputError for parameters out of bounds.
     """
 
@@ -89,6 +96,7 @@ class OnlineFilter:
         parameters: Array | None = None,
         ahead: Array | None = None,
         adaptation: Adaptation = ADAPT,
+        learning: Learning | None = LEARN,
         vehicles: int = CHAIN,
     ) -> None:
         parameters = population() if parameters is None else parameters
@@ -100,6 +108,7 @@ class OnlineFilter:
         self._room = room_for(ACTIONS)
         self._adaptation = adaptation
         self._places, _ = adaptation_of(parameters, adaptation).arrays
+        self._learning = learning
         self._take(whole(parameters))
         self._measures = np.zeros((vehicles, STATE * vehicles + len(self._places)))
         self._measures[np.arange(vehicles), STATE * np.arange(vehicles)] = 1.0
@@ -112,11 +121,14 @@ class OnlineFilter:
         adapted = slice(STATE * self.vehicles, size)
         self._rows = self._rows_at_start.copy()
         self._behind = (
-            OnlineFilter(self.period_s, self.road, adaptation=Adaptation(), vehicles=1) if self._aft else None
+            OnlineFilter(self.period_s, self.road, adaptation=Adaptation(), learning=None, vehicles=1)
+            if self._aft
+            else None
         )
         self._known = np.zeros(self.vehicles, np.int64)
         self._identity: list[int] = [-1] * self.vehicles
         self._waited = [0] * self.vehicles
+        self._refused = [0] * self.vehicles
         self._settled = 0
         self._filter = _ChainFilter(dim_x=size, dim_z=self.vehicles)
         self._filter.x = np.zeros(size)
@@ -127,6 +139,10 @@ class OnlineFilter:
         self._filter.x[adapted] = self._prior_mean
         self._filter.P[adapted, adapted] = np.diag(self._prior_var)
         self._started = False
+        self._noises: NoiseLearner | None = None
+        if self._learning is not None:
+            prior_mean = np.log(self._rows_at_start[0, NOISES])
+            self._noises = NoiseLearner(self._learning, prior_mean, self.period_s, size)
 
     def change(self, parameters: Array) -> None:
         """Go on with other effects, from a whole row (WIDTH,), and keep all that was learnt.
@@ -135,14 +151,18 @@ class OnlineFilter:
         """
         row = whole(self._start_parameters[: len(NAMES)])
         row[len(NAMES) :] = parameters[len(NAMES) :]
-        if adaptation_of(row, self._adaptation).names != self.adapted:
+        if not np.array_equal(adaptation_of(row, self._adaptation).arrays[0], self._places):
             raise InputError("effect preference_drift: this filter does not adapt v_star and kappa_v; start it anew")
         learnt = self._rows[0, : len(NAMES)]
         self._take(row)
         self._rows = self._rows_at_start.copy()
         self._rows[0, : len(NAMES)] = learnt
         if self._aft and self._behind is None:
-            self._behind = OnlineFilter(self.period_s, self.road, adaptation=Adaptation(), vehicles=1)
+            self._behind = self._follower()
+
+    def _follower(self) -> "OnlineFilter":
+        """A filter of the vehicle behind, of whom nothing is learnt."""
+        return OnlineFilter(self.period_s, self.road, adaptation=Adaptation(), learning=None, vehicles=1)
 
     def _take(self, row: Array) -> None:
         adaptation = adaptation_of(row, self._adaptation)
@@ -167,22 +187,26 @@ class OnlineFilter:
         known = self._start_parameters.copy()
         for k in self._places:
             known[UTILITY[k]] = self._rows[0, UTILITY[k]]
+        if self._noises is not None:
+            known[NOISES] *= self._rows[0, NOISES] / self._rows_at_start[0, NOISES]
         return known
 
     @property
     def parameter_covariance(self) -> Array:
         """Covariance (WIDTH, WIDTH) of ``parameters``; zero for those that are not adapted."""
-        covariance = np.zeros((WIDTH, WIDTH))
+        covariance, parameters = np.zeros((WIDTH, WIDTH)), self.parameters
         places = [UTILITY[k] for k in self._places]
-        value = self._rows[0, places]
-        logarithms = self._filter.P[STATE * self.vehicles :, STATE * self.vehicles :]
-        covariance[np.ix_(places, places)] = logarithms * np.outer(value, value)
-        return covariance
+        size = STATE * self.vehicles
+        covariance[np.ix_(places, places)] = self._filter.P[size:, size:]
+        if self._noises is not None:
+            covariance[np.ix_(NOISES, NOISES)] = self._noises.covariance
+        return covariance * np.outer(parameters, parameters)
 
     @property
     def adapted(self) -> tuple[str, ...]:
         """Names of the parameters that are adapted."""
-        return tuple(NAMES[UTILITY[k]] for k in self._places)
+        noises = NOISES if self._learning is not None else ()
+        return tuple(NAMES[k] for k in (*noises, *(UTILITY[k] for k in self._places)))
 
     @property
     def looks_back(self) -> bool:
@@ -207,6 +231,8 @@ class OnlineFilter:
         if self._started:
             kalman.Q = self._noise
             kalman.predict()
+            if self._noises is not None:
+                self._noises.predict(kalman.F, float(self._noise[2, 2]))
         self._started = True
         self._settled = 1 if identity[0] != self._identity[0] else self._settled + 1
         chain = range(self.vehicles)
@@ -214,6 +240,8 @@ class OnlineFilter:
             self._waited[m] += 1
             if identity[m] < 0 or identity[m] != self._identity[m]:
                 forget_vehicle(m, kalman.x, kalman.P, self._known)
+                if self._noises is not None:
+                    self._noises.forget(m)
                 self._identity[m] = int(identity[m])
 
         known = self._known.tolist()
@@ -221,23 +249,24 @@ class OnlineFilter:
         moving = [m for m in sampled if known[m] == MOVING]
         innovation, variance, density = math.nan, math.nan, math.nan
         if known[0] == MOVING:
-            _, factor = measurement(kalman.x[0], self._rows[0], self._scene)
-            variance = factor * factor * float(kalman.P[0, 0]) + self._rows[0, SIGMA_NU] ** 2
-        if moving and self._measured_otherwise:
-            for m in moving:
-                y, log_density = self._update_with_effects(position_m[m], m)
-                if m == 0:
-                    innovation, density = y, log_density
-        elif moving:
-            self._update(np.array([position_m[m] for m in moving]), np.array(moving))
-            if moving[0] == 0:
-                innovation = float(kalman.y[0])
-                density = -0.5 * (math.log(variance) + innovation * innovation / variance)
+            innovation, variance = self._innovation(0, position_m[0])
+        if 0 in moving:
+            density = self._learn(innovation, variance)
+        believed = [m for m in moving if self._is_believed(m, *self._innovation(m, position_m[m]))]
+        if self._measured_otherwise:
+            for m in believed:
+                self._update_with_effects(position_m[m], m)
+        elif believed:
+            self._update(np.array([position_m[m] for m in believed]), np.array(believed))
         for m in sampled:
             if known[m] != MOVING:
                 elapsed = self._waited[m] * self._scene.period_s
                 start_vehicle(m, position_m[m], elapsed, kalman.x, kalman.P, self._known, self._rows, self._scene)
                 self._waited[m] = 0
+                if m == 0 and self._noises is not None:
+                    self._noises.start(kalman.P)
+        if self._noises is not None:
+            self._rows[0, NOISES] = self._noises.values
         for j, k in enumerate(self._places):
             self._rows[0, UTILITY[k]] = math.exp(kalman.x[STATE * self.vehicles + j])
         lengths = np.array(length_m)
@@ -270,15 +299,42 @@ class OnlineFilter:
             return _NO_REAR
         return np.array([estimate.position_m, estimate.speed, length])
 
-    def _update_with_effects(self, position_m: float, m: int) -> tuple[float, float]:
-        """Kalman update with the position of one vehicle; its innovation [m] and log-likelihood."""
+    def _innovation(self, m: int, position_m: float) -> tuple[float, float]:
+        """Of vehicle m of the chain [m], NaN where its position is missing, and its variance [m^2]."""
+        mean, noise_var = float(self._filter.x[STATE * m]), float(self._rows[m, SIGMA_NU]) ** 2
+        variance = float(self._filter.P[STATE * m, STATE * m])
+        if self._measured_otherwise:
+            off, factor = measurement(mean, self._rows[m], self._scene)
+            mean, variance = mean + off, factor * factor * variance
+        way, lap = position_m - mean, self.road.circumference_m
+        return way - lap * round(way / lap) if lap > 0.0 and way == way else way, variance + noise_var
+
+    def _learn(self, innovation: float, variance: float) -> float:
+        """Log-likelihood of the driver's own sample, and what it says of his noises."""
+        if self._noises is not None:
+            noise_var = float(self._rows[0, SIGMA_NU]) ** 2
+            factor = (
+                math.sqrt((variance - noise_var) / float(self._filter.P[0, 0])) if self._measured_otherwise else 1.0
+            )
+            self._noises.learn(innovation, variance, noise_var, factor)
+        if self._measured_otherwise:
+            return float(robust(innovation, variance, self._rows[0])[2])
+        return -0.5 * (math.log(variance) + innovation * innovation / variance)
+
+    def _is_believed(self, m: int, innovation: float, variance: float) -> bool:
+        """Whether the filter takes in a sample: not a gross error, unless so many come that the filter is wrong."""
+        gross = innovation * innovation > _GROSS * variance and not self._rows[m, _OUTLIERS]
+        self._refused[m] = self._refused[m] + 1 if gross else 0
+        return not 0 < self._refused[m] <= _MOST_REFUSED
+
+    def _update_with_effects(self, position_m: float, m: int) -> None:
+        """Kalman update with the position of one vehicle."""
         kalman, row = self._filter, self._rows[m]
         x = STATE * m
         off, factor = measurement(kalman.x[x], row, self._scene)
         gain = factor * kalman.P[:, x]
-        variance = factor * gain[x] + row[SIGMA_NU] ** 2
-        y = float(self.road.difference(np.array([position_m]), kalman.x[[x]] + off)[0])
-        step, shrink, density = robust(y, variance, row)
+        y, variance = self._innovation(m, position_m)
+        step, shrink, _ = robust(y, variance, row)
         measures = factor * self._measures[[m]]
         kalman.update(
             np.array([position_m]),
@@ -287,19 +343,22 @@ class OnlineFilter:
             R=np.array([[1.0 / step - factor * gain[x]]]),
             residual=self.road.difference,
         )
+        if self._noises is not None:
+            self._noises.update(kalman, measures, row[SIGMA_NU] ** 2 if m == 0 else 0.0)
         kalman.P = kalman.P - np.outer(gain, gain) * (shrink - step)
-        return y, density
 
     def _update(self, position_m: Array, moving: Ints) -> None:
         """Kalman update with the positions of the vehicles ``moving`` of the chain."""
-        measures = self._measures[moving]
+        measures, noise_var = self._measures[moving], self._rows[moving, SIGMA_NU] ** 2
         self._filter.update(
             position_m,
             HJacobian=lambda _: measures,
             Hx=lambda x: x[STATE * moving],
-            R=np.diag(self._rows[moving, SIGMA_NU] ** 2),
+            R=np.diag(noise_var),
             residual=self.road.difference,
         )
+        if self._noises is not None:
+            self._noises.update(self._filter, measures, float(noise_var[0]) if moving[0] == 0 else 0.0)
 
     def _estimate(
         self, innovation: float, variance: float, density: float, mean_action: float, half_lengths_m: float

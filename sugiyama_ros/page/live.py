@@ -192,7 +192,7 @@ class _Page:
             self._models.factors = best
             self._weights.data = {"name": best, "weight": [feed.weights[name] for name in best]}
         added = ", ".join(feed.added) or "none"
-        error = self._error.data["error"]
-        shown = f"one-step error over {MOVING_S:g} s: {error[-1]:.3f} m; " if len(error) else ""
+        time, error = (self._error.data[name] for name in ("time", "error"))
+        shown = f"{time[-1]:.0f} s: one-step error over {MOVING_S:g} s {error[-1]:.3f} m; " if len(error) else ""
         if feed.vehicles:
             self._said.text = f"{shown}effects added: {added}. {escape(feed.said)}"

@@ -175,7 +175,8 @@ def test_parameters_are_published_once_a_second_of_the_data(stage, pair) -> None
     stage.until(lambda: len(road.parameters) == 11)
     message = road.parameters[0]
     assert (message.vehicle, tuple(message.name)) == (7, NAMES)
-    assert [n for n, e in zip(message.name, message.estimated, strict=True) if e] == ["v_star", "kappa_v"]
+    adapted = [n for n, e in zip(message.name, message.estimated, strict=True) if e]
+    assert adapted == ["sigma_nu", "sigma_a", "v_star", "kappa_v"]
     assert len(message.covariance) == len(NAMES) ** 2
 
 

@@ -73,7 +73,7 @@ def drivers():
 
 def online_steps(t, driver, row, ahead=None, adaptation=ADAPT):
     chain = chain_behind(t, driver)
-    online = OnlineFilter(t.period_s, t.road, row, ahead, adaptation)
+    online = OnlineFilter(t.period_s, t.road, row, ahead, adaptation, None)
     behind = int(np.flatnonzero(t.leader[0] == driver)[0])
     return online, [
         online.step(

@@ -147,7 +147,7 @@ def test_the_causal_filter_is_the_dense_posterior_where_the_model_is_linear(jam)
 def test_the_online_filter_is_the_compiled_one(with_holes, driver, adaptation):
     chain = chain_behind(with_holes, driver)
     batch = filter_chain(chain, population(), adaptation)
-    online = OnlineFilter(chain.period_s, with_holes.road, population(), adaptation=adaptation)
+    online = OnlineFilter(chain.period_s, with_holes.road, population(), adaptation=adaptation, learning=None)
     steps = [online.step(*sample) for sample in zip(chain.position_m, chain.identity, chain.length_m, strict=True)]
     for name in ("innovation_m", "innovation_var"):
         ours, theirs = np.array([getattr(s, name) for s in steps]), getattr(batch, name)
