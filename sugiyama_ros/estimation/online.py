@@ -17,6 +17,7 @@ from sugiyama_ros.driver.utility import ACTIONS, room_for
 from sugiyama_ros.effects.catalogue import WIDTH, active, effect, place, whole
 from sugiyama_ros.effects.effect import MEASUREMENT
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.estimation.alarm import StyleAlarm
 from sugiyama_ros.estimation.causal import (
     CHAIN,
     MOVING,
@@ -144,6 +145,10 @@ class OnlineFilter:
             prior_mean = np.log(self._rows_at_start[0, NOISES])
             self._noises = NoiseLearner(self._learning, prior_mean, self.period_s, size)
 
+        places = [STATE * self.vehicles + k for k in range(len(self._places))]
+        self._alarm = StyleAlarm(places, size, self.period_s) if places else None
+        self.change_of_style: tuple[str, float] | None = None
+
     def change(self, parameters: Array) -> None:
         """Go on with other effects, from a whole row (WIDTH,), and keep all that was learnt.
 
@@ -233,6 +238,8 @@ class OnlineFilter:
             kalman.predict()
             if self._noises is not None:
                 self._noises.predict(kalman.F, float(self._noise[2, 2]))
+            if self._alarm is not None:
+                self._alarm.predict(kalman.F)
         self._started = True
         self._settled = 1 if identity[0] != self._identity[0] else self._settled + 1
         chain = range(self.vehicles)
@@ -252,12 +259,15 @@ class OnlineFilter:
             innovation, variance = self._innovation(0, position_m[0])
         if 0 in moving:
             density = self._learn(innovation, variance)
+            if self._alarm is not None:
+                self._alarm.observe(innovation, variance)
         believed = [m for m in moving if self._is_believed(m, *self._innovation(m, position_m[m]))]
         if self._measured_otherwise:
             for m in believed:
                 self._update_with_effects(position_m[m], m)
         elif believed:
             self._update(np.array([position_m[m] for m in believed]), np.array(believed))
+        self.change_of_style = self._check_style() if 0 in moving else None
         for m in sampled:
             if known[m] != MOVING:
                 elapsed = self._waited[m] * self._scene.period_s
@@ -265,6 +275,8 @@ class OnlineFilter:
                 self._waited[m] = 0
                 if m == 0 and self._noises is not None:
                     self._noises.start(kalman.P)
+                if m == 0 and self._alarm is not None:
+                    self._alarm.reset()
         if self._noises is not None:
             self._rows[0, NOISES] = self._noises.values
         for j, k in enumerate(self._places):
@@ -321,6 +333,13 @@ class OnlineFilter:
             return float(robust(innovation, variance, self._rows[0])[2])
         return -0.5 * (math.log(variance) + innovation * innovation / variance)
 
+    def _check_style(self) -> tuple[str, float] | None:
+        """Name of the parameter that has jumped, and by what factor, if the alarm is given; the filter is corrected."""
+        if self._alarm is None:
+            return None
+        change = self._alarm.check(self._filter.x, self._filter.P)
+        return None if change is None else (NAMES[UTILITY[self._places[change.number]]], math.exp(change.jump))
+
     def _is_believed(self, m: int, innovation: float, variance: float) -> bool:
         """Whether the filter takes in a sample: not a gross error, unless so many come that the filter is wrong."""
         gross = innovation * innovation > _GROSS * variance and not self._rows[m, _OUTLIERS]
@@ -345,6 +364,8 @@ class OnlineFilter:
         )
         if self._noises is not None:
             self._noises.update(kalman, measures, row[SIGMA_NU] ** 2 if m == 0 else 0.0)
+        if self._alarm is not None:
+            self._alarm.update(factor * kalman.K, np.array([x]))
         kalman.P = kalman.P - np.outer(gain, gain) * (shrink - step)
 
     def _update(self, position_m: Array, moving: Ints) -> None:
@@ -359,6 +380,8 @@ class OnlineFilter:
         )
         if self._noises is not None:
             self._noises.update(self._filter, measures, float(noise_var[0]) if moving[0] == 0 else 0.0)
+        if self._alarm is not None:
+            self._alarm.update(self._filter.K, STATE * moving)
 
     def _estimate(
         self, innovation: float, variance: float, density: float, mean_action: float, half_lengths_m: float

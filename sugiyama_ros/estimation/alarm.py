@@ -1,0 +1,99 @@
+"""Alarm when a driver has changed his style: a jump of one of the parameters that a filter adapts.
+
+A jump leaves its signature in all later innovations (Willsky and Jones 1976), and what a jump of unknown size explains
+better than none is a likelihood ratio. Its sum over all onsets (Shiryaev and Roberts) grows by one with each onset in
+the mean if nothing ever changes, so an alarm at A of them comes, by chance, after A onsets in the mean at the soonest.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sugiyama_ros.road import Array, Ints
+
+#: Time [s] from one possible onset to the next, and how long one is watched.
+ONSET_S, WATCHED_S = 2.0, 30.0
+#: Mean time [s] between two false alarms of a driver, at least, where the model is right.
+BETWEEN_FALSE_S = 7200.0
+#: Std of the jump that is looked for, of a logarithm.
+JUMP_STD = 0.15
+# Normalised innovation beyond which a sample tells no more: one gross error is no change of style.
+_LARGEST = 3.5
+
+
+@dataclass(frozen=True)
+class Change:
+    """Which of the adapted parameters has jumped, and by how much (its logarithm)."""
+
+    number: int
+    jump: float
+
+
+class StyleAlarm:
+    """Watches the innovations of a filter for jumps of some entries of its state.
+
+    places: (J,) of these entries; size: of the state; period_s: time [s] between two samples.
+    """
+
+    def __init__(self, places: Sequence[int], size: int, period_s: float) -> None:
+        self._places = list(places)
+        self._every = max(1, round(ONSET_S / period_s))
+        onsets = max(1, round(WATCHED_S / (self._every * period_s)))
+        self._threshold = BETWEEN_FALSE_S / (self._every * period_s)
+        # a column for every onset and entry, entries of one onset side by side
+        columns = onsets * len(self._places)
+        self._signature: Array = np.zeros((size, columns))
+        self._known, self._seen = np.zeros(columns), np.zeros(columns)
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin anew: what was before tells nothing of what comes."""
+        self._steps = 0
+        self._signature[:], self._known[:], self._seen[:] = 0.0, 0.0, 0.0
+
+    def predict(self, jacobian: Array) -> None:
+        """Go on by one period with the filter's F."""
+        self._signature = jacobian @ self._signature
+        if self._steps % self._every == 0:
+            jumps = len(self._places)
+            first = self._steps // self._every * jumps % len(self._known)
+            oldest = slice(first, first + jumps)
+            self._signature[:, oldest] = 0.0
+            self._signature[self._places, np.arange(first, first + jumps)] = 1.0
+            self._known[oldest], self._seen[oldest] = 0.0, 0.0
+        self._steps += 1
+
+    def observe(self, innovation: float, variance: float) -> None:
+        """Take in the driver's own innovation [m] and its variance, before the filter is updated with it."""
+        bound = _LARGEST * math.sqrt(variance)
+        signature = self._signature[0]
+        self._known += signature * signature / variance
+        self._seen += signature * (min(max(innovation, -bound), bound) / variance)
+
+    def update(self, gain: Array, measured: Ints) -> None:
+        """After the filter's update with the entries ``measured`` (m,) of its state; gain: (size, m)."""
+        self._signature -= gain @ self._signature[measured]
+
+    @property
+    def ratio(self) -> float:
+        """Sum over the onsets of the likelihood ratios, as a part of that at which the alarm is given."""
+        return float(np.exp(self._log_ratios).sum()) / (self._threshold * len(self._places))
+
+    @property
+    def _log_ratios(self) -> Array:
+        certain = self._known + 1.0 / JUMP_STD**2
+        return 0.5 * self._seen**2 / certain - 0.5 * np.log(certain * JUMP_STD**2)
+
+    def check(self, mean: Array, covariance: Array) -> Change | None:
+        """What has jumped, if the alarm is given; then the filter's state is corrected for it, in place."""
+        if self.ratio < 1.0:
+            return None
+        column = int(np.argmax(self._log_ratios))
+        certain = self._known[column] + 1.0 / JUMP_STD**2
+        jump, signature = float(self._seen[column] / certain), self._signature[:, column].copy()
+        mean += jump * signature
+        covariance += np.outer(signature, signature) / certain
+        self.reset()
+        return Change(column % len(self._places), jump)
