@@ -139,10 +139,16 @@ def run(
     ring: Ring = None,
     model: ModelFile = None,
     critic: Annotated[bool, typer.Option("--critic", help="A critic listens and publishes /verdict.")] = False,
+    save_state: Annotated[
+        Path | None, typer.Option("--save-state", help="Directory in which to keep what was learnt of every driver.")
+    ] = None,
+    resume: Annotated[
+        Path | None, typer.Option("--resume", help="Directory of an earlier --save-state, to go on from.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Replay trajectories as ROS topics through one estimator for each driver, and record all topics."""
-    _print_run(_run(source, output, _rate(rate), processes, ring, model, critic), as_json)
+    _print_run(_run(source, output, _rate(rate), processes, ring, model, critic, save_state, resume), as_json)
 
 
 @app.command()
@@ -715,6 +721,8 @@ def _run(
     ring: float | None,
     model: Path | None = None,
     critic: bool = False,
+    save_state: Path | None = None,
+    resume: Path | None = None,
 ) -> "RunResult":
     try:
         from sugiyama_ros.nodes.run import run as run_nodes
@@ -731,6 +739,8 @@ def _run(
             ring_m=ring,
             model=model,
             critic=critic,
+            save_state=save_state,
+            resume=resume,
             on_progress=advance,
         )
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
+from scipy.linalg import block_diag
 
 from sugiyama_ros.driver.parameters import NAMES, SIGMA_NU, UTILITY, check, population
 from sugiyama_ros.driver.utility import ACTIONS, room_for
@@ -70,6 +71,15 @@ class Estimate:
     nis: float
     log_likelihood: float
     scored: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Learnt:
+    """Logarithms (A,) of adapted parameters at the reference period, by name, and their covariance (A, A)."""
+
+    names: tuple[str, ...]
+    mean: Array
+    covariance: Array
 
 
 class _ChainFilter(ExtendedKalmanFilter):  # type: ignore[misc]
@@ -182,6 +192,7 @@ class OnlineFilter:
         self._rows_at_start = chain_parameters(row, ahead, self.vehicles, self.period_s)
         self._prior_mean = np.log(self._rows_at_start[0, [UTILITY[k] for k in self._places]])
         self._scene = scene_at(self.period_s, self.road.circumference_m, adaptation.relaxation_s)
+        self._noise_shift = np.log(self._rows_at_start[0, NOISES] / row[NOISES])
         names = active(row)
         self._aft = bool(names) and self.vehicles > 1
         self._measured_otherwise = any(effect(name).stage == MEASUREMENT for name in names)
@@ -206,6 +217,38 @@ class OnlineFilter:
         if self._noises is not None:
             covariance[np.ix_(NOISES, NOISES)] = self._noises.covariance
         return covariance * np.outer(parameters, parameters)
+
+    @property
+    def identified(self) -> tuple[str, ...]:
+        """Names of the adapted parameters that the samples tell: twice as well, at least, as the prior does."""
+        now = np.sqrt(np.diag(self.learnt.covariance))
+        before = np.concatenate([self._learning.prior_std if self._learning else (), np.sqrt(self._prior_var)])
+        return tuple(name for name, a, b in zip(self.adapted, now, before, strict=True) if a < 0.5 * b)
+
+    @property
+    def learnt(self) -> Learnt:
+        """All that is known of the driver's parameters, to go on from."""
+        adapted = slice(STATE * self.vehicles, None)
+        parts = [(self._filter.x[adapted], self._filter.P[adapted, adapted])]
+        if self._noises is not None:
+            parts.insert(0, (self._noises.mean - self._noise_shift, self._noises.covariance))
+        means, covariances = zip(*parts, strict=True)
+        return Learnt(self.adapted, np.concatenate(means), block_diag(*covariances))
+
+    def recall(self, learnt: Learnt) -> None:
+        """Go on from what was learnt before, of those parameters that are adapted here; before the first sample."""
+        places = {name: k for k, name in enumerate(learnt.names)}
+        noises = [places[NAMES[k]] for k in NOISES if NAMES[k] in places]
+        if self._noises is not None and len(noises) == len(NOISES):
+            self._noises.mean = learnt.mean[noises] + self._noise_shift
+            self._noises.covariance = learnt.covariance[np.ix_(noises, noises)]
+            self._rows[0, NOISES] = self._noises.values
+        own = [places[NAMES[UTILITY[k]]] for k in self._places if NAMES[UTILITY[k]] in places]
+        if len(own) == len(self._places):
+            adapted = slice(STATE * self.vehicles, None)
+            self._filter.x[adapted] = learnt.mean[own]
+            self._filter.P[adapted, adapted] = learnt.covariance[np.ix_(own, own)]
+            self._rows[0, [UTILITY[k] for k in self._places]] = np.exp(learnt.mean[own])
 
     @property
     def adapted(self) -> tuple[str, ...]:

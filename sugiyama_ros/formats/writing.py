@@ -32,3 +32,11 @@ def replacing(path: Path, suffix: str = ".part") -> Iterator[BinaryIO]:
 def not_written(path: Path, error: OSError) -> OutputError:
     """The one line about a place that refuses to be written."""
     return OutputError(f"{path}: cannot be written: {error.strerror}; free some space there, or choose another place")
+
+
+def make_directory(path: Path) -> None:
+    """Make a directory if it is not there. Raises OutputError."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise not_written(path, error) from None

@@ -9,16 +9,17 @@ import numpy as np
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from rclpy.node import Node
 from std_srvs.srv import Trigger
-from sugiyama_msgs.msg import DriverParameters, Innovation, MeasuredPositions, VehicleState
+from sugiyama_msgs.msg import DriverParameters, Innovation, MeasuredPositions, StyleChange, VehicleState
 from sugiyama_msgs.msg import Road as RoadMessage
 from sugiyama_msgs.srv import AddEffect, RemoveEffect
 
 from sugiyama_ros.criticism.model_file import read_model
 from sugiyama_ros.driver.parameters import NAMES, PARAMETERS, population
 from sugiyama_ros.effects.catalogue import ENTRIES, PLACES, active, effect, switch_on, whole
-from sugiyama_ros.errors import InputError
+from sugiyama_ros.errors import InputError, SugiyamaError
 from sugiyama_ros.estimation.online import NOBODY, Estimate, OnlineFilter, warm_up
 from sugiyama_ros.nodes import wire
+from sugiyama_ros.nodes.learnt_file import file_of, read_learnt, write_learnt
 from sugiyama_ros.nodes.node import ERROR, OK, WARN, Health, PacedNode
 from sugiyama_ros.nodes.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.spin import run_node
@@ -26,7 +27,7 @@ from sugiyama_ros.road import Array, Road
 
 #: A prediction over more periods than this means nothing: the filter starts anew.
 _LONGEST_GAP = 100
-_PARAMETERS_EVERY_NS = wire.NS
+_PARAMETERS_EVERY_NS, _SAVED_EVERY_NS = wire.NS, 10 * wire.NS
 #: What is published where nothing is known, so that every topic has a message for every step.
 _UNKNOWN = Estimate(
     position_m=nan,
@@ -61,18 +62,26 @@ class Estimator(PacedNode):
         self.vehicle = int(found[1])
         warm_up()
         row = self._start_row()
+        self._save_state = self._directory("save_state", "directory in which to keep what was learnt, for resume")
+        resume = self._directory("resume", "directory with what an earlier run learnt, to go on from")
+        kept = file_of(resume, self.vehicle) if resume is not None else None
+        # of a vehicle that was not there before nothing is known
+        self._learnt = read_learnt(kept) if kept is not None and kept.exists() else None
         declare_driver(self, row)
-        self.add_post_set_parameters_callback(lambda _: self._restart())
+        self.add_post_set_parameters_callback(lambda _: self._begin_anew())
         self._effects = row
         self._road: RoadMessage | None = None
         self._filter: OnlineFilter | None = None
         self._stamp_ns: int | None = None
         self._parameters_ns: int | None = None
+        self._saved_ns: int | None = None
         self._missing_in_a_row = 0
+        self._unknown: list[str] = []
         self._failure = ""
-        self._count = {"samples": 0, "missing": 0, "duplicates": 0, "resets": 0, "skipped": 0}
+        self._count = {"samples": 0, "missing": 0, "duplicates": 0, "resets": 0, "skipped": 0, "changes of style": 0}
         self._to_state = self.create_publisher(VehicleState, "state", STREAM)
         self._to_innovation = self.create_publisher(Innovation, "innovation", STREAM)
+        self._to_changes = self.create_publisher(StyleChange, "style_change", STREAM)
         self._to_parameters = self.create_publisher(DriverParameters, "parameters", STREAM)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(AddEffect, "~/add_effect", self._on_add_effect)
@@ -88,6 +97,12 @@ class Estimator(PacedNode):
             return whole(population())
         return read_model(Path(file)).rows_of(np.array([self.vehicle]))[0]
 
+    def _directory(self, name: str, description: str) -> Path | None:
+        """A directory that a parameter names, if one does."""
+        about = ParameterDescriptor(description=description, read_only=True)
+        given = str(self.declare_parameter(name, "", about).value)
+        return Path(given) if given else None
+
     def health(self) -> Health:
         """ERROR after a failure of the filter, WARN without a road or a position."""
         if self._failure:
@@ -96,7 +111,8 @@ class Estimator(PacedNode):
             return Health(WARN, "waiting for the road", self._count)
         if self._missing_in_a_row:
             return Health(WARN, f"{self._missing_in_a_row} samples missing in a row", self._count)
-        return Health(OK, "following", self._count)
+        told = f"following; not yet identified: {', '.join(self._unknown)}" if self._unknown else "following"
+        return Health(OK, told, self._count)
 
     def _on_road(self, road: RoadMessage) -> None:
         known = self._road
@@ -106,7 +122,7 @@ class Estimator(PacedNode):
         self.announce()
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._restart()
+        self._begin_anew()
         response.success = self._filter is not None
         response.message = "" if response.success else "no road yet"
         return response
@@ -153,18 +169,25 @@ class Estimator(PacedNode):
         names = [ENTRIES[k] for k in self._shown]
         self._parameter_bytes = wire.Parameters(self.vehicle, names, self._filter.adapted)
 
+    def _begin_anew(self) -> None:
+        """Forget what an earlier run has learnt, too."""
+        self._learnt = None
+        self._restart()
+
     def _restart(self) -> None:
-        """A new filter, from the node's parameters."""
+        """A new filter, from the node's parameters, and from what an earlier run has learnt."""
         if self._road is None:
             return
         row = self._effects.copy()
         row[: len(NAMES)] = [self.get_parameter(name).value for name in NAMES]
         self._filter = OnlineFilter(self._road.period_s, Road(self._road.circumference_m), row)
+        if self._learnt is not None:
+            self._filter.recall(self._learnt)
         self._show()
         self._forget()
 
     def _forget(self) -> None:
-        self._stamp_ns = self._parameters_ns = None
+        self._stamp_ns = self._parameters_ns = self._saved_ns = None
         self._chain: list[int] = []
         self._behind = -1
         self._length_m: dict[int, float] = {}
@@ -238,6 +261,10 @@ class Estimator(PacedNode):
     def _publish(self, sample: wire.Sample, estimate: Estimate) -> None:
         self.send(self._to_state, wire.state(sample.stamp_ns, self.vehicle, estimate))
         self.send(self._to_innovation, wire.innovation(sample.stamp_ns, self.vehicle, estimate))
+        change = self._filter.change_of_style if self._filter is not None else None
+        if change is not None:
+            self._count["changes of style"] += 1
+            self.send(self._to_changes, wire.style_change(sample.stamp_ns, self.vehicle, *change))
 
     def _publish_parameters(self, sample: wire.Sample, filter_: OnlineFilter, road: RoadMessage) -> None:
         """Publish the parameters once a second of the data's time, and with the last sample."""
@@ -247,8 +274,26 @@ class Estimator(PacedNode):
         self._parameters_ns = sample.stamp_ns
         shown = self._shown
         value, covariance = filter_.parameters[shown], filter_.parameter_covariance[np.ix_(shown, shown)]
-        message = self._parameter_bytes.message(sample.stamp_ns, value, covariance)
-        self.send(self._to_parameters, message)
+        identified = filter_.identified
+        self._unknown = [name for name in filter_.adapted if name not in identified]
+        known = [ENTRIES[k] in identified for k in shown]
+        self.send(self._to_parameters, self._parameter_bytes.message(sample.stamp_ns, value, covariance, known))
+        if self._saved_ns is None or sample.stamp_ns - self._saved_ns >= _SAVED_EVERY_NS:
+            self._saved_ns = sample.stamp_ns
+            self._save()
+
+    def _save(self) -> None:
+        if self._save_state is None or self._filter is None:
+            return
+        try:
+            write_learnt(file_of(self._save_state, self.vehicle), self._filter.learnt)
+        except SugiyamaError as error:
+            self.failure = error
+
+    def finish(self) -> None:
+        """Keep what was learnt, and send nothing more."""
+        self._save()
+        super().finish()
 
     def _fail(self, error: Exception, sample: wire.Sample) -> None:
         """Log a failure of the filter, once until the next restart."""

@@ -8,7 +8,10 @@ from typing import Any
 
 from sugiyama_ros.criticism.model_file import read_model
 from sugiyama_ros.driver.parameters import NAMES, population
+from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats import read_trajectories
+from sugiyama_ros.formats.writing import make_directory
+from sugiyama_ros.nodes.learnt_file import file_of, read_learnt
 from sugiyama_ros.trajectories import Trajectories
 
 REPLAY, RECORDER, CRITIC = "/replay", "/recorder", "/critic"
@@ -36,7 +39,8 @@ class Plan:
     """Replay ``source``, which holds ``trajectories``, and record it in ``output``.
 
     rate: times real time; 0 is as fast as the nodes take it. model: file with the drivers and effects from which the
-    estimators start; critic: whether a critic listens.
+    estimators start; critic: whether a critic listens; save_state: directory in which the estimators keep what they
+    have learnt; resume: one from which they go on.
     """
 
     trajectories: Trajectories
@@ -45,6 +49,8 @@ class Plan:
     rate: float
     model: Path | None = None
     critic: bool = False
+    save_state: Path | None = None
+    resume: Path | None = None
 
     @classmethod
     def read(
@@ -55,11 +61,25 @@ class Plan:
         ring_m: float | None,
         model: Path | None = None,
         critic: bool = False,
+        save_state: Path | None = None,
+        resume: Path | None = None,
     ) -> "Plan":
-        """A plan for a file of trajectories; ``ring_m`` [m] where the file does not tell. Raises InputError."""
+        """A plan for a file of trajectories; ``ring_m`` [m] where the file does not tell.
+
+        Raises InputError or OutputError.
+        """
         if model is not None:
             read_model(model)
-        return cls(read_trajectories(source, ring_m), source, output, rate, model, critic)
+        if save_state is not None:
+            make_directory(save_state)
+        plan = cls(read_trajectories(source, ring_m), source, output, rate, model, critic, save_state, resume)
+        if resume is not None:
+            kept = [path for v in plan.trajectories.vehicle.tolist() if (path := file_of(resume, v)).exists()]
+            if not kept:
+                raise InputError(f"{resume}: nothing is known of these vehicles; give a directory of --save-state")
+            for path in kept:
+                read_learnt(path)
+        return plan
 
     @property
     def namespaces(self) -> list[str]:
@@ -79,7 +99,8 @@ class Plan:
     @property
     def estimator(self) -> dict[str, Any]:
         """Parameters of every estimator."""
-        return {"model": str(self.model)} if self.model is not None else {}
+        given = {"model": self.model, "save_state": self.save_state, "resume": self.resume}
+        return {name: str(path) for name, path in given.items() if path is not None}
 
     @property
     def followers(self) -> list[str]:

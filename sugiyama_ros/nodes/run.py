@@ -77,20 +77,23 @@ def run(
     ring_m: float | None = None,
     model: Path | None = None,
     critic: bool = False,
+    save_state: Path | None = None,
+    resume: Path | None = None,
     on_progress: OnProgress | None = None,
 ) -> RunResult:
     """Replay ``source`` through one estimator for each driver and record everything in ``output``.
 
     rate: times real time; 0 is as fast as the nodes take it. processes: one process for each node instead of one for
     all. ring_m: circumference [m] where the file does not tell. model: file with the drivers and effects from which
-    the estimators start; critic: whether a critic listens, and its verdicts are recorded. A signal (SIGINT, SIGTERM)
-    ends the run early, in good order. To be called in the main thread, where signals come.
+    the estimators start; critic: whether a critic listens, and its verdicts are recorded; save_state: directory in
+    which the estimators keep what they have learnt; resume: one from which they go on. A signal (SIGINT, SIGTERM) ends
+    the run early, in good order. To be called in the main thread, where signals come.
 
     Raises InputError or OutputError for files that cannot be read or written, and SugiyamaError where a node has
     ended or has not started.
     """
     environment.isolate()
-    plan = Plan.read(source, output, rate, ring_m, model, critic)
+    plan = Plan.read(source, output, rate, ring_m, model, critic, save_state, resume)
     total = len(plan.trajectories.position_m)
     began = time.monotonic()
     with ros() as asked_to_stop:

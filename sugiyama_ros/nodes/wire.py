@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from builtin_interfaces.msg import Time
 from rclpy.serialization import serialize_message
-from sugiyama_msgs.msg import DriverParameters
+from sugiyama_msgs.msg import DriverParameters, StyleChange
 
 from sugiyama_ros.estimation.online import Estimate
 from sugiyama_ros.road import Array
@@ -108,6 +108,14 @@ def innovation(stamp_ns: int, vehicle: int, estimate: Estimate) -> bytes:
     )
 
 
+def style_change(stamp_ns: int, vehicle: int, name: str, factor: float) -> bytes:
+    """A StyleChange message."""
+    message = StyleChange(vehicle=vehicle, name=name, factor=factor)
+    message.header.frame_id = FRAME
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, NS)
+    return bytes(serialize_message(message))
+
+
 class Parameters:
     """DriverParameters messages of one driver: made once, and each time filled with new numbers."""
 
@@ -117,15 +125,19 @@ class Parameters:
         message.header.frame_id = FRAME
         # the numbers are found again by values that nothing else in the message has
         message.value, message.covariance = array("d", [_MARK] * count), array("d", [2.0 * _MARK] * count * count)
+        message.identified = [False] * count
         self._bytes = bytearray(serialize_message(message))
         self._value_at = self._bytes.index(struct.pack("<d", _MARK))
         self._covariance_at = self._bytes.index(struct.pack("<d", 2.0 * _MARK))
+        # after the covariance comes the number of the last field's entries, a byte each
+        self._identified_at = self._covariance_at + 8 * count * count + 4
 
-    def message(self, stamp_ns: int, value: Array, covariance: Array) -> bytes:
-        """With ``value`` (P,) and ``covariance`` (P, P)."""
+    def message(self, stamp_ns: int, value: Array, covariance: Array, identified: Sequence[bool]) -> bytes:
+        """With ``value`` (P,), ``covariance`` (P, P) and ``identified`` (P,)."""
         struct.pack_into("<iI", self._bytes, 4, *divmod(stamp_ns, NS))
         for at, numbers in ((self._value_at, value), (self._covariance_at, covariance)):
             self._bytes[at : at + numbers.nbytes] = numbers.tobytes()
+        self._bytes[self._identified_at : self._identified_at + len(identified)] = bytes(identified)
         return bytes(self._bytes)
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from sugiyama_ros.formats.writing import not_written, replacing
+from sugiyama_ros.formats.writing import make_directory, replacing
 from sugiyama_ros.page.panels import BLUE, COLOURS, GREEN, GREY, ORANGE, VERMILION, error_growth, speeds
 from sugiyama_ros.page.recording import Recording
 
@@ -26,10 +26,7 @@ def write_figures(r: Recording, diagnosis: Mapping[str, Any] | None, directory: 
         drawings["candidates"] = lambda axes: _candidates(axes, diagnosis)
         drawings["free_runs"] = lambda axes: _growth(axes, diagnosis)
         drawings["before_and_after"] = lambda axes: _before_and_after(axes, diagnosis)
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise not_written(directory, error) from None
+    make_directory(directory)
     written = []
     for name, draw in drawings.items():
         figure = Figure(figsize=_SIZE_IN, layout="constrained")

@@ -15,10 +15,11 @@ from sugiyama_msgs.msg import Road as RoadMessage
 from sugiyama_ros.driver.parameters import NAMES, PARAMETERS, population
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.estimation.causal import chain_behind
-from sugiyama_ros.estimation.online import OnlineFilter
+from sugiyama_ros.estimation.online import Learnt, OnlineFilter
 from sugiyama_ros.formats import read_trajectories
 from sugiyama_ros.nodes import wire
 from sugiyama_ros.nodes.estimator import Estimator
+from sugiyama_ros.nodes.learnt_file import file_of, write_learnt
 from sugiyama_ros.nodes.node import ERROR, OK, WARN
 from sugiyama_ros.nodes.qos import LATCHED, STREAM
 
@@ -207,6 +208,26 @@ def test_it_starts_from_the_nodes_parameters(stage) -> None:
     known = dict(zip(road.parameters[0].name, road.parameters[0].value, strict=True))
     assert known["v_star"] == pytest.approx(15.0)
     assert known["sigma_a"] == dict(zip(NAMES, population().tolist(), strict=True))["sigma_a"]
+
+
+def test_what_was_learnt_is_forgotten_when_the_user_sets_a_parameter(stage, tmp_path: Path) -> None:
+    learnt = Learnt(("sigma_nu", "sigma_a", "v_star", "kappa_v"), np.log([0.2, 0.5, 12.0, 0.3]), 0.01 * np.eye(4))
+    write_learnt(file_of(tmp_path, 7), learnt)
+    road = Road()
+    estimator = Estimator(namespace="/vehicle_07", parameter_overrides=[Parameter("resume", value=str(tmp_path))])
+    stage.add(road, estimator)
+    stage.until(lambda: estimator.health().level == OK)
+    road.drive(0, 1)
+    stage.until(lambda: len(road.parameters) == 1)
+    (answer,) = estimator.set_parameters([Parameter("kappa_v", value=0.25)])
+    assert answer.successful
+    road.drive(1, 2)
+    stage.until(lambda: len(road.parameters) == 2)
+    resumed, reset = (dict(zip(m.name, m.value, strict=True)) for m in road.parameters)
+    assert [resumed[n] for n in learnt.names] == pytest.approx([0.2, 0.5, 12.0, 0.3])
+    expected = dict(zip(NAMES, population().tolist(), strict=True)) | {"kappa_v": 0.25}
+    assert reset == pytest.approx(expected)
+    assert not any(road.parameters[1].identified)
 
 
 def test_parameters_have_ranges_and_descriptions(pair) -> None:

@@ -33,7 +33,7 @@ def assert_nothing_lost(result: RunResult, output: Path) -> None:
     assert counts["/road"] == 1
     assert all(counts[f"/vehicle_0{v}/parameters"] >= 100 for v in range(4))
     assert set(counts) == per_step | {"/road", "/markers", "/diagnostics"} | {
-        f"/vehicle_0{v}/parameters" for v in range(4)
+        f"/vehicle_0{v}/{topic}" for v in range(4) for topic in ("parameters", "style_change")
     }
 
 
@@ -63,6 +63,25 @@ def test_a_recording_can_be_run_again(ring_csv: Path, tmp_path: Path) -> None:
     again = run(tmp_path / "first.mcap", tmp_path / "again.mcap")
     assert_nothing_lost(again, tmp_path / "again.mcap")
     assert again.drivers == first.drivers
+
+
+def test_a_run_goes_on_from_what_another_has_learnt(ring_csv: Path, tmp_path: Path) -> None:
+    def parameters(path: Path, which: int) -> dict[str, float]:
+        with Bag(path) as bag:
+            message = [m.message for m in bag.messages(["/vehicle_02/parameters"])][which]
+        return dict(zip(message.name, message.value.tolist(), strict=True))
+
+    kept = tmp_path / "kept"
+    run(ring_csv, tmp_path / "first.mcap", ring_m=100.0, save_state=kept)
+    assert sorted(p.name for p in kept.iterdir()) == [f"vehicle_0{v}.json" for v in range(4)]
+    end = parameters(tmp_path / "first.mcap", -1)
+    run(ring_csv, tmp_path / "second.mcap", ring_m=100.0, resume=kept)
+    assert parameters(tmp_path / "second.mcap", 0) == pytest.approx(end, rel=0.01)
+    (kept / "vehicle_02.json").write_text("{}")
+    with pytest.raises(InputError, match=r"vehicle_02\.json: is no state that an estimator has saved"):
+        run(ring_csv, tmp_path / "third.mcap", ring_m=100.0, resume=kept)
+    with pytest.raises(InputError, match="nowhere: nothing is known of these vehicles"):
+        run(ring_csv, tmp_path / "third.mcap", ring_m=100.0, resume=tmp_path / "nowhere")
 
 
 def test_a_slow_driver_loses_nothing(ring_csv: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -90,16 +90,19 @@ def test_a_chain_ends_where_there_is_no_leader_or_it_comes_back() -> None:
     assert sample.chain(8, 3) == [8, -1, -1]
 
 
+@pytest.mark.parametrize("count", [12, 13])
 @pytest.mark.parametrize("stamp_ns", [0, 250 * wire.NS + 999_999_999])
-def test_parameters_are_written(stamp_ns: int) -> None:
+def test_parameters_are_written(stamp_ns: int, count: int) -> None:
     rng = np.random.default_rng(3)
-    value, covariance = rng.normal(size=12), rng.normal(size=(12, 12))
-    names = [f"a_name_{k}" for k in range(12)]
+    value, covariance = rng.normal(size=count), rng.normal(size=(count, count))
+    identified = [k % 3 == 0 for k in range(count)]
+    names = [f"a_name_{k}" for k in range(count)]
     writer = wire.Parameters(7, names, names[2:4])
     for _ in range(2):
-        message = deserialize_message(writer.message(stamp_ns, value, covariance), DriverParameters)
+        message = deserialize_message(writer.message(stamp_ns, value, covariance, identified), DriverParameters)
     assert message.header.stamp.sec * wire.NS + message.header.stamp.nanosec == stamp_ns
     assert (message.header.frame_id, message.vehicle, message.name) == ("road", 7, names)
-    assert message.estimated == [k in (2, 3) for k in range(12)]
+    assert message.estimated == [k in (2, 3) for k in range(count)]
+    assert message.identified == identified
     assert message.value.tolist() == value.tolist()
     assert message.covariance.tolist() == covariance.ravel().tolist()

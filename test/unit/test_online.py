@@ -120,3 +120,35 @@ def test_who_does_not_change_is_left_alone():
     """One false alarm in two hours of a driver is allowed: of 22 drivers in 200 s 0.6, so more than 4 are too many."""
     t, _ = changing(1.0, 400.0, 5)
     assert sum(len(changes(t, driver)[0]) for driver in range(22)) <= 4
+
+
+def test_a_filter_that_is_started_again_goes_on_from_what_was_learnt(jam):
+    """After 75 of 150 s the process dies; 15 s after the restart it knows what one that was never interrupted knows."""
+    chain = chain_behind(jam, 7)
+    samples = list(zip(chain.position_m, chain.identity, chain.length_m, strict=True))
+    whole_time, first, again = OnlineFilter(DT, jam.road), OnlineFilter(DT, jam.road), OnlineFilter(DT, jam.road)
+    for sample in samples[:270]:
+        whole_time.step(*sample)
+    for sample in samples[:225]:
+        first.step(*sample)
+    again.recall(first.learnt)
+    assert again.learnt.mean == pytest.approx(first.learnt.mean)
+    for sample in samples[225:270]:
+        again.step(*sample)
+    std = np.sqrt(np.diag(whole_time.learnt.covariance))
+    assert np.all(np.abs(again.learnt.mean - whole_time.learnt.mean) < std)
+    assert np.sqrt(np.diag(again.learnt.covariance)) == pytest.approx(std, rel=0.2)
+
+
+def test_what_the_samples_do_not_tell_is_said(jam):
+    """Of the first seconds nothing; in the end of nearly all drivers everything, but for v* of who is never free."""
+    identified = []
+    for driver in range(22):
+        online = OnlineFilter(DT, jam.road)
+        follow(jam, driver, online, 12)
+        assert "v_star" not in online.identified
+        online.reset()
+        assert online.identified == ()
+        follow(jam, driver, online)
+        identified += online.identified
+    assert min(identified.count(name) for name in ("sigma_nu", "sigma_a", "kappa_v")) >= 20

@@ -1,0 +1,38 @@
+"""What an estimator has learnt, kept in a file, so that one that is started later can go on from it."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.estimation.online import Learnt
+from sugiyama_ros.formats.writing import replacing
+
+
+def file_of(directory: Path, vehicle: int) -> Path:
+    """Where a vehicle's estimator keeps what it has learnt."""
+    return directory / f"vehicle_{vehicle:02}.json"
+
+
+def write_learnt(path: Path, learnt: Learnt) -> None:
+    """Keep it. Raises OutputError."""
+    document = {"names": learnt.names, "mean": learnt.mean.tolist(), "covariance": learnt.covariance.tolist()}
+    with replacing(path) as stream:
+        stream.write(json.dumps(document).encode())
+
+
+def read_learnt(path: Path) -> Learnt:
+    """What ``write_learnt`` has kept. Raises InputError."""
+    try:
+        document = json.loads(path.read_text())
+        names = tuple(map(str, document["names"]))
+        mean, covariance = (np.array(document[name], dtype=np.float64) for name in ("mean", "covariance"))
+        if mean.shape != (len(names),) or covariance.shape != 2 * mean.shape or not np.isfinite(mean).all():
+            raise ValueError
+        np.linalg.cholesky(covariance)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}; give a directory of --save-state") from None
+    except (KeyError, TypeError, ValueError):
+        raise InputError(f"{path}: is no state that an estimator has saved; give a directory of --save-state") from None
+    return Learnt(names, mean, covariance)
