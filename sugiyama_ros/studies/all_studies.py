@@ -3,12 +3,19 @@
 from collections.abc import Mapping
 
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.studies import driver_types, measured_drivers, recovery, spectrum, what_if
+from sugiyama_ros.studies import driver_types, measured_drivers, online, recovery, spectrum, what_if
 from sugiyama_ros.studies.study import Study
 
 STUDIES: Mapping[str, Study] = {
     study.name: study
-    for study in (recovery.STUDY, spectrum.STUDY, measured_drivers.STUDY, driver_types.STUDY, *what_if.STUDIES)
+    for study in (
+        recovery.STUDY,
+        spectrum.STUDY,
+        measured_drivers.STUDY,
+        driver_types.STUDY,
+        *what_if.STUDIES,
+        *online.STUDIES,
+    )
 }
 
 
