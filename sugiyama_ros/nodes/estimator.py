@@ -1,7 +1,7 @@
 """One driver's estimator: measured positions in; state, innovation and parameters out."""
 
 import re
-from math import isnan, nan
+from math import isfinite, isnan, nan
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,10 @@ from sugiyama_ros.road import Array, Road
 
 #: A prediction over more periods than this means nothing: the filter starts anew.
 _LONGEST_GAP = 100
+# A sample that comes at most so many periods late is left out; one from further back says that time has jumped.
+_LATE = 3
+# Length [m] of a vehicle beyond which it is none.
+_LONGEST_M = 1000.0
 _PARAMETERS_EVERY_NS, _SAVED_EVERY_NS = wire.NS, 10 * wire.NS
 #: What is published where nothing is known, so that every topic has a message for every step.
 _UNKNOWN = Estimate(
@@ -49,7 +53,7 @@ class Estimator(PacedNode):
     """Follows the vehicle of its namespace, ``.../vehicle_07``.
 
     A step without a position of the vehicle is predicted over. The stamps tell how many periods have passed; a stamp
-    that comes again is ignored, a jump back in time starts the filter anew.
+    that comes again, or too late, is ignored, a jump in time starts the filter anew.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -78,7 +82,15 @@ class Estimator(PacedNode):
         self._missing_in_a_row = 0
         self._unknown: list[str] = []
         self._failure = ""
-        self._count = {"samples": 0, "missing": 0, "duplicates": 0, "resets": 0, "skipped": 0, "changes of style": 0}
+        self._count = {
+            "samples": 0,
+            "missing": 0,
+            "duplicates": 0,
+            "late": 0,
+            "resets": 0,
+            "skipped": 0,
+            "changes of style": 0,
+        }
         self._to_state = self.create_publisher(VehicleState, "state", STREAM)
         self._to_innovation = self.create_publisher(Innovation, "innovation", STREAM)
         self._to_changes = self.create_publisher(StyleChange, "style_change", STREAM)
@@ -218,6 +230,9 @@ class Estimator(PacedNode):
         if periods == 0:
             self._count["duplicates"] += 1
             return None
+        if -_LATE <= periods < 0:
+            self._count["late"] += 1
+            return None
         if not 0 < periods <= _LONGEST_GAP:
             self._count["resets"] += 1
             filter_.reset()
@@ -233,8 +248,9 @@ class Estimator(PacedNode):
         position, length = [], []
         for vehicle in self._chain:
             place = sample.place.get(vehicle)
-            position.append(nan if place is None else sample.position_m[place])
-            if place is not None:
+            measured = nan if place is None else sample.position_m[place]
+            position.append(measured if isfinite(measured) else nan)
+            if place is not None and 0.0 <= sample.length_m[place] < _LONGEST_M:
                 self._length_m[vehicle] = sample.length_m[place]
             length.append(self._length_m.get(vehicle, 0.0))
         self._missing_in_a_row = self._missing_in_a_row + 1 if isnan(position[0]) else 0

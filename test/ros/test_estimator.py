@@ -144,6 +144,44 @@ def test_a_stamp_that_comes_again_is_ignored(stage, pair) -> None:
     assert values(estimator)["samples"] == 6
 
 
+def test_a_sample_that_comes_late_is_left_out(stage, pair) -> None:
+    road, estimator = pair
+    road.drive(0, 10)
+    road.drive(8, 9)
+    road.drive(10, 12)
+    stage.until(lambda: len(road.states) == 12)
+    counted = values(estimator)
+    assert (counted["late"], counted["resets"], counted["samples"]) == (1, 0, 12)
+    assert abs(road.innovations[-1].innovation_m) < 1.0
+
+
+@pytest.mark.parametrize("wrong", [float("inf"), -float("inf"), float("nan")])
+def test_a_position_that_is_no_number_is_missing(stage, pair, wrong: float) -> None:
+    road, estimator = pair
+    road.drive(0, 10)
+    road.send(10 * PERIOD_S, {7: wrong, 8: wrong})
+    road.drive(11, 13)
+    stage.until(lambda: len(road.states) == 13)
+    assert isnan(road.innovations[10].innovation_m)
+    assert road.states[12].speed == pytest.approx(5.0, abs=0.5)
+    assert estimator.health().level == OK
+
+
+def test_a_leader_who_stands_comes_and_goes(stage, pair) -> None:
+    """8 stands for a minute while 7 comes up to him, then is gone, then is there again."""
+    road, estimator = pair
+    for k in range(160):
+        leader = {} if 120 <= k < 140 else {8: 30.0}
+        road.send(k * PERIOD_S, {7: min(5.0 * k * PERIOD_S, 24.0), **leader})
+        stage.until(lambda k=k: len(road.states) == k + 1)
+    assert estimator.health().level == OK
+    # alone, he would be off with 4 m/s^2 at once
+    assert max(abs(i.innovation_m) for i in road.innovations[60:120]) < 0.3
+    assert max(abs(i.innovation_m) for i in road.innovations[120:]) < 2.0
+    assert all(abs(s.speed) < 4.0 * s.covariance[4] ** 0.5 for s in (*road.states[60:120], *road.states[150:]))
+    assert [s.gap_m == pytest.approx(1.5, abs=1.0) for s in road.states[100:120]] == [True] * 20
+
+
 @pytest.mark.parametrize("jump", [0, 1000])
 def test_a_jump_in_time_starts_the_filter_anew(stage, pair, jump: int) -> None:
     road, estimator = pair
