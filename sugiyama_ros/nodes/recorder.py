@@ -20,6 +20,10 @@ from sugiyama_ros.nodes.qos import DEPTH, reliable
 from sugiyama_ros.nodes.spin import run_node
 
 _POLL_S = 0.2
+# New topics that are subscribed to at one poll.
+_AT_A_TIME = 50
+# Messages that may wait on a topic to which all nodes write, and which nobody paces.
+_FROM_ALL = 5000
 _FLUSH_S = 1.0
 _PATIENCE_S = 10.0
 #: ROS's own topics, which say nothing about the road.
@@ -75,9 +79,14 @@ class Recorder(PacedNode):
         return self.declare_parameter(name, default, ParameterDescriptor(description=description, read_only=True)).value
 
     def _on_poll(self) -> None:
-        for topic, types in self.get_topic_names_and_types():
-            if topic not in self._known and topic not in _LEFT_OUT and not topic_or_service_is_hidden(topic):
-                self._subscribe(topic, types[0])
+        new = [
+            (topic, types[0])
+            for topic, types in self.get_topic_names_and_types()
+            if topic not in self._known and topic not in _LEFT_OUT and not topic_or_service_is_hidden(topic)
+        ]
+        # a subscription takes some milliseconds, in which messages wait that a queue may not hold
+        for topic, type_name in new[:_AT_A_TIME]:
+            self._subscribe(topic, type_name)
         if not self._unheard:
             self.announce()
         self._waiting_s = self._waiting_s + _POLL_S if self._levels.waiting else 0.0
@@ -95,7 +104,7 @@ class Recorder(PacedNode):
         is_latched = all(q.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL for q in offered)
         reliability = QoSReliabilityPolicy.RELIABLE if is_reliable else QoSReliabilityPolicy.BEST_EFFORT
         durability = QoSDurabilityPolicy.TRANSIENT_LOCAL if is_latched else QoSDurabilityPolicy.VOLATILE
-        qos = reliable(DEPTH, durability)
+        qos = reliable(DEPTH if topic in self._levels.topics else _FROM_ALL, durability)
         qos.reliability = reliability
         try:
             package, _, name = type_name.split("/")
