@@ -34,6 +34,14 @@ class Stage:
         assert self._spinner is None
         self.nodes += nodes
 
+    def kill(self, node: Node) -> None:
+        """Take a node down without a word; others may be added then."""
+        assert self._spinner is not None
+        self._spinner.close()
+        self._spinner = None
+        self.nodes.remove(node)
+        node.destroy_node()
+
     def until(self, done: Callable[[], bool], timeout_s: float = 20.0) -> None:
         """Carry out callbacks until ``done()``; fails after ``timeout_s``."""
         self._spinner = self._spinner or Spinner(self.nodes)

@@ -1,6 +1,6 @@
 """The estimator node: what it makes of stamps, missing samples and failures."""
 
-from math import isnan
+from math import isnan, nan
 from pathlib import Path
 
 import numpy as np
@@ -19,9 +19,10 @@ from sugiyama_ros.estimation.online import Learnt, OnlineFilter
 from sugiyama_ros.formats import read_trajectories
 from sugiyama_ros.nodes import wire
 from sugiyama_ros.nodes.estimator import Estimator
-from sugiyama_ros.nodes.learnt_file import file_of, write_learnt
+from sugiyama_ros.nodes.learnt_file import file_of, read_learnt, write_learnt
 from sugiyama_ros.nodes.node import ERROR, OK, WARN
 from sugiyama_ros.nodes.qos import LATCHED, STREAM
+from sugiyama_ros.road import Road as RingRoad
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
 PERIOD_S = 0.5
@@ -266,6 +267,37 @@ def test_what_was_learnt_is_forgotten_when_the_user_sets_a_parameter(stage, tmp_
     expected = dict(zip(NAMES, population().tolist(), strict=True)) | {"kappa_v": 0.25}
     assert reset == pytest.approx(expected)
     assert not any(road.parameters[1].identified)
+
+
+def test_a_node_that_was_killed_goes_on_where_it_was(stage, tmp_path: Path) -> None:
+    """Killed after 30 s, it had kept what it knew at 20 s; 10 s later it knows what one knows that was never killed."""
+    noise = np.random.default_rng(1).normal(0.0, 0.26, (80, 2))
+    position = (np.array([0.0, 30.0]) + 5.0 * PERIOD_S * np.arange(80)[:, None] + noise) % 100.0
+    road, kept = Road(), [Parameter("save_state", value=str(tmp_path))]
+    first = Estimator(namespace="/vehicle_07", parameter_overrides=kept)
+
+    def drive(estimator: Estimator, begin: int, end: int) -> None:
+        for k in range(begin, end):
+            road.send(k * PERIOD_S, dict(zip((7, 8), position[k].tolist(), strict=True)))
+        stage.until(lambda: values(estimator)["samples"] == end)
+
+    stage.add(road, first)
+    stage.until(lambda: first.health().level == OK)
+    for begin in range(0, 60, 20):
+        drive(first, begin, begin + 20)
+    saved = read_learnt(file_of(tmp_path, 7))
+    stage.kill(first)
+    again = Estimator(namespace="/vehicle_07", parameter_overrides=[Parameter("resume", value=str(tmp_path))])
+    assert again._learnt.mean.tolist() == saved.mean.tolist()
+    stage.add(again)
+    # the road is latched, and so are its last samples: the node hears them again
+    stage.until(lambda: again.health().level == OK and values(again)["samples"] == 60)
+    drive(again, 60, 80)
+    never = OnlineFilter(PERIOD_S, RingRoad(100.0))
+    for k in range(80):
+        never.step([*position[k], nan], [7, 8, 9], [4.5, 4.5, 0.0], k * PERIOD_S)
+    off = again._filter.learnt.mean - never.learnt.mean
+    assert np.all(np.abs(off) < np.sqrt(np.diag(never.learnt.covariance)))
 
 
 def test_parameters_have_ranges_and_descriptions(pair) -> None:
