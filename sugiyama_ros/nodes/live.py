@@ -120,28 +120,27 @@ class View(Node):
         vehicles = sorted(wire.measured(raw).place)
         for v, space in zip(vehicles, namespaces(vehicles), strict=True):
             self._speed[v] = self._std[v] = math.nan
-            self.create_subscription(VehicleState, f"{space}/state", self._on_state, STREAM)
-            self.create_subscription(Innovation, f"{space}/innovation", self._on_innovation, STREAM)
+            self.create_subscription(VehicleState, f"{space}/state", self._on_state, STREAM, raw=True)
+            self.create_subscription(Innovation, f"{space}/innovation", self._on_innovation, STREAM, raw=True)
         self.space, self.driver = Log(KEPT * len(vehicles)), {v: Log(KEPT) for v in vehicles}
         self.vehicles = vehicles
 
-    def _on_state(self, message: VehicleState) -> None:
-        v = message.vehicle
-        self._speed[v], self._std[v] = message.speed, math.sqrt(max(message.covariance[4], 0.0))
-        self._now[v] = (message.position_m, message.speed)
-        self.space.add(_seconds(message), message.position_m, message.speed)
+    def _on_state(self, raw: bytes) -> None:
+        time_s, v, position, speed, variance = wire.read_state(raw)
+        self._speed[v], self._std[v] = speed, math.sqrt(max(variance, 0.0))
+        self._now[v] = (position, speed)
+        self.space.add(time_s, position, speed)
 
-    def _on_innovation(self, message: Innovation) -> None:
-        time_s = _seconds(message)
+    def _on_innovation(self, raw: bytes) -> None:
+        time_s, v, innovation, variance, scored = wire.read_innovation(raw)
         if time_s < self._latest_s - 1.0:
             self._squares.clear()
         if time_s != self._latest_s:
             self._sum_up()
             self._latest_s = time_s
-        if message.scored:
-            self._squares.append((time_s, message.innovation_m**2))
-        v, std = message.vehicle, math.sqrt(max(message.innovation_var, 0.0))
-        self.driver[v].add(time_s, self._speed[v], self._std[v], message.innovation_m, std)
+        if scored:
+            self._squares.append((time_s, innovation**2))
+        self.driver[v].add(time_s, self._speed[v], self._std[v], innovation, math.sqrt(max(variance, 0.0)))
 
     def _sum_up(self) -> None:
         """The error up to the last sample, now that there is a newer one."""
@@ -154,10 +153,6 @@ class View(Node):
     def _on_verdict(self, message: Verdict) -> None:
         self.weights = dict(zip(message.model, message.weight, strict=True))
         self._strength = dict(zip(message.model, message.strength, strict=True))
-
-
-def _seconds(message: VehicleState | Innovation) -> float:
-    return float(message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec)
 
 
 def serve(

@@ -108,6 +108,18 @@ def innovation(stamp_ns: int, vehicle: int, estimate: Estimate) -> bytes:
     )
 
 
+def read_state(raw: bytes) -> tuple[float, int, float, float, float]:
+    """Time [s], vehicle, position [m], speed [m/s] and its variance of a VehicleState that an estimator has sent."""
+    _, sec, nanosec, _, _, vehicle, position, speed, _, *rest = _STATE.unpack_from(raw)
+    return sec + 1e-9 * nanosec, vehicle, position, speed, rest[4]
+
+
+def read_innovation(raw: bytes) -> tuple[float, int, float, float, bool]:
+    """Time [s], vehicle, innovation [m], its variance and whether it is scored, of an Innovation, as above."""
+    _, sec, nanosec, _, _, vehicle, value, variance, _, _, scored = _INNOVATION.unpack_from(raw)
+    return sec + 1e-9 * nanosec, vehicle, value, variance, scored
+
+
 def style_change(stamp_ns: int, vehicle: int, name: str, factor: float) -> bytes:
     """A StyleChange message."""
     message = StyleChange(vehicle=vehicle, name=name, factor=factor)

@@ -68,6 +68,8 @@ def test_states_are_written(stamp_ns: int) -> None:
     # Bytes between the fields are arbitrary, so the messages are compared, not the bytes.
     assert deserialize_message(raw, VehicleState) == expected
     assert wire.stamp_key(raw) == wire.stamp_key(serialize_message(expected))
+    e = estimate
+    assert wire.read_state(raw) == (pytest.approx(stamp_ns / wire.NS), 7, e.position_m, e.speed, e.covariance[1, 1])
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -80,6 +82,8 @@ def test_innovations_are_written(seed: int) -> None:
     raw = wire.innovation(5, -1, estimate)
     assert len(raw) == len(serialize_message(expected))
     assert deserialize_message(raw, Innovation) == expected
+    e = estimate
+    assert wire.read_innovation(raw) == (pytest.approx(5e-9), -1, e.innovation_m, e.innovation_var, e.scored)
 
 
 def test_a_chain_ends_where_there_is_no_leader_or_it_comes_back() -> None:
