@@ -44,13 +44,13 @@ class Errors:
         horizon alone may be luck, since a free run knows no noise, and a jam without noise is a delicate thing.
         """
         pairs = ((self.runs.coupled, other.runs.coupled), (self.runs.single, other.runs.single))
-        changes = np.array(
-            [
-                np.nanmean(np.square(ours[:, k]) - np.square(theirs[:, k]), axis=1) / rmse(theirs[:, k]) ** 2
-                for ours, theirs in pairs
-                for k in range(len(HORIZONS_S))
-            ]
-        ).mean(axis=0)
+        by_horizon = []
+        for ours, theirs in pairs:
+            for k in range(len(HORIZONS_S)):
+                change = np.square(ours[:, k]) - np.square(theirs[:, k])
+                known = np.maximum(np.isfinite(change).sum(axis=1), 1)
+                by_horizon.append(np.nansum(change, axis=1) / known / rmse(theirs[:, k]) ** 2)
+        changes = np.mean(by_horizon, axis=0)
         if len(changes) < 2:
             return True
         mean, se = float(np.mean(changes)), float(np.std(changes, ddof=1) / np.sqrt(len(changes)))

@@ -294,7 +294,9 @@ class Estimator(PacedNode):
         self._unknown = [name for name in filter_.adapted if name not in identified]
         known = [ENTRIES[k] in identified for k in shown]
         self.send(self._to_parameters, self._parameter_bytes.message(sample.stamp_ns, value, covariance, known))
-        if self._saved_ns is None or sample.stamp_ns - self._saved_ns >= _SAVED_EVERY_NS:
+        if self._saved_ns is None:
+            self._saved_ns = sample.stamp_ns
+        elif sample.stamp_ns - self._saved_ns >= _SAVED_EVERY_NS:
             self._saved_ns = sample.stamp_ns
             self._save()
 

@@ -79,6 +79,8 @@ class View(Node):
 
     def add(self, name: str) -> None:
         """Call every estimator's ~/add_effect, with the critic's strength or that at which a search would begin."""
+        if not self.vehicles:
+            return
         values = dict(effect(name).starts(self._recording())[0])
         first = effect(name).parameters[0].name
         if first in values and self._strength.get(name):

@@ -20,7 +20,7 @@ REPLAY, RECORDER, CRITIC = "/replay", "/recorder", "/critic"
 def namespaces(vehicles: Iterable[int]) -> list[str]:
     """Namespace of each vehicle, /vehicle_07; with as many digits as the largest number needs, at least two."""
     numbers = list(vehicles)
-    width = max(2, len(str(max(numbers))))
+    width = max(2, len(str(max(numbers, default=0))))
     return [f"/vehicle_{number:0{width}}" for number in numbers]
 
 

@@ -316,9 +316,7 @@ def before_and_after(diagnosis: Mapping[str, Any]) -> UIElement:
 def growth(diagnosis: Mapping[str, Any]) -> UIElement:
     """How the error of free runs grows with time, of every model."""
     plot = panel("Free runs: all cars (line), one car behind his measured leader (dashed)", "after [s]", "error [m]")
-    for (name, errors), colour in zip(
-        diagnosis["errors"].items(), (GREY, BLUE, VERMILION, ORANGE, GREEN), strict=False
-    ):
+    for (name, errors), colour in zip(diagnosis["errors"].items(), COLOURS, strict=False):
         for run, dash in (("free_run", "solid"), ("single_car", "dashed")):
             seconds, values = error_growth(errors, run)
             plot.line(seconds, values, color=colour, line_dash=dash, line_width=2, legend_label=name.replace("_", " "))

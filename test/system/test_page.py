@@ -17,6 +17,7 @@ from bokeh.util.token import generate_jwt_token
 
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.mcap_reader import Bag
+from sugiyama_ros.page.panels import growth
 from sugiyama_ros.page.recording import read_diagnosis, read_recording
 from sugiyama_ros.page.report import report, write_report
 
@@ -87,6 +88,12 @@ def test_no_page_asks_for_anything_from_elsewhere(page):
     assert not re.search(r"<(script|link|img)[^>]+(src|href)=[\"']?https?:", text)
     assert "reaction_delay (delay 0.05)" in text
     assert "drag: held-out gain 50 ± 9 nats; cannot be told apart from limited_power" in text
+
+
+def test_no_model_is_left_out_of_the_growth_of_errors():
+    names = ("before", "after", "idm", "idm_least_squares", "fvdm", "fvdm_least_squares", "constant_speed")
+    plot = growth({"errors": {name: DIAGNOSIS["errors"]["before"] for name in names}})
+    assert len(plot.renderers) == 2 * len(names)
 
 
 def test_figures_for_a_paper(recorded, page, tmp_path):
