@@ -38,12 +38,12 @@ _OWN_NOISE = 2
 
 
 @njit(cache=True)
-def _predict(jacobian: Array, shock_var: float, d_mean: Array, d_covariance: Array) -> None:
+def _predict(jacobian: Array, noise: Array, d_mean: Array, d_covariance: Array) -> None:
     """Sensitivities after F x and F P F' + Q; d Q / d log sigma_a is twice the variance of the shock."""
     for k in range(2):
         d_mean[k] = jacobian @ d_mean[k]
         d_covariance[k] = jacobian @ d_covariance[k] @ jacobian.T
-    d_covariance[_A, _OWN_NOISE, _OWN_NOISE] += 2.0 * shock_var
+    d_covariance[_A, _OWN_NOISE, _OWN_NOISE] += 2.0 * noise[_OWN_NOISE, _OWN_NOISE]
 
 
 @njit(cache=True)
@@ -98,9 +98,9 @@ class NoiseLearner:
         """The noises (2,) themselves."""
         return np.exp(self.mean)
 
-    def predict(self, jacobian: Array, shock_var: float) -> None:
-        """Go on by one period with the filter's F, and forget a little."""
-        _predict(jacobian, shock_var, self._d_mean, self._d_covariance)
+    def predict(self, jacobian: Array, noise: Array) -> None:
+        """Go on by one period with the filter's F and Q, and forget a little."""
+        _predict(jacobian, noise, self._d_mean, self._d_covariance)
         kept = self._memory
         self.mean = self._prior_mean + kept * (self.mean - self._prior_mean)
         self.covariance = kept**2 * self.covariance + (1.0 - kept**2) * self._prior_var

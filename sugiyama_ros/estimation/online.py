@@ -119,6 +119,7 @@ class OnlineFilter:
         self._room = room_for(ACTIONS)
         self._adaptation = adaptation
         self._places, _ = adaptation_of(parameters, adaptation).arrays
+        self._adapted = slice(STATE * vehicles, STATE * vehicles + len(self._places))
         self._learning = learning
         self._take(whole(parameters))
         self._measures = np.zeros((vehicles, STATE * vehicles + len(self._places)))
@@ -129,13 +130,9 @@ class OnlineFilter:
     def reset(self) -> None:
         """Forget all samples and everything learnt."""
         size = self._measures.shape[1]
-        adapted = slice(STATE * self.vehicles, size)
+        adapted = self._adapted
         self._rows = self._rows_at_start.copy()
-        self._behind = (
-            OnlineFilter(self.period_s, self.road, adaptation=Adaptation(), learning=None, vehicles=1)
-            if self._aft
-            else None
-        )
+        self._behind = self._follower() if self._aft else None
         self._known = np.zeros(self.vehicles, np.int64)
         self._identity: list[int] = [-1] * self.vehicles
         self._waited = [0] * self.vehicles
@@ -155,7 +152,7 @@ class OnlineFilter:
             prior_mean = np.log(self._rows_at_start[0, NOISES])
             self._noises = NoiseLearner(self._learning, prior_mean, self.period_s, size)
 
-        places = [STATE * self.vehicles + k for k in range(len(self._places))]
+        places = range(adapted.start, adapted.stop)
         self._alarm = StyleAlarm(places, size, self.period_s) if places else None
         self.change_of_style: tuple[str, float] | None = None
 
@@ -212,8 +209,7 @@ class OnlineFilter:
         """Covariance (WIDTH, WIDTH) of ``parameters``; zero for those that are not adapted."""
         covariance, parameters = np.zeros((WIDTH, WIDTH)), self.parameters
         places = [UTILITY[k] for k in self._places]
-        size = STATE * self.vehicles
-        covariance[np.ix_(places, places)] = self._filter.P[size:, size:]
+        covariance[np.ix_(places, places)] = self._filter.P[self._adapted, self._adapted]
         if self._noises is not None:
             covariance[np.ix_(NOISES, NOISES)] = self._noises.covariance
         return covariance * np.outer(parameters, parameters)
@@ -228,8 +224,7 @@ class OnlineFilter:
     @property
     def learnt(self) -> Learnt:
         """All that is known of the driver's parameters, to go on from."""
-        adapted = slice(STATE * self.vehicles, None)
-        parts = [(self._filter.x[adapted], self._filter.P[adapted, adapted])]
+        parts = [(self._filter.x[self._adapted], self._filter.P[self._adapted, self._adapted])]
         if self._noises is not None:
             parts.insert(0, (self._noises.mean - self._noise_shift, self._noises.covariance))
         means, covariances = zip(*parts, strict=True)
@@ -245,9 +240,8 @@ class OnlineFilter:
             self._rows[0, NOISES] = self._noises.values
         own = [places[NAMES[UTILITY[k]]] for k in self._places if NAMES[UTILITY[k]] in places]
         if len(own) == len(self._places):
-            adapted = slice(STATE * self.vehicles, None)
-            self._filter.x[adapted] = learnt.mean[own]
-            self._filter.P[adapted, adapted] = learnt.covariance[np.ix_(own, own)]
+            self._filter.x[self._adapted] = learnt.mean[own]
+            self._filter.P[self._adapted, self._adapted] = learnt.covariance[np.ix_(own, own)]
             self._rows[0, [UTILITY[k] for k in self._places]] = np.exp(learnt.mean[own])
 
     @property
@@ -276,11 +270,12 @@ class OnlineFilter:
         depend on it; behind: position, number and length of the vehicle behind, where ``looks_back``.
         """
         kalman = self._filter
+        self.change_of_style = None
         if self._started:
             kalman.Q = self._noise
             kalman.predict()
             if self._noises is not None:
-                self._noises.predict(kalman.F, float(self._noise[2, 2]))
+                self._noises.predict(kalman.F, self._noise)
             if self._alarm is not None:
                 self._alarm.predict(kalman.F)
         self._started = True
@@ -297,20 +292,23 @@ class OnlineFilter:
         known = self._known.tolist()
         sampled = [m for m in chain if identity[m] >= 0 and not math.isnan(position_m[m])]
         moving = [m for m in sampled if known[m] == MOVING]
+        innovations = {m: self._innovation(m, position_m[m]) for m in moving}
         innovation, variance, density = math.nan, math.nan, math.nan
-        if known[0] == MOVING:
-            innovation, variance = self._innovation(0, position_m[0])
-        if 0 in moving:
+        if 0 in innovations:
+            innovation, variance = innovations[0]
             density = self._learn(innovation, variance)
             if self._alarm is not None:
                 self._alarm.observe(innovation, variance)
-        believed = [m for m in moving if self._is_believed(m, *self._innovation(m, position_m[m]))]
+        elif known[0] == MOVING:
+            variance = self._innovation(0, math.nan)[1]
+        believed = [m for m in moving if self._is_believed(m, *innovations[m])]
         if self._measured_otherwise:
             for m in believed:
                 self._update_with_effects(position_m[m], m)
         elif believed:
             self._update(np.array([position_m[m] for m in believed]), np.array(believed))
-        self.change_of_style = self._check_style() if 0 in moving else None
+        if 0 in innovations:
+            self.change_of_style = self._check_style()
         for m in sampled:
             if known[m] != MOVING:
                 elapsed = self._waited[m] * self._scene.period_s
