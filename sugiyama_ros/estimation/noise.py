@@ -3,6 +3,8 @@
 A filter cannot hold them in its state, because they move no mean. They follow the likelihood instead: by recursive
 prediction error (Ljung and Soderstrom, Theory and Practice of Recursive Identification, 1983, section 3.8), with the
 exact sensitivities of the filter's mean and covariance, so that in the long run they end where the batch fit does.
+Whether a driver's noises change is for his samples to tell: two interacting models (Blom and Bar-Shalom, IEEE Trans.
+Automatic Control 33 (1988) 780), one with constant noises and one that forgets, are weighed by what they predict.
 """
 
 import math
@@ -22,10 +24,15 @@ NOISES = [SIGMA_NU, SIGMA_A]
 
 @dataclass(frozen=True)
 class Learning:
-    """How noises are learnt: prior std of their logarithms, and the time [s] in which they forget what was learnt."""
+    """How noises are learnt.
+
+    prior_std: of their logarithms; relaxations_s: of each interacting model, the time [s] in which it returns to the
+    prior; dwell_s: mean time [s] that a driver stays with one of them.
+    """
 
     prior_std: tuple[float, float] = (0.3, 0.7)
-    relaxation_s: float = 300.0
+    relaxations_s: tuple[float, ...] = (math.inf, 300.0)
+    dwell_s: float = 1000.0
 
 
 # Squared normalised innovation beyond which a sample teaches no more: a gross error is not the noise.
@@ -65,19 +72,64 @@ def _update(
 
 
 @njit(cache=True)
+def _mix(weight: Array, stay: float, mean: Array, covariance: Array) -> None:
+    """Interaction before a period: each model goes on from where a driver may have been who follows it now."""
+    models = len(weight)
+    if models == 1:
+        return
+    stays = np.full((models, models), (1.0 - stay) / (models - 1))
+    np.fill_diagonal(stays, stay)
+    came_from = stays * weight.reshape(-1, 1)
+    weight[:] = came_from.sum(axis=0)
+    was, spread = mean.copy(), covariance.copy()
+    for j in range(models):
+        mean[j], covariance[j] = _moments(came_from[:, j] / weight[j], was, spread)
+
+
+@njit(cache=True)
+def _moments(weight: Array, mean: Array, covariance: Array) -> tuple[Array, Array]:
+    """Mean (2,) and covariance (2, 2) of a mixture."""
+    centre, around = np.zeros(2), np.zeros((2, 2))
+    for k in range(len(weight)):
+        centre += weight[k] * mean[k]
+    for k in range(len(weight)):
+        off = mean[k] - centre
+        around += weight[k] * (covariance[k] + np.outer(off, off))
+    return centre, around
+
+
+@njit(cache=True)
 def _learn(
-    y: float, variance: float, noise_var: float, factor: float, d_mean: Array, d_covariance: Array
-) -> tuple[Array, Array]:
-    """Score (2,) of a sample's log-likelihood by the logarithms of the noises, and its expected information (2, 2)."""
-    scale = min(y * y / variance, _LARGEST)
-    score, slopes, shifts = np.empty(2), np.empty(2), np.empty(2)
+    y: float,
+    variance: float,
+    noise_var: float,
+    factor: float,
+    d_mean: Array,
+    d_covariance: Array,
+    weight: Array,
+    mean: Array,
+    covariance: Array,
+) -> None:
+    """What a sample of innovation y says to each model: by its score and expected information of the logarithms."""
+    slopes, shifts = np.empty(2), np.empty(2)
     for k in range(2):
         slopes[k] = factor * factor * d_covariance[k, 0, 0] + (2.0 * noise_var if k == _NU else 0.0)
         shifts[k] = -factor * d_mean[k, 0]
-        bounded = math.copysign(math.sqrt(scale * variance), y)
-        score[k] = -0.5 * slopes[k] / variance * (1.0 - scale) - bounded * shifts[k] / variance
-    information = 0.5 * np.outer(slopes, slopes) / variance**2 + np.outer(shifts, shifts) / variance
-    return score, information
+    centre, _ = _moments(weight, mean, covariance)
+    density = np.empty(len(weight))
+    for j in range(len(weight)):
+        off = mean[j] - centre
+        own_y = y + shifts @ off
+        own_var = variance * math.exp(slopes @ off / variance)
+        scale = min(own_y * own_y / own_var, _LARGEST)
+        density[j] = -0.5 * (math.log(own_var) + scale)
+        bounded = math.copysign(math.sqrt(scale * own_var), own_y)
+        score = -0.5 * slopes / variance * (1.0 - scale) - bounded / own_var * shifts
+        information = 0.5 * np.outer(slopes, slopes) / variance**2 + np.outer(shifts, shifts) / own_var
+        covariance[j] = np.linalg.inv(np.linalg.inv(covariance[j]) + information)
+        mean[j] += np.clip(covariance[j] @ score, -_STEP, _STEP)
+    weight *= np.exp(density - density.max())
+    weight /= weight.sum()
 
 
 class NoiseLearner:
@@ -88,10 +140,18 @@ class NoiseLearner:
 
     def __init__(self, learning: Learning, prior_mean: Array, period_s: float, size: int) -> None:
         self._prior_mean, self._prior_var = prior_mean, np.diag(np.square(learning.prior_std))
-        self._memory = math.exp(-period_s / learning.relaxation_s)
-        self.mean: Array = prior_mean.copy()
-        self.covariance: Array = self._prior_var.copy()
+        self._kept = np.exp(-period_s / np.array(learning.relaxations_s))
+        self._stay = math.exp(-period_s / learning.dwell_s)
         self._d_mean, self._d_covariance = np.zeros((2, size)), np.zeros((2, size, size))
+        models = len(self._kept)
+        self.weight: Array = np.full(models, 1.0 / models)
+        self.recall(prior_mean, self._prior_var)
+
+    def recall(self, mean: Array, covariance: Array) -> None:
+        """Go on from a mean (2,) of the logarithms and its covariance (2, 2)."""
+        self._means = np.tile(mean, (len(self._kept), 1))
+        self._covariances = np.tile(covariance, (len(self._kept), 1, 1))
+        self.mean, self.covariance = mean.copy(), covariance.copy()
 
     @property
     def values(self) -> Array:
@@ -101,15 +161,27 @@ class NoiseLearner:
     def predict(self, jacobian: Array, noise: Array) -> None:
         """Go on by one period with the filter's F and Q, and forget a little."""
         _predict(jacobian, noise, self._d_mean, self._d_covariance)
-        kept = self._memory
-        self.mean = self._prior_mean + kept * (self.mean - self._prior_mean)
-        self.covariance = kept**2 * self.covariance + (1.0 - kept**2) * self._prior_var
+        _mix(self.weight, self._stay, self._means, self._covariances)
+        kept = self._kept[:, None]
+        self._means = self._prior_mean + kept * (self._means - self._prior_mean)
+        kept = np.square(kept)[:, None]
+        self._covariances = kept * self._covariances + (1.0 - kept) * self._prior_var
+        self.mean, self.covariance = _moments(self.weight, self._means, self._covariances)
 
     def learn(self, y: float, variance: float, noise_var: float, factor: float) -> None:
         """Take in the driver's own innovation [m] and its variance, before the filter is updated with it."""
-        score, information = _learn(y, variance, noise_var, factor, self._d_mean, self._d_covariance)
-        self.covariance = np.asarray(np.linalg.inv(np.linalg.inv(self.covariance) + information), dtype=np.float64)
-        self.mean = self.mean + np.clip(self.covariance @ score, -_STEP, _STEP)
+        _learn(
+            y,
+            variance,
+            noise_var,
+            factor,
+            self._d_mean,
+            self._d_covariance,
+            self.weight,
+            self._means,
+            self._covariances,
+        )
+        self.mean, self.covariance = _moments(self.weight, self._means, self._covariances)
 
     def update(self, kalman: Any, measures: Array, own_noise_var: float) -> None:
         """After the filter's update; own_noise_var: of the first measured position, 0 if it is not the driver's."""

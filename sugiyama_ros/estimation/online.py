@@ -231,16 +231,16 @@ class OnlineFilter:
         return Learnt(self.adapted, np.concatenate(means), block_diag(*covariances))
 
     def recall(self, learnt: Learnt) -> None:
-        """Go on from what was learnt before, of those parameters that are adapted here; before the first sample."""
+        """Go on from what was learnt before, of those parameters that are adapted here."""
         places = {name: k for k, name in enumerate(learnt.names)}
         noises = [places[NAMES[k]] for k in NOISES if NAMES[k] in places]
         if self._noises is not None and len(noises) == len(NOISES):
-            self._noises.mean = learnt.mean[noises] + self._noise_shift
-            self._noises.covariance = learnt.covariance[np.ix_(noises, noises)]
+            self._noises.recall(learnt.mean[noises] + self._noise_shift, learnt.covariance[np.ix_(noises, noises)])
             self._rows[0, NOISES] = self._noises.values
         own = [places[NAMES[UTILITY[k]]] for k in self._places if NAMES[UTILITY[k]] in places]
         if len(own) == len(self._places):
-            self._filter.x[self._adapted] = learnt.mean[own]
+            self._filter.x[self._adapted] = self._filter.next_mean[self._adapted] = learnt.mean[own]
+            self._filter.P[self._adapted, :], self._filter.P[:, self._adapted] = 0.0, 0.0
             self._filter.P[self._adapted, self._adapted] = learnt.covariance[np.ix_(own, own)]
             self._rows[0, [UTILITY[k] for k in self._places]] = np.exp(learnt.mean[own])
 

@@ -19,9 +19,9 @@ from sugiyama_ros.effects.catalogue import ENTRIES, PLACES, active, effect, swit
 from sugiyama_ros.errors import InputError, SugiyamaError
 from sugiyama_ros.estimation.online import NOBODY, Estimate, OnlineFilter, warm_up
 from sugiyama_ros.nodes import wire
-from sugiyama_ros.nodes.learnt_file import file_of, read_learnt, write_learnt
+from sugiyama_ros.nodes.learnt_file import Kept, file_of, read_learnt, write_learnt
 from sugiyama_ros.nodes.node import ERROR, OK, WARN, Health, PacedNode
-from sugiyama_ros.nodes.qos import LATCHED, STREAM
+from sugiyama_ros.nodes.qos import DEPTH, LATCHED, STREAM
 from sugiyama_ros.nodes.spin import run_node
 from sugiyama_ros.road import Array, Road
 
@@ -70,7 +70,7 @@ class Estimator(PacedNode):
         resume = self._directory("resume", "directory with what an earlier run learnt, to go on from")
         kept = file_of(resume, self.vehicle) if resume is not None else None
         # of a vehicle that was not there before nothing is known
-        self._learnt = read_learnt(kept) if kept is not None and kept.exists() else None
+        self._kept = read_learnt(kept) if kept is not None and kept.exists() else None
         declare_driver(self, row)
         self.add_post_set_parameters_callback(lambda _: self._begin_anew())
         self._effects = row
@@ -183,7 +183,7 @@ class Estimator(PacedNode):
 
     def _begin_anew(self) -> None:
         """Forget what an earlier run has learnt, too."""
-        self._learnt = None
+        self._kept = None
         self._restart()
 
     def _restart(self) -> None:
@@ -193,8 +193,8 @@ class Estimator(PacedNode):
         row = self._effects.copy()
         row[: len(NAMES)] = [self.get_parameter(name).value for name in NAMES]
         self._filter = OnlineFilter(self._road.period_s, Road(self._road.circumference_m), row)
-        if self._learnt is not None:
-            self._filter.recall(self._learnt)
+        if self._kept is not None:
+            self._filter.recall(self._kept.learnt)
         self._show()
         self._forget()
 
@@ -260,7 +260,14 @@ class Estimator(PacedNode):
             self._count["skipped"] += 1
             before_s = time_s - skipped * filter_.period_s
             filter_.step([nan] * len(position), self._chain, length, before_s, (nan, self._behind, 0.0))
-        return filter_.step(position, self._chain, length, time_s, self._look_back(sample, filter_))
+        estimate = filter_.step(position, self._chain, length, time_s, self._look_back(sample, filter_))
+        if self._kept is not None and self._is_known(sample.stamp_ns, self._kept, filter_.period_s):
+            filter_.recall(self._kept.learnt)
+        return estimate
+
+    def _is_known(self, stamp_ns: int, kept: Kept, period_s: float) -> bool:
+        """Whether an earlier run has learnt from the sample: the road holds the last ones for those who come late."""
+        return kept.until_ns - DEPTH * period_s * wire.NS < stamp_ns <= kept.until_ns
 
     def _look_back(self, sample: wire.Sample, filter_: OnlineFilter) -> tuple[float, int, float]:
         """Position, number and length of the vehicle behind, where the effects need it."""
@@ -301,10 +308,10 @@ class Estimator(PacedNode):
             self._save()
 
     def _save(self) -> None:
-        if self._save_state is None or self._filter is None:
+        if self._save_state is None or self._filter is None or self._stamp_ns is None:
             return
         try:
-            write_learnt(file_of(self._save_state, self.vehicle), self._filter.learnt)
+            write_learnt(file_of(self._save_state, self.vehicle), Kept(self._filter.learnt, self._stamp_ns))
         except SugiyamaError as error:
             self.failure = error
 

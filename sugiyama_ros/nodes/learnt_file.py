@@ -1,6 +1,7 @@
 """What an estimator has learnt, kept in a file, so that one that is started later can go on from it."""
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,19 +11,33 @@ from sugiyama_ros.estimation.online import Learnt
 from sugiyama_ros.formats.writing import replacing
 
 
+@dataclass(frozen=True, eq=False)
+class Kept:
+    """What was learnt, and the stamp [ns] of the last sample it was learnt from."""
+
+    learnt: Learnt
+    until_ns: int
+
+
 def file_of(directory: Path, vehicle: int) -> Path:
     """Where a vehicle's estimator keeps what it has learnt."""
     return directory / f"vehicle_{vehicle:02}.json"
 
 
-def write_learnt(path: Path, learnt: Learnt) -> None:
+def write_learnt(path: Path, kept: Kept) -> None:
     """Keep it. Raises OutputError."""
-    document = {"names": learnt.names, "mean": learnt.mean.tolist(), "covariance": learnt.covariance.tolist()}
+    learnt = kept.learnt
+    document = {
+        "names": learnt.names,
+        "mean": learnt.mean.tolist(),
+        "covariance": learnt.covariance.tolist(),
+        "until_ns": kept.until_ns,
+    }
     with replacing(path) as stream:
         stream.write(json.dumps(document).encode())
 
 
-def read_learnt(path: Path) -> Learnt:
+def read_learnt(path: Path) -> Kept:
     """What ``write_learnt`` has kept. Raises InputError."""
     try:
         document = json.loads(path.read_text())
@@ -31,8 +46,9 @@ def read_learnt(path: Path) -> Learnt:
         if mean.shape != (len(names),) or covariance.shape != 2 * mean.shape or not np.isfinite(mean).all():
             raise ValueError
         np.linalg.cholesky(covariance)
+        until_ns = int(document["until_ns"])
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}; give a directory of --save-state") from None
     except (KeyError, TypeError, ValueError):
         raise InputError(f"{path}: is no state that an estimator has saved; give a directory of --save-state") from None
-    return Learnt(names, mean, covariance)
+    return Kept(Learnt(names, mean, covariance), until_ns)

@@ -19,7 +19,7 @@ from sugiyama_ros.estimation.online import Learnt, OnlineFilter
 from sugiyama_ros.formats import read_trajectories
 from sugiyama_ros.nodes import wire
 from sugiyama_ros.nodes.estimator import Estimator
-from sugiyama_ros.nodes.learnt_file import file_of, read_learnt, write_learnt
+from sugiyama_ros.nodes.learnt_file import Kept, file_of, read_learnt, write_learnt
 from sugiyama_ros.nodes.node import ERROR, OK, WARN
 from sugiyama_ros.nodes.qos import LATCHED, STREAM
 from sugiyama_ros.road import Road as RingRoad
@@ -251,7 +251,7 @@ def test_it_starts_from_the_nodes_parameters(stage) -> None:
 
 def test_what_was_learnt_is_forgotten_when_the_user_sets_a_parameter(stage, tmp_path: Path) -> None:
     learnt = Learnt(("sigma_nu", "sigma_a", "v_star", "kappa_v"), np.log([0.2, 0.5, 12.0, 0.3]), 0.01 * np.eye(4))
-    write_learnt(file_of(tmp_path, 7), learnt)
+    write_learnt(file_of(tmp_path, 7), Kept(learnt, -1))
     road = Road()
     estimator = Estimator(namespace="/vehicle_07", parameter_overrides=[Parameter("resume", value=str(tmp_path))])
     stage.add(road, estimator)
@@ -288,9 +288,11 @@ def test_a_node_that_was_killed_goes_on_where_it_was(stage, tmp_path: Path) -> N
     saved = read_learnt(file_of(tmp_path, 7))
     stage.kill(first)
     again = Estimator(namespace="/vehicle_07", parameter_overrides=[Parameter("resume", value=str(tmp_path))])
-    assert again._learnt.mean.tolist() == saved.mean.tolist()
+    assert again._kept.learnt.mean.tolist() == saved.learnt.mean.tolist()
+    assert saved.until_ns == 20 * wire.NS
     stage.add(again)
-    # the road is latched, and so are its last samples: those that come after it the node hears again
+    # the road is latched, and so are its last samples: those that come after it the node hears again, and learns from
+    # those that the one before had not kept
     stage.until(lambda: again.health().level == OK)
     drive(again, 60, 80)
     never = OnlineFilter(PERIOD_S, RingRoad(100.0))
