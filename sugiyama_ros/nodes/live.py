@@ -60,7 +60,8 @@ class View(Node):
         self._strength: dict[str, float] = {}
         self._speed: dict[int, float] = {}
         self._std: dict[int, float] = {}
-        self._squares: deque[tuple[float, float]] = deque(maxlen=100_000)
+        self._squares: deque[tuple[float, float, int]] = deque(maxlen=10_000)
+        self._sum, self._scored = 0.0, 0
         self._latest_s = -math.inf
         self.create_subscription(RoadMessage, "/road", self._on_road, LATCHED)
         self.create_subscription(MeasuredPositions, "/measured", self._on_measured, STREAM, raw=True)
@@ -137,20 +138,22 @@ class View(Node):
         time_s, v, innovation, variance, scored = wire.read_innovation(raw)
         if time_s < self._latest_s - 1.0:
             self._squares.clear()
-        if time_s != self._latest_s:
+        elif time_s != self._latest_s:
             self._sum_up()
-            self._latest_s = time_s
+        if time_s != self._latest_s:
+            self._latest_s, self._sum, self._scored = time_s, 0.0, 0
         if scored:
-            self._squares.append((time_s, innovation**2))
+            self._sum += innovation**2
+            self._scored += 1
         self.driver[v].add(time_s, self._speed[v], self._std[v], innovation, math.sqrt(max(variance, 0.0)))
 
     def _sum_up(self) -> None:
         """The error up to the last sample, now that there is a newer one."""
-        while self._squares and self._squares[0][0] < self._latest_s - MOVING_S:
+        self._squares.append((self._latest_s, self._sum, self._scored))
+        while self._squares[0][0] < self._latest_s - MOVING_S:
             self._squares.popleft()
-        if self._squares:
-            mean = sum(square for _, square in self._squares) / len(self._squares)
-            self.error.add(self._latest_s, math.sqrt(mean))
+        if scored := sum(n for _, _, n in self._squares):
+            self.error.add(self._latest_s, math.sqrt(sum(total for _, total, _ in self._squares) / scored))
 
     def _on_verdict(self, message: Verdict) -> None:
         self.weights = dict(zip(message.model, message.weight, strict=True))

@@ -25,7 +25,7 @@ from bokeh.palettes import Cividis256
 from sugiyama_ros.page.panels import BLUE, GREY, MOVING_S, ORANGE, VERMILION, from_above, panel
 from sugiyama_ros.road import Array, Road
 
-#: Time [s] between two updates of the road and the driver, and of what covers all time; samples kept of each vehicle.
+#: Time [s] between two updates of the road, and of what is drawn over time; samples kept of each vehicle.
 UPDATE_S, TELL_S, KEPT = 0.1, 0.5, 750
 _FASTEST = 12.0
 
@@ -162,7 +162,14 @@ class _Page:
         if not self._select.options:
             self._select.options = [f"vehicle {v}" for v in feed.vehicles]
             self._select.value = self._select.options[0]
-        if len(new := self._new(feed.driver[self._watched])):
+        if feed.now:
+            place, speed = np.array(list(feed.now.values())).T
+            x, y = from_above(feed.road, place)
+            self._road.data = {"x": x, "y": y, "speed": speed}
+
+    def _tell(self) -> None:
+        feed = self._feed
+        if self._watched in feed.driver and len(new := self._new(feed.driver[self._watched])):
             time, speed, std, innovation, spread = new
             self._driver.stream(
                 {
@@ -176,13 +183,6 @@ class _Page:
                 },
                 KEPT,
             )
-        if feed.now:
-            place, speed = np.array(list(feed.now.values())).T
-            x, y = from_above(feed.road, place)
-            self._road.data = {"x": x, "y": y, "speed": speed}
-
-    def _tell(self) -> None:
-        feed = self._feed
         if len(new := self._new(feed.space)):
             self._space.stream(dict(zip(("time", "place", "speed"), new, strict=True)), KEPT * len(feed.vehicles))
         if len(new := self._new(feed.error)):
