@@ -21,8 +21,8 @@ from sugiyama_ros.driver.utility import (
 )
 from sugiyama_ros.road import Array
 
-#: Moments that are taken together; what is kept of them stays in the processor's nearest memory.
-BLOCK = 64
+#: Moments that are taken together; what is kept of them stays in the processor's near memory.
+BLOCK = 128
 _V_STAR, _KAPPA_V, _KAPPA_1, _KAPPA_C, _KAPPA_D, _OMEGA_2, _RATIONALITY = range(len(UTILITY))
 # Weight of an action that cannot change a mean, relative to the best one's.
 _NO_CHANCE = 1e-20
@@ -36,7 +36,7 @@ def _closest(
     leader_speed: Array,
     driver: Preferences,
     period: float,
-    horizon: int,
+    ahead: tuple[int, ...],
     smallest: Array,
     scale: Array,
     tau: Array,
@@ -44,19 +44,17 @@ def _closest(
     """Gap [m], scale [m] and period of the look-ahead where their ratio is smallest, (K, B) each; section 3.2.2."""
     for k in range(len(actions)):
         for t in range(len(gap)):
-            smallest[k, t], scale[k, t] = gap_and_scale(
-                actions[k], 1, gap[t], speed[t], leader_speed[t], driver, period
-            )
-            tau[k, t] = 1.0
-        for ahead in range(2, horizon + 1):
-            for t in range(len(gap)):
-                gap_ahead, scale_ahead = gap_and_scale(
-                    actions[k], ahead, gap[t], speed[t], leader_speed[t], driver, period
+            near, wide = gap_and_scale(actions[k], 1, gap[t], speed[t], leader_speed[t], driver, period)
+            when = 1.0
+            for i in range(1, len(ahead)):
+                near_then, wide_then = gap_and_scale(
+                    actions[k], ahead[i], gap[t], speed[t], leader_speed[t], driver, period
                 )
-                closer = gap_ahead * scale[k, t] < smallest[k, t] * scale_ahead
-                smallest[k, t] = gap_ahead if closer else smallest[k, t]
-                scale[k, t] = scale_ahead if closer else scale[k, t]
-                tau[k, t] = float(ahead) if closer else tau[k, t]
+                closer = near_then * wide < near * wide_then
+                near = near_then if closer else near
+                wide = wide_then if closer else wide
+                when = float(ahead[i]) if closer else when
+            smallest[k, t], scale[k, t], tau[k, t] = near, wide, when
 
 
 @njit(cache=True, error_model="numpy")
@@ -74,7 +72,7 @@ def _add_up(
 ) -> None:
     """Eq. EffectiveUtilityTilde: phi1's first term, phi2, the utility, (K, B) each, and the best action's, (B,).
 
-    ratio: (K, B), comes as the gap and leaves as the gap over the scale.
+    ratio, scale: (K, B), come as the gap and the scale, and leave as the gap over the scale and the scale's reciprocal.
     """
     v_star, _, kappa_1, _, _, omega_2, _ = driver
     slowest = np.min(speed)
@@ -82,7 +80,9 @@ def _add_up(
     for k in range(len(actions)):
         for t in range(len(speed)):
             reward[k, t] = forward_reward(speed[t] + period * actions[k], v_star, kappa_1)
-            ratio[k, t] /= scale[k, t]
+        for t in range(len(speed)):
+            scale[k, t] = 1.0 / scale[k, t]
+            ratio[k, t] *= scale[k, t]
             risk[k, t] = collision_penalty(ratio[k, t])
             utility[k, t] = reward[k, t] + omega_2 * risk[k, t]
         if slowest + period * actions[k] < FORWARD:
@@ -116,38 +116,58 @@ def _add_partials(
     v_star: float,
     period: float,
     ratio: Array,
-    scale: Array,
+    per_metre: Array,
     tau: Array,
     reward: Array,
     risk: Array,
     utility: Array,
     weight: Array,
     mean: Array,
+    wanted: Array,
     out: Array,
 ) -> None:
-    """Covariances of actions and utilities' derivatives into ``out`` (7, B), but for the factors of ``_factors``."""
+    """Covariances of actions and utilities' derivatives into ``out`` (7, B), but for the factors of ``_factors``.
+
+    A loop of its own for each parameter that is wanted (7,): the others stay 0.
+    """
     out[:] = 0.0
+    off_mean = np.empty(len(speed))
     for k in range(len(actions)):
         mattering = 0
         for t in range(len(speed)):
+            off_mean[t] = weight[k, t] * (actions[k] - mean[t])
             mattering += weight[k, t] > _NO_CHANCE
         if mattering == 0:
             continue
-        for t in range(len(speed)):
-            off_mean = weight[k, t] * (actions[k] - mean[t])
-            next_speed = speed[t] + period * actions[k]
-            by_off = off_mean * (next_speed - v_star) * reward[k, t]
-            inside = ratio[k, t] if ratio[k, t] > 0.0 else 0.0
-            by_scale = off_mean * inside * (inside + 1.0) * risk[k, t] / scale[k, t]
-            speed_ahead = speed[t] + tau[k, t] * period * actions[k]
-            closing = speed_ahead - leader_speed[t]
-            out[_V_STAR, t] += by_off * next_speed
-            out[_KAPPA_1, t] += by_off * (next_speed - v_star)
-            out[_OMEGA_2, t] += off_mean * risk[k, t]
-            out[_KAPPA_C, t] += by_scale
-            out[_KAPPA_V, t] += by_scale * abs(speed_ahead)
-            out[_KAPPA_D, t] += by_scale * (closing if closing > 0.0 else 0.0)
-            out[_RATIONALITY, t] += off_mean * utility[k, t]
+        step = period * actions[k]
+        if wanted[_V_STAR]:
+            for t in range(len(speed)):
+                next_speed = speed[t] + step
+                out[_V_STAR, t] += off_mean[t] * (next_speed - v_star) * reward[k, t] * next_speed
+        if wanted[_KAPPA_1]:
+            for t in range(len(speed)):
+                short = speed[t] + step - v_star
+                out[_KAPPA_1, t] += off_mean[t] * short * short * reward[k, t]
+        if wanted[_OMEGA_2]:
+            for t in range(len(speed)):
+                out[_OMEGA_2, t] += off_mean[t] * risk[k, t]
+        if wanted[_RATIONALITY]:
+            for t in range(len(speed)):
+                out[_RATIONALITY, t] += off_mean[t] * utility[k, t]
+        if wanted[_KAPPA_C] or wanted[_KAPPA_V] or wanted[_KAPPA_D]:
+            for t in range(len(speed)):
+                inside = ratio[k, t] if ratio[k, t] > 0.0 else 0.0
+                off_mean[t] *= inside * (inside + 1.0) * risk[k, t] * per_metre[k, t]
+        if wanted[_KAPPA_C]:
+            for t in range(len(speed)):
+                out[_KAPPA_C, t] += off_mean[t]
+        if wanted[_KAPPA_V]:
+            for t in range(len(speed)):
+                out[_KAPPA_V, t] += off_mean[t] * abs(speed[t] + tau[k, t] * step)
+        if wanted[_KAPPA_D]:
+            for t in range(len(speed)):
+                closing = speed[t] + tau[k, t] * step - leader_speed[t]
+                out[_KAPPA_D, t] += off_mean[t] * (closing if closing > 0.0 else 0.0)
 
 
 @njit(cache=True)
@@ -171,33 +191,36 @@ def mean_actions(
     parameters: Array,
     actions: Array,
     period: float,
-    horizon: int,
+    periods_ahead: tuple[int, ...],
+    wanted: Array,
     mean: Array,
     partials: Array,
 ) -> None:
-    """Mean actions [m/s^2] into ``mean`` (T,), and their derivatives by the utility's parameters into (7, T).
+    """Mean actions [m/s^2] into ``mean`` (T,), and their derivatives by the utility's parameters into (T, 7).
 
-    gap [m] (infinite without a leader), speed, leader_speed: (T,); parameters: (P,) at this period; actions: (K,).
+    gap [m] (infinite without a leader), speed, leader_speed: (T,); parameters: (P,) at this period; actions: (K,);
+    periods_ahead: those of the look-ahead, 1 to h, as a tuple, so that compilers unroll its loop; wanted: (7,), whether
+    a derivative is asked for, the others are 0.
     The derivative of a Boltzmann mean is a covariance: d mean(a) = lambda cov(a, d utility).
     """
     driver, shape = preferences(parameters), (len(actions), BLOCK)
     v_star, rationality, factors = driver[0], driver[-1], _factors(driver)
     smallest, scale, tau, reward = np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape)
     risk, utility, weight = np.empty(shape), np.empty(shape), np.empty(shape)
-    own, ahead, near = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
+    own, leader, near = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
     best, partition, average, sums = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty((len(UTILITY), BLOCK))
     for first in range(0, len(gap), BLOCK):
         taken = min(BLOCK, len(gap) - first)
         for t in range(BLOCK):
             # the last block is filled up with its last moment
             at = first + min(t, taken - 1)
-            near[t], own[t], ahead[t] = min(gap[at], FAR), speed[at], leader_speed[at]
-        _closest(actions, near, own, ahead, driver, period, horizon, smallest, scale, tau)
+            near[t], own[t], leader[t] = min(gap[at], FAR), speed[at], leader_speed[at]
+        _closest(actions, near, own, leader, driver, period, periods_ahead, smallest, scale, tau)
         _add_up(actions, own, driver, period, smallest, scale, reward, risk, utility, best)
         _weigh(actions, utility, best, rationality, weight, partition, average)
         kept = (smallest, scale, tau, reward, risk, utility, weight)
-        _add_partials(actions, own, ahead, v_star, period, *kept, average, sums)
+        _add_partials(actions, own, leader, v_star, period, *kept, average, wanted, sums)
         for t in range(taken):
             mean[first + t] = average[t]
             for j in range(len(UTILITY)):
-                partials[j, first + t] = factors[j] * sums[j, t] / partition[t]
+                partials[first + t, j] = factors[j] * sums[j, t] / partition[t]

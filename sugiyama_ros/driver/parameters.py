@@ -4,6 +4,7 @@ The optimiser, the ROS parameter descriptors, the YAML files, the command line a
 A driver's parameters are a float64 vector of shape (P,), many drivers' an array of shape (N, P), in this order.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -113,23 +114,25 @@ def at_period(parameters: Array, period_s: float) -> Array:
     """
     scaled = parameters.copy()
     rho = parameters[..., RHO]
-    scaled[..., RHO] = rho ** (REFERENCE_HORIZON / horizon_at(period_s))
-    scaled[..., SIGMA_A] *= np.sqrt((1.0 - scaled[..., RHO] ** 2) / (1.0 - rho**2))
-    for k in (SIGMA_X, SIGMA_V):
-        scaled[..., k] *= np.sqrt(period_s / REFERENCE_PERIOD_S)
+    rho_scaled = rho ** (REFERENCE_HORIZON / horizon_at(period_s))
+    scaled[..., RHO] = rho_scaled
+    scaled[..., SIGMA_A] *= np.sqrt((1.0 - rho_scaled * rho_scaled) / (1.0 - rho * rho))
+    scaled[..., [SIGMA_X, SIGMA_V]] *= math.sqrt(period_s / REFERENCE_PERIOD_S)
     return scaled
 
 
-def jacobian_at_reference(parameters: Array, period_s: float) -> Array:
-    """Derivatives (P, P) of ``at_period(parameters, period_s)`` by ``parameters`` (P,): column by row."""
-    rho, ratio = parameters[RHO], REFERENCE_HORIZON / horizon_at(period_s)
-    scaled = at_period(parameters, period_s)
+def jacobian_at_reference(parameters: Array, scaled: Array, period_s: float) -> Array:
+    """Derivatives (P, P) of ``scaled``, which is ``at_period(parameters, period_s)``, by ``parameters`` (P,).
+
+    Column by row.
+    """
+    rho, sigma_a, there = float(parameters[RHO]), float(parameters[SIGMA_A]), float(scaled[RHO])
+    ratio = REFERENCE_HORIZON / horizon_at(period_s)
     rho_slope = ratio * rho ** (ratio - 1.0)
-    shrink = scaled[SIGMA_A] / parameters[SIGMA_A]
-    shrink_slope = shrink * (rho / (1.0 - rho**2) - scaled[RHO] * rho_slope / (1.0 - scaled[RHO] ** 2))
+    shrink = float(scaled[SIGMA_A]) / sigma_a
     jacobian = np.eye(COUNT)
-    jacobian[RHO, RHO], jacobian[RHO, SIGMA_A] = rho_slope, parameters[SIGMA_A] * shrink_slope
+    jacobian[RHO, RHO] = rho_slope
+    jacobian[RHO, SIGMA_A] = sigma_a * shrink * (rho / (1.0 - rho * rho) - there * rho_slope / (1.0 - there * there))
     jacobian[SIGMA_A, SIGMA_A] = shrink
-    for k in (SIGMA_X, SIGMA_V):
-        jacobian[k, k] = np.sqrt(period_s / REFERENCE_PERIOD_S)
+    jacobian[SIGMA_X, SIGMA_X] = jacobian[SIGMA_V, SIGMA_V] = math.sqrt(period_s / REFERENCE_PERIOD_S)
     return jacobian

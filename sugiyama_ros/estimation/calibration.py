@@ -222,7 +222,7 @@ class _Job:
 
     def score(self, parameters: Array, information: Array | None, central: bool = False) -> Scored:
         if self.perceived is not None:
-            return paper.score(self.perceived, parameters)
+            return paper.score(self.perceived, parameters, self.places)
         assert self.chain is not None
         return causal_score(self.chain, self.ahead, self.places, parameters, information, central)
 

@@ -5,6 +5,7 @@ to t + 3, so this likelihood is not causal; it is kept because it is the paper's
 """
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,6 +38,9 @@ _START_VAR = 1.0
 # Change from one sample to the next below which covariances count as being at rest.
 _AT_REST = 1e-15
 _NOISES = (SIGMA_NU, SIGMA_A, RHO, SIGMA_X, SIGMA_V)
+# Parameters as the derivatives have them, and the place of rho there.
+_ORDER = (*UTILITY, *_NOISES)
+_BY_RHO = _ORDER.index(RHO)
 
 
 def phi(rho: float, period_s: float) -> Array:
@@ -135,6 +139,59 @@ def _predict(covariance: Array, period: float, rho: float, out: Array) -> None:
 
 
 @njit(cache=True, nogil=True)
+def _gains(parameters: Array, period: float, gain: Array, variance: Array, d_gain: Array, d_variance: Array) -> int:
+    """Gain (T', 3) and variance of the innovation (T',), and their derivatives by the noises (T', 5, 3), (T', 5).
+
+    They depend on no data, and come to rest. Returns the number of samples until then; the rest is not filled.
+    """
+    noises = len(_NOISES)
+    rho, noise_var = parameters[RHO], parameters[SIGMA_NU] ** 2
+    covariance, ahead = np.diag(np.full(3, _START_VAR)), np.diag(np.full(3, _START_VAR))
+    d_covariance, d_ahead = np.zeros((noises, 3, 3)), np.zeros((noises, 3, 3))
+    for t in range(len(variance)):
+        if t > 0:
+            _predict(covariance, period, rho, ahead)
+            ahead[0, 0] += parameters[SIGMA_X] ** 2
+            ahead[1, 1] += parameters[SIGMA_V] ** 2
+            ahead[2, 2] += parameters[SIGMA_A] ** 2
+            for k in range(noises):
+                _predict(d_covariance[k], period, rho, d_ahead[k])
+            # d (Phi P Phi') / d rho
+            for k in range(2):
+                by_rho = covariance[k, 2] + period * covariance[k + 1, 2]
+                d_ahead[2, k, 2] += by_rho
+                d_ahead[2, 2, k] += by_rho
+            d_ahead[2, 2, 2] += 2.0 * rho * covariance[2, 2]
+            d_ahead[1, 2, 2] += 2.0 * parameters[SIGMA_A]
+            d_ahead[3, 0, 0] += 2.0 * parameters[SIGMA_X]
+            d_ahead[4, 1, 1] += 2.0 * parameters[SIGMA_V]
+        s = ahead[0, 0] + noise_var
+        moved = abs(s - variance[t - 1]) if t > 0 else np.inf
+        variance[t] = s
+        for i in range(3):
+            gain[t, i] = ahead[i, 0] / s
+        for k in range(noises):
+            d_s = d_ahead[k, 0, 0] + (2.0 * parameters[SIGMA_NU] if k == 0 else 0.0)
+            d_variance[t, k] = d_s
+            for i in range(3):
+                d_gain[t, k, i] = (d_ahead[k, i, 0] - gain[t, i] * d_s) / s
+        for i in range(3):
+            for j in range(3):
+                both = gain[t, i] * gain[t, j]
+                after = ahead[i, j] - both * s
+                moved = max(moved, abs(after - covariance[i, j]))
+                covariance[i, j] = after
+                for k in range(noises):
+                    by_gains = (d_gain[t, k, i] * gain[t, j] + gain[t, i] * d_gain[t, k, j]) * s
+                    d_after = d_ahead[k, i, j] - (by_gains + both * d_variance[t, k])
+                    moved = max(moved, abs(d_after - d_covariance[k, i, j]))
+                    d_covariance[k, i, j] = d_after
+        if moved < _AT_REST:
+            return t + 1
+    return len(variance)
+
+
+@njit(cache=True, nogil=True)
 def run(
     action: Array,
     partials: Array,
@@ -150,103 +207,98 @@ def run(
 ) -> float:
     """Kalman filter of one driver with the mean action as control; returns Eq. SSM_Likelihood.
 
-    action: (T',) [m/s^2], and its derivatives by the utility's parameters, partials (7, T'); measured: (T',) [m];
+    action: (T',) [m/s^2], and its derivatives by the utility's parameters, partials (T', 7); measured: (T',) [m];
     first_speed [m/s]: perceived with the first sample; parameters: (P,) at this period. Filled: innovation [m] and its
     variance (T',), the state after the update, means (T', 3) if there is room, the derivatives of the log-likelihood,
     gradient (P,), and its expected information (P, P).
     """
-    noises = len(_NOISES)
-    rho, noise_var = parameters[RHO], parameters[SIGMA_NU] ** 2
-    mean, gain = np.zeros(3), np.zeros(3)
-    covariance, ahead = np.diag(np.full(3, _START_VAR)), np.zeros((3, 3))
-    # derivatives of the mean, (3, P), and of the covariance and the gain to the noises
-    d_mean = np.zeros((3, COUNT))
-    d_covariance, d_ahead, d_gain = np.zeros((noises, 3, 3)), np.zeros((noises, 3, 3)), np.zeros((noises, 3))
-    d_variance = np.zeros(noises)
-    variance, log_variance, log_likelihood = 0.0, 0.0, 0.0
-    # the covariance depends on no data: once it has come to rest it is left alone
-    at_rest = False
-    gradient[:] = 0.0
-    information[:, :] = 0.0
-    for t in range(len(measured)):
-        if t == 0:
-            mean[0], mean[1] = measured[0], first_speed
-            ahead[:, :] = covariance
-        else:
+    samples, noises, rho = len(measured), len(_NOISES), parameters[RHO]
+    gain, d_gain, d_variance = np.empty((samples, 3)), np.empty((samples, noises, 3)), np.empty((samples, noises))
+    moving = _gains(parameters, period, gain, innovation_var, d_gain, d_variance)
+    innovation_var[moving:] = innovation_var[moving - 1]
+    x, v, a = measured[0], first_speed, 0.0
+    # derivatives of the mean by the parameters, first the utility's, then the noises; those of x at every sample
+    slopes, d_v, d_a = np.zeros((samples, COUNT)), np.zeros(COUNT), np.zeros(COUNT)
+    d_x = np.zeros(COUNT)
+    for t in range(samples):
+        now = min(t, moving - 1)
+        if t > 0:
             for j in range(COUNT):
-                d_mean[0, j] += period * d_mean[1, j]
-                d_mean[1, j] += period * d_mean[2, j]
-                d_mean[2, j] *= rho
-            for k in range(len(UTILITY)):
-                d_mean[2, UTILITY[k]] += partials[k, t] - rho * partials[k, t - 1]
-            d_mean[2, RHO] += mean[2] - action[t - 1]
-            mean[0] += period * mean[1]
-            mean[1] += period * mean[2]
-            mean[2] = rho * mean[2] + action[t] - rho * action[t - 1]
-        if not at_rest:
-            before = variance
-            if t > 0:
-                _predict(covariance, period, rho, ahead)
-                ahead[0, 0] += parameters[SIGMA_X] ** 2
-                ahead[1, 1] += parameters[SIGMA_V] ** 2
-                ahead[2, 2] += parameters[SIGMA_A] ** 2
-                for k in range(noises):
-                    _predict(d_covariance[k], period, rho, d_ahead[k])
-                # d (Phi P Phi') / d rho
-                for k in range(2):
-                    by_rho = covariance[k, 2] + period * covariance[k + 1, 2]
-                    d_ahead[2, k, 2] += by_rho
-                    d_ahead[2, 2, k] += by_rho
-                d_ahead[2, 2, 2] += 2.0 * rho * covariance[2, 2]
-                d_ahead[1, 2, 2] += 2.0 * parameters[SIGMA_A]
-                d_ahead[3, 0, 0] += 2.0 * parameters[SIGMA_X]
-                d_ahead[4, 1, 1] += 2.0 * parameters[SIGMA_V]
-            variance = ahead[0, 0] + noise_var
-            log_variance = math.log(variance)
-            for i in range(3):
-                gain[i] = ahead[i, 0] / variance
-            for k in range(noises):
-                d_variance[k] = d_ahead[k, 0, 0] + (2.0 * parameters[SIGMA_NU] if k == 0 else 0.0)
-                for i in range(3):
-                    d_gain[k, i] = (d_ahead[k, i, 0] - gain[i] * d_variance[k]) / variance
-            moved = abs(variance - before)
-            for i in range(3):
-                for j in range(3):
-                    after = ahead[i, j] - gain[i] * gain[j] * variance
-                    moved = max(moved, abs(after - covariance[i, j]))
-                    covariance[i, j] = after
-                    for k in range(noises):
-                        d_after = d_ahead[k, i, j] - (
-                            d_gain[k, i] * gain[j] * variance
-                            + gain[i] * d_gain[k, j] * variance
-                            + gain[i] * gain[j] * d_variance[k]
-                        )
-                        moved = max(moved, abs(d_after - d_covariance[k, i, j]))
-                        d_covariance[k, i, j] = d_after
-            at_rest = moved < _AT_REST
-        y = measured[t] - mean[0]
-        innovation[t], innovation_var[t] = y, variance
-        if t >= UNSCORED:
-            log_likelihood -= 0.5 * (log_variance + y * y / variance)
-            for i in range(COUNT):
-                relative = d_mean[0, i] / variance
-                gradient[i] += relative * y
-                for j in range(COUNT):
-                    information[i, j] += relative * d_mean[0, j]
-            for k in range(noises):
-                gradient[_NOISES[k]] -= 0.5 * d_variance[k] / variance * (1.0 - y * y / variance)
-                for i in range(noises):
-                    information[_NOISES[i], _NOISES[k]] += 0.5 * d_variance[i] * d_variance[k] / variance**2
-        for i in range(2, -1, -1):
-            for j in range(COUNT):
-                d_mean[i, j] -= gain[i] * d_mean[0, j]
-        for i in range(3):
-            mean[i] += gain[i] * y
-            for k in range(noises):
-                d_mean[i, _NOISES[k]] += d_gain[k, i] * y
+                d_x[j] += period * d_v[j]
+                d_v[j] += period * d_a[j]
+                d_a[j] *= rho
+            for j in range(len(UTILITY)):
+                d_a[j] += partials[t, j] - rho * partials[t - 1, j]
+            d_a[_BY_RHO] += a - action[t - 1]
+            x, v, a = x + period * v, v + period * a, rho * a + action[t] - rho * action[t - 1]
+        y = measured[t] - x
+        innovation[t] = y
+        by_x, by_v, by_a = gain[now, 0], gain[now, 1], gain[now, 2]
+        for j in range(COUNT):
+            slope = d_x[j]
+            slopes[t, j] = slope
+            d_x[j] = slope - by_x * slope
+            d_v[j] -= by_v * slope
+            d_a[j] -= by_a * slope
+        for k in range(noises):
+            d_x[len(UTILITY) + k] += d_gain[now, k, 0] * y
+            d_v[len(UTILITY) + k] += d_gain[now, k, 1] * y
+            d_a[len(UTILITY) + k] += d_gain[now, k, 2] * y
+        x, v, a = x + by_x * y, v + by_v * y, a + by_a * y
         if len(means) > 0:
-            means[t] = mean
-    return log_likelihood
+            means[t, 0], means[t, 1], means[t, 2] = x, v, a
+    return _sum_up(innovation, innovation_var, slopes, d_variance, moving, gradient, information)
+
+
+@njit(cache=True)
+def _sum_up(
+    innovation: Array,
+    variance: Array,
+    slopes: Array,
+    d_variance: Array,
+    moving: int,
+    gradient: Array,
+    information: Array,
+) -> float:
+    """Eq. SSM_Likelihood, its derivatives and their expected products, from those of innovation and variance.
+
+    slopes: (T', P) of the predicted position; d_variance: (moving, 5), the last one for all later samples.
+    """
+    y, s, by = innovation[UNSCORED:], variance[UNSCORED:], slopes[UNSCORED:]
+    relative = by * (1.0 / s).reshape(-1, 1)
+    slope_sum, curvature = y @ relative, by.T @ relative
+    total = 0.0
+    by_variance = np.zeros(len(_NOISES))
+    noise_curvature = np.zeros((len(_NOISES), len(_NOISES)))
+    at_rest, rest = 0.0, 0
+    for t in range(UNSCORED, len(innovation)):
+        nis = innovation[t] * innovation[t] / variance[t]
+        if t < moving:
+            total -= 0.5 * (math.log(variance[t]) + nis)
+            _add_variance(d_variance[t], variance[t], 1.0 - nis, 1.0, by_variance, noise_curvature)
+        else:
+            at_rest += nis
+            rest += 1
+    if rest:
+        total -= 0.5 * (rest * math.log(variance[-1]) + at_rest)
+        _add_variance(d_variance[moving - 1], variance[-1], rest - at_rest, float(rest), by_variance, noise_curvature)
+    for i in range(COUNT):
+        gradient[_ORDER[i]] = slope_sum[i]
+        for j in range(COUNT):
+            information[_ORDER[i], _ORDER[j]] = curvature[i, j]
+    for i in range(len(_NOISES)):
+        gradient[_NOISES[i]] -= by_variance[i]
+        for j in range(len(_NOISES)):
+            information[_NOISES[i], _NOISES[j]] += noise_curvature[i, j]
+    return total
+
+
+@njit(cache=True)
+def _add_variance(d_variance: Array, s: float, less: float, samples: float, gradient: Array, curvature: Array) -> None:
+    for i in range(len(_NOISES)):
+        gradient[i] += 0.5 * d_variance[i] / s * less
+        for j in range(len(_NOISES)):
+            curvature[i, j] += 0.5 * samples * d_variance[i] * d_variance[j] / s**2
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,12 +315,17 @@ class Scored:
     scatter: Array | None = None
 
 
-def score(perceived: Perceived, parameters: Array) -> Scored:
-    """Eq. SSM_Likelihood of one driver's parameters (P,), with what a search for its maximum asks for."""
+def score(perceived: Perceived, parameters: Array, places: Collection[int] = range(COUNT)) -> Scored:
+    """Eq. SSM_Likelihood of one driver's parameters (P,), with what a search for its maximum asks for.
+
+    places: of the parameters that are searched for; of the utility's others the derivatives are 0.
+    """
     samples, scaled = len(perceived.measured_m), at_period(parameters, perceived.period_s)
-    action, partials = np.empty(samples), np.empty((len(UTILITY), samples))
+    wanted = np.array([k in places for k in UTILITY])
+    action, partials = np.empty(samples), np.empty((samples, len(UTILITY)))
     seen = (perceived.gap_m, perceived.speed, perceived.leader_speed)
-    mean_actions(*seen, scaled, ACTIONS, perceived.period_s, horizon_at(perceived.period_s), action, partials)
+    ahead = tuple(range(1, 1 + horizon_at(perceived.period_s)))
+    mean_actions(*seen, scaled, ACTIONS, perceived.period_s, ahead, wanted, action, partials)
     gradient, information = np.empty(COUNT), np.empty((COUNT, COUNT))
     value = run(
         action,
@@ -283,7 +340,7 @@ def score(perceived: Perceived, parameters: Array) -> Scored:
         gradient,
         information,
     )
-    jacobian = jacobian_at_reference(parameters, perceived.period_s)
+    jacobian = jacobian_at_reference(parameters, scaled, perceived.period_s)
     return Scored(float(value), jacobian @ gradient, jacobian @ information @ jacobian.T)
 
 

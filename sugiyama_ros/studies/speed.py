@@ -116,7 +116,7 @@ def main() -> None:
     chain = causal.chain_behind(t, 3)
     found: dict[str, float] = {
         "floor_s": floor(perceived),
-        "likelihood_with_gradient_s": best_of(50, lambda: paper.score(perceived, p)),
+        "likelihood_with_gradient_s": best_of(50, lambda: paper.score(perceived, p, _PLACES)),
         "causal_likelihood_s": best_of(20, lambda: causal.log_likelihood(chain, p)),
         "plain_likelihood_s": best_of(3, lambda: plain_likelihood(perceived, p)),
     }

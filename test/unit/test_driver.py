@@ -126,14 +126,15 @@ def test_without_a_leader_only_the_desired_speed_counts():
     value, partials = at_moments([(np.inf, 5.0, 0.0)], p)
     assert value[0] == pytest.approx(mean_action(np.inf, 5.0, 0.0, p, ACTIONS, DT, H), abs=1e-12)
     assert np.all(np.isfinite(partials))
-    assert partials[UTILITY.index(KAPPA_V), 0] == pytest.approx(0.0, abs=1e-100)
+    assert partials[0, UTILITY.index(KAPPA_V)] == pytest.approx(0.0, abs=1e-100)
 
 
-def at_moments(seen, p):
-    """Mean actions at several moments, and their derivatives."""
+def at_moments(seen, p, wanted=UTILITY):
+    """Mean actions at several moments, and their derivatives by the parameters wanted."""
     gap, speed, leader_speed = np.array(seen, dtype=float).T.copy()
-    mean, partials = np.empty(len(seen)), np.empty((len(UTILITY), len(seen)))
-    mean_actions(gap, speed, leader_speed, p, ACTIONS, DT, H, mean, partials)
+    mean, partials = np.empty(len(seen)), np.empty((len(seen), len(UTILITY)))
+    ahead, by = tuple(range(1, 1 + H)), np.array([k in wanted for k in UTILITY])
+    mean_actions(gap, speed, leader_speed, p, ACTIONS, DT, ahead, by, mean, partials)
     return mean, partials
 
 
@@ -144,6 +145,17 @@ def test_many_moments_are_as_many_single_ones():
     p = defaults()
     mean, _ = at_moments(seen, p)
     assert mean == pytest.approx([mean_action(*s, p, ACTIONS, DT, H) for s in seen], abs=1e-12)
+
+
+def test_each_derivative_is_the_same_whichever_others_are_wanted():
+    seen, p = [(2.0, 3.0, 1.0), (10.0, 8.0, 9.0), (0.5, 6.0, 2.0)], defaults()
+    mean, partials = at_moments(seen, p)
+    for j, k in enumerate(UTILITY):
+        alone_mean, alone = at_moments(seen, p, [k])
+        assert np.array_equal(alone_mean, mean)
+        assert np.array_equal(alone[:, j], partials[:, j])
+        assert alone.any()
+        assert not np.delete(alone, j, axis=1).any()
 
 
 @settings(deadline=None, max_examples=200)
@@ -165,7 +177,7 @@ def test_derivatives_equal_finite_differences(s, factors):
         central = (8 * (moved(j, e) - moved(j, -e)) - (moved(j, 2 * e) - moved(j, -2 * e))) / (12 * e)
         # |v|, max(closing, 0) and the period of the smallest ratio have kinks; beside one the sides disagree
         if abs(one_sided[0] - one_sided[1]) < 1e-3 * (1 + abs(central)):
-            assert partials[j, 0] == pytest.approx(central, rel=1e-6, abs=1e-6)
+            assert partials[0, j] == pytest.approx(central, rel=1e-6, abs=1e-6)
 
 
 def test_parameters_are_declared_once_and_in_bounds():
@@ -201,7 +213,7 @@ def test_other_periods_rescale_as_in_the_paper():
 def test_gradient_is_pulled_back_to_the_reference_period():
     p, period = population(), 0.1
     weights = np.arange(1.0, COUNT + 1)
-    gradient = jacobian_at_reference(p, period) @ weights
+    gradient = jacobian_at_reference(p, at_period(p, period), period) @ weights
     for k in range(COUNT):
         e = 1e-6 * max(abs(p[k]), 1e-2)
         low, high = p.copy(), p.copy()

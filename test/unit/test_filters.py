@@ -101,7 +101,7 @@ def test_the_papers_filter_is_the_dense_posterior(jam):
     y, s, means = np.empty(kept), np.empty(kept), np.empty((kept, 3))
     value = paper.run(
         action,
-        np.zeros((len(UTILITY), kept)),
+        np.zeros((kept, len(UTILITY))),
         z,
         perceived.speed[0],
         p,
