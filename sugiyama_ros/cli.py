@@ -220,6 +220,9 @@ def calibrate(
         bool,
         typer.Option("--regularise", help="causal: drivers are draws of one population; paper: its own penalty."),
     ] = False,
+    profile: Annotated[
+        bool, typer.Option("--profile", help="Intervals from the profile likelihood, without --effects; takes longer.")
+    ] = False,
     scheduler: Annotated[
         str | None, typer.Option("--scheduler", help="Dask scheduler, as tcp://host:8786, whose workers do the work.")
     ] = None,
@@ -239,11 +242,14 @@ def calibrate(
     names, added = _names(parameters), _names(effects)
     if added and formulation == "paper":
         raise InputError("--effects: the paper's formulation knows none; use --formulation causal")
+    pooled = bool(added) or (regularise and formulation == "causal")
+    if profile and pooled:
+        raise InputError("--profile: is of one driver by himself; leave --effects and --regularise out")
     trajectories = read_trajectories(source, ring)
     began = time.monotonic()
     with _progress("calibrating") as advance, workers(len(trajectories.vehicle), scheduler) as work:
         kept = output.with_name(output.name + ".fits") if output is not None else None
-        if added or (regularise and formulation == "causal"):
+        if pooled:
             found = all_together(trajectories, names, added, work)
         else:
             found = each_for_himself(
@@ -251,6 +257,7 @@ def calibrate(
                 "paper" if formulation == "paper" else "causal",
                 names,
                 is_regularised=regularise,
+                profiled=profile,
                 work=work,
                 kept=kept,
                 on_progress=advance or (lambda done, total: None),
@@ -266,10 +273,17 @@ def calibrate(
             **{name: float(row[k]) for name, k in zip(names, places, strict=True)},
             "log_likelihood": float(value),
             "std": std,
+            "interval": {name: interval[k].tolist() for name, k in zip(names, places, strict=True)},
             "identified": identified,
         }
-        for vehicle, row, value, std, identified in zip(
-            trajectories.vehicle, found.rows, found.log_likelihood, found.std, found.identified, strict=True
+        for vehicle, row, value, std, interval, identified in zip(
+            trajectories.vehicle,
+            found.rows,
+            found.log_likelihood,
+            found.std,
+            found.interval,
+            found.identified,
+            strict=True,
         )
     ]
     together = _effects_of(found.rows, found.shared_std)
@@ -287,9 +301,8 @@ def calibrate(
     for heading in ("vehicle", *names, "log-likelihood"):
         table.add_column(heading, justify="right")
     for d in drivers:
-        cells = [
-            f"{d[n]:.3f} ± {d['std'][n]:.3f}" if d["identified"][n] else f"{d[n]:.3g} (not identified)" for n in names
-        ]
+        spread = {n: "{:.3f} to {:.3f}".format(*d["interval"][n]) if profile else f"± {d['std'][n]:.3f}" for n in names}
+        cells = [f"{d[n]:.3f} {spread[n] if d['identified'][n] else '(not identified)'}" for n in names]
         table.add_row(str(d["vehicle"]), *cells, f"{d['log_likelihood']:.1f}")
     mean = found.rows[:, places].mean(axis=0)
     table.add_row("mean", *(f"{m:.3f}" for m in mean), f"{document['log_likelihood']:.1f}")

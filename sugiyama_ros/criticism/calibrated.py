@@ -13,10 +13,11 @@ from sugiyama_ros.criticism.candidates import named
 from sugiyama_ros.criticism.fitting import fit_base, prepare
 from sugiyama_ros.criticism.model_file import stds_of, write_drivers
 from sugiyama_ros.criticism.screening import with_candidate
-from sugiyama_ros.driver.parameters import index
+from sugiyama_ros.driver.parameters import NAMES, index
 from sugiyama_ros.effects.catalogue import ENTRIES, whole
 from sugiyama_ros.estimation.calibration import Fit, Formulation, calibrate
 from sugiyama_ros.estimation.checkpoint import Checkpoint
+from sugiyama_ros.estimation.intervals import quadratic
 from sugiyama_ros.road import Array
 from sugiyama_ros.trajectories import Trajectories
 
@@ -28,13 +29,15 @@ OnProgress = Callable[[int, int], None]
 class Calibrated:
     """Drivers with their parameters: rows (N, WIDTH), std and identified of each by name, log-likelihood (N,).
 
-    shared_std: of what all drivers have in common.
+    interval: (N, P, 2), ends of the 95 % intervals of the base model's parameters; shared_std: of what all drivers have
+    in common.
     """
 
     trajectories: Trajectories
     rows: Array
     std: tuple[dict[str, float], ...]
     identified: tuple[dict[str, bool], ...]
+    interval: Array
     log_likelihood: Array
     shared_std: Mapping[str, float]
 
@@ -50,13 +53,15 @@ def each_for_himself(
     estimated: Sequence[str],
     *,
     is_regularised: bool = False,
+    profiled: bool = False,
     work: Executor | None = None,
     kept: Path | None = None,
     on_progress: OnProgress = lambda done, total: None,
 ) -> Calibrated:
     """Calibrate the drivers one by one; the causal formulation twice, then with the drivers ahead as they were found.
 
-    kept: file in which the fits are kept until all is done, so that a calibration that was cut off can go on.
+    profiled: whether intervals come from the profile likelihood; kept: file in which the fits are kept until all is
+    done, so that a calibration that was cut off can go on.
     """
     passes = 1 if formulation == "paper" else 2
     total = passes * len(trajectories.vehicle)
@@ -70,12 +75,20 @@ def each_for_himself(
                 "formulation": formulation,
                 "estimated": list(estimated),
                 "regularised": is_regularised,
+                "profiled": profiled,
             }
             resume = stack.enter_context(Checkpoint(kept, about)).resume
         for number in range(passes):
             starts = {v: fit.parameters for v, fit in found.items()}
             one_pass = partial(
-                calibrate, trajectories, formulation, estimated, is_regularised=is_regularised, starts=starts, work=work
+                calibrate,
+                trajectories,
+                formulation,
+                estimated,
+                is_regularised=is_regularised,
+                profiled=profiled and number == passes - 1,
+                starts=starts,
+                work=work,
             )
             latest: dict[int, Fit] = {}
             for fit in resume(f"pass {number + 1}", one_pass) if resume else one_pass():
@@ -88,6 +101,7 @@ def each_for_himself(
         whole(np.array([fit.parameters for fit in fits])),
         tuple({name: float(fit.std[index(name)]) for name in estimated} for fit in fits),
         tuple({name: fit.identified(name) for name in estimated} for fit in fits),
+        np.array([fit.interval for fit in fits]),
         np.array([fit.log_likelihood for fit in fits]),
         {},
     )
@@ -118,6 +132,14 @@ def all_together(
         fitted.model.rows,
         tuple(own),
         tuple({n: bool(k) for n, k in zip(names, one, strict=True)} for one in known),
+        np.array(
+            [quadratic(row[: len(NAMES)], _in_places(std)) for row, std in zip(fitted.model.rows, own, strict=True)]
+        ),
         np.nansum(fitted.samples.log_likelihood, axis=1),
         shared,
     )
+
+
+def _in_places(std: Mapping[str, float]) -> Array:
+    """Standard deviations (P,) from those by name; 0 for what was given."""
+    return np.array([std.get(name, 0.0) for name in NAMES])

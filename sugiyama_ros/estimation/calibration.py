@@ -25,6 +25,7 @@ from sugiyama_ros.driver.parameters import (
     population,
 )
 from sugiyama_ros.estimation import causal, paper
+from sugiyama_ros.estimation.intervals import end_of_profile, quadratic
 from sugiyama_ros.estimation.paper import Scored
 from sugiyama_ros.road import Array, Ints
 from sugiyama_ros.trajectories import Trajectories
@@ -62,7 +63,8 @@ class Fit:
 
     parameters: (P,) with the estimated ones replaced; log_likelihood: there, no 2 pi term nor regularisation; std:
     (P,), from the expected information, 0 for what was given and infinite for what lies on a bound; at_bound: names of
-    the estimated ones that do, so which the data do not hold.
+    the estimated ones that do, so which the data do not hold; interval: (P, 2), ends of the 95 % intervals, 0 or
+    infinite where the data set none.
     """
 
     vehicle: int
@@ -70,6 +72,7 @@ class Fit:
     log_likelihood: float
     std: Array
     at_bound: tuple[str, ...]
+    interval: Array
 
     def identified(self, name: str) -> bool:
         """Whether the data hold a parameter: it lies on no bound, and is known to half of its value."""
@@ -136,9 +139,8 @@ def fit_driver(
     std[places] = np.inf
     if len(inside):
         std[inside] = _stds(here if careful is None else careful(parameters, here.information), inside)
-    return Fit(
-        vehicle, parameters, here.log_likelihood, std, tuple(NAMES[k] for k, b in zip(places, bound, strict=True) if b)
-    )
+    at_bound = tuple(NAMES[k] for k, b in zip(places, bound, strict=True) if b)
+    return Fit(vehicle, parameters, here.log_likelihood, std, at_bound, quadratic(parameters, std))
 
 
 def _stds(scored: Scored, places: Ints) -> Array:
@@ -216,6 +218,7 @@ class _Job:
     places: Ints
     upper: Array
     is_regularised: bool
+    profiled: bool
     perceived: paper.Perceived | None = None
     chain: causal.Chain | None = None
     ahead: Array | None = None
@@ -239,9 +242,38 @@ class _Job:
 def _carry_out(job: _Job) -> Fit:
     search = (job.objective, job.vehicle, job.start, job.places, job.upper)
     found = fit_driver(*search) if job.perceived is not None else fit_driver(*search, _ENOUGH_CAUSAL, job.careful)
+    if job.profiled:
+        found = replace(found, interval=_profile(job, found))
     if job.is_regularised:
         found = replace(found, log_likelihood=job.score(found.parameters, None).log_likelihood)
     return found
+
+
+def _profile(job: _Job, found: Fit) -> Array:
+    """Ends (P, 2) of the intervals of those parameters that were searched for, from the profile of their likelihood."""
+    interval = found.interval.copy()
+    for k in job.places.tolist():
+        bounds = np.abs([PARAMETERS[k].lower, PARAMETERS[k].upper, job.upper[k]])
+        value = abs(float(found.parameters[k]))
+        furthest = np.log([value / max(bounds.min(), _SMALLEST), bounds[1:].min() / value])
+        for side, sign in enumerate((-1.0, 1.0)):
+            guess = float(found.std[k]) / value
+            distance = end_of_profile(_fall(job, found, k, sign), guess, max(0.0, float(furthest[side])))
+            interval[k, side] = found.parameters[k] * np.exp(sign * distance)
+    return np.sort(interval, axis=-1)
+
+
+def _fall(job: _Job, found: Fit, place: int, sign: float) -> Callable[[float], float]:
+    """Square root of twice the profile's fall, at a distance from what was found in the logarithm of a parameter."""
+    held, last = replace(job, places=job.places[job.places != place]), found.parameters.copy()
+
+    def fall(distance: float) -> float:
+        last[place] = found.parameters[place] * np.exp(sign * distance)
+        there = fit_driver(held.objective, held.vehicle, last, held.places, held.upper, _ENOUGH_CAUSAL)
+        last[:] = there.parameters
+        return float(np.sqrt(2.0 * max(0.0, found.log_likelihood - there.log_likelihood)))
+
+    return fall
 
 
 def upper_bounds(trajectories: Trajectories) -> Array:
@@ -258,6 +290,7 @@ def calibrate(
     estimated: Sequence[str] = ESTIMATED,
     *,
     is_regularised: bool = False,
+    profiled: bool = False,
     starts: Mapping[int, Array] | None = None,
     skip: Collection[int] = (),
     work: Executor | None = None,
@@ -265,9 +298,9 @@ def calibrate(
     """Fit every driver for himself, and yield the fits in the order of the vehicles.
 
     starts: parameters (P,) by vehicle, from which the search begins, and which the drivers ahead are taken to have;
-    without them it begins at the paper's mean with a larger acceleration noise. skip: vehicles to leave out; work: what
-    carries the searches out, in turn if nothing does. Raises InputError for an unknown parameter, or data that the
-    formulation cannot take.
+    without them it begins at the paper's mean with a larger acceleration noise. profiled: whether intervals come from
+    the profile likelihood; skip: vehicles to leave out; work: what carries the searches out, in turn if nothing does.
+    Raises InputError for an unknown parameter, or data that the formulation cannot take.
     """
     places = np.array([index(name) for name in estimated])
     upper = upper_bounds(trajectories)
@@ -277,7 +310,7 @@ def calibrate(
 
     def job(driver: int) -> _Job:
         vehicle = int(trajectories.vehicle[driver])
-        one = _Job(vehicle, known.get(vehicle, begin), places, upper, is_regularised)
+        one = _Job(vehicle, known.get(vehicle, begin), places, upper, is_regularised, profiled)
         if formulation == "paper":
             return replace(one, perceived=paper.perceive(trajectories, driver))
         chain = causal.chain_behind(trajectories, driver)

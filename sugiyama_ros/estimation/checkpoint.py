@@ -69,8 +69,8 @@ class Checkpoint:
 
     def _write(self, name: str, fit: Fit) -> None:
         assert self._stream is not None
-        std = [None if np.isinf(s) else s for s in fit.std.tolist()]
-        line = [name, fit.vehicle, fit.parameters.tolist(), fit.log_likelihood, std, fit.at_bound]
+        line = [name, fit.vehicle, fit.parameters.tolist(), fit.log_likelihood, fit.std.tolist(), fit.at_bound]
+        line.append(fit.interval.tolist())
         try:
             self._stream.write(json.dumps(line) + "\n")
             self._stream.flush()
@@ -79,6 +79,5 @@ class Checkpoint:
 
 
 def _fit_of(line: bytes) -> tuple[str, Fit]:
-    name, vehicle, parameters, log_likelihood, std, at_bound = json.loads(line)
-    stds = np.array([np.inf if s is None else s for s in std])
-    return name, Fit(vehicle, np.array(parameters), log_likelihood, stds, tuple(at_bound))
+    name, vehicle, parameters, log_likelihood, std, at_bound, interval = json.loads(line)
+    return name, Fit(vehicle, np.array(parameters), log_likelihood, np.array(std), tuple(at_bound), np.array(interval))

@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
 from sugiyama_ros.criticism.calibrated import all_together, each_for_himself
 from sugiyama_ros.criticism.model_file import read_model
@@ -13,6 +14,7 @@ from sugiyama_ros.driver.parameters import KAPPA_V, NAMES, SIGMA_A, SIGMA_NU, V_
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.estimation import calibration, paper
 from sugiyama_ros.estimation.calibration import ESTIMATED, calibrate, regularised
+from sugiyama_ros.estimation.intervals import end_of_profile
 from sugiyama_ros.estimation.workers import workers
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation import Simulator, platoon, simulate
@@ -147,3 +149,33 @@ def test_a_dask_cluster_gives_the_same_also_when_a_worker_dies(jam):
     alone = list(calibrate(jam, "causal"))
     assert [fit.vehicle for fit in spread] == list(range(22))
     assert np.array_equal([fit.parameters for fit in spread], [fit.parameters for fit in alone])
+
+
+@pytest.mark.parametrize("shape", [lambda x: x / 0.1, lambda x: 3.0 * np.sqrt(x), lambda x: 40.0 * x * x])
+def test_an_interval_ends_where_the_profile_has_fallen_by_half_of_1_96_squared(shape):
+    end = end_of_profile(shape, 0.1, 5.0)
+    assert shape(end) == pytest.approx(1.96, abs=0.06)
+    assert end_of_profile(lambda x: min(shape(x), 1.9), 0.1, 5.0) == np.inf
+
+
+def test_profile_intervals_are_those_of_another_search(jam):
+    """The paper's likelihood, maximised over the others by scipy at the ends of the intervals."""
+    fit = next(calibrate(jam, "paper", profiled=True))
+    perceived = paper.perceive(jam, 0)
+    assert np.all(fit.interval[PLACES, 0] < fit.parameters[PLACES])
+    assert np.all(fit.interval[PLACES, 1] > fit.parameters[PLACES])
+    below, above = np.abs(np.log(fit.interval[V_STAR] / fit.parameters[V_STAR]))
+    assert above > 1.1 * below
+    for k in PLACES:
+        others = [j for j in PLACES if j != k]
+        for end in fit.interval[k]:
+            row = fit.parameters.copy()
+            row[k] = end
+
+            def lost(x, row=row, others=others):
+                row[others] = np.exp(x)
+                value, gradient = paper.log_likelihood(perceived, row)
+                return -value, -gradient[others] * row[others]
+
+            found = minimize(lost, np.log(fit.parameters[others]), jac=True, method="L-BFGS-B")
+            assert 2.0 * (fit.log_likelihood + found.fun) == pytest.approx(1.96**2, abs=0.3)
