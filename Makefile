@@ -32,7 +32,7 @@ demo: $(DONE)/package
 test: $(DONE)/package $(DONE)/tools
 	@.venv/bin/python -m pytest
 
-bench: $(DONE)/package
+bench: $(DONE)/package $(DONE)/tools
 	@.venv/bin/python -m sugiyama_ros.studies.speed --many 10000
 
 lint: $(DONE)/package $(DONE)/tools

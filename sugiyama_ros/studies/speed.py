@@ -3,7 +3,8 @@
     python -m sugiyama_ros.studies.speed [--many 10000]
 
 The paper's recipe is a Kalman filter of filterpy in a Python loop, with the mean action by numpy, under scipy's
-L-BFGS-B with difference quotients; basinhopping repeats that a hundred times, which is extrapolated.
+L-BFGS-B with difference quotients; basinhopping repeats that a hundred times, which is extrapolated. Another user would
+take statsmodels' compiled filter and its own search, with the same matrices.
 """
 
 import argparse
@@ -16,6 +17,7 @@ from typing import Any
 import numpy as np
 from filterpy.kalman import KalmanFilter
 from scipy.optimize import minimize
+from statsmodels.tsa.statespace.mlemodel import MLEModel
 
 from sugiyama_ros.criticism.calibrated import each_for_himself
 from sugiyama_ros.driver.parameters import NAMES, SIGMA_A, defaults
@@ -30,6 +32,13 @@ from sugiyama_ros.studies.rings import Ring, alike, run
 _HOPS = 100
 _DURATION_S, _MANY_DURATION_S, _CARS_IN_A_ROW = 250.0, 60.0, 22
 _PLACES = [NAMES.index(name) for name in ESTIMATED]
+
+
+def _start() -> Array:
+    """Parameters (P,) from which the searches begin."""
+    start = defaults()
+    start[SIGMA_A] = 1.0
+    return start
 
 
 def best_of(times: int, function: Callable[[], Any]) -> float:
@@ -84,8 +93,7 @@ def plain_likelihood(perceived: paper.Perceived, p: Array) -> float:
 
 def plain_fit(perceived: paper.Perceived) -> float:
     """One local search of the paper's recipe; its log-likelihood."""
-    start = defaults()
-    start[SIGMA_A] = 1.0
+    start = _start()
 
     def negative(logarithms: Array) -> float:
         p = start.copy()
@@ -93,6 +101,36 @@ def plain_fit(perceived: paper.Perceived) -> float:
         return -plain_likelihood(perceived, p)
 
     return -float(minimize(negative, np.log(start[_PLACES]), method="L-BFGS-B").fun)
+
+
+class OfStatsmodels(MLEModel):  # type: ignore[misc]
+    """The same model by statsmodels, with the logarithms of the estimated parameters."""
+
+    def __init__(self, perceived: paper.Perceived) -> None:
+        start = np.array([perceived.measured_m[0], perceived.speed[0], 0.0])
+        super().__init__(perceived.measured_m, k_states=3, loglikelihood_burn=paper.UNSCORED)
+        self._perceived = perceived
+        self.ssm.initialize_known(start, np.eye(3))
+        self["design"], self["selection"] = paper.A, np.eye(3)
+        self["state_intercept"] = np.zeros((3, len(perceived.measured_m)))
+
+    @property
+    def start_params(self) -> Array:
+        return np.asarray(np.log(_start()[_PLACES]))
+
+    def update(self, params: Array, **kwargs: Any) -> None:
+        params = super().update(params, **kwargs)
+        p = defaults()
+        p[_PLACES] = np.exp(params)
+        q = dict(zip(NAMES, p, strict=True))
+        self["transition"] = paper.phi(q["rho"], self._perceived.period_s)
+        self["state_cov"], self["obs_cov"] = paper.omega(p), np.array([[q["sigma_nu"] ** 2]])
+        action = plain_actions(self._perceived, p)
+        self["state_intercept", 2, :-1] = action[1:] - q["rho"] * action[:-1]
+
+    def without_2_pi(self, log_likelihood: float) -> float:
+        """Eq. SSM_Likelihood, from what statsmodels calls the log-likelihood."""
+        return log_likelihood + 0.5 * (len(self._perceived.measured_m) - paper.UNSCORED) * float(np.log(2.0 * np.pi))
 
 
 def floor(perceived: paper.Perceived) -> float:
@@ -130,7 +168,16 @@ def main() -> None:
     found["plain_fit_s"] = time.perf_counter() - began
     ours = next(fit for fit in calibrate(t, "paper") if fit.vehicle == 3)
     found["log_likelihood_ours_minus_plain"] = ours.log_likelihood - local
+    other = OfStatsmodels(perceived)
+    difference = other.without_2_pi(other.loglike(other.start_params)) - plain_likelihood(perceived, _start())
+    assert abs(difference) < 1e-6, difference
+    found["statsmodels_likelihood_s"] = best_of(3, lambda: other.loglike(other.start_params))
+    began = time.perf_counter()
+    searched = other.fit(method="lbfgs", optim_complex_step=False, cov_type="none", disp=False)
+    found["statsmodels_fit_s"] = time.perf_counter() - began
+    found["log_likelihood_ours_minus_statsmodels"] = ours.log_likelihood - other.without_2_pi(searched.llf)
     cars = len(t.vehicle)
+    found["times_faster_than_a_local_fit_of_statsmodels"] = cars * found["statsmodels_fit_s"] / found["fit_22_paper_s"]
     found["likelihood_over_floor"] = found["likelihood_with_gradient_s"] / found["floor_s"]
     found["times_faster_than_a_local_plain_fit"] = cars * found["plain_fit_s"] / found["fit_22_paper_s"]
     found["times_faster_than_basinhopping"] = _HOPS * found["times_faster_than_a_local_plain_fit"]
