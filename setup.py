@@ -48,7 +48,7 @@ setup(
         "pyyaml>=6",
         "rich>=13",
         "rosbags>=0.10",
-        "scipy>=1.11",
+        "scipy>=1.15",
         "typer>=0.9",
         "zstandard>=0.22",
     ],

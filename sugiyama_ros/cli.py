@@ -223,6 +223,11 @@ def calibrate(
     profile: Annotated[
         bool, typer.Option("--profile", help="Intervals from the profile likelihood, without --effects; takes longer.")
     ] = False,
+    hops: Annotated[
+        int,
+        typer.Option("--hops", min=0, help="Hops of basinhopping before the search, without --effects; paper: 100."),
+    ] = 0,
+    seed: Seed = 0,
     scheduler: Annotated[
         str | None, typer.Option("--scheduler", help="Dask scheduler, as tcp://host:8786, whose workers do the work.")
     ] = None,
@@ -243,8 +248,8 @@ def calibrate(
     if added and formulation == "paper":
         raise InputError("--effects: the paper's formulation knows none; use --formulation causal")
     pooled = bool(added) or (regularise and formulation == "causal")
-    if profile and pooled:
-        raise InputError("--profile: is of one driver by himself; leave --effects and --regularise out")
+    if (profile or hops) and pooled:
+        raise InputError("--profile and --hops: are of one driver by himself; leave --effects and --regularise out")
     trajectories = read_trajectories(source, ring)
     began = time.monotonic()
     with _progress("calibrating") as advance, workers(len(trajectories.vehicle), scheduler) as work:
@@ -258,6 +263,8 @@ def calibrate(
                 names,
                 is_regularised=regularise,
                 profiled=profile,
+                hops=hops,
+                seed=seed,
                 work=work,
                 kept=kept,
                 on_progress=advance or (lambda done, total: None),

@@ -54,14 +54,16 @@ def each_for_himself(
     *,
     is_regularised: bool = False,
     profiled: bool = False,
+    hops: int = 0,
+    seed: int = 0,
     work: Executor | None = None,
     kept: Path | None = None,
     on_progress: OnProgress = lambda done, total: None,
 ) -> Calibrated:
     """Calibrate the drivers one by one; the causal formulation twice, then with the drivers ahead as they were found.
 
-    profiled: whether intervals come from the profile likelihood; kept: file in which the fits are kept until all is
-    done, so that a calibration that was cut off can go on.
+    profiled: whether intervals come from the profile likelihood; hops: of basinhopping before the search; kept: file in
+    which the fits are kept until all is done, so that a calibration that was cut off can go on.
     """
     passes = 1 if formulation == "paper" else 2
     total = passes * len(trajectories.vehicle)
@@ -76,6 +78,7 @@ def each_for_himself(
                 "estimated": list(estimated),
                 "regularised": is_regularised,
                 "profiled": profiled,
+                "hops": [hops, seed],
             }
             resume = stack.enter_context(Checkpoint(kept, about)).resume
         for number in range(passes):
@@ -87,6 +90,8 @@ def each_for_himself(
                 estimated,
                 is_regularised=is_regularised,
                 profiled=profiled and number == passes - 1,
+                hops=hops,
+                seed=seed,
                 starts=starts,
                 work=work,
             )

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from scipy.optimize import basinhopping
 
 from sugiyama_ros.driver.parameters import (
     COUNT,
@@ -93,12 +94,7 @@ def fit_driver(
 
     careful: a better score, from which the errors are taken at the maximum.
     """
-    sign = np.sign(start[places])
-    low, high = (np.array([getattr(PARAMETERS[k], side) for k in places]) for side in ("lower", "upper"))
-    high = np.minimum(high, upper[places])
-    # of negative parameters the logarithm of the size is searched
-    smallest = np.log(np.maximum(np.where(sign > 0.0, low, -high), _SMALLEST))
-    largest = np.log(np.maximum(np.where(sign > 0.0, high, -low), _SMALLEST))
+    sign, smallest, largest = _bounds(start, places, upper)
 
     def at(x: Array, information: Array | None) -> tuple[Scored, Array, Array]:
         parameters = start.copy()
@@ -141,6 +137,16 @@ def fit_driver(
         std[inside] = _stds(here if careful is None else careful(parameters, here.information), inside)
     at_bound = tuple(NAMES[k] for k, b in zip(places, bound, strict=True) if b)
     return Fit(vehicle, parameters, here.log_likelihood, std, at_bound, quadratic(parameters, std))
+
+
+def _bounds(start: Array, places: Ints, upper: Array) -> tuple[Array, Array, Array]:
+    """Signs, and smallest and largest logarithms of the sizes, of the parameters at ``places``."""
+    sign = np.sign(start[places])
+    low, high = (np.array([getattr(PARAMETERS[k], side) for k in places]) for side in ("lower", "upper"))
+    high = np.minimum(high, upper[places])
+    smallest = np.log(np.maximum(np.where(sign > 0.0, low, -high), _SMALLEST))
+    largest = np.log(np.maximum(np.where(sign > 0.0, high, -low), _SMALLEST))
+    return sign, smallest, largest
 
 
 def _stds(scored: Scored, places: Ints) -> Array:
@@ -219,6 +225,8 @@ class _Job:
     upper: Array
     is_regularised: bool
     profiled: bool
+    hops: int
+    seed: int
     perceived: paper.Perceived | None = None
     chain: causal.Chain | None = None
     ahead: Array | None = None
@@ -240,6 +248,8 @@ class _Job:
 
 
 def _carry_out(job: _Job) -> Fit:
+    if job.hops:
+        job = replace(job, start=_hop(job))
     search = (job.objective, job.vehicle, job.start, job.places, job.upper)
     found = fit_driver(*search) if job.perceived is not None else fit_driver(*search, _ENOUGH_CAUSAL, job.careful)
     if job.profiled:
@@ -247,6 +257,28 @@ def _carry_out(job: _Job) -> Fit:
     if job.is_regularised:
         found = replace(found, log_likelihood=job.score(found.parameters, None).log_likelihood)
     return found
+
+
+def _hop(job: _Job) -> Array:
+    """Parameters (P,) of the best of many local searches (Wales and Doye, J. Phys. Chem. A 101 (1997) 5111)."""
+    sign, smallest, largest = _bounds(job.start, job.places, job.upper)
+
+    def at(x: Array) -> tuple[float, Array]:
+        parameters = job.start.copy()
+        parameters[job.places] = sign * np.exp(x)
+        scored = job.objective(parameters, None)
+        return -scored.log_likelihood, -scored.gradient[job.places] * parameters[job.places]
+
+    found = basinhopping(
+        at,
+        np.clip(np.log(np.abs(job.start[job.places])), smallest, largest),
+        niter=job.hops,
+        minimizer_kwargs={"method": "L-BFGS-B", "jac": True, "bounds": list(zip(smallest, largest, strict=True))},
+        rng=np.random.default_rng([job.seed, job.vehicle]),
+    )
+    start = job.start.copy()
+    start[job.places] = sign * np.exp(found.x)
+    return start
 
 
 def _profile(job: _Job, found: Fit) -> Array:
@@ -291,6 +323,8 @@ def calibrate(
     *,
     is_regularised: bool = False,
     profiled: bool = False,
+    hops: int = 0,
+    seed: int = 0,
     starts: Mapping[int, Array] | None = None,
     skip: Collection[int] = (),
     work: Executor | None = None,
@@ -299,8 +333,9 @@ def calibrate(
 
     starts: parameters (P,) by vehicle, from which the search begins, and which the drivers ahead are taken to have;
     without them it begins at the paper's mean with a larger acceleration noise. profiled: whether intervals come from
-    the profile likelihood; skip: vehicles to leave out; work: what carries the searches out, in turn if nothing does.
-    Raises InputError for an unknown parameter, or data that the formulation cannot take.
+    the profile likelihood; hops: of scipy's basinhopping, with a seed, before the search; skip: vehicles to leave out;
+    work: what carries the searches out, in turn if nothing does. Raises InputError for an unknown parameter, or data
+    that the formulation cannot take.
     """
     places = np.array([index(name) for name in estimated])
     upper = upper_bounds(trajectories)
@@ -310,7 +345,7 @@ def calibrate(
 
     def job(driver: int) -> _Job:
         vehicle = int(trajectories.vehicle[driver])
-        one = _Job(vehicle, known.get(vehicle, begin), places, upper, is_regularised, profiled)
+        one = _Job(vehicle, known.get(vehicle, begin), places, upper, is_regularised, profiled, hops, seed)
         if formulation == "paper":
             return replace(one, perceived=paper.perceive(trajectories, driver))
         chain = causal.chain_behind(trajectories, driver)

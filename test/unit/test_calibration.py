@@ -179,3 +179,11 @@ def test_profile_intervals_are_those_of_another_search(jam):
 
             found = minimize(lost, np.log(fit.parameters[others]), jac=True, method="L-BFGS-B")
             assert 2.0 * (fit.log_likelihood + found.fun) == pytest.approx(1.96**2, abs=0.3)
+
+
+def test_basinhopping_ends_in_the_same_maximum_and_repeats(jam):
+    first, again = (next(calibrate(jam, "paper", hops=3, seed=2)) for _ in range(2))
+    plain = next(calibrate(jam, "paper"))
+    assert np.array_equal(first.parameters, again.parameters)
+    assert first.log_likelihood > plain.log_likelihood - 1e-3
+    assert first.parameters[PLACES] == pytest.approx(plain.parameters[PLACES], rel=0.01)
