@@ -5,8 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from sugiyama_ros.criticism.diagnosis import Diagnosis, Named, parameters_of
+from sugiyama_ros.criticism.diagnosis import Diagnosis
 from sugiyama_ros.criticism.locate import Bin, Located
+from sugiyama_ros.criticism.search import Named, parameters_of
 from sugiyama_ros.effects.catalogue import DECLARED, EFFECTS, effect
 
 # Bins that are told of in words.

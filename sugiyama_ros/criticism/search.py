@@ -1,0 +1,376 @@
+"""The search for what is missing, round by round: look at every candidate, add the best one that holds, look again.
+
+Every candidate is looked at in the same way on the data and on data simulated from the model as it stands
+(``bootstrap``), so that a p-value says how often chance, refitting and the filter's approximations give as much.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+from scipy.stats import t as student
+
+from sugiyama_ros.criticism.bootstrap import resample, seeds
+from sugiyama_ros.criticism.candidates import Candidate, Kind, candidates, recording_of
+from sugiyama_ros.criticism.discover import Discovery
+from sugiyama_ros.criticism.errors import TOLERANCE, Errors, errors_of
+from sugiyama_ros.criticism.fitting import (
+    FOLDS,
+    Fit,
+    Gain,
+    Recorded,
+    fit,
+    gain,
+    held_out_nearly,
+    objective,
+    without_folds,
+)
+from sugiyama_ros.criticism.free_run import filtered_states
+from sugiyama_ros.criticism.screening import Glance, carried_over, forecast, glance, refine
+from sugiyama_ros.effects.catalogue import DECLARED
+
+#: Simulated recordings for the p-values, also with ``quick``; level of significance, after Bonferroni's correction.
+BOOTSTRAP_RUNS, QUICK_RUNS, LEVEL = 6, 2, 0.05
+# Candidates that are fitted in full in each round, and the share of the best gain above which one is.
+_SHORTLIST, _SHARE = 4, 0.15
+# Candidates that are looked at again after the first round.
+_LATER_LOOKS = 8
+# A gain is not believed below this [nats], whatever the p-value; and simulated gains spread by at least this.
+_LEAST_GAIN, _LEAST_SPREAD = 5.0, 1.5
+# Prior weight of the common spread in that of one candidate, as a number of simulated recordings.
+_COMMON = 4
+# A gain this many times what is needed to be believed is not checked against new simulations.
+_CLEAR = 4.0
+# What changes no mean motion: a free run, which has no noise, cannot speak against it.
+_OF_NOISE = ("noise_constants", "outlier_noise", "speed_dependent_noise")
+# Fits that are under way at the same time, all on the same workers.
+_AT_ONCE = 3
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
+#: Called with what is being done, and the steps done and to do.
+OnProgress = Callable[[str, int, int], None]
+
+#: What to record to tell two effects apart.
+ADVICE: dict[frozenset[str], str] = {
+    frozenset({"actuation_lag", "reaction_delay"}): "record accelerations, or positions at 10 Hz and more",
+    frozenset({"rear_pressure", "reaction_delay"}): "record cars without a follower too",
+    frozenset({"road_grade", "slow_patch"}): "survey the road, or record standing starts on all of it",
+    frozenset({"comfort_limits", "limited_braking"}): "record hard accelerations, as from traffic lights",
+    frozenset({"comfort_limits", "limited_power"}): "record hard braking",
+    frozenset({"drag", "limited_power"}): "record coasting, or accelerations at several speeds",
+    frozenset({"preference_drift", "preference_switch"}): "record for longer",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Looked:
+    """What was found about one candidate in one round; gains in nats."""
+
+    look: Glance
+    fit: Fit
+    gain: float
+    expected: float
+    spread: float
+    p_value: float
+    refined: bool
+
+    @property
+    def candidate(self) -> Candidate:
+        """What was looked at."""
+        return self.look.candidate
+
+    @property
+    def score(self) -> float:
+        """Gain beyond what chance gives."""
+        return self.gain - self.expected
+
+    @property
+    def predictive(self) -> float:
+        """Gain that new data may be expected to show: what chance gives in sample is missing there (after Akaike)."""
+        return self.gain - 2.0 * self.expected
+
+
+@dataclass(frozen=True, eq=False)
+class Named:
+    """An effect that was added, with everything that a verdict says of it."""
+
+    name: str
+    kind: Kind
+    parameters: dict[str, float]
+    indistinguishable: tuple[str, ...]
+    advice: tuple[str, ...]
+    p_value: float
+    heldout: Gain
+    before: Errors
+    after: Errors
+    fit: Fit
+
+
+class Search:
+    """A model that grows from ``base`` by what the data support.
+
+    current, errors: the model as it stands, and its held-out errors; named: what was added. Of the first round: looked,
+    best first; heldout: the candidates' held-out gains; smallest: strengths from which on they would have shown.
+    """
+
+    def __init__(
+        self, data: Recorded, base: Fit, quick: bool, seed: int, work: ThreadPoolExecutor, on_progress: OnProgress
+    ) -> None:
+        self._data, self._quick, self._seed, self._work, self._on_progress = data, quick, seed, work, on_progress
+        self._possible = candidates(recording_of(data), data.drivers)
+        self._seen: dict[str, tuple[Fit, Glance]] = {}
+        self._null = _Null({}, {})
+        self.runs = QUICK_RUNS if quick else BOOTSTRAP_RUNS
+        self.current = base
+        self.errors = errors_of(data, without_folds(data, base, work, refit=not quick), work)
+        self.named: list[Named] = []
+        self.looked: list[Looked] = []
+        self.heldout: dict[str, Gain] = {}
+        self.smallest: dict[str, float] = {}
+
+    def add_effect(self) -> bool:
+        """One round: add the candidate that is supported best, if any is.
+
+        Of those that cannot be told apart from it, the one that predicts best what it was not fitted to; with
+        ``quick``, the best supported one.
+        """
+        looked = self._look_at_all()
+        grown: list[Named] = []
+        for one in self._held_out(looked):
+            if not grown or one.candidate.name in grown[0].indistinguishable:
+                rivals = _indistinguishable(one, looked)
+                advice = tuple(
+                    text for pair, text in ADVICE.items() if one.candidate.name in pair and pair & set(rivals)
+                )
+                grown += self._grow(one.candidate, one.fit, one.p_value, rivals, advice)
+            if grown and self._quick:
+                break
+        return self._take(max(grown, key=lambda one: one.heldout.nats, default=None))
+
+    def add_force(self, forces: Sequence[tuple[Discovery, Glance]]) -> bool:
+        """Add the first of these that holds, if any does."""
+        for force, look in forces:
+            for one in self._grow(look.candidate, refine(self._data, look, self._work), force.p_value):
+                # a curve that is flexible where there are few data may predict a step well, and go astray in a free run
+                if one.heldout.nats > one.heldout.se and one.after.no_worse_than(one.before):
+                    return self._take(one)
+        return False
+
+    def _look_at_all(self) -> list[Looked]:
+        """All candidates that are worth it, best first; those that promise most are fitted in full."""
+        chosen: Sequence[Candidate] = self._worth_a_look() if self._seen else self._possible
+        title = f"round {len(self.named) + 1}"
+        looks = at_once(self._look, chosen, f"{title}: candidates", self._on_progress)
+        is_first = not self._seen
+        self._seen |= {look.candidate.name: (self.current, look) for look in looks}
+        shortlist = _shortlist(looks)
+        if is_first:
+            # what nobody would believe need not be disproved
+            doubtful = [k for k in shortlist if self._judge(looks[k]).p_value <= LEVEL]
+            self._null = self._simulate([looks[k].candidate for k in doubtful or shortlist[:1]], self._seed)
+        looked = [self._judge(look) for look in looks]
+        hopeful = [looked[k] for k in shortlist if looked[k].p_value <= LEVEL]
+        fitted = at_once(self._in_full, hopeful, f"{title}: fitting", self._on_progress)
+        looked = sorted([*fitted, *(one for one in looked if one not in hopeful)], key=lambda one: -one.score)
+        if is_first:
+            self.looked, self.smallest = looked, _smallest(looks, self._null)
+            nearly = held_out_nearly(self._data, self.current)
+            for one in looked:
+                self.heldout[one.candidate.name] = gain(self._data, held_out_nearly(self._data, one.fit), nearly)
+        return looked
+
+    def _held_out(self, looked: Sequence[Looked]) -> Iterator[Looked]:
+        """Those that are supported, also held out, best first."""
+        supported = [one for one in looked if one.refined and one.p_value <= LEVEL and one.gain >= _LEAST_GAIN]
+        now = self._nearly(self.current) if supported and not self._quick else self.errors
+        for one in sorted(supported, key=lambda one: -one.predictive):
+            predicted = self._nearly(one.fit)
+            won = gain(self._data, predicted.samples, now.samples)
+            if won.nats > -won.se and (one.candidate.name in _OF_NOISE or predicted.no_worse_than(now)):
+                confirmed = self._confirmed(one)
+                if confirmed is not None:
+                    yield confirmed
+
+    def _confirmed(self, best: Looked) -> Looked | None:
+        """The same with the p-value of new simulations, unless it is clear; None if that does not support it."""
+        is_clear = best.score >= _CLEAR * max(_LEAST_GAIN, 3.0 * best.spread)
+        if not self.named or self._quick or is_clear:
+            return best
+        again = self._simulate([best.candidate], self._seed + len(self.named))
+        p_value = again.judge(best.look, len(self._possible)).p_value
+        return replace(best, p_value=p_value) if p_value <= LEVEL else None
+
+    def _nearly(self, fitted: Fit) -> Errors:
+        """Held-out errors, without a search for each fold."""
+        return errors_of(self._data, without_folds(self._data, fitted, self._work, refit=False), self._work)
+
+    def _grow(
+        self,
+        candidate: Candidate,
+        fitted: Fit,
+        p_value: float,
+        rivals: tuple[str, ...] = (),
+        advice: tuple[str, ...] = (),
+    ) -> list[Named]:
+        """The model with a candidate added, fitted in full, if that holds."""
+        data, work, before = self._data, self._work, self.errors
+        grown = fit(data, replace(fitted.model, ahead=fitted.model.rows), work)
+        after = errors_of(data, without_folds(data, grown, work, refit=not self._quick), work)
+        won = gain(data, after.samples, before.samples)
+        if won.nats <= 0.0 or (won.nats < won.se and after.worst_change(before) > TOLERANCE):
+            return []
+        values = parameters_of(grown, candidate)
+        return [Named(candidate.name, candidate.kind, values, rivals, advice, p_value, won, before, after, grown)]
+
+    def _take(self, one: Named | None) -> bool:
+        """Go on with a grown model."""
+        if one is None:
+            return False
+        self.current, self.errors = one.fit, one.after
+        self.named.append(one)
+        self._possible = tuple(c for c in self._possible if c.name != one.name)
+        return True
+
+    def _judge(self, look: Glance) -> Looked:
+        return self._null.judge(look, len(self._possible))
+
+    def _worth_a_look(self) -> list[Candidate]:
+        """Candidates that promise most over the current model, by what was seen of them before."""
+        order = sorted(self._possible, key=lambda c: -forecast(self._data, *self._seen[c.name], self.current))
+        return order[:_LATER_LOOKS]
+
+    def _look(self, candidate: Candidate) -> Glance:
+        """Look at a candidate, also from where an earlier look at it has ended."""
+        before = self._seen.get(candidate.name)
+        also = carried_over(*before, self.current) if before and before[1].gain > 0.0 else None
+        return glance(self._data, self.current, candidate, self._work, also)
+
+    def _in_full(self, one: Looked) -> Looked:
+        """The same, fitted in full; what chance gives is still that of a glance."""
+        refined = refine(self._data, one.look, self._work)
+        return replace(one, fit=refined, gain=max(one.gain, _rise(self.current, refined)), refined=True)
+
+    def _simulate(self, chosen: Sequence[Candidate], seed: int) -> "_Null":
+        """Gains of candidates on recordings that the current model has simulated."""
+        data, current, work = self._data, self.current, self._work
+        states = filtered_states(data, current.model, work)
+
+        def one_run(rng: np.random.Generator) -> list[float]:
+            simulated = resample(data, current.model, states, rng)
+            fitted = fit(simulated, current.model, work)
+            return [glance(simulated, fitted, candidate, work).gain for candidate in chosen]
+
+        gains = at_once(one_run, seeds(seed, self.runs), "simulating the model without it", self._on_progress)
+        by_candidate = zip(chosen, zip(*gains, strict=True), strict=True)
+        scale = {c.name: math.sqrt(0.5 * _freedom(c, data.drivers)) for c in chosen}
+        return _Null({candidate.name: list(one) for candidate, one in by_candidate}, scale)
+
+
+def parameters_of(fitted: Fit, candidate: Candidate) -> dict[str, float]:
+    """Values of a candidate's parameters, the median driver's where they are individual."""
+    places = sorted({*candidate.places, *candidate.starts[0]})
+    rows = np.median(fitted.model.rows[:, places], axis=0)
+    return {DECLARED[k].name: float(v) for k, v in zip(places, rows, strict=True)}
+
+
+def at_once(
+    function: Callable[[_Item], _Result], items: Sequence[_Item], what: str, on_progress: OnProgress
+) -> list[_Result]:
+    """Results for all items; while one waits for the last of its filters, another uses the processors."""
+    results = []
+    with ThreadPoolExecutor(_AT_ONCE) as pool:
+        for k, result in enumerate(pool.map(function, items)):
+            on_progress(what, k + 1, len(items))
+            results.append(result)
+    return results
+
+
+def _rise(current: Fit, fitted: Fit) -> float:
+    everywhere = range(FOLDS)
+    return objective(fitted.slopes, fitted.model, everywhere) - objective(current.slopes, current.model, everywhere)
+
+
+def _shortlist(looks: Sequence[Glance]) -> list[int]:
+    """Those fitted in full: the largest gains, and the noises, whose best values may lie far from a glance."""
+    order = sorted(range(len(looks)), key=lambda k: -looks[k].gain)
+    best = max(looks[order[0]].gain, 1.0)
+    chosen = [k for k in order[:_SHORTLIST] if looks[k].gain > _SHARE * best or k in order[:2]]
+    if best > 50.0:
+        chosen += [k for k, look in enumerate(looks) if look.candidate.name == "noise_constants" and k not in chosen]
+    return chosen
+
+
+@dataclass(frozen=True, eq=False)
+class _Null:
+    """Gains of candidates on simulated recordings in which nothing is missing.
+
+    scale: std of half a chi-squared variable with the candidate's number of parameters.
+    """
+
+    gains: dict[str, list[float]]
+    scale: dict[str, float]
+
+    def judge(self, look: Glance, rivals: int) -> Looked:
+        """p-value by Student's t over the simulated gains, whose spread is shared among candidates in part."""
+        candidate = look.candidate
+        gains = np.maximum(self.gains.get(candidate.name, [0.0]), 0.0)
+        spreads = [
+            float(np.std(np.maximum(g, 0.0), ddof=1)) / self.scale[name] for name, g in self.gains.items() if len(g) > 1
+        ]
+        # chi-squared variables of K parameters spread by sqrt(2 / K) of their mean, whatever the filter scales them by
+        freedom = _freedom(candidate, len(look.fit.model.rows))
+        least = max(_LEAST_SPREAD, float(gains.mean()) * math.sqrt(2.0 / freedom))
+        common = max(float(np.median(spreads)) * math.sqrt(0.5 * freedom) if spreads else 0.0, least)
+        # a parameter gains half a nat by chance (Wilks), which a few simulations know less well if it is but one
+        runs = len(gains) if candidate.name in self.gains else 0
+        weight = 0 if candidate.individual and runs else _COMMON
+        expected = (runs * float(gains.mean()) + weight * 0.5 * freedom) / (runs + weight)
+        squares = float(np.sum(np.square(gains - gains.mean())))
+        known = len(gains) - 1 + _COMMON
+        spread = float(np.sqrt((squares + _COMMON * common**2) / known * (1.0 + 1.0 / len(gains))))
+        p_value = min(1.0, rivals * float(student.sf((look.gain - expected) / spread, known)))
+        return Looked(look, look.fit, look.gain, expected, spread, p_value, refined=False)
+
+    @property
+    def needed(self) -> float:
+        """A gain [nats] that is usually believed."""
+        highest = [
+            float(np.mean(np.maximum(g, 0.0)) + 4.0 * max(float(np.std(g)), _LEAST_SPREAD)) for g in self.gains.values()
+        ]
+        return max(_LEAST_GAIN, float(np.median(highest)) if highest else 0.0)
+
+
+def _freedom(candidate: Candidate, drivers: int) -> int:
+    """Number of parameters that a candidate adds."""
+    return len(candidate.places) * (drivers if candidate.individual else 1)
+
+
+def _indistinguishable(best: Looked, looked: Sequence[Looked]) -> tuple[str, ...]:
+    """Candidates whose gain differs from the best one's by less than two paired standard errors over drivers."""
+    names = []
+    for one in looked:
+        if one is best or one.p_value > LEVEL or one.candidate.name == best.candidate.name:
+            continue
+        difference = np.nansum(best.fit.samples.log_likelihood - one.fit.samples.log_likelihood, axis=1)
+        se = float(np.sqrt(len(difference) * np.var(difference, ddof=1))) if len(difference) > 1 else 0.0
+        if best.score - one.score < max(2.0 * se, 3.0) and one.refined:
+            names.append(one.candidate.name)
+    return tuple(names)
+
+
+def _smallest(looks: Sequence[Glance], null: _Null) -> dict[str, float]:
+    """Strength of each effect from which on these data would usually have shown it; of the first parameter."""
+    found = {}
+    for look in looks:
+        if look.candidate.kind == "constants" or look.loss <= 0.0 or not look.candidate.starts[0]:
+            continue
+        start = look.loss_at[look.candidate.places[0]]
+        scaled = start * float(np.sqrt(null.needed / look.loss))
+        # a limit is the stronger the smaller it is
+        if DECLARED[look.candidate.places[0]].name in ("limit", "power"):
+            scaled = start * start / scaled
+        found[look.candidate.name] = scaled
+    return found
