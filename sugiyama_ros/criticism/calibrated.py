@@ -90,6 +90,7 @@ def each_for_himself(
                 estimated,
                 is_regularised=is_regularised,
                 profiled=profiled and number == passes - 1,
+                with_errors=number == passes - 1,
                 hops=hops,
                 seed=seed,
                 starts=starts,

@@ -227,6 +227,7 @@ class _Job:
     profiled: bool
     hops: int
     seed: int
+    with_errors: bool
     perceived: paper.Perceived | None = None
     chain: causal.Chain | None = None
     ahead: Array | None = None
@@ -251,7 +252,8 @@ def _carry_out(job: _Job) -> Fit:
     if job.hops:
         job = replace(job, start=_hop(job))
     search = (job.objective, job.vehicle, job.start, job.places, job.upper)
-    found = fit_driver(*search) if job.perceived is not None else fit_driver(*search, _ENOUGH_CAUSAL, job.careful)
+    careful = job.careful if job.with_errors else None
+    found = fit_driver(*search) if job.perceived is not None else fit_driver(*search, _ENOUGH_CAUSAL, careful)
     if job.profiled:
         found = replace(found, interval=_profile(job, found))
     if job.is_regularised:
@@ -325,6 +327,7 @@ def calibrate(
     profiled: bool = False,
     hops: int = 0,
     seed: int = 0,
+    with_errors: bool = True,
     starts: Mapping[int, Array] | None = None,
     skip: Collection[int] = (),
     work: Executor | None = None,
@@ -333,7 +336,8 @@ def calibrate(
 
     starts: parameters (P,) by vehicle, from which the search begins, and which the drivers ahead are taken to have;
     without them it begins at the paper's mean with a larger acceleration noise. profiled: whether intervals come from
-    the profile likelihood; hops: of scipy's basinhopping, with a seed, before the search; skip: vehicles to leave out;
+    the profile likelihood; hops: of scipy's basinhopping, with a seed, before the search; with_errors: whether the
+    causal formulation's errors matter, which cost as much as a search; skip: vehicles to leave out;
     work: what carries the searches out, in turn if nothing does. Raises InputError for an unknown parameter, or data
     that the formulation cannot take.
     """
@@ -345,7 +349,7 @@ def calibrate(
 
     def job(driver: int) -> _Job:
         vehicle = int(trajectories.vehicle[driver])
-        one = _Job(vehicle, known.get(vehicle, begin), places, upper, is_regularised, profiled, hops, seed)
+        one = _Job(vehicle, known.get(vehicle, begin), places, upper, is_regularised, profiled, hops, seed, with_errors)
         if formulation == "paper":
             return replace(one, perceived=paper.perceive(trajectories, driver))
         chain = causal.chain_behind(trajectories, driver)
