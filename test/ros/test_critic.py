@@ -28,8 +28,8 @@ OWN = {"sigma_a": 0.273, "kappa_v": 0.3225}
 
 @pytest.fixture(scope="module")
 def delayed():
-    """Drivers with a reaction delay on a ring, at once at speed, without a collision."""
-    rng = np.random.default_rng(0)
+    """Drivers with a reaction delay on a ring, at once at speed, without a collision, among whom a wave forms."""
+    rng = np.random.default_rng(2)
     p = defaults(DRIVERS)
     p[:, V_STAR] *= np.exp(0.05 * rng.standard_normal(DRIVERS))
     p[:, KAPPA_V] = OWN["kappa_v"]
@@ -113,8 +113,8 @@ def test_a_hidden_delay_is_named_added_and_the_error_falls(stage, delayed, tmp_p
     row = whole(population())
     row[SIGMA_A], row[KAPPA_V] = OWN["sigma_a"], OWN["kappa_v"]
     expected = [batch_rmse(delayed, r) for r in (row, switch_on(row, "reaction_delay", {"delay": DELAY_S}))]
-    assert before - after > 0.001
-    # the estimators learn the noises too, which the batch takes as given
+    # the estimators learn the noises too, which the batch takes as given: that moves an error by 0.001
+    assert before - after > 0.01
     assert [before, after] == pytest.approx(expected, rel=0.005)
     assert before - after == pytest.approx(expected[0] - expected[1], rel=0.15)
     assert all(names[-1] == "reaction_delay.delay" for names in ears.names.values())
