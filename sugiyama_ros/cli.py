@@ -31,6 +31,8 @@ from sugiyama_ros.road import Array, Road
 
 if TYPE_CHECKING:
     from sugiyama_ros.criticism.comparison import Compared
+    from sugiyama_ros.estimation.calibration import Formulation
+    from sugiyama_ros.estimation.classes import Classes
     from sugiyama_ros.nodes.run import RunResult
     from sugiyama_ros.simulation import Simulation
 
@@ -227,6 +229,9 @@ def calibrate(
         int,
         typer.Option("--hops", min=0, help="Hops of basinhopping before the search, without --effects; paper: 100."),
     ] = 0,
+    classes: Annotated[
+        int, typer.Option("--classes", min=0, help="Classes of drivers who share all parameters, for short records.")
+    ] = 0,
     seed: Seed = 0,
     scheduler: Annotated[
         str | None, typer.Option("--scheduler", help="Dask scheduler, as tcp://host:8786, whose workers do the work.")
@@ -236,7 +241,7 @@ def calibrate(
     as_json: Json = False,
 ) -> None:
     """Estimate every driver's parameters by maximum likelihood, and say how well the data hold them."""
-    from sugiyama_ros.criticism.calibrated import all_together, each_for_himself
+    from sugiyama_ros.criticism.calibrated import all_together, each_for_himself, in_classes
     from sugiyama_ros.estimation.workers import workers
     from sugiyama_ros.formats import read_trajectories
 
@@ -250,16 +255,21 @@ def calibrate(
     pooled = bool(added) or (regularise and formulation == "causal")
     if (profile or hops) and pooled:
         raise InputError("--profile and --hops: are of one driver by himself; leave --effects and --regularise out")
+    if classes and (pooled or profile or hops or regularise):
+        raise InputError("--classes: share all parameters; leave --effects, --regularise, --profile and --hops out")
+    form: Formulation = "paper" if formulation == "paper" else "causal"
     trajectories = read_trajectories(source, ring)
     began = time.monotonic()
     with _progress("calibrating") as advance, workers(len(trajectories.vehicle), scheduler) as work:
         kept = output.with_name(output.name + ".fits") if output is not None else None
         if pooled:
             found = all_together(trajectories, names, added, work)
+        elif classes:
+            found = in_classes(trajectories, form, names, classes, seed, work)
         else:
             found = each_for_himself(
                 trajectories,
-                "paper" if formulation == "paper" else "causal",
+                form,
                 names,
                 is_regularised=regularise,
                 profiled=profile,
@@ -294,16 +304,28 @@ def calibrate(
         )
     ]
     together = _effects_of(found.rows, found.shared_std)
-    document = {
+    document: dict[str, Any] = {
         "formulation": formulation,
         "drivers": drivers,
         "effects": together,
         "log_likelihood": float(found.log_likelihood.sum()),
         "wall_s": wall_s,
     }
+    if found.classes is not None:
+        document |= {"classes": _classes_of(found.classes, names), "bic": found.classes.bic}
+        for driver, probability in zip(drivers, found.classes.probability.tolist(), strict=True):
+            driver["class_probability"] = probability
     if as_json:
         _print_json(document)
         return
+    for number, one in enumerate(document.get("classes", [])):
+        told = ", ".join(f"{n} {one[n]:.3f} ± {one['std'][n]:.3f}" for n in names)
+        _out.print(f"class {number}: {one['share']:.0%} of the drivers, {told}", soft_wrap=True, highlight=False)
+    if found.classes is not None:
+        said = (
+            f"Bayesian information criterion {found.classes.bic:.1f}: the number of classes with the smallest is best"
+        )
+        _out.print(said, soft_wrap=True, highlight=False)
     table = Table(title=f"Calibration, {formulation} formulation", title_justify="left")
     for heading in ("vehicle", *names, "log-likelihood"):
         table.add_column(heading, justify="right")
@@ -318,6 +340,19 @@ def calibrate(
         _out.print(f"{name}: " + ", ".join(f"{p} {v['value']:.4g} ± {v['std']:.2g}" for p, v in values.items()))
     if output is not None:
         _out.print(f"model file: {escape(str(output))}", soft_wrap=True, highlight=False)
+
+
+def _classes_of(classes: "Classes", names: list[str]) -> list[dict[str, Any]]:
+    """Share of the drivers, parameters and their stds, of each class."""
+    places = [index(name) for name in names]
+    return [
+        {
+            "share": float(share),
+            **dict(zip(names, row[places].tolist(), strict=True)),
+            "std": dict(zip(names, std[places].tolist(), strict=True)),
+        }
+        for share, row, std in zip(classes.share, classes.rows, classes.std, strict=True)
+    ]
 
 
 def _effects_of(rows: Array, shared_std: Mapping[str, float]) -> dict[str, dict[str, dict[str, float]]]:

@@ -15,8 +15,10 @@ from sugiyama_ros.criticism.model_file import stds_of, write_drivers
 from sugiyama_ros.criticism.screening import with_candidate
 from sugiyama_ros.driver.parameters import NAMES, index
 from sugiyama_ros.effects.catalogue import ENTRIES, whole
-from sugiyama_ros.estimation.calibration import Fit, Formulation, calibrate
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.estimation.calibration import Fit, Formulation, calibrate, job_of, upper_bounds
 from sugiyama_ros.estimation.checkpoint import Checkpoint
+from sugiyama_ros.estimation.classes import Classes, find_classes
 from sugiyama_ros.estimation.intervals import quadratic
 from sugiyama_ros.road import Array
 from sugiyama_ros.trajectories import Trajectories
@@ -30,7 +32,7 @@ class Calibrated:
     """Drivers with their parameters: rows (N, WIDTH), std and identified of each by name, log-likelihood (N,).
 
     interval: (N, P, 2), ends of the 95 % intervals of the base model's parameters; shared_std: of what all drivers have
-    in common.
+    in common; classes: those that the drivers were divided into, if they were.
     """
 
     trajectories: Trajectories
@@ -40,6 +42,7 @@ class Calibrated:
     interval: Array
     log_likelihood: Array
     shared_std: Mapping[str, float]
+    classes: Classes | None = None
 
     def write(self, path: Path) -> None:
         """Write a model file. Raises OutputError."""
@@ -111,6 +114,33 @@ def each_for_himself(
         np.array([fit.log_likelihood for fit in fits]),
         {},
     )
+
+
+def in_classes(
+    trajectories: Trajectories,
+    formulation: Formulation,
+    estimated: Sequence[str],
+    count: int,
+    seed: int,
+    work: Executor,
+) -> Calibrated:
+    """Calibrate ``count`` classes of drivers who share their parameters; each has those of his likeliest class.
+
+    Raises InputError for fewer drivers than classes.
+    """
+    drivers = len(trajectories.vehicle)
+    if drivers < count:
+        raise InputError(f"{trajectories.source}: {drivers} drivers, {count} classes; give --classes {drivers} at most")
+    fits = list(calibrate(trajectories, formulation, estimated, with_errors=False, work=work))
+    upper = upper_bounds(trajectories)
+    jobs = [job_of(trajectories, i, formulation, estimated, upper, {}) for i in range(drivers)]
+    found = find_classes(jobs, fits, count, int(np.isfinite(trajectories.position_m).sum()), seed, work)
+    of = found.probability.argmax(axis=1)
+    names = [{name: float(found.std[k, index(name)]) for name in estimated} for k in of]
+    intervals = np.array([quadratic(found.rows[k], found.std[k]) for k in of])
+    known = tuple(dict.fromkeys(estimated, True) for _ in of)
+    rows = whole(found.rows[of])
+    return Calibrated(trajectories, rows, tuple(names), known, intervals, found.log_likelihood, {}, found)
 
 
 def all_together(

@@ -9,7 +9,7 @@ another, so any executor will do: threads, processes, or the workers of a Dask c
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from scipy.optimize import basinhopping
@@ -94,7 +94,7 @@ def fit_driver(
 
     careful: a better score, from which the errors are taken at the maximum.
     """
-    sign, smallest, largest = _bounds(start, places, upper)
+    sign, smallest, largest = search_bounds(start, places, upper)
 
     def at(x: Array, information: Array | None) -> tuple[Scored, Array, Array]:
         parameters = start.copy()
@@ -139,7 +139,7 @@ def fit_driver(
     return Fit(vehicle, parameters, here.log_likelihood, std, at_bound, quadratic(parameters, std))
 
 
-def _bounds(start: Array, places: Ints, upper: Array) -> tuple[Array, Array, Array]:
+def search_bounds(start: Array, places: Ints, upper: Array) -> tuple[Array, Array, Array]:
     """Signs, and smallest and largest logarithms of the sizes, of the parameters at ``places``."""
     sign = np.sign(start[places])
     low, high = (np.array([getattr(PARAMETERS[k], side) for k in places]) for side in ("lower", "upper"))
@@ -216,18 +216,18 @@ def regularised(scored: Scored, parameters: Array) -> Scored:
 
 
 @dataclass(frozen=True, eq=False)
-class _Job:
+class Job:
     """One driver's data and the search for his parameters; of the paper's formulation ``perceived``, else ``chain``."""
 
     vehicle: int
     start: Array
     places: Ints
     upper: Array
-    is_regularised: bool
-    profiled: bool
-    hops: int
-    seed: int
-    with_errors: bool
+    is_regularised: bool = False
+    profiled: bool = False
+    hops: int = 0
+    seed: int = 0
+    with_errors: bool = True
     perceived: paper.Perceived | None = None
     chain: causal.Chain | None = None
     ahead: Array | None = None
@@ -248,7 +248,7 @@ class _Job:
         return self.score(parameters, rough.information, central=True)
 
 
-def _carry_out(job: _Job) -> Fit:
+def _carry_out(job: Job) -> Fit:
     if job.hops:
         job = replace(job, start=_hop(job))
     search = (job.objective, job.vehicle, job.start, job.places, job.upper)
@@ -261,9 +261,9 @@ def _carry_out(job: _Job) -> Fit:
     return found
 
 
-def _hop(job: _Job) -> Array:
+def _hop(job: Job) -> Array:
     """Parameters (P,) of the best of many local searches (Wales and Doye, J. Phys. Chem. A 101 (1997) 5111)."""
-    sign, smallest, largest = _bounds(job.start, job.places, job.upper)
+    sign, smallest, largest = search_bounds(job.start, job.places, job.upper)
 
     def at(x: Array) -> tuple[float, Array]:
         parameters = job.start.copy()
@@ -283,7 +283,7 @@ def _hop(job: _Job) -> Array:
     return start
 
 
-def _profile(job: _Job, found: Fit) -> Array:
+def _profile(job: Job, found: Fit) -> Array:
     """Ends (P, 2) of the intervals of those parameters that were searched for, from the profile of their likelihood."""
     interval = found.interval.copy()
     for k in job.places.tolist():
@@ -297,7 +297,7 @@ def _profile(job: _Job, found: Fit) -> Array:
     return np.sort(interval, axis=-1)
 
 
-def _fall(job: _Job, found: Fit, place: int, sign: float) -> Callable[[float], float]:
+def _fall(job: Job, found: Fit, place: int, sign: float) -> Callable[[float], float]:
     """Square root of twice the profile's fall, at a distance from what was found in the logarithm of a parameter."""
     held, last = replace(job, places=job.places[job.places != place]), found.parameters.copy()
 
@@ -341,26 +341,36 @@ def calibrate(
     work: what carries the searches out, in turn if nothing does. Raises InputError for an unknown parameter, or data
     that the formulation cannot take.
     """
-    places = np.array([index(name) for name in estimated])
+    known, how = starts or {}, (is_regularised, profiled, hops, seed, with_errors)
     upper = upper_bounds(trajectories)
-    begin = defaults()
-    begin[SIGMA_A] = _START_SIGMA_A
-    known = starts or {}
-
-    def job(driver: int) -> _Job:
-        vehicle = int(trajectories.vehicle[driver])
-        one = _Job(vehicle, known.get(vehicle, begin), places, upper, is_regularised, profiled, hops, seed, with_errors)
-        if formulation == "paper":
-            return replace(one, perceived=paper.perceive(trajectories, driver))
-        chain = causal.chain_behind(trajectories, driver)
-        ahead = [known.get(_most(chain.identity[:, m]), population()) for m in range(1, causal.CHAIN)]
-        return replace(one, chain=chain, ahead=np.array(ahead))
-
     skipped = set(skip)
     left = [i for i, v in enumerate(trajectories.vehicle.tolist()) if v not in skipped]
     for first in range(0, len(left), _BATCH):
-        jobs = map(job, left[first : first + _BATCH])
+        jobs = (
+            job_of(trajectories, i, formulation, estimated, upper, known, *how) for i in left[first : first + _BATCH]
+        )
         yield from map(_carry_out, jobs) if work is None else work.map(_carry_out, list(jobs))
+
+
+def job_of(
+    trajectories: Trajectories,
+    driver: int,
+    formulation: Formulation,
+    estimated: Sequence[str],
+    upper: Array,
+    known: Mapping[int, Array],
+    *how: Any,
+) -> Job:
+    """The search for the parameters of one driver; arguments as in ``calibrate`` and ``Job``."""
+    begin = defaults()
+    begin[SIGMA_A] = _START_SIGMA_A
+    vehicle = int(trajectories.vehicle[driver])
+    one = Job(vehicle, known.get(vehicle, begin), np.array([index(name) for name in estimated]), upper, *how)
+    if formulation == "paper":
+        return replace(one, perceived=paper.perceive(trajectories, driver))
+    chain = causal.chain_behind(trajectories, driver)
+    ahead = [known.get(_most(chain.identity[:, m]), population()) for m in range(1, causal.CHAIN)]
+    return replace(one, chain=chain, ahead=np.array(ahead))
 
 
 def _most(identity: Ints) -> int:

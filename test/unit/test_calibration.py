@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from sugiyama_ros.criticism.calibrated import all_together, each_for_himself
+from sugiyama_ros.criticism.calibrated import all_together, each_for_himself, in_classes
 from sugiyama_ros.criticism.model_file import read_model
 from sugiyama_ros.driver.parameters import KAPPA_V, NAMES, SIGMA_A, SIGMA_NU, V_STAR, defaults, index
 from sugiyama_ros.errors import InputError
@@ -17,7 +17,7 @@ from sugiyama_ros.estimation.calibration import ESTIMATED, calibrate, regularise
 from sugiyama_ros.estimation.intervals import end_of_profile
 from sugiyama_ros.estimation.workers import workers
 from sugiyama_ros.road import Road
-from sugiyama_ros.simulation import Simulator, platoon, simulate
+from sugiyama_ros.simulation import Simulator, evenly, platoon, simulate
 
 PLACES = [SIGMA_NU, SIGMA_A, V_STAR, KAPPA_V]
 
@@ -187,3 +187,28 @@ def test_basinhopping_ends_in_the_same_maximum_and_repeats(jam):
     assert np.array_equal(first.parameters, again.parameters)
     assert first.log_likelihood > plain.log_likelihood - 1e-3
     assert first.parameters[PLACES] == pytest.approx(plain.parameters[PLACES], rel=0.01)
+
+
+def test_drivers_of_two_kinds_are_divided_into_two_classes():
+    """22 drivers for 60 s, which is too short to tell the desired speed of each."""
+    kind = np.arange(22) % 2
+    rows = defaults(22)
+    rows[:, V_STAR], rows[:, SIGMA_A] = np.where(kind, 8.5, 11.5), np.where(kind, 0.44, 0.22)
+    length, road = np.full(22, 4.33), Road(400.0)
+    short = simulate(Simulator(rows, length, evenly(length, road), road, np.random.default_rng(3)), 60.0).measured
+    with ThreadPoolExecutor(2) as work:
+        one, two, again = (in_classes(short, "paper", ESTIMATED, k, 0, work) for k in (1, 2, 2))
+    assert two.classes.bic < one.classes.bic
+    assert np.array_equal(two.rows, again.rows)
+    assert two.classes.probability.sum(axis=1) == pytest.approx(np.ones(22))
+    label = two.classes.probability.argmax(axis=1)
+    assert np.array_equal(label == label[0], kind == kind[0])
+    assert two.classes.share == pytest.approx([0.5, 0.5], abs=0.01)
+    alone = np.array([f.parameters[V_STAR] for f in calibrate(short, "paper")])
+    off, off_alone = (np.abs(np.log(v / rows[:, V_STAR])).mean() for v in (two.rows[:, V_STAR], alone))
+    assert off < 0.5 * off_alone
+    with (
+        pytest.raises(InputError, match="22 drivers, 30 classes; give --classes 22 at most"),
+        ThreadPoolExecutor(1) as w,
+    ):
+        in_classes(short, "paper", ESTIMATED, 30, 0, w)
