@@ -3,8 +3,9 @@
 A filter cannot hold them in its state, because they move no mean. They follow the likelihood instead: by recursive
 prediction error (Ljung and Soderstrom, Theory and Practice of Recursive Identification, 1983, section 3.8), with the
 exact sensitivities of the filter's mean and covariance, so that in the long run they end where the batch fit does.
-Whether a driver's noises change is for his samples to tell: two interacting models (Blom and Bar-Shalom, IEEE Trans.
-Automatic Control 33 (1988) 780), one with constant noises and one that forgets, are weighed by what they predict.
+Whether a driver's acceleration noise changes is for his samples to tell: two interacting models (Blom and Bar-Shalom,
+IEEE Trans. Automatic Control 33 (1988) 780), with a constant one and with one that is forgotten, are weighed by what
+they predict. The measurement noise is the camera's and stays.
 """
 
 import math
@@ -26,13 +27,15 @@ NOISES = [SIGMA_NU, SIGMA_A]
 class Learning:
     """How noises are learnt.
 
-    prior_std: of their logarithms; relaxations_s: of each interacting model, the time [s] in which it returns to the
-    prior; dwell_s: mean time [s] that a driver stays with one of them.
+    prior_std: of their logarithms; relaxations_s: of each interacting model, the times [s] in which they return to the
+    prior; dwell_s: mean time [s] that a driver stays with one of the models; outliers: share of the measured positions
+    that are far off and the factor of their noise, as in the effect ``outlier_noise``, for the density of a sample.
     """
 
     prior_std: tuple[float, float] = (0.3, 0.7)
-    relaxations_s: tuple[float, ...] = (math.inf, 300.0)
+    relaxations_s: tuple[tuple[float, float], ...] = ((math.inf, math.inf), (math.inf, 300.0))
     dwell_s: float = 1000.0
+    outliers: tuple[float, float] = (0.03, 2.6)
 
 
 # Squared normalised innovation beyond which a sample teaches no more: a gross error is not the noise.
@@ -162,9 +165,8 @@ class NoiseLearner:
         """Go on by one period with the filter's F and Q, and forget a little."""
         _predict(jacobian, noise, self._d_mean, self._d_covariance)
         _mix(self.weight, self._stay, self._means, self._covariances)
-        kept = self._kept[:, None]
-        self._means = self._prior_mean + kept * (self._means - self._prior_mean)
-        kept = np.square(kept)[:, None]
+        self._means = self._prior_mean + self._kept * (self._means - self._prior_mean)
+        kept = self._kept[:, :, None] * self._kept[:, None, :]
         self._covariances = kept * self._covariances + (1.0 - kept) * self._prior_var
         self.mean, self.covariance = _moments(self.weight, self._means, self._covariances)
 

@@ -17,6 +17,7 @@ from sugiyama_ros.driver.parameters import NAMES, SIGMA_NU, UTILITY, check, popu
 from sugiyama_ros.driver.utility import ACTIONS, room_for
 from sugiyama_ros.effects.catalogue import WIDTH, active, effect, place, whole
 from sugiyama_ros.effects.effect import MEASUREMENT
+from sugiyama_ros.effects.outlier_noise import weigh
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.estimation.alarm import StyleAlarm
 from sugiyama_ros.estimation.causal import (
@@ -56,7 +57,8 @@ class Estimate:
 
     position_m (wrapped on a ring), speed [m/s], acceleration [m/s^2] and their covariance (3, 3); mean_action [m/s^2];
     gap_m (infinite without a leader) and approach_rate [m/s]; innovation_m, nis and log_likelihood (no 2 pi term) of
-    the sample, NaN where it is missing or nothing was predicted; innovation_var [m^2]; scored: whether it counts.
+    the sample, NaN where it is missing or nothing was predicted; innovation_var [m^2]; scored: whether it counts. Where
+    noises are learnt, the density is that of measurements of which some are far off (``Learning.outliers``).
     """
 
     position_m: float
@@ -121,6 +123,7 @@ class OnlineFilter:
         self._places, _ = adaptation_of(parameters, adaptation).arrays
         self._adapted = slice(STATE * vehicles, STATE * vehicles + len(self._places))
         self._learning = learning
+        self._outliers = np.array(learning.outliers if learning is not None else (0.0, 1.0))
         self._take(whole(parameters))
         self._measures = np.zeros((vehicles, STATE * vehicles + len(self._places)))
         self._measures[np.arange(vehicles), STATE * np.arange(vehicles)] = 1.0
@@ -370,9 +373,9 @@ class OnlineFilter:
                 math.sqrt((variance - noise_var) / float(self._filter.P[0, 0])) if self._measured_otherwise else 1.0
             )
             self._noises.learn(innovation, variance, noise_var, factor)
-        if self._measured_otherwise:
+        if self._measured_otherwise or self._learning is None:
             return float(robust(innovation, variance, self._rows[0])[2])
-        return -0.5 * (math.log(variance) + innovation * innovation / variance)
+        return float(weigh(innovation, variance, float(self._rows[0, SIGMA_NU]) ** 2, self._outliers)[2])
 
     def _check_style(self) -> tuple[str, float] | None:
         """Name of the parameter that has jumped, and by what factor, if the alarm is given; the filter is corrected."""

@@ -55,7 +55,7 @@ def test_the_noises_are_learnt_and_their_errors_hold(jam):
     truth = defaults()[[SIGMA_NU, SIGMA_A]]
     z = []
     for driver in range(22):
-        online = OnlineFilter(DT, jam.road, learning=replace(Learning(), relaxations_s=(math.inf,)))
+        online = OnlineFilter(DT, jam.road, learning=replace(Learning(), relaxations_s=((math.inf, math.inf),)))
         assert population()[SIGMA_A] > 2.0 * truth[1]
         follow(jam, driver, online)
         error = np.log(online.parameters[[SIGMA_NU, SIGMA_A]] / truth)
