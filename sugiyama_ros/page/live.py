@@ -195,4 +195,5 @@ class _Page:
         time, error = (self._error.data[name] for name in ("time", "error"))
         shown = f"{time[-1]:.0f} s: one-step error over {MOVING_S:g} s {error[-1]:.3f} m; " if len(error) else ""
         if feed.vehicles:
-            self._said.text = f"{shown}effects added: {added}. {escape(feed.said)}"
+            silent = "" if feed.weights else "No critic has spoken yet (sugiyama run --critic). "
+            self._said.text = f"{shown}effects added: {added}. {silent}{escape(feed.said)}"
