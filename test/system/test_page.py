@@ -201,7 +201,7 @@ def test_adding_the_effect_that_is_there_lowers_the_error_that_the_page_shows(tm
             page.wait_for_timeout(250)
         return read
 
-    with live_page(tmp_path / "sim.mcap", 4, tmp_path / "live.mcap") as page:
+    with live_page(tmp_path / "sim.mcap", 6, tmp_path / "live.mcap") as page:
         before = shown(page, 60)
         page.get_by_label("effect", exact=True).select_option("limited_power")
         page.get_by_role("button", name="add").click()
