@@ -1,6 +1,7 @@
 """One driver's estimator: measured positions in; state, innovation and parameters out."""
 
 import re
+from collections import deque
 from math import isfinite, isnan, nan
 from pathlib import Path
 from typing import Any
@@ -76,6 +77,7 @@ class Estimator(PacedNode):
         self._effects = row
         self._road: RoadMessage | None = None
         self._filter: OnlineFilter | None = None
+        self._early: deque[bytes] = deque(maxlen=DEPTH)
         self._stamp_ns: int | None = None
         self._parameters_ns: int | None = None
         self._saved_ns: int | None = None
@@ -131,6 +133,8 @@ class Estimator(PacedNode):
         self._road = road
         if known is None or (known.circumference_m, known.period_s) != (road.circumference_m, road.period_s):
             self._restart()
+        while self._early:
+            self._on_measured(self._early.popleft())
         self.announce()
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -207,8 +211,9 @@ class Estimator(PacedNode):
         self._failure = ""
 
     def _on_measured(self, raw: bytes) -> None:
-        # The source of a paced run waits until this node has the road; others are joined on the way.
+        # what others have kept for one who comes late may be heard before the road is
         if self._filter is None or self._road is None:
+            self._early.append(raw)
             return
         sample = wire.measured(raw)
         try:

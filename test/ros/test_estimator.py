@@ -291,15 +291,27 @@ def test_a_node_that_was_killed_goes_on_where_it_was(stage, tmp_path: Path) -> N
     assert again._kept.learnt.mean.tolist() == saved.learnt.mean.tolist()
     assert saved.until_ns == 20 * wire.NS
     stage.add(again)
-    # the road is latched, and so are its last samples: those that come after it the node hears again, and learns from
-    # those that the one before had not kept
+    # the road is latched, and so are its last samples: the node learns from those that the one before had not kept
     stage.until(lambda: again.health().level == OK)
     drive(again, 60, 80)
     never = OnlineFilter(PERIOD_S, RingRoad(100.0))
     for k in range(80):
         never.step([*position[k], nan], [7, 8, 9], [4.5, 4.5, 0.0], k * PERIOD_S)
+    assert values(again)["samples"] == 80
     off = again._filter.learnt.mean - never.learnt.mean
     assert np.all(np.abs(off) < np.sqrt(np.diag(never.learnt.covariance)))
+
+
+def test_samples_that_come_before_the_road_are_not_lost(stage, ring_csv: Path) -> None:
+    road = Road()
+    road.destroy_publisher(road.to_road)
+    estimator = Estimator(namespace="/vehicle_07")
+    road.drive(0, 20)
+    stage.add(road, estimator)
+    stage.for_a_while(0.5)
+    assert values(estimator)["samples"] == 0
+    road.create_publisher(RoadMessage, "road", LATCHED).publish(RoadMessage(circumference_m=100.0, period_s=PERIOD_S))
+    stage.until(lambda: values(estimator)["samples"] == 20)
 
 
 def test_parameters_have_ranges_and_descriptions(pair) -> None:
