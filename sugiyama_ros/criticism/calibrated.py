@@ -3,7 +3,7 @@
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -85,15 +85,15 @@ def each_for_himself(
             }
             resume = stack.enter_context(Checkpoint(kept, about)).resume
         for number in range(passes):
-            starts = {v: fit.parameters for v, fit in found.items()}
+            starts, is_last = {v: fit.parameters for v, fit in found.items()}, number == passes - 1
             one_pass = partial(
                 calibrate,
                 trajectories,
                 formulation,
                 estimated,
                 is_regularised=is_regularised,
-                profiled=profiled and number == passes - 1,
-                with_errors=number == passes - 1,
+                profiled=profiled and is_last,
+                with_errors=is_last,
                 hops=hops,
                 seed=seed,
                 starts=starts,
@@ -131,16 +131,21 @@ def in_classes(
     drivers = len(trajectories.vehicle)
     if drivers < count:
         raise InputError(f"{trajectories.source}: {drivers} drivers, {count} classes; give --classes {drivers} at most")
-    fits = list(calibrate(trajectories, formulation, estimated, with_errors=False, work=work))
-    upper = upper_bounds(trajectories)
-    jobs = [job_of(trajectories, i, formulation, estimated, upper, {}) for i in range(drivers)]
-    found = find_classes(jobs, fits, count, int(np.isfinite(trajectories.position_m).sum()), seed, work)
+    places, upper = np.array([index(name) for name in estimated]), upper_bounds(trajectories)
+    jobs = [replace(job_of(trajectories, i, formulation, places, upper, {}), with_errors=False) for i in range(drivers)]
+    found = find_classes(jobs, count, int(np.isfinite(trajectories.position_m).sum()), seed, work)
     of = found.probability.argmax(axis=1)
-    names = [{name: float(found.std[k, index(name)]) for name in estimated} for k in of]
-    intervals = np.array([quadratic(found.rows[k], found.std[k]) for k in of])
-    known = tuple(dict.fromkeys(estimated, True) for _ in of)
-    rows = whole(found.rows[of])
-    return Calibrated(trajectories, rows, tuple(names), known, intervals, found.log_likelihood, {}, found)
+    rows, std = found.rows[of], found.std[of]
+    return Calibrated(
+        trajectories,
+        whole(rows),
+        tuple(dict(zip(estimated, one.tolist(), strict=True)) for one in std[:, places]),
+        tuple(dict.fromkeys(estimated, True) for _ in of),
+        quadratic(rows, std),
+        found.log_likelihood,
+        {},
+        found,
+    )
 
 
 def all_together(
@@ -168,14 +173,7 @@ def all_together(
         fitted.model.rows,
         tuple(own),
         tuple({n: bool(k) for n, k in zip(names, one, strict=True)} for one in known),
-        np.array(
-            [quadratic(row[: len(NAMES)], _in_places(std)) for row, std in zip(fitted.model.rows, own, strict=True)]
-        ),
+        quadratic(fitted.model.rows[:, : len(NAMES)], np.array([[s.get(name, 0.0) for name in NAMES] for s in own])),
         np.nansum(fitted.samples.log_likelihood, axis=1),
         shared,
     )
-
-
-def _in_places(std: Mapping[str, float]) -> Array:
-    """Standard deviations (P,) from those by name; 0 for what was given."""
-    return np.array([std.get(name, 0.0) for name in NAMES])

@@ -9,7 +9,7 @@ another, so any executor will do: threads, processes, or the workers of a Dask c
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from scipy.optimize import basinhopping
@@ -97,8 +97,7 @@ def fit_driver(
     sign, smallest, largest = search_bounds(start, places, upper)
 
     def at(x: Array, information: Array | None) -> tuple[Scored, Array, Array]:
-        parameters = start.copy()
-        parameters[places] = sign * np.exp(x)
+        parameters = _replaced(start, places, sign * np.exp(x))
         scored = score(parameters, information)
         scale = parameters[places]
         return (
@@ -127,8 +126,7 @@ def fit_driver(
             damping = max(damping / 10.0, 1e-9)
         else:
             damping = max(damping * 10.0, 1e-2)
-    parameters = start.copy()
-    parameters[places] = sign * np.exp(x)
+    parameters = _replaced(start, places, sign * np.exp(x))
     bound = (x <= smallest) | (x >= largest)
     inside = places[~bound]
     std: Array = np.zeros(len(start))
@@ -147,6 +145,13 @@ def search_bounds(start: Array, places: Ints, upper: Array) -> tuple[Array, Arra
     smallest = np.log(np.maximum(np.where(sign > 0.0, low, -high), _SMALLEST))
     largest = np.log(np.maximum(np.where(sign > 0.0, high, -low), _SMALLEST))
     return sign, smallest, largest
+
+
+def _replaced(parameters: Array, places: Ints, values: Array) -> Array:
+    """A copy of parameters (P,) with other values at ``places``."""
+    copy = parameters.copy()
+    copy[places] = values
+    return copy
 
 
 def _stds(scored: Scored, places: Ints) -> Array:
@@ -248,7 +253,8 @@ class Job:
         return self.score(parameters, rough.information, central=True)
 
 
-def _carry_out(job: Job) -> Fit:
+def carry_out(job: Job) -> Fit:
+    """Search, and what else is asked for."""
     if job.hops:
         job = replace(job, start=_hop(job))
     search = (job.objective, job.vehicle, job.start, job.places, job.upper)
@@ -266,8 +272,7 @@ def _hop(job: Job) -> Array:
     sign, smallest, largest = search_bounds(job.start, job.places, job.upper)
 
     def at(x: Array) -> tuple[float, Array]:
-        parameters = job.start.copy()
-        parameters[job.places] = sign * np.exp(x)
+        parameters = _replaced(job.start, job.places, sign * np.exp(x))
         scored = job.objective(parameters, None)
         return -scored.log_likelihood, -scored.gradient[job.places] * parameters[job.places]
 
@@ -278,21 +283,17 @@ def _hop(job: Job) -> Array:
         minimizer_kwargs={"method": "L-BFGS-B", "jac": True, "bounds": list(zip(smallest, largest, strict=True))},
         rng=np.random.default_rng([job.seed, job.vehicle]),
     )
-    start = job.start.copy()
-    start[job.places] = sign * np.exp(found.x)
-    return start
+    return _replaced(job.start, job.places, sign * np.exp(found.x))
 
 
 def _profile(job: Job, found: Fit) -> Array:
     """Ends (P, 2) of the intervals of those parameters that were searched for, from the profile of their likelihood."""
     interval = found.interval.copy()
-    for k in job.places.tolist():
-        bounds = np.abs([PARAMETERS[k].lower, PARAMETERS[k].upper, job.upper[k]])
-        value = abs(float(found.parameters[k]))
-        furthest = np.log([value / max(bounds.min(), _SMALLEST), bounds[1:].min() / value])
-        for side, sign in enumerate((-1.0, 1.0)):
-            guess = float(found.std[k]) / value
-            distance = end_of_profile(_fall(job, found, k, sign), guess, max(0.0, float(furthest[side])))
+    _, smallest, largest = search_bounds(found.parameters, job.places, job.upper)
+    for k, low, high in zip(job.places.tolist(), smallest.tolist(), largest.tolist(), strict=True):
+        size = abs(float(found.parameters[k]))
+        for side, sign, furthest in ((0, -1.0, np.log(size) - low), (1, 1.0, high - np.log(size))):
+            distance = end_of_profile(_fall(job, found, k, sign), float(found.std[k]) / size, max(0.0, float(furthest)))
             interval[k, side] = found.parameters[k] * np.exp(sign * distance)
     return np.sort(interval, axis=-1)
 
@@ -341,31 +342,34 @@ def calibrate(
     work: what carries the searches out, in turn if nothing does. Raises InputError for an unknown parameter, or data
     that the formulation cannot take.
     """
-    known, how = starts or {}, (is_regularised, profiled, hops, seed, with_errors)
-    upper = upper_bounds(trajectories)
+    places, upper, known = np.array([index(name) for name in estimated]), upper_bounds(trajectories), starts or {}
+
+    def job(driver: int) -> Job:
+        one = job_of(trajectories, driver, formulation, places, upper, known)
+        return replace(
+            one, is_regularised=is_regularised, profiled=profiled, hops=hops, seed=seed, with_errors=with_errors
+        )
+
     skipped = set(skip)
     left = [i for i, v in enumerate(trajectories.vehicle.tolist()) if v not in skipped]
     for first in range(0, len(left), _BATCH):
-        jobs = (
-            job_of(trajectories, i, formulation, estimated, upper, known, *how) for i in left[first : first + _BATCH]
-        )
-        yield from map(_carry_out, jobs) if work is None else work.map(_carry_out, list(jobs))
+        jobs = map(job, left[first : first + _BATCH])
+        yield from map(carry_out, jobs) if work is None else work.map(carry_out, list(jobs))
 
 
 def job_of(
     trajectories: Trajectories,
     driver: int,
     formulation: Formulation,
-    estimated: Sequence[str],
+    places: Ints,
     upper: Array,
     known: Mapping[int, Array],
-    *how: Any,
 ) -> Job:
-    """The search for the parameters of one driver; arguments as in ``calibrate`` and ``Job``."""
+    """The plain search for the parameters at ``places`` of one driver; known: starts by vehicle."""
     begin = defaults()
     begin[SIGMA_A] = _START_SIGMA_A
     vehicle = int(trajectories.vehicle[driver])
-    one = Job(vehicle, known.get(vehicle, begin), np.array([index(name) for name in estimated]), upper, *how)
+    one = Job(vehicle, known.get(vehicle, begin), places, upper)
     if formulation == "paper":
         return replace(one, perceived=paper.perceive(trajectories, driver))
     chain = causal.chain_behind(trajectories, driver)

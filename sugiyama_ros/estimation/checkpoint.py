@@ -69,8 +69,8 @@ class Checkpoint:
 
     def _write(self, name: str, fit: Fit) -> None:
         assert self._stream is not None
-        line = [name, fit.vehicle, fit.parameters.tolist(), fit.log_likelihood, fit.std.tolist(), fit.at_bound]
-        line.append(fit.interval.tolist())
+        parameters, std, interval = fit.parameters.tolist(), fit.std.tolist(), fit.interval.tolist()
+        line = [name, fit.vehicle, parameters, fit.log_likelihood, std, fit.at_bound, interval]
         try:
             self._stream.write(json.dumps(line) + "\n")
             self._stream.flush()

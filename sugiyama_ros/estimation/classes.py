@@ -12,7 +12,7 @@ import numpy as np
 from scipy.cluster.vq import kmeans2
 from scipy.special import logsumexp
 
-from sugiyama_ros.estimation.calibration import Fit, Job, search_bounds
+from sugiyama_ros.estimation.calibration import Fit, Job, carry_out, search_bounds
 from sugiyama_ros.estimation.paper import Scored
 from sugiyama_ros.road import Array
 
@@ -37,15 +37,13 @@ class Classes:
     bic: float
 
 
-def find_classes(
-    jobs: Sequence[Job], fits: Sequence[Fit], count: int, samples: int, seed: int, work: Executor
-) -> Classes:
+def find_classes(jobs: Sequence[Job], count: int, samples: int, seed: int, work: Executor) -> Classes:
     """Divide drivers into ``count`` classes.
 
-    jobs: of all drivers, with their data; fits: each driver's own, which give the start; samples: number of those
-    scored, for the information criterion.
+    jobs: of all drivers, with their data; samples: how many there are in all, for the information criterion.
     """
-    places = jobs[0].places
+    # each driver's own parameters give the start
+    fits, places = list(work.map(carry_out, jobs)), jobs[0].places
     _, smallest, largest = search_bounds(fits[0].parameters, places, jobs[0].upper)
     rows = max(
         (_divided(fits, jobs[0], count, seed + k) for k in range(_STARTS)),

@@ -16,14 +16,14 @@ _FURTHER, _FURTHER_AT_LEAST, _FIRST = 2.5, 1.3, 0.5
 
 
 def quadratic(parameters: Array, std: Array) -> Array:
-    """Ends (P, 2) of intervals of positive or negative parameters (P,) with stds (P,) of their logarithms' likelihood.
+    """Ends (..., 2) of intervals of positive or negative parameters (...) with stds (...), quadratic in the logarithms.
 
-    An infinite std leaves 0 and infinity.
+    An infinite std leaves 0 and infinity, a std of 0 the parameter itself.
     """
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         far = np.exp(SIGMAS * std / np.abs(parameters))
         ends = np.stack([parameters / far, parameters * far], axis=-1)
-    return np.sort(np.where(std[:, None] > 0.0, ends, parameters[:, None]), axis=-1)
+    return np.sort(np.where(std[..., None] > 0.0, ends, parameters[..., None]), axis=-1)
 
 
 def end_of_profile(fall: Callable[[float], float], guess: float, furthest: float) -> float:

@@ -90,7 +90,7 @@ def test_a_calibration_that_was_cut_off_goes_on(jam, tmp_path, monkeypatch):
     whole = each_for_himself(jam, "paper", ESTIMATED)
     kept = tmp_path / "fits"
     carried_out = []
-    carry_out = calibration._carry_out
+    carry_out = calibration.carry_out
 
     def counted(job):
         if len(carried_out) == 9:
@@ -98,12 +98,12 @@ def test_a_calibration_that_was_cut_off_goes_on(jam, tmp_path, monkeypatch):
         carried_out.append(job.vehicle)
         return carry_out(job)
 
-    monkeypatch.setattr(calibration, "_carry_out", counted)
+    monkeypatch.setattr(calibration, "carry_out", counted)
     with pytest.raises(KeyboardInterrupt):
         each_for_himself(jam, "paper", ESTIMATED, kept=kept)
     # the last line was half written when the power failed
     kept.write_text(kept.read_text()[:-30])
-    monkeypatch.setattr(calibration, "_carry_out", lambda job: carried_out.append(job.vehicle) or carry_out(job))
+    monkeypatch.setattr(calibration, "carry_out", lambda job: carried_out.append(job.vehicle) or carry_out(job))
     resumed = each_for_himself(jam, "paper", ESTIMATED, kept=kept)
     assert sorted(carried_out) == sorted([*range(22), 8])
     assert np.array_equal(resumed.rows, whole.rows)
@@ -179,6 +179,13 @@ def test_profile_intervals_are_those_of_another_search(jam):
 
             found = minimize(lost, np.log(fit.parameters[others]), jac=True, method="L-BFGS-B")
             assert 2.0 * (fit.log_likelihood + found.fun) == pytest.approx(1.96**2, abs=0.3)
+
+
+def test_an_interval_of_a_negative_parameter_has_two_ends(jam):
+    fit = next(calibrate(jam, "paper", ("omega_2",), profiled=True))
+    k = index("omega_2")
+    low, high = fit.interval[k]
+    assert -np.inf < low < fit.parameters[k] < high < 0.0
 
 
 def test_basinhopping_ends_in_the_same_maximum_and_repeats(jam):
