@@ -109,6 +109,7 @@ def _learn(
     factor: float,
     d_mean: Array,
     d_covariance: Array,
+    centre: Array,
     weight: Array,
     mean: Array,
     covariance: Array,
@@ -118,7 +119,6 @@ def _learn(
     for k in range(2):
         slopes[k] = factor * factor * d_covariance[k, 0, 0] + (2.0 * noise_var if k == _NU else 0.0)
         shifts[k] = -factor * d_mean[k, 0]
-    centre, _ = _moments(weight, mean, covariance)
     density = np.empty(len(weight))
     for j in range(len(weight)):
         off = mean[j] - centre
@@ -146,6 +146,7 @@ class NoiseLearner:
         self._kept = np.exp(-period_s / np.array(learning.relaxations_s))
         self._stay = math.exp(-period_s / learning.dwell_s)
         self._d_mean, self._d_covariance = np.zeros((2, size)), np.zeros((2, size, size))
+        self.outliers: Array = np.array(learning.outliers)
         models = len(self._kept)
         self.weight: Array = np.full(models, 1.0 / models)
         self.recall(prior_mean, self._prior_var)
@@ -179,6 +180,7 @@ class NoiseLearner:
             factor,
             self._d_mean,
             self._d_covariance,
+            self.mean,
             self.weight,
             self._means,
             self._covariances,

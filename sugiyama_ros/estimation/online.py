@@ -123,7 +123,6 @@ class OnlineFilter:
         self._places, _ = adaptation_of(parameters, adaptation).arrays
         self._adapted = slice(STATE * vehicles, STATE * vehicles + len(self._places))
         self._learning = learning
-        self._outliers = np.array(learning.outliers if learning is not None else (0.0, 1.0))
         self._take(whole(parameters))
         self._measures = np.zeros((vehicles, STATE * vehicles + len(self._places)))
         self._measures[np.arange(vehicles), STATE * np.arange(vehicles)] = 1.0
@@ -373,9 +372,9 @@ class OnlineFilter:
                 math.sqrt((variance - noise_var) / float(self._filter.P[0, 0])) if self._measured_otherwise else 1.0
             )
             self._noises.learn(innovation, variance, noise_var, factor)
-        if self._measured_otherwise or self._learning is None:
+        if self._noises is None or self._rows[0, _OUTLIERS]:
             return float(robust(innovation, variance, self._rows[0])[2])
-        return float(weigh(innovation, variance, float(self._rows[0, SIGMA_NU]) ** 2, self._outliers)[2])
+        return float(weigh(innovation, variance, float(self._rows[0, SIGMA_NU]) ** 2, self._noises.outliers)[2])
 
     def _check_style(self) -> tuple[str, float] | None:
         """Name of the parameter that has jumped, and by what factor, if the alarm is given; the filter is corrected."""

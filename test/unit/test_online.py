@@ -153,3 +153,17 @@ def test_what_the_samples_do_not_tell_is_said(jam):
         follow(jam, driver, online)
         identified += online.identified
     assert min(identified.count(name) for name in ("sigma_nu", "sigma_a", "kappa_v")) >= 20
+
+
+def test_an_effect_of_the_measurement_leaves_the_allowance_for_outliers(jam):
+    """With an effect of no weight, a sample 2 m off is as likely as without it."""
+    chain = chain_behind(jam, 3)
+    position = chain.position_m[:60].copy()
+    position[50, 0] += 2.0
+    row = switch_on(whole(population()), "sensor_eccentricity", {"cosine": 1e-9})
+    densities = []
+    for online in (OnlineFilter(DT, jam.road), OnlineFilter(DT, jam.road, row)):
+        steps = zip(position, chain.identity, chain.length_m, strict=False)
+        densities.append([online.step(*s).log_likelihood for s in steps])
+    np.testing.assert_allclose(*densities, rtol=1e-6)
+    assert min(densities[0][40:]) == densities[0][50] < -3.0
