@@ -5,7 +5,7 @@ Every candidate is looked at in the same way on the data and on data simulated f
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TypeVar
@@ -138,25 +138,27 @@ class Search:
         ``quick``, the best supported one.
         """
         looked = self._look_at_all()
+        supported = [one for one in looked if one.refined and one.p_value <= LEVEL and one.gain >= _LEAST_GAIN]
+        now = self._nearly(self.current) if supported and not self._quick else self.errors
         grown: list[Named] = []
-        for one in self._held_out(looked):
-            if not grown or one.candidate.name in grown[0].indistinguishable:
-                rivals = _indistinguishable(one, looked)
-                advice = tuple(
-                    text for pair, text in ADVICE.items() if one.candidate.name in pair and pair & set(rivals)
-                )
-                grown += self._grow(one.candidate, one.fit, one.p_value, rivals, advice)
-            if grown and self._quick:
-                break
+        for one in sorted(supported, key=lambda one: -one.predictive):
+            is_rival = not grown or (one.candidate.name in grown[0].indistinguishable and not self._quick)
+            confirmed = self._confirmed(one) if is_rival and self._predicts_more(one, now) else None
+            if confirmed is not None:
+                rivals = _indistinguishable(confirmed, looked)
+                about = {one.candidate.name, *rivals}
+                advice = tuple(text for pair, text in ADVICE.items() if one.candidate.name in pair and pair <= about)
+                named = self._grow(one.candidate, one.fit, confirmed.p_value, rivals, advice)
+                grown += [named] if named is not None else []
         return self._take(max(grown, key=lambda one: one.heldout.nats, default=None))
 
     def add_force(self, forces: Sequence[tuple[Discovery, Glance]]) -> bool:
         """Add the first of these that holds, if any does."""
         for force, look in forces:
-            for one in self._grow(look.candidate, refine(self._data, look, self._work), force.p_value):
-                # a curve that is flexible where there are few data may predict a step well, and go astray in a free run
-                if one.heldout.nats > one.heldout.se and one.after.no_worse_than(one.before):
-                    return self._take(one)
+            one = self._grow(look.candidate, refine(self._data, look, self._work), force.p_value)
+            # a curve that is flexible where there are few data may predict a step well, and go astray in a free run
+            if one is not None and one.heldout.nats > one.heldout.se and one.after.no_worse_than(one.before):
+                return self._take(one)
         return False
 
     def _look_at_all(self) -> list[Looked]:
@@ -182,17 +184,11 @@ class Search:
                 self.heldout[one.candidate.name] = gain(self._data, held_out_nearly(self._data, one.fit), nearly)
         return looked
 
-    def _held_out(self, looked: Sequence[Looked]) -> Iterator[Looked]:
-        """Those that are supported, also held out, best first."""
-        supported = [one for one in looked if one.refined and one.p_value <= LEVEL and one.gain >= _LEAST_GAIN]
-        now = self._nearly(self.current) if supported and not self._quick else self.errors
-        for one in sorted(supported, key=lambda one: -one.predictive):
-            predicted = self._nearly(one.fit)
-            won = gain(self._data, predicted.samples, now.samples)
-            if won.nats > -won.se and (one.candidate.name in _OF_NOISE or predicted.no_worse_than(now)):
-                confirmed = self._confirmed(one)
-                if confirmed is not None:
-                    yield confirmed
+    def _predicts_more(self, one: Looked, now: Errors) -> bool:
+        """Whether a candidate is supported held out, too; now: errors of the model as it stands."""
+        predicted = self._nearly(one.fit)
+        won = gain(self._data, predicted.samples, now.samples)
+        return won.nats > -won.se and (one.candidate.name in _OF_NOISE or predicted.no_worse_than(now))
 
     def _confirmed(self, best: Looked) -> Looked | None:
         """The same with the p-value of new simulations, unless it is clear; None if that does not support it."""
@@ -214,16 +210,16 @@ class Search:
         p_value: float,
         rivals: tuple[str, ...] = (),
         advice: tuple[str, ...] = (),
-    ) -> list[Named]:
+    ) -> Named | None:
         """The model with a candidate added, fitted in full, if that holds."""
         data, work, before = self._data, self._work, self.errors
         grown = fit(data, replace(fitted.model, ahead=fitted.model.rows), work)
         after = errors_of(data, without_folds(data, grown, work, refit=not self._quick), work)
         won = gain(data, after.samples, before.samples)
         if won.nats <= 0.0 or (won.nats < won.se and after.worst_change(before) > TOLERANCE):
-            return []
+            return None
         values = parameters_of(grown, candidate)
-        return [Named(candidate.name, candidate.kind, values, rivals, advice, p_value, won, before, after, grown)]
+        return Named(candidate.name, candidate.kind, values, rivals, advice, p_value, won, before, after, grown)
 
     def _take(self, one: Named | None) -> bool:
         """Go on with a grown model."""

@@ -136,11 +136,11 @@ class View(Node):
 
     def _on_innovation(self, raw: bytes) -> None:
         time_s, v, innovation, variance, scored = wire.read_innovation(raw)
-        if time_s < self._latest_s - 1.0:
-            self._squares.clear()
-        elif time_s != self._latest_s:
-            self._sum_up()
         if time_s != self._latest_s:
+            if time_s < self._latest_s - 1.0:
+                self._squares.clear()
+            else:
+                self._sum_up()
             self._latest_s, self._sum, self._scored = time_s, 0.0, 0
         if scored:
             self._sum += innovation**2
