@@ -25,7 +25,7 @@ from sugiyama_ros.driver.parameters import (
 )
 from sugiyama_ros.driver.utility import ACTIONS, room_for
 from sugiyama_ros.effects.catalogue import PLACES, whole
-from sugiyama_ros.effects.control import act, noise_factor
+from sugiyama_ros.effects.control import carry_out, intend, noise_factor
 from sugiyama_ros.effects.effect import Seen
 from sugiyama_ros.effects.sensor_eccentricity import displacement
 from sugiyama_ros.errors import InputError
@@ -98,7 +98,8 @@ def drive(
             rear_gap,
             rear_speed,
         )
-        out[i], pushed[i], _ = act(seen, held[i], rows[i], room, period, horizon)
+        meant, pushed[i] = intend(seen, rows[i], room, period, horizon)
+        out[i] = carry_out(meant, held[i], rows[i], period)
 
 
 @dataclass(frozen=True)

@@ -172,13 +172,10 @@ def noise_factor(speed: float, row: Array) -> float:
 
 
 @njit(nogil=True)
-def act(seen: Seen, held: float, row: Array, room: Array, period: float, horizon: int) -> tuple[float, float, float]:
-    """What the driver makes his car do until the next period, and what the environment adds; [m/s^2] both.
+def intend(seen: Seen, row: Array, room: Array, period: float, horizon: int) -> tuple[float, float]:
+    """What the driver means his car to do until the next period, and what the environment adds; [m/s^2] both.
 
-    Third comes the derivative of the first by ``held``.
-
-    held: what he made it do in the last period; row: (WIDTH,), at this period; changed on the way and restored.
-    room: of ``room_for`` the actions that he considers.
+    row: (WIDTH,), at this period; changed on the way and restored. room: of ``room_for`` the actions that he considers.
     """
     perceived = _perceived(seen, row) if _any_of(_PERCEIVING, row) else seen
     v_star, kappa_v = row[V_STAR], row[KAPPA_V]
@@ -196,13 +193,37 @@ def act(seen: Seen, held: float, row: Array, room: Array, period: float, horizon
     row[V_STAR], row[KAPPA_V] = v_star, kappa_v
     if _any_of(_ACTUATING, row):
         action = _actuated(action, seen, row)
-    kept = 0.0
+    return action, _pushed(seen, row) if _any_of(_PUSHING, row) else 0.0
+
+
+@njit(nogil=True)
+def carry_out(meant: float, held: float, row: Array, period: float) -> float:
+    """What he makes his car do [m/s^2], after ``held`` in the last period."""
+    if row[_THRESHOLD] == 0.0 and row[_LAG] == 0.0:
+        return meant
+    change = meant - held
     if row[_THRESHOLD] != 0.0:
-        meant = action
-        action = perception_threshold.hold(meant, held, row[_THRESHOLD : _THRESHOLD + 1])
-        kept = 1.0 if action != meant else 0.0
+        change = perception_threshold.change(change, row[_THRESHOLD : _THRESHOLD + 1])
+    if row[_LAG] != 0.0:
+        change *= actuation_lag.share(period, row[_LAG : _LAG + 1])
+    return held + change
+
+
+@njit(nogil=True)
+def expect_change(wanted: float, variance: float, row: Array, period: float) -> tuple[float, float, float]:
+    """Of a wanted change of his acceleration, known as a normal distribution, what is carried out.
+
+    Mean [m/s^2], regression on the wanted change, and variance that it leaves.
+    """
+    mean, slope, left, share = wanted, 1.0, 0.0, 1.0
+    if row[_THRESHOLD] != 0.0:
+        mean, slope, left = perception_threshold.expected_change(wanted, variance, row[_THRESHOLD : _THRESHOLD + 1])
     if row[_LAG] != 0.0:
         share = actuation_lag.share(period, row[_LAG : _LAG + 1])
-        action = held + share * (action - held)
-        kept = 1.0 - share * (1.0 - kept)
-    return action, _pushed(seen, row) if _any_of(_PUSHING, row) else 0.0, kept
+    return share * mean, share * slope, share * share * left
+
+
+@njit(nogil=True)
+def remembers(row: Array) -> bool:
+    """Whether what is carried out depends on what was in the last period."""
+    return bool(row[_THRESHOLD] != 0.0 or row[_LAG] != 0.0)

@@ -1,5 +1,7 @@
 """Drivers hold their acceleration until they would have to change it by enough: action points."""
 
+import math
+
 from numba import njit
 
 from sugiyama_ros.driver.parameters import Parameter
@@ -8,9 +10,32 @@ from sugiyama_ros.road import Array
 
 
 @njit(cache=True)
-def hold(meant: float, held: float, p: Array) -> float:
-    """The acceleration held, unless the one meant differs by more than the threshold."""
-    return held if abs(meant - held) < p[0] else meant
+def change(wanted: float, p: Array) -> float:
+    """Of a wanted change of the acceleration, what is carried out: nothing below the threshold."""
+    return 0.0 if abs(wanted) < p[0] else wanted
+
+
+@njit(cache=True)
+def expected_change(wanted: float, variance: float, p: Array) -> tuple[float, float, float]:
+    """The same of a change that is known as a normal distribution: mean, regression on the wanted one, variance left.
+
+    Statistical linearisation (Gelb, Applied Optimal Estimation (1974), section 6.2); exact in these three moments.
+    """
+    std = math.sqrt(variance)
+    low, high = (-p[0] - wanted) / std, (p[0] - wanted) / std
+    at_low = math.exp(-0.5 * low * low) / math.sqrt(2.0 * math.pi)
+    at_high = math.exp(-0.5 * high * high) / math.sqrt(2.0 * math.pi)
+    below = 0.5 * (math.erf(high / math.sqrt(2.0)) - math.erf(low / math.sqrt(2.0)))
+    held_mean = wanted * below + std * (at_low - at_high)
+    held_square = (
+        wanted * wanted * below
+        + 2.0 * wanted * std * (at_low - at_high)
+        + variance * (below + low * at_low - high * at_high)
+    )
+    mean, square = wanted - held_mean, wanted * wanted + variance - held_square
+    # what is carried out is either nothing or what is wanted, so its product with the latter is its own square
+    slope = (square - mean * wanted) / variance
+    return mean, slope, max(square - mean * mean - slope * slope * variance, 0.0)
 
 
 EFFECT = Effect(

@@ -47,7 +47,7 @@ from sugiyama_ros.driver.parameters import (
 )
 from sugiyama_ros.driver.utility import ACTIONS, room_for
 from sugiyama_ros.effects.catalogue import WIDTH, place, whole
-from sugiyama_ros.effects.control import act, noise_factor
+from sugiyama_ros.effects.control import expect_change, intend, noise_factor, remembers
 from sugiyama_ros.effects.effect import Seen
 from sugiyama_ros.effects.outlier_noise import weigh
 from sugiyama_ros.effects.sensor_eccentricity import displacement
@@ -235,7 +235,7 @@ def expected_action(
         centre[0] = here.gap
     cross[:] = 0.0
     held_cross[:] = 0.0
-    total, squares, held_total, held_squares, memory = 0.0, 0.0, 0.0, 0.0, 0.0
+    total, squares, held_total, held_squares = 0.0, 0.0, 0.0, 0.0
     first_adapted = size - len(adapted)
     leader_rho = parameters[m + 1, RHO] if m + 2 < len(known) else scene.last_rho
     for j in range(size):
@@ -263,9 +263,8 @@ def expected_action(
                 here.rear_gap,
                 here.rear_speed,
             )
-            held, pushed, kept = act(seen, mean[STATE * m + 3], driver, room, scene.period_s, scene.horizon)
+            held, pushed = intend(seen, driver, room, scene.period_s, scene.horizon)
             action = held + pushed
-            memory += kept
             total += action
             squares += action * action
             cross[j] += action * side
@@ -280,9 +279,20 @@ def expected_action(
     held_spread = max(weight * held_squares - held_expected * held_expected - np.sum(held_cross * held_cross), 0.0)
     _regress(cross, root, plus, minus, slope)
     _regress(held_cross, root, plus, minus, held_slope)
-    slope[STATE * m + 3] += weight * memory
-    held_slope[STATE * m + 3] += weight * memory
-    return held_expected, expected, held_spread, spread
+    if not remembers(parameters[m]):
+        return held_expected, expected, held_spread, spread
+    # what he means goes with what he has held to what he holds now; what pushes does not
+    pushed, pushed_spread = expected - held_expected, max(spread - held_spread, 0.0)
+    slope -= held_slope
+    place = STATE * m + 3
+    held_slope[place] -= 1.0
+    variance = max(held_slope @ covariance @ held_slope + held_spread, _KNOWN_VAR)
+    change, share, left = expect_change(held_expected - mean[place], variance, parameters[m], scene.period_s)
+    held_slope *= share
+    held_slope[place] += 1.0
+    slope += held_slope
+    held_expected, held_spread = mean[place] + change, share * share * held_spread + left
+    return held_expected, held_expected + pushed, held_spread, held_spread + pushed_spread
 
 
 @njit(cache=True)
@@ -418,7 +428,7 @@ def start_vehicle(
     Two-point initialisation (Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation,
     section 5.5.3); ``elapsed``: time [s] since the first.
     """
-    x, v, n = STATE * m, STATE * m + 1, STATE * m + 2
+    x, v, n, b = STATE * m, STATE * m + 1, STATE * m + 2, STATE * m + 3
     circumference = scene.circumference_m
     measured -= measurement(measured, parameters[m], scene)[0]
     if known[m] == UNKNOWN:
@@ -440,6 +450,7 @@ def start_vehicle(
     covariance[v, v] = 2.0 * noise_var / elapsed**2 + (elapsed * _START_ACCELERATION_STD) ** 2
     if m < len(known) - 1:
         covariance[n, n] = parameters[m, SIGMA_A] ** 2 / (1.0 - parameters[m, RHO] ** 2)
+        covariance[b, b] = _START_ACCELERATION_STD**2 if remembers(parameters[m]) else 0.0
     else:
         covariance[n, n] = scene.last_shock_std**2 / (1.0 - scene.last_rho**2)
 

@@ -31,24 +31,24 @@ DRIVERS, RING_M, DURATION_S, LENGTH_M = 22, 230.0, 250.0, 4.33
 Strengths = Mapping[str, float]
 #: Strong and weak form of each effect; places and times are drawn for each recording.
 STRENGTHS: Mapping[str, tuple[Strengths, Strengths]] = {
-    "reaction_delay": ({"delay": 0.16}, {"delay": 0.1}),
-    "actuation_lag": ({"time_constant": 0.4}, {"time_constant": 0.2}),
-    "second_leader": ({"weight": 0.2}, {"weight": 0.08}),
+    "reaction_delay": ({"delay": 0.2}, {"delay": 0.1}),
+    "actuation_lag": ({"time_constant": 0.4}, {"time_constant": 0.25}),
+    "second_leader": ({"weight": 0.25}, {"weight": 0.08}),
     "rear_pressure": ({"strength": 1.5, "distance": 2.5}, {"strength": 0.6, "distance": 2.5}),
     "comfort_limits": ({"limit": 1.05}, {"limit": 1.3}),
-    "limited_power": ({"power": 13.0}, {"power": 18.0}),
+    "limited_power": ({"power": 13.0}, {"power": 16.5}),
     "limited_braking": ({"limit": 0.8}, {"limit": 1.05}),
     "drag": ({"c0": 0.3, "c2": 0.004}, {"c0": 0.18, "c2": 0.002}),
     "road_grade": ({"grade": 0.05, "width": 80.0}, {"grade": 0.02, "width": 80.0}),
-    "slow_patch": ({"reduction": 0.07, "width": 80.0}, {"reduction": 0.025, "width": 80.0}),
-    "perception_threshold": ({"threshold": 1.5}, {"threshold": 0.8}),
+    "slow_patch": ({"reduction": 0.07, "width": 80.0}, {"reduction": 0.03, "width": 80.0}),
+    "perception_threshold": ({"threshold": 1.0}, {"threshold": 0.5}),
     "speed_dependent_noise": ({"exponent": 0.6}, {"exponent": 0.25}),
     "preference_drift": ({"std": 0.03, "time_constant": 30.0}, {"std": 0.018, "time_constant": 30.0}),
     "preference_switch": (
         {"v_star_change": -0.06, "kappa_v_change": 0.1},
-        {"v_star_change": -0.025, "kappa_v_change": 0.05},
+        {"v_star_change": -0.035, "kappa_v_change": 0.07},
     ),
-    "outlier_noise": ({"share": 0.006, "factor": 4.0}, {"share": 0.0015, "factor": 4.0}),
+    "outlier_noise": ({"share": 0.006, "factor": 4.0}, {"share": 0.002, "factor": 4.0}),
     "sensor_eccentricity": ({"cosine": 0.8, "sine": 0.6}, {"cosine": 0.3, "sine": 0.2}),
 }
 NONE, PAIR, FORM = "none", "pair", "form"

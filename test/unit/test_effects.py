@@ -7,8 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from sugiyama_ros.driver.parameters import COUNT, KAPPA_V, SIGMA_NU, V_STAR, defaults
+from sugiyama_ros.effects import perception_threshold
 from sugiyama_ros.effects.catalogue import (
     DECLARED,
     EFFECTS,
@@ -34,7 +36,7 @@ ACTING = {
     "reaction_delay": {"delay": 0.1},
     "second_leader": {"weight": 0.6},
     "gap_offset": {"offset": 0.5},
-    "perception_threshold": {"threshold": 0.5},
+    "perception_threshold": {"threshold": 1.0},
     "slow_patch": {"reduction": 0.2, "centre": 50.0, "width": 60.0},
     "preference_switch": {"v_star_change": -0.2, "kappa_v_change": 0.2, "time": 20.0},
     "preference_drift": {"std": 0.1, "time_constant": 20.0},
@@ -161,11 +163,9 @@ def test_the_online_filter_is_the_batch_filter(name):
     assert online.parameters[V_STAR] > 0.0
 
 
-@pytest.mark.parametrize(
-    "name", [n for n in NAMES_OF_EFFECTS if n not in ("perception_threshold", "external_push", "gap_offset")]
-)
+@pytest.mark.parametrize("name", [n for n in NAMES_OF_EFFECTS if n not in ("external_push", "gap_offset")])
 def test_the_true_effect_predicts_better(name):
-    """At the true parameters; a Gaussian filter cannot follow what a threshold holds back."""
+    """At the true parameters."""
     base = drivers()
     # noise that keeps the drivers busy
     base[:, 1] = 0.8
@@ -188,7 +188,10 @@ def test_the_true_effect_predicts_better(name):
     ],
 )
 def test_without_noise_the_filter_follows_the_simulator(name):
-    """Nearly without noise the batch filter predicts better with the effect; nobody brakes hard in such traffic."""
+    """Nearly without noise the batch filter predicts better with the effect.
+
+    But for a threshold, at which it cannot take back a wrong guess then; and nobody brakes hard in such traffic.
+    """
     quiet = drivers()
     quiet[:, [SIGMA_NU, 1, 10, 11]] = 1e-4
     rows = switch_on(whole(quiet), name, ACTING[name])
@@ -202,6 +205,22 @@ def test_without_noise_the_filter_follows_the_simulator(name):
         assert ours == pytest.approx(theirs, rel=0.5)
     else:
         assert ours < theirs
+
+
+@pytest.mark.parametrize("threshold", [0.02, 0.5, 4.0])
+@pytest.mark.parametrize(("wanted", "std"), [(0.0, 0.4), (0.6, 0.3), (-1.5, 1.0), (0.501, 1e-4)])
+def test_what_a_threshold_lets_through_of_an_uncertain_change(wanted, std, threshold):
+    """Mean, regression and the variance left, beside sums over the normal distribution in 200,000 equal parts."""
+    p = np.array([threshold])
+    want = norm.ppf((np.arange(200_000) + 0.5) / 200_000, wanted, std)
+    done = np.where(np.abs(want) < threshold, 0.0, want)
+    mean, slope, left = perception_threshold.expected_change(wanted, std * std, p)
+    assert mean == pytest.approx(done.mean(), abs=1e-4 * std)
+    assert slope == pytest.approx(np.cov(want, done)[0, 1] / std**2, abs=1e-3)
+    assert left == pytest.approx(np.var(done - slope * want), abs=1e-3 * std**2 + 1e-12)
+    assert perception_threshold.change(wanted, p) == pytest.approx(
+        perception_threshold.expected_change(wanted, 1e-24, p)[0], abs=1e-12
+    )
 
 
 def test_any_set_of_effects_combines():
