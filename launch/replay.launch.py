@@ -27,8 +27,15 @@ def nodes(context: LaunchContext) -> list[Node]:
     package = "sugiyama_ros"
     return [
         Node(package=package, executable="recorder", parameters=[config / "recorder.yaml", plan.recorder]),
+        Node(package=package, executable="keeper"),
         *(
-            Node(package=package, executable="estimator", namespace=namespace, parameters=[config / "estimator.yaml"])
+            Node(
+                package=package,
+                executable="estimator",
+                namespace=namespace,
+                parameters=[config / "estimator.yaml", {"ask_keeper": True}],
+                respawn=True,
+            )
             for namespace in plan.namespaces
         ),
         Node(package=package, executable="replay", parameters=[config / "replay.yaml", plan.replay]),

@@ -34,8 +34,15 @@ def nodes(context: LaunchContext) -> list[Node]:
     }
     return [
         Node(package=package, executable="recorder", parameters=[config / "recorder.yaml", recorder]),
+        Node(package=package, executable="keeper"),
         *(
-            Node(package=package, executable="estimator", namespace=space, parameters=[config / "estimator.yaml"])
+            Node(
+                package=package,
+                executable="estimator",
+                namespace=space,
+                parameters=[config / "estimator.yaml", {"ask_keeper": True}],
+                respawn=True,
+            )
             for space in spaces
         ),
         Node(package=package, executable="simulator", parameters=[config / "simulator.yaml", simulator]),

@@ -20,7 +20,7 @@ from sugiyama_ros.effects.catalogue import ENTRIES, PLACES, active, effect, swit
 from sugiyama_ros.errors import InputError, SugiyamaError
 from sugiyama_ros.estimation.online import NOBODY, Estimate, OnlineFilter, warm_up
 from sugiyama_ros.nodes import wire
-from sugiyama_ros.nodes.learnt_file import Kept, file_of, read_learnt, write_learnt
+from sugiyama_ros.nodes.learnt_file import Kept, file_of, kept_in, read_learnt, write_learnt
 from sugiyama_ros.nodes.node import ERROR, OK, WARN, Health, PacedNode
 from sugiyama_ros.nodes.qos import DEPTH, LATCHED, STREAM
 from sugiyama_ros.nodes.spin import run_node
@@ -32,6 +32,8 @@ _LONGEST_GAP = 100
 _LATE = 3
 # Length [m] of a vehicle beyond which it is none.
 _LONGEST_M = 1000.0
+# Time [s] in which a keeper may answer.
+_PATIENCE_S = 1.0
 _PARAMETERS_EVERY_NS, _SAVED_EVERY_NS = wire.NS, 10 * wire.NS
 #: What is published where nothing is known, so that every topic has a message for every step.
 _UNKNOWN = Estimate(
@@ -72,12 +74,17 @@ class Estimator(PacedNode):
         kept = file_of(resume, self.vehicle) if resume is not None else None
         # of a vehicle that was not there before nothing is known
         self._kept = read_learnt(kept) if kept is not None and kept.exists() else None
+        about = ParameterDescriptor(description="whether to go on from what a keeper has last heard", read_only=True)
+        self._is_asking = bool(self.declare_parameter("ask_keeper", False, about).value)
+        if self._is_asking:
+            self.create_subscription(DriverParameters, "_kept_parameters", self._on_kept, LATCHED)
+            self._patience = self.create_timer(_PATIENCE_S, self._on_kept, clock=self.steady)
         declare_driver(self, row)
         self.add_post_set_parameters_callback(lambda _: self._begin_anew())
         self._effects = row
         self._road: RoadMessage | None = None
         self._filter: OnlineFilter | None = None
-        self._early: deque[bytes] = deque(maxlen=DEPTH)
+        self._waiting: deque[bytes] = deque(maxlen=DEPTH)
         self._stamp_ns: int | None = None
         self._parameters_ns: int | None = None
         self._saved_ns: int | None = None
@@ -133,9 +140,18 @@ class Estimator(PacedNode):
         self._road = road
         if known is None or (known.circumference_m, known.period_s) != (road.circumference_m, road.period_s):
             self._restart()
-        while self._early:
-            self._on_measured(self._early.popleft())
+        self._go_on()
         self.announce()
+
+    def _on_kept(self, message: DriverParameters | None = None) -> None:
+        """The keeper's answer, or none in time."""
+        if self._is_asking:
+            self._is_asking = False
+            self._patience.cancel()
+            if message is not None:
+                self._kept = kept_in(message)
+                self._restart()
+            self._go_on()
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._begin_anew()
@@ -211,20 +227,24 @@ class Estimator(PacedNode):
         self._failure = ""
 
     def _on_measured(self, raw: bytes) -> None:
-        # what others have kept for one who comes late may be heard before the road is
-        if self._filter is None or self._road is None:
-            self._early.append(raw)
-            return
-        sample = wire.measured(raw)
+        self._waiting.append(raw)
+        self._go_on()
+
+    def _go_on(self) -> None:
+        """Take in what waits: what the road has latched for one who comes late may be heard before the road itself."""
+        while self._waiting and self._filter is not None and self._road is not None and not self._is_asking:
+            self._take_in(wire.measured(self._waiting.popleft()), self._filter, self._road)
+
+    def _take_in(self, sample: wire.Sample, filter_: OnlineFilter, road: RoadMessage) -> None:
         try:
-            estimate = self._follow(sample, self._filter)
+            estimate = self._follow(sample, filter_)
         except Exception as error:
             self._fail(error, sample)
             estimate = _UNKNOWN
         if estimate is not None:
             self._publish(sample, estimate)
-            self._publish_parameters(sample, self._filter, self._road)
-        self.taken(sample.step + 1, last=sample.step + 1 == self._road.steps)
+            self._publish_parameters(sample, filter_, road)
+        self.taken(sample.step + 1, last=sample.step + 1 == road.steps)
         self.report_if_worse()
 
     def _follow(self, sample: wire.Sample, filter_: OnlineFilter) -> Estimate | None:

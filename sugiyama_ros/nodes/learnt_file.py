@@ -1,14 +1,16 @@
-"""What an estimator has learnt, kept in a file, so that one that is started later can go on from it."""
+"""What an estimator has learnt, kept in a file or by a keeper, so that one that is started later can go on from it."""
 
 import json
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from sugiyama_msgs.msg import DriverParameters
 
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.estimation.online import Learnt
 from sugiyama_ros.formats.writing import replacing
+from sugiyama_ros.nodes.wire import NS
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,6 +24,15 @@ class Kept:
 def file_of(directory: Path, vehicle: int) -> Path:
     """Where a vehicle's estimator keeps what it has learnt."""
     return directory / f"vehicle_{vehicle:02}.json"
+
+
+def kept_in(message: DriverParameters) -> Kept:
+    """What an estimator had learnt when it published its parameters."""
+    places = np.flatnonzero(message.estimated)
+    value = np.array(message.value)[places]
+    covariance = np.array(message.covariance).reshape(2 * [len(message.value)])[np.ix_(places, places)]
+    learnt = Learnt(tuple(message.name[k] for k in places), np.log(value), covariance / np.outer(value, value))
+    return Kept(learnt, message.header.stamp.sec * NS + message.header.stamp.nanosec)
 
 
 def write_learnt(path: Path, kept: Kept) -> None:

@@ -19,6 +19,7 @@ from sugiyama_ros.estimation.online import Learnt, OnlineFilter
 from sugiyama_ros.formats import read_trajectories
 from sugiyama_ros.nodes import wire
 from sugiyama_ros.nodes.estimator import Estimator
+from sugiyama_ros.nodes.keeper import Keeper
 from sugiyama_ros.nodes.learnt_file import Kept, file_of, read_learnt, write_learnt
 from sugiyama_ros.nodes.node import ERROR, OK, WARN
 from sugiyama_ros.nodes.qos import LATCHED, STREAM
@@ -300,6 +301,45 @@ def test_a_node_that_was_killed_goes_on_where_it_was(stage, tmp_path: Path) -> N
     assert values(again)["samples"] == 80
     off = again._filter.learnt.mean - never.learnt.mean
     assert np.all(np.abs(off) < np.sqrt(np.diag(never.learnt.covariance)))
+
+
+def test_a_node_that_was_killed_goes_on_from_what_the_keeper_has_heard(stage) -> None:
+    """Killed after 30 s; 10 s later its successor knows what one knows that was never killed."""
+    noise = np.random.default_rng(1).normal(0.0, 0.26, (80, 2))
+    position = (np.array([0.0, 30.0]) + 5.0 * PERIOD_S * np.arange(80)[:, None] + noise) % 100.0
+    road, keeper = Road(), Keeper()
+    kept: list[DriverParameters] = []
+    road.create_subscription(DriverParameters, "vehicle_07/_kept_parameters", kept.append, LATCHED)
+    first = Estimator(namespace="/vehicle_07", parameter_overrides=[Parameter("ask_keeper", value=True)])
+
+    def drive(estimator: Estimator, begin: int, end: int) -> None:
+        for k in range(begin, end):
+            road.send(k * PERIOD_S, dict(zip((7, 8), position[k].tolist(), strict=True)))
+        stage.until(lambda: estimator._stamp_ns == round((end - 1) * PERIOD_S * wire.NS))
+
+    stage.add(road, keeper, first)
+    stage.until(lambda: first.health().level == OK and dict(keeper.health().values)["drivers"] == 1)
+    for begin in range(0, 60, 20):
+        drive(first, begin, begin + 20)
+    stage.until(lambda: bool(kept) and kept[-1].header.stamp.sec == 29)
+    stage.kill(first)
+    again = Estimator(namespace="/vehicle_07", parameter_overrides=[Parameter("ask_keeper", value=True)])
+    stage.add(again)
+    drive(again, 60, 80)
+    assert again._kept.until_ns == 29 * wire.NS
+    never = OnlineFilter(PERIOD_S, RingRoad(100.0))
+    for k in range(80):
+        never.step([*position[k], nan], [7, 8, 9], [4.5, 4.5, 0.0], k * PERIOD_S)
+    off = again._filter.learnt.mean - never.learnt.mean
+    assert np.all(np.abs(off) < np.sqrt(np.diag(never.learnt.covariance)))
+
+
+def test_without_a_keeper_an_estimator_soon_begins(stage) -> None:
+    road = Road()
+    estimator = Estimator(namespace="/vehicle_07", parameter_overrides=[Parameter("ask_keeper", value=True)])
+    road.drive(0, 20)
+    stage.add(road, estimator)
+    stage.until(lambda: values(estimator)["samples"] == 20)
 
 
 def test_samples_that_come_before_the_road_are_not_lost(stage, ring_csv: Path) -> None:
