@@ -19,7 +19,8 @@ Kind = Literal["effect", "measurement", "constants"]
 class Candidate:
     """Something that may be added to a model: entries of the rows that are freed, and where their search begins.
 
-    starts: values by place; individual: whether each driver has values of his own.
+    starts: values by place; individual: whether each driver has values of his own; strengths: places to whose values
+    what it changes is proportional, to first order.
     """
 
     name: str
@@ -28,6 +29,7 @@ class Candidate:
     starts: tuple[dict[int, float], ...]
     individual: bool = False
     summary: str = ""
+    strengths: tuple[int, ...] = ()
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -54,6 +56,8 @@ def candidates(recording: Recording, drivers: int) -> tuple[Candidate, ...]:
         starts = e.starts(recording)
         if not starts or (e.name == "second_leader" and drivers < 3):
             continue
+        strengths = tuple(place(e.name, name) for name in e.switches)
+        has_signs = not e.individual and all(DECLARED[k].lower < 0.0 for k in strengths)
         found.append(
             Candidate(
                 e.name,
@@ -62,6 +66,7 @@ def candidates(recording: Recording, drivers: int) -> tuple[Candidate, ...]:
                 tuple({place(e.name, p): v for p, v in values.items()} for values in starts),
                 e.individual,
                 e.summary,
+                strengths if has_signs else (),
             )
         )
     return tuple(found)

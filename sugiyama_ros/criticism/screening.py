@@ -4,6 +4,7 @@ The same look is taken at the data and at data simulated from the model without 
 is approximate in it cancels.
 """
 
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
@@ -17,6 +18,7 @@ from sugiyama_ros.criticism.fitting import (
     Model,
     Recorded,
     Samples,
+    Slopes,
     climb,
     coordinate,
     density_slope,
@@ -27,6 +29,7 @@ from sugiyama_ros.criticism.fitting import (
     sums,
     value,
 )
+from sugiyama_ros.effects.catalogue import DECLARED
 from sugiyama_ros.estimation import causal
 from sugiyama_ros.road import Array
 
@@ -57,26 +60,25 @@ def glance(data: Recorded, base: Fit, candidate: Candidate, work: Executor, also
     """Add a candidate to a fitted model by a step or two, from its starts, and from ``also`` if that is given."""
     everywhere = range(FOLDS)
     before = objective(base.slopes, base.model, everywhere)
-    starts = [added(base.model, candidate, start) for start in candidate.starts] + ([also] if also else [])
-    samples = [evaluate(data, model, work) for model in starts]
-    looks = [_promise(base, model, s) for model, s in zip(starts, samples, strict=True)]
-    best, worst = int(np.argmax(looks)), int(np.argmin(looks[: len(candidate.starts)]))
+
+    def tried(model: Model) -> tuple[Model, Samples]:
+        return model, evaluate(data, model, work)
+
+    begun = [tried(added(base.model, candidate, start)) for start in candidate.starts]
+    looks = [_promise(base, *one) for one in begun]
+    worst = int(np.argmin(looks))
     loss = base.log_likelihood - looks[worst], candidate.starts[worst]
-    model, at = starts[best], samples[best]
-    known = [*base.model.individual, *base.model.shared]
+    if candidate.strengths:
+        begun = [tried(added(base.model, candidate, _strongest(data, base, candidate, begun)))]
+    if also:
+        begun.append(tried(also))
+    model, at = max(begun, key=lambda one: _promise(base, *one))
     places = [*model.individual, *model.shared]
+    known = [*base.model.individual, *base.model.shared]
     new = {k: _column(data, model, at, k, work) for k in places if k not in known}
-    here = []
-    for i, (s, row) in enumerate(zip(base.slopes, model.rows, strict=True)):
-        old = (s.innovation, s.variance, s.density)
-        dy, dvar, direct = (
-            np.array([new[k][i][j] if k in new else old[j][known.index(k)] for k in places]) for j in range(3)
-        )
-        now = at.innovation_m[i], at.innovation_var[i], at.log_likelihood[i]
-        here.append(sums(now, (dy, dvar, direct), row, data.fold))
-    fitted = Fit(model, at, tuple(here))
-    reached = objective(here, model, everywhere)
-    if reached + solve(here, model, everywhere, 1e-3).promise > before + _HOPELESS:
+    fitted = Fit(model, at, _joined(data, base, model, at, new))
+    reached = objective(fitted.slopes, model, everywhere)
+    if reached + solve(fitted.slopes, model, everywhere, 1e-3).promise > before + _HOPELESS:
         fitted = climb(data, fitted, work, iterations=_LOOKS, enough=_PROMISE, renew=False)
         reached = objective(fitted.slopes, fitted.model, everywhere)
     return Glance(candidate, fitted, reached - before, *loss)
@@ -158,15 +160,57 @@ def _promise(base: Fit, model: Model, samples: Samples) -> float:
     return total
 
 
+def _strongest(
+    data: Recorded, base: Fit, candidate: Candidate, begun: Sequence[tuple[Model, Samples]]
+) -> dict[int, float]:
+    """The start that promises most once its strengths are scaled as the samples want it, so scaled.
+
+    What a start changes in every sample is taken for a derivative, so that this costs no filter.
+    """
+    steps, (ray, *_) = [], candidate.strengths
+    model = replace(base.model, shared=(*base.model.shared, ray))
+    for start, there in begun:
+        new = {ray: _differences(base.samples, there, 1.0, start.rows)}
+        slopes = _joined(data, base, model, base.samples, new)
+        steps.append(solve(slopes, model, range(FOLDS), 1e-3))
+    best = int(np.argmax([step.promise for step in steps]))
+    scale = float(steps[best].shared[-1])
+    return {
+        k: float(np.clip(scale * v, DECLARED[k].lower, DECLARED[k].upper)) if k in candidate.strengths else v
+        for k, v in candidate.starts[best].items()
+    }
+
+
+def _joined(
+    data: Recorded, base: Fit, model: Model, at: Samples, new: dict[int, list[tuple[Array, Array, Array]]]
+) -> tuple[Slopes, ...]:
+    """Slopes at a model near ``base``: derivatives by its parameters are those that it has, those by others are new."""
+    known = [*base.model.individual, *base.model.shared]
+    joined = []
+    for i, (s, row) in enumerate(zip(base.slopes, model.rows, strict=True)):
+        old = (s.innovation, s.variance, s.density)
+        dy, dvar, direct = (
+            np.array([new[k][i][j] if k in new else old[j][known.index(k)] for k in (*model.individual, *model.shared)])
+            for j in range(3)
+        )
+        now = at.innovation_m[i], at.innovation_var[i], at.log_likelihood[i]
+        joined.append(sums(now, (dy, dvar, direct), row, data.fold))
+    return tuple(joined)
+
+
 def _column(data: Recorded, model: Model, at: Samples, place: int, work: Executor) -> list[tuple[Array, Array, Array]]:
     """Derivatives of every driver's samples by one parameter, as ``Slopes`` keeps them, (T,) each."""
     coordinates = coordinate(model.rows[:, [place]], [place])
     step = float(difference_steps(data, [place])[0])
     rows = model.rows.copy()
     rows[:, place] = value(coordinates + step, [place])[:, 0]
-    there = evaluate(data, replace(model, rows=rows), work)
+    return _differences(at, evaluate(data, replace(model, rows=rows), work), step, model.rows)
+
+
+def _differences(at: Samples, there: Samples, step: float, rows: Array) -> list[tuple[Array, Array, Array]]:
+    """Difference quotients of every driver's samples, as ``Slopes`` keeps them, (T,) each; rows: (N, WIDTH)."""
     found = []
-    for i, row in enumerate(model.rows):
+    for i, row in enumerate(rows):
         y, variance = at.innovation_m[i], at.innovation_var[i]
         dy, dvar = (there.innovation_m[i] - y) / step, (there.innovation_var[i] - variance) / step
         direct = np.zeros_like(dy)

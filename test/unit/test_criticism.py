@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
+from sugiyama_ros.criticism.candidates import named
 from sugiyama_ros.criticism.diagnosis import INDIVIDUAL, diagnose
 from sugiyama_ros.criticism.errors import errors_of
 from sugiyama_ros.criticism.fitting import (
@@ -26,6 +27,7 @@ from sugiyama_ros.criticism.fitting import (
     without_folds,
 )
 from sugiyama_ros.criticism.model_file import read_model, write_model
+from sugiyama_ros.criticism.screening import glance
 from sugiyama_ros.criticism.verdict import document, sentences
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, defaults
 from sugiyama_ros.effects.catalogue import switch_on, whole
@@ -96,6 +98,18 @@ def test_held_out_scores_cost_what_was_fitted(fitted, work):
     assert 5.0 < lost < 84.0
     assert base.log_likelihood - stepped == pytest.approx(lost, rel=0.5)
     assert nearly == pytest.approx(stepped, abs=0.1 * lost)
+
+
+def test_a_change_of_mind_is_found_at_its_time(work):
+    """Between two starts of the search, and a third as strong as they take it to be."""
+    change = {"v_star_change": -0.035, "kappa_v_change": 0.07, "time": 38.0}
+    data = prepare(recording("preference_switch", **change).measured)
+    look = glance(data, fit_base(data, INDIVIDUAL, work), *named(data, ["preference_switch"]), work)
+    found = dict(zip(look.candidate.parameters, look.fit.model.rows[0, look.candidate.places], strict=True))
+    # Wilks: three parameters gain 7.8 nats by chance in one of 1000 recordings
+    assert look.gain > 7.8
+    assert found["time"] == pytest.approx(38.0, abs=5.0)
+    assert found["v_star_change"] < -0.01
 
 
 def test_free_runs_start_where_the_filter_is(fitted, work):
