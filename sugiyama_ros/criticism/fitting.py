@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from sugiyama_ros.driver.parameters import COUNT, NAMES, OMEGA_2, RHO, population
 from sugiyama_ros.effects.catalogue import DECLARED, place, whole
@@ -671,5 +671,10 @@ def gain(data: Recorded, better: Samples, than: Samples) -> Gain:
     difference = better.log_likelihood - than.log_likelihood
     by_driver = np.nansum(difference, axis=1)
     blocks = np.array([np.nansum(difference[:, data.block == b]) for b in np.unique(data.block)])
-    errors = [math.sqrt(len(x) * float(np.var(x, ddof=1))) if len(x) > 1 else 0.0 for x in (by_driver, blocks)]
-    return Gain(float(by_driver.sum()), max(errors), tuple(by_driver.tolist()))
+    return Gain(float(by_driver.sum()), max(sum_error(by_driver), sum_error(blocks)), tuple(by_driver.tolist()))
+
+
+def sum_error(parts: ArrayLike) -> float:
+    """Standard error of the sum of parts (N,) that are alike, by the jackknife."""
+    x = np.asarray(parts)
+    return math.sqrt(len(x) * float(np.var(x, ddof=1))) if len(x) > 1 else 0.0

@@ -26,6 +26,7 @@ from sugiyama_ros.criticism.fitting import (
     gain,
     held_out_nearly,
     objective,
+    sum_error,
     without_folds,
 )
 from sugiyama_ros.criticism.free_run import filtered_states
@@ -40,6 +41,8 @@ _SHORTLIST, _SHARE = 4, 0.15
 _LATER_LOOKS = 8
 # A gain is not believed below this [nats], whatever the p-value; and simulated gains spread by at least this.
 _LEAST_GAIN, _LEAST_SPREAD = 5.0, 1.5
+# Standard errors by which one candidate is clearly worse than another (5 %), and the least difference [nats].
+_CLEARLY, _LEAST_DIFFERENCE = 1.645, 3.0
 # Prior weight of the common spread in that of one candidate, as a number of simulated recordings.
 _COMMON = 4
 # A gain this many times what is needed to be believed is not checked against new simulations.
@@ -145,7 +148,7 @@ class Search:
             is_rival = not grown or (one.candidate.name in grown[0].indistinguishable and not self._quick)
             confirmed = self._confirmed(one) if is_rival and self._predicts_more(one, now) else None
             if confirmed is not None:
-                rivals = _indistinguishable(confirmed, looked)
+                rivals = self._indistinguishable(one, looked)
                 about = {one.candidate.name, *rivals}
                 advice = tuple(text for pair, text in ADVICE.items() if one.candidate.name in pair and pair <= about)
                 named = self._grow(one.candidate, one.fit, confirmed.p_value, rivals, advice)
@@ -189,6 +192,20 @@ class Search:
         predicted = self._nearly(one.fit)
         won = gain(self._data, predicted.samples, now.samples)
         return won.nats > -won.se and (one.candidate.name in _OF_NOISE or predicted.no_worse_than(now))
+
+    def _indistinguishable(self, best: Looked, looked: Sequence[Looked]) -> tuple[str, ...]:
+        """Supported candidates that do not predict clearly less than the best one, held out.
+
+        Vuong's test of models that are not nested (Econometrica 57 (1989) 307), one-sided, paired over drivers.
+        """
+        by_best = held_out_nearly(self._data, best.fit)
+        names = []
+        for one in looked:
+            if one.candidate.name != best.candidate.name and one.p_value <= LEVEL:
+                behind = gain(self._data, by_best, held_out_nearly(self._data, one.fit))
+                if behind.nats < max(_CLEARLY * sum_error(behind.drivers), _LEAST_DIFFERENCE):
+                    names.append(one.candidate.name)
+        return tuple(names)
 
     def _confirmed(self, best: Looked) -> Looked | None:
         """The same with the p-value of new simulations, unless it is clear; None if that does not support it."""
@@ -342,19 +359,6 @@ class _Null:
 def _freedom(candidate: Candidate, drivers: int) -> int:
     """Number of parameters that a candidate adds."""
     return len(candidate.places) * (drivers if candidate.individual else 1)
-
-
-def _indistinguishable(best: Looked, looked: Sequence[Looked]) -> tuple[str, ...]:
-    """Candidates whose gain differs from the best one's by less than two paired standard errors over drivers."""
-    names = []
-    for one in looked:
-        if one is best or one.p_value > LEVEL or one.candidate.name == best.candidate.name:
-            continue
-        difference = np.nansum(best.fit.samples.log_likelihood - one.fit.samples.log_likelihood, axis=1)
-        se = float(np.sqrt(len(difference) * np.var(difference, ddof=1))) if len(difference) > 1 else 0.0
-        if best.score - one.score < max(2.0 * se, 3.0) and one.refined:
-            names.append(one.candidate.name)
-    return tuple(names)
 
 
 def _smallest(looks: Sequence[Glance], null: _Null) -> dict[str, float]:
