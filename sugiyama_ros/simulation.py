@@ -28,11 +28,14 @@ from sugiyama_ros.effects.catalogue import PLACES, whole
 from sugiyama_ros.effects.control import carry_out, intend, noise_factor
 from sugiyama_ros.effects.effect import Seen
 from sugiyama_ros.effects.sensor_eccentricity import displacement
+from sugiyama_ros.effects.uneven_noise import factor as noise_std_factor
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Array, Ints, Road
 from sugiyama_ros.trajectories import Trajectories
 
-_OUTLIERS, _OFF_CENTRE, _DRIFT = (PLACES[n] for n in ("outlier_noise", "sensor_eccentricity", "preference_drift"))
+_OUTLIERS, _OFF_CENTRE, _UNEVEN, _DRIFT = (
+    PLACES[n] for n in ("outlier_noise", "sensor_eccentricity", "uneven_noise", "preference_drift")
+)
 
 
 @njit(cache=True)
@@ -192,6 +195,10 @@ class Simulator:
     def measure(self) -> Array:
         """Measured positions (N,) [m] of the present sample: the truth plus measurement noise, wrapped on a ring."""
         noise = self.parameters[:, SIGMA_NU] * self._rng.standard_normal(len(self.position_m))
+        uneven = self.parameters[:, _UNEVEN]
+        if uneven.any():
+            places = zip(self.position_m, uneven, strict=True)
+            noise *= [noise_std_factor(x, self.road.circumference_m, row) for x, row in places]
         share, factor = self.parameters[:, _OUTLIERS].T
         if share.any():
             noise = np.where(self._rng_of_effects.random(len(noise)) < share, factor * noise, noise)

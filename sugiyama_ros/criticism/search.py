@@ -48,7 +48,7 @@ _COMMON = 4
 # A gain this many times what is needed to be believed is not checked against new simulations.
 _CLEAR = 4.0
 # What changes no mean motion: a free run, which has no noise, cannot speak against it.
-_OF_NOISE = ("noise_constants", "outlier_noise", "speed_dependent_noise")
+_OF_NOISE = ("noise_constants", "outlier_noise", "speed_dependent_noise", "uneven_noise")
 # Fits that are under way at the same time, all on the same workers.
 _AT_ONCE = 3
 _Item = TypeVar("_Item")

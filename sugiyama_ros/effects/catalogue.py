@@ -31,6 +31,7 @@ from sugiyama_ros.effects import (
     sensor_eccentricity,
     slow_patch,
     speed_dependent_noise,
+    uneven_noise,
 )
 from sugiyama_ros.effects.effect import STAGES, Effect, Values
 from sugiyama_ros.errors import InputError
@@ -59,6 +60,7 @@ BUILT_IN: tuple[Effect, ...] = tuple(
         discovered_force,
         outlier_noise,
         sensor_eccentricity,
+        uneven_noise,
     )
 )
 

@@ -51,6 +51,7 @@ from sugiyama_ros.effects.control import expect_change, intend, noise_factor, re
 from sugiyama_ros.effects.effect import Seen
 from sugiyama_ros.effects.outlier_noise import weigh
 from sugiyama_ros.effects.sensor_eccentricity import displacement
+from sugiyama_ros.effects.uneven_noise import factor as noise_std_factor
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Array, Ints
 from sugiyama_ros.trajectories import Trajectories
@@ -66,6 +67,7 @@ UNKNOWN, POSITION, MOVING = 0, 1, 2
 #: Entries of the state for each vehicle: position, speed, noise, held acceleration.
 STATE = 4
 _OUTLIERS, _OFF_CENTRE = place("outlier_noise", "share"), place("sensor_eccentricity", "cosine")
+_UNEVEN = place("uneven_noise", "cosine")
 _DRIFT, _DELAY = place("preference_drift", "std"), place("reaction_delay", "delay")
 # Acceleration [m/s^2] for which a speed from two positions allows.
 _START_ACCELERATION_STD = 1.0
@@ -444,7 +446,7 @@ def start_vehicle(
         way -= circumference * round(way / circumference)
     mean[x] += way
     mean[v] = way / elapsed
-    noise_var = parameters[m, SIGMA_NU] ** 2
+    noise_var = noise_var_at(mean[x], parameters[m], scene)
     covariance[x, x] = noise_var
     covariance[x, v] = covariance[v, x] = noise_var / elapsed
     covariance[v, v] = 2.0 * noise_var / elapsed**2 + (elapsed * _START_ACCELERATION_STD) ** 2
@@ -462,6 +464,15 @@ def measurement(position: float, parameters: Array, scene: Scene) -> tuple[float
         return 0.0, 1.0
     off, slope = displacement(position, scene.circumference_m, parameters[_OFF_CENTRE : _OFF_CENTRE + 2])
     return off, 1.0 + slope
+
+
+@njit(cache=True)
+def noise_var_at(position: float, parameters: Array, scene: Scene) -> float:
+    """Variance [m^2] of the measurement noise at a position [m]."""
+    variance: float = parameters[SIGMA_NU] ** 2
+    if parameters[_UNEVEN] == 0.0 and parameters[_UNEVEN + 1] == 0.0:
+        return variance
+    return variance * noise_std_factor(position, scene.circumference_m, parameters[_UNEVEN : _UNEVEN + 2]) ** 2
 
 
 @njit(cache=True)
@@ -545,7 +556,7 @@ def run(
                 continue
             x = STATE * m
             off, factor = measurement(mean[x], parameters[m], scene)
-            variance = factor * factor * covariance[x, x] + parameters[m, SIGMA_NU] ** 2
+            variance = factor * factor * covariance[x, x] + noise_var_at(mean[x], parameters[m], scene)
             if m == 0 and known[0] == MOVING:
                 innovation_var[t] = variance
             if math.isnan(position[t, m]):

@@ -31,6 +31,7 @@ from sugiyama_ros.estimation.causal import (
     forget_vehicle,
     linearise,
     measurement,
+    noise_var_at,
     robust,
     scene_at,
     start_vehicle,
@@ -356,7 +357,7 @@ class OnlineFilter:
 
     def _innovation(self, m: int, position_m: float) -> tuple[float, float]:
         """Of vehicle m of the chain [m], NaN where its position is missing, and its variance [m^2]."""
-        mean, noise_var = float(self._filter.x[STATE * m]), float(self._rows[m, SIGMA_NU]) ** 2
+        mean, noise_var = float(self._filter.x[STATE * m]), self._noise_var(m)
         variance = float(self._filter.P[STATE * m, STATE * m])
         if self._measured_otherwise:
             off, factor = measurement(mean, self._rows[m], self._scene)
@@ -364,10 +365,14 @@ class OnlineFilter:
         way, lap = position_m - mean, self.road.circumference_m
         return way - lap * round(way / lap) if lap > 0.0 and way == way else way, variance + noise_var
 
+    def _noise_var(self, m: int) -> float:
+        """Of the measurement of vehicle m of the chain [m^2], where it is."""
+        return float(noise_var_at(float(self._filter.x[STATE * m]), self._rows[m], self._scene))
+
     def _learn(self, innovation: float, variance: float) -> float:
         """Log-likelihood of the driver's own sample, and what it says of his noises."""
         if self._noises is not None:
-            noise_var = float(self._rows[0, SIGMA_NU]) ** 2
+            noise_var = self._noise_var(0)
             factor = (
                 math.sqrt((variance - noise_var) / float(self._filter.P[0, 0])) if self._measured_otherwise else 1.0
             )
@@ -397,7 +402,7 @@ class OnlineFilter:
         gain = factor * kalman.P[:, x]
         y, variance = self._innovation(m, position_m)
         step, shrink, _ = robust(y, variance, row)
-        measures = factor * self._measures[[m]]
+        measures, noise_var = factor * self._measures[[m]], self._noise_var(m) if m == 0 else 0.0
         kalman.update(
             np.array([position_m]),
             HJacobian=lambda _: measures,
@@ -406,7 +411,7 @@ class OnlineFilter:
             residual=self.road.difference,
         )
         if self._noises is not None:
-            self._noises.update(kalman, measures, row[SIGMA_NU] ** 2 if m == 0 else 0.0)
+            self._noises.update(kalman, measures, noise_var)
         if self._alarm is not None:
             self._alarm.update(factor * kalman.K, np.array([x]))
         kalman.P = kalman.P - np.outer(gain, gain) * (shrink - step)

@@ -52,6 +52,7 @@ ACTING = {
     "discovered_force": {"covariate": 2.0, "first": 0.0, "last": 10.0, "force_0": 0.5, "force_7": -0.5},
     "outlier_noise": {"share": 0.1, "factor": 4.0},
     "sensor_eccentricity": {"cosine": 1.5, "sine": 1.0},
+    "uneven_noise": {"cosine": 0.4, "sine": -0.3},
 }
 #: Draw random numbers of their own, or act on measurements alone.
 CHANCE = ("preference_drift", "outlier_noise")

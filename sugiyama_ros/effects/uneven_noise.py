@@ -1,0 +1,37 @@
+"""The camera measures worse on one side of the ring."""
+
+import math
+
+from numba import njit
+
+from sugiyama_ros.driver.parameters import Parameter
+from sugiyama_ros.effects.effect import MEASUREMENT, Effect, Recording, Values
+from sugiyama_ros.road import Array
+
+
+@njit(cache=True)
+def factor(position: float, circumference: float, p: Array) -> float:
+    """Of the std of the measurement noise at a position [m]: its logarithm is one wave around the ring."""
+    if circumference == 0.0:
+        return 1.0
+    angle = 2.0 * math.pi * position / circumference
+    return math.exp(p[0] * math.cos(angle) + p[1] * math.sin(angle))
+
+
+def _starts(recording: Recording) -> tuple[Values, ...]:
+    waves = ({"cosine": 0.15, "sine": 0.0}, {"cosine": 0.0, "sine": 0.15})
+    return waves if recording.circumference_m else ()
+
+
+EFFECT = Effect(
+    name="uneven_noise",
+    stage=MEASUREMENT,
+    summary="the measurement noise changes by one wave around the ring",
+    source="the image scale and the light of one camera for the whole ring, to first order",
+    parameters=(
+        Parameter("cosine", "a_c", "1", 0.0, -2.0, 2.0, "logarithm of the factor of the noise's std at position 0"),
+        Parameter("sine", "a_s", "1", 0.0, -2.0, 2.0, "the same a quarter of the ring further on"),
+    ),
+    starts=_starts,
+    strengths=("cosine", "sine"),
+)
