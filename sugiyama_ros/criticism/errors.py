@@ -9,8 +9,8 @@ import numpy as np
 from sugiyama_ros.criticism.fitting import Model, Recorded, Samples, of_folds
 from sugiyama_ros.criticism.free_run import HORIZONS_S, FreeRuns, follow, free_runs, rmse
 
-#: Share by which a free run's error may be larger than before without counting as worse: two starts differ by more.
-TOLERANCE = 0.05
+# Share by which a free run's error may be larger than before without counting as worse: two starts differ by more.
+_TOLERANCE = 0.05
 # Speed [m/s] from which a time gap means something.
 _MOVING = 1.0
 
@@ -38,7 +38,7 @@ class Errors:
         return [(float(total), rmse(self.runs.single[:, -1, i])) for i, total in enumerate(totals)]
 
     def no_worse_than(self, other: "Errors") -> bool:
-        """Whether the free runs are no worse by more than TOLERANCE and two paired standard errors over starts.
+        """Whether the free runs are no worse by more than 5 % and two paired standard errors over starts.
 
         Of the mean square errors of all horizons, coupled and of single cars, each relative to the other model's: a
         horizon alone may be luck, since a free run knows no noise, and a jam without noise is a delicate thing.
@@ -54,13 +54,7 @@ class Errors:
         if len(changes) < 2:
             return True
         mean, se = float(np.mean(changes)), float(np.std(changes, ddof=1) / np.sqrt(len(changes)))
-        return not mean > max(2.0 * se, (1.0 + TOLERANCE) ** 2 - 1.0)
-
-    def worst_change(self, other: "Errors") -> float:
-        """Largest relative change of a free run's error, over all horizons."""
-        ours, theirs = self.summary(), other.summary()
-        names = [name for name in ours if name.startswith(("free_run", "single_car"))]
-        return max(ours[name] / theirs[name] - 1.0 for name in names)
+        return not mean > max(2.0 * se, (1.0 + _TOLERANCE) ** 2 - 1.0)
 
     def summary(self) -> dict[str, float]:
         """All figures by name."""

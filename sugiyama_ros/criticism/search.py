@@ -16,7 +16,7 @@ from scipy.stats import t as student
 from sugiyama_ros.criticism.bootstrap import resample, seeds
 from sugiyama_ros.criticism.candidates import Candidate, Kind, candidates, recording_of
 from sugiyama_ros.criticism.discover import Discovery
-from sugiyama_ros.criticism.errors import TOLERANCE, Errors, errors_of
+from sugiyama_ros.criticism.errors import Errors, errors_of
 from sugiyama_ros.criticism.fitting import (
     FOLDS,
     Fit,
@@ -160,7 +160,7 @@ class Search:
         for force, look in forces:
             one = self._grow(look.candidate, refine(self._data, look, self._work), force.p_value)
             # a curve that is flexible where there are few data may predict a step well, and go astray in a free run
-            if one is not None and one.heldout.nats > one.heldout.se and one.after.no_worse_than(one.before):
+            if one is not None and one.after.no_worse_than(one.before):
                 return self._take(one)
         return False
 
@@ -228,12 +228,12 @@ class Search:
         rivals: tuple[str, ...] = (),
         advice: tuple[str, ...] = (),
     ) -> Named | None:
-        """The model with a candidate added, fitted in full, if that holds."""
+        """The model with a candidate added, fitted in full, if it predicts more, held out, by its standard error."""
         data, work, before = self._data, self._work, self.errors
         grown = fit(data, replace(fitted.model, ahead=fitted.model.rows), work)
         after = errors_of(data, without_folds(data, grown, work, refit=not self._quick), work)
         won = gain(data, after.samples, before.samples)
-        if won.nats <= 0.0 or (won.nats < won.se and after.worst_change(before) > TOLERANCE):
+        if won.nats < won.se:
             return None
         values = parameters_of(grown, candidate)
         return Named(candidate.name, candidate.kind, values, rivals, advice, p_value, won, before, after, grown)
