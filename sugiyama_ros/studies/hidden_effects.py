@@ -73,7 +73,7 @@ FORMS: Mapping[str, tuple[str, float, float, tuple[float, ...]]] = {
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a diagnosis said of one recording; gains in nats."""
+    """What a diagnosis said of one recording; gains in nats, of what was named first and of the true effect."""
 
     hidden: str
     strength: str
@@ -84,6 +84,7 @@ class Outcome:
     p_value: float
     gain: float
     oracle_gain: float
+    oracle_heldout: float
     discovered: tuple[str, ...]
     wall_s: float
 
@@ -141,6 +142,7 @@ def judge(hidden: str, strength: str, measured: Trajectories, seed: int, quick: 
         first.p_value if first else 1.0,
         first.heldout.nats if first else 0.0,
         oracle,
+        d.heldout[hidden].nats if hidden in d.heldout else 0.0,
         tuple(one.covariate for one in d.discovered),
         d.wall_s,
     )
@@ -177,6 +179,10 @@ def report(outcomes: Sequence[Outcome]) -> str:
             lines.append(
                 f"| {strength} | {len(of)} | {right} | {inside} | {size} | {len(of) - inside - none} | {none} |"
             )
+    hidden_ones = [o for o in outcomes if o.strength in ("strong", "weak") and o.hidden != NONE]
+    if possible := sum(o.oracle_heldout for o in hidden_ones):
+        share = sum(o.gain for o in hidden_ones) / possible
+        lines += ["", f"Held-out gain of what was named first, over that of the true effects: {share:.0%}."]
     for strength, count in ((PAIR, 2), (FORM, 0)):
         of = [o for o in outcomes if o.strength == strength]
         both = sum(len(set(o.hidden.split("+")) & set(o.named)) == count for o in of)
