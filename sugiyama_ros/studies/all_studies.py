@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.studies import driver_types, measured_drivers, online, recovery, spectrum, what_if
+from sugiyama_ros.studies import driver_types, filters, measured_drivers, online, recovery, spectrum, what_if
 from sugiyama_ros.studies.study import Study
 
 STUDIES: Mapping[str, Study] = {
@@ -15,6 +15,7 @@ STUDIES: Mapping[str, Study] = {
         driver_types.STUDY,
         *what_if.STUDIES,
         *online.STUDIES,
+        filters.STUDY,
     )
 }
 
