@@ -20,6 +20,7 @@ from sugiyama_ros.estimation.calibration import Fit, Formulation, calibrate, job
 from sugiyama_ros.estimation.checkpoint import Checkpoint
 from sugiyama_ros.estimation.classes import Classes, find_classes
 from sugiyama_ros.estimation.intervals import quadratic
+from sugiyama_ros.estimation.types import DriverTypes
 from sugiyama_ros.road import Array
 from sugiyama_ros.trajectories import Trajectories
 
@@ -46,8 +47,10 @@ class Calibrated:
 
     def write(self, path: Path) -> None:
         """Write a model file. Raises OutputError."""
-        total = float(self.log_likelihood.sum())
-        write_drivers(path, self.trajectories, self.rows, self.std, self.shared_std, total)
+        total, types = float(self.log_likelihood.sum()), None
+        if self.classes is not None:
+            types = DriverTypes(self.classes.share, self.classes.rows)
+        write_drivers(path, self.trajectories, self.rows, self.std, self.shared_std, total, types)
 
 
 def each_for_himself(

@@ -13,6 +13,7 @@ from sugiyama_ros.criticism.fitting import FOLDS, Fit, Recorded, coordinate
 from sugiyama_ros.driver.parameters import COUNT, NAMES, check
 from sugiyama_ros.effects.catalogue import ENTRIES, WIDTH, active, effect, place, switch_on
 from sugiyama_ros.errors import InputError, OutputError
+from sugiyama_ros.estimation.types import DriverTypes
 from sugiyama_ros.road import Array, Ints
 from sugiyama_ros.trajectories import Trajectories
 
@@ -26,13 +27,17 @@ _LARGEST_BYTES = 50_000_000
 
 @dataclass(frozen=True, eq=False)
 class ModelFile:
-    """vehicle: (N,) numbers; rows: (N, WIDTH); effects: names of those that act; sha256 of the data fitted."""
+    """vehicle: (N,) numbers; rows: (N, WIDTH); effects: names of those that act; sha256 of the data fitted.
+
+    types: the classes that drivers were divided into, if they were.
+    """
 
     vehicle: Ints
     rows: Array
     effects: tuple[str, ...]
     source: str
     sha256: str
+    types: DriverTypes | None = None
 
     def rows_of(self, vehicles: Ints) -> Array:
         """Rows (N, WIDTH) of these vehicles; the median driver's for one that is not in the file."""
@@ -54,8 +59,9 @@ def write_drivers(
     own_std: Sequence[Mapping[str, float]],
     shared_std: Mapping[str, float],
     log_likelihood: float,
+    types: DriverTypes | None = None,
 ) -> None:
-    """Write drivers' rows (N, WIDTH) and how well they are known as a model file. Raises OutputError."""
+    """Write drivers' rows (N, WIDTH), how well they are known, and their types as a model file. Raises OutputError."""
     drivers = {}
     for vehicle, row, std in zip(trajectories.vehicle.tolist(), rows, own_std, strict=True):
         drivers[vehicle] = {
@@ -73,6 +79,11 @@ def write_drivers(
         "shared_std": dict(shared_std),
         "drivers": drivers,
     }
+    if types is not None:
+        document["classes"] = [
+            {"share": float(share), "parameters": dict(zip(NAMES, row.tolist(), strict=True))}
+            for share, row in zip(types.share, types.rows, strict=True)
+        ]
     beside = path.with_name(path.name + ".part")
     try:
         beside.write_text(yaml.dump(document, Dumper=_DUMPER, sort_keys=False, allow_unicode=True))
@@ -113,12 +124,28 @@ def read_model(path: Path) -> ModelFile:
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise InputError(f"{where}: {type(error).__name__} {error}; give every parameter a number") from None
         rows.append(row)
+    types = _types(path, document["classes"]) if "classes" in document else None
     about_data = document.get("data")
     known = about_data if isinstance(about_data, dict) else {}
     stacked = np.array(rows)
-    return ModelFile(
-        np.array(vehicles), stacked, active(stacked), str(known.get("source", "")), str(known.get("sha256", ""))
-    )
+    source, checksum = str(known.get("source", "")), str(known.get("sha256", ""))
+    return ModelFile(np.array(vehicles), stacked, active(stacked), source, checksum, types)
+
+
+def _types(path: Path, classes: Any) -> DriverTypes:
+    """The classes of a model file. Raises InputError."""
+    try:
+        share = np.array([float(one["share"]) for one in classes])
+        rows = np.array([[float(one["parameters"][name]) for name in NAMES] for one in classes])
+        if not len(share) or not (share > 0.0).all() or not np.isfinite(share).all():
+            raise ValueError("share")
+        for row in rows:
+            check(row)
+    except InputError as error:
+        raise InputError(f"{path}: classes: {error}") from None
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{path}: classes: {type(error).__name__} {error}; give share and every parameter") from None
+    return DriverTypes(share / share.sum(), rows)
 
 
 def stds_of(fitted: Fit) -> tuple[list[dict[str, float]], dict[str, float]]:

@@ -99,6 +99,8 @@ class OnlineFilter:
 
     parameters: (P,) of the driver at the start, at the reference period, those of ``population()`` if left out, or a
     whole row (WIDTH,) with effects; ``ahead``: the same of the drivers ahead; period_s: time [s] between two samples.
+    prior: what was known of the driver before the first sample; change_of_style: name of the parameter that has jumped
+    at the last one, and its factor.
     adaptation: what of his preferences is learnt; learning: how his noises are, None if they are not.
     Raises InputError for parameters out of bounds.
     """
@@ -158,6 +160,7 @@ class OnlineFilter:
         places = range(adapted.start, adapted.stop)
         self._alarm = StyleAlarm(places, size, self.period_s) if places else None
         self.change_of_style: tuple[str, float] | None = None
+        self.prior = self.learnt
 
     def change(self, parameters: Array) -> None:
         """Go on with other effects, from a whole row (WIDTH,), and keep all that was learnt.

@@ -10,7 +10,7 @@ import numpy as np
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from rclpy.node import Node
 from std_srvs.srv import Trigger
-from sugiyama_msgs.msg import DriverParameters, Innovation, MeasuredPositions, StyleChange, VehicleState
+from sugiyama_msgs.msg import DriverParameters, DriverType, Innovation, MeasuredPositions, StyleChange, VehicleState
 from sugiyama_msgs.msg import Road as RoadMessage
 from sugiyama_msgs.srv import AddEffect, RemoveEffect
 
@@ -19,6 +19,7 @@ from sugiyama_ros.driver.parameters import NAMES, PARAMETERS, population
 from sugiyama_ros.effects.catalogue import ENTRIES, PLACES, active, effect, switch_on, whole
 from sugiyama_ros.errors import InputError, SugiyamaError
 from sugiyama_ros.estimation.online import NOBODY, Estimate, OnlineFilter, warm_up
+from sugiyama_ros.estimation.types import DriverTypes
 from sugiyama_ros.nodes import wire
 from sugiyama_ros.nodes.learnt_file import Kept, file_of, kept_in, read_learnt, write_learnt
 from sugiyama_ros.nodes.node import ERROR, OK, WARN, Health, PacedNode
@@ -104,6 +105,8 @@ class Estimator(PacedNode):
         self._to_innovation = self.create_publisher(Innovation, "innovation", STREAM)
         self._to_changes = self.create_publisher(StyleChange, "style_change", STREAM)
         self._to_parameters = self.create_publisher(DriverParameters, "parameters", STREAM)
+        if self._types is not None:
+            self._to_type = self.create_publisher(DriverType, "driver_type", STREAM)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(AddEffect, "~/add_effect", self._on_add_effect)
         self.create_service(RemoveEffect, "~/remove_effect", self._on_remove_effect)
@@ -114,9 +117,12 @@ class Estimator(PacedNode):
         """The driver's row from the model file, if one is given, or of a driver of whom nothing is known."""
         about = ParameterDescriptor(description="model file (YAML) with drivers and effects", read_only=True)
         file = str(self.declare_parameter("model", "", about).value)
+        self._types: DriverTypes | None = None
         if not file:
             return whole(population())
-        return read_model(Path(file)).rows_of(np.array([self.vehicle]))[0]
+        model = read_model(Path(file))
+        self._types = model.types
+        return model.rows_of(np.array([self.vehicle]))[0]
 
     def _directory(self, name: str, description: str) -> Path | None:
         """A directory that a parameter names, if one does."""
@@ -326,6 +332,9 @@ class Estimator(PacedNode):
         self._unknown = [name for name in filter_.adapted if name not in identified]
         known = [ENTRIES[k] in identified for k in shown]
         self.send(self._to_parameters, self._parameter_bytes.message(sample.stamp_ns, value, covariance, known))
+        if self._types is not None:
+            probability = self._types.probabilities(filter_.learnt, filter_.prior)
+            self.send(self._to_type, wire.driver_type(sample.stamp_ns, self.vehicle, probability))
         if self._saved_ns is None:
             self._saved_ns = sample.stamp_ns
         elif sample.stamp_ns - self._saved_ns >= _SAVED_EVERY_NS:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from builtin_interfaces.msg import Time
 from rclpy.serialization import serialize_message
-from sugiyama_msgs.msg import DriverParameters, StyleChange
+from sugiyama_msgs.msg import DriverParameters, DriverType, StyleChange
 
 from sugiyama_ros.estimation.online import Estimate
 from sugiyama_ros.road import Array
@@ -123,6 +123,14 @@ def read_innovation(raw: bytes) -> tuple[float, int, float, float, bool]:
 def style_change(stamp_ns: int, vehicle: int, name: str, factor: float) -> bytes:
     """A StyleChange message."""
     message = StyleChange(vehicle=vehicle, name=name, factor=factor)
+    message.header.frame_id = FRAME
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, NS)
+    return bytes(serialize_message(message))
+
+
+def driver_type(stamp_ns: int, vehicle: int, probability: Array) -> bytes:
+    """A DriverType message."""
+    message = DriverType(vehicle=vehicle, probability=probability.tolist())
     message.header.frame_id = FRAME
     message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, NS)
     return bytes(serialize_message(message))

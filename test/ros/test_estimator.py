@@ -9,13 +9,16 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
-from sugiyama_msgs.msg import DriverParameters, Innovation, MeasuredPositions, VehicleState
+from sugiyama_msgs.msg import DriverParameters, DriverType, Innovation, MeasuredPositions, VehicleState
 from sugiyama_msgs.msg import Road as RoadMessage
 
+from sugiyama_ros.criticism.model_file import write_drivers
 from sugiyama_ros.driver.parameters import NAMES, PARAMETERS, population
+from sugiyama_ros.effects.catalogue import whole
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.estimation.causal import chain_behind
 from sugiyama_ros.estimation.online import Learnt, OnlineFilter
+from sugiyama_ros.estimation.types import DriverTypes
 from sugiyama_ros.formats import read_trajectories
 from sugiyama_ros.nodes import wire
 from sugiyama_ros.nodes.estimator import Estimator
@@ -248,6 +251,25 @@ def test_it_starts_from_the_nodes_parameters(stage) -> None:
     known = dict(zip(road.parameters[0].name, road.parameters[0].value, strict=True))
     assert known["v_star"] == pytest.approx(15.0)
     assert known["sigma_a"] == dict(zip(NAMES, population().tolist(), strict=True))["sigma_a"]
+
+
+def test_it_tells_the_type_of_the_driver(stage, ring_csv: Path, tmp_path: Path) -> None:
+    trajectories, file = read_trajectories(ring_csv, 100.0), tmp_path / "types.yaml"
+    kinds = np.array([population(), population()])
+    kinds[1, NAMES.index("v_star")] *= 1.2
+    types = DriverTypes(np.array([0.75, 0.25]), kinds)
+    write_drivers(file, trajectories, whole(np.tile(population(), (4, 1))), [{}] * 4, {}, 0.0, types)
+    road, told = Road(), []
+    estimator = Estimator(namespace="/vehicle_07", parameter_overrides=[Parameter("model", value=str(file))])
+    road.create_subscription(DriverType, "vehicle_07/driver_type", told.append, STREAM)
+    stage.add(road, estimator)
+    stage.until(lambda: estimator.health().level == OK)
+    road.drive(0, 21)
+    stage.until(lambda: len(told) == 11)
+    assert told[0].probability == pytest.approx([0.75, 0.25])
+    learnt, prior = estimator._filter.learnt, estimator._filter.prior
+    assert told[-1].probability == pytest.approx(types.probabilities(learnt, prior))
+    assert (told[-1].header.stamp.sec, told[-1].vehicle) == (10, 7)
 
 
 def test_what_was_learnt_is_forgotten_when_the_user_sets_a_parameter(stage, tmp_path: Path) -> None:

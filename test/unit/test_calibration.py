@@ -196,7 +196,7 @@ def test_basinhopping_ends_in_the_same_maximum_and_repeats(jam):
     assert first.parameters[PLACES] == pytest.approx(plain.parameters[PLACES], rel=0.01)
 
 
-def test_drivers_of_two_kinds_are_divided_into_two_classes():
+def test_drivers_of_two_kinds_are_divided_into_two_classes(tmp_path):
     """22 drivers for 60 s, which is too short to tell the desired speed of each."""
     kind = np.arange(22) % 2
     rows = defaults(22)
@@ -211,6 +211,10 @@ def test_drivers_of_two_kinds_are_divided_into_two_classes():
     label = two.classes.probability.argmax(axis=1)
     assert np.array_equal(label == label[0], kind == kind[0])
     assert two.classes.share == pytest.approx([0.5, 0.5], abs=0.01)
+    two.write(tmp_path / "types.yaml")
+    types = read_model(tmp_path / "types.yaml").types
+    assert np.array_equal(types.rows, two.classes.rows)
+    assert types.share == pytest.approx(two.classes.share)
     alone = np.array([f.parameters[V_STAR] for f in calibrate(short, "paper")])
     off, off_alone = (np.abs(np.log(v / rows[:, V_STAR])).mean() for v in (two.rows[:, V_STAR], alone))
     assert off < 0.5 * off_alone

@@ -198,6 +198,17 @@ def test_a_bad_model_file_is_one_clear_line(tmp_path, text, says):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize("classes", ["[]", "[{share: -1, parameters: {}}]", "3", "[{share: 1}]"])
+def test_bad_classes_in_a_model_file_are_one_clear_line(hidden, tmp_path, classes):
+    _, d = hidden
+    path = tmp_path / "model.yaml"
+    write_model(path, d.data, d.final)
+    path.write_text(path.read_text() + f"classes: {classes}\n")
+    with pytest.raises(InputError, match=r"model\.yaml: classes: .*; give share and every parameter") as error:
+        read_model(path)
+    assert "\n" not in str(error.value)
+
+
 def test_too_short_a_recording_is_refused():
     with pytest.raises(InputError, match="at least 8 s"):
         prepare(recording(duration_s=5.0).measured)

@@ -6,11 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sugiyama_ros.driver.parameters import SIGMA_A, SIGMA_NU, V_STAR, defaults, population
+from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, defaults, population
 from sugiyama_ros.effects.catalogue import switch_on, whole
 from sugiyama_ros.estimation.causal import Adaptation, chain_behind
 from sugiyama_ros.estimation.noise import Learning
 from sugiyama_ros.estimation.online import OnlineFilter
+from sugiyama_ros.estimation.types import DriverTypes
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation import Simulator, evenly, platoon, simulate
 
@@ -167,3 +168,25 @@ def test_an_effect_of_the_measurement_leaves_the_allowance_for_outliers(jam):
         densities.append([online.step(*s).log_likelihood for s in steps])
     np.testing.assert_allclose(*densities, rtol=1e-6)
     assert min(densities[0][40:]) == densities[0][50] < -3.0
+
+
+def test_the_type_of_a_driver_is_told(jam):
+    """Of two types that share the jam, one with half as much again of risk premium; noises are the same."""
+    rows = np.array([defaults(), defaults()])
+    rows[:, KAPPA_V] = 0.21, 0.32
+    drivers = rows[np.arange(22) % 2]
+    length = np.full(22, 4.33)
+    start = platoon(length, 2.0)
+    t = simulate(Simulator(drivers, length, start, Road(230.0), np.random.default_rng(2)), 60.0).measured
+    types = DriverTypes(np.array([0.5, 0.5]), rows)
+    scores = []
+    for driver in range(22):
+        online = OnlineFilter(DT, t.road)
+        assert types.probabilities(online.learnt, online.prior) == pytest.approx([0.5, 0.5])
+        follow(t, driver, online)
+        scores.append(types.probabilities(online.learnt, online.prior)[driver % 2])
+    score = np.array(scores)
+    # who is called right with probability p is right with probability p: the sum of hits is within 3 std of that of p
+    sure, hits = np.maximum(score, 1.0 - score), score > 0.5
+    assert abs(hits.sum() - sure.sum()) < 3.0 * np.sqrt(np.sum(sure * (1.0 - sure))) + 1.0
+    assert hits.sum() > 18
