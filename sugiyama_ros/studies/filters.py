@@ -26,7 +26,7 @@ from sugiyama_ros.estimation.causal import (
 )
 from sugiyama_ros.estimation.online import ADAPT, Learnt, OnlineFilter
 from sugiyama_ros.road import Array, Ints, Road
-from sugiyama_ros.studies.rings import CARS, Ring, alike, run
+from sugiyama_ros.studies.rings import CARS, alike, jams
 from sugiyama_ros.studies.study import Answer, Asked, Row, Study
 from sugiyama_ros.trajectories import Trajectories
 
@@ -217,17 +217,10 @@ def answer(asked: Asked) -> Answer:
     density: dict[str, list[Array]] = {name: [] for name in _FILTERS}
     cost: dict[str, list[float]] = {name: [] for name in _FILTERS}
     batch = []
-    for k in range(asked.runs):
-        rng = np.random.default_rng([asked.seed, k])
-        drivers = alike()
-        for place, spread in _SPREAD.items():
-            drivers[:, place] *= np.exp(spread * rng.standard_normal(CARS))
-        simulated = run(Ring(drivers, asked.seed + k, jammed=True, duration_s=_DURATION_S))
-        if simulated.collisions:
-            continue
-        truth, t = np.log(drivers[:, list(_PLACES)]), simulated.measured
+    for drivers, t in jams(_SPREAD, asked.runs, asked.seed, _DURATION_S):
+        truth = np.log(drivers[:, list(_PLACES)])
         for name in _FILTERS:
-            for i, found in enumerate(asked.work.map(followed, [(t, i, name, asked.seed + k) for i in range(CARS)])):
+            for i, found in enumerate(asked.work.map(followed, [(t, i, name, asked.seed) for i in range(CARS)])):
                 error[name].append(found[0] - truth[i])
                 density[name].append(found[1][SETTLING + 2 :])
                 cost[name].append(found[2])

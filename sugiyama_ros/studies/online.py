@@ -11,7 +11,7 @@ from sugiyama_ros.estimation.calibration import ESTIMATED
 from sugiyama_ros.estimation.causal import chain_behind
 from sugiyama_ros.estimation.online import OnlineFilter
 from sugiyama_ros.road import Array
-from sugiyama_ros.studies.rings import CARS, Ring, alike, run
+from sugiyama_ros.studies.rings import CARS, Ring, alike, jams, run
 from sugiyama_ros.studies.study import Answer, Asked, Row, Study
 from sugiyama_ros.trajectories import Trajectories
 
@@ -42,15 +42,7 @@ def followed(job: tuple[Trajectories, int]) -> tuple[Array, Array, Array, list[t
 def convergence(asked: Asked) -> Answer:
     """Errors over time beside the batch fit's, of simulated drivers; of measured ones, the predictive likelihood."""
     errors, scaled, batch_errors = [], [], []
-    for k in range(asked.runs):
-        rng = np.random.default_rng([asked.seed, k])
-        drivers = alike()
-        for place, spread in _SPREAD.items():
-            drivers[:, place] *= np.exp(spread * rng.standard_normal(CARS))
-        simulated = run(Ring(drivers, asked.seed + k, jammed=True, duration_s=_DURATION_S))
-        if simulated.collisions:
-            continue
-        t = simulated.measured
+    for drivers, t in jams(_SPREAD, asked.runs, asked.seed, _DURATION_S):
         values, stds, _, _ = zip(*asked.work.map(followed, [(t, i) for i in range(CARS)]), strict=True)
         error = np.log(np.array(values) / drivers[:, None, _PLACES])
         errors.append(error)

@@ -1,6 +1,6 @@
 """Many simulated rings at once, each summed up by what its whole road does at the end."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from typing import Any
@@ -54,6 +54,21 @@ def run(ring: Ring) -> Simulation:
     start = platoon(length, JAM_GAP_M) if ring.jammed else evenly(length, road)
     rng = np.random.default_rng(ring.seed)
     return simulate(Simulator(ring.drivers, length, start, road, rng, period_s=ring.period_s), ring.duration_s)
+
+
+def jams(spread: Mapping[int, float], runs: int, seed: int, duration_s: float) -> Iterator[tuple[Array, Trajectories]]:
+    """Drivers (N, P) who differ, and what is measured of them out of a jam; a run in which cars collide is left out.
+
+    spread: std of the logarithm over the drivers, by parameter.
+    """
+    for k in range(runs):
+        rng = np.random.default_rng([seed, k])
+        drivers = alike()
+        for place, std in spread.items():
+            drivers[:, place] *= np.exp(std * rng.standard_normal(CARS))
+        simulated = run(Ring(drivers, seed + k, jammed=True, duration_s=duration_s))
+        if not simulated.collisions:
+            yield drivers, simulated.measured
 
 
 def outcome(ring: Ring) -> Outcome:
