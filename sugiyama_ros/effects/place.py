@@ -14,7 +14,7 @@ PLACE = (
     Parameter("width", "w", "m", 0.0, 1.0, 1e5, "length of road from end to end"),
 )
 #: Places at which a search begins, and the widths it begins with as shares of the road.
-_CENTRES, _WIDTHS = 6, (0.35,)
+_CENTRES, _WIDTHS = 12, (0.35,)
 
 
 @njit(cache=True)

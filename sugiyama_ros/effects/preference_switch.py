@@ -10,7 +10,7 @@ from sugiyama_ros.road import Array
 
 #: Time [s] in which the switch happens; smooth, so that its moment can be searched for.
 RISE_S = 0.5
-_TIMES = 5
+_TIMES = 9
 
 
 @njit(cache=True)
