@@ -50,7 +50,7 @@ STRENGTHS: Mapping[str, tuple[Strengths, Strengths]] = {
     ),
     "outlier_noise": ({"share": 0.006, "factor": 4.0}, {"share": 0.002, "factor": 4.0}),
     "sensor_eccentricity": ({"cosine": 0.8, "sine": 0.6}, {"cosine": 0.3, "sine": 0.2}),
-    "uneven_noise": ({"cosine": 0.2, "sine": 0.15}, {"cosine": 0.1, "sine": 0.06}),
+    "uneven_noise": ({"cosine": 0.14, "sine": 0.1}, {"cosine": 0.08, "sine": 0.05}),
 }
 NONE, PAIR, FORM = "none", "pair", "form"
 #: Two at once, strong forms both.
