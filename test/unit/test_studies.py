@@ -10,7 +10,7 @@ from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, defaults
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation import Simulator, platoon, simulate
-from sugiyama_ros.studies import filters, recovery
+from sugiyama_ros.studies import filters, online, recovery
 from sugiyama_ros.studies.all_studies import STUDIES, study
 from sugiyama_ros.studies.driver_types import adjusted_rand, silhouette
 from sugiyama_ros.studies.rings import Ring, alike, outcome
@@ -27,8 +27,9 @@ def jam():
 
 @pytest.mark.parametrize("name", STUDIES)
 def test_every_study_answers(name, jam, tmp_path, monkeypatch):
-    # of runs long enough to tell something, the profile likelihoods take too long here
+    # runs long enough to tell something take too long here
     monkeypatch.setattr(recovery, "_DURATION_S", 40.0)
+    monkeypatch.setattr(online, "_DURATION_S", 60.0)
     monkeypatch.setattr(filters, "_DURATION_S", 20.0)
     monkeypatch.setattr(filters, "_PARTICLES", 5)
     with ThreadPoolExecutor(2) as work:
