@@ -370,6 +370,8 @@ class OnlineFilter:
 
     def _noise_var(self, m: int) -> float:
         """Of the measurement of vehicle m of the chain [m^2], where it is."""
+        if not self._measured_otherwise:
+            return float(self._rows[m, SIGMA_NU]) ** 2
         return float(noise_var_at(float(self._filter.x[STATE * m]), self._rows[m], self._scene))
 
     def _learn(self, innovation: float, variance: float) -> float:
