@@ -34,7 +34,7 @@ _LATE = 3
 # Length [m] of a vehicle beyond which it is none.
 _LONGEST_M = 1000.0
 # Time [s] in which a keeper may answer.
-_PATIENCE_S = 1.0
+_PATIENCE_S = 5.0
 _PARAMETERS_EVERY_NS, _SAVED_EVERY_NS = wire.NS, 10 * wire.NS
 #: What is published where nothing is known, so that every topic has a message for every step.
 _UNKNOWN = Estimate(
