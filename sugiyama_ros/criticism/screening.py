@@ -61,21 +61,20 @@ def glance(data: Recorded, base: Fit, candidate: Candidate, work: Executor, also
     everywhere = range(FOLDS)
     before = objective(base.slopes, base.model, everywhere)
 
-    def tried(model: Model) -> tuple[Model, Samples]:
-        return model, evaluate(data, model, work)
+    def tried(model: Model) -> tuple[float, Model, Samples]:
+        at = evaluate(data, model, work)
+        return _promise(base, model, at), model, at
 
     begun = [tried(added(base.model, candidate, start)) for start in candidate.starts]
-    looks = [_promise(base, *one) for one in begun]
-    worst = int(np.argmin(looks))
-    loss = base.log_likelihood - looks[worst], candidate.starts[worst]
+    worst = int(np.argmin([promise for promise, _, _ in begun]))
+    loss = base.log_likelihood - begun[worst][0], candidate.starts[worst]
     if candidate.strengths:
         begun = [tried(added(base.model, candidate, _strongest(data, base, candidate, begun)))]
     if also:
         begun.append(tried(also))
-    model, at = max(begun, key=lambda one: _promise(base, *one))
-    places = [*model.individual, *model.shared]
-    known = [*base.model.individual, *base.model.shared]
-    new = {k: _column(data, model, at, k, work) for k in places if k not in known}
+    _, model, at = max(begun, key=lambda one: one[0])
+    known = {*base.model.individual, *base.model.shared}
+    new = {k: _column(data, model, at, k, work) for k in (*model.individual, *model.shared) if k not in known}
     fitted = Fit(model, at, _joined(data, base, model, at, new))
     reached = objective(fitted.slopes, model, everywhere)
     if reached + solve(fitted.slopes, model, everywhere, 1e-3).promise > before + _HOPELESS:
@@ -161,7 +160,7 @@ def _promise(base: Fit, model: Model, samples: Samples) -> float:
 
 
 def _strongest(
-    data: Recorded, base: Fit, candidate: Candidate, begun: Sequence[tuple[Model, Samples]]
+    data: Recorded, base: Fit, candidate: Candidate, begun: Sequence[tuple[float, Model, Samples]]
 ) -> dict[int, float]:
     """The start that promises most once its strengths are scaled as the samples want it, so scaled.
 
@@ -169,7 +168,7 @@ def _strongest(
     """
     steps, (ray, *_) = [], candidate.strengths
     model = replace(base.model, shared=(*base.model.shared, ray))
-    for start, there in begun:
+    for _, start, there in begun:
         new = {ray: _differences(base.samples, there, 1.0, start.rows)}
         slopes = _joined(data, base, model, base.samples, new)
         steps.append(solve(slopes, model, range(FOLDS), 1e-3))

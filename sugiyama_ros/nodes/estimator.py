@@ -69,7 +69,7 @@ class Estimator(PacedNode):
             )
         self.vehicle = int(found[1])
         warm_up()
-        row = self._start_row()
+        row, self._types = self._start()
         self._save_state = self._directory("save_state", "directory in which to keep what was learnt, for resume")
         resume = self._directory("resume", "directory with what an earlier run learnt, to go on from")
         kept = file_of(resume, self.vehicle) if resume is not None else None
@@ -113,16 +113,14 @@ class Estimator(PacedNode):
         self.create_subscription(RoadMessage, self.shared("road"), self._on_road, LATCHED)
         self.create_subscription(MeasuredPositions, self.shared("measured"), self._on_measured, STREAM, raw=True)
 
-    def _start_row(self) -> Array:
-        """The driver's row from the model file, if one is given, or of a driver of whom nothing is known."""
+    def _start(self) -> tuple[Array, DriverTypes | None]:
+        """The driver's row, and types of drivers, from the model file if one is given; else nothing is known of him."""
         about = ParameterDescriptor(description="model file (YAML) with drivers and effects", read_only=True)
         file = str(self.declare_parameter("model", "", about).value)
-        self._types: DriverTypes | None = None
         if not file:
-            return whole(population())
+            return whole(population()), None
         model = read_model(Path(file))
-        self._types = model.types
-        return model.rows_of(np.array([self.vehicle]))[0]
+        return model.rows_of(np.array([self.vehicle]))[0], model.types
 
     def _directory(self, name: str, description: str) -> Path | None:
         """A directory that a parameter names, if one does."""

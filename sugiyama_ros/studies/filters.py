@@ -2,8 +2,7 @@
 
 import copy
 import time
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
@@ -227,12 +226,13 @@ def answer(asked: Asked) -> Answer:
         fits = each_for_himself(t, "causal", ("sigma_nu", "sigma_a", "v_star", "kappa_v"), work=asked.work)
         batch.append(np.log(fits.rows[:, list(_PLACES)]) - truth)
     root = {name: np.sqrt(np.mean(np.square(e), axis=0)) for name, e in error.items()}
-    at = partial(_at, times=_TIMES_S, samples=len(next(iter(root.values()))))
+    last = len(next(iter(root.values()))) - 1
+    at = [(time_s, min(round(time_s / _DURATION_S * last), last)) for time_s in _TIMES_S]
     rows: list[Row] = [
         {
             "filter": name,
-            **{f"v* {s:g} s [%]": 100.0 * root[name][k, 0] for s, k in at()},
-            **{f"kappa_v {s:g} s [%]": 100.0 * root[name][k, 1] for s, k in at()},
+            **{f"v* {s:g} s [%]": 100.0 * root[name][k, 0] for s, k in at},
+            **{f"kappa_v {s:g} s [%]": 100.0 * root[name][k, 1] for s, k in at},
             "nats per sample": float(np.nanmean(density[name])),
             "ms per step": 1e3 * float(np.median(cost[name])),
             "drivers": len(error[name]),
@@ -251,11 +251,6 @@ def answer(asked: Asked) -> Answer:
         axes.legend()
 
     return Answer(tuple(rows), draw)
-
-
-def _at(times: Sequence[float], samples: int) -> list[tuple[float, int]]:
-    """Times [s] and their samples."""
-    return [(s, min(round(s / _DURATION_S * (samples - 1)), samples - 1)) for s in times]
 
 
 STUDY = Study(
