@@ -87,14 +87,16 @@ def compare(
         found: list[Compared] = []
         next_step("base")
         base = fit_base(data, INDIVIDUAL, work)
-        found.append(judged("base", without_folds(data, base, work, refit=True), base.model))
+        found.append(judged("base", without_folds(data, base, work, searched=True), base.model))
         current = base
         for candidate in chosen:
             next_step(candidate.name)
             current = with_candidate(data, current, candidate, work)
         if effects:
             found.append(
-                judged("base + " + " + ".join(effects), without_folds(data, current, work, refit=True), current.model)
+                judged(
+                    "base + " + " + ".join(effects), without_folds(data, current, work, searched=True), current.model
+                )
             )
         if model is not None:
             next_step("model file")
@@ -104,7 +106,7 @@ def compare(
         for law in laws():
             next_step(law)
             fitted = in_filter(data, law, work)
-            found.append(judged(law, without_folds(data, fitted, work, refit=True), fitted.model))
+            found.append(judged(law, without_folds(data, fitted, work, searched=True), fitted.model))
             if has_parameters(law):
                 next_step(f"{law}, least squares")
                 found.append(judged(f"{law}_least_squares", by_gaps(data, law, fitted, work), None))
@@ -166,4 +168,4 @@ def _compared(
 def _floor(data: Recorded, base: Fit, seed: int, work: ThreadPoolExecutor) -> Compared:
     simulated = resample(data, base.model, filtered_states(data, base.model, work), seeds(seed, 1)[0])
     fitted = fit(simulated, base.model, work)
-    return _compared("floor", simulated, without_folds(simulated, fitted, work, refit=True), None, {}, work)
+    return _compared("floor", simulated, without_folds(simulated, fitted, work, searched=True), None, {}, work)

@@ -11,7 +11,7 @@ from sugiyama_ros.criticism.fitting import Fit, Gain, Recorded, fit_base, prepar
 from sugiyama_ros.criticism.locate import Located, locate
 from sugiyama_ros.criticism.rivals import by_gaps, has_parameters, in_filter, laws
 from sugiyama_ros.criticism.screening import Glance
-from sugiyama_ros.criticism.search import LEVEL, Looked, Named, OnProgress, Search, at_once
+from sugiyama_ros.criticism.search import LEVEL, Looked, Named, OnProgress, Search
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR
 from sugiyama_ros.trajectories import Trajectories
 
@@ -60,9 +60,12 @@ def diagnose(
     Raises InputError for a recording that is too short.
     """
     began = time.monotonic()
-    with ThreadPoolExecutor(workers) as work:
+    with ThreadPoolExecutor(workers) as work, ThreadPoolExecutor(len(laws())) as aside:
         on_progress("fitting the base model", 0, 1)
         data = prepare(trajectories)
+        # beside the search, which cannot always use all workers
+        rival = partial(_rival, data, work, quick)
+        others = aside.map(rival, [] if verdict_only else laws())
         base = fit_base(data, INDIVIDUAL, work)
         search = Search(data, base, quick, seed, work, on_progress)
         before = search.errors
@@ -77,10 +80,8 @@ def diagnose(
             forces = [one for one in discover(data, search.current, work) if one[0].p_value < LEVEL]
             # with a force, something may be supported that was not
             is_growing = add_forces and search.add_force(forces)
-        others: dict[str, dict[str, float]] = {}
-        rival = partial(_rival, data, work, quick)
-        for found in at_once(rival, [] if verdict_only else laws(), "rival models", on_progress):
-            others |= found
+        on_progress("rival models", 0, 1)
+        rivals = {name: errors for found in others for name, errors in found.items()}
         on_progress("where it fails", 0, 1)
         compared = ((base, before), (search.current, search.errors))
         where = [locate(data, one.model, e.samples, work) for one, e in compared]
@@ -97,7 +98,7 @@ def diagnose(
         where[0],
         where[1],
         search.smallest,
-        others,
+        rivals,
         search.runs,
         quick,
         seed,
@@ -108,7 +109,7 @@ def diagnose(
 def _rival(data: Recorded, work: ThreadPoolExecutor, quick: bool, law: str) -> dict[str, dict[str, float]]:
     """Errors of a rival calibrated in the filter, and, but for ``quick``, of the same by least squares on gaps."""
     fitted = in_filter(data, law, work)
-    found = {law: errors_of(data, without_folds(data, fitted, work, refit=not quick), work).summary()}
+    found = {law: errors_of(data, without_folds(data, fitted, work, searched=not quick), work).summary()}
     if not quick and has_parameters(law):
         found[f"{law}_least_squares"] = errors_of(data, by_gaps(data, law, fitted, work), work).summary()
     return found

@@ -11,7 +11,7 @@ for himself (empirical Bayes), so that a parameter which the data of one driver 
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
@@ -40,8 +40,12 @@ _LONGEST = 0.7
 # A search has ended when a step promises less log-likelihood [nats] than this; from step to step of the difference
 # quotients the likelihood of a recording is rough by about 1.
 _ENOUGH = 0.5
+# The same of a search that others follow.
+_NEARLY = 5.0
 # Prior stds from the median driver beyond which a driver is looked at again.
 _FAR_AWAY = 3.5
+# Steps of a search at most, and times at most that it takes the derivatives anew.
+_STEPS, _RENEWALS = 12, 5
 # Steps from the fit to all folds to that without one.
 _STEPS_WITHOUT = 4
 # What held-out samples may differ from fitted ones where the filter is not run anew: innovations by this many of their
@@ -128,6 +132,14 @@ class Samples:
         """Log-likelihood of all."""
         return float(np.nansum(self.log_likelihood))
 
+    def copy(self) -> "Samples":
+        """Arrays of their own."""
+        return Samples(self.innovation_m.copy(), self.innovation_var.copy(), self.log_likelihood.copy())
+
+    def put(self, driver: int, samples: tuple[Array, Array, Array]) -> None:
+        """Put in other samples of one driver, (T,) each."""
+        self.innovation_m[driver], self.innovation_var[driver], self.log_likelihood[driver] = samples
+
 
 @dataclass(frozen=True, eq=False)
 class Model:
@@ -167,10 +179,14 @@ def leaders(data: Recorded, model: Model, driver: int) -> Array:
 
 def evaluate(data: Recorded, model: Model, work: Executor) -> Samples:
     """What the model says of every sample."""
-    jobs = [(data.chains[i], model.rows[i], leaders(data, model, i)) for i in range(data.drivers)]
-    outputs = list(work.map(_star_own, jobs))
+    outputs = _evaluate(data, model, range(data.drivers), work)
     y, variance, density = (np.array([o[k] for o in outputs]) for k in range(3))
     return Samples(y, variance, density)
+
+
+def _evaluate(data: Recorded, model: Model, who: Iterable[int], work: Executor) -> list[tuple[Array, Array, Array]]:
+    jobs = [(data.chains[i], model.rows[i], leaders(data, model, i)) for i in who]
+    return list(work.map(_star_own, jobs))
 
 
 def _star_own(job: tuple[causal.Chain, Array, Array]) -> tuple[Array, Array, Array]:
@@ -320,17 +336,24 @@ def slopes(
     data: Recorded, model: Model, work: Executor, known: Sequence[Slopes] | None = None
 ) -> tuple[list[Slopes], Samples]:
     """Scores and informations of all drivers, and the samples, at a model; ``known``: slopes at one near by."""
-    places = [*model.individual, *model.shared]
-    steps = np.tile(difference_steps(data, places), (data.drivers, 1))
-    if known is not None:
+    if known is None:
+        steps = np.tile(difference_steps(data, [*model.individual, *model.shared]), (data.drivers, 1))
+    else:
         steps = _informed_steps(data, model, known)
-    jobs = [
-        (data.chains[i], model.rows[i], leaders(data, model, i), model.individual, model.shared, data.fold, steps[i])
-        for i in range(data.drivers)
-    ]
-    outputs = list(work.map(_star_slopes, jobs))
+    outputs = _slopes(data, model, steps, range(data.drivers), work)
     y, variance, density = (np.array([o[1][k] for o in outputs]) for k in range(3))
     return [o[0] for o in outputs], Samples(y, variance, density)
+
+
+def _slopes(
+    data: Recorded, model: Model, steps: Array, who: Iterable[int], work: Executor
+) -> list[tuple[Slopes, tuple[Array, Array, Array]]]:
+    """Slopes and samples of drivers by difference quotients with steps (N, K)."""
+    jobs = [
+        (data.chains[i], model.rows[i], leaders(data, model, i), model.individual, model.shared, data.fold, steps[i])
+        for i in who
+    ]
+    return list(work.map(_star_slopes, jobs))
 
 
 def _informed_steps(data: Recorded, model: Model, all_slopes: Sequence[Slopes]) -> Array:
@@ -344,24 +367,19 @@ def _informed_steps(data: Recorded, model: Model, all_slopes: Sequence[Slopes]) 
     return np.asarray(np.clip(steps, 0.02 * longest, longest))
 
 
-def renewed(data: Recorded, all_slopes: Sequence[Slopes], model: Model, samples: Samples) -> list[Slopes]:
-    """Slopes at a model near by, whose samples are known, with the derivatives of the samples as they were."""
-    arrays = zip(samples.innovation_m, samples.innovation_var, samples.log_likelihood, strict=True)
-    return [
-        sums(at, (s.innovation, s.variance, s.density), row, data.fold)
-        for s, row, at in zip(all_slopes, model.rows, arrays, strict=True)
-    ]
-
-
 # --- the search ------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """A step of the search: of each driver's own coordinates (N, I), of the shared ones (S,), and what it promises."""
+    """A step of the search: of each driver's own coordinates (N, I), of the shared ones (S,), and what both promise.
+
+    promises: (N,) of the own ones, in log posterior [nats]; promise: of all.
+    """
 
     individual: Array
     shared: Array
+    promises: Array
     promise: float
 
 
@@ -396,8 +414,8 @@ def solve(
     ridge = (damped.max() + 1e-9) * np.diag(np.abs(np.diag(reduced))) + 1e-6 * np.eye(shared)
     of_shared: Array = np.linalg.solve(reduced + ridge, rest).astype(np.float64)
     of_own: Array = np.array([inverse @ (g - cross @ of_shared) for inverse, cross, g in parts], dtype=np.float64)
-    promise = 0.5 * float(rest @ of_shared) + 0.5 * sum(float(g @ inverse @ g) for inverse, _, g in parts)
-    return Step(of_own, of_shared, promise)
+    promises = np.array([0.5 * float(g @ inverse @ g) for inverse, _, g in parts])
+    return Step(of_own, of_shared, promises, 0.5 * float(rest @ of_shared) + float(promises.sum()))
 
 
 def moved(data: Recorded, model: Model, step: Step, share: float = 1.0) -> Model:
@@ -441,11 +459,33 @@ class Fit:
 
 
 def fit(
-    data: Recorded, model: Model, work: Executor, *, folds: Sequence[int] = tuple(range(FOLDS)), iterations: int = 12
+    data: Recorded,
+    model: Model,
+    work: Executor,
+    *,
+    iterations: int = _STEPS,
+    enough: float = _ENOUGH,
+    renewals: int = _RENEWALS,
 ) -> Fit:
-    """Maximise the likelihood of the samples in ``folds``, from ``model`` on; ``iterations``: steps tried at most."""
+    """Maximise the likelihood from ``model`` on; iterations, enough, renewals: as for ``climb``."""
     start, samples = slopes(data, model, work)
-    return climb(data, Fit(model, samples, tuple(start)), work, folds=folds, iterations=iterations)
+    begun = Fit(model, samples, tuple(start))
+    return climb(data, begun, work, iterations=iterations, enough=enough, renewals=renewals)
+
+
+def refit(
+    data: Recorded,
+    near: Fit,
+    model: Model,
+    work: Executor,
+    *,
+    folds: Sequence[int] = tuple(range(FOLDS)),
+    iterations: int = _STEPS,
+    renewals: int = _RENEWALS,
+) -> Fit:
+    """Maximise the likelihood of the samples in ``folds`` from ``model`` on, with the derivatives of a fit near by."""
+    begun = _at(data, near, model, work, np.ones(data.drivers, np.bool_))
+    return climb(data, begun, work, folds=folds, iterations=iterations, renewals=renewals, fresh=False)
 
 
 def climb(
@@ -454,49 +494,74 @@ def climb(
     work: Executor,
     *,
     folds: Sequence[int] = tuple(range(FOLDS)),
-    iterations: int,
+    iterations: int = _STEPS,
     enough: float = _ENOUGH,
-    renew: bool = True,
+    renewals: int = _RENEWALS,
+    fresh: bool = True,
 ) -> Fit:
     """Go on from a model with slopes, until a step promises less than ``enough`` [nats].
 
-    The derivatives of the samples, by far the dearest part, are kept from step to step and taken anew (with ``renew``)
-    where they have become so poor that a step gains less than half of what it promises.
+    The derivatives of the samples, by far the dearest part, are kept from step to step and taken anew, ``renewals``
+    times at most, where they have become so poor that a step gains less than half of what it promises, and at the end;
+    ``fresh``: whether they are those of the start. Without shared parameters every driver goes his own way, and rests
+    as soon as he is there.
     """
-    here = start
+    here, together = start, bool(start.model.shared)
     damping: Array = np.full(data.drivers, 1e-3)
-    fresh = True
-    taken = 0
-    while taken < iterations:
+    is_fresh = np.full(data.drivers, fresh)
+    for _ in range(iterations):
         step = solve(here.slopes, here.model, folds, damping)
-        if step.promise < enough or damping.min() > 1e4:
-            if fresh or not renew:
+        moves = np.full(data.drivers, together) | (step.promises > enough / data.drivers)
+        if step.promise < enough or damping[moves].min(initial=np.inf) > 1e4:
+            if is_fresh.all() or not renewals:
                 break
-            here, fresh = _anew(data, here, work), True
-            continue
-        taken += 1
-        there = _at(data, here, moved(data, here.model, step), work)
+            here, renewals = _anew(data, here, work, ~is_fresh), renewals - 1
+            is_fresh[:] = True
+            step = solve(here.slopes, here.model, folds, damping)
+            moves = np.full(data.drivers, together) | (step.promises > enough / data.drivers)
+            if step.promise < enough:
+                break
+        there = _at(data, here, moved(data, here.model, step), work, moves)
         rise = objectives(there.slopes, there.model, folds) - objectives(here.slopes, here.model, folds)
-        if here.model.shared:
-            rise = np.full_like(rise, rise.mean())
-        better = rise > 0.0
+        promises = step.promises
+        if together:
+            rise, promises = np.full_like(rise, rise.mean()), np.full_like(rise, step.promise / data.drivers)
+        better = moves & (rise > 0.0)
         here = _mixed(here, there, better)
-        damping = np.where(better, np.maximum(damping / 10.0, 1e-6), damping)
-        gained = float(rise[better].sum())
-        if gained < enough and fresh and better.any():
+        gained = np.where(better, rise, 0.0)
+        poor = moves & (gained <= 0.5 * promises)
+        if gained.sum() < enough and is_fresh[moves].all() and better.any():
             break
-        if gained > 0.5 * step.promise:
-            fresh = False
-        elif renew and (gained > 0.0 or not fresh):
-            here, fresh = _anew(data, here, work), True
-        damping = np.where(better | (not fresh), damping, np.maximum(10.0 * damping, 0.1))
+        damping = np.where(better, np.maximum(damping / 10.0, 1e-6), damping)
+        damping = np.where(moves & ~better & is_fresh, np.maximum(10.0 * damping, 0.1), damping)
+        again = poor & (better | ~is_fresh) & (renewals > 0)
+        if again.any():
+            here, renewals = _anew(data, here, work, again), renewals - 1
+        is_fresh = (is_fresh & ~better) | again
     return here
 
 
-def _at(data: Recorded, here: Fit, model: Model, work: Executor) -> Fit:
-    """A model near by, with the derivatives as they were."""
-    samples = evaluate(data, model, work)
-    return Fit(model, samples, tuple(renewed(data, here.slopes, model, samples)))
+def _at(data: Recorded, here: Fit, model: Model, work: Executor, who: NDArray[np.bool_]) -> Fit:
+    """The model near by that some drivers (N,) move to, with the derivatives as they were."""
+    numbers = np.flatnonzero(who)
+    rows, slopes_, samples = here.model.rows.copy(), list(here.slopes), here.samples.copy()
+    rows[who] = model.rows[who]
+    for i, at in zip(numbers, _evaluate(data, model, numbers, work), strict=True):
+        s = slopes_[i]
+        slopes_[i] = sums(at, (s.innovation, s.variance, s.density), rows[i], data.fold)
+        samples.put(i, at)
+    return Fit(replace(model, rows=rows), samples, tuple(slopes_))
+
+
+def _anew(data: Recorded, here: Fit, work: Executor, who: NDArray[np.bool_]) -> Fit:
+    """The same with the derivatives of some drivers (N,) taken anew."""
+    numbers = np.flatnonzero(who)
+    slopes_, samples = list(here.slopes), here.samples.copy()
+    steps = _informed_steps(data, here.model, here.slopes)
+    for i, (s, at) in zip(numbers, _slopes(data, here.model, steps, numbers, work), strict=True):
+        slopes_[i] = s
+        samples.put(i, at)
+    return Fit(here.model, samples, tuple(slopes_))
 
 
 def _mixed(here: Fit, there: Fit, better: NDArray[np.bool_]) -> Fit:
@@ -512,11 +577,6 @@ def _mixed(here: Fit, there: Fit, better: NDArray[np.bool_]) -> Fit:
     rows = np.where(pick, there.model.rows, here.model.rows).astype(np.float64)
     chosen = tuple(x if yes else y for yes, x, y in zip(better, there.slopes, here.slopes, strict=True))
     return Fit(replace(here.model, rows=rows), samples, chosen)
-
-
-def _anew(data: Recorded, here: Fit, work: Executor) -> Fit:
-    anew, samples = slopes(data, here.model, work, here.slopes)
-    return Fit(here.model, samples, tuple(anew))
 
 
 def objectives(all_slopes: Sequence[Slopes], model: Model, folds: Sequence[int]) -> Array:
@@ -543,8 +603,8 @@ def fit_base(data: Recorded, individual: Sequence[int], work: Executor, start: M
     """
     first = start or start_model(data.drivers, individual)
     near = _by_paper(data, first, work) if start is None else None
-    found = fit(data, near or first, work, iterations=10 if near is None else 3)
-    return _second_chance(data, fit(data, as_population(found.model), work), work)
+    found = fit(data, near or first, work, iterations=10 if near is None else 3, enough=_NEARLY)
+    return _second_chance(data, refit(data, found, as_population(found.model), work), work)
 
 
 def _second_chance(data: Recorded, found: Fit, work: Executor) -> Fit:
@@ -558,7 +618,8 @@ def _second_chance(data: Recorded, found: Fit, work: Executor) -> Fit:
     own = list(found.model.individual)
     rows = found.model.rows.copy()
     rows[np.ix_(far, own)] = np.median(rows[:, own], axis=0)
-    again = fit(data, replace(found.model, rows=rows), work)
+    begun = _anew(data, _at(data, found, replace(found.model, rows=rows), work, far), work, far)
+    again = climb(data, begun, work)
     everywhere = range(FOLDS)
     better = objectives(again.slopes, again.model, everywhere) > objectives(found.slopes, found.model, everywhere)
     return climb(data, _mixed(found, again, better), work, iterations=4)
@@ -592,17 +653,17 @@ def as_population(model: Model) -> Model:
     return replace(model, prior_std=tuple(std.tolist()), ahead=model.rows)
 
 
-def without_folds(data: Recorded, fitted: Fit, work: Executor, *, refit: bool) -> tuple[Model, ...]:
+def without_folds(data: Recorded, fitted: Fit, work: Executor, *, searched: bool) -> tuple[Model, ...]:
     """For every fold, the model fitted to the others.
 
-    With ``refit`` by a search that does not see the fold, else nearly, as ``_without`` gives it.
+    With ``searched`` by a search that does not see the fold, else nearly, as ``_without`` gives it.
     """
     models = []
     for f in range(FOLDS):
         model = _without(data, fitted, f)
-        if refit:
+        if searched:
             others = [k for k in range(FOLDS) if k != f]
-            model = fit(data, model, work, folds=others, iterations=_STEPS_WITHOUT).model
+            model = refit(data, fitted, model, work, folds=others, iterations=_STEPS_WITHOUT).model
         models.append(model)
     return tuple(models)
 

@@ -33,10 +33,10 @@ from sugiyama_ros.effects.catalogue import DECLARED
 from sugiyama_ros.estimation import causal
 from sugiyama_ros.road import Array
 
-# Steps at most, and the log-likelihood [nats] that one must promise.
-_LOOKS, _PROMISE = 6, 0.2
-# Steps of a full fit at most.
-_STEPS = 20
+# Steps of a first look and of a closer one at most, and the log-likelihood [nats] that one must promise.
+_FIRST, _CLOSER, _PROMISE = 2, 4, 0.2
+# Times at most that a full fit takes the derivatives anew.
+_RENEWALS = 1
 # A candidate that promises less than this [nats] is not looked at any closer.
 _HOPELESS = 1.0
 
@@ -45,21 +45,21 @@ _HOPELESS = 1.0
 class Glance:
     """A candidate added to a model, roughly fitted.
 
-    gain: in log posterior [nats] over the model, in sample; loss: of the log posterior at the start ``loss_at`` of the
-    search once the other parameters have given way, so what an effect of that strength would have gained if it existed.
+    gain: in log posterior [nats] over the model, in sample; promise: what the next step may add to it; loss: of the
+    log posterior at the start ``loss_at`` of the search once the other parameters have given way, so what an effect of
+    that strength would have gained if it existed.
     """
 
     candidate: Candidate
     fit: Fit
     gain: float
+    promise: float
     loss: float
     loss_at: dict[int, float]
 
 
-def glance(data: Recorded, base: Fit, candidate: Candidate, work: Executor, also: Model | None = None) -> Glance:
-    """Add a candidate to a fitted model by a step or two, from its starts, and from ``also`` if that is given."""
-    everywhere = range(FOLDS)
-    before = objective(base.slopes, base.model, everywhere)
+def glance(data: Recorded, base: Fit, candidate: Candidate, work: Executor) -> Glance:
+    """Add a candidate to a fitted model by a step or two, from its starts."""
 
     def tried(model: Model) -> tuple[float, Model, Samples]:
         at = evaluate(data, model, work)
@@ -70,22 +70,52 @@ def glance(data: Recorded, base: Fit, candidate: Candidate, work: Executor, also
     loss = base.log_likelihood - begun[worst][0], candidate.starts[worst]
     if candidate.strengths:
         begun = [tried(added(base.model, candidate, _strongest(data, base, candidate, begun)))]
-    if also:
-        begun.append(tried(also))
     _, model, at = max(begun, key=lambda one: one[0])
     known = {*base.model.individual, *base.model.shared}
     new = {k: _column(data, model, at, k, work) for k in (*model.individual, *model.shared) if k not in known}
-    fitted = Fit(model, at, _joined(data, base, model, at, new))
-    reached = objective(fitted.slopes, model, everywhere)
-    if reached + solve(fitted.slopes, model, everywhere, 1e-3).promise > before + _HOPELESS:
-        fitted = climb(data, fitted, work, iterations=_LOOKS, enough=_PROMISE, renew=False)
-        reached = objective(fitted.slopes, fitted.model, everywhere)
-    return Glance(candidate, fitted, reached - before, *loss)
+    return _first_steps(
+        data, base, Glance(candidate, Fit(model, at, _joined(data, base, model, at, new)), 0.0, 0.0, *loss), work
+    )
+
+
+def glance_again(data: Recorded, base: Fit, before: Fit, look: Glance, work: Executor) -> Glance:
+    """Look again at a candidate that was looked at when the model was ``before``, from where that has ended."""
+    model = _carried_over(before, look, base)
+    at = evaluate(data, model, work)
+    known, looked = {*base.model.individual, *base.model.shared}, [*look.fit.model.individual, *look.fit.model.shared]
+    new = {
+        k: [(s.innovation[j], s.variance[j], s.density[j]) for s in look.fit.slopes]
+        for j, k in enumerate(looked)
+        if k not in known
+    }
+    return _first_steps(data, base, replace(look, fit=Fit(model, at, _joined(data, base, model, at, new))), work)
+
+
+def _first_steps(data: Recorded, base: Fit, look: Glance, work: Executor) -> Glance:
+    """A step or two from where a look begins, if it promises anything."""
+    everywhere = range(FOLDS)
+    gain = objective(look.fit.slopes, look.fit.model, everywhere) - objective(base.slopes, base.model, everywhere)
+    promise = solve(look.fit.slopes, look.fit.model, everywhere, 1e-3).promise
+    look = replace(look, gain=gain, promise=promise)
+    return _further(data, look, work, _FIRST) if gain + promise > _HOPELESS else look
+
+
+def closer(data: Recorded, look: Glance, work: Executor) -> Glance:
+    """The same, looked at more closely."""
+    return _further(data, look, work, _CLOSER) if look.gain + look.promise > _HOPELESS else look
+
+
+def _further(data: Recorded, look: Glance, work: Executor, steps: int) -> Glance:
+    """The same some steps further, with the derivatives as they were."""
+    everywhere, fitted = range(FOLDS), climb(data, look.fit, work, iterations=steps, enough=_PROMISE, renewals=0)
+    rise = objective(fitted.slopes, fitted.model, everywhere) - objective(look.fit.slopes, look.fit.model, everywhere)
+    promise = solve(fitted.slopes, fitted.model, everywhere, 1e-3).promise
+    return replace(look, fit=fitted, gain=look.gain + rise, promise=promise)
 
 
 def refine(data: Recorded, look: Glance, work: Executor) -> Fit:
     """Fit in full, from where a glance has come to."""
-    return climb(data, look.fit, work, iterations=_STEPS, enough=_PROMISE)
+    return climb(data, look.fit, work, renewals=_RENEWALS, fresh=False)
 
 
 def with_candidate(data: Recorded, base: Fit, candidate: Candidate, work: Executor) -> Fit:
@@ -93,7 +123,7 @@ def with_candidate(data: Recorded, base: Fit, candidate: Candidate, work: Execut
     return refine(data, glance(data, base, candidate, work), work)
 
 
-def carried_over(before: Fit, look: Glance, current: Fit) -> Model:
+def _carried_over(before: Fit, look: Glance, current: Fit) -> Model:
     """The current model with a candidate as it was looked at ``before``: what gave way to it then gives way again."""
     candidate = look.candidate
     model = added(current.model, candidate, candidate.starts[0])

@@ -26,27 +26,31 @@ from sugiyama_ros.criticism.fitting import (
     gain,
     held_out_nearly,
     objective,
+    refit,
     sum_error,
     without_folds,
 )
 from sugiyama_ros.criticism.free_run import filtered_states
-from sugiyama_ros.criticism.screening import Glance, carried_over, forecast, glance, refine
+from sugiyama_ros.criticism.screening import Glance, closer, forecast, glance, glance_again, refine
 from sugiyama_ros.effects.catalogue import DECLARED
 
 #: Simulated recordings for the p-values, also with ``quick``; level of significance, after Bonferroni's correction.
 BOOTSTRAP_RUNS, QUICK_RUNS, LEVEL = 6, 2, 0.05
 # Candidates that are fitted in full in each round, and the share of the best gain above which one is.
-_SHORTLIST, _SHARE = 4, 0.15
+_SHORTLIST, _SHARE = 4, 0.3
 # Candidates that are looked at again after the first round.
-_LATER_LOOKS = 8
+_LATER_LOOKS = 6
 # A gain is not believed below this [nats], whatever the p-value; and simulated gains spread by at least this.
 _LEAST_GAIN, _LEAST_SPREAD = 5.0, 1.5
 # Standard errors by which one candidate is clearly worse than another (5 %), and the least difference [nats].
 _CLEARLY, _LEAST_DIFFERENCE = 1.645, 3.0
 # Prior weight of the common spread in that of one candidate, as a number of simulated recordings.
 _COMMON = 4
-# A gain this many times what is needed to be believed is not checked against new simulations.
-_CLEAR = 4.0
+# A gain this many times what is needed to be believed is not checked against new simulations, and one of so many nats
+# against none.
+_CLEAR, _OBVIOUS = 4.0, 60.0
+# Steps of a search that begins at the truth.
+_FEW_STEPS = 4
 # What changes no mean motion: a free run, which has no noise, cannot speak against it.
 _OF_NOISE = ("noise_constants", "outlier_noise", "speed_dependent_noise", "uneven_noise")
 # Fits that are under way at the same time, all on the same workers.
@@ -128,7 +132,7 @@ class Search:
         self._null = _Null({}, {})
         self.runs = QUICK_RUNS if quick else BOOTSTRAP_RUNS
         self.current = base
-        self.errors = errors_of(data, without_folds(data, base, work, refit=not quick), work)
+        self.errors = errors_of(data, without_folds(data, base, work, searched=not quick), work)
         self.named: list[Named] = []
         self.looked: list[Looked] = []
         self.heldout: dict[str, Gain] = {}
@@ -141,17 +145,18 @@ class Search:
         ``quick``, the best supported one.
         """
         looked = self._look_at_all()
-        supported = [one for one in looked if one.refined and one.p_value <= LEVEL and one.gain >= _LEAST_GAIN]
+        supported = self._confirmed(
+            [one for one in looked if one.refined and one.p_value <= LEVEL and one.gain >= _LEAST_GAIN]
+        )
         now = self._nearly(self.current) if supported and not self._quick else self.errors
         grown: list[Named] = []
         for one in sorted(supported, key=lambda one: -one.predictive):
             is_rival = not grown or (one.candidate.name in grown[0].indistinguishable and not self._quick)
-            confirmed = self._confirmed(one) if is_rival and self._predicts_more(one, now) else None
-            if confirmed is not None:
+            if is_rival and self._predicts_more(one, now):
                 rivals = self._indistinguishable(one, looked)
                 about = {one.candidate.name, *rivals}
                 advice = tuple(text for pair, text in ADVICE.items() if one.candidate.name in pair and pair <= about)
-                named = self._grow(one.candidate, one.fit, confirmed.p_value, rivals, advice)
+                named = self._grow(one.candidate, one.fit, one.p_value, rivals, advice)
                 grown += [named] if named is not None else []
         return self._take(max(grown, key=lambda one: one.heldout.nats, default=None))
 
@@ -170,11 +175,15 @@ class Search:
         title = f"round {len(self.named) + 1}"
         looks = at_once(self._look, chosen, f"{title}: candidates", self._on_progress)
         is_first = not self._seen
+        promising = _shortlist(looks)
+        again = at_once(self._look_closer, [looks[k] for k in promising], f"{title}: looking closer", self._on_progress)
+        for k, look in zip(promising, again, strict=True):
+            looks[k] = look
         self._seen |= {look.candidate.name: (self.current, look) for look in looks}
         shortlist = _shortlist(looks)
         if is_first:
-            # what nobody would believe need not be disproved
-            doubtful = [k for k in shortlist if self._judge(looks[k]).p_value <= LEVEL]
+            # neither what nobody would believe nor what nobody would doubt
+            doubtful = [k for k in shortlist if self._judge(looks[k]).p_value <= LEVEL and looks[k].gain < _OBVIOUS]
             self._null = self._simulate([looks[k].candidate for k in doubtful or shortlist[:1]], self._seed)
         looked = [self._judge(look) for look in looks]
         hopeful = [looked[k] for k in shortlist if looked[k].p_value <= LEVEL]
@@ -207,18 +216,19 @@ class Search:
                     names.append(one.candidate.name)
         return tuple(names)
 
-    def _confirmed(self, best: Looked) -> Looked | None:
-        """The same with the p-value of new simulations, unless it is clear; None if that does not support it."""
-        is_clear = best.score >= _CLEAR * max(_LEAST_GAIN, 3.0 * best.spread)
-        if not self.named or self._quick or is_clear:
-            return best
-        again = self._simulate([best.candidate], self._seed + len(self.named))
-        p_value = again.judge(best.look, len(self._possible)).p_value
-        return replace(best, p_value=p_value) if p_value <= LEVEL else None
+    def _confirmed(self, supported: Sequence[Looked]) -> list[Looked]:
+        """Those that are clear, or that new simulations of the model as it stands support, too, with their p-values."""
+        doubtful = [one for one in supported if one.score < _CLEAR * max(_LEAST_GAIN, 3.0 * one.spread)]
+        if not self.named or not doubtful:
+            return list(supported)
+        again = self._simulate([one.candidate for one in doubtful], self._seed + len(self.named))
+        p_values = {id(one): again.judge(one.look, len(self._possible)).p_value for one in doubtful}
+        judged = [replace(one, p_value=p_values.get(id(one), one.p_value)) for one in supported]
+        return [one for one in judged if one.p_value <= LEVEL]
 
     def _nearly(self, fitted: Fit) -> Errors:
         """Held-out errors, without a search for each fold."""
-        return errors_of(self._data, without_folds(self._data, fitted, self._work, refit=False), self._work)
+        return errors_of(self._data, without_folds(self._data, fitted, self._work, searched=False), self._work)
 
     def _grow(
         self,
@@ -230,8 +240,8 @@ class Search:
     ) -> Named | None:
         """The model with a candidate added, fitted in full, if it predicts more, held out, by its standard error."""
         data, work, before = self._data, self._work, self.errors
-        grown = fit(data, replace(fitted.model, ahead=fitted.model.rows), work)
-        after = errors_of(data, without_folds(data, grown, work, refit=not self._quick), work)
+        grown = refit(data, fitted, replace(fitted.model, ahead=fitted.model.rows), work, renewals=1)
+        after = errors_of(data, without_folds(data, grown, work, searched=not self._quick), work)
         won = gain(data, after.samples, before.samples)
         if won.nats < won.se:
             return None
@@ -258,8 +268,12 @@ class Search:
     def _look(self, candidate: Candidate) -> Glance:
         """Look at a candidate, also from where an earlier look at it has ended."""
         before = self._seen.get(candidate.name)
-        also = carried_over(*before, self.current) if before and before[1].gain > 0.0 else None
-        return glance(self._data, self.current, candidate, self._work, also)
+        if before and before[1].gain > 0.0:
+            return glance_again(self._data, self.current, *before, self._work)
+        return glance(self._data, self.current, candidate, self._work)
+
+    def _look_closer(self, look: Glance) -> Glance:
+        return closer(self._data, look, self._work)
 
     def _in_full(self, one: Looked) -> Looked:
         """The same, fitted in full; what chance gives is still that of a glance."""
@@ -273,8 +287,9 @@ class Search:
 
         def one_run(rng: np.random.Generator) -> list[float]:
             simulated = resample(data, current.model, states, rng)
-            fitted = fit(simulated, current.model, work)
-            return [glance(simulated, fitted, candidate, work).gain for candidate in chosen]
+            fitted = fit(simulated, current.model, work, iterations=_FEW_STEPS, renewals=0)
+            looks = (glance(simulated, fitted, candidate, work) for candidate in chosen)
+            return [closer(simulated, look, work).gain for look in looks]
 
         gains = at_once(one_run, seeds(seed, self.runs), "simulating the model without it", self._on_progress)
         by_candidate = zip(chosen, zip(*gains, strict=True), strict=True)

@@ -32,8 +32,9 @@ Preferences: TypeAlias = tuple[float, float, float, float, float, float, float]
 _EXPONENT_CAP = 600.0
 # Utility of an action that is none.
 _NEVER = -1e300
-# Rows of the room in which actions are considered.
-_WEIGHT, _UTILITY, _GRID, _SCALE, _HANDICAP = range(5)
+# Rows of the room in which actions are considered; two of them are used twice.
+UTILITY_ROW, _GRID, _HANDICAP, _GAP, _SCALE = range(5)
+_WEIGHT, _WEIGHTED = _GAP, _SCALE
 # Rows are a multiple of this long, and summed in as many lanes: several elements per vector instruction, in an order
 # that is written down. No compiler may choose one (no fastmath): each time that it compiles, it would round otherwise.
 _LANES = 16
@@ -127,111 +128,92 @@ def reward_and_risk(next_speed: float, gap: float, scale: float, driver: Prefere
 
 @njit(cache=True, error_model="numpy")
 def _smallest_gaps(
-    gap: float,
-    speed: float,
-    leader_speed: float,
-    driver: Preferences,
-    actions: Array,
-    period: float,
-    horizon: int,
-    smallest: Array,
-    scale: Array,
+    gap: float, speed: float, leader_speed: float, driver: Preferences, room: Array, period: float, horizon: int
 ) -> None:
-    """Gap [m] and scale [m], (K,) each, where their ratio is smallest in the look-ahead, for each action (K,)."""
-    for k in range(len(actions)):
-        smallest[k], scale[k] = gap_and_scale(actions[k], 1, gap, speed, leader_speed, driver, period)
+    """Gap [m] and scale [m] where their ratio is smallest in the look-ahead, for each action."""
+    for k in range(room.shape[1]):
+        room[_GAP, k], room[_SCALE, k] = gap_and_scale(room[_GRID, k], 1, gap, speed, leader_speed, driver, period)
     for tau in range(2, horizon + 1):
-        for k in range(len(actions)):
-            gap_ahead, scale_ahead = gap_and_scale(actions[k], tau, gap, speed, leader_speed, driver, period)
-            closer = gap_ahead * scale[k] < smallest[k] * scale_ahead
-            smallest[k] = gap_ahead if closer else smallest[k]
-            scale[k] = scale_ahead if closer else scale[k]
+        for k in range(room.shape[1]):
+            gap_ahead, scale_ahead = gap_and_scale(room[_GRID, k], tau, gap, speed, leader_speed, driver, period)
+            closer = gap_ahead * room[_SCALE, k] < room[_GAP, k] * scale_ahead
+            room[_GAP, k] = gap_ahead if closer else room[_GAP, k]
+            room[_SCALE, k] = scale_ahead if closer else room[_SCALE, k]
 
 
 @njit(cache=True, error_model="numpy")
-def _add_up(
-    speed: float, driver: Preferences, actions: Array, period: float, smallest: Array, scale: Array, out: Array
-) -> None:
-    for k in range(len(actions)):
-        out[k] = reward_and_risk(speed + period * actions[k], smallest[k], scale[k], driver)
+def _add_up(speed: float, driver: Preferences, room: Array, period: float) -> None:
+    for k in range(room.shape[1]):
+        room[UTILITY_ROW, k] = reward_and_risk(speed + period * room[_GRID, k], room[_GAP, k], room[_SCALE, k], driver)
 
 
 @njit(cache=True, error_model="numpy")
-def _take_off_backward(speed: float, actions: Array, period: float, out: Array) -> None:
+def _take_off_backward(speed: float, room: Array, period: float) -> None:
     """g1 of phi1's second term."""
-    for k in range(len(actions)):
-        out[k] -= backward_penalty(speed + period * actions[k])
+    for k in range(room.shape[1]):
+        room[UTILITY_ROW, k] -= backward_penalty(speed + period * room[_GRID, k])
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def utilities(
-    gap: float,
-    speed: float,
-    leader_speed: float,
-    driver: Preferences,
-    actions: Array,
-    period: float,
-    horizon: int,
-    smallest: Array,
-    scale: Array,
-    out: Array,
+    gap: float, speed: float, leader_speed: float, driver: Preferences, room: Array, period: float, horizon: int
 ) -> None:
-    """Effective utility of holding each action (K,); Eq. EffectiveUtilityTilde.
+    """Effective utility of holding each action in a room, into its UTILITY_ROW; Eq. EffectiveUtilityTilde.
 
-    smallest, scale: (K,), overwritten. Every loop runs over the actions and is a function of its own, because compilers
-    make vector instructions of that.
+    Every loop runs over the actions and is a function of its own, because compilers make vector instructions of that.
+    Each takes the room, not rows of it, and what lies between is always inlined: references to arrays would be counted.
     """
-    near = min(gap, FAR)
-    _smallest_gaps(near, speed, leader_speed, driver, actions, period, horizon, smallest, scale)
-    _add_up(speed, driver, actions, period, smallest, scale, out)
-    if speed + period * actions[0] < FORWARD:
-        _take_off_backward(speed, actions, period, out)
+    _smallest_gaps(min(gap, FAR), speed, leader_speed, driver, room, period, horizon)
+    _add_up(speed, driver, room, period)
+    if speed + period * room[_GRID, 0] < FORWARD:
+        _take_off_backward(speed, room, period)
 
 
 @njit(cache=True, error_model="numpy")
-def _largest(values: Array) -> float:
-    """Of a row of the room, which is overwritten."""
-    for start in range(_LANES, len(values), _LANES):
+def _best(room: Array) -> float:
+    """The largest utility."""
+    for k in range(_LANES):
+        room[_WEIGHT, k] = room[UTILITY_ROW, k]
+    for start in range(_LANES, room.shape[1], _LANES):
         for lane in range(_LANES):
-            other = values[start + lane]
-            values[lane] = other if other > values[lane] else values[lane]
-    best: float = values[0]
+            other = room[UTILITY_ROW, start + lane]
+            room[_WEIGHT, lane] = other if other > room[_WEIGHT, lane] else room[_WEIGHT, lane]
+    best: float = room[_WEIGHT, 0]
     for lane in range(1, _LANES):
-        best = values[lane] if values[lane] > best else best
+        best = room[_WEIGHT, lane] if room[_WEIGHT, lane] > best else best
     return best
 
 
 @njit(cache=True, error_model="numpy")
-def _sum(values: Array) -> float:
+def _sum(room: Array, row: int) -> float:
     """Of a row of the room, which is overwritten."""
-    for start in range(_LANES, len(values), _LANES):
+    for start in range(_LANES, room.shape[1], _LANES):
         for lane in range(_LANES):
-            values[lane] += values[start + lane]
+            room[row, lane] += room[row, start + lane]
     for lane in range(8):
-        values[lane] += values[lane + 8]
+        room[row, lane] += room[row, lane + 8]
     for lane in range(4):
-        values[lane] += values[lane + 4]
-    total: float = (values[0] + values[1]) + (values[2] + values[3])
+        room[row, lane] += room[row, lane + 4]
+    total: float = (room[row, 0] + room[row, 1]) + (room[row, 2] + room[row, 3])
     return total
 
 
-@njit(cache=True, error_model="numpy")
-def _mean(utility: Array, handicap: Array, rationality: float, actions: Array, weight: Array, scratch: Array) -> float:
-    """Boltzmann mean of the actions (K,)."""
-    for k in range(len(utility)):
-        scratch[k] = utility[k]
-    best = _largest(scratch)
-    for k in range(len(utility)):
-        weight[k] = exponential(rationality * (utility[k] + handicap[k] - best))
-        scratch[k] = weight[k] * actions[k]
-    return _sum(scratch) / _sum(weight)
+@njit(cache=True, error_model="numpy", inline="always")
+def _mean(room: Array, rationality: float) -> float:
+    """Boltzmann mean of the actions."""
+    best = _best(room)
+    for k in range(room.shape[1]):
+        room[_WEIGHT, k] = exponential(rationality * (room[UTILITY_ROW, k] + room[_HANDICAP, k] - best))
+    for k in range(room.shape[1]):
+        room[_WEIGHTED, k] = room[_WEIGHT, k] * room[_GRID, k]
+    return _sum(room, _WEIGHTED) / _sum(room, _WEIGHT)
 
 
 @njit(cache=True)
 def room_for(actions: Array) -> Array:
     """Room (5, at least K) in which a driver considers the actions (K,), one moment after the other.
 
-    Rows: weights, utilities, actions, scratch, and what an action that only fills the row up is worth less.
+    Rows: utilities, actions, what an action that only fills the row up is worth less, and two of scratch.
     """
     count = len(actions)
     room = np.zeros((5, -(-count // _LANES) * _LANES))
@@ -241,15 +223,14 @@ def room_for(actions: Array) -> Array:
     return room
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def considered_action(
     gap: float, speed: float, leader_speed: float, parameters: Array, room: Array, period: float, horizon: int
 ) -> float:
     """``mean_action`` over the actions in a room of ``room_for``, which may be used again and again."""
     driver = preferences(parameters)
-    weight, utility, grid, scale = room[_WEIGHT], room[_UTILITY], room[_GRID], room[_SCALE]
-    utilities(gap, speed, leader_speed, driver, grid, period, horizon, weight, scale, utility)
-    return _mean(utility, room[_HANDICAP], driver[-1], grid, weight, scale)
+    utilities(gap, speed, leader_speed, driver, room, period, horizon)
+    return _mean(room, driver[-1])
 
 
 @njit(cache=True)

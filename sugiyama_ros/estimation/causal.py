@@ -21,6 +21,7 @@ The mean action is linearised statistically, over what the driver may be seeing:
 extended Kalman filter whose likelihood is chaotic, because close to contact the mean action jumps.
 
 One function, ``linearise``, states the model; the compiled ``run`` and the filterpy filter of ``online`` both use it.
+What it calls for every driver and sample is always inlined, because each call would count references to its arrays.
 """
 
 import math
@@ -47,7 +48,7 @@ from sugiyama_ros.driver.parameters import (
 )
 from sugiyama_ros.driver.utility import ACTIONS, room_for
 from sugiyama_ros.effects.catalogue import WIDTH, place, whole
-from sugiyama_ros.effects.control import expect_change, intend, noise_factor, remembers
+from sugiyama_ros.effects.control import acting, expect_change, intend, noise_factor, remembers
 from sugiyama_ros.effects.effect import Seen
 from sugiyama_ros.effects.outlier_noise import weigh
 from sugiyama_ros.effects.sensor_eccentricity import displacement
@@ -96,7 +97,7 @@ def scene_at(period_s: float, circumference_m: float, relaxation_s: float = math
     return Scene(period_s, horizon_at(period_s), circumference_m, rho, shock, math.exp(-period_s / relaxation_s))
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _looked_at(m: int, led: bool, delayed: bool, vehicles: int, adapted: int) -> tuple[Ints, Ints]:
     """What the action of driver m depends on, as differences of state entries: places to add and to take off, or -1.
 
@@ -117,7 +118,7 @@ def _looked_at(m: int, led: bool, delayed: bool, vehicles: int, adapted: int) ->
     return plus, minus
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _root(covariance: Array, plus: Ints, minus: Ints, root: Array) -> None:
     """Lower Cholesky factor of the covariance of what is looked at, as ``_looked_at`` gives it, into ``root``."""
     size = len(plus)
@@ -133,25 +134,29 @@ def _root(covariance: Array, plus: Ints, minus: Ints, root: Array) -> None:
             for k in range(j):
                 entry -= root[i, k] * root[j, k]
             root[i, j] = math.sqrt(max(entry, _KNOWN_VAR)) if i == j else entry / root[j, j]
-        root[i, i + 1 :] = 0.0
+        for j in range(i + 1, size):
+            root[i, j] = 0.0
 
 
-@njit(cache=True)
-def _regress(cross: Array, root: Array, plus: Ints, minus: Ints, slope: Array) -> None:
-    """Regression on the state into ``slope``, from what an action shares with each column of the root; spoils cross."""
+@njit(cache=True, inline="always")
+def _regress(work: Array, row: int, plus: Ints, minus: Ints, slope: Array) -> None:
+    """Regression on the state into ``slope``, from what an action shares with each column of the root; spoils it.
+
+    work: the root, and in ``row`` what is shared.
+    """
     # The covariance of the action with what is looked at is root @ cross, that of the latter root @ root.T.
     size = len(plus)
     slope[:] = 0.0
     for i in range(size - 1, -1, -1):
         for k in range(i + 1, size):
-            cross[i] -= root[k, i] * cross[k]
-        cross[i] /= root[i, i]
-        slope[plus[i]] += cross[i]
+            work[row, i] -= work[k, i] * work[row, k]
+        work[row, i] /= work[i, i]
+        slope[plus[i]] += work[row, i]
         if minus[i] >= 0:
-            slope[minus[i]] -= cross[i]
+            slope[minus[i]] -= work[row, i]
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _surroundings(
     m: int,
     known: Ints,
@@ -200,7 +205,7 @@ def _surroundings(
     )
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def expected_action(
     m: int,
     known: Ints,
@@ -224,33 +229,37 @@ def expected_action(
     """
     led = known[m + 1] == MOVING
     driver = parameters[m].copy() if len(adapted) > 0 else parameters[m]
+    acts = acting(driver)
     delayed = led and driver[_DELAY] != 0.0
     plus, minus = _looked_at(m, led, delayed, len(known), len(adapted))
     size = len(plus)
+    # the root, and below it rows of their own; one array, because references to parts of it would have to be counted
     work = np.empty((size + 4, size))
-    root, centre, look, cross, held_cross = work[:size], work[size], work[size + 1], work[size + 2], work[size + 3]
-    _root(covariance, plus, minus, root)
+    centre, look, cross, held_cross = size, size + 1, size + 2, size + 3
+    _root(covariance, plus, minus, work)
     for i in range(size):
-        centre[i] = mean[plus[i]]
+        work[centre, i] = mean[plus[i]]
+        work[cross, i] = work[held_cross, i] = 0.0
     here = _surroundings(m, known, mean, length, rear, parameters, time, scene)
     if led:
-        centre[0] = here.gap
-    cross[:] = 0.0
-    held_cross[:] = 0.0
+        work[centre, 0] = here.gap
     total, squares, held_total, held_squares = 0.0, 0.0, 0.0, 0.0
     first_adapted = size - len(adapted)
     leader_rho = parameters[m + 1, RHO] if m + 2 < len(known) else scene.last_rho
     for j in range(size):
         for side in (math.sqrt(size), -math.sqrt(size)):
             for i in range(size):
-                look[i] = centre[i] + side * root[i, j]
+                work[look, i] = work[centre, i] + side * work[i, j]
             for k in range(len(adapted)):
-                driver[UTILITY[adapted[k]]] = math.exp(look[first_adapted + k])
-            gap, speed, leader_speed = (look[0], look[1], look[2]) if led else (np.inf, look[0], 0.0)
+                driver[UTILITY[adapted[k]]] = math.exp(work[look, first_adapted + k])
+            if led:
+                gap, speed, leader_speed = work[look, 0], work[look, 1], work[look, 2]
+            else:
+                gap, speed, leader_speed = np.inf, work[look, 0], 0.0
             acceleration, leader_acceleration = here.acceleration, here.leader_acceleration
             if delayed:
-                acceleration += driver[RHO] * (look[3] - centre[3])
-                leader_acceleration += leader_rho * (look[4] - centre[4])
+                acceleration += driver[RHO] * (work[look, 3] - work[centre, 3])
+                leader_acceleration += leader_rho * (work[look, 4] - work[centre, 4])
             seen = Seen(
                 gap,
                 speed,
@@ -265,31 +274,35 @@ def expected_action(
                 here.rear_gap,
                 here.rear_speed,
             )
-            held, pushed = intend(seen, driver, room, scene.period_s, scene.horizon)
+            held, pushed = intend(seen, driver, acts, room, scene.period_s, scene.horizon)
             action = held + pushed
             total += action
             squares += action * action
-            cross[j] += action * side
+            work[cross, j] += action * side
             held_total += held
             held_squares += held * held
-            held_cross[j] += held * side
+            work[held_cross, j] += held * side
     weight = 0.5 / size
     expected, held_expected = weight * total, weight * held_total
-    cross *= weight
-    held_cross *= weight
-    spread = max(weight * squares - expected * expected - np.sum(cross * cross), 0.0)
-    held_spread = max(weight * held_squares - held_expected * held_expected - np.sum(held_cross * held_cross), 0.0)
-    _regress(cross, root, plus, minus, slope)
-    _regress(held_cross, root, plus, minus, held_slope)
-    if not remembers(parameters[m]):
+    explained, held_explained = 0.0, 0.0
+    for j in range(size):
+        work[cross, j] *= weight
+        work[held_cross, j] *= weight
+        explained += work[cross, j] ** 2
+        held_explained += work[held_cross, j] ** 2
+    spread = max(weight * squares - expected * expected - explained, 0.0)
+    held_spread = max(weight * held_squares - held_expected * held_expected - held_explained, 0.0)
+    _regress(work, cross, plus, minus, slope)
+    _regress(work, held_cross, plus, minus, held_slope)
+    if not remembers(driver):
         return held_expected, expected, held_spread, spread
     # what he means goes with what he has held to what he holds now; what pushes does not
     pushed, pushed_spread = expected - held_expected, max(spread - held_spread, 0.0)
     slope -= held_slope
     place = STATE * m + 3
     held_slope[place] -= 1.0
-    variance = max(held_slope @ covariance @ held_slope + held_spread, _KNOWN_VAR)
-    change, share, left = expect_change(held_expected - mean[place], variance, parameters[m], scene.period_s)
+    variance: float = max(float(held_slope @ covariance @ held_slope) + held_spread, _KNOWN_VAR)
+    change, share, left = expect_change(held_expected - mean[place], variance, driver, scene.period_s)
     held_slope *= share
     held_slope[place] += 1.0
     slope += held_slope
@@ -327,9 +340,10 @@ def linearise(
     period = scene.period_s
     slope, held_slope = np.empty(len(mean)), np.empty(len(mean))
     own_action = 0.0
-    next_mean[:] = mean
-    jacobian[:, :] = 0.0
-    noise[:, :] = 0.0
+    for k in range(len(mean)):
+        next_mean[k] = mean[k]
+    jacobian[:] = 0.0
+    noise[:] = 0.0
     for k in range(len(adapted)):
         p = STATE * vehicles + k
         next_mean[p] = prior_mean[k] + scene.memory * (mean[p] - prior_mean[k])

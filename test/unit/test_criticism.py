@@ -90,8 +90,8 @@ def test_slopes_are_those_of_the_likelihood(fitted, work):
 
 def test_held_out_scores_cost_what_was_fitted(fitted, work):
     _, data, base = fitted
-    searched = held_out(data, without_folds(data, base, work, refit=True), work).total
-    stepped = held_out(data, without_folds(data, base, work, refit=False), work).total
+    searched = held_out(data, without_folds(data, base, work, searched=True), work).total
+    stepped = held_out(data, without_folds(data, base, work, searched=False), work).total
     nearly = held_out_nearly(data, base).total
     lost = base.log_likelihood - searched
     # Akaike: a parameter costs about one nat, half of it in sample; 28 parameters, some held by the prior
@@ -114,7 +114,7 @@ def test_a_change_of_mind_is_found_at_its_time(work):
 
 def test_free_runs_start_where_the_filter_is(fitted, work):
     _, data, base = fitted
-    errors = errors_of(data, without_folds(data, base, work, refit=False), work)
+    errors = errors_of(data, without_folds(data, base, work, searched=False), work)
     found = errors.summary()
     # a free run of 2 s cannot be worse than one of 10 s, and one step is mostly measurement noise (sigma_nu 0.263 m)
     assert 0.263 < found["one_step_rmse_m"] < found["free_run_2s_m"] < found["free_run_10s_m"]

@@ -29,12 +29,14 @@ from sugiyama_ros.driver.parameters import (
 )
 from sugiyama_ros.driver.utility import (
     ACTIONS,
+    UTILITY_ROW,
     anticipate,
     collision_penalty,
     desired_speed_reward,
     gap_scale,
     mean_action,
     preferences,
+    room_for,
     utilities,
 )
 from sugiyama_ros.errors import InputError
@@ -69,9 +71,9 @@ def literal_mean_action(gap, v, leader_v, p):
 @given(seen, st.floats(-6.0, 4.0))
 def test_utility_is_the_papers(s, a):
     p = defaults()
-    out = np.empty(1)
-    utilities(*s, preferences(p), np.array([a]), DT, H, np.empty(1), np.empty(1), out)
-    assert out[0] == pytest.approx(literal_utility(a, *s, p), rel=1e-12, abs=1e-12)
+    room = room_for(np.array([a]))
+    utilities(*s, preferences(p), room, DT, H)
+    assert room[UTILITY_ROW, 0] == pytest.approx(literal_utility(a, *s, p), rel=1e-12, abs=1e-12)
 
 
 @settings(deadline=None)
