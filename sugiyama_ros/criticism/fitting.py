@@ -41,7 +41,7 @@ _LONGEST = 0.7
 # quotients the likelihood of a recording is rough by about 1.
 _ENOUGH = 0.5
 # The same of a search that others follow.
-_NEARLY = 5.0
+_NEARLY = 20.0
 # Prior stds from the median driver beyond which a driver is looked at again.
 _FAR_AWAY = 3.5
 # Steps of a search at most, and times at most that it takes the derivatives anew.

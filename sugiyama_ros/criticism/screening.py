@@ -34,9 +34,9 @@ from sugiyama_ros.estimation import causal
 from sugiyama_ros.road import Array
 
 # Steps of a first look and of a closer one at most, and the log-likelihood [nats] that one must promise.
-_FIRST, _CLOSER, _PROMISE = 2, 4, 0.2
-# Times at most that a full fit takes the derivatives anew.
-_RENEWALS = 1
+_FIRST, _CLOSER, _PROMISE = 2, 4, 0.4
+# Steps of a full fit, and times that it takes the derivatives anew, at most.
+_STEPS, _RENEWALS = 8, 1
 # A candidate that promises less than this [nats] is not looked at any closer.
 _HOPELESS = 1.0
 
@@ -72,7 +72,13 @@ def glance(data: Recorded, base: Fit, candidate: Candidate, work: Executor) -> G
         begun = [tried(added(base.model, candidate, _strongest(data, base, candidate, begun)))]
     _, model, at = max(begun, key=lambda one: one[0])
     known = {*base.model.individual, *base.model.shared}
-    new = {k: _column(data, model, at, k, work) for k in (*model.individual, *model.shared) if k not in known}
+    new = {}
+    if len(candidate.strengths) == 1:
+        # from nothing to the start, what it changes is proportional to its strength
+        new = {k: _differences(base.samples, at, float(model.rows[0, k]), model.rows) for k in candidate.strengths}
+    for k in (*model.individual, *model.shared):
+        if k not in known and k not in new:
+            new[k] = _column(data, model, at, k, work)
     return _first_steps(
         data, base, Glance(candidate, Fit(model, at, _joined(data, base, model, at, new)), 0.0, 0.0, *loss), work
     )
@@ -115,7 +121,7 @@ def _further(data: Recorded, look: Glance, work: Executor, steps: int) -> Glance
 
 def refine(data: Recorded, look: Glance, work: Executor) -> Fit:
     """Fit in full, from where a glance has come to."""
-    return climb(data, look.fit, work, renewals=_RENEWALS, fresh=False)
+    return climb(data, look.fit, work, iterations=_STEPS, renewals=_RENEWALS, fresh=False)
 
 
 def with_candidate(data: Recorded, base: Fit, candidate: Candidate, work: Executor) -> Fit:

@@ -38,6 +38,8 @@ from sugiyama_ros.effects.catalogue import DECLARED
 BOOTSTRAP_RUNS, QUICK_RUNS, LEVEL = 6, 2, 0.05
 # Candidates that are fitted in full in each round, and the share of the best gain above which one is.
 _SHORTLIST, _SHARE = 4, 0.3
+# The same of later rounds with ``quick``.
+_QUICKLY = 2
 # Candidates that are looked at again after the first round.
 _LATER_LOOKS = 6
 # A gain is not believed below this [nats], whatever the p-value; and simulated gains spread by at least this.
@@ -46,9 +48,8 @@ _LEAST_GAIN, _LEAST_SPREAD = 5.0, 1.5
 _CLEARLY, _LEAST_DIFFERENCE = 1.645, 3.0
 # Prior weight of the common spread in that of one candidate, as a number of simulated recordings.
 _COMMON = 4
-# A gain this many times what is needed to be believed is not checked against new simulations, and one of so many nats
-# against none.
-_CLEAR, _OBVIOUS = 4.0, 60.0
+# A gain of so many nats is not checked against simulations.
+_OBVIOUS = 60.0
 # Steps of a search that begins at the truth.
 _FEW_STEPS = 4
 # What changes no mean motion: a free run, which has no noise, cannot speak against it.
@@ -129,7 +130,6 @@ class Search:
         self._data, self._quick, self._seed, self._work, self._on_progress = data, quick, seed, work, on_progress
         self._possible = candidates(recording_of(data), data.drivers)
         self._seen: dict[str, tuple[Fit, Glance]] = {}
-        self._null = _Null({}, {})
         self.runs = QUICK_RUNS if quick else BOOTSTRAP_RUNS
         self.current = base
         self.errors = errors_of(data, without_folds(data, base, work, searched=not quick), work)
@@ -145,9 +145,7 @@ class Search:
         ``quick``, the best supported one.
         """
         looked = self._look_at_all()
-        supported = self._confirmed(
-            [one for one in looked if one.refined and one.p_value <= LEVEL and one.gain >= _LEAST_GAIN]
-        )
+        supported = [one for one in looked if one.refined and one.p_value <= LEVEL and one.gain >= _LEAST_GAIN]
         now = self._nearly(self.current) if supported and not self._quick else self.errors
         grown: list[Named] = []
         for one in sorted(supported, key=lambda one: -one.predictive):
@@ -175,22 +173,22 @@ class Search:
         title = f"round {len(self.named) + 1}"
         looks = at_once(self._look, chosen, f"{title}: candidates", self._on_progress)
         is_first = not self._seen
-        promising = _shortlist(looks)
+        promising = self._shortlist(looks)
         again = at_once(self._look_closer, [looks[k] for k in promising], f"{title}: looking closer", self._on_progress)
         for k, look in zip(promising, again, strict=True):
             looks[k] = look
         self._seen |= {look.candidate.name: (self.current, look) for look in looks}
-        shortlist = _shortlist(looks)
-        if is_first:
-            # neither what nobody would believe nor what nobody would doubt
-            doubtful = [k for k in shortlist if self._judge(looks[k]).p_value <= LEVEL and looks[k].gain < _OBVIOUS]
-            self._null = self._simulate([looks[k].candidate for k in doubtful or shortlist[:1]], self._seed)
-        looked = [self._judge(look) for look in looks]
-        hopeful = [looked[k] for k in shortlist if looked[k].p_value <= LEVEL]
+        # neither what nobody would believe nor what nobody would doubt
+        doubtful = [k for k in promising if self._judge(looks[k]).p_value <= LEVEL and not _obvious(looks[k])]
+        if is_first and not doubtful:
+            doubtful = promising[:1]
+        null = self._simulate([looks[k].candidate for k in doubtful]) if doubtful else _UNKNOWN
+        looked = [self._judge(look, null) for look in looks]
+        hopeful = [looked[k] for k in promising if looked[k].p_value <= LEVEL]
         fitted = at_once(self._in_full, hopeful, f"{title}: fitting", self._on_progress)
         looked = sorted([*fitted, *(one for one in looked if one not in hopeful)], key=lambda one: -one.score)
         if is_first:
-            self.looked, self.smallest = looked, _smallest(looks, self._null)
+            self.looked, self.smallest = looked, _smallest(looks, null)
             nearly = held_out_nearly(self._data, self.current)
             for one in looked:
                 self.heldout[one.candidate.name] = gain(self._data, held_out_nearly(self._data, one.fit), nearly)
@@ -216,16 +214,6 @@ class Search:
                     names.append(one.candidate.name)
         return tuple(names)
 
-    def _confirmed(self, supported: Sequence[Looked]) -> list[Looked]:
-        """Those that are clear, or that new simulations of the model as it stands support, too, with their p-values."""
-        doubtful = [one for one in supported if one.score < _CLEAR * max(_LEAST_GAIN, 3.0 * one.spread)]
-        if not self.named or not doubtful:
-            return list(supported)
-        again = self._simulate([one.candidate for one in doubtful], self._seed + len(self.named))
-        p_values = {id(one): again.judge(one.look, len(self._possible)).p_value for one in doubtful}
-        judged = [replace(one, p_value=p_values.get(id(one), one.p_value)) for one in supported]
-        return [one for one in judged if one.p_value <= LEVEL]
-
     def _nearly(self, fitted: Fit) -> Errors:
         """Held-out errors, without a search for each fold."""
         return errors_of(self._data, without_folds(self._data, fitted, self._work, searched=False), self._work)
@@ -240,7 +228,9 @@ class Search:
     ) -> Named | None:
         """The model with a candidate added, fitted in full, if it predicts more, held out, by its standard error."""
         data, work, before = self._data, self._work, self.errors
-        grown = refit(data, fitted, replace(fitted.model, ahead=fitted.model.rows), work, renewals=1)
+        grown = refit(
+            data, fitted, replace(fitted.model, ahead=fitted.model.rows), work, renewals=0 if self._quick else 1
+        )
         after = errors_of(data, without_folds(data, grown, work, searched=not self._quick), work)
         won = gain(data, after.samples, before.samples)
         if won.nats < won.se:
@@ -257,8 +247,24 @@ class Search:
         self._possible = tuple(c for c in self._possible if c.name != one.name)
         return True
 
-    def _judge(self, look: Glance) -> Looked:
-        return self._null.judge(look, len(self._possible))
+    def _judge(self, look: Glance, null: "_Null | None" = None) -> Looked:
+        return (null or _UNKNOWN).judge(look, len(self._possible))
+
+    def _shortlist(self, looks: Sequence[Glance]) -> list[int]:
+        """Those fitted in full: the largest gains, and the noises, whose best values may lie far from a glance.
+
+        Once something is named, ``quick`` has no time but for the two that gain most beyond what chance gives.
+        """
+        if self._seen and self._quick:
+            return sorted(range(len(looks)), key=lambda k: -self._judge(looks[k]).score)[:_QUICKLY]
+        order = sorted(range(len(looks)), key=lambda k: -looks[k].gain)
+        best = max(looks[order[0]].gain, 1.0)
+        chosen = [k for k in order[:_SHORTLIST] if looks[k].gain > _SHARE * best or k in order[:2]]
+        if best > 50.0:
+            chosen += [
+                k for k, look in enumerate(looks) if look.candidate.name == "noise_constants" and k not in chosen
+            ]
+        return chosen
 
     def _worth_a_look(self) -> list[Candidate]:
         """Candidates that promise most over the current model, by what was seen of them before."""
@@ -280,7 +286,7 @@ class Search:
         refined = refine(self._data, one.look, self._work)
         return replace(one, fit=refined, gain=max(one.gain, _rise(self.current, refined)), refined=True)
 
-    def _simulate(self, chosen: Sequence[Candidate], seed: int) -> "_Null":
+    def _simulate(self, chosen: Sequence[Candidate]) -> "_Null":
         """Gains of candidates on recordings that the current model has simulated."""
         data, current, work = self._data, self.current, self._work
         states = filtered_states(data, current.model, work)
@@ -291,7 +297,12 @@ class Search:
             looks = (glance(simulated, fitted, candidate, work) for candidate in chosen)
             return [closer(simulated, look, work).gain for look in looks]
 
-        gains = at_once(one_run, seeds(seed, self.runs), "simulating the model without it", self._on_progress)
+        gains = at_once(
+            one_run,
+            seeds(self._seed + len(self.named), self.runs),
+            "simulating the model without it",
+            self._on_progress,
+        )
         by_candidate = zip(chosen, zip(*gains, strict=True), strict=True)
         scale = {c.name: math.sqrt(0.5 * _freedom(c, data.drivers)) for c in chosen}
         return _Null({candidate.name: list(one) for candidate, one in by_candidate}, scale)
@@ -321,14 +332,9 @@ def _rise(current: Fit, fitted: Fit) -> float:
     return objective(fitted.slopes, fitted.model, everywhere) - objective(current.slopes, current.model, everywhere)
 
 
-def _shortlist(looks: Sequence[Glance]) -> list[int]:
-    """Those fitted in full: the largest gains, and the noises, whose best values may lie far from a glance."""
-    order = sorted(range(len(looks)), key=lambda k: -looks[k].gain)
-    best = max(looks[order[0]].gain, 1.0)
-    chosen = [k for k in order[:_SHORTLIST] if looks[k].gain > _SHARE * best or k in order[:2]]
-    if best > 50.0:
-        chosen += [k for k, look in enumerate(looks) if look.candidate.name == "noise_constants" and k not in chosen]
-    return chosen
+def _obvious(look: Glance) -> bool:
+    """Whether no simulation could give as much; a parameter for each driver may gain much by chance."""
+    return look.gain >= _OBVIOUS and not look.candidate.individual
 
 
 @dataclass(frozen=True, eq=False)
@@ -369,6 +375,9 @@ class _Null:
             float(np.mean(np.maximum(g, 0.0)) + 4.0 * max(float(np.std(g)), _LEAST_SPREAD)) for g in self.gains.values()
         ]
         return max(_LEAST_GAIN, float(np.median(highest)) if highest else 0.0)
+
+
+_UNKNOWN = _Null({}, {})
 
 
 def _freedom(candidate: Candidate, drivers: int) -> int:
