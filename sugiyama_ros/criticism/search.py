@@ -38,7 +38,9 @@ from sugiyama_ros.effects.catalogue import DECLARED
 BOOTSTRAP_RUNS, QUICK_RUNS, LEVEL = 6, 2, 0.05
 # Candidates that are fitted in full in each round, and the share of the best gain above which one is.
 _SHORTLIST, _SHARE = 4, 0.3
-# The same of later rounds with ``quick``.
+# Share of the best gain above which a candidate may be a rival that cannot be told apart.
+_RIVAL = 0.5
+# Candidates that are fitted in full in later rounds with ``quick``.
 _QUICKLY = 2
 # Candidates that are looked at again after the first round.
 _LATER_LOOKS = 6
@@ -75,7 +77,10 @@ ADVICE: dict[frozenset[str], str] = {
 
 @dataclass(frozen=True, eq=False)
 class Looked:
-    """What was found about one candidate in one round; gains in nats."""
+    """What was found about one candidate in one round; gains in nats.
+
+    p_value: corrected for the number of candidates; p_alone: as if there were no other.
+    """
 
     look: Glance
     fit: Fit
@@ -83,6 +88,7 @@ class Looked:
     expected: float
     spread: float
     p_value: float
+    p_alone: float
     refined: bool
 
     @property
@@ -184,7 +190,12 @@ class Search:
             doubtful = promising[:1]
         null = self._simulate([looks[k].candidate for k in doubtful]) if doubtful else _UNKNOWN
         looked = [self._judge(look, null) for look in looks]
-        hopeful = [looked[k] for k in promising if looked[k].p_value <= LEVEL]
+        best = max(looked[k].gain for k in promising)
+        hopeful = [
+            looked[k]
+            for k in promising
+            if looked[k].p_value <= LEVEL or (looked[k].p_alone <= LEVEL and looked[k].gain > _RIVAL * best)
+        ]
         fitted = at_once(self._in_full, hopeful, f"{title}: fitting", self._on_progress)
         looked = sorted([*fitted, *(one for one in looked if one not in hopeful)], key=lambda one: -one.score)
         if is_first:
@@ -201,14 +212,15 @@ class Search:
         return won.nats > -won.se and (one.candidate.name in _OF_NOISE or predicted.no_worse_than(now))
 
     def _indistinguishable(self, best: Looked, looked: Sequence[Looked]) -> tuple[str, ...]:
-        """Supported candidates that do not predict clearly less than the best one, held out.
+        """Candidates that do not predict clearly less than the best one, held out.
 
-        Vuong's test of models that are not nested (Econometrica 57 (1989) 307), one-sided, paired over drivers.
+        Vuong's test of models that are not nested (Econometrica 57 (1989) 307), one-sided, paired over drivers. That
+        something is missing is established then, so that a rival's own p-value needs no correction.
         """
         by_best = held_out_nearly(self._data, best.fit)
         names = []
         for one in looked:
-            if one.candidate.name != best.candidate.name and one.p_value <= LEVEL:
+            if one.refined and one.candidate.name != best.candidate.name:
                 behind = gain(self._data, by_best, held_out_nearly(self._data, one.fit))
                 if behind.nats < max(_CLEARLY * sum_error(behind.drivers), _LEAST_DIFFERENCE):
                     names.append(one.candidate.name)
@@ -354,9 +366,10 @@ class _Null:
         spreads = [
             float(np.std(np.maximum(g, 0.0), ddof=1)) / self.scale[name] for name, g in self.gains.items() if len(g) > 1
         ]
-        # chi-squared variables of K parameters spread by sqrt(2 / K) of their mean, whatever the filter scales them by
+        # chi-squared variables of K parameters spread by sqrt(2 / K) of their mean, whatever the filter scales them by;
+        # in 40 simulated recordings the gains of one parameter did so by no more than those of two
         freedom = _freedom(candidate, len(look.fit.model.rows))
-        least = max(_LEAST_SPREAD, float(gains.mean()) * math.sqrt(2.0 / freedom))
+        least = max(_LEAST_SPREAD, float(gains.mean()) * math.sqrt(2.0 / max(freedom, 2)))
         common = max(float(np.median(spreads)) * math.sqrt(0.5 * freedom) if spreads else 0.0, least)
         # a parameter gains half a nat by chance (Wilks), which a few simulations know less well if it is but one
         runs = len(gains) if candidate.name in self.gains else 0
@@ -365,8 +378,8 @@ class _Null:
         squares = float(np.sum(np.square(gains - gains.mean())))
         known = len(gains) - 1 + _COMMON
         spread = float(np.sqrt((squares + _COMMON * common**2) / known * (1.0 + 1.0 / len(gains))))
-        p_value = min(1.0, rivals * float(student.sf((look.gain - expected) / spread, known)))
-        return Looked(look, look.fit, look.gain, expected, spread, p_value, refined=False)
+        p_alone = float(student.sf((look.gain - expected) / spread, known))
+        return Looked(look, look.fit, look.gain, expected, spread, min(1.0, rivals * p_alone), p_alone, refined=False)
 
     @property
     def needed(self) -> float:
