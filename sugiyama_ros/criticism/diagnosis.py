@@ -99,7 +99,7 @@ def diagnose(
         where[1],
         search.smallest,
         rivals,
-        search.runs,
+        search.effort.runs,
         quick,
         seed,
         time.monotonic() - began,

@@ -136,6 +136,10 @@ class Samples:
         """Arrays of their own."""
         return Samples(self.innovation_m.copy(), self.innovation_var.copy(), self.log_likelihood.copy())
 
+    def of(self, driver: int) -> tuple[Array, Array, Array]:
+        """Those of one driver, (T,) each."""
+        return self.innovation_m[driver], self.innovation_var[driver], self.log_likelihood[driver]
+
     def put(self, driver: int, samples: tuple[Array, Array, Array]) -> None:
         """Put in other samples of one driver, (T,) each."""
         self.innovation_m[driver], self.innovation_var[driver], self.log_likelihood[driver] = samples
@@ -171,8 +175,10 @@ def own_of(chain: causal.Chain, row: Array, ahead: Array) -> tuple[Array, Array,
 
 def leaders(data: Recorded, model: Model, driver: int) -> Array:
     """Rows (M - 1, WIDTH) of the vehicles ahead of a driver."""
-    typical = np.median(model.ahead, axis=0)
-    rows = np.array([model.ahead[k] if k >= 0 else typical for k in data.ahead[driver]])
+    ahead = data.ahead[driver]
+    rows: Array = model.ahead[ahead]
+    if ahead.min() < 0:
+        rows[ahead < 0] = np.median(model.ahead, axis=0)
     rows[:, model.shared] = model.rows[driver, model.shared]
     return rows
 
@@ -302,14 +308,14 @@ def _slopes_of(
     chain: causal.Chain,
     row: Array,
     ahead: Array,
+    at: tuple[Array, Array, Array],
     individual: tuple[int, ...],
     shared: tuple[int, ...],
     fold: Ints,
     steps: Array,
-) -> tuple[Slopes, tuple[Array, Array, Array]]:
-    """Score and information of one driver by difference quotients."""
+) -> Slopes:
+    """Score and information of one driver, whose samples are ``at``, by difference quotients."""
     places = [*individual, *shared]
-    at = own_of(chain, row, ahead)
     coordinates = coordinate(row[places], places)
     dy, dvar, direct = (np.empty((len(places), len(fold))) for _ in range(3))
     for k, step in enumerate(steps):
@@ -323,12 +329,12 @@ def _slopes_of(
         y, variance, density = own_of(chain, changed, changed_ahead)
         dy[k], dvar[k], direct[k] = (y - at[0]) / step, (variance - at[1]) / step, (density - at[2]) / step
     direct -= density_slope(at[0], at[1], dy, dvar, row) if row[OUTLIERS] > 0.0 else direct
-    return sums(at, (dy, dvar, direct), row, fold), at
+    return sums(at, (dy, dvar, direct), row, fold)
 
 
 def _star_slopes(
-    job: tuple[causal.Chain, Array, Array, tuple[int, ...], tuple[int, ...], Ints, Array],
-) -> tuple[Slopes, tuple[Array, Array, Array]]:
+    job: tuple[causal.Chain, Array, Array, tuple[Array, Array, Array], tuple[int, ...], tuple[int, ...], Ints, Array],
+) -> Slopes:
     return _slopes_of(*job)
 
 
@@ -340,19 +346,16 @@ def slopes(
         steps = np.tile(difference_steps(data, [*model.individual, *model.shared]), (data.drivers, 1))
     else:
         steps = _informed_steps(data, model, known)
-    outputs = _slopes(data, model, steps, range(data.drivers), work)
-    y, variance, density = (np.array([o[1][k] for o in outputs]) for k in range(3))
-    return [o[0] for o in outputs], Samples(y, variance, density)
+    samples = evaluate(data, model, work)
+    return _slopes(data, model, samples, steps, range(data.drivers), work), samples
 
 
 def _slopes(
-    data: Recorded, model: Model, steps: Array, who: Iterable[int], work: Executor
-) -> list[tuple[Slopes, tuple[Array, Array, Array]]]:
-    """Slopes and samples of drivers by difference quotients with steps (N, K)."""
-    jobs = [
-        (data.chains[i], model.rows[i], leaders(data, model, i), model.individual, model.shared, data.fold, steps[i])
-        for i in who
-    ]
+    data: Recorded, model: Model, samples: Samples, steps: Array, who: Iterable[int], work: Executor
+) -> list[Slopes]:
+    """Slopes of drivers, whose samples are known, by difference quotients with steps (N, K)."""
+    about = model.individual, model.shared, data.fold
+    jobs = [(data.chains[i], model.rows[i], leaders(data, model, i), samples.of(i), *about, steps[i]) for i in who]
     return list(work.map(_star_slopes, jobs))
 
 
@@ -555,13 +558,11 @@ def _at(data: Recorded, here: Fit, model: Model, work: Executor, who: NDArray[np
 
 def _anew(data: Recorded, here: Fit, work: Executor, who: NDArray[np.bool_]) -> Fit:
     """The same with the derivatives of some drivers (N,) taken anew."""
-    numbers = np.flatnonzero(who)
-    slopes_, samples = list(here.slopes), here.samples.copy()
+    numbers, slopes_ = np.flatnonzero(who), list(here.slopes)
     steps = _informed_steps(data, here.model, here.slopes)
-    for i, (s, at) in zip(numbers, _slopes(data, here.model, steps, numbers, work), strict=True):
+    for i, s in zip(numbers, _slopes(data, here.model, here.samples, steps, numbers, work), strict=True):
         slopes_[i] = s
-        samples.put(i, at)
-    return Fit(here.model, samples, tuple(slopes_))
+    return replace(here, slopes=tuple(slopes_))
 
 
 def _mixed(here: Fit, there: Fit, better: NDArray[np.bool_]) -> Fit:

@@ -33,12 +33,30 @@ from sugiyama_ros.effects.catalogue import DECLARED
 from sugiyama_ros.estimation import causal
 from sugiyama_ros.road import Array
 
-# Steps of a first look and of a closer one at most, and the log-likelihood [nats] that one must promise.
-_FIRST, _CLOSER, _PROMISE = 2, 4, 0.4
-# Steps of a full fit, and times that it takes the derivatives anew, at most.
-_STEPS, _RENEWALS = 8, 1
+# Steps of a closer look at most, and the log-likelihood [nats] that one must promise.
+_CLOSER, _PROMISE = 4, 0.4
 # A candidate that promises less than this [nats] is not looked at any closer.
 _HOPELESS = 1.0
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How far a search goes, at most.
+
+    runs: simulated recordings; looks: steps of a first look; shortlist, later: candidates that are fitted in full in
+    the first round and in later ones; steps, renewals: of such a fit, and times that it takes the derivatives anew.
+    """
+
+    runs: int
+    looks: int
+    shortlist: int
+    later: int
+    steps: int
+    renewals: int
+
+
+#: Of a diagnosis, and of one in a hurry: constants that make up for much of what is missing climb slowly.
+FULL, QUICK = Effort(6, 6, 8, 8, 20, 6), Effort(2, 2, 4, 2, 8, 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +76,8 @@ class Glance:
     loss_at: dict[int, float]
 
 
-def glance(data: Recorded, base: Fit, candidate: Candidate, work: Executor) -> Glance:
-    """Add a candidate to a fitted model by a step or two, from its starts."""
+def glance(data: Recorded, base: Fit, candidate: Candidate, work: Executor, effort: Effort = FULL) -> Glance:
+    """Add a candidate to a fitted model by a few steps, from its starts."""
 
     def tried(model: Model) -> tuple[float, Model, Samples]:
         at = evaluate(data, model, work)
@@ -79,12 +97,11 @@ def glance(data: Recorded, base: Fit, candidate: Candidate, work: Executor) -> G
     for k in (*model.individual, *model.shared):
         if k not in known and k not in new:
             new[k] = _column(data, model, at, k, work)
-    return _first_steps(
-        data, base, Glance(candidate, Fit(model, at, _joined(data, base, model, at, new)), 0.0, 0.0, *loss), work
-    )
+    look = Glance(candidate, Fit(model, at, _joined(data, base, model, at, new)), 0.0, 0.0, *loss)
+    return _first_steps(data, base, look, work, effort)
 
 
-def glance_again(data: Recorded, base: Fit, before: Fit, look: Glance, work: Executor) -> Glance:
+def glance_again(data: Recorded, base: Fit, before: Fit, look: Glance, work: Executor, effort: Effort) -> Glance:
     """Look again at a candidate that was looked at when the model was ``before``, from where that has ended."""
     model = _carried_over(before, look, base)
     at = evaluate(data, model, work)
@@ -94,16 +111,17 @@ def glance_again(data: Recorded, base: Fit, before: Fit, look: Glance, work: Exe
         for j, k in enumerate(looked)
         if k not in known
     }
-    return _first_steps(data, base, replace(look, fit=Fit(model, at, _joined(data, base, model, at, new))), work)
+    begun = replace(look, fit=Fit(model, at, _joined(data, base, model, at, new)))
+    return _first_steps(data, base, begun, work, effort)
 
 
-def _first_steps(data: Recorded, base: Fit, look: Glance, work: Executor) -> Glance:
-    """A step or two from where a look begins, if it promises anything."""
+def _first_steps(data: Recorded, base: Fit, look: Glance, work: Executor, effort: Effort) -> Glance:
+    """A few steps from where a look begins, if it promises anything."""
     everywhere = range(FOLDS)
     gain = objective(look.fit.slopes, look.fit.model, everywhere) - objective(base.slopes, base.model, everywhere)
     promise = solve(look.fit.slopes, look.fit.model, everywhere, 1e-3).promise
     look = replace(look, gain=gain, promise=promise)
-    return _further(data, look, work, _FIRST) if gain + promise > _HOPELESS else look
+    return _further(data, look, work, effort.looks) if gain + promise > _HOPELESS else look
 
 
 def closer(data: Recorded, look: Glance, work: Executor) -> Glance:
@@ -119,9 +137,9 @@ def _further(data: Recorded, look: Glance, work: Executor, steps: int) -> Glance
     return replace(look, fit=fitted, gain=look.gain + rise, promise=promise)
 
 
-def refine(data: Recorded, look: Glance, work: Executor) -> Fit:
+def refine(data: Recorded, look: Glance, work: Executor, effort: Effort = FULL) -> Fit:
     """Fit in full, from where a glance has come to."""
-    return climb(data, look.fit, work, iterations=_STEPS, renewals=_RENEWALS, fresh=False)
+    return climb(data, look.fit, work, iterations=effort.steps, renewals=effort.renewals, fresh=False)
 
 
 def with_candidate(data: Recorded, base: Fit, candidate: Candidate, work: Executor) -> Fit:

@@ -31,19 +31,17 @@ from sugiyama_ros.criticism.fitting import (
     without_folds,
 )
 from sugiyama_ros.criticism.free_run import filtered_states
-from sugiyama_ros.criticism.screening import Glance, closer, forecast, glance, glance_again, refine
+from sugiyama_ros.criticism.screening import FULL, QUICK, Glance, closer, forecast, glance, glance_again, refine
 from sugiyama_ros.effects.catalogue import DECLARED
 
-#: Simulated recordings for the p-values, also with ``quick``; level of significance, after Bonferroni's correction.
-BOOTSTRAP_RUNS, QUICK_RUNS, LEVEL = 6, 2, 0.05
-# Candidates that are fitted in full in each round, and the share of the best gain above which one is.
-_SHORTLIST, _SHARE = 4, 0.3
+#: Level of significance, after Bonferroni's correction.
+LEVEL = 0.05
+# Share of the best gain above which a candidate is fitted in full.
+_SHARE = 0.3
 # Share of the best gain above which a candidate may be a rival that cannot be told apart.
 _RIVAL = 0.5
-# Candidates that are fitted in full in later rounds with ``quick``.
-_QUICKLY = 2
 # Candidates that are looked at again after the first round.
-_LATER_LOOKS = 6
+_LATER_LOOKS = 8
 # A gain is not believed below this [nats], whatever the p-value; and simulated gains spread by at least this.
 _LEAST_GAIN, _LEAST_SPREAD = 5.0, 1.5
 # Standard errors by which one candidate is clearly worse than another (5 %), and the least difference [nats].
@@ -136,7 +134,7 @@ class Search:
         self._data, self._quick, self._seed, self._work, self._on_progress = data, quick, seed, work, on_progress
         self._possible = candidates(recording_of(data), data.drivers)
         self._seen: dict[str, tuple[Fit, Glance]] = {}
-        self.runs = QUICK_RUNS if quick else BOOTSTRAP_RUNS
+        self.effort = QUICK if quick else FULL
         self.current = base
         self.errors = errors_of(data, without_folds(data, base, work, searched=not quick), work)
         self.named: list[Named] = []
@@ -245,7 +243,7 @@ class Search:
         )
         after = errors_of(data, without_folds(data, grown, work, searched=not self._quick), work)
         won = gain(data, after.samples, before.samples)
-        if won.nats < won.se:
+        if won.nats < sum_error(won.drivers):
             return None
         values = parameters_of(grown, candidate)
         return Named(candidate.name, candidate.kind, values, rivals, advice, p_value, won, before, after, grown)
@@ -265,13 +263,13 @@ class Search:
     def _shortlist(self, looks: Sequence[Glance]) -> list[int]:
         """Those fitted in full: the largest gains, and the noises, whose best values may lie far from a glance.
 
-        Once something is named, ``quick`` has no time but for the two that gain most beyond what chance gives.
+        Once something is named, those that gain most beyond what chance gives.
         """
-        if self._seen and self._quick:
-            return sorted(range(len(looks)), key=lambda k: -self._judge(looks[k]).score)[:_QUICKLY]
+        if self._seen:
+            return sorted(range(len(looks)), key=lambda k: -self._judge(looks[k]).score)[: self.effort.later]
         order = sorted(range(len(looks)), key=lambda k: -looks[k].gain)
         best = max(looks[order[0]].gain, 1.0)
-        chosen = [k for k in order[:_SHORTLIST] if looks[k].gain > _SHARE * best or k in order[:2]]
+        chosen = [k for k in order[: self.effort.shortlist] if looks[k].gain > _SHARE * best or k in order[:2]]
         if best > 50.0:
             chosen += [
                 k for k, look in enumerate(looks) if look.candidate.name == "noise_constants" and k not in chosen
@@ -287,15 +285,15 @@ class Search:
         """Look at a candidate, also from where an earlier look at it has ended."""
         before = self._seen.get(candidate.name)
         if before and before[1].gain > 0.0:
-            return glance_again(self._data, self.current, *before, self._work)
-        return glance(self._data, self.current, candidate, self._work)
+            return glance_again(self._data, self.current, *before, self._work, self.effort)
+        return glance(self._data, self.current, candidate, self._work, self.effort)
 
     def _look_closer(self, look: Glance) -> Glance:
         return closer(self._data, look, self._work)
 
     def _in_full(self, one: Looked) -> Looked:
         """The same, fitted in full; what chance gives is still that of a glance."""
-        refined = refine(self._data, one.look, self._work)
+        refined = refine(self._data, one.look, self._work, self.effort)
         return replace(one, fit=refined, gain=max(one.gain, _rise(self.current, refined)), refined=True)
 
     def _simulate(self, chosen: Sequence[Candidate]) -> "_Null":
@@ -306,12 +304,12 @@ class Search:
         def one_run(rng: np.random.Generator) -> list[float]:
             simulated = resample(data, current.model, states, rng)
             fitted = fit(simulated, current.model, work, iterations=_FEW_STEPS, renewals=0)
-            looks = (glance(simulated, fitted, candidate, work) for candidate in chosen)
+            looks = (glance(simulated, fitted, candidate, work, self.effort) for candidate in chosen)
             return [closer(simulated, look, work).gain for look in looks]
 
         gains = at_once(
             one_run,
-            seeds(self._seed + len(self.named), self.runs),
+            seeds(self._seed + len(self.named), self.effort.runs),
             "simulating the model without it",
             self._on_progress,
         )
