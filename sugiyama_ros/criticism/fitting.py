@@ -466,29 +466,21 @@ def fit(
     model: Model,
     work: Executor,
     *,
+    folds: Sequence[int] = tuple(range(FOLDS)),
     iterations: int = _STEPS,
     enough: float = _ENOUGH,
     renewals: int = _RENEWALS,
 ) -> Fit:
-    """Maximise the likelihood from ``model`` on; iterations, enough, renewals: as for ``climb``."""
+    """Maximise the likelihood of the samples in ``folds`` from ``model`` on; the rest as for ``climb``."""
     start, samples = slopes(data, model, work)
     begun = Fit(model, samples, tuple(start))
-    return climb(data, begun, work, iterations=iterations, enough=enough, renewals=renewals)
+    return climb(data, begun, work, folds=folds, iterations=iterations, enough=enough, renewals=renewals)
 
 
-def refit(
-    data: Recorded,
-    near: Fit,
-    model: Model,
-    work: Executor,
-    *,
-    folds: Sequence[int] = tuple(range(FOLDS)),
-    iterations: int = _STEPS,
-    renewals: int = _RENEWALS,
-) -> Fit:
-    """Maximise the likelihood of the samples in ``folds`` from ``model`` on, with the derivatives of a fit near by."""
+def refit(data: Recorded, near: Fit, model: Model, work: Executor, *, renewals: int = _RENEWALS) -> Fit:
+    """Maximise the likelihood from ``model`` on, with the derivatives of a fit near by until they are poor."""
     begun = _at(data, near, model, work, np.ones(data.drivers, np.bool_))
-    return climb(data, begun, work, folds=folds, iterations=iterations, renewals=renewals, fresh=False)
+    return climb(data, begun, work, renewals=renewals, fresh=False)
 
 
 def climb(
@@ -664,7 +656,7 @@ def without_folds(data: Recorded, fitted: Fit, work: Executor, *, searched: bool
         model = _without(data, fitted, f)
         if searched:
             others = [k for k in range(FOLDS) if k != f]
-            model = refit(data, fitted, model, work, folds=others, iterations=_STEPS_WITHOUT).model
+            model = fit(data, model, work, folds=others, iterations=_STEPS_WITHOUT).model
         models.append(model)
     return tuple(models)
 

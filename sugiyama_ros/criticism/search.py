@@ -238,9 +238,8 @@ class Search:
     ) -> Named | None:
         """The model with a candidate added, fitted in full, if it predicts more, held out, by its standard error."""
         data, work, before = self._data, self._work, self.errors
-        grown = refit(
-            data, fitted, replace(fitted.model, ahead=fitted.model.rows), work, renewals=0 if self._quick else 1
-        )
+        model = replace(fitted.model, ahead=fitted.model.rows)
+        grown = refit(data, fitted, model, work, renewals=0 if self._quick else self.effort.renewals)
         after = errors_of(data, without_folds(data, grown, work, searched=not self._quick), work)
         won = gain(data, after.samples, before.samples)
         if won.nats < sum_error(won.drivers):
