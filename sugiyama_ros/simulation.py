@@ -25,7 +25,7 @@ from sugiyama_ros.driver.parameters import (
 )
 from sugiyama_ros.driver.utility import ACTIONS, room_for
 from sugiyama_ros.effects.catalogue import PLACES, whole
-from sugiyama_ros.effects.control import acting, carry_out, intend, noise_factor
+from sugiyama_ros.effects.control import carry_out, intend, noise_factor
 from sugiyama_ros.effects.effect import Seen
 from sugiyama_ros.effects.sensor_eccentricity import displacement
 from sugiyama_ros.effects.uneven_noise import factor as noise_std_factor
@@ -101,9 +101,8 @@ def drive(
             rear_gap,
             rear_speed,
         )
-        row = rows[i]
-        meant, pushed[i] = intend(seen, row, acting(row), room, period, horizon)
-        out[i] = carry_out(meant, held[i], row, period)
+        meant, pushed[i] = intend(seen, rows[i], room, period, horizon)
+        out[i] = carry_out(meant, held[i], rows[i], period)
 
 
 @dataclass(frozen=True)

@@ -461,26 +461,21 @@ class Fit:
         return self.samples.total
 
 
-def fit(
-    data: Recorded,
-    model: Model,
-    work: Executor,
-    *,
-    folds: Sequence[int] = tuple(range(FOLDS)),
-    iterations: int = _STEPS,
-    enough: float = _ENOUGH,
-    renewals: int = _RENEWALS,
-) -> Fit:
-    """Maximise the likelihood of the samples in ``folds`` from ``model`` on; the rest as for ``climb``."""
+def begun(data: Recorded, model: Model, work: Executor) -> Fit:
+    """Where a search from ``model`` on begins."""
     start, samples = slopes(data, model, work)
-    begun = Fit(model, samples, tuple(start))
-    return climb(data, begun, work, folds=folds, iterations=iterations, enough=enough, renewals=renewals)
+    return Fit(model, samples, tuple(start))
+
+
+def fit(data: Recorded, model: Model, work: Executor, *, iterations: int = _STEPS) -> Fit:
+    """Maximise the likelihood from ``model`` on; ``iterations``: steps tried at most."""
+    return climb(data, begun(data, model, work), work, iterations=iterations)
 
 
 def refit(data: Recorded, near: Fit, model: Model, work: Executor, *, renewals: int = _RENEWALS) -> Fit:
     """Maximise the likelihood from ``model`` on, with the derivatives of a fit near by until they are poor."""
-    begun = _at(data, near, model, work, np.ones(data.drivers, np.bool_))
-    return climb(data, begun, work, renewals=renewals, fresh=False)
+    start = _at(data, near, model, work, np.ones(data.drivers, np.bool_))
+    return climb(data, start, work, renewals=renewals, fresh=False)
 
 
 def climb(
@@ -504,16 +499,19 @@ def climb(
     here, together = start, bool(start.model.shared)
     damping: Array = np.full(data.drivers, 1e-3)
     is_fresh = np.full(data.drivers, fresh)
-    for _ in range(iterations):
+
+    def next_step() -> tuple[Step, NDArray[np.bool_]]:
         step = solve(here.slopes, here.model, folds, damping)
-        moves = np.full(data.drivers, together) | (step.promises > enough / data.drivers)
+        return step, together | (step.promises > enough / data.drivers)
+
+    for _ in range(iterations):
+        step, moves = next_step()
         if step.promise < enough or damping[moves].min(initial=np.inf) > 1e4:
             if is_fresh.all() or not renewals:
                 break
             here, renewals = _anew(data, here, work, ~is_fresh), renewals - 1
             is_fresh[:] = True
-            step = solve(here.slopes, here.model, folds, damping)
-            moves = np.full(data.drivers, together) | (step.promises > enough / data.drivers)
+            step, moves = next_step()
             if step.promise < enough:
                 break
         there = _at(data, here, moved(data, here.model, step), work, moves)
@@ -558,18 +556,13 @@ def _anew(data: Recorded, here: Fit, work: Executor, who: NDArray[np.bool_]) -> 
 
 
 def _mixed(here: Fit, there: Fit, better: NDArray[np.bool_]) -> Fit:
-    """One fit for some drivers and the other for the rest."""
-    if better.all() or not better.any():
-        return there if better.all() else here
-    a, b, pick = there.samples, here.samples, better[:, None]
-    samples = Samples(
-        np.where(pick, a.innovation_m, b.innovation_m).astype(np.float64),
-        np.where(pick, a.innovation_var, b.innovation_var).astype(np.float64),
-        np.where(pick, a.log_likelihood, b.log_likelihood).astype(np.float64),
-    )
-    rows = np.where(pick, there.model.rows, here.model.rows).astype(np.float64)
-    chosen = tuple(x if yes else y for yes, x, y in zip(better, there.slopes, here.slopes, strict=True))
-    return Fit(replace(here.model, rows=rows), samples, chosen)
+    """The one fit for some drivers (N,) and ``here`` for the rest."""
+    rows, slopes_, samples = here.model.rows.copy(), list(here.slopes), here.samples.copy()
+    rows[better] = there.model.rows[better]
+    for i in np.flatnonzero(better):
+        slopes_[i] = there.slopes[i]
+        samples.put(i, there.samples.of(i))
+    return Fit(replace(here.model, rows=rows), samples, tuple(slopes_))
 
 
 def objectives(all_slopes: Sequence[Slopes], model: Model, folds: Sequence[int]) -> Array:
@@ -596,7 +589,8 @@ def fit_base(data: Recorded, individual: Sequence[int], work: Executor, start: M
     """
     first = start or start_model(data.drivers, individual)
     near = _by_paper(data, first, work) if start is None else None
-    found = fit(data, near or first, work, iterations=10 if near is None else 3, enough=_NEARLY)
+    start_at = begun(data, near or first, work)
+    found = climb(data, start_at, work, iterations=10 if near is None else 3, enough=_NEARLY)
     return _second_chance(data, refit(data, found, as_population(found.model), work), work)
 
 
@@ -611,8 +605,8 @@ def _second_chance(data: Recorded, found: Fit, work: Executor) -> Fit:
     own = list(found.model.individual)
     rows = found.model.rows.copy()
     rows[np.ix_(far, own)] = np.median(rows[:, own], axis=0)
-    begun = _anew(data, _at(data, found, replace(found.model, rows=rows), work, far), work, far)
-    again = climb(data, begun, work)
+    elsewhere = _at(data, found, replace(found.model, rows=rows), work, far)
+    again = climb(data, _anew(data, elsewhere, work, far), work)
     everywhere = range(FOLDS)
     better = objectives(again.slopes, again.model, everywhere) > objectives(found.slopes, found.model, everywhere)
     return climb(data, _mixed(found, again, better), work, iterations=4)
@@ -656,7 +650,7 @@ def without_folds(data: Recorded, fitted: Fit, work: Executor, *, searched: bool
         model = _without(data, fitted, f)
         if searched:
             others = [k for k in range(FOLDS) if k != f]
-            model = fit(data, model, work, folds=others, iterations=_STEPS_WITHOUT).model
+            model = climb(data, begun(data, model, work), work, folds=others, iterations=_STEPS_WITHOUT).model
         models.append(model)
     return tuple(models)
 

@@ -105,13 +105,7 @@ def glance_again(data: Recorded, base: Fit, before: Fit, look: Glance, work: Exe
     """Look again at a candidate that was looked at when the model was ``before``, from where that has ended."""
     model = _carried_over(before, look, base)
     at = evaluate(data, model, work)
-    known, looked = {*base.model.individual, *base.model.shared}, [*look.fit.model.individual, *look.fit.model.shared]
-    new = {
-        k: [(s.innovation[j], s.variance[j], s.density[j]) for s in look.fit.slopes]
-        for j, k in enumerate(looked)
-        if k not in known
-    }
-    begun = replace(look, fit=Fit(model, at, _joined(data, base, model, at, new)))
+    begun = replace(look, fit=Fit(model, at, _joined(data, base, model, at, _columns(look.fit))))
     return _first_steps(data, base, begun, work, effort)
 
 
@@ -169,28 +163,14 @@ def forecast(data: Recorded, before: Fit, look: Glance, current: Fit) -> float:
     rows = model.rows.copy()
     rows[:, candidate.places] = look.fit.model.rows[:, candidate.places]
     model = replace(model, rows=rows)
-    known = [*current.model.individual, *current.model.shared]
-    looked = [*look.fit.model.individual, *look.fit.model.shared]
-    places = [*model.individual, *model.shared]
-    here = []
+    now, then, with_it = current.samples, before.samples, look.fit.samples
+    y = now.innovation_m + with_it.innovation_m - then.innovation_m
+    variance = now.innovation_var * (with_it.innovation_var / then.innovation_var)
+    density = np.empty_like(y)
     for i, row in enumerate(rows):
-        now, then, with_it = current.samples, before.samples, look.fit.samples
-        y = now.innovation_m[i] + with_it.innovation_m[i] - then.innovation_m[i]
-        ratio = with_it.innovation_var[i] / then.innovation_var[i]
-        variance = now.innovation_var[i] * ratio
-        density = np.empty_like(y)
-        causal.weigh_samples(y, variance, row, np.empty_like(y), density)
-        density[np.isnan(now.log_likelihood[i])] = np.nan
-        old, new = current.slopes[i], look.fit.slopes[i]
-        derivatives = tuple(
-            np.array([a[known.index(k)] if k in known else b[looked.index(k)] for k in places])
-            for a, b in (
-                (old.innovation, new.innovation),
-                (old.variance, new.variance),
-                (old.density, new.density),
-            )
-        )
-        here.append(sums((y, variance, density), derivatives, row, data.fold))  # type: ignore[arg-type]
+        causal.weigh_samples(y[i], variance[i], row, np.empty_like(y[i]), density[i])
+    density[np.isnan(now.log_likelihood)] = np.nan
+    here = _joined(data, current, model, Samples(y, variance, density), _columns(look.fit))
     everywhere = range(FOLDS)
     reached = objective(here, model, everywhere) + solve(here, model, everywhere, 1e-3).promise
     return reached - objective(current.slopes, current.model, everywhere)
@@ -243,12 +223,19 @@ def _joined(
     for i, (s, row) in enumerate(zip(base.slopes, model.rows, strict=True)):
         old = (s.innovation, s.variance, s.density)
         dy, dvar, direct = (
-            np.array([new[k][i][j] if k in new else old[j][known.index(k)] for k in (*model.individual, *model.shared)])
+            np.array(
+                [old[j][known.index(k)] if k in known else new[k][i][j] for k in (*model.individual, *model.shared)]
+            )
             for j in range(3)
         )
-        now = at.innovation_m[i], at.innovation_var[i], at.log_likelihood[i]
-        joined.append(sums(now, (dy, dvar, direct), row, data.fold))
+        joined.append(sums(at.of(i), (dy, dvar, direct), row, data.fold))
     return tuple(joined)
+
+
+def _columns(fitted: Fit) -> dict[int, list[tuple[Array, Array, Array]]]:
+    """Derivatives of every driver's samples by each parameter of a fit, as ``_column`` gives them."""
+    places = (*fitted.model.individual, *fitted.model.shared)
+    return {k: [(s.innovation[j], s.variance[j], s.density[j]) for s in fitted.slopes] for j, k in enumerate(places)}
 
 
 def _column(data: Recorded, model: Model, at: Samples, place: int, work: Executor) -> list[tuple[Array, Array, Array]]:

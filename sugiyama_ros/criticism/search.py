@@ -22,7 +22,8 @@ from sugiyama_ros.criticism.fitting import (
     Fit,
     Gain,
     Recorded,
-    fit,
+    begun,
+    climb,
     gain,
     held_out_nearly,
     objective,
@@ -173,10 +174,10 @@ class Search:
 
     def _look_at_all(self) -> list[Looked]:
         """All candidates that are worth it, best first; those that promise most are fitted in full."""
-        chosen: Sequence[Candidate] = self._worth_a_look() if self._seen else self._possible
+        is_first = not self._seen
+        chosen: Sequence[Candidate] = self._possible if is_first else self._worth_a_look()
         title = f"round {len(self.named) + 1}"
         looks = at_once(self._look, chosen, f"{title}: candidates", self._on_progress)
-        is_first = not self._seen
         promising = self._shortlist(looks)
         again = at_once(self._look_closer, [looks[k] for k in promising], f"{title}: looking closer", self._on_progress)
         for k, look in zip(promising, again, strict=True):
@@ -236,7 +237,7 @@ class Search:
         rivals: tuple[str, ...] = (),
         advice: tuple[str, ...] = (),
     ) -> Named | None:
-        """The model with a candidate added, fitted in full, if it predicts more, held out, by its standard error."""
+        """The model with a candidate added, fitted in full, if its held-out gain is above its error over drivers."""
         data, work, before = self._data, self._work, self.errors
         model = replace(fitted.model, ahead=fitted.model.rows)
         grown = refit(data, fitted, model, work, renewals=0 if self._quick else self.effort.renewals)
@@ -302,7 +303,8 @@ class Search:
 
         def one_run(rng: np.random.Generator) -> list[float]:
             simulated = resample(data, current.model, states, rng)
-            fitted = fit(simulated, current.model, work, iterations=_FEW_STEPS, renewals=0)
+            start = begun(simulated, current.model, work)
+            fitted = climb(simulated, start, work, iterations=_FEW_STEPS, renewals=0)
             looks = (glance(simulated, fitted, candidate, work, self.effort) for candidate in chosen)
             return [closer(simulated, look, work).gain for look in looks]
 

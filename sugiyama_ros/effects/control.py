@@ -15,8 +15,6 @@ from sugiyama_ros.effects.effect import ACTUATION, ENVIRONMENT, MEASUREMENT, PER
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Array, Ints
 
-#: Of each stage but the measurement's own, whether an effect is on.
-Acting: TypeAlias = tuple[bool, bool, bool, bool]
 _Preferred: TypeAlias = Callable[..., tuple[float, float]]
 _LAG = place("actuation_lag", "time_constant")
 _THRESHOLD = place("perception_threshold", "threshold")
@@ -174,22 +172,14 @@ def noise_factor(speed: float, row: Array) -> float:
 
 
 @njit(nogil=True)
-def acting(row: Array) -> Acting:
-    """Whether effects act on what a driver perceives, what he prefers, what his car does, and from the environment."""
-    return _any_of(_PERCEIVING, row), _any_of(_PREFERRING, row), _any_of(_ACTUATING, row), _any_of(_PUSHING, row)
-
-
-@njit(nogil=True)
-def intend(seen: Seen, row: Array, acts: Acting, room: Array, period: float, horizon: int) -> tuple[float, float]:
+def intend(seen: Seen, row: Array, room: Array, period: float, horizon: int) -> tuple[float, float]:
     """What the driver means his car to do until the next period, and what the environment adds; [m/s^2] both.
 
-    row: (WIDTH,), at this period; changed on the way and restored. acts: ``acting`` of it. room: of ``room_for`` the
-    actions that he considers.
+    row: (WIDTH,), at this period; changed on the way and restored. room: of ``room_for`` the actions that he considers.
     """
-    perceiving, preferring, actuating, pushing = acts
-    perceived = _perceived(seen, row) if perceiving else seen
+    perceived = _perceived(seen, row) if _any_of(_PERCEIVING, row) else seen
     v_star, kappa_v = row[V_STAR], row[KAPPA_V]
-    if preferring:
+    if _any_of(_PREFERRING, row):
         row[V_STAR], row[KAPPA_V] = _preferred(v_star, kappa_v, perceived, row)
     gap, speed, leader_speed = perceived.gap, perceived.speed, perceived.leader_speed
     if row[LAW] == 0.0:
@@ -201,9 +191,9 @@ def intend(seen: Seen, row: Array, acts: Acting, room: Array, period: float, hor
     else:
         action = fvdm(gap, speed, leader_speed, row[_FVDM_AT:_FVDM_END])
     row[V_STAR], row[KAPPA_V] = v_star, kappa_v
-    if actuating:
+    if _any_of(_ACTUATING, row):
         action = _actuated(action, seen, row)
-    return action, _pushed(seen, row) if pushing else 0.0
+    return action, _pushed(seen, row) if _any_of(_PUSHING, row) else 0.0
 
 
 @njit(nogil=True)

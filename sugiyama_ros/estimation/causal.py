@@ -48,7 +48,7 @@ from sugiyama_ros.driver.parameters import (
 )
 from sugiyama_ros.driver.utility import ACTIONS, room_for
 from sugiyama_ros.effects.catalogue import WIDTH, place, whole
-from sugiyama_ros.effects.control import acting, expect_change, intend, noise_factor, remembers
+from sugiyama_ros.effects.control import expect_change, intend, noise_factor, remembers
 from sugiyama_ros.effects.effect import Seen
 from sugiyama_ros.effects.outlier_noise import weigh
 from sugiyama_ros.effects.sensor_eccentricity import displacement
@@ -229,7 +229,6 @@ def expected_action(
     """
     led = known[m + 1] == MOVING
     driver = parameters[m].copy() if len(adapted) > 0 else parameters[m]
-    acts = acting(driver)
     delayed = led and driver[_DELAY] != 0.0
     plus, minus = _looked_at(m, led, delayed, len(known), len(adapted))
     size = len(plus)
@@ -274,7 +273,7 @@ def expected_action(
                 here.rear_gap,
                 here.rear_speed,
             )
-            held, pushed = intend(seen, driver, acts, room, scene.period_s, scene.horizon)
+            held, pushed = intend(seen, driver, room, scene.period_s, scene.horizon)
             action = held + pushed
             total += action
             squares += action * action
@@ -340,8 +339,7 @@ def linearise(
     period = scene.period_s
     slope, held_slope = np.empty(len(mean)), np.empty(len(mean))
     own_action = 0.0
-    for k in range(len(mean)):
-        next_mean[k] = mean[k]
+    next_mean[:] = mean
     jacobian[:] = 0.0
     noise[:] = 0.0
     for k in range(len(adapted)):
