@@ -257,27 +257,27 @@ def sums(
     """
     (y, variance, density), (dy, dvar, direct) = samples, derivatives
     score, information, total = np.zeros((FOLDS, len(dy))), np.zeros((FOLDS, len(dy), len(dy))), np.zeros(FOLDS)
-    robust = bool(row[OUTLIERS] > 0.0)
-    slope = density_slope(y, variance, dy, dvar, row) + direct
-    _add_up(variance, density, dy, dvar, slope, fold, robust, score, information, total)
+    _add_up(y, variance, density, dy, dvar, direct, row, fold, score, information, total)
     return Slopes(score, information, total, dy, dvar, direct)
 
 
 @njit(nogil=True, cache=True)
 def _add_up(
+    y: Array,
     variance: Array,
     density: Array,
     dy: Array,
     dvar: Array,
-    slope: Array,
+    direct: Array,
+    row: Array,
     fold: Ints,
-    robust: bool,
     score: Array,
     information: Array,
     total: Array,
 ) -> None:
     """Score (F, K), information (F, K, K) and log-likelihood (F,) of every fold, from scored samples."""
-    places = len(dy)
+    robust, places = row[OUTLIERS] > 0.0, len(dy)
+    slope = density_slope(y, variance, dy, dvar, row) + direct
     for t in range(len(fold)):
         if math.isnan(density[t]):
             continue
@@ -295,13 +295,19 @@ def _add_up(
                     information[f, j, i] += h
 
 
+@njit(nogil=True, cache=True)
 def density_slope(y: Array, variance: Array, dy: Array, dvar: Array, row: Array) -> Array:
     """Derivatives (K, T) of log-likelihoods through those of innovations and their variances."""
-    weight = np.ones_like(y)
+    slope = np.empty_like(dy)
+    weight, density = np.ones_like(y), np.empty_like(y)
     if row[OUTLIERS] > 0.0:
-        causal.weigh_samples(y, variance, row, weight, np.empty_like(y))
-    by_y, by_variance = weight * y / variance, 0.5 * weight * (1.0 - weight * y * y / variance) / variance
-    return np.asarray(-(dy * by_y + dvar * by_variance))
+        causal.weigh_samples(y, variance, row, weight, density)
+    for t in range(len(y)):
+        by_y = weight[t] * y[t] / variance[t]
+        by_variance = 0.5 * weight[t] * (1.0 - by_y * y[t]) / variance[t]
+        for k in range(len(dy)):
+            slope[k, t] = -(dy[k, t] * by_y + dvar[k, t] * by_variance)
+    return slope
 
 
 def _slopes_of(
@@ -397,27 +403,22 @@ def solve(
 
     damping: the drivers'; curvature: the folds that the information is taken from, if others.
     """
-    curved = list(folds if curvature is None else curvature)
-    damped = np.broadcast_to(damping, len(all_slopes))
-    individual = len(model.individual)
-    shared = all_slopes[0].score.shape[1] - individual
-    std, share, use = np.array(model.prior_std), len(folds) / FOLDS, list(folds)
-    prior = len(curved) / FOLDS * np.diag(1.0 / std**2)
-    reduced, rest = np.zeros((shared, shared)), np.zeros(shared)
-    parts = []
-    for s, away, damp in zip(all_slopes, model.away, damped, strict=True):
-        g, h = s.score[use].sum(axis=0), s.information[curved].sum(axis=0)
-        g_own = g[:individual] - share * away / std
-        h_own = h[:individual, :individual] + prior
-        inverse = np.linalg.inv(h_own + damp * np.diag(np.diag(h_own)))
-        cross = h[:individual, individual:]
-        reduced += h[individual:, individual:] - cross.T @ inverse @ cross
-        rest += g[individual:] - cross.T @ inverse @ g_own
-        parts.append((inverse, cross, g_own))
-    ridge = (damped.max() + 1e-9) * np.diag(np.abs(np.diag(reduced))) + 1e-6 * np.eye(shared)
+    curved, own = list(folds if curvature is None else curvature), len(model.individual)
+    damped: Array = np.broadcast_to(damping, len(all_slopes))
+    std, share = np.array(model.prior_std), len(folds) / FOLDS
+    g: Array = np.array([s.score for s in all_slopes])[:, list(folds)].sum(axis=1)
+    h: Array = np.array([s.information for s in all_slopes])[:, curved].sum(axis=1)
+    g_own, h_own, cross = g[:, :own] - share * model.away / std, h[:, :own, :own], h[:, :own, own:]
+    h_own = h_own + len(curved) / FOLDS * np.diag(1.0 / std**2)
+    inverse = np.linalg.inv(h_own + damped[:, None, None] * (h_own * np.eye(own)))
+    # what the own parameters give way by, for each shared one
+    gives_way = inverse @ cross
+    reduced = (h[:, own:, own:] - cross.transpose(0, 2, 1) @ gives_way).sum(axis=0)
+    rest = g[:, own:].sum(axis=0) - np.einsum("nis,ni->s", gives_way, g_own)
+    ridge = (damped.max() + 1e-9) * np.diag(np.abs(np.diag(reduced))) + 1e-6 * np.eye(len(rest))
     of_shared: Array = np.linalg.solve(reduced + ridge, rest).astype(np.float64)
-    of_own: Array = np.array([inverse @ (g - cross @ of_shared) for inverse, cross, g in parts], dtype=np.float64)
-    promises = np.array([0.5 * float(g @ inverse @ g) for inverse, _, g in parts])
+    of_own: Array = np.einsum("nij,nj->ni", inverse, g_own - cross @ of_shared)
+    promises: Array = 0.5 * np.einsum("ni,nij,nj->n", g_own, inverse, g_own)
     return Step(of_own, of_shared, promises, 0.5 * float(rest @ of_shared) + float(promises.sum()))
 
 
@@ -567,7 +568,7 @@ def _mixed(here: Fit, there: Fit, better: NDArray[np.bool_]) -> Fit:
 
 def objectives(all_slopes: Sequence[Slopes], model: Model, folds: Sequence[int]) -> Array:
     """Log-likelihood of each driver's samples in ``folds`` and log prior, in proportion; (N,)."""
-    likelihood = np.array([s.log_likelihood[list(folds)].sum() for s in all_slopes])
+    likelihood = np.array([s.log_likelihood for s in all_slopes])[:, list(folds)].sum(axis=1)
     return np.asarray(likelihood - 0.5 * len(folds) / FOLDS * np.square(model.away).sum(axis=1))
 
 
@@ -684,25 +685,23 @@ def of_folds(data: Recorded, by_model: Sequence[Samples]) -> Samples:
 
 def held_out_nearly(data: Recorded, fitted: Fit) -> Samples:
     """As ``held_out`` after ``without_folds``, but with the samples' derivatives instead of the filter, at once."""
-    outputs = [np.full((data.drivers, len(data.fold)), np.nan) for _ in range(3)]
     places = [*fitted.model.individual, *fitted.model.shared]
     at = coordinate(fitted.model.rows[:, places], places)
-    for f in range(FOLDS):
-        model = _without(data, fitted, f)
-        change = coordinate(model.rows[:, places], places) - at
-        mask = data.fold == f
-        for i, s in enumerate(fitted.slopes):
-            before = fitted.samples.innovation_var[i, mask]
-            most = _MOST_OFF * np.sqrt(np.maximum(before, 0.0))
-            y = fitted.samples.innovation_m[i, mask] + np.clip(change[i] @ s.innovation[:, mask], -most, most)
-            variance = np.clip(before + change[i] @ s.variance[:, mask], before / _MOST_WIDER, before * _MOST_WIDER)
-            density = np.empty_like(y)
-            causal.weigh_samples(y, variance, fitted.model.rows[i], np.empty_like(y), density)
-            density += change[i] @ s.density[:, mask]
-            density[np.isnan(fitted.samples.log_likelihood[i, mask])] = np.nan
-            for output, array in zip(outputs, (y, variance, density), strict=True):
-                output[i, mask] = array
-    return Samples(*outputs)
+    without = np.array([_without(data, fitted, f).rows[:, places] for f in range(FOLDS)])
+    changes = (coordinate(without, places) - at)[data.fold]
+    near = fitted.samples.copy()
+    for i, (s, row) in enumerate(zip(fitted.slopes, fitted.model.rows, strict=True)):
+        y, variance, density = near.of(i)
+        off_y, off_variance, off_density = (
+            np.einsum("tk,kt->t", changes[:, i], d) for d in (s.innovation, s.variance, s.density)
+        )
+        most = _MOST_OFF * np.sqrt(variance)
+        y += np.clip(off_y, -most, most)
+        variance[:] = np.clip(variance + off_variance, variance / _MOST_WIDER, variance * _MOST_WIDER)
+        scored = np.isfinite(density)
+        causal.weigh_samples(y, variance, row, np.empty_like(y), density)
+        density += np.where(scored, off_density, np.nan)
+    return near
 
 
 @dataclass(frozen=True)

@@ -181,15 +181,13 @@ def _promise(base: Fit, model: Model, samples: Samples) -> float:
 
     Of what they promise, half is believed: a start far off promises much.
     """
-    total = samples.total
-    own = len(base.model.individual)
-    arrays = zip(samples.innovation_m, samples.innovation_var, samples.log_likelihood, strict=True)
-    for s, row, (y, variance, density) in zip(base.slopes, model.rows, arrays, strict=True):
-        scored = np.isfinite(density)
-        dy, dvar = s.innovation[:own, scored], s.variance[:own, scored]
-        score = density_slope(y[scored], variance[scored], dy, dvar, row).sum(axis=1)
-        information = s.information.sum(axis=0)[:own, :own] + np.diag(1.0 / np.array(base.model.prior_std) ** 2)
-        total += 0.25 * float(score @ np.linalg.solve(information, score))
+    own, total = len(base.model.individual), samples.total
+    prior = np.diag(1.0 / np.array(base.model.prior_std) ** 2)
+    for i, (s, row) in enumerate(zip(base.slopes, model.rows, strict=True)):
+        y, variance, density = samples.of(i)
+        slope = density_slope(y, variance, s.innovation[:own], s.variance[:own], row)
+        score = slope[:, np.isfinite(density)].sum(axis=1)
+        total += 0.25 * float(score @ np.linalg.solve(s.information.sum(axis=0)[:own, :own] + prior, score))
     return total
 
 
@@ -256,6 +254,6 @@ def _differences(at: Samples, there: Samples, step: float, rows: Array) -> list[
         direct = np.zeros_like(dy)
         if row[OUTLIERS] > 0.0:
             direct = (there.log_likelihood[i] - at.log_likelihood[i]) / step
-            direct -= density_slope(y, variance, dy, dvar, row)
+            direct -= density_slope(y, variance, dy[None], dvar[None], row)[0]
         found.append((dy, dvar, direct))
     return found
