@@ -136,6 +136,13 @@ class Samples:
         """Arrays of their own."""
         return Samples(self.innovation_m.copy(), self.innovation_var.copy(), self.log_likelihood.copy())
 
+    def only(self, who: Sequence[int]) -> "Samples":
+        """Those of some drivers, NaN of the others."""
+        some = Samples(*(np.full_like(self.log_likelihood, np.nan) for _ in range(3)))
+        for i in who:
+            some.put(i, self.of(i))
+        return some
+
     def of(self, driver: int) -> tuple[Array, Array, Array]:
         """Those of one driver, (T,) each."""
         return self.innovation_m[driver], self.innovation_var[driver], self.log_likelihood[driver]
@@ -183,11 +190,13 @@ def leaders(data: Recorded, model: Model, driver: int) -> Array:
     return rows
 
 
-def evaluate(data: Recorded, model: Model, work: Executor) -> Samples:
-    """What the model says of every sample."""
-    outputs = _evaluate(data, model, range(data.drivers), work)
-    y, variance, density = (np.array([o[k] for o in outputs]) for k in range(3))
-    return Samples(y, variance, density)
+def evaluate(data: Recorded, model: Model, work: Executor, who: Sequence[int] | None = None) -> Samples:
+    """What the model says of every sample; of those of drivers ``who`` alone, NaN of the others', if they are given."""
+    chosen = range(data.drivers) if who is None else who
+    samples = Samples(*(np.full((data.drivers, len(data.fold)), np.nan) for _ in range(3)))
+    for i, at in zip(chosen, _evaluate(data, model, chosen, work), strict=True):
+        samples.put(i, at)
+    return samples
 
 
 def _evaluate(data: Recorded, model: Model, who: Iterable[int], work: Executor) -> list[tuple[Array, Array, Array]]:

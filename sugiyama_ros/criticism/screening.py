@@ -35,6 +35,8 @@ from sugiyama_ros.road import Array
 
 # Steps of a closer look at most, and the log-likelihood [nats] that one must promise.
 _CLOSER, _PROMISE = 4, 0.4
+# Drivers, or up to twice as many, on whom the starts of a search are compared.
+_SOME_DRIVERS = 11
 # A candidate that promises less than this [nats] is not looked at any closer.
 _HOPELESS = 1.0
 
@@ -78,17 +80,7 @@ class Glance:
 
 def glance(data: Recorded, base: Fit, candidate: Candidate, work: Executor, effort: Effort = FULL) -> Glance:
     """Add a candidate to a fitted model by a few steps, from its starts."""
-
-    def tried(model: Model) -> tuple[float, Model, Samples]:
-        at = evaluate(data, model, work)
-        return _promise(base, model, at), model, at
-
-    begun = [tried(added(base.model, candidate, start)) for start in candidate.starts]
-    worst = int(np.argmin([promise for promise, _, _ in begun]))
-    loss = base.log_likelihood - begun[worst][0], candidate.starts[worst]
-    if candidate.strengths:
-        begun = [tried(added(base.model, candidate, _strongest(data, base, candidate, begun)))]
-    _, model, at = max(begun, key=lambda one: one[0])
+    model, at, loss, loss_at = _best_start(data, base, candidate, work)
     known = {*base.model.individual, *base.model.shared}
     new = {}
     if len(candidate.strengths) == 1:
@@ -97,8 +89,33 @@ def glance(data: Recorded, base: Fit, candidate: Candidate, work: Executor, effo
     for k in (*model.individual, *model.shared):
         if k not in known and k not in new:
             new[k] = _column(data, model, at, k, work)
-    look = Glance(candidate, Fit(model, at, _joined(data, base, model, at, new)), 0.0, 0.0, *loss)
+    look = Glance(candidate, Fit(model, at, _joined(data, base, model, at, new)), 0.0, 0.0, loss, loss_at)
     return _first_steps(data, base, look, work, effort)
+
+
+def _best_start(
+    data: Recorded, base: Fit, candidate: Candidate, work: Executor
+) -> tuple[Model, Samples, float, dict[int, float]]:
+    """The start that promises most on some of the drivers, the samples there, and the loss as in ``Glance``."""
+    is_only = len(candidate.starts) == 1
+    some = range(0, data.drivers, 1 if is_only else max(1, data.drivers // _SOME_DRIVERS))
+    here, tried = base.samples.only(some), []
+    for start in candidate.starts:
+        model = added(base.model, candidate, start)
+        at = evaluate(data, model, work, some)
+        tried.append((_promise(base, model, at), model, at))
+    worst = int(np.argmin([promise for promise, _, _ in tried]))
+    loss = (here.total - tried[worst][0]) * data.drivers / len(some)
+    _, model, at = max(tried, key=lambda one: one[0])
+    if candidate.strengths:
+        model = added(base.model, candidate, _strongest(data, base, here, candidate, tried))
+        at = evaluate(data, model, work)
+    else:
+        others = [i for i in range(data.drivers) if i not in some]
+        rest = evaluate(data, model, work, others)
+        for i in others:
+            at.put(i, rest.of(i))
+    return model, at, loss, candidate.starts[worst]
 
 
 def glance_again(data: Recorded, base: Fit, before: Fit, look: Glance, work: Executor, effort: Effort) -> Glance:
@@ -192,18 +209,18 @@ def _promise(base: Fit, model: Model, samples: Samples) -> float:
 
 
 def _strongest(
-    data: Recorded, base: Fit, candidate: Candidate, begun: Sequence[tuple[float, Model, Samples]]
+    data: Recorded, base: Fit, here: Samples, candidate: Candidate, tried: Sequence[tuple[float, Model, Samples]]
 ) -> dict[int, float]:
     """The start that promises most once its strengths are scaled as the samples want it, so scaled.
 
-    What a start changes in every sample is taken for a derivative, so that this costs no filter.
+    What a start changes in every sample is taken for a derivative, so that this costs no filter. here: samples of the
+    base, of those drivers with whom the starts were tried.
     """
     steps, (ray, *_) = [], candidate.strengths
     model = replace(base.model, shared=(*base.model.shared, ray))
-    for _, start, there in begun:
-        new = {ray: _differences(base.samples, there, 1.0, start.rows)}
-        slopes = _joined(data, base, model, base.samples, new)
-        steps.append(solve(slopes, model, range(FOLDS), 1e-3))
+    for _, start, there in tried:
+        new = {ray: _differences(here, there, 1.0, start.rows)}
+        steps.append(solve(_joined(data, base, model, here, new), model, range(FOLDS), 1e-3))
     best = int(np.argmax([step.promise for step in steps]))
     scale = float(steps[best].shared[-1])
     return {
