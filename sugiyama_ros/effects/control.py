@@ -1,7 +1,7 @@
 """What a driver does, with all effects: from what is there to see to the acceleration of his car. Compiled."""
 
 from collections.abc import Callable
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from numba import njit
@@ -16,11 +16,21 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Array, Ints
 
 _Preferred: TypeAlias = Callable[..., tuple[float, float]]
+_Function = TypeVar("_Function", bound=Callable[..., Any])
 _LAG = place("actuation_lag", "time_constant")
 _THRESHOLD = place("perception_threshold", "threshold")
 _NOISE = place("speed_dependent_noise", "exponent")
 _IDM, _FVDM = LAW_PLACES["idm"], LAW_PLACES["fvdm"]
 _IDM_AT, _IDM_END, _FVDM_AT, _FVDM_END = _IDM.start, _IDM.stop, _FVDM.start, _FVDM.stop
+
+
+def lean(function: _Function) -> _Function:
+    """Compile a function that makes no arrays without counting references to those that it is given.
+
+    Counting took a tenth of a filter's time.
+    """
+    compiled: _Function = njit(function, nogil=True, _nrt=False)  # type: ignore[call-overload]
+    return compiled
 
 
 @njit(nogil=True)
@@ -154,7 +164,7 @@ _PERCEIVING, _PREFERRING = _switches(PERCEPTION, MEASUREMENT), _switches(PREFERE
 _ACTUATING, _PUSHING = _switches(ACTUATION), _switches(ENVIRONMENT)
 
 
-@njit(nogil=True)
+@lean
 def _any_of(switches: Ints, row: Array) -> bool:
     """Whether an effect is on; a driver without effects need not go through all of them."""
     for k in switches:  # noqa: SIM110 (numba has no any())
@@ -163,7 +173,7 @@ def _any_of(switches: Ints, row: Array) -> bool:
     return False
 
 
-@njit(nogil=True)
+@lean
 def noise_factor(speed: float, row: Array) -> float:
     """Factor of the std of the acceleration noise at a speed [m/s]."""
     if row[_NOISE] == 0.0:
@@ -171,7 +181,7 @@ def noise_factor(speed: float, row: Array) -> float:
     return speed_dependent_noise.noise_factor(speed, row[_NOISE : _NOISE + 1])
 
 
-@njit(nogil=True)
+@lean
 def intend(seen: Seen, row: Array, room: Array, period: float, horizon: int) -> tuple[float, float]:
     """What the driver means his car to do until the next period, and what the environment adds; [m/s^2] both.
 
@@ -196,7 +206,7 @@ def intend(seen: Seen, row: Array, room: Array, period: float, horizon: int) -> 
     return action, _pushed(seen, row) if _any_of(_PUSHING, row) else 0.0
 
 
-@njit(nogil=True)
+@lean
 def carry_out(meant: float, held: float, row: Array, period: float) -> float:
     """What he makes his car do [m/s^2], after ``held`` in the last period."""
     if row[_THRESHOLD] == 0.0 and row[_LAG] == 0.0:
@@ -209,7 +219,7 @@ def carry_out(meant: float, held: float, row: Array, period: float) -> float:
     return held + change
 
 
-@njit(nogil=True)
+@lean
 def expect_change(wanted: float, variance: float, row: Array, period: float) -> tuple[float, float, float]:
     """Of a wanted change of his acceleration, known as a normal distribution, what is carried out.
 
@@ -223,7 +233,7 @@ def expect_change(wanted: float, variance: float, row: Array, period: float) -> 
     return share * mean, share * slope, share * share * left
 
 
-@njit(nogil=True)
+@lean
 def remembers(row: Array) -> bool:
     """Whether what is carried out depends on what was in the last period."""
     return bool(row[_THRESHOLD] != 0.0 or row[_LAG] != 0.0)

@@ -21,7 +21,7 @@ The mean action is linearised statistically, over what the driver may be seeing:
 extended Kalman filter whose likelihood is chaotic, because close to contact the mean action jumps.
 
 One function, ``linearise``, states the model; the compiled ``run`` and the filterpy filter of ``online`` both use it.
-What it calls for every driver and sample is always inlined, because each call would count references to its arrays.
+What it calls for every driver and sample makes no arrays and counts no references to those that it is given.
 """
 
 import math
@@ -48,7 +48,7 @@ from sugiyama_ros.driver.parameters import (
 )
 from sugiyama_ros.driver.utility import ACTIONS, room_for
 from sugiyama_ros.effects.catalogue import WIDTH, place, whole
-from sugiyama_ros.effects.control import expect_change, intend, noise_factor, remembers
+from sugiyama_ros.effects.control import expect_change, intend, lean, noise_factor, remembers
 from sugiyama_ros.effects.effect import Seen
 from sugiyama_ros.effects.outlier_noise import weigh
 from sugiyama_ros.effects.sensor_eccentricity import displacement
@@ -97,40 +97,41 @@ def scene_at(period_s: float, circumference_m: float, relaxation_s: float = math
     return Scene(period_s, horizon_at(period_s), circumference_m, rho, shock, math.exp(-period_s / relaxation_s))
 
 
-@njit(cache=True, inline="always")
-def _looked_at(m: int, led: bool, delayed: bool, vehicles: int, adapted: int) -> tuple[Ints, Ints]:
-    """What the action of driver m depends on, as differences of state entries: places to add and to take off, or -1.
+@lean
+def _look(m: int, led: bool, delayed: bool, vehicles: int, adapted: int, places: Ints) -> int:
+    """What the action of driver m depends on, as differences of state entries: to add and to take off, or -1.
 
     These are the gap (lengths aside), the own and the leader's speed, or without a leader the own speed alone; for one
     who sees late also the noises of both, part of the accelerations; then the logarithms of the adapted parameters.
+    Filled: the first of places (2, at least 5 + A), whose number is returned.
     """
     x, v = STATE * m, STATE * m + 1
     seen = (5 if delayed else 3) if led else 1
-    plus, minus = np.empty(seen + adapted, np.int64), np.full(seen + adapted, -1)
+    places[1] = -1
     if led:
-        plus[0], plus[1], plus[2], minus[0] = x + STATE, v, v + STATE, x
+        places[0, 0], places[0, 1], places[0, 2], places[1, 0] = x + STATE, v, v + STATE, x
         if delayed:
-            plus[3], plus[4] = x + 2, x + STATE + 2
+            places[0, 3], places[0, 4] = x + 2, x + STATE + 2
     else:
-        plus[0] = v
+        places[0, 0] = v
     for k in range(adapted):
-        plus[seen + k] = STATE * vehicles + k
-    return plus, minus
+        places[0, seen + k] = STATE * vehicles + k
+    return seen + adapted
 
 
-@njit(cache=True, inline="always")
-def _root(covariance: Array, plus: Ints, minus: Ints, root: Array) -> None:
-    """Lower Cholesky factor of the covariance of what is looked at, as ``_looked_at`` gives it, into ``root``."""
-    size = len(plus)
+@lean
+def _root(covariance: Array, places: Ints, size: int, root: Array) -> None:
+    """Lower Cholesky factor of the covariance of what is looked at, as ``_look`` gives it, into ``root``."""
     for i in range(size):
+        plus, minus = places[0, i], places[1, i]
         for j in range(i + 1):
-            entry = covariance[plus[i], plus[j]]
-            if minus[i] >= 0:
-                entry -= covariance[minus[i], plus[j]]
-            if minus[j] >= 0:
-                entry -= covariance[plus[i], minus[j]]
-            if minus[i] >= 0 and minus[j] >= 0:
-                entry += covariance[minus[i], minus[j]]
+            entry = covariance[plus, places[0, j]]
+            if minus >= 0:
+                entry -= covariance[minus, places[0, j]]
+            if places[1, j] >= 0:
+                entry -= covariance[plus, places[1, j]]
+            if minus >= 0 and places[1, j] >= 0:
+                entry += covariance[minus, places[1, j]]
             for k in range(j):
                 entry -= root[i, k] * root[j, k]
             root[i, j] = math.sqrt(max(entry, _KNOWN_VAR)) if i == j else entry / root[j, j]
@@ -138,25 +139,34 @@ def _root(covariance: Array, plus: Ints, minus: Ints, root: Array) -> None:
             root[i, j] = 0.0
 
 
-@njit(cache=True, inline="always")
-def _regress(work: Array, row: int, plus: Ints, minus: Ints, slope: Array) -> None:
+@lean
+def _regress(work: Array, row: int, places: Ints, size: int, slope: Array) -> None:
     """Regression on the state into ``slope``, from what an action shares with each column of the root; spoils it.
 
     work: the root, and in ``row`` what is shared.
     """
     # The covariance of the action with what is looked at is root @ cross, that of the latter root @ root.T.
-    size = len(plus)
     slope[:] = 0.0
     for i in range(size - 1, -1, -1):
         for k in range(i + 1, size):
             work[row, i] -= work[k, i] * work[row, k]
         work[row, i] /= work[i, i]
-        slope[plus[i]] += work[row, i]
-        if minus[i] >= 0:
-            slope[minus[i]] -= work[row, i]
+        slope[places[0, i]] += work[row, i]
+        if places[1, i] >= 0:
+            slope[places[1, i]] -= work[row, i]
 
 
-@njit(cache=True, inline="always")
+@lean
+def _variance_along(slope: Array, covariance: Array) -> float:
+    """Variance of what changes with the state by ``slope``."""
+    variance = 0.0
+    for i in range(len(slope)):
+        for j in range(len(slope)):
+            variance += slope[i] * covariance[i, j] * slope[j]
+    return variance
+
+
+@lean
 def _surroundings(
     m: int,
     known: Ints,
@@ -205,7 +215,7 @@ def _surroundings(
     )
 
 
-@njit(cache=True, inline="always")
+@lean
 def expected_action(
     m: int,
     known: Ints,
@@ -218,6 +228,8 @@ def expected_action(
     room: Array,
     time: float,
     scene: Scene,
+    places: Ints,
+    work: Array,
     slope: Array,
     held_slope: Array,
 ) -> tuple[float, float, float, float]:
@@ -225,19 +237,18 @@ def expected_action(
 
     Third-degree spherical cubature (Arasaratnam and Haykin 2009) over the gap, the speeds, and the adapted parameters.
     ``held_slope`` and ``slope`` (4 M + A,) take the regressions of both on the state; returned are both expectations
-    and both variances [m^2/s^4] that the regressions leave.
+    and both variances [m^2/s^4] that the regressions leave. Overwritten: places (2, 5 + A), work (9 + A, 5 + A), and
+    the adapted entries of the driver's row, which are put back.
     """
     led = known[m + 1] == MOVING
-    driver = parameters[m].copy() if len(adapted) > 0 else parameters[m]
+    driver = parameters[m]
     delayed = led and driver[_DELAY] != 0.0
-    plus, minus = _looked_at(m, led, delayed, len(known), len(adapted))
-    size = len(plus)
-    # the root, and below it rows of their own; one array, because references to parts of it would have to be counted
-    work = np.empty((size + 4, size))
+    size = _look(m, led, delayed, len(known), len(adapted), places)
+    # the root, and below it rows of their own
     centre, look, cross, held_cross = size, size + 1, size + 2, size + 3
-    _root(covariance, plus, minus, work)
+    _root(covariance, places, size, work)
     for i in range(size):
-        work[centre, i] = mean[plus[i]]
+        work[centre, i] = mean[places[0, i]]
         work[cross, i] = work[held_cross, i] = 0.0
     here = _surroundings(m, known, mean, length, rear, parameters, time, scene)
     if led:
@@ -281,6 +292,8 @@ def expected_action(
             held_total += held
             held_squares += held * held
             work[held_cross, j] += held * side
+    for k in range(len(adapted)):
+        driver[UTILITY[adapted[k]]] = math.exp(mean[STATE * len(known) + k])
     weight = 0.5 / size
     expected, held_expected = weight * total, weight * held_total
     explained, held_explained = 0.0, 0.0
@@ -291,8 +304,8 @@ def expected_action(
         held_explained += work[held_cross, j] ** 2
     spread = max(weight * squares - expected * expected - explained, 0.0)
     held_spread = max(weight * held_squares - held_expected * held_expected - held_explained, 0.0)
-    _regress(work, cross, plus, minus, slope)
-    _regress(work, held_cross, plus, minus, held_slope)
+    _regress(work, cross, places, size, slope)
+    _regress(work, held_cross, places, size, held_slope)
     if not remembers(driver):
         return held_expected, expected, held_spread, spread
     # what he means goes with what he has held to what he holds now; what pushes does not
@@ -300,7 +313,7 @@ def expected_action(
     slope -= held_slope
     place = STATE * m + 3
     held_slope[place] -= 1.0
-    variance: float = max(float(held_slope @ covariance @ held_slope) + held_spread, _KNOWN_VAR)
+    variance: float = max(_variance_along(held_slope, covariance) + held_spread, _KNOWN_VAR)
     change, share, left = expect_change(held_expected - mean[place], variance, driver, scene.period_s)
     held_slope *= share
     held_slope[place] += 1.0
@@ -337,7 +350,8 @@ def linearise(
     """
     vehicles = len(known)
     period = scene.period_s
-    slope, held_slope = np.empty(len(mean)), np.empty(len(mean))
+    slope, held_slope, most = np.empty(len(mean)), np.empty(len(mean)), 5 + len(adapted)
+    places, work = np.empty((2, most), np.int64), np.empty((4 + most, most))
     own_action = 0.0
     next_mean[:] = mean
     jacobian[:] = 0.0
@@ -371,6 +385,8 @@ def linearise(
                 room,
                 time,
                 scene,
+                places,
+                work,
                 slope,
                 held_slope,
             )
@@ -392,20 +408,23 @@ def linearise(
     return own_action
 
 
-@njit(cache=True)
+@lean
 def _predict(covariance: Array, jacobian: Array, noise: Array, half: Array) -> None:
-    """F P F' + Q in place; most of F is 0. half: (size, size), overwritten, with (F P)' so that all rows run on."""
+    """F P F' + Q in place; most of F is 0.
+
+    half: (size + 1, size), overwritten, with (F P)' so that all rows run on, and below it one row of F P.
+    """
     size = len(covariance)
-    row = np.empty(size)
     for i in range(size):
-        row[:] = 0.0
+        for j in range(size):
+            half[size, j] = 0.0
         for k in range(size):
             factor = jacobian[i, k]
             if factor != 0.0:
                 for j in range(size):
-                    row[j] += factor * covariance[k, j]
+                    half[size, j] += factor * covariance[k, j]
         for j in range(size):
-            half[j, i] = row[j]
+            half[j, i] = half[size, j]
     for i in range(size):
         for j in range(size):
             covariance[i, j] = noise[i, j]
@@ -543,7 +562,7 @@ def run(
     parameters, room = parameters.copy(), room_for(actions)
     mean, covariance, known = np.zeros(size), np.zeros((size, size)), np.zeros(vehicles, np.int64)
     next_mean, gain = np.zeros(size), np.zeros(size)
-    jacobian, noise, half = np.zeros((size, size)), np.zeros((size, size)), np.zeros((size, size))
+    jacobian, noise, half = np.zeros((size, size)), np.zeros((size, size)), np.zeros((size + 1, size))
     prior_mean = np.empty(len(adapted))
     for k in range(len(adapted)):
         prior_mean[k] = math.log(parameters[0, UTILITY[adapted[k]]])
