@@ -97,6 +97,28 @@ def scene_at(period_s: float, circumference_m: float, relaxation_s: float = math
     return Scene(period_s, horizon_at(period_s), circumference_m, rho, shock, math.exp(-period_s / relaxation_s))
 
 
+class Workspace(NamedTuple):
+    """Where a chain's filter works out the expected actions; ``workspace_for`` makes it.
+
+    room: of ``room_for`` the drivers' actions; places: (2, 5 + A) of what an action depends on; root: (9 + A, 5 + A),
+    of its covariance, and rows below; slope, held_slope: (4 M + A,) regressions on the state.
+    """
+
+    room: Array
+    places: Ints
+    root: Array
+    slope: Array
+    held_slope: Array
+
+
+@njit(cache=True)
+def workspace_for(actions: Array, vehicles: int, adapted: int) -> Workspace:
+    """Workspace of chains of M ``vehicles`` with A ``adapted`` parameters, whose drivers consider actions (K,)."""
+    size, most = STATE * vehicles + adapted, 5 + adapted
+    places, root = np.empty((2, most), np.int64), np.empty((4 + most, most))
+    return Workspace(room_for(actions), places, root, np.empty(size), np.empty(size))
+
+
 @lean
 def _look(m: int, led: bool, delayed: bool, vehicles: int, adapted: int, places: Ints) -> int:
     """What the action of driver m depends on, as differences of state entries: to add and to take off, or -1.
@@ -225,21 +247,18 @@ def expected_action(
     rear: Array,
     parameters: Array,
     adapted: Ints,
-    room: Array,
+    workspace: Workspace,
     time: float,
     scene: Scene,
-    places: Ints,
-    work: Array,
-    slope: Array,
-    held_slope: Array,
 ) -> tuple[float, float, float, float]:
     """Expectation [m/s^2] over what a chain's driver m may be seeing: of what he holds, and of that with what pushes.
 
     Third-degree spherical cubature (Arasaratnam and Haykin 2009) over the gap, the speeds, and the adapted parameters.
-    ``held_slope`` and ``slope`` (4 M + A,) take the regressions of both on the state; returned are both expectations
-    and both variances [m^2/s^4] that the regressions leave. Overwritten: places (2, 5 + A), work (9 + A, 5 + A), and
-    the adapted entries of the driver's row, which are put back.
+    ``held_slope`` and ``slope`` of the workspace take the regressions of both on the state; returned are both
+    expectations and both variances [m^2/s^4] that the regressions leave. The adapted entries of the driver's row are
+    changed on the way and put back.
     """
+    places, work, slope, held_slope = workspace.places, workspace.root, workspace.slope, workspace.held_slope
     led = known[m + 1] == MOVING
     driver = parameters[m]
     delayed = led and driver[_DELAY] != 0.0
@@ -284,7 +303,7 @@ def expected_action(
                 here.rear_gap,
                 here.rear_speed,
             )
-            held, pushed = intend(seen, driver, room, scene.period_s, scene.horizon)
+            held, pushed = intend(seen, driver, workspace.room, scene.period_s, scene.horizon)
             action = held + pushed
             total += action
             squares += action * action
@@ -322,7 +341,7 @@ def expected_action(
     return held_expected, held_expected + pushed, held_spread, held_spread + pushed_spread
 
 
-@njit(cache=True)
+@lean
 def linearise(
     mean: Array,
     covariance: Array,
@@ -333,7 +352,7 @@ def linearise(
     adapted: Ints,
     prior_mean: Array,
     prior_var: Array,
-    room: Array,
+    workspace: Workspace,
     time: float,
     scene: Scene,
     next_mean: Array,
@@ -345,15 +364,14 @@ def linearise(
     mean: (4 M + A,) and its covariance; known: (M,) of UNKNOWN, POSITION, MOVING; length: (M,) [m]; rear: (3,) position
     [m], speed and length of the vehicle behind, NaN for none; parameters: (M, WIDTH) at this period, row 0 with the
     present value of the adapted ones; adapted: (A,) places in UTILITY; prior_mean, prior_var: (A,) of their logarithms;
-    room: of ``room_for`` the drivers' actions; time [s] of the recording.
+    time [s] of the recording.
     Overwritten: next_mean (4 M + A,), jacobian and the process noise Q, both (4 M + A, 4 M + A).
     """
     vehicles = len(known)
     period = scene.period_s
-    slope, held_slope, most = np.empty(len(mean)), np.empty(len(mean)), 5 + len(adapted)
-    places, work = np.empty((2, most), np.int64), np.empty((4 + most, most))
     own_action = 0.0
-    next_mean[:] = mean
+    for k in range(len(mean)):
+        next_mean[k] = mean[k]
     jacobian[:] = 0.0
     noise[:] = 0.0
     for k in range(len(adapted)):
@@ -382,21 +400,17 @@ def linearise(
                 rear,
                 parameters,
                 adapted if m == 0 else adapted[:0],
-                room,
+                workspace,
                 time,
                 scene,
-                places,
-                work,
-                slope,
-                held_slope,
             )
             noise[v, v] += period * period * spread
             noise[b, b] = held_spread
             noise[v, b] = noise[b, v] = period * math.sqrt(spread * held_spread)
             next_mean[b] = held
             for k in range(len(mean)):
-                jacobian[v, k] += period * slope[k]
-                jacobian[b, k] = held_slope[k]
+                jacobian[v, k] += period * workspace.slope[k]
+                jacobian[b, k] = workspace.held_slope[k]
             if m == 0:
                 own_action = held
             rho = parameters[m, RHO]
@@ -488,7 +502,7 @@ def start_vehicle(
         covariance[n, n] = scene.last_shock_std**2 / (1.0 - scene.last_rho**2)
 
 
-@njit(cache=True)
+@lean
 def measurement(position: float, parameters: Array, scene: Scene) -> tuple[float, float]:
     """What a measured position has beyond the true one [m] but noise, and one plus its derivative: an entry of H."""
     if parameters[_OFF_CENTRE] == 0.0 and parameters[_OFF_CENTRE + 1] == 0.0:
@@ -497,7 +511,7 @@ def measurement(position: float, parameters: Array, scene: Scene) -> tuple[float
     return off, 1.0 + slope
 
 
-@njit(cache=True)
+@lean
 def noise_var_at(position: float, parameters: Array, scene: Scene) -> float:
     """Variance [m^2] of the measurement noise at a position [m]."""
     variance: float = parameters[SIGMA_NU] ** 2
@@ -506,7 +520,7 @@ def noise_var_at(position: float, parameters: Array, scene: Scene) -> float:
     return variance * noise_std_factor(position, scene.circumference_m, parameters[_UNEVEN : _UNEVEN + 2]) ** 2
 
 
-@njit(cache=True)
+@lean
 def robust(y: float, variance: float, parameters: Array) -> tuple[float, float, float]:
     """How much of P H' y is added to the mean, how much of P H' H P is taken off P, and the sample's log-likelihood.
 
@@ -559,7 +573,7 @@ def run(
     samples, vehicles = position.shape
     size = STATE * vehicles + len(adapted)
     circumference = scene.circumference_m
-    parameters, room = parameters.copy(), room_for(actions)
+    parameters, workspace = parameters.copy(), workspace_for(actions, vehicles, len(adapted))
     mean, covariance, known = np.zeros(size), np.zeros((size, size)), np.zeros(vehicles, np.int64)
     next_mean, gain = np.zeros(size), np.zeros(size)
     jacobian, noise, half = np.zeros((size, size)), np.zeros((size, size)), np.zeros((size + 1, size))
@@ -623,7 +637,7 @@ def run(
             adapted,
             prior_mean,
             prior_var,
-            room,
+            workspace,
             start_s + t * scene.period_s,
             scene,
             next_mean,

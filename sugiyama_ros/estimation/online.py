@@ -14,7 +14,7 @@ from filterpy.kalman import ExtendedKalmanFilter
 from scipy.linalg import block_diag
 
 from sugiyama_ros.driver.parameters import NAMES, SIGMA_NU, UTILITY, check, population
-from sugiyama_ros.driver.utility import ACTIONS, room_for
+from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.effects.catalogue import WIDTH, active, effect, place, whole
 from sugiyama_ros.effects.effect import MEASUREMENT
 from sugiyama_ros.effects.outlier_noise import weigh
@@ -35,6 +35,7 @@ from sugiyama_ros.estimation.causal import (
     robust,
     scene_at,
     start_vehicle,
+    workspace_for,
 )
 from sugiyama_ros.estimation.noise import NOISES, Learning, NoiseLearner
 from sugiyama_ros.road import Array, Ints, Road
@@ -121,9 +122,9 @@ class OnlineFilter:
         self.period_s = period_s
         self.vehicles = vehicles
         self._ahead = ahead
-        self._room = room_for(ACTIONS)
         self._adaptation = adaptation
         self._places, _ = adaptation_of(parameters, adaptation).arrays
+        self._workspace = workspace_for(ACTIONS, vehicles, len(self._places))
         self._adapted = slice(STATE * vehicles, STATE * vehicles + len(self._places))
         self._learning = learning
         self._take(whole(parameters))
@@ -339,7 +340,7 @@ class OnlineFilter:
             self._places,
             self._prior_mean,
             self._prior_var,
-            self._room,
+            self._workspace,
             time_s,
             self._scene,
             kalman.next_mean,

@@ -10,7 +10,7 @@ from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
 from sugiyama_ros.criticism.calibrated import each_for_himself
 from sugiyama_ros.driver.parameters import KAPPA_V, NAMES, SIGMA_A, SIGMA_NU, UTILITY, V_STAR, population
-from sugiyama_ros.driver.utility import ACTIONS, room_for
+from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.estimation.causal import (
     CHAIN,
     MOVING,
@@ -22,6 +22,7 @@ from sugiyama_ros.estimation.causal import (
     linearise,
     scene_at,
     start_vehicle,
+    workspace_for,
 )
 from sugiyama_ros.estimation.online import ADAPT, Learnt, OnlineFilter
 from sugiyama_ros.road import Array, Ints, Road
@@ -73,9 +74,10 @@ class Unscented:
 
     def __init__(self, row: Array, road: Road, period_s: float, _: np.random.Generator) -> None:
         self._road, self._scene = road, scene_at(period_s, road.circumference_m, ADAPT.relaxation_s)
-        self._rows, self._room = chain_parameters(row, None, CHAIN, period_s), room_for(ACTIONS)
+        self._rows = chain_parameters(row, None, CHAIN, period_s)
         self._places, self._prior_var = ADAPT.arrays
         self._prior_mean = np.log(self._rows[0, [UTILITY[k] for k in self._places]])
+        self._workspace = workspace_for(ACTIONS, CHAIN, len(self._places))
         size = STATE * CHAIN + len(self._places)
         points = MerweScaledSigmaPoints(size, alpha=1.0, beta=2.0, kappa=0.0)
         self._filter = UnscentedKalmanFilter(
@@ -128,7 +130,7 @@ class Unscented:
             self._places,
             self._prior_mean,
             self._prior_var,
-            self._room,
+            self._workspace,
             0.0,
             self._scene,
             moved,

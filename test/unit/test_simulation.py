@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from sugiyama_ros.driver.parameters import RHO, SIGMA_A, SIGMA_NU, SIGMA_V, SIGMA_X, V_STAR, defaults
-from sugiyama_ros.driver.utility import ACTIONS, mean_action, room_for
+from sugiyama_ros.driver.utility import ACTIONS, mean_action
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.estimation.causal import CHAIN, MOVING, STATE, linearise, scene_at
+from sugiyama_ros.estimation.causal import CHAIN, MOVING, STATE, linearise, scene_at, workspace_for
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation import Simulator, evenly, platoon, simulate
 
@@ -98,7 +98,7 @@ def test_without_noise_the_filters_prediction_is_the_simulation():
         rows = np.stack([s.parameters[0]] * CHAIN)
         linearise(
             mean, np.zeros((size, size)), known, s.length_m[chain], np.full(3, np.nan), rows, none, nothing, nothing,
-            room_for(ACTIONS), 0.0, scene,
+            workspace_for(ACTIONS, CHAIN, 0), 0.0, scene,
             next_mean, jacobian, noise,
         )  # fmt: skip
         s.step()
