@@ -279,10 +279,12 @@ class Search:
         return order[:_LATER_LOOKS]
 
     def _look(self, candidate: Candidate) -> Glance:
-        """Look at a candidate, also from where an earlier look at it has ended."""
+        """Look at a candidate from where an earlier look at it has ended; anew where that leads nowhere."""
         before = self._seen.get(candidate.name)
         if before and before[1].gain > 0.0:
-            return glance_again(self._data, self.current, *before, self._work, self.effort)
+            again = glance_again(self._data, self.current, *before, self._work, self.effort)
+            if again.gain > 0.0 or again.promise < _LEAST_GAIN:
+                return again
         return glance(self._data, self.current, candidate, self._work, self.effort)
 
     def _look_closer(self, look: Glance) -> Glance:
