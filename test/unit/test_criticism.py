@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
+from sugiyama_ros.criticism import screening
 from sugiyama_ros.criticism.candidates import named
 from sugiyama_ros.criticism.diagnosis import INDIVIDUAL, diagnose
 from sugiyama_ros.criticism.errors import errors_of
@@ -110,6 +111,29 @@ def test_a_change_of_mind_is_found_at_its_time(work):
     assert look.gain > 7.8
     assert found["time"] == pytest.approx(38.0, abs=5.0)
     assert found["v_star_change"] < -0.01
+
+
+@pytest.mark.parametrize("some", [3, 11])
+def test_a_patch_is_found_where_it_is_by_some_drivers_and_by_all(work, monkeypatch, some):
+    """Drivers 0, 2, 4 and 6 compare twelve places as all of them do."""
+    monkeypatch.setattr(screening, "_SOME_DRIVERS", some)
+    data = prepare(recording("slow_patch", reduction=0.15, centre=50.0, width=30.0).measured)
+    look = glance(data, fit_base(data, INDIVIDUAL, work), *named(data, ["slow_patch"]), work)
+    found = dict(zip(look.candidate.parameters, look.fit.model.rows[0, look.candidate.places], strict=True))
+    # Wilks: three parameters gain 7.8 nats by chance in one of 1000 recordings
+    assert look.gain > 7.8
+    # inside the patch
+    assert found["centre"] == pytest.approx(50.0, abs=15.0)
+    assert found["reduction"] > 0.05
+
+
+def test_some_drivers_samples_are_those_that_they_have_among_all(fitted, work):
+    _, data, base = fitted
+    some, every = evaluate(data, base.model, work, [1, 4]), evaluate(data, base.model, work)
+    assert np.isnan(some.log_likelihood[[0, 2, 3, 5, 6]]).all()
+    for i in (1, 4):
+        np.testing.assert_array_equal(some.of(i), every.of(i))
+    assert every.only([1, 4]).total == some.total
 
 
 def test_free_runs_start_where_the_filter_is(fitted, work):
