@@ -138,7 +138,7 @@ class Samples:
 
     def only(self, who: Sequence[int]) -> "Samples":
         """Those of some drivers, NaN of the others."""
-        some = Samples(*(np.full_like(self.log_likelihood, np.nan) for _ in range(3)))
+        some = unknown(*self.log_likelihood.shape)
         for i in who:
             some.put(i, self.of(i))
         return some
@@ -150,6 +150,11 @@ class Samples:
     def put(self, driver: int, samples: tuple[Array, Array, Array]) -> None:
         """Put in other samples of one driver, (T,) each."""
         self.innovation_m[driver], self.innovation_var[driver], self.log_likelihood[driver] = samples
+
+
+def unknown(drivers: int, samples: int) -> Samples:
+    """Samples of which nothing is known yet."""
+    return Samples(*(np.full((drivers, samples), np.nan) for _ in range(3)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,7 +198,7 @@ def leaders(data: Recorded, model: Model, driver: int) -> Array:
 def evaluate(data: Recorded, model: Model, work: Executor, who: Sequence[int] | None = None) -> Samples:
     """What the model says of every sample; of those of drivers ``who`` alone, NaN of the others', if they are given."""
     chosen = range(data.drivers) if who is None else who
-    samples = Samples(*(np.full((data.drivers, len(data.fold)), np.nan) for _ in range(3)))
+    samples = unknown(data.drivers, len(data.fold))
     for i, at in zip(chosen, _evaluate(data, model, chosen, work), strict=True):
         samples.put(i, at)
     return samples
@@ -683,13 +688,13 @@ def held_out(data: Recorded, models: Sequence[Model], work: Executor) -> Samples
 
 def of_folds(data: Recorded, by_model: Sequence[Samples]) -> Samples:
     """Samples put together, those of each fold from what the model of that number says of all."""
-    outputs = [np.full((data.drivers, len(data.fold)), np.nan) for _ in range(3)]
+    known = unknown(data.drivers, len(data.fold))
     for f, samples in enumerate(by_model):
         mask = data.fold == f
-        arrays = (samples.innovation_m, samples.innovation_var, samples.log_likelihood)
-        for output, array in zip(outputs, arrays, strict=True):
-            output[:, mask] = array[:, mask]
-    return Samples(*outputs)
+        known.innovation_m[:, mask] = samples.innovation_m[:, mask]
+        known.innovation_var[:, mask] = samples.innovation_var[:, mask]
+        known.log_likelihood[:, mask] = samples.log_likelihood[:, mask]
+    return known
 
 
 def held_out_nearly(data: Recorded, fitted: Fit) -> Samples:

@@ -148,7 +148,8 @@ class Search:
         supported = [one for one in looked if one.refined and one.p_value <= LEVEL and one.gain >= _LEAST_GAIN]
         now = self._nearly(self.current) if supported and not self._quick else self.errors
         grown: list[Named] = []
-        for one in sorted(supported, key=lambda one: -self._predicts(one.fit).nats):
+        predicted = self._gains(supported)
+        for one in sorted(supported, key=lambda one: -predicted[one.candidate.name].nats):
             is_rival = not grown or (one.candidate.name in grown[0].indistinguishable and not self._quick)
             if is_rival and self._predicts_more(one, now):
                 rivals = self._indistinguishable(one, looked)
@@ -194,12 +195,13 @@ class Search:
         looked = sorted([*fitted, *(one for one in looked if one not in hopeful)], key=lambda one: -one.score)
         if is_first:
             self.looked, self.smallest = looked, _smallest(looks, null)
-            self.heldout = {one.candidate.name: self._predicts(one.fit) for one in looked}
+            self.heldout = self._gains(looked)
         return looked
 
-    def _predicts(self, fitted: Fit) -> Gain:
-        """Held-out gain over the model as it stands, without the filter."""
-        return gain(self._data, held_out_nearly(self._data, fitted), held_out_nearly(self._data, self.current))
+    def _gains(self, looked: Sequence[Looked]) -> dict[str, Gain]:
+        """Held-out gains of candidates over the model as it stands, without the filter."""
+        now = held_out_nearly(self._data, self.current)
+        return {one.candidate.name: gain(self._data, held_out_nearly(self._data, one.fit), now) for one in looked}
 
     def _predicts_more(self, one: Looked, now: Errors) -> bool:
         """Whether a candidate is supported held out, too; now: errors of the model as it stands."""

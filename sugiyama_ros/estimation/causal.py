@@ -364,7 +364,7 @@ def linearise(
     mean: (4 M + A,) and its covariance; known: (M,) of UNKNOWN, POSITION, MOVING; length: (M,) [m]; rear: (3,) position
     [m], speed and length of the vehicle behind, NaN for none; parameters: (M, WIDTH) at this period, row 0 with the
     present value of the adapted ones; adapted: (A,) places in UTILITY; prior_mean, prior_var: (A,) of their logarithms;
-    time [s] of the recording.
+    workspace: of ``workspace_for`` the chain; time [s] of the recording.
     Overwritten: next_mean (4 M + A,), jacobian and the process noise Q, both (4 M + A, 4 M + A).
     """
     vehicles = len(known)
