@@ -10,16 +10,16 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
-from sugiyama_ros.criticism.candidates import candidates, recording_of
-from sugiyama_ros.criticism.diagnosis import INDIVIDUAL
-from sugiyama_ros.criticism.discover import discover
-from sugiyama_ros.criticism.errors import errors_of
-from sugiyama_ros.criticism.fitting import FOLDS, Fit, Recorded, fit_base, prepare
-from sugiyama_ros.criticism.rivals import in_filter
-from sugiyama_ros.criticism.screening import refine, with_candidate
+from sugiyama_ros.diagnosis.candidates import candidates, recording_of
+from sugiyama_ros.diagnosis.diagnosis import INDIVIDUAL
+from sugiyama_ros.diagnosis.discover import discover
+from sugiyama_ros.diagnosis.errors import errors_of
+from sugiyama_ros.diagnosis.rivals import in_filter
+from sugiyama_ros.diagnosis.screen import refine, with_candidate
 from sugiyama_ros.effects.discovered_force import COVARIATES
+from sugiyama_ros.fit.fitting import FOLDS, Fit, Recorded, fit_base, prepare
 from sugiyama_ros.formats import read_trajectories
-from sugiyama_ros.trajectories import Trajectories
+from sugiyama_ros.trajectories.trajectories import Trajectories
 
 _FITTED = 0.6
 

@@ -25,16 +25,16 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from rich.table import Table
 
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, index
-from sugiyama_ros.effects.catalogue import ENTRIES
+from sugiyama_ros.effects.registry import ENTRIES
 from sugiyama_ros.errors import InputError, SugiyamaError
 from sugiyama_ros.road import Array, Road
 
 if TYPE_CHECKING:
-    from sugiyama_ros.criticism.comparison import Compared
-    from sugiyama_ros.estimation.calibration import Formulation
-    from sugiyama_ros.estimation.classes import Classes
+    from sugiyama_ros.diagnosis.compare import Compared
+    from sugiyama_ros.fit.classes import Classes
+    from sugiyama_ros.fit.driver import Formulation
     from sugiyama_ros.nodes.run import RunResult
-    from sugiyama_ros.simulation import Simulation
+    from sugiyama_ros.simulation.simulator import Simulation
 
 app = typer.Typer(
     help="Live, honest estimation of how people drive.",
@@ -76,9 +76,9 @@ def demo(
     if data is not None:
         _print_run(_run(data, output, 0.0, False, ring), as_json)
         return
-    from sugiyama_ros.criticism.diagnosis import diagnose as find
-    from sugiyama_ros.criticism.model_file import write_model
-    from sugiyama_ros.criticism.verdict import document, sentences
+    from sugiyama_ros.diagnosis.diagnosis import diagnose as find
+    from sugiyama_ros.diagnosis.verdict import document, sentences
+    from sugiyama_ros.fit.model_file import write_model
     from sugiyama_ros.formats.convert import write_trajectories
     from sugiyama_ros.page.recording import read_recording
     from sugiyama_ros.page.report import write_report
@@ -241,9 +241,9 @@ def calibrate(
     as_json: Json = False,
 ) -> None:
     """Estimate every driver's parameters by maximum likelihood, and say how well the data hold them."""
-    from sugiyama_ros.criticism.calibrated import all_together, each_for_himself, in_classes
-    from sugiyama_ros.estimation.workers import workers
+    from sugiyama_ros.calibration import all_together, each_for_himself, in_classes
     from sugiyama_ros.formats import read_trajectories
+    from sugiyama_ros.workers import workers
 
     if formulation not in ("paper", "causal"):
         raise InputError(f"--formulation {formulation}: give paper or causal")
@@ -382,9 +382,9 @@ def diagnose(
     as_json: Json = False,
 ) -> None:
     """Say what is missing from the model: where it fails, which effect explains that, and how sure that is."""
-    from sugiyama_ros.criticism.diagnosis import diagnose as find
-    from sugiyama_ros.criticism.model_file import write_model
-    from sugiyama_ros.criticism.verdict import document, sentences
+    from sugiyama_ros.diagnosis.diagnosis import diagnose as find
+    from sugiyama_ros.diagnosis.verdict import document, sentences
+    from sugiyama_ros.fit.model_file import write_model
     from sugiyama_ros.formats import read_trajectories
 
     if add not in (None, "auto"):
@@ -435,11 +435,11 @@ def study(
     as_json: Json = False,
 ) -> None:
     """Answer a question of the paper anew, by simulation or on measured drivers."""
-    from sugiyama_ros.estimation.workers import workers
     from sugiyama_ros.formats import read_trajectories
     from sugiyama_ros.studies.all_studies import STUDIES
     from sugiyama_ros.studies.all_studies import study as study_of
     from sugiyama_ros.studies.study import Asked
+    from sugiyama_ros.workers import workers
 
     if not name:
         for one in STUDIES.values():
@@ -494,9 +494,9 @@ def compare(
     as_json: Json = False,
 ) -> None:
     """Compare the model with the measurements, and with other models, on samples that no fit has seen."""
-    from sugiyama_ros.criticism.comparison import collective_of
-    from sugiyama_ros.criticism.comparison import compare as compare_models
-    from sugiyama_ros.criticism.model_file import read_model
+    from sugiyama_ros.diagnosis.compare import collective_of
+    from sugiyama_ros.diagnosis.compare import compare as compare_models
+    from sugiyama_ros.fit.model_file import read_model
     from sugiyama_ros.formats import read_trajectories
 
     given = read_model(model) if model is not None else None
@@ -814,11 +814,11 @@ def _simulated(
     model: Path | None,
 ) -> "Simulation":
     """A run of drivers with the paper's parameters or those of a model file, changed by ``settings``, from rest."""
-    from sugiyama_ros.criticism.model_file import read_model
     from sugiyama_ros.driver.parameters import defaults, index
-    from sugiyama_ros.effects.catalogue import switch_on, whole
-    from sugiyama_ros.simulation import Simulator, platoon, simulate
-    from sugiyama_ros.trajectories import DEFAULT_LENGTH_M
+    from sugiyama_ros.effects.registry import switch_on, whole
+    from sugiyama_ros.fit.model_file import read_model
+    from sugiyama_ros.simulation.simulator import Simulator, platoon, simulate
+    from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M
 
     rng = np.random.default_rng(seed)
     parameters = whole(defaults(vehicles))

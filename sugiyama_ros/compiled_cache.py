@@ -17,7 +17,7 @@ _PACKAGE = Path(__file__).parent
 #: Group of entry points by which other packages add effects.
 USERS = "sugiyama_ros.effects"
 _FOLDER = "compiled-"
-_MADE_OF = ("driver/*.py", "effects/*.py", "estimation/*.py", "criticism/*.py", "simulation.py")
+_MADE_OF = ("driver/*.py", "laws/*.py", "effects/*.py", "simulation/*.py", "filters/*.py", "fit/*.py", "diagnosis/*.py")
 
 
 def choose() -> None:

@@ -7,12 +7,12 @@ import numpy as np
 from numba import njit
 
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
-from sugiyama_ros.driver.rivals import fvdm, idm
 from sugiyama_ros.driver.utility import considered_action
 from sugiyama_ros.effects import actuation_lag, perception_threshold, speed_dependent_noise
-from sugiyama_ros.effects.catalogue import EFFECTS, LAW, LAW_PLACES, PLACES, place
 from sugiyama_ros.effects.effect import ACTUATION, ENVIRONMENT, MEASUREMENT, PERCEPTION, PREFERENCE, Effect, Seen
+from sugiyama_ros.effects.registry import EFFECTS, LAW, LAW_PLACES, PLACES, place
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.laws.registry import fvdm, idm
 from sugiyama_ros.road import Array, Ints
 
 _Preferred: TypeAlias = Callable[..., tuple[float, float]]

@@ -5,7 +5,7 @@ from pathlib import Path
 from sugiyama_ros.formats.mcap_writer import LATCHED, BagWriter, Qos
 from sugiyama_ros.formats.measured import MEASURED_TYPE, ROAD_TYPE, messages
 from sugiyama_ros.formats.trajectory_files import read_trajectories
-from sugiyama_ros.trajectories import Trajectories
+from sugiyama_ros.trajectories.trajectories import Trajectories
 
 
 def convert(source: Path, out: Path, ring_m: float | None = None) -> Trajectories:

@@ -12,7 +12,7 @@ from sugiyama_ros.formats.cdr import Encoder
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.reading import open_input, sha256
 from sugiyama_ros.formats.samples import MAX_SAMPLES, agreed_road
-from sugiyama_ros.trajectories import Trajectories
+from sugiyama_ros.trajectories.trajectories import Trajectories
 
 ROAD_TYPE = "sugiyama_msgs/msg/Road"
 MEASURED_TYPE = "sugiyama_msgs/msg/MeasuredPositions"

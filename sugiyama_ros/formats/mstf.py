@@ -7,7 +7,7 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.catalogue import SUGIYAMA_CASE_1_SHA256
 from sugiyama_ros.formats.reading import lines, number, open_input, sha256
 from sugiyama_ros.formats.samples import Samples, agreed_road
-from sugiyama_ros.trajectories import DEFAULT_LENGTH_M, Trajectories
+from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M, Trajectories
 
 # Lengths [m] of the cars of case 1, measured from the video: Dai et al., Table 1 (Vehicle sizes). Number = block.
 _CASE_1_LENGTH_M = [

@@ -11,7 +11,7 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.reading import lines, number, open_input, sha256
 from sugiyama_ros.formats.samples import Samples, agreed_road
 from sugiyama_ros.formats.writing import replacing
-from sugiyama_ros.trajectories import DEFAULT_LENGTH_M, Trajectories
+from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M, Trajectories
 
 _REQUIRED = ("time_s", "vehicle", "position_m")
 _VEHICLE = re.compile(r"\d{1,9}")

@@ -8,7 +8,7 @@ import numpy as np
 
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Road
-from sugiyama_ros.trajectories import Trajectories, regular_time_base
+from sugiyama_ros.trajectories.trajectories import Trajectories, regular_time_base
 
 #: Most samples that are taken in, counting the missing ones: vehicles times time steps.
 MAX_SAMPLES = 20_000_000

@@ -8,7 +8,7 @@ from sugiyama_ros.formats.measured import read_measured
 from sugiyama_ros.formats.mstf import read_mstf
 from sugiyama_ros.formats.plain_csv import read_csv
 from sugiyama_ros.formats.reading import open_input
-from sugiyama_ros.trajectories import Trajectories
+from sugiyama_ros.trajectories.trajectories import Trajectories
 
 _READERS = {".data": read_mstf, ".csv": read_csv, ".mcap": read_measured}
 

@@ -10,15 +10,15 @@ from sugiyama_msgs.msg import Road as RoadMessage
 from sugiyama_msgs.srv import AddEffect
 
 from sugiyama_ros.driver.parameters import NAMES, population
-from sugiyama_ros.estimation.bank import Bank, strengths
-from sugiyama_ros.estimation.causal import CHAIN
-from sugiyama_ros.estimation.online import NOBODY, warm_up
-from sugiyama_ros.nodes import wire
+from sugiyama_ros.filters.bank import Bank, strengths
+from sugiyama_ros.filters.causal import CHAIN
+from sugiyama_ros.filters.online import NOBODY, warm_up
+from sugiyama_ros.nodes.base import cdr_messages as wire
+from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode
+from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
+from sugiyama_ros.nodes.base.spin import run_node
 from sugiyama_ros.nodes.estimator import declare_driver
-from sugiyama_ros.nodes.node import ERROR, OK, WARN, Health, PacedNode
 from sugiyama_ros.nodes.plan import estimators, namespaces
-from sugiyama_ros.nodes.qos import LATCHED, STREAM
-from sugiyama_ros.nodes.spin import run_node
 from sugiyama_ros.road import Road
 
 _VERDICT_EVERY_NS = 5 * wire.NS

@@ -14,17 +14,17 @@ from sugiyama_msgs.msg import DriverParameters, DriverType, Innovation, Measured
 from sugiyama_msgs.msg import Road as RoadMessage
 from sugiyama_msgs.srv import AddEffect, RemoveEffect
 
-from sugiyama_ros.criticism.model_file import read_model
 from sugiyama_ros.driver.parameters import NAMES, PARAMETERS, population
-from sugiyama_ros.effects.catalogue import ENTRIES, PLACES, active, effect, switch_on, whole
+from sugiyama_ros.effects.registry import ENTRIES, PLACES, active, effect, switch_on, whole
 from sugiyama_ros.errors import InputError, SugiyamaError
-from sugiyama_ros.estimation.online import NOBODY, Estimate, OnlineFilter, warm_up
-from sugiyama_ros.estimation.types import DriverTypes
-from sugiyama_ros.nodes import wire
-from sugiyama_ros.nodes.learnt_file import Kept, file_of, kept_in, read_learnt, write_learnt
-from sugiyama_ros.nodes.node import ERROR, OK, WARN, Health, PacedNode
-from sugiyama_ros.nodes.qos import DEPTH, LATCHED, STREAM
-from sugiyama_ros.nodes.spin import run_node
+from sugiyama_ros.filters.online import NOBODY, Estimate, OnlineFilter, warm_up
+from sugiyama_ros.fit.driver_types import DriverTypes
+from sugiyama_ros.fit.model_file import read_model
+from sugiyama_ros.nodes.base import cdr_messages as wire
+from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode
+from sugiyama_ros.nodes.base.qos import DEPTH, LATCHED, STREAM
+from sugiyama_ros.nodes.base.spin import run_node
+from sugiyama_ros.nodes.saved_state import Kept, file_of, kept_in, read_learnt, write_learnt
 from sugiyama_ros.road import Array, Road
 
 #: A prediction over more periods than this means nothing: the filter starts anew.

@@ -10,9 +10,9 @@ from typing import Any
 from rclpy.publisher import Publisher
 from sugiyama_msgs.msg import DriverParameters
 
-from sugiyama_ros.nodes.node import OK, Health, PacedNode
-from sugiyama_ros.nodes.qos import LATCHED, STREAM
-from sugiyama_ros.nodes.spin import run_node
+from sugiyama_ros.nodes.base.node import OK, Health, PacedNode
+from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
+from sugiyama_ros.nodes.base.spin import run_node
 
 _LOOK_S = 0.5
 _PARAMETERS = re.compile(r"(.*/vehicle_\d+)/parameters")

@@ -19,14 +19,15 @@ from sugiyama_msgs.msg import Road as RoadMessage
 from sugiyama_msgs.srv import AddEffect, RemoveEffect
 from tornado.ioloop import IOLoop, PeriodicCallback
 
-from sugiyama_ros.effects.catalogue import EFFECTS, effect
 from sugiyama_ros.effects.effect import Recording
+from sugiyama_ros.effects.registry import EFFECTS, effect
 from sugiyama_ros.errors import SugiyamaError
-from sugiyama_ros.nodes import environment, wire
+from sugiyama_ros.nodes.base import cdr_messages as wire
+from sugiyama_ros.nodes.base import environment
+from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
+from sugiyama_ros.nodes.base.spin import Spinner, ros
 from sugiyama_ros.nodes.plan import REPLAY, Plan, estimators, namespaces
-from sugiyama_ros.nodes.qos import LATCHED, STREAM
-from sugiyama_ros.nodes.spin import Spinner, ros
-from sugiyama_ros.nodes.team import OneProcess
+from sugiyama_ros.nodes.runners import OneProcess
 from sugiyama_ros.page.guard import Guard
 from sugiyama_ros.page.live import KEPT, Log, page
 from sugiyama_ros.page.panels import MOVING_S

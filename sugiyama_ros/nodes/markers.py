@@ -7,8 +7,8 @@ from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from sugiyama_ros.nodes.samples import Positions
-from sugiyama_ros.nodes.wire import FRAME
+from sugiyama_ros.nodes.base.cdr_messages import FRAME
+from sugiyama_ros.nodes.base.samples import Positions
 from sugiyama_ros.road import Road
 
 _WIDTH_M, _HEIGHT_M = 1.7, 1.5

@@ -13,11 +13,11 @@ from rclpy.topic_or_service_is_hidden import topic_or_service_is_hidden
 
 from sugiyama_ros.errors import InputError, SugiyamaError
 from sugiyama_ros.formats.mcap_writer import BagWriter, Qos
-from sugiyama_ros.nodes import wire
-from sugiyama_ros.nodes.node import ERROR, OK, WARN, Health, PacedNode
-from sugiyama_ros.nodes.pacing import Levels
-from sugiyama_ros.nodes.qos import DEPTH, reliable
-from sugiyama_ros.nodes.spin import run_node
+from sugiyama_ros.nodes.base import cdr_messages as wire
+from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode
+from sugiyama_ros.nodes.base.pacing import Levels
+from sugiyama_ros.nodes.base.qos import DEPTH, reliable
+from sugiyama_ros.nodes.base.spin import run_node
 
 _POLL_S = 0.2
 # New topics that are subscribed to at one poll.

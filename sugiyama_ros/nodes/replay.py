@@ -9,10 +9,10 @@ from sugiyama_msgs.srv import Seek
 
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats import read_trajectories
-from sugiyama_ros.nodes.samples import Positions
+from sugiyama_ros.nodes.base.samples import Positions
+from sugiyama_ros.nodes.base.spin import run_node
 from sugiyama_ros.nodes.source import Source, answer
-from sugiyama_ros.nodes.spin import run_node
-from sugiyama_ros.trajectories import Trajectories
+from sugiyama_ros.trajectories.trajectories import Trajectories
 
 
 class Recorded:

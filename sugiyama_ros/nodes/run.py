@@ -9,12 +9,12 @@ from rclpy.node import Node
 from sugiyama_msgs.msg import Progress
 
 from sugiyama_ros.errors import SugiyamaError
-from sugiyama_ros.nodes import environment
+from sugiyama_ros.nodes.base import environment
+from sugiyama_ros.nodes.base.qos import PROGRESS_IN
+from sugiyama_ros.nodes.base.spin import Spinner, ros
 from sugiyama_ros.nodes.plan import RECORDER, REPLAY, Plan
-from sugiyama_ros.nodes.qos import PROGRESS_IN
 from sugiyama_ros.nodes.results import DriverResult, read_run
-from sugiyama_ros.nodes.spin import Spinner, ros
-from sugiyama_ros.nodes.team import OneProcess, Processes
+from sugiyama_ros.nodes.runners import OneProcess, Processes
 
 _START_S = 60.0
 #: Called with the steps taken by all, and the steps there are.

@@ -6,14 +6,14 @@ import numpy as np
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 
 from sugiyama_ros.driver.parameters import NAMES, defaults
+from sugiyama_ros.nodes.base.node import ERROR, Health
+from sugiyama_ros.nodes.base.samples import Positions
+from sugiyama_ros.nodes.base.spin import run_node
 from sugiyama_ros.nodes.estimator import declare_driver
-from sugiyama_ros.nodes.node import ERROR, Health
-from sugiyama_ros.nodes.samples import Positions
 from sugiyama_ros.nodes.source import Source
-from sugiyama_ros.nodes.spin import run_node
 from sugiyama_ros.road import Road
-from sugiyama_ros.simulation import Simulator, platoon
-from sugiyama_ros.trajectories import DEFAULT_LENGTH_M
+from sugiyama_ros.simulation.simulator import Simulator, platoon
+from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M
 
 
 class Simulated:

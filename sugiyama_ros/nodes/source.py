@@ -10,12 +10,12 @@ from sugiyama_msgs.msg import MeasuredPositions, Progress
 from sugiyama_msgs.msg import Road as RoadMessage
 from visualization_msgs.msg import MarkerArray
 
-from sugiyama_ros.nodes import wire
+from sugiyama_ros.nodes.base import cdr_messages as wire
+from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode
+from sugiyama_ros.nodes.base.pacing import Pace
+from sugiyama_ros.nodes.base.qos import LATCHED, PROGRESS_IN, STREAM, WINDOW
+from sugiyama_ros.nodes.base.samples import Samples
 from sugiyama_ros.nodes.markers import markers
-from sugiyama_ros.nodes.node import ERROR, OK, WARN, Health, PacedNode
-from sugiyama_ros.nodes.pacing import Pace
-from sugiyama_ros.nodes.qos import LATCHED, PROGRESS_IN, STREAM, WINDOW
-from sugiyama_ros.nodes.samples import Samples
 
 _TICK_S = 0.005
 _PATIENCE_S = 10.0

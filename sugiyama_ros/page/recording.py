@@ -12,7 +12,7 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats import read_trajectories
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.road import Array
-from sugiyama_ros.trajectories import Trajectories
+from sugiyama_ros.trajectories.trajectories import Trajectories
 
 _FIELDS = {
     "state": ("speed", "acceleration", "mean_action", "gap_m", "approach_rate"),

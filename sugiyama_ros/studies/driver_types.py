@@ -7,7 +7,7 @@ from scipy.cluster.hierarchy import dendrogram, fcluster, linkage
 from scipy.spatial.distance import pdist, squareform
 
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, V_STAR
-from sugiyama_ros.estimation.calibration import calibrate
+from sugiyama_ros.fit.driver import calibrate
 from sugiyama_ros.road import Array, Ints
 from sugiyama_ros.studies.study import Answer, Asked, Study
 

@@ -8,10 +8,10 @@ from typing import Any, Protocol
 import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
-from sugiyama_ros.criticism.calibrated import each_for_himself
+from sugiyama_ros.calibration import each_for_himself
 from sugiyama_ros.driver.parameters import KAPPA_V, NAMES, SIGMA_A, SIGMA_NU, UTILITY, V_STAR, population
 from sugiyama_ros.driver.utility import ACTIONS
-from sugiyama_ros.estimation.causal import (
+from sugiyama_ros.filters.causal import (
     CHAIN,
     MOVING,
     SETTLING,
@@ -24,11 +24,11 @@ from sugiyama_ros.estimation.causal import (
     start_vehicle,
     workspace_for,
 )
-from sugiyama_ros.estimation.online import ADAPT, Learnt, OnlineFilter
+from sugiyama_ros.filters.online import ADAPT, Learnt, OnlineFilter
 from sugiyama_ros.road import Array, Ints, Road
 from sugiyama_ros.studies.rings import CARS, alike, jams
 from sugiyama_ros.studies.study import Answer, Asked, Row, Study
-from sugiyama_ros.trajectories import Trajectories
+from sugiyama_ros.trajectories.trajectories import Trajectories
 
 _PLACES = (V_STAR, KAPPA_V)
 _DURATION_S, _TIMES_S = 250.0, (60.0, 120.0, 250.0)

@@ -19,13 +19,13 @@ from pathlib import Path
 
 import numpy as np
 
-from sugiyama_ros.criticism.diagnosis import diagnose
+from sugiyama_ros.diagnosis.diagnosis import diagnose
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, defaults
-from sugiyama_ros.effects.catalogue import switch_on, whole
 from sugiyama_ros.effects.discovered_force import COVARIATES
+from sugiyama_ros.effects.registry import switch_on, whole
 from sugiyama_ros.road import Road
-from sugiyama_ros.simulation import Simulation, Simulator, evenly, platoon, simulate
-from sugiyama_ros.trajectories import Trajectories
+from sugiyama_ros.simulation.simulator import Simulation, Simulator, evenly, platoon, simulate
+from sugiyama_ros.trajectories.trajectories import Trajectories
 
 DRIVERS, RING_M, DURATION_S, LENGTH_M = 22, 230.0, 250.0, 4.33
 Strengths = Mapping[str, float]

@@ -4,11 +4,11 @@ from typing import Any
 
 import numpy as np
 
-from sugiyama_ros.criticism.calibrated import each_for_himself
+from sugiyama_ros.calibration import each_for_himself
 from sugiyama_ros.driver.parameters import index
-from sugiyama_ros.estimation import causal
-from sugiyama_ros.estimation.calibration import ESTIMATED, Formulation
-from sugiyama_ros.estimation.paper import smoothed_speed
+from sugiyama_ros.filters import causal
+from sugiyama_ros.filters.paper import smoothed_speed
+from sugiyama_ros.fit.driver import ESTIMATED, Formulation
 from sugiyama_ros.studies.study import Answer, Asked, Row, Study
 
 _VARIANTS: tuple[tuple[str, Formulation, bool], ...] = (

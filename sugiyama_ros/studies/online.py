@@ -4,16 +4,16 @@ from typing import Any
 
 import numpy as np
 
-from sugiyama_ros.criticism.calibrated import each_for_himself
+from sugiyama_ros.calibration import each_for_himself
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, index
-from sugiyama_ros.effects.catalogue import switch_on, whole
-from sugiyama_ros.estimation.calibration import ESTIMATED
-from sugiyama_ros.estimation.causal import chain_behind
-from sugiyama_ros.estimation.online import OnlineFilter
+from sugiyama_ros.effects.registry import switch_on, whole
+from sugiyama_ros.filters.causal import chain_behind
+from sugiyama_ros.filters.online import OnlineFilter
+from sugiyama_ros.fit.driver import ESTIMATED
 from sugiyama_ros.road import Array
 from sugiyama_ros.studies.rings import CARS, Ring, alike, jams, run
 from sugiyama_ros.studies.study import Answer, Asked, Row, Study
-from sugiyama_ros.trajectories import Trajectories
+from sugiyama_ros.trajectories.trajectories import Trajectories
 
 _PLACES = [index(name) for name in ESTIMATED]
 _DURATION_S, _TIMES_S = 250.0, (60.0, 120.0, 250.0)

@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from sugiyama_ros.criticism.calibrated import each_for_himself
+from sugiyama_ros.calibration import each_for_himself
 from sugiyama_ros.driver.parameters import index
-from sugiyama_ros.estimation.calibration import ESTIMATED, Formulation
+from sugiyama_ros.fit.driver import ESTIMATED, Formulation
 from sugiyama_ros.road import Array
 from sugiyama_ros.studies.rings import Ring, alike, run
 from sugiyama_ros.studies.study import Answer, Asked, Row, Study

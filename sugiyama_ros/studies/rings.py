@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from sugiyama_ros.criticism.collective import Collective, collective
 from sugiyama_ros.driver.parameters import SIGMA_A, defaults
-from sugiyama_ros.estimation.calibration import calibrate
+from sugiyama_ros.fit.driver import calibrate
 from sugiyama_ros.road import Array, Road
-from sugiyama_ros.simulation import Simulation, Simulator, evenly, platoon, simulate
-from sugiyama_ros.trajectories import Trajectories
+from sugiyama_ros.simulation.collective import Collective, collective
+from sugiyama_ros.simulation.simulator import Simulation, Simulator, evenly, platoon, simulate
+from sugiyama_ros.trajectories.trajectories import Trajectories
 
 #: The ring and the cars of the experiment, duration of a run and its last part, which is summed up; SI units.
 RING_M, CARS, LENGTH_M, DURATION_S, LAST_S = 230.0, 22, 4.33, 500.0, 150.0

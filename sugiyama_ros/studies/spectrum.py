@@ -5,12 +5,12 @@ from typing import Any
 import numpy as np
 
 from sugiyama_ros.driver.parameters import COUNT, RATIONALITY
-from sugiyama_ros.estimation import paper
-from sugiyama_ros.estimation.calibration import calibrate
+from sugiyama_ros.filters import paper
+from sugiyama_ros.fit.driver import calibrate
 from sugiyama_ros.road import Array
 from sugiyama_ros.studies.rings import Ring, alike, run
 from sugiyama_ros.studies.study import Answer, Asked, Study
-from sugiyama_ros.trajectories import Trajectories
+from sugiyama_ros.trajectories.trajectories import Trajectories
 
 _STEP, _DURATION_S, _FREE_RING_M = 1e-4, 250.0, 460.0
 _PLACES = [k for k in range(COUNT) if k != RATIONALITY]

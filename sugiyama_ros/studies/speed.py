@@ -19,15 +19,15 @@ from filterpy.kalman import KalmanFilter
 from scipy.optimize import minimize
 from statsmodels.tsa.statespace.mlemodel import MLEModel
 
-from sugiyama_ros.criticism.calibrated import each_for_himself
+from sugiyama_ros.calibration import each_for_himself
 from sugiyama_ros.driver.parameters import NAMES, SIGMA_A, defaults
 from sugiyama_ros.driver.utility import ACTIONS, FORWARD
-from sugiyama_ros.estimation import causal, paper
-from sugiyama_ros.estimation.calibration import ESTIMATED, calibrate
-from sugiyama_ros.estimation.workers import workers
+from sugiyama_ros.filters import causal, paper
+from sugiyama_ros.fit.driver import ESTIMATED, calibrate
 from sugiyama_ros.road import Array, Road
-from sugiyama_ros.simulation import Simulator, platoon, simulate
+from sugiyama_ros.simulation.simulator import Simulator, platoon, simulate
 from sugiyama_ros.studies.rings import Ring, alike, run
+from sugiyama_ros.workers import workers
 
 _HOPS = 100
 _DURATION_S, _MANY_DURATION_S, _CARS_IN_A_ROW = 250.0, 60.0, 22

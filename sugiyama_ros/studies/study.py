@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.trajectories import Trajectories
+from sugiyama_ros.trajectories.trajectories import Trajectories
 
 #: Names of columns, and rows of values.
 Row = Mapping[str, Any]

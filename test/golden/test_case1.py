@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR
-from sugiyama_ros.estimation import causal
-from sugiyama_ros.estimation.calibration import calibrate
+from sugiyama_ros.filters import causal
+from sugiyama_ros.fit.driver import calibrate
 from sugiyama_ros.formats import read_trajectories
 
 CASE1 = Path(__file__).parents[2].parent / "shared/data/sugiyama2008_mstf/case1.data"

@@ -13,7 +13,7 @@ from sugiyama_ros.formats import read_trajectories
 from sugiyama_ros.formats.convert import write_trajectories
 from sugiyama_ros.formats.plain_csv import write_csv
 from sugiyama_ros.road import Road
-from sugiyama_ros.trajectories import Trajectories
+from sugiyama_ros.trajectories.trajectories import Trajectories
 
 
 @st.composite

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from rclpy.node import Node
 
-from sugiyama_ros.nodes import environment
-from sugiyama_ros.nodes.spin import Spinner, ros
+from sugiyama_ros.nodes.base import environment
+from sugiyama_ros.nodes.base.spin import Spinner, ros
 
 
 @pytest.fixture(autouse=True)

@@ -10,16 +10,16 @@ from sugiyama_msgs.msg import DriverParameters, Innovation, Verdict
 from sugiyama_msgs.srv import AddEffect, RemoveEffect, Seek
 
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, V_STAR, defaults, population
-from sugiyama_ros.effects.catalogue import switch_on, whole
-from sugiyama_ros.estimation.causal import chain_behind, filter_chain
-from sugiyama_ros.estimation.online import ADAPT
+from sugiyama_ros.effects.registry import switch_on, whole
+from sugiyama_ros.filters.causal import chain_behind, filter_chain
+from sugiyama_ros.filters.online import ADAPT
 from sugiyama_ros.formats.plain_csv import write_csv
+from sugiyama_ros.nodes.base.qos import STREAM
 from sugiyama_ros.nodes.critic import Critic
 from sugiyama_ros.nodes.estimator import Estimator
-from sugiyama_ros.nodes.qos import STREAM
 from sugiyama_ros.nodes.replay import Replay
 from sugiyama_ros.road import Road
-from sugiyama_ros.simulation import Simulator, evenly, simulate
+from sugiyama_ros.simulation.simulator import Simulator, evenly, simulate
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(150)]
 DRIVERS, RING_M, DELAY_S = 10, 140.0, 0.3

@@ -12,20 +12,20 @@ from std_srvs.srv import Trigger
 from sugiyama_msgs.msg import DriverParameters, DriverType, Innovation, MeasuredPositions, VehicleState
 from sugiyama_msgs.msg import Road as RoadMessage
 
-from sugiyama_ros.criticism.model_file import write_drivers
 from sugiyama_ros.driver.parameters import NAMES, PARAMETERS, population
-from sugiyama_ros.effects.catalogue import whole
+from sugiyama_ros.effects.registry import whole
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.estimation.causal import chain_behind
-from sugiyama_ros.estimation.online import Learnt, OnlineFilter
-from sugiyama_ros.estimation.types import DriverTypes
+from sugiyama_ros.filters.causal import chain_behind
+from sugiyama_ros.filters.online import Learnt, OnlineFilter
+from sugiyama_ros.fit.driver_types import DriverTypes
+from sugiyama_ros.fit.model_file import write_drivers
 from sugiyama_ros.formats import read_trajectories
-from sugiyama_ros.nodes import wire
+from sugiyama_ros.nodes.base import cdr_messages as wire
+from sugiyama_ros.nodes.base.node import ERROR, OK, WARN
+from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.estimator import Estimator
 from sugiyama_ros.nodes.keeper import Keeper
-from sugiyama_ros.nodes.learnt_file import Kept, file_of, read_learnt, write_learnt
-from sugiyama_ros.nodes.node import ERROR, OK, WARN
-from sugiyama_ros.nodes.qos import LATCHED, STREAM
+from sugiyama_ros.nodes.saved_state import Kept, file_of, read_learnt, write_learnt
 from sugiyama_ros.road import Road as RingRoad
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]

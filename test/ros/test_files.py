@@ -10,10 +10,10 @@ import yaml
 from rclpy.parameter import Parameter
 
 from sugiyama_ros.driver.parameters import NAMES
+from sugiyama_ros.nodes.base.environment import is_free
+from sugiyama_ros.nodes.base.node import PacedNode
 from sugiyama_ros.nodes.critic import Critic
-from sugiyama_ros.nodes.environment import is_free
 from sugiyama_ros.nodes.estimator import Estimator
-from sugiyama_ros.nodes.node import PacedNode
 from sugiyama_ros.nodes.recorder import Recorder
 from sugiyama_ros.nodes.replay import Replay
 from sugiyama_ros.nodes.simulator import SimulatorNode

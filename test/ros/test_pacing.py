@@ -2,7 +2,7 @@
 
 import pytest
 
-from sugiyama_ros.nodes.pacing import Levels, Pace
+from sugiyama_ros.nodes.base.pacing import Levels, Pace
 
 
 def send_all(pace: Pace) -> int:

@@ -17,8 +17,8 @@ from sugiyama_ros.errors import InputError, OutputError
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.recover import recover
 from sugiyama_ros.nodes import recorder as recorder_module
-from sugiyama_ros.nodes.node import ERROR
-from sugiyama_ros.nodes.qos import STREAM
+from sugiyama_ros.nodes.base.node import ERROR
+from sugiyama_ros.nodes.base.qos import STREAM
 from sugiyama_ros.nodes.recorder import Recorder
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]

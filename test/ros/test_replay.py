@@ -11,8 +11,8 @@ from sugiyama_msgs.msg import MeasuredPositions, Road
 from sugiyama_msgs.srv import Seek
 
 from sugiyama_ros.nodes import source
-from sugiyama_ros.nodes.node import ERROR, OK, Health, PacedNode
-from sugiyama_ros.nodes.qos import LATCHED, STREAM, WINDOW
+from sugiyama_ros.nodes.base.node import ERROR, OK, Health, PacedNode
+from sugiyama_ros.nodes.base.qos import LATCHED, STREAM, WINDOW
 from sugiyama_ros.nodes.replay import Replay
 from sugiyama_ros.nodes.simulator import SimulatorNode
 

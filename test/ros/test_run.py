@@ -13,9 +13,10 @@ import pytest
 from sugiyama_ros.errors import InputError, OutputError, SugiyamaError
 from sugiyama_ros.formats import read_trajectories
 from sugiyama_ros.formats.mcap_reader import Bag
-from sugiyama_ros.nodes import recorder, source, team
+from sugiyama_ros.nodes import recorder, source
+from sugiyama_ros.nodes import runners as team
+from sugiyama_ros.nodes.base.node import PacedNode
 from sugiyama_ros.nodes.estimator import Estimator
-from sugiyama_ros.nodes.node import PacedNode
 from sugiyama_ros.nodes.plan import namespaces
 from sugiyama_ros.nodes.run import RunResult, run
 

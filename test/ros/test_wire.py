@@ -5,8 +5,8 @@ import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 from sugiyama_msgs.msg import DriverParameters, Innovation, MeasuredPositions, VehicleState
 
-from sugiyama_ros.estimation.online import Estimate
-from sugiyama_ros.nodes import wire
+from sugiyama_ros.filters.online import Estimate
+from sugiyama_ros.nodes.base import cdr_messages as wire
 
 
 def an_estimate(seed: int) -> Estimate:

@@ -14,7 +14,7 @@ from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.mcap_writer import BagWriter, Qos
 from sugiyama_ros.formats.measured import MEASURED_TYPE, ROAD_TYPE, messages
 from sugiyama_ros.road import Road
-from sugiyama_ros.trajectories import Trajectories
+from sugiyama_ros.trajectories.trajectories import Trajectories
 
 TYPES = [
     *(f"sugiyama_msgs/msg/{name}" for name in ("DriverParameters", "Innovation", "MeasuredPositions", "Progress")),

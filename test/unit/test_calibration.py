@@ -8,16 +8,17 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from sugiyama_ros.criticism.calibrated import all_together, each_for_himself, in_classes
-from sugiyama_ros.criticism.model_file import read_model
+from sugiyama_ros.calibration import all_together, each_for_himself, in_classes
 from sugiyama_ros.driver.parameters import KAPPA_V, NAMES, SIGMA_A, SIGMA_NU, V_STAR, defaults, index
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.estimation import calibration, paper
-from sugiyama_ros.estimation.calibration import ESTIMATED, calibrate, regularised
-from sugiyama_ros.estimation.intervals import end_of_profile
-from sugiyama_ros.estimation.workers import workers
+from sugiyama_ros.filters import paper
+from sugiyama_ros.fit import driver as calibration
+from sugiyama_ros.fit.driver import ESTIMATED, calibrate, regularised
+from sugiyama_ros.fit.intervals import end_of_profile
+from sugiyama_ros.fit.model_file import read_model
 from sugiyama_ros.road import Road
-from sugiyama_ros.simulation import Simulator, evenly, platoon, simulate
+from sugiyama_ros.simulation.simulator import Simulator, evenly, platoon, simulate
+from sugiyama_ros.workers import workers
 
 PLACES = [SIGMA_NU, SIGMA_A, V_STAR, KAPPA_V]
 

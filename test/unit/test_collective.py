@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sugiyama_ros.criticism.collective import collective
+from sugiyama_ros.simulation.collective import collective
 
 PERIOD_S, RING_M, DRIVERS = 1.0 / 3.0, 230.0, 22
 

@@ -10,11 +10,16 @@ import numpy as np
 import pytest
 import yaml
 
-from sugiyama_ros.criticism import screening
-from sugiyama_ros.criticism.candidates import named
-from sugiyama_ros.criticism.diagnosis import INDIVIDUAL, diagnose
-from sugiyama_ros.criticism.errors import errors_of
-from sugiyama_ros.criticism.fitting import (
+from sugiyama_ros.diagnosis import screen as screening
+from sugiyama_ros.diagnosis.candidates import named
+from sugiyama_ros.diagnosis.diagnosis import INDIVIDUAL, diagnose
+from sugiyama_ros.diagnosis.errors import errors_of
+from sugiyama_ros.diagnosis.screen import glance
+from sugiyama_ros.diagnosis.verdict import document, sentences
+from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, defaults
+from sugiyama_ros.effects.registry import switch_on, whole
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.fit.fitting import (
     FOLDS,
     evaluate,
     fit,
@@ -27,14 +32,9 @@ from sugiyama_ros.criticism.fitting import (
     start_model,
     without_folds,
 )
-from sugiyama_ros.criticism.model_file import read_model, write_model
-from sugiyama_ros.criticism.screening import glance
-from sugiyama_ros.criticism.verdict import document, sentences
-from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, defaults
-from sugiyama_ros.effects.catalogue import switch_on, whole
-from sugiyama_ros.errors import InputError
+from sugiyama_ros.fit.model_file import read_model, write_model
 from sugiyama_ros.road import Road
-from sugiyama_ros.simulation import Simulator, platoon, simulate
+from sugiyama_ros.simulation.simulator import Simulator, platoon, simulate
 
 CARS, RING_M, LENGTH_M = 7, 77.0, 4.33
 

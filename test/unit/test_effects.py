@@ -11,7 +11,8 @@ from scipy.stats import norm
 
 from sugiyama_ros.driver.parameters import COUNT, KAPPA_V, SIGMA_NU, V_STAR, defaults
 from sugiyama_ros.effects import perception_threshold
-from sugiyama_ros.effects.catalogue import (
+from sugiyama_ros.effects.effect import STAGES, Recording
+from sugiyama_ros.effects.registry import (
     DECLARED,
     EFFECTS,
     ENTRIES,
@@ -24,12 +25,11 @@ from sugiyama_ros.effects.catalogue import (
     switch_on,
     whole,
 )
-from sugiyama_ros.effects.effect import STAGES, Recording
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.estimation.causal import chain_behind, filter_chain, log_likelihood
-from sugiyama_ros.estimation.online import ADAPT, NOBODY, OnlineFilter
+from sugiyama_ros.filters.causal import chain_behind, filter_chain, log_likelihood
+from sugiyama_ros.filters.online import ADAPT, NOBODY, OnlineFilter
 from sugiyama_ros.road import Road
-from sugiyama_ros.simulation import Simulator, evenly, simulate
+from sugiyama_ros.simulation.simulator import Simulator, evenly, simulate
 
 #: Values at which each effect acts on the recording below.
 ACTING = {
@@ -300,10 +300,10 @@ EFFECT = Effect(
 """
 USE = """
 import numpy as np
-from sugiyama_ros.effects.catalogue import effect, switch_on, whole
+from sugiyama_ros.effects.registry import effect, switch_on, whole
 from sugiyama_ros.driver.parameters import defaults
 from sugiyama_ros.road import Road
-from sugiyama_ros.simulation import Simulator, simulate
+from sugiyama_ros.simulation.simulator import Simulator, simulate
 p = switch_on(whole(defaults(1)), "syrup", {"k": 1.0})
 s = Simulator(p, np.array([4.0]), np.array([0.0]), Road(), np.random.default_rng(0))
 print(simulate(s, 60.0).speed[-1, 0])

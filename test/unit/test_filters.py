@@ -16,8 +16,8 @@ from sugiyama_ros.driver.parameters import (
 )
 from sugiyama_ros.driver.utility import ACTIONS, mean_action
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.estimation import paper
-from sugiyama_ros.estimation.causal import (
+from sugiyama_ros.filters import paper
+from sugiyama_ros.filters.causal import (
     LAST_RHO,
     LAST_SHOCK_STD,
     Adaptation,
@@ -25,10 +25,10 @@ from sugiyama_ros.estimation.causal import (
     filter_chain,
     log_likelihood,
 )
-from sugiyama_ros.estimation.online import ADAPT, OnlineFilter
+from sugiyama_ros.filters.online import ADAPT, OnlineFilter
 from sugiyama_ros.road import Road
-from sugiyama_ros.simulation import Simulator, platoon, simulate
-from sugiyama_ros.trajectories import Trajectories
+from sugiyama_ros.simulation.simulator import Simulator, platoon, simulate
+from sugiyama_ros.trajectories.trajectories import Trajectories
 
 DT = 1.0 / 3.0
 

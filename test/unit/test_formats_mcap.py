@@ -31,7 +31,7 @@ from sugiyama_ros.formats.mcap_records import MAGIC
 from sugiyama_ros.formats.mcap_writer import LATCHED, BagWriter
 from sugiyama_ros.formats.recover import recover
 from sugiyama_ros.road import Road
-from sugiyama_ros.trajectories import Trajectories
+from sugiyama_ros.trajectories.trajectories import Trajectories
 
 INNOVATION = "sugiyama_msgs/msg/Innovation"
 HEADER = "std_msgs/msg/Header"

@@ -10,7 +10,7 @@ from sugiyama_ros.errors import InputError, OutputError
 from sugiyama_ros.formats import read_trajectories, samples
 from sugiyama_ros.formats.plain_csv import write_csv
 from sugiyama_ros.road import Road
-from sugiyama_ros.trajectories import DEFAULT_LENGTH_M, Trajectories, regular_time_base
+from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M, Trajectories, regular_time_base
 
 CASE_1 = Path(__file__).parents[3] / "shared/data/sugiyama2008_mstf/case1.data"
 

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, defaults, population
-from sugiyama_ros.effects.catalogue import switch_on, whole
-from sugiyama_ros.estimation.causal import Adaptation, chain_behind
-from sugiyama_ros.estimation.noise import Learning
-from sugiyama_ros.estimation.online import OnlineFilter
-from sugiyama_ros.estimation.types import DriverTypes
+from sugiyama_ros.effects.registry import switch_on, whole
+from sugiyama_ros.filters.causal import Adaptation, chain_behind
+from sugiyama_ros.filters.noise import Learning
+from sugiyama_ros.filters.online import OnlineFilter
+from sugiyama_ros.fit.driver_types import DriverTypes
 from sugiyama_ros.road import Road
-from sugiyama_ros.simulation import Simulator, evenly, platoon, simulate
+from sugiyama_ros.simulation.simulator import Simulator, evenly, platoon, simulate
 
 DT = 1.0 / 3.0
 

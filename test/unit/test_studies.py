@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, defaults
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Road
-from sugiyama_ros.simulation import Simulator, platoon, simulate
+from sugiyama_ros.simulation.simulator import Simulator, platoon, simulate
 from sugiyama_ros.studies import filters, online, recovery
 from sugiyama_ros.studies.all_studies import STUDIES, study
 from sugiyama_ros.studies.driver_types import adjusted_rand, silhouette

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Road
-from sugiyama_ros.trajectories import Trajectories, regular_time_base
+from sugiyama_ros.trajectories.trajectories import Trajectories, regular_time_base
 
 OPEN = Road()
 

@@ -1,0 +1,102 @@
+"""What may be missing from the model: freed constants, faults of the measurement, and every physical effect."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from sugiyama_ros.driver.parameters import index
+from sugiyama_ros.effects.effect import MEASUREMENT, Recording
+from sugiyama_ros.effects.registry import DECLARED, EFFECTS, PLACES, place
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.fit.fitting import LARGEST_STD, Model, Recorded
+
+Kind = Literal["effect", "measurement", "constants"]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """Something that may be added to a model: entries of the rows that are freed, and where their search begins.
+
+    starts: values by place; individual: whether each driver has values of his own; strengths: places to whose values
+    what it changes is proportional, to first order.
+    """
+
+    name: str
+    kind: Kind
+    places: tuple[int, ...]
+    starts: tuple[dict[int, float], ...]
+    individual: bool = False
+    summary: str = ""
+    strengths: tuple[int, ...] = ()
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of its parameters."""
+        return tuple(DECLARED[k].name for k in self.places)
+
+
+#: Constants that the paper fixes, freed together where they act together.
+_CONSTANTS = (
+    ("response_constants", ("kappa_c", "kappa_d", "kappa_1"), False),
+    ("noise_constants", ("rho", "sigma_x", "sigma_v"), False),
+    ("rationality", ("rationality",), True),
+    ("risk_constants", ("kappa_c", "kappa_d"), True),
+)
+
+
+def candidates(recording: Recording, drivers: int) -> tuple[Candidate, ...]:
+    """All candidates that make sense for a recording."""
+    found = [
+        Candidate(name, "constants", tuple(index(p) for p in parameters), ({},), individual, "a constant of the paper")
+        for name, parameters, individual in _CONSTANTS
+    ]
+    for e in EFFECTS:
+        starts = e.starts(recording)
+        if not starts or (e.name == "second_leader" and drivers < 3):
+            continue
+        strengths = tuple(place(e.name, name) for name in e.switches)
+        has_signs = not e.individual and all(DECLARED[k].lower < 0.0 for k in strengths)
+        found.append(
+            Candidate(
+                e.name,
+                "measurement" if e.stage == MEASUREMENT else "effect",
+                tuple(range(PLACES[e.name].start, PLACES[e.name].stop)),
+                tuple({place(e.name, p): v for p, v in values.items()} for values in starts),
+                e.individual,
+                e.summary,
+                strengths if has_signs else (),
+            )
+        )
+    return tuple(found)
+
+
+def named(data: Recorded, names: Sequence[str]) -> list[Candidate]:
+    """The candidates of these names. Raises InputError for one that is none."""
+    possible = {c.name: c for c in candidates(recording_of(data), data.drivers)}
+    for name in names:
+        if name not in possible:
+            raise InputError(f"effect {name!r}: not among what can be added here: {', '.join(possible)}")
+    return [possible[name] for name in names]
+
+
+def recording_of(data: Recorded) -> Recording:
+    """What a search may know of a recording."""
+    t = data.trajectories
+    first, last = float(np.nanmin(t.position_m)), float(np.nanmax(t.position_m))
+    return Recording(t.start_s, t.start_s + t.duration_s, t.road.circumference_m, first, last)
+
+
+def added(model: Model, candidate: Candidate, start: dict[int, float]) -> Model:
+    """The model with the candidate's entries freed and at a start of the search."""
+    rows = model.rows.copy()
+    for k, v in start.items():
+        rows[:, k] = v
+    if candidate.individual:
+        new = tuple(k for k in candidate.places if k not in model.individual)
+        std = model.prior_std + (LARGEST_STD,) * len(new)
+        shared = tuple(k for k in model.shared if k not in new)
+        return replace(model, rows=rows, individual=model.individual + new, shared=shared, prior_std=std)
+    new = tuple(k for k in candidate.places if k not in model.shared and k not in model.individual)
+    return replace(model, rows=rows, shared=model.shared + new)

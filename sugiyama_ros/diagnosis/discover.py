@@ -1,0 +1,85 @@
+"""Missing forces that nobody has named: a curve over each covariate, fitted as the effect ``discovered_force``."""
+
+from concurrent.futures import Executor
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from sugiyama_ros.diagnosis.candidates import Candidate
+from sugiyama_ros.diagnosis.free_run import filtered_states
+from sugiyama_ros.diagnosis.screen import Glance, glance
+from sugiyama_ros.effects.discovered_force import COVARIATES, KNOTS
+from sugiyama_ros.effects.registry import place
+from sugiyama_ros.fit.fitting import Fit, Recorded
+from sugiyama_ros.road import Array
+
+_FIRST = place("discovered_force", "covariate")
+_FORCES = tuple(range(_FIRST + 3, _FIRST + 3 + KNOTS))
+# Gains over chance run higher than half a chi-squared variable, because the filter is an approximation: measured on
+# effect-free simulations, up to this factor.
+_INFLATION = 2.0
+# Quantiles of a covariate between which its knots lie.
+_INNER = (0.02, 0.98)
+_FROM_DATA = {"gap": 0, "speed": 1, "approach_rate": 2, "rear_gap": 3, "second_gap": 4}
+
+
+@dataclass(frozen=True)
+class Discovery:
+    """A force [m/s^2] over one covariate, given at knots; strength: largest minus smallest."""
+
+    covariate: str
+    strength: float
+    p_value: float
+    gain_nats: float
+    knots: tuple[float, ...]
+    force: tuple[float, ...]
+
+
+def discover(data: Recorded, fitted: Fit, work: Executor) -> list[tuple[Discovery, Glance]]:
+    """Every covariate's curve, best supported first; p-values are corrected for their number (Bonferroni)."""
+    seen = looked_at(data, filtered_states(data, fitted.model, work))
+    found = []
+    for number, covariate in enumerate(COVARIATES, 1):
+        t = data.trajectories
+        if covariate == "place":
+            low, high = 0.0, t.road.circumference_m
+            if not t.road.is_ring:
+                low, high = (float(q) for q in np.nanquantile(t.position_m, _INNER))
+        elif covariate == "time":
+            low, high = t.start_s, t.start_s + t.duration_s
+        elif covariate == "leader_acceleration":
+            low, high = -3.0, 3.0
+        else:
+            values = seen[_FROM_DATA[covariate]]
+            values = values[np.isfinite(values)]
+            if len(values) < 100:
+                continue
+            low, high = (float(q) for q in np.quantile(values, _INNER))
+        start = {_FIRST: float(number), _FIRST + 1: low, _FIRST + 2: high}
+        look = glance(data, fitted, Candidate("discovered_force", "effect", _FORCES, (start,)), work)
+        force = look.fit.model.rows[0, list(_FORCES)]
+        ring = covariate == "place" and t.road.is_ring
+        knots = low + (high - low) * np.arange(KNOTS) / (KNOTS if ring else KNOTS - 1)
+        p_value = min(1.0, len(COVARIATES) * float(chi2.sf(2.0 * max(look.gain, 0.0) / _INFLATION, KNOTS - 1)))
+        discovery = Discovery(
+            covariate, float(np.ptp(force)), p_value, look.gain, tuple(knots.tolist()), tuple(force.tolist())
+        )
+        found.append((discovery, look))
+    return sorted(found, key=lambda pair: -pair[0].gain_nats)
+
+
+def looked_at(data: Recorded, state: Array) -> tuple[Array, ...]:
+    """Gaps, speeds, approach rates, gaps behind and gaps ahead of the leader, (T, N) each, of filtered states."""
+    t = data.trajectories
+    x, v = t.road.wrap(state[:, :, 0]), state[:, :, 1]
+    leader = t.leader
+    led = leader >= 0
+    ahead_x, ahead_v = np.take_along_axis(x, leader, axis=1), np.take_along_axis(v, leader, axis=1)
+    gap = t.road.space_headway(ahead_x, x) - 0.5 * (t.length_m[leader] + t.length_m)
+    gap = np.where(led, gap, np.nan)
+    second = np.where(led, np.take_along_axis(gap, leader, axis=1), np.nan)
+    rear = np.full_like(gap, np.nan)
+    samples, drivers = np.nonzero(led)
+    rear[samples, leader[samples, drivers]] = gap[samples, drivers]
+    return gap, v, np.where(led, v - ahead_v, np.nan), rear, second

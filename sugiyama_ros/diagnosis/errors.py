@@ -1,0 +1,105 @@
+"""How far a model is off, on samples that it has not been fitted to."""
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+
+import numpy as np
+
+from sugiyama_ros.diagnosis.free_run import HORIZONS_S, FreeRuns, follow, free_runs, rmse
+from sugiyama_ros.fit.fitting import Model, Recorded, Samples, of_folds
+
+# Share by which a free run's error may be larger than before without counting as worse: two starts differ by more.
+_TOLERANCE = 0.05
+# Speed [m/s] from which a time gap means something.
+_MOVING = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """Held-out samples and free runs of a model, each predicted by the model fitted without its fold."""
+
+    samples: Samples
+    runs: FreeRuns
+
+    @property
+    def loglik_per_sample(self) -> float:
+        """Natural logarithm, per car and sample, without the 2 pi term."""
+        return self.samples.total / max(int(np.isfinite(self.samples.log_likelihood).sum()), 1)
+
+    @property
+    def one_step_rmse_m(self) -> float:
+        """Of the innovations [m]."""
+        return rmse(self.samples.innovation_m)
+
+    def by_driver(self) -> list[tuple[float, float]]:
+        """Log-likelihood [nats] and single-car 10-s error [m] of every driver."""
+        totals = np.nansum(self.samples.log_likelihood, axis=1)
+        return [(float(total), rmse(self.runs.single[:, -1, i])) for i, total in enumerate(totals)]
+
+    def no_worse_than(self, other: "Errors") -> bool:
+        """Whether the free runs are no worse by more than 5 % and two paired standard errors over starts.
+
+        Of the mean square errors of all horizons, coupled and of single cars, each relative to the other model's: a
+        horizon alone may be luck, since a free run knows no noise, and a jam without noise is a delicate thing.
+        """
+        pairs = ((self.runs.coupled, other.runs.coupled), (self.runs.single, other.runs.single))
+        by_horizon = []
+        for ours, theirs in pairs:
+            for k in range(len(HORIZONS_S)):
+                change = np.square(ours[:, k]) - np.square(theirs[:, k])
+                known = np.maximum(np.isfinite(change).sum(axis=1), 1)
+                by_horizon.append(np.nansum(change, axis=1) / known / rmse(theirs[:, k]) ** 2)
+        changes = np.mean(by_horizon, axis=0)
+        if len(changes) < 2:
+            return True
+        mean, se = float(np.mean(changes)), float(np.std(changes, ddof=1) / np.sqrt(len(changes)))
+        return not mean > max(2.0 * se, (1.0 + _TOLERANCE) ** 2 - 1.0)
+
+    def summary(self) -> dict[str, float]:
+        """All figures by name."""
+        coupled, single = (
+            [rmse(e[:, k]) for k in range(len(HORIZONS_S))] for e in (self.runs.coupled, self.runs.single)
+        )
+        return {
+            "one_step_rmse_m": self.one_step_rmse_m,
+            **{f"free_run_{h:g}s_m": e for h, e in zip(HORIZONS_S, coupled, strict=True)},
+            **{f"single_car_{h:g}s_m": e for h, e in zip(HORIZONS_S, single, strict=True)},
+            "loglik_per_sample": self.loglik_per_sample,
+        }
+
+    def details(self) -> dict[str, float]:
+        """Figures of speed, gap and time gap: rmse, relative to the measured mean, and NRMSE fit [%] of the gap.
+
+        Time gap [s]: gap over speed, where the car drives faster than _MOVING. Fit: 100 (1 - rmse / std of the measured
+        gaps), so 100 for a perfect model and 0 for one that knows the mean gap only.
+        """
+        found: dict[str, float] = {}
+        r = self.runs
+        for name, gap_error, speed_error in (
+            ("free_run", r.coupled_gap, r.coupled_speed),
+            ("single_car", -r.single, r.single_speed),
+        ):
+            for k, h in enumerate(HORIZONS_S):
+                gap, speed = r.gap[:, k], r.speed[:, k]
+                error, speed_off = np.where(np.isfinite(gap), gap_error[:, k], np.nan), speed_error[:, k]
+                moving = (speed > _MOVING) & (speed + speed_off > _MOVING)
+                with np.errstate(divide="ignore", invalid="ignore"):
+                    time_gap = np.where(moving, gap / speed, np.nan)
+                    time_gap_off = np.where(moving, (gap + error) / (speed + speed_off), np.nan) - time_gap
+                at = f"{name}_{h:g}s"
+                found[f"{at}_speed_mps"] = rmse(speed_off)
+                found[f"{at}_gap_m"] = rmse(error)
+                found[f"{at}_time_gap_s"] = rmse(time_gap_off)
+                known = gap[np.isfinite(gap) & np.isfinite(error)]
+                if len(known) > 1:
+                    found[f"{at}_gap_relative"] = rmse(error) / float(np.mean(known))
+                    found[f"{at}_gap_fit_percent"] = 100.0 * (1.0 - rmse(error) / float(np.std(known)))
+        return found
+
+
+def errors_of(data: Recorded, models: Sequence[Model], work: Executor) -> Errors:
+    """Errors of the models fitted without each fold, from ``fitting.without_folds``."""
+    followed = [follow(data, model, work) for model in models]
+    samples = of_folds(data, [samples for samples, _ in followed])
+    return Errors(samples, free_runs(data, models, [states for _, states in followed], work))

@@ -1,0 +1,148 @@
+"""Where a model fails: innovations that are not centred, or wider than the model says, in bins of what may matter.
+
+A model that misses nothing has innovations that depend on nothing that was known before: in any bin of any covariate,
+their mean over their predicted std is a standard normal variable over the root of their number. Bins are flagged at a
+false-discovery rate of 5 % over all bins together (Benjamini and Hochberg 1995).
+"""
+
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import norm
+
+from sugiyama_ros.diagnosis.discover import looked_at
+from sugiyama_ros.diagnosis.free_run import filtered_states
+from sugiyama_ros.driver.parameters import RHO
+from sugiyama_ros.fit.fitting import Model, Recorded, Samples
+from sugiyama_ros.road import Array
+
+#: False-discovery rate of the flags.
+RATE = 0.05
+# Bins of a covariate, and fewest samples in one.
+_BINS, _FEWEST = 10, 30
+# Acceleration [m/s^2] from which a driver accelerates or brakes, and speed [m/s] below which he stands.
+_CHANGING, _STANDING = 0.3, 0.5
+_REGIMES = ("standing", "braking", "accelerating", "following")
+
+
+@dataclass(frozen=True)
+class Bin:
+    """Innovations while a covariate is in [low, high), SI; ``label`` where it is a driver or a regime.
+
+    bias: mean of the innovations over their predicted stds; nis: mean of their squares, 1 for a model that knows its
+    own uncertainty; p_value: of so large a bias by chance; flagged: at the false-discovery rate RATE.
+    """
+
+    covariate: str
+    label: str
+    low: float
+    high: float
+    samples: int
+    bias: float
+    nis: float
+    p_value: float
+    flagged: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Map:
+    """Bias over two covariates, (A, B), NaN where there are too few samples; edges (A + 1,) and (B + 1,), SI."""
+
+    first: str
+    second: str
+    first_edges: Array
+    second_edges: Array
+    bias: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Located:
+    """All bins, and maps over speed and gap, and over place and time."""
+
+    bins: tuple[Bin, ...]
+    maps: tuple[Map, ...]
+
+    @property
+    def flagged(self) -> list[Bin]:
+        """Bins that cannot be chance, worst first."""
+        return sorted((b for b in self.bins if b.flagged), key=lambda b: b.p_value)
+
+
+def locate(data: Recorded, model: Model, samples: Samples, work: Executor) -> Located:
+    """Where ``samples`` of a model (best held out) are not as it says; what was known a sample before is looked at."""
+    states = filtered_states(data, model, work)
+    normal = samples.innovation_m / np.sqrt(samples.innovation_var)
+    after = np.where(np.isfinite(samples.log_likelihood), normal, np.nan)[:, 1:]
+    covariates = _covariates(data, states)
+    before = {name: values.T[:, :-1] for name, values in covariates.items()}
+    bins: list[Bin] = []
+    for name, values in before.items():
+        edges = _edges(name, values)
+        bins += [b for k in range(len(edges) - 1) if (b := _bin(name, "", edges[k], edges[k + 1], values, after))]
+    for k, vehicle in enumerate(data.trajectories.vehicle):
+        only = np.where(np.arange(data.drivers)[:, None] == k, 0.5, np.nan) * np.ones_like(after)
+        bins += [b for b in (_bin("vehicle", str(vehicle), 0.0, 1.0, only, after),) if b]
+    regime = _regime(model, states).T[:, :-1]
+    for k, label in enumerate(_REGIMES):
+        bins += [b for b in (_bin("regime", label, float(k), k + 1.0, regime, after),) if b]
+    maps = (_map("speed", "gap", before, after), _map("place", "time", before, after))
+    return Located(tuple(_with_flags(bins)), maps)
+
+
+def _covariates(data: Recorded, states: Array) -> dict[str, Array]:
+    t = data.trajectories
+    gap, speed, approach, rear_gap, _ = looked_at(data, states)
+    time = np.tile((t.start_s + t.period_s * np.arange(len(gap)))[:, None], (1, data.drivers))
+    place = t.road.wrap(states[:, :, 0])
+    return {"gap": gap, "speed": speed, "approach_rate": approach, "rear_gap": rear_gap, "place": place, "time": time}
+
+
+def _regime(model: Model, states: Array) -> Array:
+    """Number of the regime in _REGIMES plus a half, (T, N); NaN where nothing is known."""
+    acceleration = states[:, :, 3] + model.rows[:, RHO] * states[:, :, 2]
+    regime = np.select(
+        [states[:, :, 1] < _STANDING, acceleration < -_CHANGING, acceleration > _CHANGING], [0.5, 1.5, 2.5], 3.5
+    )
+    return np.where(np.isfinite(acceleration), regime, np.nan)
+
+
+def _edges(name: str, values: Array) -> Array:
+    known = values[np.isfinite(values)]
+    if len(known) < _BINS * _FEWEST:
+        return np.empty(0)
+    if name in ("place", "time"):
+        return np.linspace(float(known.min()), np.nextafter(float(known.max()), np.inf), _BINS + 1)
+    edges = np.unique(np.quantile(known, np.linspace(0.0, 1.0, _BINS + 1)))
+    edges[-1] = np.nextafter(edges[-1], np.inf)
+    return np.asarray(edges)
+
+
+def _bin(name: str, label: str, low: float, high: float, values: Array, after: Array) -> Bin | None:
+    chosen = after[(values >= low) & (values < high) & np.isfinite(after)]
+    if len(chosen) < _FEWEST:
+        return None
+    bias = float(chosen.mean())
+    p_value = 2.0 * float(norm.sf(abs(bias) * np.sqrt(len(chosen))))
+    return Bin(name, label, float(low), float(high), len(chosen), bias, float(np.mean(np.square(chosen))), p_value)
+
+
+def _with_flags(bins: list[Bin]) -> list[Bin]:
+    """Benjamini and Hochberg's step-up procedure over all bins."""
+    ordered = sorted(b.p_value for b in bins)
+    passed = [p for k, p in enumerate(ordered, 1) if p <= RATE * k / len(bins)]
+    threshold = max(passed, default=-1.0)
+    return [replace(b, flagged=b.p_value <= threshold) for b in bins]
+
+
+def _map(first: str, second: str, before: dict[str, Array], after: Array) -> Map:
+    edges = [_edges(name, before[name]) for name in (first, second)]
+    shape = tuple(max(len(e) - 1, 0) for e in edges)
+    bias = np.full(shape, np.nan)
+    if all(shape):
+        known = np.isfinite(before[first]) & np.isfinite(before[second]) & np.isfinite(after)
+        pairs = (before[first][known], before[second][known])
+        count = np.histogram2d(*pairs, bins=edges)[0]
+        total = np.histogram2d(*pairs, bins=edges, weights=after[known])[0]
+        bias[count >= _FEWEST] = total[count >= _FEWEST] / count[count >= _FEWEST]
+    return Map(first, second, edges[0], edges[1], bias)

@@ -1,0 +1,152 @@
+"""A diagnosis as a document (for ``--json``) and as sentences."""
+
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from sugiyama_ros.diagnosis.diagnosis import Diagnosis
+from sugiyama_ros.diagnosis.locate import Bin, Located
+from sugiyama_ros.diagnosis.search import Named, parameters_of
+from sugiyama_ros.effects.registry import DECLARED, EFFECTS, effect
+
+# Bins that are told of in words.
+_WORST = 3
+
+
+def document(d: Diagnosis) -> dict[str, Any]:
+    """Everything that is known, in plain types; SI units."""
+    return {
+        "verdict": {
+            "effects": [_named(n) for n in d.named],
+            "none_detectable": not d.named,
+            "discovered": [
+                {
+                    "covariate": one.covariate,
+                    "strength": one.strength,
+                    "p_value": one.p_value,
+                    "gain_nats": one.gain_nats,
+                    "knots": list(one.knots),
+                    "force": list(one.force),
+                }
+                for one in d.discovered
+            ],
+        },
+        "candidates": [
+            {
+                "name": one.candidate.name,
+                "kind": one.candidate.kind,
+                "parameters": parameters_of(one.fit, one.candidate),
+                "heldout_gain_nats": d.heldout[one.candidate.name].nats,
+                "heldout_gain_se": d.heldout[one.candidate.name].se,
+                "gain_nats": one.gain,
+                "p_value": one.p_value,
+            }
+            for one in sorted(
+                (one for one in d.looked if one.candidate.name in d.heldout),
+                key=lambda one: -d.heldout[one.candidate.name].nats,
+            )
+        ],
+        "where": {"before": _where(d.where_before), "after": _where(d.where_after)},
+        "smallest_detectable": [
+            {"name": name, "parameter": effect(name).parameters[0].name, "value": value}
+            for name, value in d.smallest.items()
+        ],
+        "errors": {"before": d.before.summary(), "after": d.after.summary(), **d.rivals},
+        "drivers": _drivers(d),
+        "vehicles": d.data.drivers,
+        "samples": len(d.data.fold),
+        "bootstrap_runs": d.bootstrap_runs,
+        "quick": d.quick,
+        "seed": d.seed,
+        "wall_s": d.wall_s,
+    }
+
+
+def _named(n: Named) -> dict[str, Any]:
+    before, after = n.before.summary(), n.after.summary()
+    return {
+        "name": n.name,
+        "kind": n.kind,
+        "parameters": n.parameters,
+        "indistinguishable": list(n.indistinguishable),
+        "advice": list(n.advice),
+        "p_value": n.p_value,
+        "heldout_gain_nats": n.heldout.nats,
+        "heldout_gain_se": n.heldout.se,
+        "free_run_rmse_before_m": before["free_run_10s_m"],
+        "free_run_rmse_after_m": after["free_run_10s_m"],
+    }
+
+
+def _where(located: Located) -> dict[str, Any]:
+    """All bins, those in which the model fails (worst first), and maps of the bias."""
+    return {
+        "bins": [asdict(b) for b in located.bins],
+        "flagged": [asdict(b) for b in located.flagged],
+        "maps": [
+            {
+                "first": m.first,
+                "second": m.second,
+                "first_edges": m.first_edges.tolist(),
+                "second_edges": m.second_edges.tolist(),
+                "bias": [[None if np.isnan(b) else float(b) for b in row] for row in m.bias],
+            }
+            for m in located.maps
+        ],
+    }
+
+
+def _drivers(d: Diagnosis) -> list[dict[str, Any]]:
+    """Per driver: held-out gain of all that was added, and single-car errors before and after."""
+    before, after = d.before.by_driver(), d.after.by_driver()
+    return [
+        {
+            "vehicle": int(v),
+            "heldout_gain_nats": a[0] - b[0],
+            "single_car_10s_before_m": b[1],
+            "single_car_10s_after_m": a[1],
+        }
+        for v, b, a in zip(d.data.trajectories.vehicle, before, after, strict=True)
+    ]
+
+
+def _told(b: Bin) -> str:
+    value = b.label or f"{b.low:.3g} to {b.high:.3g}"
+    return f"{b.covariate} {value} ({b.bias:+.2f} std)"
+
+
+def sentences(d: Diagnosis) -> list[str]:
+    """The verdict in words."""
+    if not d.named:
+        lines = ["Nothing that is missing can be detected in these data."]
+        shown = [
+            f"{name} ({p.name} {d.smallest[name]:.3g} {p.unit})"
+            for name in d.smallest
+            for p in [effect(name).parameters[0]]
+        ]
+        lines.append("They would usually have shown: " + ", ".join(shown) + "." if shown else "")
+    else:
+        lines = []
+    for n in d.named:
+        units = {p.name: p.unit for e in EFFECTS if e.name == n.name for p in e.parameters}
+        units |= {p.name: p.unit for p in DECLARED if p.name in n.parameters and p.name not in units}
+        values = ", ".join(f"{k} {v:.3g} {units.get(k, '')}".rstrip() for k, v in n.parameters.items())
+        lines.append(
+            f"{n.name} ({values}): held-out gain {n.heldout.nats:.0f} ± {n.heldout.se:.0f} nats, p {n.p_value:.1g};"
+            f" 10-s free run {n.before.summary()['free_run_10s_m']:.2f} -> {n.after.summary()['free_run_10s_m']:.2f} m."
+        )
+        if n.indistinguishable:
+            advice = f" To tell them apart: {'; '.join(n.advice)}." if n.advice else ""
+            lines.append(f"  Cannot be told apart from: {', '.join(n.indistinguishable)}.{advice}")
+    for located, of in ((d.where_before, "The base model"), (d.where_after, "The model with what was added")):
+        if located is d.where_after and not d.named:
+            continue
+        worst = "; ".join(_told(b) for b in located.flagged[:_WORST])
+        count = f"{len(located.flagged)} of {len(located.bins)} bins"
+        lines.append(f"{of} is biased in {count}" + (f", most of all at {worst}." if worst else "."))
+    lines += [
+        f"A force without a name depends on {one.covariate}: by {one.strength:.2f} m/s² (p {one.p_value:.1g})."
+        for one in d.discovered
+    ]
+    return [line for line in lines if line]

@@ -1,0 +1,206 @@
+"""A driver's noises learnt online: measurement noise sigma_nu and acceleration noise sigma_a.
+
+A filter cannot hold them in its state, because they move no mean. They follow the likelihood instead: by recursive
+prediction error (Ljung and Soderstrom, Theory and Practice of Recursive Identification, 1983, section 3.8), with the
+exact sensitivities of the filter's mean and covariance, so that in the long run they end where the batch fit does.
+Whether a driver's acceleration noise changes is for his samples to tell: two interacting models (Blom and Bar-Shalom,
+IEEE Trans. Automatic Control 33 (1988) 780), with a constant one and with one that is forgotten, are weighed by what
+they predict. The measurement noise is the camera's and stays.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from sugiyama_ros.driver.parameters import SIGMA_A, SIGMA_NU
+from sugiyama_ros.filters.causal import STATE
+from sugiyama_ros.road import Array
+
+#: The noises that are learnt, as places in a driver's row.
+NOISES = [SIGMA_NU, SIGMA_A]
+
+
+@dataclass(frozen=True)
+class Learning:
+    """How noises are learnt.
+
+    prior_std: of their logarithms; relaxations_s: of each interacting model, the times [s] in which they return to the
+    prior; dwell_s: mean time [s] that a driver stays with one of the models; outliers: share of the measured positions
+    that are far off and the factor of their noise, as in the effect ``outlier_noise``, for the density of a sample.
+    """
+
+    prior_std: tuple[float, float] = (0.3, 0.7)
+    relaxations_s: tuple[tuple[float, float], ...] = ((math.inf, math.inf), (math.inf, 300.0))
+    dwell_s: float = 1000.0
+    outliers: tuple[float, float] = (0.03, 2.6)
+
+
+# Squared normalised innovation beyond which a sample teaches no more: a gross error is not the noise.
+_LARGEST = 16.0
+# Step of a logarithm at most, at one sample.
+_STEP = 0.1
+_NU, _A = 0, 1
+# Place of the driver's own acceleration noise in the state.
+_OWN_NOISE = 2
+
+
+@njit(cache=True)
+def _predict(jacobian: Array, noise: Array, d_mean: Array, d_covariance: Array) -> None:
+    """Sensitivities after F x and F P F' + Q; d Q / d log sigma_a is twice the variance of the shock."""
+    for k in range(2):
+        d_mean[k] = jacobian @ d_mean[k]
+        d_covariance[k] = jacobian @ d_covariance[k] @ jacobian.T
+    d_covariance[_A, _OWN_NOISE, _OWN_NOISE] += 2.0 * noise[_OWN_NOISE, _OWN_NOISE]
+
+
+@njit(cache=True)
+def _update(
+    measures: Array, gain: Array, weight: Array, y: Array, own_noise_var: float, d_mean: Array, d_covariance: Array
+) -> None:
+    """Sensitivities after a Kalman update with H, K, S^-1 and y; own_noise_var: of the first of y, if that is his own.
+
+    The gain is the best one, so its own change moves the covariance in second order only.
+    """
+    rest = np.eye(len(d_mean[0])) - gain @ measures
+    weighted = weight @ y
+    own = np.ascontiguousarray(gain[:, 0])
+    for k in range(2):
+        d_noise = 2.0 * own_noise_var if k == _NU else 0.0
+        moved = d_mean[k] + d_covariance[k] @ (measures.T @ weighted)
+        d_mean[k] = rest @ moved - own * (d_noise * weighted[0])
+        d_covariance[k] = rest @ d_covariance[k] @ rest.T + d_noise * np.outer(own, own)
+
+
+@njit(cache=True)
+def _mix(weight: Array, stay: float, mean: Array, covariance: Array) -> None:
+    """Interaction before a period: each model goes on from where a driver may have been who follows it now."""
+    models = len(weight)
+    if models == 1:
+        return
+    stays = np.full((models, models), (1.0 - stay) / (models - 1))
+    np.fill_diagonal(stays, stay)
+    came_from = stays * weight.reshape(-1, 1)
+    weight[:] = came_from.sum(axis=0)
+    was, spread = mean.copy(), covariance.copy()
+    for j in range(models):
+        mean[j], covariance[j] = _moments(came_from[:, j] / weight[j], was, spread)
+
+
+@njit(cache=True)
+def _moments(weight: Array, mean: Array, covariance: Array) -> tuple[Array, Array]:
+    """Mean (2,) and covariance (2, 2) of a mixture."""
+    centre, around = np.zeros(2), np.zeros((2, 2))
+    for k in range(len(weight)):
+        centre += weight[k] * mean[k]
+    for k in range(len(weight)):
+        off = mean[k] - centre
+        around += weight[k] * (covariance[k] + np.outer(off, off))
+    return centre, around
+
+
+@njit(cache=True)
+def _learn(
+    y: float,
+    variance: float,
+    noise_var: float,
+    factor: float,
+    d_mean: Array,
+    d_covariance: Array,
+    centre: Array,
+    weight: Array,
+    mean: Array,
+    covariance: Array,
+) -> None:
+    """What a sample of innovation y says to each model: by its score and expected information of the logarithms."""
+    slopes, shifts = np.empty(2), np.empty(2)
+    for k in range(2):
+        slopes[k] = factor * factor * d_covariance[k, 0, 0] + (2.0 * noise_var if k == _NU else 0.0)
+        shifts[k] = -factor * d_mean[k, 0]
+    density = np.empty(len(weight))
+    for j in range(len(weight)):
+        off = mean[j] - centre
+        own_y = y + shifts @ off
+        own_var = variance * math.exp(slopes @ off / variance)
+        scale = min(own_y * own_y / own_var, _LARGEST)
+        density[j] = -0.5 * (math.log(own_var) + scale)
+        bounded = math.copysign(math.sqrt(scale * own_var), own_y)
+        score = -0.5 * slopes / variance * (1.0 - scale) - bounded / own_var * shifts
+        information = 0.5 * np.outer(slopes, slopes) / variance**2 + np.outer(shifts, shifts) / own_var
+        covariance[j] = np.linalg.inv(np.linalg.inv(covariance[j]) + information)
+        mean[j] += np.clip(covariance[j] @ score, -_STEP, _STEP)
+    weight *= np.exp(density - density.max())
+    weight /= weight.sum()
+
+
+class NoiseLearner:
+    """Logarithms (2,) of a driver's noises, at the period of the samples, and their covariance (2, 2).
+
+    prior_mean: (2,) of the logarithms; period_s: time [s] between two samples; size: of the filter's state.
+    """
+
+    def __init__(self, learning: Learning, prior_mean: Array, period_s: float, size: int) -> None:
+        self._prior_mean, self._prior_var = prior_mean, np.diag(np.square(learning.prior_std))
+        self._kept = np.exp(-period_s / np.array(learning.relaxations_s))
+        self._stay = math.exp(-period_s / learning.dwell_s)
+        self._d_mean, self._d_covariance = np.zeros((2, size)), np.zeros((2, size, size))
+        self.outliers: Array = np.array(learning.outliers)
+        models = len(self._kept)
+        self.weight: Array = np.full(models, 1.0 / models)
+        self.recall(prior_mean, self._prior_var)
+
+    def recall(self, mean: Array, covariance: Array) -> None:
+        """Go on from a mean (2,) of the logarithms and its covariance (2, 2)."""
+        self._means = np.tile(mean, (len(self._kept), 1))
+        self._covariances = np.tile(covariance, (len(self._kept), 1, 1))
+        self.mean, self.covariance = mean.copy(), covariance.copy()
+
+    @property
+    def values(self) -> Array:
+        """The noises (2,) themselves."""
+        return np.exp(self.mean)
+
+    def predict(self, jacobian: Array, noise: Array) -> None:
+        """Go on by one period with the filter's F and Q, and forget a little."""
+        _predict(jacobian, noise, self._d_mean, self._d_covariance)
+        _mix(self.weight, self._stay, self._means, self._covariances)
+        self._means = self._prior_mean + self._kept * (self._means - self._prior_mean)
+        kept = self._kept[:, :, None] * self._kept[:, None, :]
+        self._covariances = kept * self._covariances + (1.0 - kept) * self._prior_var
+        self.mean, self.covariance = _moments(self.weight, self._means, self._covariances)
+
+    def learn(self, y: float, variance: float, noise_var: float, factor: float) -> None:
+        """Take in the driver's own innovation [m] and its variance, before the filter is updated with it."""
+        _learn(
+            y,
+            variance,
+            noise_var,
+            factor,
+            self._d_mean,
+            self._d_covariance,
+            self.mean,
+            self.weight,
+            self._means,
+            self._covariances,
+        )
+        self.mean, self.covariance = _moments(self.weight, self._means, self._covariances)
+
+    def update(self, kalman: Any, measures: Array, own_noise_var: float) -> None:
+        """After the filter's update; own_noise_var: of the first measured position, 0 if it is not the driver's."""
+        _update(measures, kalman.K, kalman.SI, kalman.y, own_noise_var, self._d_mean, self._d_covariance)
+
+    def start(self, covariance: Array) -> None:
+        """The filter has just begun to follow the driver, with this covariance, or has lost him."""
+        self._d_mean[:], self._d_covariance[:] = 0.0, 0.0
+        own = slice(0, _OWN_NOISE)
+        self._d_covariance[_NU, own, own] = 2.0 * covariance[own, own]
+        self._d_covariance[_A, _OWN_NOISE, _OWN_NOISE] = 2.0 * covariance[_OWN_NOISE, _OWN_NOISE]
+
+    def forget(self, m: int) -> None:
+        """Vehicle m of the chain is another one now."""
+        gone = slice(STATE * m, STATE * (m + 1))
+        self._d_mean[:, gone] = 0.0
+        self._d_covariance[:, gone, :] = 0.0
+        self._d_covariance[:, :, gone] = 0.0

@@ -1,0 +1,83 @@
+"""Fits kept on disk while a long calibration runs, so that one which is cut off goes on where it stopped."""
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+
+from sugiyama_ros.errors import OutputError
+from sugiyama_ros.fit.driver import Fit
+
+
+class Checkpoint:
+    """A file of one JSON document a line: what is being calibrated, then every fit, with the name of its pass.
+
+    about: what must be the same for the fits to be taken up again. Used as a context; whoever has
+    the fits safe elsewhere removes the file.
+    """
+
+    def __init__(self, path: Path, about: dict[str, Any]) -> None:
+        self.path = path
+        self._head = json.dumps(about, sort_keys=True)
+        self._fits: dict[str, dict[int, Fit]] = {}
+        self._stream: TextIO | None = None
+
+    def __enter__(self) -> "Checkpoint":
+        whole = self._read()
+        try:
+            # an unfinished last line, and all of another calibration, are written over
+            self._stream = self.path.open("r+" if whole else "w")
+            self._stream.seek(whole)
+            self._stream.truncate()
+            if not whole:
+                self._stream.write(self._head + "\n")
+        except OSError as error:
+            raise OutputError(f"{self.path}: cannot be written: {error.strerror}; choose another place") from None
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._stream is not None:
+            self._stream.close()
+
+    def resume(self, name: str, fits: Callable[..., Iterator[Fit]]) -> Iterator[Fit]:
+        """Fits of a pass: those on disk, then the others, from ``fits(skip=vehicles)``, which are kept too."""
+        kept = self._fits.get(name, {})
+        yield from kept.values()
+        for fit in fits(skip=kept.keys()):
+            self._write(name, fit)
+            yield fit
+
+    def _read(self) -> int:
+        """Take in what is there; the length [bytes] of what is whole."""
+        if not self.path.is_file():
+            return 0
+        length = 0
+        with self.path.open("rb") as stream:
+            for number, line in enumerate(stream):
+                if not line.endswith(b"\n"):
+                    break
+                if number == 0:
+                    if line.decode(errors="replace").strip() != self._head:
+                        return 0
+                else:
+                    name, fit = _fit_of(line)
+                    self._fits.setdefault(name, {})[fit.vehicle] = fit
+                length += len(line)
+        return length
+
+    def _write(self, name: str, fit: Fit) -> None:
+        assert self._stream is not None
+        parameters, std, interval = fit.parameters.tolist(), fit.std.tolist(), fit.interval.tolist()
+        line = [name, fit.vehicle, parameters, fit.log_likelihood, std, fit.at_bound, interval]
+        try:
+            self._stream.write(json.dumps(line) + "\n")
+            self._stream.flush()
+        except OSError as error:
+            raise OutputError(f"{self.path}: cannot be written: {error.strerror}") from None
+
+
+def _fit_of(line: bytes) -> tuple[str, Fit]:
+    name, vehicle, parameters, log_likelihood, std, at_bound, interval = json.loads(line)
+    return name, Fit(vehicle, np.array(parameters), log_likelihood, np.array(std), tuple(at_bound), np.array(interval))

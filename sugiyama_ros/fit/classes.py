@@ -1,0 +1,116 @@
+"""Classes of drivers who share their parameters: for records that are too short to tell every driver's own.
+
+A mixture (latent classes) by the EM algorithm (Dempster, Laird and Rubin, J. R. Stat. Soc. B 39 (1977) 1), with a step
+of Fisher scoring for each maximisation. What class a driver is of is known up to a probability.
+"""
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.cluster.vq import kmeans2
+from scipy.special import logsumexp
+
+from sugiyama_ros.filters.paper import Scored
+from sugiyama_ros.fit.driver import Fit, Job, carry_out, search_bounds
+from sugiyama_ros.road import Array
+
+# Steps at most; a rise of the log-likelihood [nats] that is not worth another one; longest step of a logarithm.
+_STEPS, _ENOUGH, _LONGEST = 60, 0.05, 0.3
+# Ways to divide the single fits that are tried; how far off a single fit may lie, in standard deviations over drivers.
+_STARTS, _FAR = 4, 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Classes:
+    """rows: (K, P) parameters of each class, std: (K, P), as if it were known who is of it; share: (K,) of the drivers.
+
+    probability: (N, K) that a driver is of a class; log_likelihood: (N,); bic: Bayesian information criterion.
+    """
+
+    rows: Array
+    std: Array
+    share: Array
+    probability: Array
+    log_likelihood: Array
+    bic: float
+
+
+def find_classes(jobs: Sequence[Job], count: int, samples: int, seed: int, work: Executor) -> Classes:
+    """Divide drivers into ``count`` classes.
+
+    jobs: of all drivers, with their data; samples: how many there are in all, for the information criterion.
+    """
+    # each driver's own parameters give the start
+    fits, places = list(work.map(carry_out, jobs)), jobs[0].places
+    _, smallest, largest = search_bounds(fits[0].parameters, places, jobs[0].upper)
+    rows = max(
+        (_divided(fits, jobs[0], count, seed + k) for k in range(_STARTS)),
+        key=lambda start: float(_posterior(_scores(jobs, start, None, work), np.full(count, 1.0 / count))[0].sum()),
+    )
+    share = np.full(count, 1.0 / count)
+    scores = _scores(jobs, rows, None, work)
+    value, probability = _posterior(scores, share)
+    shrink = 1.0
+    for _ in range(_STEPS):
+        information = [
+            sum(r[k] * s[k].information for r, s in zip(probability, scores, strict=True)) for k in range(count)
+        ]
+        moved = rows.copy()
+        for k in range(count):
+            scale = rows[k, places]
+            slope = sum(r[k] * s[k].gradient[places] for r, s in zip(probability, scores, strict=True)) * scale
+            curvature = information[k][np.ix_(places, places)] * np.outer(scale, scale)
+            step = np.linalg.solve(curvature + 1e-6 * np.eye(len(places)), slope)
+            logarithm = np.log(np.abs(scale)) + shrink * np.clip(step, -_LONGEST, _LONGEST)
+            moved[k, places] = np.sign(scale) * np.exp(np.clip(logarithm, smallest, largest))
+        shares = np.maximum(probability.mean(axis=0), 1e-6)
+        scores_there = _scores(jobs, moved, information, work)
+        value_there, probability_there = _posterior(scores_there, shares)
+        rise = float(value_there.sum() - value.sum())
+        if rise < 0.0 and shrink > 0.1:
+            shrink *= 0.5
+            continue
+        if rise > 0.0:
+            rows, share, scores, value, probability = moved, shares, scores_there, value_there, probability_there
+        if rise < _ENOUGH:
+            break
+    std = np.zeros_like(rows)
+    for k in range(count):
+        held = sum(r[k] * s[k].information for r, s in zip(probability, scores, strict=True))[np.ix_(places, places)]
+        std[k, places] = np.sqrt(np.maximum(np.diag(np.linalg.pinv(held, hermitian=True)), 0.0))
+    order = np.argsort(-share)
+    free = count * len(places) + count - 1
+    bic = -2.0 * float(value.sum()) + free * float(np.log(samples))
+    return Classes(rows[order], std[order], share[order], probability[:, order], value, bic)
+
+
+def _scores(
+    jobs: Sequence[Job], rows: Array, information: Sequence[Array] | None, work: Executor
+) -> list[list[Scored]]:
+    """What every driver's samples say of every class."""
+    return list(work.map(_score, [(job, rows, information) for job in jobs]))
+
+
+def _score(task: tuple[Job, Array, Sequence[Array] | None]) -> list[Scored]:
+    job, rows, information = task
+    return [job.score(row, information[k] if information is not None else None) for k, row in enumerate(rows)]
+
+
+def _posterior(scores: Sequence[Sequence[Scored]], share: Array) -> tuple[Array, Array]:
+    """Log-likelihood (N,) of the mixture, and probabilities (N, K) of the classes."""
+    joint = np.array([[s.log_likelihood for s in one] for one in scores]) + np.log(share)
+    value = logsumexp(joint, axis=1)
+    return value, np.exp(joint - value[:, None])
+
+
+def _divided(fits: Sequence[Fit], job: Job, count: int, seed: int) -> Array:
+    """Rows (K, P) of classes to begin with: centres of groups of single fits."""
+    points = np.log(np.abs([fit.parameters[job.places] for fit in fits]))
+    middle, spread = np.median(points, axis=0), np.maximum(np.std(points, axis=0), 1e-6)
+    clipped = np.clip((points - middle) / spread, -_FAR, _FAR)
+    centres, _ = kmeans2(clipped, count, minit="++", rng=np.random.default_rng(seed), missing="warn")
+    rows = np.tile(fits[0].parameters, (count, 1))
+    rows[:, job.places] = np.sign(fits[0].parameters[job.places]) * np.exp(middle + spread * centres)
+    return rows

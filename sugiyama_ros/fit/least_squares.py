@@ -1,0 +1,136 @@
+"""Classic calibration of the rival laws: one car drives behind his measured leader, least squares on his gaps.
+
+Treiber and Kesting, Traffic Flow Dynamics, on calibration: the global approach, with absolute errors of gaps.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.optimize import OptimizeResult, least_squares
+from scipy.stats import qmc
+
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.laws.registry import LAWS, Law, fvdm, idm
+from sugiyama_ros.road import Array
+
+Mask = NDArray[np.bool_]
+
+# Places looked at, from every default over the factor to it times the factor.
+_LOOKED_AT, _FACTOR = 64, 4.0
+# The sum of squares has many minima: a few steps from the best places say which of them are worth following to the end.
+_FEW, _TRIED, _FOLLOWED = 10, 8, 2
+# Step of the difference quotients relative to a default: near the root of the rounding error of a run.
+_STEP = 1e-7
+# A search has ended when the sum of squares or the parameters change by less than this share, or after so many runs.
+_ENOUGH, _MOST = 1e-6, 60
+
+
+@dataclass(frozen=True, eq=False)
+class Following:
+    """One driver behind his leader, smoothed: positions [m] of the centres and speeds [m/s], each (T,).
+
+    Positions are continuous, and the leader's minus the driver's is the way to him; NaN where unknown.
+    half_lengths_m: half of the two vehicles' lengths together; source: names the driver in an error.
+
+    Raises InputError where the shapes differ.
+    """
+
+    position_m: Array
+    speed: Array
+    leader_position_m: Array
+    leader_speed: Array
+    half_lengths_m: float
+    period_s: float
+    source: str = "following"
+
+    def __post_init__(self) -> None:
+        shapes = {a.shape for a in (self.position_m, self.speed, self.leader_position_m, self.leader_speed)}
+        if len(shapes) > 1 or self.position_m.ndim != 1:
+            raise InputError(f"{self.source}: positions and speeds differ in length; give (T,) of each")
+
+    @cached_property
+    def states(self) -> Array:
+        """All of them, (T, 4), in the order above."""
+        return np.column_stack((self.position_m, self.speed, self.leader_position_m, self.leader_speed))
+
+
+@dataclass(frozen=True, eq=False)
+class Calibrated:
+    """Parameters (n,) of a law, in its order, and the rmse [m] of the gaps that they were fitted to."""
+
+    parameters: Array
+    rmse_m: float
+
+
+@njit(nogil=True, cache=True)
+def _run(law: int, rows: Array, states: Array, half_lengths: float, period: float, driven: Mask, out: Array) -> None:
+    """Errors [m] of the gaps into ``out`` (K, T), for ``rows`` (K, n); entries that are not driven to stay."""
+    for k in range(len(rows)):
+        x, v = 0.0, 0.0
+        for t in range(len(states)):
+            if not driven[t]:
+                continue
+            position, speed, leader_position, leader_speed = states[t]
+            if t > 0 and driven[t - 1]:
+                out[k, t] = position - x
+            else:
+                x, v = position, max(speed, 0.0)
+            gap = leader_position - x - half_lengths
+            a = idm(gap, v, leader_speed, rows[k]) if law == 0 else fvdm(gap, v, leader_speed, rows[k])
+            x += period * v
+            v = max(v + period * a, 0.0)
+
+
+def gap_errors(law: Law, parameters: Array, following: Following, chosen: Mask) -> Array:
+    """Errors [m] of the gaps where ``chosen`` (T,), simulated minus measured, shape (..., T).
+
+    parameters: (..., n), in the law's order. The car starts from his measured state where ``chosen`` begins after a
+    break or a missing sample; so a sample left out between two blocks of time starts him anew. NaN there and where not
+    chosen. Euler's rule as in the simulation; speeds stay at or above 0.
+    """
+    rows = np.ascontiguousarray(parameters.reshape(-1, parameters.shape[-1]))
+    states = following.states
+    driven = chosen & np.isfinite(states).all(axis=1)
+    errors = np.full((len(rows), len(states)), np.nan)
+    _run(LAWS.index(law), rows, states, following.half_lengths_m, following.period_s, driven, errors)
+    return errors.reshape(*parameters.shape[:-1], len(states))
+
+
+def fit_gaps(law: Law, following: Following, chosen: Mask, start: Array | None = None) -> Calibrated:
+    """The law's parameters, within their bounds, with the least squares of errors of the gaps where ``chosen`` (T,).
+
+    The runs are those of ``gap_errors``. Searched from ``start`` (n,), or without it from the best of many.
+    Raises InputError where there are not more samples to compare than parameters.
+    """
+    default, lower, upper = (np.array([getattr(p, of) for p in law.parameters]) for of in ("default", "lower", "upper"))
+    scored = np.isfinite(gap_errors(law, default, following, chosen))
+    if scored.sum() <= len(default):
+        raise InputError(
+            f"{following.source}: {scored.sum()} samples cannot hold {len(default)} parameters of {law.name}; give more"
+        )
+
+    def errors(rows: Array) -> Array:
+        return gap_errors(law, rows, following, chosen)[..., scored]
+
+    def slopes(parameters: Array) -> Array:
+        step = _STEP * default
+        at = errors(np.vstack((parameters, parameters + np.diag(step))))
+        return np.asarray(((at[1:] - at[0]) / step[:, None]).T)
+
+    def search(start: Array, most: int) -> OptimizeResult:
+        return least_squares(
+            errors, start, slopes, bounds=(lower, upper), x_scale=default, ftol=_ENOUGH, xtol=_ENOUGH, max_nfev=most
+        )
+
+    if start is not None:
+        found = search(np.clip(start, lower, upper), _MOST)
+        return Calibrated(found.x, float(np.sqrt(np.mean(np.square(found.fun)))))
+    places = qmc.Halton(len(default), scramble=False).random(_LOOKED_AT)
+    starts = np.clip(default * _FACTOR ** (2.0 * places - 1.0), lower, upper)
+    starts = starts[np.argsort(np.square(errors(starts)).sum(axis=1))]
+    tried = sorted((search(start, _FEW) for start in starts[:_TRIED]), key=lambda found: float(found.cost))
+    best = min((search(found.x, _MOST) for found in tried[:_FOLLOWED]), key=lambda found: float(found.cost))
+    return Calibrated(best.x, float(np.sqrt(np.mean(np.square(best.fun)))))

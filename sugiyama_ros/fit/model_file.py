@@ -1,0 +1,176 @@
+"""A fitted model as a YAML file: what acts, every driver's parameters, how well they are known, and from what data."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from sugiyama_ros.driver.parameters import COUNT, NAMES, check
+from sugiyama_ros.effects.registry import ENTRIES, WIDTH, active, effect, place, switch_on
+from sugiyama_ros.errors import InputError, OutputError
+from sugiyama_ros.fit.driver_types import DriverTypes
+from sugiyama_ros.fit.fitting import FOLDS, Fit, Recorded, coordinate
+from sugiyama_ros.road import Array, Ints
+from sugiyama_ros.trajectories.trajectories import Trajectories
+
+_FORMAT = 1
+# libyaml where it is there: ten times faster
+_DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+# A model of so many drivers has a file of a few megabytes.
+_LARGEST_BYTES = 50_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class ModelFile:
+    """vehicle: (N,) numbers; rows: (N, WIDTH); effects: names of those that act; sha256 of the data fitted.
+
+    types: the classes that drivers were divided into, if they were.
+    """
+
+    vehicle: Ints
+    rows: Array
+    effects: tuple[str, ...]
+    source: str
+    sha256: str
+    types: DriverTypes | None = None
+
+    def rows_of(self, vehicles: Ints) -> Array:
+        """Rows (N, WIDTH) of these vehicles; the median driver's for one that is not in the file."""
+        typical = np.median(self.rows, axis=0)
+        known = {int(v): k for k, v in enumerate(self.vehicle)}
+        return np.array([self.rows[known[int(v)]] if int(v) in known else typical for v in vehicles])
+
+
+def write_model(path: Path, data: Recorded, fitted: Fit) -> None:
+    """Write a fitted model. Raises OutputError."""
+    own, shared = stds_of(fitted)
+    write_drivers(path, data.trajectories, fitted.model.rows, own, shared, fitted.log_likelihood)
+
+
+def write_drivers(
+    path: Path,
+    trajectories: Trajectories,
+    rows: Array,
+    own_std: Sequence[Mapping[str, float]],
+    shared_std: Mapping[str, float],
+    log_likelihood: float,
+    types: DriverTypes | None = None,
+) -> None:
+    """Write drivers' rows (N, WIDTH), how well they are known, and their types as a model file. Raises OutputError."""
+    drivers = {}
+    for vehicle, row, std in zip(trajectories.vehicle.tolist(), rows, own_std, strict=True):
+        drivers[vehicle] = {
+            "parameters": {name: float(v) for name, v in zip(NAMES, row, strict=False)},
+            "std": dict(std),
+            "effects": {
+                name: {p.name: float(row[place(name, p.name)]) for p in effect(name).parameters} for name in active(row)
+            },
+        }
+    document = {
+        "sugiyama_model": _FORMAT,
+        "version": version("sugiyama_ros"),
+        "data": {"source": trajectories.source, "sha256": trajectories.sha256, "log_likelihood": log_likelihood},
+        "effects": list(active(rows)),
+        "shared_std": dict(shared_std),
+        "drivers": drivers,
+    }
+    if types is not None:
+        document["classes"] = [
+            {"share": float(share), "parameters": dict(zip(NAMES, row.tolist(), strict=True))}
+            for share, row in zip(types.share, types.rows, strict=True)
+        ]
+    beside = path.with_name(path.name + ".part")
+    try:
+        beside.write_text(yaml.dump(document, Dumper=_DUMPER, sort_keys=False, allow_unicode=True))
+        beside.replace(path)
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error.strerror}; choose another place") from None
+
+
+def read_model(path: Path) -> ModelFile:
+    """Read a model file. Raises InputError, which names the field."""
+    try:
+        if path.stat().st_size > _LARGEST_BYTES:
+            raise InputError(f"{path}: larger than {_LARGEST_BYTES // 1_000_000} MB; is it a model file?")
+        document: Any = yaml.load(path.read_text(), Loader=_LOADER)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    except (yaml.YAMLError, UnicodeDecodeError):
+        raise InputError(f"{path}: is not YAML; give a file that `sugiyama diagnose --output` wrote") from None
+    if not isinstance(document, dict) or document.get("sugiyama_model") != _FORMAT:
+        raise InputError(
+            f"{path}: is not a model file of format {_FORMAT}; write one with `sugiyama diagnose --output`"
+        )
+    drivers = document.get("drivers")
+    if not isinstance(drivers, dict) or not drivers:
+        raise InputError(f"{path}: drivers: none there")
+    rows, vehicles = [], []
+    for vehicle, about in drivers.items():
+        where = f"{path}: drivers: {vehicle}"
+        row: Array = np.zeros(WIDTH)
+        try:
+            row[:COUNT] = [float(about["parameters"][name]) for name in NAMES]
+            for name, values in about.get("effects", {}).items():
+                row = switch_on(row, str(name), {str(p): float(v) for p, v in values.items()})
+            check(row[:COUNT])
+            vehicles.append(int(vehicle))
+        except InputError as error:
+            raise InputError(f"{where}: {error}") from None
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise InputError(f"{where}: {type(error).__name__} {error}; give every parameter a number") from None
+        rows.append(row)
+    types = _types(path, document["classes"]) if "classes" in document else None
+    about_data = document.get("data")
+    known = about_data if isinstance(about_data, dict) else {}
+    stacked = np.array(rows)
+    source, checksum = str(known.get("source", "")), str(known.get("sha256", ""))
+    return ModelFile(np.array(vehicles), stacked, active(stacked), source, checksum, types)
+
+
+def _types(path: Path, classes: Any) -> DriverTypes:
+    """The classes of a model file. Raises InputError."""
+    try:
+        share = np.array([float(one["share"]) for one in classes])
+        rows = np.array([[float(one["parameters"][name]) for name in NAMES] for one in classes])
+        if not len(share) or not (share > 0.0).all() or not np.isfinite(share).all():
+            raise ValueError("share")
+        for row in rows:
+            check(row)
+    except InputError as error:
+        raise InputError(f"{path}: classes: {error}") from None
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{path}: classes: {type(error).__name__} {error}; give share and every parameter") from None
+    return DriverTypes(share / share.sum(), rows)
+
+
+def stds_of(fitted: Fit) -> tuple[list[dict[str, float]], dict[str, float]]:
+    """Standard deviations by name, from the information: of every driver's own parameters, and of the shared ones."""
+    model = fitted.model
+    own = len(model.individual)
+    prior = np.diag(1.0 / np.array(model.prior_std) ** 2)
+    reduced = np.zeros((len(model.shared),) * 2)
+    parts = []
+    for s in fitted.slopes:
+        h = s.information[list(range(FOLDS))].sum(axis=0)
+        inverse = np.linalg.inv(h[:own, :own] + prior)
+        cross = h[:own, own:]
+        reduced += h[own:, own:] - cross.T @ inverse @ cross
+        parts.append((inverse, cross))
+    shared = np.linalg.pinv(reduced + 1e-9 * np.eye(len(reduced)))
+    places = [*model.individual, *model.shared]
+    found = []
+    for (inverse, cross), row in zip(parts, model.rows, strict=True):
+        lift = inverse @ cross
+        variances = np.concatenate([np.diag(inverse + lift @ shared @ lift.T), np.diag(shared)])
+        # from a coordinate to the parameter itself: d p = p d log p
+        scale = np.where(coordinate(row[places], places) == row[places], 1.0, np.abs(row[places]))
+        found.append((np.sqrt(np.maximum(variances, 0.0)) * scale).tolist())
+    names = [ENTRIES[k] for k in places]
+    return [dict(zip(names[:own], std[:own], strict=True)) for std in found], dict(
+        zip(names[own:], found[0][own:], strict=True)
+    )

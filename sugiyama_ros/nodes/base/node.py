@@ -1,0 +1,120 @@
+"""What all nodes of this package share: counted messages, progress for the pacing, health."""
+
+import re
+import time
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from sugiyama_msgs.msg import Progress
+
+from sugiyama_ros.errors import SugiyamaError
+from sugiyama_ros.nodes.base.qos import PROGRESS_OUT, STREAM, WINDOW
+
+_BEAT_S = 0.1
+_REPORT_S = 1.0
+_RECEIVED_S = 5.0
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+
+
+class Health(NamedTuple):
+    """How a node is: a level of diagnostic_msgs, one line, and numbers for those who look closer."""
+
+    level: bytes
+    message: str
+    values: Mapping[str, object] = {}
+
+
+class PacedNode(Node):
+    """A node that counts what it publishes, tells the source how far it has come, and reports its health.
+
+    Subclasses define ``health``. Topics of the road lie in the namespace above that of a vehicle. ``failure`` is set
+    where the node cannot go on.
+    """
+
+    def __init__(self, name: str, **options: Any) -> None:
+        super().__init__(name, **options)
+        self.steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.published = 0
+        self.steps = 0
+        self.failure: SugiyamaError | None = None
+        self.received = 0
+        self._announced = False
+        self._told: tuple[int, int] | None = None
+        self._told_s = self._reported_s = 0.0
+        self._level = OK
+        self._to_progress = self.create_publisher(Progress, self.shared("_progress"), PROGRESS_OUT)
+        self._to_diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", STREAM)
+        self._beat = self.create_timer(_BEAT_S, self._on_beat, clock=self.steady)
+
+    def shared(self, topic: str) -> str:
+        """Full name of a topic that all nodes of a road share."""
+        return re.sub(r"/vehicle_\d+$", "", self.get_namespace()).rstrip("/") + "/" + topic
+
+    def send(self, publisher: Publisher, message: Any) -> None:
+        """Publish a message, or its bytes, on a topic that is recorded."""
+        publisher.publish(message)
+        self.published += 1
+
+    def announce(self) -> None:
+        """From now on the source waits for this node."""
+        if not self._announced:
+            self._announced = True
+            self._tell()
+
+    def taken(self, steps: int, last: bool = False) -> None:
+        """All samples before number ``steps`` have been taken."""
+        self.steps = steps
+        if last or steps % (WINDOW // 4) == 0:
+            self._tell()
+
+    def health(self) -> Health:
+        """How this node is now."""
+        raise NotImplementedError
+
+    def report(self) -> None:
+        """Publish the health now."""
+        level, message, values = self.health()
+        self._level, self._reported_s = level, time.monotonic()
+        pairs = [KeyValue(key=k, value=str(v)) for k, v in values.items()]
+        name = self.get_fully_qualified_name()
+        array = DiagnosticArray(
+            status=[DiagnosticStatus(level=level, name=name, message=message, hardware_id="", values=pairs)]
+        )
+        array.header.stamp = self.get_clock().now().to_msg()
+        self.send(self._to_diagnostics, array)
+
+    def report_if_worse(self) -> None:
+        """Publish the health at once if it has worsened."""
+        if self.health().level > self._level:
+            self.report()
+
+    def finish(self) -> None:
+        """Send nothing more, except the last health and how much was sent; wait until that has been received."""
+        for timer in self.timers:
+            timer.cancel()
+        self.report()
+        self._tell()
+        deadline = time.monotonic() + _RECEIVED_S
+        for publisher in self.publishers:
+            publisher.wait_for_all_acked(Duration(seconds=max(0.0, deadline - time.monotonic())))
+
+    def close(self) -> None:
+        """Let go of what the node holds, after the last message has been carried out."""
+
+    def _on_beat(self) -> None:
+        now = time.monotonic()
+        if now - self._reported_s >= _REPORT_S:
+            self.report()
+        if self._announced and (self._told != (self.steps, self.published) or now - self._told_s >= _REPORT_S):
+            self._tell()
+
+    def _tell(self) -> None:
+        self._told, self._told_s = (self.steps, self.published), time.monotonic()
+        self._to_progress.publish(
+            Progress(node=self.get_fully_qualified_name(), steps=self.steps, published=self.published)
+        )

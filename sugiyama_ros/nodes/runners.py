@@ -1,0 +1,167 @@
+"""The nodes of a run: in this process, or each in a process of its own."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from shutil import rmtree
+from typing import Any, Protocol
+
+from rclpy.parameter import Parameter
+
+from sugiyama_ros.errors import SugiyamaError
+from sugiyama_ros.filters.online import warm_up
+from sugiyama_ros.nodes.base.node import PacedNode
+from sugiyama_ros.nodes.base.spin import RUNNER, Spinner
+from sugiyama_ros.nodes.critic import Critic
+from sugiyama_ros.nodes.estimator import Estimator
+from sugiyama_ros.nodes.plan import CRITIC, RECORDER, REPLAY, Plan
+from sugiyama_ros.nodes.recorder import Recorder
+from sugiyama_ros.nodes.replay import Replay
+
+_STOP_S = 15.0
+_LAST_STEPS_S = 0.5
+#: Exit codes of a node that was stopped; the alarm is the one that run_node sets when its work is done.
+_ENDED_WELL = (0, -signal.SIGALRM)
+
+
+class Team(Protocol):
+    """The nodes of a run; ``nodes`` are those to be executed in this process."""
+
+    nodes: list[PacedNode]
+
+    def check(self) -> None:
+        """Raises SugiyamaError, in one line, if a node has failed."""
+
+    def stop(self, spinner: Spinner) -> None:
+        """An orderly end: the source first, the recorder last, so that everything sent is in the file."""
+
+    def close(self) -> None:
+        """Let go of everything."""
+
+
+class OneProcess:
+    """All nodes in this process."""
+
+    def __init__(self, plan: Plan) -> None:
+        self.nodes: list[PacedNode] = []
+        own = _overrides(plan.estimator)
+        try:
+            self._replay = Replay(plan.trajectories, parameter_overrides=_overrides(plan.replay))
+            self.nodes.append(self._replay)
+            self.nodes += (Estimator(namespace=n, parameter_overrides=own) for n in plan.namespaces)
+            if plan.critic:
+                self.nodes.append(Critic())
+            self._followers = self.nodes[1:]
+            # Last, so that it finds the topics of all the others at once.
+            self._recorder = Recorder(parameter_overrides=_overrides(plan.recorder))
+            self.nodes.append(self._recorder)
+        except SugiyamaError:
+            # a replay that lived on would go on telling other runs of this process its road
+            self.close()
+            raise
+
+    def check(self) -> None:
+        """Raises the error that a node has met."""
+        for node in self.nodes:
+            if node.failure is not None:
+                raise node.failure
+
+    def stop(self, spinner: Spinner) -> None:
+        """Stop the nodes one after the other."""
+        self._replay.finish()
+        spinner.until(lambda: all(node.steps == self._replay.next_step for node in self._followers), _STOP_S)
+        for node in [*self._followers, self._recorder]:
+            node.finish()
+        spinner.until(lambda: self._recorder.received == sum(node.published for node in self.nodes), _STOP_S)
+        self._recorder.close()
+
+    def close(self) -> None:
+        """Take the nodes down."""
+        for node in self.nodes:
+            node.destroy_node()
+
+
+class Processes:
+    """Every node in a process of its own."""
+
+    def __init__(self, plan: Plan) -> None:
+        self.nodes: list[PacedNode] = []
+        self._logs = Path(tempfile.mkdtemp(prefix="sugiyama-"))
+        self._stopped = False
+        # so that the estimators find compiled code and do not all compile at once
+        warm_up()
+        self._children: dict[str, subprocess.Popen[bytes]] = {}
+        self._start(RECORDER, "recorder", plan.recorder)
+        for name in plan.estimators:
+            self._start(name, "estimator", plan.estimator)
+        if plan.critic:
+            self._start(CRITIC, "critic", {})
+        self._start(REPLAY, "replay", plan.replay)
+
+    def check(self) -> None:
+        """Raises SugiyamaError if a process has ended that was not stopped, or not in good order."""
+        for name, child in self._children.items():
+            code = child.poll()
+            if code is not None and not (self._stopped and code in _ENDED_WELL):
+                log = self._log(name)
+                lines = log.read_text(errors="replace").split("\n") if log.exists() else []
+                said = next((line.strip() for line in reversed(lines) if line.strip()), "said nothing")
+                raise SugiyamaError(f"{name}: ended with code {code}: {said}; its log is {log}")
+
+    def stop(self, spinner: Spinner) -> None:
+        """Stop the processes one after the other; one that does not end is killed."""
+        self._stopped = True
+        self._interrupt(REPLAY)
+        spinner.until(lambda: False, _LAST_STEPS_S)
+        estimators = [name for name in self._children if name not in (REPLAY, RECORDER)]
+        self._interrupt(*estimators)
+        self._wait_for(spinner, REPLAY, *estimators)
+        self._interrupt(RECORDER)
+        self._wait_for(spinner, RECORDER)
+
+    def close(self) -> None:
+        """Remove the logs, unless they tell of a failure."""
+        if all(child.returncode in _ENDED_WELL for child in self._children.values()):
+            rmtree(self._logs)
+
+    def _start(self, name: str, module: str, parameters: dict[str, Any]) -> None:
+        """Start one node. Its parameters go by file, in which no character means anything but itself."""
+        arguments = ["--ros-args", "-r", f"__ns:={name.rpartition('/')[0] or '/'}"]
+        if parameters:
+            given = self._log(name).with_suffix(".yaml")
+            given.write_text(json.dumps({"/**": {"ros__parameters": parameters}}))
+            arguments += ["--params-file", str(given)]
+        with self._log(name).open("wb") as log:
+            self._children[name] = subprocess.Popen(
+                [sys.executable, "-m", f"sugiyama_ros.nodes.{module}", *arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                # A Ctrl-C in the terminal is for the runner, which stops its children in order.
+                start_new_session=True,
+                env=os.environ | {RUNNER: str(os.getpid())},
+            )
+
+    def _interrupt(self, *names: str) -> None:
+        for name in names:
+            self._children[name].send_signal(signal.SIGINT)
+
+    def _wait_for(self, spinner: Spinner, *names: str) -> None:
+        """Wait until processes have ended; one that does not is killed."""
+        children = [self._children[name] for name in names]
+        spinner.until(lambda: all(child.poll() is not None for child in children), _STOP_S)
+        for child in children:
+            if child.poll() is None:
+                child.kill()
+                child.wait()
+
+    def _log(self, name: str) -> Path:
+        return self._logs / (name.strip("/").replace("/", ".") + ".log")
+
+
+def _overrides(parameters: dict[str, Any]) -> list[Parameter]:
+    return [Parameter(name, value=value) for name, value in parameters.items()]

@@ -1,0 +1,65 @@
+"""What an estimator has learnt, kept in a file or by a keeper, so that one that is started later can go on from it."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from sugiyama_msgs.msg import DriverParameters
+
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.filters.online import Learnt
+from sugiyama_ros.formats.writing import replacing
+from sugiyama_ros.nodes.base.cdr_messages import NS
+
+
+@dataclass(frozen=True, eq=False)
+class Kept:
+    """What was learnt, and the stamp [ns] of the last sample it was learnt from."""
+
+    learnt: Learnt
+    until_ns: int
+
+
+def file_of(directory: Path, vehicle: int) -> Path:
+    """Where a vehicle's estimator keeps what it has learnt."""
+    return directory / f"vehicle_{vehicle:02}.json"
+
+
+def kept_in(message: DriverParameters) -> Kept:
+    """What an estimator had learnt when it published its parameters."""
+    places = np.flatnonzero(message.estimated)
+    value = np.array(message.value)[places]
+    covariance = np.array(message.covariance).reshape(2 * [len(message.value)])[np.ix_(places, places)]
+    learnt = Learnt(tuple(message.name[k] for k in places), np.log(value), covariance / np.outer(value, value))
+    return Kept(learnt, message.header.stamp.sec * NS + message.header.stamp.nanosec)
+
+
+def write_learnt(path: Path, kept: Kept) -> None:
+    """Keep it. Raises OutputError."""
+    learnt = kept.learnt
+    document = {
+        "names": learnt.names,
+        "mean": learnt.mean.tolist(),
+        "covariance": learnt.covariance.tolist(),
+        "until_ns": kept.until_ns,
+    }
+    with replacing(path) as stream:
+        stream.write(json.dumps(document).encode())
+
+
+def read_learnt(path: Path) -> Kept:
+    """What ``write_learnt`` has kept. Raises InputError."""
+    try:
+        document = json.loads(path.read_text())
+        names = tuple(map(str, document["names"]))
+        mean, covariance = (np.array(document[name], dtype=np.float64) for name in ("mean", "covariance"))
+        if mean.shape != (len(names),) or covariance.shape != 2 * mean.shape or not np.isfinite(mean).all():
+            raise ValueError
+        np.linalg.cholesky(covariance)
+        until_ns = int(document["until_ns"])
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}; give a directory of --save-state") from None
+    except (KeyError, TypeError, ValueError):
+        raise InputError(f"{path}: is no state that an estimator has saved; give a directory of --save-state") from None
+    return Kept(Learnt(names, mean, covariance), until_ns)

@@ -1,0 +1,313 @@
+"""Drivers on a ring or an open road: the forward problem of the paper (Eq. ssm_form), all drivers at once.
+
+The acceleration is the mean action plus an AR(1) noise, a_t = mean_action(s_t) + n_t, n_t = rho n_{t-1} + shock, which
+is the paper's a_t = rho a_{t-1} + (mean_action_t - rho mean_action_{t-1}) + shock. Effects act on the mean action as
+``effects.control`` says; those that need chance draw it from a generator of their own, so that they leave the rest of a
+run as it is.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from sugiyama_ros.driver.parameters import (
+    KAPPA_V,
+    RHO,
+    SIGMA_A,
+    SIGMA_NU,
+    SIGMA_V,
+    SIGMA_X,
+    V_STAR,
+    at_period,
+    check,
+    horizon_at,
+)
+from sugiyama_ros.driver.utility import ACTIONS, room_for
+from sugiyama_ros.effects.control import carry_out, intend, noise_factor
+from sugiyama_ros.effects.effect import Seen
+from sugiyama_ros.effects.registry import PLACES, whole
+from sugiyama_ros.effects.sensor_eccentricity import displacement
+from sugiyama_ros.effects.uneven_noise import factor as noise_std_factor
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.road import Array, Ints, Road
+from sugiyama_ros.trajectories.trajectories import Trajectories
+
+_OUTLIERS, _OFF_CENTRE, _UNEVEN, _DRIFT = (
+    PLACES[n] for n in ("outlier_noise", "sensor_eccentricity", "uneven_noise", "preference_drift")
+)
+
+
+@njit(cache=True)
+def see(driver: int, leader: int, position: Array, speed: Array, length: Array, turn: Array) -> tuple[float, float]:
+    """What a driver sees: gap [m] (infinite without a leader, leader < 0) and his leader's speed [m/s].
+
+    Positions are continuous; ``turn`` (N,) [m] is what the leader's has beyond a driver's own in whole turns of a ring.
+    So a vehicle that passed its leader keeps a negative headway.
+    """
+    if leader < 0:
+        return np.inf, 0.0
+    headway = position[leader] - position[driver] - turn[driver]
+    return headway - 0.5 * (length[leader] + length[driver]), speed[leader]
+
+
+@njit(cache=True)
+def drive(
+    position: Array,
+    speed: Array,
+    held: Array,
+    acceleration: Array,
+    length: Array,
+    leader: Ints,
+    turn: Array,
+    rows: Array,
+    actions: Array,
+    time: float,
+    period: float,
+    horizon: int,
+    circumference: float,
+    out: Array,
+    pushed: Array,
+) -> None:
+    """What drivers make their cars do into ``out``, and what the environment adds into ``pushed``, (D,) each.
+
+    These are the first D = len(out) of the N vehicles;
+    held, acceleration: (N,) [m/s^2] of the last period; rows: (N, WIDTH) at this period; time [s] of the recording.
+    """
+    follower, room = np.full(len(leader), -1), room_for(actions)
+    for i in range(len(leader)):
+        if leader[i] >= 0:
+            follower[leader[i]] = i
+    for i in range(len(out)):
+        gap, leader_speed = see(i, leader[i], position, speed, length, turn)
+        leader_acceleration, second_gap, second_speed, rear_gap, rear_speed = 0.0, np.inf, 0.0, np.inf, 0.0
+        if leader[i] >= 0:
+            leader_acceleration = acceleration[leader[i]]
+            second_gap, second_speed = see(leader[i], leader[leader[i]], position, speed, length, turn)
+        if follower[i] >= 0:
+            rear_gap, _ = see(follower[i], i, position, speed, length, turn)
+            rear_speed = speed[follower[i]]
+        seen = Seen(
+            gap,
+            speed[i],
+            leader_speed,
+            position[i],
+            time,
+            circumference,
+            acceleration[i],
+            leader_acceleration,
+            second_gap,
+            second_speed,
+            rear_gap,
+            rear_speed,
+        )
+        meant, pushed[i] = intend(seen, rows[i], room, period, horizon)
+        out[i] = carry_out(meant, held[i], rows[i], period)
+
+
+@dataclass(frozen=True)
+class Collision:
+    """Vehicle number ``vehicle`` ran into number ``leader`` at ``time_s`` [s]."""
+
+    time_s: float
+    vehicle: int
+    leader: int
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """A simulated run: what a camera would have measured, the truth, and what went wrong.
+
+    speed, acceleration, position_m: (T, N), SI, the truth (position wrapped on a ring); parameters: (N, WIDTH) of the
+    drivers with their effects, at the reference period.
+    """
+
+    measured: Trajectories
+    parameters: Array
+    position_m: Array
+    speed: Array
+    acceleration: Array
+    collisions: tuple[Collision, ...]
+
+
+class Simulator:
+    """Many drivers, one behind the other: vehicle i follows vehicle i + 1.
+
+    On a ring the last follows the first; on an open road the last has nobody ahead.
+
+    parameters: (N, P) at the reference period, or (N, WIDTH) with effects; length_m: (N,); position_m: (N,) [m] of the
+    centres, increasing, within one circumference; speed: (N,) [m/s], 0 if left out. ``rng`` draws every noise.
+    Raises InputError where the start is impossible (overlapping vehicles, wrong shapes, parameters out of bounds).
+    """
+
+    def __init__(
+        self,
+        parameters: Array,
+        length_m: Array,
+        position_m: Array,
+        road: Road,
+        rng: np.random.Generator,
+        *,
+        speed: Array | None = None,
+        period_s: float = 1.0 / 3.0,
+        horizon: int | None = None,
+        start_s: float = 0.0,
+    ) -> None:
+        check(parameters)
+        vehicles = len(length_m)
+        if parameters.shape[0] != vehicles or position_m.shape != (vehicles,):
+            raise InputError(
+                f"simulation: {len(parameters)} drivers, {vehicles} lengths, {len(position_m)} positions; give one each"
+            )
+        self.road = road
+        self.period_s = period_s
+        self.horizon = horizon_at(period_s) if horizon is None else horizon
+        self.drivers = whole(parameters)
+        self.parameters = at_period(self.drivers, period_s)
+        self.length_m = length_m.astype(np.float64)
+        self.leader: Ints = np.arange(1, vehicles + 1)
+        self.leader[-1] = 0 if road.is_ring and vehicles > 1 else -1
+        self._turn = np.zeros(vehicles)
+        self._turn[-1] = -road.circumference_m
+        self.position_m = position_m.astype(np.float64).copy()
+        self.speed = np.zeros(vehicles) if speed is None else speed.astype(np.float64).copy()
+        self.noise = np.zeros(vehicles)
+        self.held: Array = np.zeros(vehicles)
+        self.acceleration: Array = np.zeros(vehicles)
+        self.step_number = 0
+        self.start_s = start_s
+        self._rng = rng
+        self._rng_of_effects = rng.spawn(1)[0]
+        self._mood = np.zeros((2, vehicles))
+        self._touching = self.gap_m <= 0.0
+        if self._touching.any():
+            i = int(np.argmax(self._touching))
+            raise InputError(f"simulation: vehicle {i} starts inside its leader (gap {self.gap_m[i]:.2f} m)")
+        self._accelerate()
+
+    @property
+    def gap_m(self) -> Array:
+        """Gaps [m] to the leaders, (N,); infinite without a leader."""
+        return np.array(
+            [see(i, j, self.position_m, self.speed, self.length_m, self._turn)[0] for i, j in enumerate(self.leader)]
+        )
+
+    def measure(self) -> Array:
+        """Measured positions (N,) [m] of the present sample: the truth plus measurement noise, wrapped on a ring."""
+        noise = self.parameters[:, SIGMA_NU] * self._rng.standard_normal(len(self.position_m))
+        uneven = self.parameters[:, _UNEVEN]
+        if uneven.any():
+            places = zip(self.position_m, uneven, strict=True)
+            noise *= [noise_std_factor(x, self.road.circumference_m, row) for x, row in places]
+        share, factor = self.parameters[:, _OUTLIERS].T
+        if share.any():
+            noise = np.where(self._rng_of_effects.random(len(noise)) < share, factor * noise, noise)
+        off = [
+            displacement(x, self.road.circumference_m, row)[0]
+            for x, row in zip(self.position_m, self.parameters[:, _OFF_CENTRE], strict=True)
+        ]
+        return self.road.wrap(self.position_m + off + noise)
+
+    def step(self) -> tuple[Collision, ...]:
+        """Advance all drivers by one period; the collisions that began in it."""
+        shock = self._rng.standard_normal((3, len(self.position_m)))
+        p = self.parameters
+        factor = np.array([noise_factor(v, row) for v, row in zip(self.speed, p, strict=True)])
+        position = self.position_m + self.period_s * self.speed + p[:, SIGMA_X] * shock[0]
+        self.speed = self.speed + self.period_s * self.acceleration + p[:, SIGMA_V] * shock[1]
+        self.position_m = position
+        self.noise = p[:, RHO] * self.noise + p[:, SIGMA_A] * factor * shock[2]
+        self.step_number += 1
+        self._accelerate()
+        touching = self.gap_m <= 0.0
+        began = np.flatnonzero(touching & ~self._touching)
+        self._touching = touching
+        time = self.step_number * self.period_s
+        return tuple(Collision(time, int(i), int(self.leader[i])) for i in began)
+
+    def _accelerate(self) -> None:
+        rows = self._wandering()
+        held: Array = np.empty(len(rows))
+        pushed: Array = np.empty(len(rows))
+        drive(
+            self.position_m,
+            self.speed,
+            self.held,
+            self.acceleration,
+            self.length_m,
+            self.leader,
+            self._turn,
+            rows,
+            ACTIONS,
+            self.start_s + self.step_number * self.period_s,
+            self.period_s,
+            self.horizon,
+            self.road.circumference_m,
+            held,
+            pushed,
+        )
+        self.held = held
+        self.acceleration = held + pushed + self.noise
+
+    def _wandering(self) -> Array:
+        """The rows with the preferences of this moment: preference_drift, an Ornstein-Uhlenbeck process."""
+        std, time = self.parameters[:, _DRIFT].T
+        if not std.any():
+            return self.parameters
+        memory: Array = np.exp(-self.period_s / np.where(std > 0.0, time, 1.0)) * (self.step_number > 0)
+        fresh = self._rng_of_effects.standard_normal(self._mood.shape)
+        self._mood = memory * self._mood + std * np.sqrt(1.0 - np.square(memory)) * fresh
+        rows = self.parameters.copy()
+        rows[:, [V_STAR, KAPPA_V]] *= np.exp(self._mood.T)
+        return rows
+
+
+def platoon(length_m: Array, gap_m: float) -> Array:
+    """Positions (N,) [m] of vehicles one behind the other with equal gaps [m], the last one first."""
+    centre = np.cumsum(length_m + gap_m) - 0.5 * length_m
+    return np.asarray(centre - centre[0])
+
+
+def evenly(length_m: Array, road: Road) -> Array:
+    """Positions (N,) [m] of vehicles with equal gaps all around a ring. Raises InputError if they do not fit."""
+    free = road.circumference_m - float(length_m.sum())
+    if free <= 0.0:
+        raise InputError(f"simulation: {len(length_m)} vehicles do not fit on a ring of {road.circumference_m:g} m")
+    return platoon(length_m, free / len(length_m))
+
+
+def simulate(simulator: Simulator, duration_s: float, *, stop_at_collision: bool = True) -> Simulation:
+    """Run ``simulator`` for ``duration_s`` [s] and keep everything.
+
+    After a collision the model means nothing (the penalty is flat inside another vehicle), so the run ends there unless
+    told otherwise; the collisions are reported either way.
+    """
+    samples = round(duration_s / simulator.period_s) + 1
+    vehicles = len(simulator.length_m)
+    position, speed, acceleration, measured = (np.empty((samples, vehicles)) for _ in range(4))
+    collisions: list[Collision] = []
+    taken = 0
+    for t in range(samples):
+        if t > 0:
+            collisions.extend(simulator.step())
+        position[t], speed[t], acceleration[t] = simulator.position_m, simulator.speed, simulator.acceleration
+        measured[t] = simulator.measure()
+        taken = t + 1
+        if collisions and stop_at_collision:
+            break
+    return Simulation(
+        measured=Trajectories(
+            position_m=measured[:taken],
+            length_m=simulator.length_m,
+            vehicle=np.arange(vehicles),
+            road=simulator.road,
+            period_s=simulator.period_s,
+            start_s=simulator.start_s,
+            source="adaptiveSeek",
+        ),
+        parameters=simulator.drivers,
+        position_m=simulator.road.wrap(position[:taken]),
+        speed=speed[:taken],
+        acceleration=acceleration[:taken],
+        collisions=tuple(collisions),
+    )
