@@ -3,12 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sugiyama_ros.arrays import Array as Array
+from sugiyama_ros.arrays import Ints as Ints
 from sugiyama_ros.errors import InputError
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,10 @@
 
 from typing import Any
 
-from numba import njit, types
+from numba import types
 from numba.extending import intrinsic
+
+from sugiyama_ros.jit import kernel
 
 #: Arguments below this count as this: exp(-600) is far below anything that is added to it here.
 LOWEST = -600.0
@@ -38,14 +40,14 @@ def _fma(_: Any, x: Any, y: Any, z: Any) -> Any:
     return number(number, number, number), lambda context, builder, _, values: builder.fma(*values)
 
 
-@njit(cache=True)
+@kernel
 def _horner(r: float, above: float, coefficient: float) -> float:
     # an intrinsic is called without its first argument, which is numba's
     sum_: float = _fma(r, above, coefficient)  # type: ignore[call-arg]
     return sum_
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(vectorised=True)
 def exponential(x: float) -> float:
     """exp(x) for x <= 700, as if x were LOWEST below; relative error below 1e-14.
 

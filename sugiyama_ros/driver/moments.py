@@ -5,8 +5,8 @@ them, so that the loops run over the moments and compilers make vector instructi
 """
 
 import numpy as np
-from numba import njit
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.exponential import exponential
 from sugiyama_ros.driver.parameters import UTILITY
 from sugiyama_ros.driver.utility import (
@@ -19,7 +19,7 @@ from sugiyama_ros.driver.utility import (
     gap_and_scale,
     preferences,
 )
-from sugiyama_ros.road import Array
+from sugiyama_ros.jit import kernel
 
 #: Moments that are taken together; what is kept of them stays in the processor's near memory.
 BLOCK = 128
@@ -28,7 +28,7 @@ _V_STAR, _KAPPA_V, _KAPPA_1, _KAPPA_C, _KAPPA_D, _OMEGA_2, _RATIONALITY = range(
 _NO_CHANCE = 1e-20
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(vectorised=True)
 def _closest(
     actions: Array,
     gap: Array,
@@ -57,7 +57,7 @@ def _closest(
             smallest[k, t], scale[k, t], tau[k, t] = near, wide, when
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(vectorised=True)
 def _add_up(
     actions: Array,
     speed: Array,
@@ -92,7 +92,7 @@ def _add_up(
             best[t] = utility[k, t] if utility[k, t] > best[t] else best[t]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(vectorised=True)
 def _weigh(
     actions: Array, utility: Array, best: Array, rationality: float, weight: Array, partition: Array, mean: Array
 ) -> None:
@@ -108,7 +108,7 @@ def _weigh(
         mean[t] /= partition[t]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(vectorised=True)
 def _add_partials(
     actions: Array,
     speed: Array,
@@ -170,7 +170,7 @@ def _add_partials(
                 out[_KAPPA_D, t] += off_mean[t] * (closing if closing > 0.0 else 0.0)
 
 
-@njit(cache=True)
+@kernel
 def _factors(driver: Preferences) -> Array:
     """What the sums of ``_add_partials`` are to be multiplied by, (7,); all but the last with the rationality."""
     v_star, _, kappa_1, _, _, omega_2, rationality = driver
@@ -183,7 +183,7 @@ def _factors(driver: Preferences) -> Array:
     return factors
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def mean_actions(
     gap: Array,
     speed: Array,

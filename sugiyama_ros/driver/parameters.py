@@ -6,17 +6,21 @@ A driver's parameters are a float64 vector of shape (P,), many drivers' an array
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.road import Array
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter: its name in code and messages, symbol in the paper, unit, default, bounds, meaning and source."""
+    """One parameter: its name in code and messages, symbol in the paper, unit, default, bounds, meaning and source.
+
+    ``axis`` says that the value is a time of the recording ("time") or a position on the road ("place").
+    """
 
     name: str
     symbol: str
@@ -25,6 +29,7 @@ class Parameter:
     lower: float
     upper: float
     description: str
+    axis: Literal["", "time", "place"] = ""
 
 
 _MEAN = "Eq. SimulatedModelParameters"

@@ -8,8 +8,8 @@ gap is infinite. All functions are pure and compiled; a driver's parameters are 
 from typing import TypeAlias
 
 import numpy as np
-from numba import njit
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.exponential import exponential
 from sugiyama_ros.driver.parameters import (
     KAPPA_1,
@@ -20,7 +20,7 @@ from sugiyama_ros.driver.parameters import (
     RATIONALITY,
     V_STAR,
 )
-from sugiyama_ros.road import Array
+from sugiyama_ros.jit import kernel
 
 #: The paper's grid of candidate accelerations [m/s^2]; section 3.4.1.
 ACTIONS: Array = np.linspace(-6.0, 4.0, 41, dtype=np.float64)
@@ -33,7 +33,7 @@ _EXPONENT_CAP = 600.0
 # Utility of an action that is none.
 _NEVER = -1e300
 # Rows of the room in which actions are considered; two of them are used twice.
-UTILITY_ROW, _GRID, _HANDICAP, _GAP, _SCALE = range(5)
+UTILITY_ROW, GRID_ROW, _HANDICAP, _GAP, _SCALE = range(5)
 _WEIGHT, _WEIGHTED = _GAP, _SCALE
 # Rows are a multiple of this long, and summed in as many lanes: several elements per vector instruction, in an order
 # that is written down. No compiler may choose one (no fastmath): each time that it compiles, it would round otherwise.
@@ -44,7 +44,7 @@ FAR = 1e9
 FORWARD = 4.35
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(vectorised=True)
 def forward_reward(speed: float, v_star: float, kappa_1: float) -> float:
     """First term of phi1: what a speed near the desired one is worth."""
     # the reciprocal is that of all actions
@@ -52,34 +52,34 @@ def forward_reward(speed: float, v_star: float, kappa_1: float) -> float:
     return exponential(-off * off)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(vectorised=True)
 def backward_penalty(speed: float) -> float:
     """Second term of phi1: what driving backward costs."""
     exponent = -10.0 * (speed + 0.25)
     return exponential(exponent if exponent < _EXPONENT_CAP else _EXPONENT_CAP)
 
 
-@njit(cache=True)
+@kernel
 def desired_speed_reward(speed: float, v_star: float, kappa_1: float) -> float:
     """phi1: reward of driving forward near the desired speed; first equation of section 3.2.1."""
     return forward_reward(speed, v_star, kappa_1) - backward_penalty(speed)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(vectorised=True)
 def gap_scale(speed: float, leader_speed: float, kappa_c: float, kappa_v: float, kappa_d: float) -> float:
     """sigma [m]: the gap within which a driver feels at risk; text below Eq. PairwiseCollisionPenalty."""
     closing = speed - leader_speed
     return kappa_c + kappa_v * abs(speed) + kappa_d * (closing if closing > 0.0 else 0.0)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(vectorised=True)
 def collision_penalty(ratio: float) -> float:
     """phi2: subjective risk at a gap of ``ratio`` scales; 1 at contact; Eq. PairwiseCollisionPenalty."""
     inside = ratio if ratio > 0.0 else 0.0
     return exponential(-inside * (inside + 2.0))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(vectorised=True)
 def anticipate(
     action: float, tau: int, gap: float, speed: float, leader_speed: float, period: float
 ) -> tuple[float, float]:
@@ -91,7 +91,7 @@ def anticipate(
     return gap_ahead, speed + tau * period * action
 
 
-@njit(cache=True)
+@kernel
 def preferences(parameters: Array) -> Preferences:
     """The utility's parameters out of all (P,), as scalars, which compiled code keeps in registers."""
     return (
@@ -105,7 +105,7 @@ def preferences(parameters: Array) -> Preferences:
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(vectorised=True)
 def gap_and_scale(
     action: float, tau: int, gap: float, speed: float, leader_speed: float, driver: Preferences, period: float
 ) -> tuple[float, float]:
@@ -115,7 +115,7 @@ def gap_and_scale(
     return gap_ahead, gap_scale(speed_ahead, leader_speed, kappa_c, kappa_v, kappa_d)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(vectorised=True)
 def reward_and_risk(next_speed: float, gap: float, scale: float, driver: Preferences) -> float:
     """Eq. EffectiveUtilityTilde but for the second term of phi1: g1 of the first and omega2 times g2 of phi2.
 
@@ -126,35 +126,37 @@ def reward_and_risk(next_speed: float, gap: float, scale: float, driver: Prefere
     return forward_reward(next_speed, v_star, kappa_1) + omega_2 * collision_penalty(gap / scale)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(vectorised=True)
 def _smallest_gaps(
     gap: float, speed: float, leader_speed: float, driver: Preferences, room: Array, period: float, horizon: int
 ) -> None:
     """Gap [m] and scale [m] where their ratio is smallest in the look-ahead, for each action."""
     for k in range(room.shape[1]):
-        room[_GAP, k], room[_SCALE, k] = gap_and_scale(room[_GRID, k], 1, gap, speed, leader_speed, driver, period)
+        room[_GAP, k], room[_SCALE, k] = gap_and_scale(room[GRID_ROW, k], 1, gap, speed, leader_speed, driver, period)
     for tau in range(2, horizon + 1):
         for k in range(room.shape[1]):
-            gap_ahead, scale_ahead = gap_and_scale(room[_GRID, k], tau, gap, speed, leader_speed, driver, period)
+            gap_ahead, scale_ahead = gap_and_scale(room[GRID_ROW, k], tau, gap, speed, leader_speed, driver, period)
             closer = gap_ahead * room[_SCALE, k] < room[_GAP, k] * scale_ahead
             room[_GAP, k] = gap_ahead if closer else room[_GAP, k]
             room[_SCALE, k] = scale_ahead if closer else room[_SCALE, k]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(vectorised=True)
 def _add_up(speed: float, driver: Preferences, room: Array, period: float) -> None:
     for k in range(room.shape[1]):
-        room[UTILITY_ROW, k] = reward_and_risk(speed + period * room[_GRID, k], room[_GAP, k], room[_SCALE, k], driver)
+        room[UTILITY_ROW, k] = reward_and_risk(
+            speed + period * room[GRID_ROW, k], room[_GAP, k], room[_SCALE, k], driver
+        )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(vectorised=True)
 def _take_off_backward(speed: float, room: Array, period: float) -> None:
     """g1 of phi1's second term."""
     for k in range(room.shape[1]):
-        room[UTILITY_ROW, k] -= backward_penalty(speed + period * room[_GRID, k])
+        room[UTILITY_ROW, k] -= backward_penalty(speed + period * room[GRID_ROW, k])
 
 
-@njit(cache=True, inline="always")
+@kernel(inline=True)
 def utilities(
     gap: float, speed: float, leader_speed: float, driver: Preferences, room: Array, period: float, horizon: int
 ) -> None:
@@ -165,11 +167,11 @@ def utilities(
     """
     _smallest_gaps(min(gap, FAR), speed, leader_speed, driver, room, period, horizon)
     _add_up(speed, driver, room, period)
-    if speed + period * room[_GRID, 0] < FORWARD:
+    if speed + period * room[GRID_ROW, 0] < FORWARD:
         _take_off_backward(speed, room, period)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(vectorised=True)
 def _best(room: Array) -> float:
     """The largest utility."""
     for k in range(_LANES):
@@ -184,7 +186,7 @@ def _best(room: Array) -> float:
     return best
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(vectorised=True)
 def _sum(room: Array, row: int) -> float:
     """Of a row of the room, which is overwritten."""
     for start in range(_LANES, room.shape[1], _LANES):
@@ -198,18 +200,18 @@ def _sum(room: Array, row: int) -> float:
     return total
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def _mean(room: Array, rationality: float) -> float:
+@kernel(vectorised=True, inline=True)
+def boltzmann_mean(room: Array, rationality: float) -> float:
     """Boltzmann mean of the actions."""
     best = _best(room)
     for k in range(room.shape[1]):
         room[_WEIGHT, k] = exponential(rationality * (room[UTILITY_ROW, k] + room[_HANDICAP, k] - best))
     for k in range(room.shape[1]):
-        room[_WEIGHTED, k] = room[_WEIGHT, k] * room[_GRID, k]
+        room[_WEIGHTED, k] = room[_WEIGHT, k] * room[GRID_ROW, k]
     return _sum(room, _WEIGHTED) / _sum(room, _WEIGHT)
 
 
-@njit(cache=True)
+@kernel
 def room_for(actions: Array) -> Array:
     """Room (5, at least K) in which a driver considers the actions (K,), one moment after the other.
 
@@ -217,23 +219,23 @@ def room_for(actions: Array) -> Array:
     """
     count = len(actions)
     room = np.zeros((5, -(-count // _LANES) * _LANES))
-    room[_GRID, :count] = actions
-    room[_GRID, count:] = actions[count - 1]
+    room[GRID_ROW, :count] = actions
+    room[GRID_ROW, count:] = actions[count - 1]
     room[_HANDICAP, count:] = _NEVER
     return room
 
 
-@njit(cache=True, inline="always")
+@kernel(inline=True)
 def considered_action(
     gap: float, speed: float, leader_speed: float, parameters: Array, room: Array, period: float, horizon: int
 ) -> float:
     """``mean_action`` over the actions in a room of ``room_for``, which may be used again and again."""
     driver = preferences(parameters)
     utilities(gap, speed, leader_speed, driver, room, period, horizon)
-    return _mean(room, driver[-1])
+    return boltzmann_mean(room, driver[-1])
 
 
-@njit(cache=True)
+@kernel
 def mean_action(
     gap: float, speed: float, leader_speed: float, parameters: Array, actions: Array, period: float, horizon: int
 ) -> float:

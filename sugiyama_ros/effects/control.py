@@ -1,239 +1,131 @@
-"""What a driver does, with all effects: from what is there to see to the acceleration of his car. Compiled."""
+"""What a driver does, with all effects: from what is there to see to the acceleration of the car. Compiled."""
 
-from collections.abc import Callable
-from typing import Any, TypeAlias, TypeVar
+import math
 
-import numpy as np
-from numba import njit
-
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
-from sugiyama_ros.driver.utility import considered_action
-from sugiyama_ros.effects import actuation_lag, perception_threshold, speed_dependent_noise
-from sugiyama_ros.effects.effect import ACTUATION, ENVIRONMENT, MEASUREMENT, PERCEPTION, PREFERENCE, Effect, Seen
-from sugiyama_ros.effects.registry import EFFECTS, LAW, LAW_PLACES, PLACES, place
-from sugiyama_ros.errors import InputError
-from sugiyama_ros.laws.registry import fvdm, idm
-from sugiyama_ros.road import Array, Ints
+from sugiyama_ros.driver.utility import GRID_ROW, UTILITY_ROW, boltzmann_mean, preferences, utilities
+from sugiyama_ros.effects import chains
+from sugiyama_ros.effects.chains import Chain, any_of, chain, having, switches
+from sugiyama_ros.effects.effect import ACTUATION, ENVIRONMENT, MEASUREMENT, PERCEPTION, PREFERENCE, UTILITY, Seen
+from sugiyama_ros.effects.registry import ROW
+from sugiyama_ros.jit import kernel
+from sugiyama_ros.laws.law import LawFunction
+from sugiyama_ros.laws.registry import ADAPTIVE_SEEK, LAWS
 
-_Preferred: TypeAlias = Callable[..., tuple[float, float]]
-_Function = TypeVar("_Function", bound=Callable[..., Any])
-_LAG = place("actuation_lag", "time_constant")
-_THRESHOLD = place("perception_threshold", "threshold")
-_NOISE = place("speed_dependent_noise", "exponent")
-_IDM, _FVDM = LAW_PLACES["idm"], LAW_PLACES["fvdm"]
-_IDM_AT, _IDM_END, _FVDM_AT, _FVDM_END = _IDM.start, _IDM.stop, _FVDM.start, _FVDM.stop
+_LAW = ROW.law
+_PERCEIVE, _PREFER = having("function", PERCEPTION, MEASUREMENT), having("function", PREFERENCE)
+_VALUE, _ACTUATE, _PUSH = (having("function", stage) for stage in (UTILITY, ACTUATION, ENVIRONMENT))
+_REMEMBER, _NOISE = having("memory"), having("noise_factor")
+# compiled code freezes globals: these are the finished chains
+_perceived = chain(chains.nothing_perceived, chains.then_perceive, _PERCEIVE)
+_preferred = chain(chains.nothing_preferred, chains.then_prefer, _PREFER)
+_valued = chain(chains.nothing_valued, chains.then_value, _VALUE)
+_actuated = chain(chains.nothing_actuated, chains.then_actuate, _ACTUATE)
+_pushed = chain(chains.nothing_pushes, chains.then_push, _PUSH)
+_changed = chain(chains.all_changed, chains.then_change, _REMEMBER)
+_expected = chain(chains.all_expected, chains.then_expect, _REMEMBER)
+_factor = chain(chains.no_factor, chains.then_factor, _NOISE)
+_PERCEIVING, _PREFERRING, _VALUING = switches(_PERCEIVE), switches(_PREFER), switches(_VALUE)
+_ACTUATING, _PUSHING, _REMEMBERING, _NOISY = (switches(e) for e in (_ACTUATE, _PUSH, _REMEMBER, _NOISE))
+_FEELING = switches(e for e in _PERCEIVE if e.sees_accelerations)
 
 
-def lean(function: _Function) -> _Function:
-    """Compile a function that makes no arrays without counting references to those that it is given.
+@kernel(cached=False)
+def _no_law(gap: float, speed: float, leader_speed: float, row: Array) -> float:
+    return math.nan
 
-    Counting took a sixth of a filter's time.
+
+def _then_law(before: Chain, number: float, name: str, law: LawFunction) -> Chain:
+    first, last = ROW.law_places[name].start, ROW.law_places[name].stop
+
+    @kernel(cached=False)
+    def by_law(gap: float, speed: float, leader_speed: float, row: Array) -> float:
+        if row[_LAW] == number:
+            return float(law(gap, speed, leader_speed, row[first:last]))
+        return float(before(gap, speed, leader_speed, row))
+
+    return by_law
+
+
+_by_law: Chain = _no_law
+for _number, _name in reversed(list(enumerate(LAWS))):
+    if _number != ADAPTIVE_SEEK:
+        _by_law = _then_law(_by_law, float(_number), _name, LAWS[_name].function)
+_acceleration = _by_law
+
+
+@kernel(allocates=False)
+def law_acceleration(gap: float, speed: float, leader_speed: float, row: Array) -> float:
+    """Acceleration [m/s^2] by the law of a driver's row (WIDTH,), if that is not adaptiveSeek.
+
+    The gap [m] is infinite without a leader; speeds are in m/s. NaN for a number that no law has.
     """
-    compiled: _Function = njit(function, nogil=True, cache=True, _nrt=False)  # type: ignore[call-overload]
-    return compiled
-
-
-@njit(nogil=True)
-def _nothing_perceived(seen: Seen, row: Array) -> Seen:
-    return seen
-
-
-@njit(nogil=True)
-def _nothing_preferred(v_star: float, kappa_v: float, seen: Seen, row: Array) -> tuple[float, float]:
-    return v_star, kappa_v
-
-
-@njit(nogil=True)
-def _nothing_actuated(acceleration: float, seen: Seen, row: Array) -> float:
+    acceleration: float = _acceleration(gap, speed, leader_speed, row)
     return acceleration
 
 
-@njit(nogil=True)
-def _nothing_pushes(seen: Seen, row: Array) -> float:
-    return 0.0
-
-
-def _function(effect: Effect) -> Callable[..., Any]:
-    if effect.function is None:
-        raise InputError(f"effect {effect.name}: has no function")
-    return effect.function
-
-
-def _places(effect: Effect) -> tuple[int, int, int, int]:
-    """First and last entry in a row, and the places of the first and the last switch."""
-    switches = [place(effect.name, name) for name in effect.switches]
-    return PLACES[effect.name].start, PLACES[effect.name].stop, switches[0], switches[-1]
-
-
-def _then_perceive(before: Callable[..., Seen], effect: Effect) -> Callable[..., Seen]:
-    first, last, switch, other = _places(effect)
-    perceive: Callable[..., Any] = _function(effect)
-
-    @njit(nogil=True)
-    def perceived(seen: Seen, row: Array) -> Seen:
-        seen = before(seen, row)
-        if row[switch] == 0.0 and row[other] == 0.0:
-            return seen
-        gap, speed, leader_speed = perceive(seen, row[first:last])
-        return Seen(
-            gap,
-            speed,
-            leader_speed,
-            seen.position,
-            seen.time,
-            seen.circumference,
-            seen.acceleration,
-            seen.leader_acceleration,
-            seen.second_gap,
-            seen.second_speed,
-            seen.rear_gap,
-            seen.rear_speed,
-        )
-
-    return perceived
-
-
-def _then_prefer(before: _Preferred, effect: Effect) -> _Preferred:
-    first, last, switch, other = _places(effect)
-    prefer: Callable[..., Any] = _function(effect)
-
-    @njit(nogil=True)
-    def preferred(v_star: float, kappa_v: float, seen: Seen, row: Array) -> tuple[float, float]:
-        v_star, kappa_v = before(v_star, kappa_v, seen, row)
-        if row[switch] == 0.0 and row[other] == 0.0:
-            return v_star, kappa_v
-        v_star, kappa_v = prefer(v_star, kappa_v, seen, row[first:last])
-        return v_star, kappa_v
-
-    return preferred
-
-
-def _then_actuate(before: Callable[..., float], effect: Effect) -> Callable[..., float]:
-    first, last, switch, other = _places(effect)
-    actuate: Callable[..., Any] = _function(effect)
-
-    @njit(nogil=True)
-    def actuated(acceleration: float, seen: Seen, row: Array) -> float:
-        acceleration = before(acceleration, seen, row)
-        if row[switch] == 0.0 and row[other] == 0.0:
-            return acceleration
-        return float(actuate(acceleration, seen, row[first:last]))
-
-    return actuated
-
-
-def _then_push(before: Callable[..., float], effect: Effect) -> Callable[..., float]:
-    first, last, switch, other = _places(effect)
-    push: Callable[..., Any] = _function(effect)
-
-    @njit(nogil=True)
-    def pushed(seen: Seen, row: Array) -> float:
-        total = before(seen, row)
-        if row[switch] == 0.0 and row[other] == 0.0:
-            return total
-        return float(total + push(seen, row[first:last]))
-
-    return pushed
-
-
-_perceive: Callable[..., Seen] = _nothing_perceived
-_prefer: _Preferred = _nothing_preferred
-_actuate: Callable[..., float] = _nothing_actuated
-_push: Callable[..., float] = _nothing_pushes
-for _effect in EFFECTS:
-    if _effect.function is None:
-        continue
-    if _effect.stage in (PERCEPTION, MEASUREMENT):
-        _perceive = _then_perceive(_perceive, _effect)
-    elif _effect.stage == PREFERENCE:
-        _prefer = _then_prefer(_prefer, _effect)
-    elif _effect.stage == ACTUATION:
-        _actuate = _then_actuate(_actuate, _effect)
-    elif _effect.stage == ENVIRONMENT:
-        _push = _then_push(_push, _effect)
-# compiled code freezes globals, so these are the finished chains
-_perceived, _preferred, _actuated, _pushed = _perceive, _prefer, _actuate, _push
-
-
-def _switches(*stages: str) -> Ints:
-    """Places in a row of everything that switches an effect of these stages on."""
-    return np.array([place(e.name, name) for e in EFFECTS if e.stage in stages for name in e.switches], dtype=np.int64)
-
-
-_PERCEIVING, _PREFERRING = _switches(PERCEPTION, MEASUREMENT), _switches(PREFERENCE)
-_ACTUATING, _PUSHING = _switches(ACTUATION), _switches(ENVIRONMENT)
-
-
-@lean
-def _any_of(switches: Ints, row: Array) -> bool:
-    """Whether an effect is on; a driver without effects need not go through all of them."""
-    for k in switches:  # noqa: SIM110 (numba has no any())
-        if row[k] != 0.0:
-            return True
-    return False
-
-
-@lean
+@kernel(allocates=False)
 def noise_factor(speed: float, row: Array) -> float:
     """Factor of the std of the acceleration noise at a speed [m/s]."""
-    if row[_NOISE] == 0.0:
-        return 1.0
-    return speed_dependent_noise.noise_factor(speed, row[_NOISE : _NOISE + 1])
+    if any_of(_NOISY, row):
+        factor: float = _factor(speed, row)
+        return factor
+    return 1.0
 
 
-@lean
+@kernel(allocates=False)
 def intend(seen: Seen, row: Array, room: Array, period: float, horizon: int) -> tuple[float, float]:
-    """What the driver means his car to do until the next period, and what the environment adds; [m/s^2] both.
+    """Tell what the driver means the car to do until the next period, and what the environment adds; both [m/s^2].
 
-    row: (WIDTH,), at this period; changed on the way and restored. room: of ``room_for`` the actions that he considers.
+    The row (WIDTH,) is that of the period; it is changed on the way and restored. ``room`` is the scratch array of the
+    actions that the driver considers.
     """
-    perceived = _perceived(seen, row) if _any_of(_PERCEIVING, row) else seen
+    perceived = _perceived(seen, row) if any_of(_PERCEIVING, row) else seen
     v_star, kappa_v = row[V_STAR], row[KAPPA_V]
-    if _any_of(_PREFERRING, row):
+    if any_of(_PREFERRING, row):
         row[V_STAR], row[KAPPA_V] = _preferred(v_star, kappa_v, perceived, row)
     gap, speed, leader_speed = perceived.gap, perceived.speed, perceived.leader_speed
-    if row[LAW] == 0.0:
-        action = considered_action(gap, speed, leader_speed, row, room, period, horizon)
-    elif row[LAW] == 1.0:
-        action = idm(gap, speed, leader_speed, row[_IDM_AT:_IDM_END])
-    elif row[LAW] == 3.0:
-        action = 0.0
+    if row[_LAW] == ADAPTIVE_SEEK:
+        driver = preferences(row)
+        utilities(gap, speed, leader_speed, driver, room, period, horizon)
+        if any_of(_VALUING, row):
+            for k in range(room.shape[1]):
+                room[UTILITY_ROW, k] += _valued(perceived, room[GRID_ROW, k], period, horizon, row)
+        action = boltzmann_mean(room, driver[-1])
     else:
-        action = fvdm(gap, speed, leader_speed, row[_FVDM_AT:_FVDM_END])
+        action = law_acceleration(gap, speed, leader_speed, row)
     row[V_STAR], row[KAPPA_V] = v_star, kappa_v
-    if _any_of(_ACTUATING, row):
+    if any_of(_ACTUATING, row):
         action = _actuated(action, seen, row)
-    return action, _pushed(seen, row) if _any_of(_PUSHING, row) else 0.0
+    return action, _pushed(seen, row) if any_of(_PUSHING, row) else 0.0
 
 
-@lean
+@kernel(allocates=False)
 def carry_out(meant: float, held: float, row: Array, period: float) -> float:
-    """What he makes his car do [m/s^2], after ``held`` in the last period."""
-    if row[_THRESHOLD] == 0.0 and row[_LAG] == 0.0:
+    """Acceleration [m/s^2] that the driver makes the car do, after ``held`` in the last period."""
+    if not any_of(_REMEMBERING, row):
         return meant
-    change = meant - held
-    if row[_THRESHOLD] != 0.0:
-        change = perception_threshold.change(change, row[_THRESHOLD : _THRESHOLD + 1])
-    if row[_LAG] != 0.0:
-        change *= actuation_lag.share(period, row[_LAG : _LAG + 1])
-    return held + change
+    return float(held + _changed(meant - held, period, row))
 
 
-@lean
+@kernel(allocates=False)
 def expect_change(wanted: float, variance: float, row: Array, period: float) -> tuple[float, float, float]:
-    """Of a wanted change of his acceleration, known as a normal distribution, what is carried out.
+    """Moments of what is carried out of a wanted change of the acceleration that is known as a normal distribution.
 
-    Mean [m/s^2], regression on the wanted change, and variance that it leaves.
+    Returns the mean [m/s^2], the regression on the wanted change, and the variance that the regression leaves.
     """
-    mean, slope, left, share = wanted, 1.0, 0.0, 1.0
-    if row[_THRESHOLD] != 0.0:
-        mean, slope, left = perception_threshold.expected_change(wanted, variance, row[_THRESHOLD : _THRESHOLD + 1])
-    if row[_LAG] != 0.0:
-        share = actuation_lag.share(period, row[_LAG : _LAG + 1])
-    return share * mean, share * slope, share * share * left
+    mean, slope, left = _expected(wanted, variance, period, row)
+    return mean, slope, left
 
 
-@lean
+@kernel(allocates=False)
 def remembers(row: Array) -> bool:
     """Whether what is carried out depends on what was in the last period."""
-    return bool(row[_THRESHOLD] != 0.0 or row[_LAG] != 0.0)
+    return any_of(_REMEMBERING, row)
+
+
+@kernel(allocates=False)
+def feels_accelerations(row: Array) -> bool:
+    """Whether what the driver does depends on accelerations that are not known exactly."""
+    return any_of(_FEELING, row)

@@ -2,18 +2,17 @@
 
 import math
 
-from numba import njit
-
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
 from sugiyama_ros.effects.effect import ENVIRONMENT, Effect, Seen
-from sugiyama_ros.road import Array
+from sugiyama_ros.jit import kernel
 
 #: What the force may depend on; its number in this order, from 1, is the effect's first parameter.
 COVARIATES = ("gap", "speed", "approach_rate", "place", "time", "leader_acceleration", "rear_gap", "second_gap")
 KNOTS = 8
 
 
-@njit(cache=True)
+@kernel
 def push(seen: Seen, p: Array) -> float:
     """Straight lines between KNOTS values ``p[3:]`` [m/s^2], evenly spaced from ``p[1]`` to ``p[2]``; flat beyond.
 
@@ -50,6 +49,7 @@ _NUMBERS = ", ".join(f"{k}: {name}" for k, name in enumerate(COVARIATES, 1))
 EFFECT = Effect(
     name="discovered_force",
     stage=ENVIRONMENT,
+    title="force without a name",
     summary="a force learnt from the data as a curve over one covariate",
     source="Kristensen, Madsen and Jørgensen, Automatica 40 (2004) 225",
     parameters=(

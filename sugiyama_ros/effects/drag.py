@@ -1,13 +1,12 @@
 """Rolling resistance and air drag that the driver does not make up for."""
 
-from numba import njit
-
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
 from sugiyama_ros.effects.effect import ENVIRONMENT, Effect, Seen, at
-from sugiyama_ros.road import Array
+from sugiyama_ros.jit import kernel
 
 
-@njit(cache=True)
+@kernel
 def push(seen: Seen, p: Array) -> float:
     """-c0 - c2 v^2; the constant part fades at walking pace, because resistance pushes nobody backward."""
     moving = min(max(seen.speed, 0.0), 1.0)
@@ -17,6 +16,7 @@ def push(seen: Seen, p: Array) -> float:
 EFFECT = Effect(
     name="drag",
     stage=ENVIRONMENT,
+    title="drag",
     summary="resistance -c0 - c2 v² beyond what the driver makes up for",
     source="Treiber and Kesting, Traffic Flow Dynamics (2013), section 21.2",
     parameters=(
@@ -26,4 +26,7 @@ EFFECT = Effect(
     starts=at({"c0": 0.05, "c2": 0.001}),
     function=push,
     strengths=("c0", "c2"),
+    bank={"c0": 0.1, "c2": 0.003},
+    benchmark=({"c0": 0.3, "c2": 0.004}, {"c0": 0.18, "c2": 0.002}),
+    advice={"limited_power": "record coasting, or accelerations at several speeds"},
 )

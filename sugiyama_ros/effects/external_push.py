@@ -2,14 +2,13 @@
 
 import math
 
-from numba import njit
-
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
 from sugiyama_ros.effects.effect import ENVIRONMENT, Effect, Seen
-from sugiyama_ros.road import Array
+from sugiyama_ros.jit import kernel
 
 
-@njit(cache=True)
+@kernel
 def push(seen: Seen, p: Array) -> float:
     """A Gaussian pulse in time: ``p[0]`` at its height, at ``p[1]``, of std ``p[2]``."""
     off = (seen.time - p[1]) / p[2]
@@ -19,11 +18,12 @@ def push(seen: Seen, p: Array) -> float:
 EFFECT = Effect(
     name="external_push",
     stage=ENVIRONMENT,
+    title="push from outside",
     summary="one car is pushed or braked by something else at one moment",
     source="as the perturbations of Tadaki et al., New J. Phys. 15 (2013) 103034",
     parameters=(
         Parameter("strength", "f", "m/s^2", 0.0, -20.0, 20.0, "acceleration at the height of the push"),
-        Parameter("time", "t_0", "s", 0.0, -1e12, 1e12, "time of the recording at which it is strongest"),
+        Parameter("time", "t_0", "s", 0.0, -1e12, 1e12, "time of the recording at which it is strongest", "time"),
         Parameter("duration", "d", "s", 0.0, 0.1, 60.0, "std in time"),
     ),
     function=push,

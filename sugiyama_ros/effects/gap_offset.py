@@ -1,13 +1,12 @@
 """The measured gap is off by a constant: a marker off the car's centre, or a wrong length."""
 
-from numba import njit
-
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
 from sugiyama_ros.effects.effect import MEASUREMENT, Effect, Seen, at
-from sugiyama_ros.road import Array
+from sugiyama_ros.jit import kernel
 
 
-@njit(cache=True)
+@kernel
 def perceive(seen: Seen, p: Array) -> tuple[float, float, float]:
     """What the driver sees is the true gap, ``p[0]`` more than the one that follows from the measurements."""
     return seen.gap + p[0], seen.speed, seen.leader_speed
@@ -16,6 +15,7 @@ def perceive(seen: Seen, p: Array) -> tuple[float, float, float]:
 EFFECT = Effect(
     name="gap_offset",
     stage=MEASUREMENT,
+    title="constant error of the gap",
     summary="a car's measured gap is off by a constant (marker off the centre, or a wrong length)",
     source="Punzo, Borzacchiello and Ciuffo, Transp. Res. C 19 (2011) 1243",
     parameters=(Parameter("offset", "δ", "m", 0.0, -5.0, 5.0, "true gap minus measured gap"),),

@@ -1,13 +1,12 @@
 """Drivers, or brakes, give no more than a certain deceleration."""
 
-from numba import njit
-
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
 from sugiyama_ros.effects.effect import ACTUATION, Effect, Seen, at
-from sugiyama_ros.road import Array
+from sugiyama_ros.jit import kernel
 
 
-@njit(cache=True)
+@kernel
 def actuate(acceleration: float, seen: Seen, p: Array) -> float:
     """At least -B."""
     return max(acceleration, -float(p[0]))
@@ -16,9 +15,13 @@ def actuate(acceleration: float, seen: Seen, p: Array) -> float:
 EFFECT = Effect(
     name="limited_braking",
     stage=ACTUATION,
+    title="limited braking",
     summary="no harder braking than B",
     source="Gipps, Transp. Res. B 15 (1981) 105",
     parameters=(Parameter("limit", "B", "m/s^2", 0.0, 0.1, 20.0, "hardest braking; 0 for no limit"),),
     starts=at({"limit": 1.0}, {"limit": 2.0}, {"limit": 3.5}),
     function=actuate,
+    is_limit=True,
+    bank={"limit": 2.5},
+    benchmark=({"limit": 0.8}, {"limit": 1.05}),
 )

@@ -1,13 +1,12 @@
 """The engine's power limits the acceleration."""
 
-from numba import njit
-
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
 from sugiyama_ros.effects.effect import ACTUATION, Effect, Seen, at
-from sugiyama_ros.road import Array
+from sugiyama_ros.jit import kernel
 
 
-@njit(cache=True)
+@kernel
 def actuate(acceleration: float, seen: Seen, p: Array) -> float:
     """At most the power over the speed; below 0.1 m/s the speed counts as that."""
     return min(acceleration, float(p[0]) / max(seen.speed, 0.1))
@@ -16,9 +15,13 @@ def actuate(acceleration: float, seen: Seen, p: Array) -> float:
 EFFECT = Effect(
     name="limited_power",
     stage=ACTUATION,
+    title="limited engine power",
     summary="the engine gives no more than P/v",
     source="Rakha and Lucic, J. Transp. Eng. 128 (2002) 161",
     parameters=(Parameter("power", "P", "m^2/s^3", 0.0, 0.2, 1e3, "power per mass of vehicle; 0 for no limit"),),
     starts=at({"power": 4.0}, {"power": 9.0}, {"power": 20.0}),
     function=actuate,
+    is_limit=True,
+    bank={"power": 10.0},
+    benchmark=({"power": 13.0}, {"power": 17.0}),
 )

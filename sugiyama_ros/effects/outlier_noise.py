@@ -1,29 +1,30 @@
 """Now and then a measurement is far off."""
 
-import math
+import numpy as np
 
-from numba import njit
-
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
-from sugiyama_ros.effects.effect import MEASUREMENT, Effect, at
-from sugiyama_ros.road import Array
+from sugiyama_ros.effects.contaminated_normal import contaminated_normal
+from sugiyama_ros.effects.effect import MEASUREMENT, Contamination, Effect, at
+from sugiyama_ros.jit import kernel
 
 
-@njit(cache=True)
+@kernel
 def weigh(innovation: float, variance: float, noise_var: float, p: Array) -> tuple[float, float, float]:
-    """Probability that a sample is an outlier, the variance of its innovation then, and its log-likelihood.
+    """Probability that a sample is an outlier, the variance of its innovation then, and its log-likelihood."""
+    return contaminated_normal(innovation, variance, noise_var, p[0], p[1])
 
-    A share ``p[0]`` of all samples has ``p[1]`` times the noise's std (Tukey's contaminated normal distribution).
-    """
-    wide = variance + (p[1] * p[1] - 1.0) * noise_var
-    good = (1.0 - p[0]) * math.exp(-0.5 * innovation * innovation / variance) / math.sqrt(variance)
-    bad = p[0] * math.exp(-0.5 * innovation * innovation / wide) / math.sqrt(wide) + 1e-300
-    return bad / (good + bad), wide, math.log(good + bad)
+
+def sample(noise: Array, values: Array, rng: np.random.Generator) -> Array:
+    """Multiply the noise (N,) [m] of some samples by the factor of the outliers."""
+    share, factor = values.T
+    return np.where(rng.random(len(noise)) < share, factor * noise, noise)
 
 
 EFFECT = Effect(
     name="outlier_noise",
     stage=MEASUREMENT,
+    title="gross errors of measurement",
     summary="a share of the measurements is far off (heavy tails)",
     source="Tukey, in Contributions to Probability and Statistics (1960) 448",
     parameters=(
@@ -31,4 +32,8 @@ EFFECT = Effect(
         Parameter("factor", "k", "1", 0.0, 1.2, 50.0, "their std over that of the other measurements"),
     ),
     starts=at({"share": 0.05, "factor": 3.0}, {"share": 0.005, "factor": 5.0}),
+    contamination=Contamination(weigh, sample),
+    is_noise=True,
+    bank={"share": 0.03, "factor": 3.0},
+    benchmark=({"share": 0.006, "factor": 4.0}, {"share": 0.002, "factor": 4.0}),
 )

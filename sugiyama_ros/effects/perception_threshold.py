@@ -2,22 +2,21 @@
 
 import math
 
-from numba import njit
-
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
-from sugiyama_ros.effects.effect import PERCEPTION, Effect, at
-from sugiyama_ros.road import Array
+from sugiyama_ros.effects.effect import PERCEPTION, Effect, Memory, at
+from sugiyama_ros.jit import kernel
 
 
-@njit(cache=True)
-def change(wanted: float, p: Array) -> float:
-    """Of a wanted change of the acceleration, what is carried out: nothing below the threshold."""
+@kernel
+def change(wanted: float, period: float, p: Array) -> float:
+    """Change [m/s^2] that is carried out: nothing below the threshold."""
     return 0.0 if abs(wanted) < p[0] else wanted
 
 
-@njit(cache=True)
-def expected_change(wanted: float, variance: float, p: Array) -> tuple[float, float, float]:
-    """The same of a change that is known as a normal distribution: mean, regression on the wanted one, variance left.
+@kernel
+def expected_change(wanted: float, variance: float, period: float, p: Array) -> tuple[float, float, float]:
+    """Moments of the change that is carried out, of a wanted change that is known as a normal distribution.
 
     Statistical linearisation (Gelb, Applied Optimal Estimation (1974), section 6.2); exact in these three moments.
     """
@@ -41,8 +40,11 @@ def expected_change(wanted: float, variance: float, p: Array) -> tuple[float, fl
 EFFECT = Effect(
     name="perception_threshold",
     stage=PERCEPTION,
+    title="action points",
     summary="drivers hold their acceleration until a change exceeds a threshold (action points)",
     source="Todosiev and Barbosa, Traffic Eng. 34 (1963) 17; Wagner, Eur. Phys. J. B 84 (2011) 713",
     parameters=(Parameter("threshold", "θ", "m/s^2", 0.0, 0.0, 5.0, "smallest change of the acceleration"),),
     starts=at({"threshold": 0.3}, {"threshold": 0.8}),
+    memory=Memory(change, expected_change),
+    benchmark=({"threshold": 1.0}, {"threshold": 0.55}),
 )

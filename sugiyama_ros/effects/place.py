@@ -3,21 +3,20 @@
 import math
 from collections.abc import Callable
 
-from numba import njit
-
 from sugiyama_ros.driver.parameters import Parameter
 from sugiyama_ros.effects.effect import Recording, Seen, Values
+from sugiyama_ros.jit import kernel
 
 #: Where the part of the road is.
 PLACE = (
-    Parameter("centre", "x_c", "m", 0.0, -1e6, 1e6, "position of its middle"),
+    Parameter("centre", "x_c", "m", 0.0, -1e6, 1e6, "position of its middle", "place"),
     Parameter("width", "w", "m", 0.0, 1.0, 1e5, "length of road from end to end"),
 )
 #: Places at which a search begins, and the widths it begins with as shares of the road.
 _CENTRES, _WIDTHS = 12, (0.35,)
 
 
-@njit(cache=True)
+@kernel
 def bump(seen: Seen, centre: float, width: float) -> float:
     """Raised cosine: 1 in the middle, falling smoothly to 0 half a width away."""
     off = seen.position - centre

@@ -2,18 +2,17 @@
 
 import math
 
-from numba import njit
-
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
 from sugiyama_ros.effects.effect import PREFERENCE, Effect, Recording, Seen, Values
-from sugiyama_ros.road import Array
+from sugiyama_ros.jit import kernel
 
 #: Time [s] in which the switch happens; smooth, so that its moment can be searched for.
 RISE_S = 0.5
 _TIMES = 9
 
 
-@njit(cache=True)
+@kernel
 def prefer(v_star: float, kappa_v: float, seen: Seen, p: Array) -> tuple[float, float]:
     """From ``p[2]`` on, with a rise of some seconds, other preferences."""
     share = 1.0 / (1.0 + math.exp(min(max((p[2] - seen.time) / RISE_S, -50.0), 50.0)))
@@ -31,14 +30,19 @@ def _starts(recording: Recording) -> tuple[Values, ...]:
 EFFECT = Effect(
     name="preference_switch",
     stage=PREFERENCE,
+    title="sudden change of mind",
     summary="desired speed and risk premium change at one moment",
     source="Hamdar, Treiber, Mahmassani and Kesting, Transp. Res. Rec. 2088 (2008) 208",
     parameters=(
         Parameter("v_star_change", "Δv", "1", 0.0, -2.0, 2.0, "change of log v*"),
         Parameter("kappa_v_change", "Δκ", "1", 0.0, -3.0, 3.0, "change of log κ_v"),
-        Parameter("time", "t_s", "s", 0.0, -1e12, 1e12, "time of the recording at which it happens"),
+        Parameter("time", "t_s", "s", 0.0, -1e12, 1e12, "time of the recording at which it happens", "time"),
     ),
     starts=_starts,
     function=prefer,
     strengths=("v_star_change", "kappa_v_change"),
+    benchmark=(
+        {"v_star_change": -0.04, "kappa_v_change": 0.08},
+        {"v_star_change": -0.018, "kappa_v_change": 0.035},
+    ),
 )

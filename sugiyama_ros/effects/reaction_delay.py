@@ -1,13 +1,12 @@
 """Drivers act on what was there some time ago."""
 
-from numba import njit
-
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
 from sugiyama_ros.effects.effect import PERCEPTION, Effect, Seen, at
-from sugiyama_ros.road import Array
+from sugiyama_ros.jit import kernel
 
 
-@njit(cache=True)
+@kernel
 def perceive(seen: Seen, p: Array) -> tuple[float, float, float]:
     """The gap and the speeds, ``p[0]`` seconds ago, to first order in the delay."""
     delay = p[0]
@@ -21,9 +20,13 @@ def perceive(seen: Seen, p: Array) -> tuple[float, float, float]:
 EFFECT = Effect(
     name="reaction_delay",
     stage=PERCEPTION,
+    title="reaction time",
     summary="drivers act on the gap and the speeds of some time ago",
     source="Treiber and Kesting, Traffic Flow Dynamics (2013), section 12.2",
     parameters=(Parameter("delay", "T_r", "s", 0.0, 0.0, 2.0, "reaction time"),),
     starts=at({"delay": 0.03}, {"delay": 0.1}, {"delay": 0.3}),
     function=perceive,
+    sees_accelerations=True,
+    bank={"delay": 0.1},
+    benchmark=({"delay": 0.18}, {"delay": 0.1}),
 )

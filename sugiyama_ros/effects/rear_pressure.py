@@ -2,14 +2,13 @@
 
 import math
 
-from numba import njit
-
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
 from sugiyama_ros.effects.effect import ACTUATION, Effect, Seen, at
-from sugiyama_ros.road import Array
+from sugiyama_ros.jit import kernel
 
 
-@njit(cache=True)
+@kernel
 def actuate(acceleration: float, seen: Seen, p: Array) -> float:
     """The acceleration meant, plus a push that falls exponentially with the gap behind."""
     if math.isinf(seen.rear_gap):
@@ -20,6 +19,7 @@ def actuate(acceleration: float, seen: Seen, p: Array) -> float:
 EFFECT = Effect(
     name="rear_pressure",
     stage=ACTUATION,
+    title="pressure from behind",
     summary="drivers accelerate away from a car close behind",
     source="Nakayama, Sugiyama and Hasebe, Phys. Rev. E 65 (2001) 016112 (backward looking)",
     parameters=(
@@ -28,4 +28,7 @@ EFFECT = Effect(
     ),
     starts=at({"strength": 0.3, "distance": 2.0}, {"strength": 0.3, "distance": 6.0}),
     function=actuate,
+    bank={"strength": 1.0, "distance": 3.0},
+    benchmark=({"strength": 1.5, "distance": 2.5}, {"strength": 0.6, "distance": 2.5}),
+    advice={"reaction_delay": "record cars without a follower too"},
 )

@@ -1,16 +1,15 @@
 """A hill on part of the road."""
 
-from numba import njit
-
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
 from sugiyama_ros.effects.effect import ENVIRONMENT, Effect, Seen
 from sugiyama_ros.effects.place import PLACE, around, bump
-from sugiyama_ros.road import Array
+from sugiyama_ros.jit import kernel
 
 GRAVITY = 9.81
 
 
-@njit(cache=True)
+@kernel
 def push(seen: Seen, p: Array) -> float:
     """-g times the slope, which rises and falls smoothly."""
     return float(-GRAVITY * p[0] * bump(seen, p[1], p[2]))
@@ -19,9 +18,11 @@ def push(seen: Seen, p: Array) -> float:
 EFFECT = Effect(
     name="road_grade",
     stage=ENVIRONMENT,
+    title="hill",
     summary="gravity on a slope along part of the road",
     source="Treiber and Kesting, Traffic Flow Dynamics (2013), section 21.2",
     parameters=(Parameter("grade", "s", "1", 0.0, -0.3, 0.3, "slope in the middle, positive uphill"), *PLACE),
     starts=around({"grade": 0.01}),
     function=push,
+    benchmark=({"grade": 0.05, "width": 80.0}, {"grade": 0.02, "width": 80.0}),
 )

@@ -2,14 +2,13 @@
 
 import math
 
-from numba import njit
-
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
 from sugiyama_ros.effects.effect import PERCEPTION, Effect, Seen, at
-from sugiyama_ros.road import Array
+from sugiyama_ros.jit import kernel
 
 
-@njit(cache=True)
+@kernel
 def perceive(seen: Seen, p: Array) -> tuple[float, float, float]:
     """Gap and leader's speed as weighted means over the two vehicles ahead; half of both gaps for the second."""
     if math.isinf(seen.second_gap):
@@ -22,9 +21,13 @@ def perceive(seen: Seen, p: Array) -> tuple[float, float, float]:
 EFFECT = Effect(
     name="second_leader",
     stage=PERCEPTION,
+    title="look past the leader",
     summary="drivers also react to the second vehicle ahead",
     source="Lenz, Wagner and Sollacher, Eur. Phys. J. B 7 (1999) 331",
     parameters=(Parameter("weight", "w_2", "1", 0.0, 0.0, 1.0, "share of attention for the second vehicle ahead"),),
     starts=at({"weight": 0.1}, {"weight": 0.4}),
     function=perceive,
+    reach=2,
+    bank={"weight": 0.15},
+    benchmark=({"weight": 0.28}, {"weight": 0.09}),
 )

@@ -2,14 +2,13 @@
 
 import math
 
-from numba import njit
-
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
 from sugiyama_ros.effects.effect import MEASUREMENT, Effect, Recording, Values
-from sugiyama_ros.road import Array
+from sugiyama_ros.jit import kernel
 
 
-@njit(cache=True)
+@kernel
 def displacement(position: float, circumference: float, p: Array) -> tuple[float, float]:
     """Measured minus true position [m] at a true one, and its derivative; one wave around the ring."""
     if circumference == 0.0:
@@ -26,6 +25,7 @@ def _starts(recording: Recording) -> tuple[Values, ...]:
 EFFECT = Effect(
     name="sensor_eccentricity",
     stage=MEASUREMENT,
+    title="camera beside the centre",
     summary="the camera stands off the centre of the ring: positions are displaced by one wave around it",
     source="geometry: an angle seen from a point beside the centre, to first order",
     parameters=(
@@ -34,4 +34,6 @@ EFFECT = Effect(
     ),
     starts=_starts,
     strengths=("cosine", "sine"),
+    displacement=displacement,
+    benchmark=({"cosine": 0.8, "sine": 0.6}, {"cosine": 0.3, "sine": 0.2}),
 )

@@ -1,14 +1,13 @@
 """On part of the road everybody wants to drive slower (or faster)."""
 
-from numba import njit
-
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
 from sugiyama_ros.effects.effect import PREFERENCE, Effect, Seen
 from sugiyama_ros.effects.place import PLACE, around, bump
-from sugiyama_ros.road import Array
+from sugiyama_ros.jit import kernel
 
 
-@njit(cache=True)
+@kernel
 def prefer(v_star: float, kappa_v: float, seen: Seen, p: Array) -> tuple[float, float]:
     """The desired speed, less a share that is largest in the middle of the patch."""
     return v_star * max(1.0 - p[0] * bump(seen, p[1], p[2]), 0.05), kappa_v
@@ -17,6 +16,7 @@ def prefer(v_star: float, kappa_v: float, seen: Seen, p: Array) -> tuple[float, 
 EFFECT = Effect(
     name="slow_patch",
     stage=PREFERENCE,
+    title="slower stretch of road",
     summary="a lower desired speed on part of the road",
     source="Treiber and Kesting, Traffic Flow Dynamics (2013), section 11.5 (flow-conserving bottlenecks)",
     parameters=(
@@ -25,4 +25,6 @@ EFFECT = Effect(
     ),
     starts=around({"reduction": 0.1}),
     function=prefer,
+    benchmark=({"reduction": 0.07, "width": 80.0}, {"reduction": 0.03, "width": 80.0}),
+    advice={"road_grade": "survey the road, or record standing starts on all of it"},
 )

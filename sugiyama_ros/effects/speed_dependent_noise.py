@@ -2,17 +2,16 @@
 
 import math
 
-from numba import njit
-
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
 from sugiyama_ros.effects.effect import ACTUATION, Effect, at
-from sugiyama_ros.road import Array
+from sugiyama_ros.jit import kernel
 
 #: Speed [m/s] at which the noise is the driver's sigma_a.
 REFERENCE_SPEED = 5.0
 
 
-@njit(cache=True)
+@kernel
 def noise_factor(speed: float, p: Array) -> float:
     """Factor of the acceleration noise's std at a speed [m/s]."""
     return math.exp(p[0] * (min(max(speed, 0.0), 8.0 * REFERENCE_SPEED) / REFERENCE_SPEED - 1.0))
@@ -21,8 +20,13 @@ def noise_factor(speed: float, p: Array) -> float:
 EFFECT = Effect(
     name="speed_dependent_noise",
     stage=ACTUATION,
+    title="unsteadiness that depends on the speed",
     summary="the acceleration noise grows (or shrinks) with the speed",
     source="paper, section 5.1 (footnote on the noise at standstill)",
     parameters=(Parameter("exponent", "e_n", "1", 0.0, -3.0, 3.0, "growth of log sigma_a over 5 m/s of speed"),),
     starts=at({"exponent": 0.2}, {"exponent": -0.2}),
+    noise_factor=noise_factor,
+    is_noise=True,
+    bank={"exponent": 0.3},
+    benchmark=({"exponent": 0.6}, {"exponent": 0.25}),
 )

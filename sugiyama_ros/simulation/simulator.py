@@ -12,30 +12,26 @@ import numpy as np
 from numba import njit
 
 from sugiyama_ros.driver.parameters import (
-    KAPPA_V,
     RHO,
     SIGMA_A,
     SIGMA_NU,
     SIGMA_V,
     SIGMA_X,
-    V_STAR,
     at_period,
     check,
     horizon_at,
+    index,
 )
 from sugiyama_ros.driver.utility import ACTIONS, room_for
 from sugiyama_ros.effects.control import carry_out, intend, noise_factor
 from sugiyama_ros.effects.effect import Seen
-from sugiyama_ros.effects.registry import PLACES, whole
-from sugiyama_ros.effects.sensor_eccentricity import displacement
-from sugiyama_ros.effects.uneven_noise import factor as noise_std_factor
+from sugiyama_ros.effects.registry import EFFECTS, ROW
+from sugiyama_ros.effects.sensing import displacements, noise_std_factors, spoil
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Array, Ints, Road
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
-_OUTLIERS, _OFF_CENTRE, _UNEVEN, _DRIFT = (
-    PLACES[n] for n in ("outlier_noise", "sensor_eccentricity", "uneven_noise", "preference_drift")
-)
+_WANDERING = tuple(e for e in EFFECTS.values() if e.wanders)
 
 
 @njit(cache=True)
@@ -162,7 +158,7 @@ class Simulator:
         self.road = road
         self.period_s = period_s
         self.horizon = horizon_at(period_s) if horizon is None else horizon
-        self.drivers = whole(parameters)
+        self.drivers = ROW.with_effects(parameters)
         self.parameters = at_period(self.drivers, period_s)
         self.length_m = length_m.astype(np.float64)
         self.leader: Ints = np.arange(1, vehicles + 1)
@@ -178,7 +174,7 @@ class Simulator:
         self.start_s = start_s
         self._rng = rng
         self._rng_of_effects = rng.spawn(1)[0]
-        self._mood = np.zeros((2, vehicles))
+        self._mood: dict[str, Array] = {}
         self._touching = self.gap_m <= 0.0
         if self._touching.any():
             i = int(np.argmax(self._touching))
@@ -195,17 +191,9 @@ class Simulator:
     def measure(self) -> Array:
         """Measured positions (N,) [m] of the present sample: the truth plus measurement noise, wrapped on a ring."""
         noise = self.parameters[:, SIGMA_NU] * self._rng.standard_normal(len(self.position_m))
-        uneven = self.parameters[:, _UNEVEN]
-        if uneven.any():
-            places = zip(self.position_m, uneven, strict=True)
-            noise *= [noise_std_factor(x, self.road.circumference_m, row) for x, row in places]
-        share, factor = self.parameters[:, _OUTLIERS].T
-        if share.any():
-            noise = np.where(self._rng_of_effects.random(len(noise)) < share, factor * noise, noise)
-        off = [
-            displacement(x, self.road.circumference_m, row)[0]
-            for x, row in zip(self.position_m, self.parameters[:, _OFF_CENTRE], strict=True)
-        ]
+        noise *= noise_std_factors(self.position_m, self.road.circumference_m, self.parameters)
+        noise = spoil(noise, self.parameters, self._rng_of_effects)
+        off = displacements(self.position_m, self.road.circumference_m, self.parameters)
         return self.road.wrap(self.position_m + off + noise)
 
     def step(self) -> tuple[Collision, ...]:
@@ -250,15 +238,18 @@ class Simulator:
         self.acceleration = held + pushed + self.noise
 
     def _wandering(self) -> Array:
-        """The rows with the preferences of this moment: preference_drift, an Ornstein-Uhlenbeck process."""
-        std, time = self.parameters[:, _DRIFT].T
-        if not std.any():
-            return self.parameters
-        memory: Array = np.exp(-self.period_s / np.where(std > 0.0, time, 1.0)) * (self.step_number > 0)
-        fresh = self._rng_of_effects.standard_normal(self._mood.shape)
-        self._mood = memory * self._mood + std * np.sqrt(1.0 - np.square(memory)) * fresh
-        rows = self.parameters.copy()
-        rows[:, [V_STAR, KAPPA_V]] *= np.exp(self._mood.T)
+        """The rows with the preferences of this moment: effects that wander are Ornstein-Uhlenbeck processes."""
+        rows = self.parameters
+        for effect in _WANDERING:
+            std, time = self.parameters[:, ROW.places[effect.name]].T[:2]
+            if not std.any():
+                continue
+            mood = self._mood.setdefault(effect.name, np.zeros((len(effect.wanders), len(rows))))
+            memory: Array = np.exp(-self.period_s / np.where(std > 0.0, time, 1.0)) * (self.step_number > 0)
+            fresh = self._rng_of_effects.standard_normal(mood.shape)
+            mood[:] = memory * mood + std * np.sqrt(1.0 - np.square(memory)) * fresh
+            rows = rows.copy()
+            rows[:, [index(name) for name in effect.wanders]] *= np.exp(mood.T)
         return rows
 
 

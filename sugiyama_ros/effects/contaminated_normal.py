@@ -1,0 +1,37 @@
+"""Tukey's contaminated normal distribution: most measurements are good, a few are much worse."""
+
+import math
+
+from sugiyama_ros.jit import kernel
+
+
+@kernel
+def contaminated_normal(
+    innovation: float, variance: float, noise_var: float, share: float, factor: float
+) -> tuple[float, float, float]:
+    """Weigh a sample whose measurement noise has ``factor`` times the std in a ``share`` of all samples.
+
+    Parameters
+    ----------
+    innovation : float
+        Measured minus predicted position [m].
+    variance : float
+        Variance [m^2] of the innovation of a good measurement.
+    noise_var : float
+        Variance [m^2] of the noise of a good measurement.
+    share, factor : float
+        Share of the bad measurements, and the std of their noise over the std of the good ones.
+
+    Returns
+    -------
+    probability, wide, density : float
+        Probability that the sample is bad, the variance [m^2] of its innovation then, and its log-likelihood.
+
+    References
+    ----------
+    Tukey, in Contributions to Probability and Statistics (1960) 448.
+    """
+    wide = variance + (factor * factor - 1.0) * noise_var
+    good = (1.0 - share) * math.exp(-0.5 * innovation * innovation / variance) / math.sqrt(variance)
+    bad = share * math.exp(-0.5 * innovation * innovation / wide) / math.sqrt(wide) + 1e-300
+    return bad / (good + bad), wide, math.log(good + bad)

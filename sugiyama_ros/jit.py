@@ -1,0 +1,123 @@
+"""The only place for compiler options: how the functions in the inner loops are compiled, and where the code is kept.
+
+Every compiled function of this package is decorated with `kernel`. ``python -m sugiyama_ros.studies.compiler`` measures
+what each option is worth, by compiling the causal filter without it.
+
+Compiled code is kept where numba keeps it: in ``__pycache__`` beside the source, in NUMBA_CACHE_DIR if that is set, or
+in the user's cache folder. numba compiles a function anew when its own file changes, but not when a function that it
+calls changes in another file. So the stamp that numba compares is replaced by one of all files that the compiled code
+is made of, effects and laws of other packages among them.
+"""
+
+import contextlib
+import hashlib
+from collections.abc import Callable
+from functools import cache
+from importlib.metadata import entry_points
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, TypeVar, overload
+
+from numba import njit
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+_PACKAGE = Path(__file__).parent
+_ROOMS = ("driver", "laws", "effects", "simulation", "filters", "fit", "diagnosis")
+#: Files that compiled code is made of.
+MADE_OF = ("jit.py", "arrays.py", *(f"{room}/*.py" for room in _ROOMS))
+#: Groups of entry points whose functions are compiled into ours.
+GROUPS = ("sugiyama_ros.effects", "sugiyama_ros.laws")
+#: Options that the benchmark switches off, one after the other.
+OPTIONS = {"nogil", "nrt", "numpy", "inline"}
+
+
+@overload
+def kernel(function: _Function) -> _Function: ...
+@overload
+def kernel(
+    *, allocates: bool = ..., vectorised: bool = ..., inline: bool = ..., cached: bool = ...
+) -> Callable[[_Function], _Function]: ...
+def kernel(
+    function: Any = None,
+    *,
+    allocates: bool = True,
+    vectorised: bool = False,
+    inline: bool = False,
+    cached: bool = True,
+) -> Any:
+    """Compile a function.
+
+    All kernels release the global interpreter lock (``nogil``), so that drivers are filtered on threads. No option
+    lets the compiler change the order of floating-point operations: results are the same each time they are compiled.
+
+    Parameters
+    ----------
+    function : callable
+        The function; left out where options are given.
+    allocates : bool
+        False for a function that makes no arrays. It then does not count references to the arrays that it is given
+        (numba's private option ``_nrt``; where numba does not know it, references are counted).
+    vectorised : bool
+        True for a function with a loop over numbers. Dividing by zero then gives infinity instead of an exception
+        (``error_model="numpy"``), without which compilers make no vector instructions of the loop.
+    inline : bool
+        True for a function whose code is put into its callers, so that they count no references for it either.
+    cached : bool
+        False for a function that is made of others at run time, which numba cannot keep.
+
+    Returns
+    -------
+    callable
+        The compiled function.
+    """
+    if function is None:
+        options = {"allocates": allocates, "vectorised": vectorised, "inline": inline, "cached": cached}
+        return lambda one: kernel(one, **options)
+    given: dict[str, Any] = {"nogil": "nogil" in OPTIONS, "cache": cached}
+    if vectorised and "numpy" in OPTIONS:
+        given["error_model"] = "numpy"
+    if inline and "inline" in OPTIONS:
+        given["inline"] = "always"
+    if not allocates and "nrt" in OPTIONS:
+        try:
+            return _kept(njit(function, _nrt=False, **given), cached)  # type: ignore[call-overload]
+        except (TypeError, KeyError):  # a numba without this option
+            pass
+    return _kept(njit(function, **given), cached)
+
+
+def _kept(compiled: Any, cached: bool) -> Any:
+    """Make numba compile anew whenever one of all the files changes."""
+    if cached:
+        with contextlib.suppress(AttributeError):  # a numba that keeps its stamps elsewhere: its own stamp stays
+            compiled._cache._cache_file._source_stamp = state()
+    return compiled
+
+
+@cache
+def state() -> str:
+    """Identify the files that compiled code is made of, by their times and sizes."""
+    stats = [(path, path.stat()) for pattern in MADE_OF for path in sorted(_PACKAGE.glob(pattern))]
+    found: list[object] = [(str(path.relative_to(_PACKAGE)), s.st_mtime_ns, s.st_size) for path, s in stats]
+    for group in GROUPS:
+        for point in sorted(entry_points(group=group), key=lambda point: point.name):
+            found.append((group, point.name, point.value, _stat_of(point.module)))
+    found.append(sorted(OPTIONS))
+    return hashlib.sha256(repr(found).encode()).hexdigest()
+
+
+def _stat_of(module: str) -> tuple[int, int] | None:
+    """Time and size of the file of another package's module, which is not imported; None if it cannot be found."""
+    package, *inner = module.split(".")
+    try:
+        spec = find_spec(package)
+        if spec is None or spec.origin is None:
+            return None
+        file = Path(spec.origin)
+        if inner:
+            place = file.parent.joinpath(*inner)
+            file = place / "__init__.py" if place.is_dir() else place.with_suffix(".py")
+        stat = file.stat()
+    except (OSError, ValueError):
+        return None
+    return stat.st_mtime_ns, stat.st_size

@@ -1,0 +1,46 @@
+"""Gipps' law of safe speeds."""
+
+import math
+
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.driver.parameters import Parameter
+from sugiyama_ros.jit import kernel
+from sugiyama_ros.laws.law import Law, bounded
+
+_SOURCE = "Gipps, Transp. Res. B 15 (1981) 105"
+
+
+@kernel
+def gipps(gap: float, speed: float, leader_speed: float, p: Array) -> float:
+    """Acceleration [m/s^2] of Gipps' law, p = v0, a, b, b_leader, tau, s0.
+
+    The law gives the speed after the reaction time tau; the acceleration is the change of speed over tau. The driver
+    chooses the smaller one of two speeds: the speed of a free driver, and the speed from which they can still stop
+    behind a leader who brakes with b_leader.
+    """
+    own = max(speed, 0.0)
+    share = own / p[0]
+    free = own + 2.5 * p[1] * p[4] * (1.0 - share) * math.sqrt(0.025 + share)
+    if gap == math.inf:
+        return bounded((free - speed) / p[4])
+    reach = p[2] * p[4]
+    square = reach * reach + p[2] * (2.0 * (gap - p[5]) - own * p[4] + leader_speed * abs(leader_speed) / p[3])
+    safe = max(math.sqrt(square) - reach, 0.0) if square > 0.0 else 0.0
+    return bounded((min(free, safe) - speed) / p[4])
+
+
+LAW = Law(
+    name="gipps",
+    title="Gipps' law",
+    summary="the speed from which the driver can still stop behind a braking leader",
+    source=_SOURCE,
+    parameters=(
+        Parameter("v0", "V", "m/s", 10.0, 1.0, 80.0, f"desired speed; {_SOURCE}"),
+        Parameter("a", "a", "m/s^2", 1.5, 0.05, 10.0, f"maximum acceleration; {_SOURCE}"),
+        Parameter("b", "b", "m/s^2", 3.0, 0.1, 20.0, f"hardest braking that the driver is ready for; {_SOURCE}"),
+        Parameter("b_leader", "b̂", "m/s^2", 3.0, 0.1, 20.0, f"braking that the driver expects ahead; {_SOURCE}"),
+        Parameter("tau", "τ", "s", 0.7, 0.1, 3.0, f"reaction time; {_SOURCE}"),
+        Parameter("s0", "s_0", "m", 1.5, 0.0, 20.0, f"gap at standstill; {_SOURCE}"),
+    ),
+    function=gipps,
+)

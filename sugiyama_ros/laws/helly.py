@@ -1,0 +1,37 @@
+"""Helly's linear follower."""
+
+import math
+
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.driver.parameters import Parameter
+from sugiyama_ros.jit import kernel
+from sugiyama_ros.laws.law import Law, bounded
+
+_SOURCE = "Helly, Simulation of bottlenecks in single-lane traffic flow (1959)"
+
+
+@kernel
+def helly(gap: float, speed: float, leader_speed: float, p: Array) -> float:
+    """Acceleration [m/s^2] of Helly's law, p = c_v, c_s, d, T.
+
+    Linear in the relative speed and in the difference between the gap and the wanted gap d + T v. The law says nothing
+    of a driver without a leader: such a driver keeps their speed.
+    """
+    if gap == math.inf:
+        return 0.0
+    return bounded(p[0] * (leader_speed - speed) + p[1] * (gap - p[2] - p[3] * speed))
+
+
+LAW = Law(
+    name="helly",
+    title="Helly's linear follower",
+    summary="linear in the relative speed and in the difference to a wanted gap",
+    source=_SOURCE,
+    parameters=(
+        Parameter("c_v", "C_1", "1/s", 0.5, 0.0, 10.0, f"sensitivity to the relative speed; {_SOURCE}"),
+        Parameter("c_s", "C_2", "1/s^2", 0.15, 0.001, 5.0, f"sensitivity to the gap; {_SOURCE}"),
+        Parameter("d", "α", "m", 1.5, 0.0, 20.0, f"gap at standstill; {_SOURCE}"),
+        Parameter("T", "β", "s", 0.8, 0.0, 5.0, f"wanted time gap; {_SOURCE}"),
+    ),
+    function=helly,
+)

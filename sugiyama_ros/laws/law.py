@@ -1,0 +1,53 @@
+"""What a car-following law is: a name, declared parameters, and one pure function of what the driver sees."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from sugiyama_ros.driver.parameters import Parameter
+from sugiyama_ros.driver.utility import ACTIONS
+from sugiyama_ros.jit import kernel
+
+#: Acceleration [m/s^2] as a function of gap [m], speed [m/s], leader's speed [m/s] and the law's parameters (K,).
+LawFunction = Callable[..., float]
+_HARDEST, _STRONGEST = float(ACTIONS[0]), float(ACTIONS[-1])
+
+
+@dataclass(frozen=True, eq=False)
+class Law:
+    """A car-following law.
+
+    Parameters
+    ----------
+    name : str
+        Name in commands, files and messages.
+    title : str
+        Name for people.
+    summary : str
+        What the law says, in one line.
+    source : str
+        Publication that states the law.
+    parameters : tuple of Parameter
+        Declared parameters, in the order in which the function takes them.
+    function : callable
+        Compiled with ``numba.njit``: (gap, speed, leader_speed, p) -> acceleration [m/s^2]. The gap [m] is infinite
+        without a leader. The function is pure and finite everywhere; ``bounded`` helps.
+    """
+
+    name: str
+    title: str
+    summary: str
+    source: str
+    parameters: tuple[Parameter, ...]
+    function: LawFunction
+
+
+@kernel
+def bounded(acceleration: float) -> float:
+    """Keep an acceleration [m/s^2] within the actions that the drivers of the paper choose from."""
+    return min(max(acceleration, _HARDEST), _STRONGEST)
+
+
+@kernel
+def hardest_braking() -> float:
+    """Return the hardest braking [m/s^2] that a driver chooses."""
+    return _HARDEST

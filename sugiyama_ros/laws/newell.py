@@ -1,0 +1,36 @@
+"""Newell's simplified law, with a relaxation time."""
+
+import math
+
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.driver.parameters import Parameter
+from sugiyama_ros.jit import kernel
+from sugiyama_ros.laws.law import Law, bounded
+
+_SOURCE = "Newell, Transp. Res. B 36 (2002) 195"
+
+
+@kernel
+def newell(gap: float, speed: float, leader_speed: float, p: Array) -> float:
+    """Acceleration [m/s^2] of Newell's law, p = v0, tau, d, T.
+
+    A driver repeats the leader's trajectory a time tau later and a distance d behind, which is a speed of
+    (gap - d) / tau, at most v0. The speed relaxes to it in the time T; the source has no such time.
+    """
+    wanted = p[0] if gap == math.inf else min(max((gap - p[2]) / p[1], 0.0), p[0])
+    return bounded((wanted - speed) / p[3])
+
+
+LAW = Law(
+    name="newell",
+    title="Newell's law",
+    summary="the leader's trajectory a fixed time later and a fixed distance behind, with a relaxation time",
+    source=_SOURCE,
+    parameters=(
+        Parameter("v0", "v_f", "m/s", 10.0, 1.0, 80.0, f"free speed; {_SOURCE}"),
+        Parameter("tau", "τ", "s", 1.0, 0.1, 5.0, f"time shift; {_SOURCE}"),
+        Parameter("d", "d", "m", 1.5, 0.0, 20.0, f"gap at standstill; {_SOURCE}"),
+        Parameter("T", "T", "s", 1.0, 0.1, 20.0, "relaxation time of the speed; added here"),
+    ),
+    function=newell,
+)

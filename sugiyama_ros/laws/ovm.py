@@ -1,0 +1,38 @@
+"""Optimal velocity model."""
+
+import math
+
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.driver.parameters import Parameter
+from sugiyama_ros.jit import kernel
+from sugiyama_ros.laws.law import Law, bounded
+
+_SOURCE = "Bando, Hasebe, Nakayama, Shibata and Sugiyama, Phys. Rev. E 51 (1995) 1035"
+
+
+@kernel
+def ovm(gap: float, speed: float, leader_speed: float, p: Array) -> float:
+    """Acceleration [m/s^2] of the optimal velocity model, p = kappa, V, c, g.
+
+    The optimal velocity V (tanh(c (gap - g)) + tanh(c g)) is 0 at contact; the source writes it in units in which V and
+    c are 1.
+    """
+    highest = math.tanh(p[2] * p[3])
+    if gap == math.inf:
+        return bounded(p[0] * (p[1] * (1.0 + highest) - speed))
+    return bounded(p[0] * (p[1] * (math.tanh(p[2] * (gap - p[3])) + highest) - speed))
+
+
+LAW = Law(
+    name="ovm",
+    title="optimal velocity model",
+    summary="relaxation to an optimal velocity of the gap",
+    source=_SOURCE,
+    parameters=(
+        Parameter("kappa", "a", "1/s", 1.0, 0.01, 10.0, f"sensitivity; {_SOURCE}"),
+        Parameter("V", "V", "m/s", 5.0, 0.1, 60.0, f"scale of the optimal velocity; {_SOURCE}"),
+        Parameter("c", "c", "1/m", 0.2, 0.005, 5.0, f"steepness of the optimal velocity; {_SOURCE}"),
+        Parameter("g", "g", "m", 5.0, 0.0, 100.0, f"gap at the turning point; {_SOURCE}"),
+    ),
+    function=ovm,
+)

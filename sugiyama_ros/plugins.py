@@ -1,0 +1,111 @@
+"""Extensions: the built-in ones, and those that other installed packages add through entry points.
+
+An extension is one object with a name (an effect, a law, a file format or a study) in one module. A package of your own
+offers it through an entry point, for example ``[project.entry-points."sugiyama_ros.effects"]`` with
+``syrup = "my_package.syrup:EFFECT"``.
+"""
+
+from collections.abc import Mapping, Sequence
+from importlib import import_module
+from importlib.metadata import entry_points
+from typing import Protocol, TypeVar
+
+from sugiyama_ros.errors import InputError
+
+#: Why an extension could not be loaded, by group and name of its entry point.
+FAILED: dict[tuple[str, str], str] = {}
+
+
+class Named(Protocol):
+    """Anything with a name."""
+
+    @property
+    def name(self) -> str:
+        """Name in commands, files and messages."""
+
+
+_Kind = TypeVar("_Kind", bound=Named)
+
+
+def registered(group: str, kind: type[_Kind], modules: Sequence[str], attribute: str) -> dict[str, _Kind]:
+    """Collect all extensions of a kind: first the built-in ones, then those of other packages.
+
+    Parameters
+    ----------
+    group : str
+        Group of the entry points; also the name of the package that holds the built-in modules.
+    kind : type
+        Class of the extensions.
+    modules : sequence of str
+        Names of the built-in modules, in the order of the result.
+    attribute : str
+        Name of the extension in a built-in module.
+
+    Returns
+    -------
+    dict
+        Extensions by name.
+    """
+    found: dict[str, _Kind] = {}
+    for module in modules:
+        one = getattr(import_module(f"{group}.{module}"), attribute)
+        found[one.name] = one
+    for point, one in load(group, kind).items():
+        if one.name in found:
+            FAILED[group, point] = f"there is another extension of the name {one.name!r}; rename one of them"
+        else:
+            found[one.name] = one
+    return found
+
+
+def load(group: str, kind: type[_Kind]) -> dict[str, _Kind]:
+    """Load the extensions of other packages.
+
+    An extension that cannot be loaded, or that is not of the right class, is left out. The reason is kept in
+    ``FAILED``, for an error message if somebody asks for this extension.
+
+    Parameters
+    ----------
+    group : str
+        Group of the entry points, for example ``sugiyama_ros.effects``.
+    kind : type
+        Class that every extension must have.
+
+    Returns
+    -------
+    dict
+        Extensions by the name of their entry point, sorted by this name.
+    """
+    found: dict[str, _Kind] = {}
+    for point in sorted(entry_points(group=group), key=lambda point: point.name):
+        try:
+            one = point.load()
+        except (Exception, SystemExit) as error:
+            FAILED[group, point.name] = f"{point.value} cannot be loaded: {error!r}; correct it or uninstall it"
+            continue
+        if isinstance(one, kind):
+            found[point.name] = one
+        else:
+            FAILED[group, point.name] = f"{point.value} is not of the class {kind.__name__}"
+    return found
+
+
+def find(extensions: Mapping[str, _Kind], group: str, name: str, what: str) -> _Kind:
+    """Look up an extension. Raises InputError, which lists the names, for an unknown one.
+
+    Parameters
+    ----------
+    extensions : mapping
+        Extensions by name.
+    group : str
+        Group of their entry points.
+    name : str
+        Name that is looked up.
+    what : str
+        Kind of extension in words, for the message, such as "effect".
+    """
+    if name in extensions:
+        return extensions[name]
+    if (group, name) in FAILED:
+        raise InputError(f"{what} {name}: {FAILED[group, name]}")
+    raise InputError(f"{what} {name!r}: not known; choose among {', '.join(extensions)}")
