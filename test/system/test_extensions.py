@@ -1,0 +1,229 @@
+"""Another package adds a law, an effect of each stage, a file format and a study, and every command knows them.
+
+All commands run in one process, because its compiled code is of its own: the row of a driver is longer with more effects.
+"""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+MODULE = '''
+from pathlib import Path
+
+import numpy as np
+from numba import njit
+
+from sugiyama_ros.driver.parameters import Parameter
+from sugiyama_ros.effects.effect import (
+    ACTUATION, ENVIRONMENT, MEASUREMENT, PERCEPTION, PREFERENCE, UTILITY, Effect, Memory, at,
+)
+from sugiyama_ros.formats.format import Format
+from sugiyama_ros.laws.law import Law
+from sugiyama_ros.road import Road
+from sugiyama_ros.studies.study import Answer, Study
+from sugiyama_ros.trajectories.trajectories import Trajectories
+
+
+@njit
+def nearsighted(seen, p):
+    return seen.gap * (1.0 - p[0]), seen.speed, seen.leader_speed
+
+
+@njit
+def hurried(v_star, kappa_v, seen, p):
+    return v_star * (1.0 + p[0]), kappa_v
+
+
+@njit
+def gentle(seen, action, period, horizon, p):
+    return -p[0] * action * action / 16.0
+
+
+@njit
+def weak(acceleration, seen, p):
+    return acceleration * (1.0 - p[0])
+
+
+@njit
+def half(wanted, period, p):
+    return wanted * (1.0 - p[0])
+
+
+@njit
+def half_expected(wanted, variance, period, p):
+    return wanted * (1.0 - p[0]), 1.0 - p[0], 0.0
+
+
+@njit
+def syrup(seen, p):
+    return -p[0] * seen.speed
+
+
+@njit
+def displaced(position, circumference, p):
+    return p[0], 0.0
+
+
+def effect(name, stage, function=None, **hooks):
+    parameter = Parameter("k", "k", "1", 0.0, 0.0, 5.0, "how strong it is")
+    return Effect(
+        name=name, stage=stage, title=name, summary="made up", source="a test", parameters=(parameter,),
+        starts=at({"k": 0.02}), function=function, **hooks,
+    )
+
+
+NEARSIGHTED = effect("nearsighted", PERCEPTION, nearsighted)
+HURRIED = effect("hurried", PREFERENCE, hurried)
+GENTLE = effect("gentle", UTILITY, gentle)
+WEAK = effect("weak", ACTUATION, weak)
+HALF = effect("half", ACTUATION, memory=Memory(half, half_expected))
+SYRUP = effect("syrup", ENVIRONMENT, syrup)
+DISPLACED = effect("displaced", MEASUREMENT, displacement=displaced, is_noise=True)
+
+
+@njit
+def follow(gap, speed, leader_speed, p):
+    return min(max(p[0] * (leader_speed - speed), -6.0), 4.0)
+
+
+LAW = Law("follow", "a follower", "drives as fast as the leader", "a test",
+          (Parameter("k", "k", "1/s", 0.5, 0.01, 5.0, "sensitivity"),), follow)
+
+
+def read(path, ring_m=None):
+    table = np.loadtxt(path, skiprows=1)
+    return Trajectories(table, np.full(table.shape[1], 4.33), np.arange(table.shape[1]), Road(ring_m or 0.0), 1.0 / 3.0,
+                        source=Path(path).name)
+
+
+FORMAT = Format("grid", (".grid",), lambda head, path: head.startswith(b"grid"), read, "a table of positions")
+STUDY = Study("made_up", "What is one and one?", "says nothing", lambda asked: Answer(({"sum": 2},), lambda axes: None))
+'''
+ENTRIES = """
+[sugiyama_ros.effects]
+nearsighted = mine:NEARSIGHTED
+hurried = mine:HURRIED
+gentle = mine:GENTLE
+weak = mine:WEAK
+half = mine:HALF
+syrup = mine:SYRUP
+displaced = mine:DISPLACED
+broken = mine:MISSING
+[sugiyama_ros.laws]
+follow = mine:LAW
+[sugiyama_ros.formats]
+grid = mine:FORMAT
+[sugiyama_ros.studies]
+made_up = mine:STUDY
+"""
+STAGES = ("nearsighted", "hurried", "gentle", "weak", "half", "syrup", "displaced")
+#: Runs commands one after the other: reads argument lists from standard input, prints exit code and output of each.
+COMMANDS = """
+import contextlib, io, json, sys
+from sugiyama_ros.cli import main
+for arguments in json.load(sys.stdin):
+    sys.argv = ["sugiyama", *arguments]
+    out, err, code = io.StringIO(), io.StringIO(), 0
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try:
+            main()
+        except SystemExit as end:
+            code = end.code or 0
+    print(json.dumps([code, out.getvalue(), err.getvalue()]), flush=True)
+"""
+
+
+@pytest.fixture(scope="module")
+def answers(tmp_path_factory):
+    """What each command said, by a short name."""
+    folder: Path = tmp_path_factory.mktemp("extensions")
+    about = folder / "mine-1.0.dist-info"
+    about.mkdir()
+    (folder / "mine.py").write_text(MODULE)
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: mine\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text(ENTRIES)
+    (folder / "small.grid").write_text("grid\n" + "\n".join(f"{3.0 * k} {3.0 * k + 20.0}" for k in range(60)))
+    ring = ["--ring", "45", "--json"]
+    base = ["--vehicles", "4", "--ring", "45", "--duration", "40", "--seed", "1", "--json"]
+    effects = [argument for name in STAGES for argument in ("--effect", f"{name}:k=0.05")]
+    commands = {
+        **{f"simulate {name}": ["simulate", "-o", f"{name}.csv", *base, "--effect", f"{name}:k=0.3"] for name in STAGES},
+        "simulate": ["simulate", "-o", "base.csv", *base],
+        "simulate all": ["simulate", "-o", "all.csv", *base, *effects],
+        "broken": ["simulate", "-o", "broken.csv", *base, "--effect", "broken:k=1"],
+        "calibrate": ["calibrate", "syrup.csv", *ring, "--effects", "syrup,gentle"],
+        "compare": ["compare", "syrup.csv", *ring, "--effects", "syrup"],
+        "diagnose": ["diagnose", "syrup.csv", *ring, "--quick", "--add", "auto", "-o", "model.yaml"],
+        "run": ["run", "syrup.csv", *ring, "-o", "run.mcap", "--model", "model.yaml"],
+        "report": ["report", "run.mcap", "--json"],
+        "convert": ["convert", "small.grid", "small.mcap", "--json"],
+        "calibrate grid": ["calibrate", "small.grid", "--formulation", "paper", "--json"],
+        "study": ["study", "made_up", "--json"],
+        "studies": ["study"],
+    }
+    path = os.pathsep.join([str(folder), *filter(None, [os.environ.get("PYTHONPATH")])])
+    environment = os.environ | {"PYTHONPATH": path, "NUMBA_CACHE_DIR": str(folder / "compiled")}
+    done = subprocess.run(
+        [sys.executable, "-c", COMMANDS],
+        input=json.dumps(list(commands.values())),
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    said = [json.loads(line) for line in done.stdout.splitlines()]
+    assert len(said) == len(commands), done.stderr
+    return dict(zip(commands, said, strict=True))
+
+
+def document(answer):
+    code, out, err = answer
+    assert code == 0, err
+    return json.loads(out)
+
+
+@pytest.mark.parametrize("name", STAGES)
+def test_an_effect_of_each_stage_is_simulated(answers, name):
+    base, with_it = document(answers["simulate"]), document(answers[f"simulate {name}"])
+    if name == "displaced":  # acts on what is measured, not on the drivers
+        assert with_it["second_half"] == base["second_half"]
+    else:
+        assert with_it["second_half"] != base["second_half"]
+    document(answers["simulate all"])
+
+
+def test_a_broken_extension_is_named_where_it_is_asked_for(answers):
+    code, _, err = answers["broken"]
+    assert code == 2
+    assert "effect broken: mine:MISSING cannot be loaded" in err
+
+
+def test_effects_of_others_are_fitted_and_diagnosed(answers):
+    assert set(document(answers["calibrate"])["effects"]) == {"syrup", "gentle"}
+    assert "base + syrup" in {m["name"] for m in document(answers["compare"])["models"]}
+    assert set(STAGES) <= {c["name"] for c in document(answers["diagnose"])["candidates"]}
+
+
+def test_a_law_of_another_package_is_a_rival(answers):
+    assert {"follow", "follow_least_squares"} <= {m["name"] for m in document(answers["compare"])["models"]}
+    assert "follow" in document(answers["diagnose"])["errors"]
+
+
+def test_estimators_run_with_them(answers):
+    assert document(answers["run"])["messages_lost"] == 0
+    document(answers["report"])
+
+
+def test_a_format_of_another_package_is_read(answers):
+    assert document(answers["convert"])["vehicles"] == 2
+    assert len(document(answers["calibrate grid"])["drivers"]) == 2
+
+
+def test_a_study_of_another_package_is_answered(answers):
+    assert document(answers["study"])["rows"] == [{"sum": 2}]
+    assert "What is one and one?" in answers["studies"][1]
