@@ -13,7 +13,7 @@ from sugiyama_ros.diagnosis.errors import Errors, errors_of
 from sugiyama_ros.diagnosis.free_run import filtered_states
 from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter, laws
 from sugiyama_ros.diagnosis.screen import with_candidate
-from sugiyama_ros.filters.causal import chain_behind, track
+from sugiyama_ros.filters.extract import chain_behind, track
 from sugiyama_ros.fit.fitting import (
     FOLDS,
     Fit,

@@ -15,6 +15,7 @@ from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.effects.registry import PLACES
 from sugiyama_ros.effects.sensor_eccentricity import displacement
 from sugiyama_ros.filters import causal
+from sugiyama_ros.filters.chain import Chain
 from sugiyama_ros.fit.fitting import Model, Recorded, Samples, leaders
 from sugiyama_ros.road import Array, Ints
 from sugiyama_ros.simulation.simulator import drive
@@ -234,7 +235,7 @@ def follow(data: Recorded, model: Model, work: Executor) -> tuple[Samples, Array
     return Samples(y, variance, density), states
 
 
-def _follow_driver(job: tuple[causal.Chain, Array, Array]) -> tuple[Array, Array, Array, Array]:
+def _follow_driver(job: tuple[Chain, Array, Array]) -> tuple[Array, Array, Array, Array]:
     chain, row, ahead = job
     return causal.predict_states(chain, row, ahead)
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from sugiyama_ros.diagnosis.candidates import Candidate, added
 from sugiyama_ros.effects.registry import DECLARED
-from sugiyama_ros.filters import causal
+from sugiyama_ros.filters.measurement import weigh_samples
 from sugiyama_ros.fit.fitting import (
     FOLDS,
     OUTLIERS,
@@ -185,7 +185,7 @@ def forecast(data: Recorded, before: Fit, look: Glance, current: Fit) -> float:
     variance = now.innovation_var * (with_it.innovation_var / then.innovation_var)
     density = np.empty_like(y)
     for i, row in enumerate(rows):
-        causal.weigh_samples(y[i], variance[i], row, np.empty_like(y[i]), density[i])
+        weigh_samples(y[i], variance[i], row, np.empty_like(y[i]), density[i])
     density[np.isnan(now.log_likelihood)] = np.nan
     here = _joined(data, current, model, Samples(y, variance, density), _columns(look.fit))
     everywhere = range(FOLDS)

@@ -20,24 +20,13 @@ from sugiyama_ros.effects.outlier_noise import weigh
 from sugiyama_ros.effects.registry import WIDTH, active, effect, place, whole
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.alarm import StyleAlarm
-from sugiyama_ros.filters.causal import (
-    CHAIN,
-    MOVING,
-    SETTLING,
-    STATE,
-    Adaptation,
-    adaptation_of,
-    chain_parameters,
-    forget_vehicle,
-    linearise,
-    measurement,
-    noise_var_at,
-    robust,
-    scene_at,
-    start_vehicle,
-    workspace_for,
-)
+from sugiyama_ros.filters.causal import SETTLING
+from sugiyama_ros.filters.chain import CHAIN, Adaptation, adaptation_of, chain_parameters
+from sugiyama_ros.filters.linearisation import linearise
+from sugiyama_ros.filters.measurement import measurement, noise_var_at, robust
 from sugiyama_ros.filters.noise import NOISES, Learning, NoiseLearner
+from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Linearised, Moment, State, scene_at, workspace_for
+from sugiyama_ros.filters.vehicles import forget_vehicle, start_vehicle
 from sugiyama_ros.road import Array, Ints, Road
 
 #: Adaptation of the estimator nodes: desired speed and risk premium. The prior stds are about those over the drivers of
@@ -291,7 +280,7 @@ class OnlineFilter:
         for m in chain:
             self._waited[m] += 1
             if identity[m] < 0 or identity[m] != self._identity[m]:
-                forget_vehicle(m, kalman.x, kalman.P, self._known)
+                forget_vehicle(m, State(kalman.x, kalman.P, self._known))
                 if self._noises is not None:
                     self._noises.forget(m)
                 self._identity[m] = int(identity[m])
@@ -319,7 +308,9 @@ class OnlineFilter:
         for m in sampled:
             if known[m] != MOVING:
                 elapsed = self._waited[m] * self._scene.period_s
-                start_vehicle(m, position_m[m], elapsed, kalman.x, kalman.P, self._known, self._rows, self._scene)
+                start_vehicle(
+                    m, position_m[m], elapsed, State(kalman.x, kalman.P, self._known), self._rows, self._scene
+                )
                 self._waited[m] = 0
                 if m == 0 and self._noises is not None:
                     self._noises.start(kalman.P)
@@ -331,21 +322,12 @@ class OnlineFilter:
             self._rows[0, UTILITY[k]] = math.exp(kalman.x[STATE * self.vehicles + j])
         lengths = np.array(length_m)
         mean_action = linearise(
-            kalman.x,
-            kalman.P,
-            self._known,
-            lengths,
-            self._rear(behind, time_s),
-            self._rows,
-            self._places,
-            self._prior_mean,
-            self._prior_var,
-            self._workspace,
-            time_s,
+            State(kalman.x, kalman.P, self._known),
+            Drivers(self._rows, self._places, self._prior_mean, self._prior_var),
+            Moment(lengths, self._rear(behind, time_s), time_s),
             self._scene,
-            kalman.next_mean,
-            kalman.F,
-            self._noise,
+            self._workspace,
+            Linearised(kalman.next_mean, kalman.F, self._noise),
         )
         return self._estimate(innovation, variance, density, mean_action, 0.5 * float(lengths[:2].sum()))
 
@@ -364,7 +346,7 @@ class OnlineFilter:
         mean, noise_var = float(self._filter.x[STATE * m]), self._noise_var(m)
         variance = float(self._filter.P[STATE * m, STATE * m])
         if self._measured_otherwise:
-            off, factor = measurement(mean, self._rows[m], self._scene)
+            off, factor = measurement(mean, self._rows[m], self._scene.circumference_m)
             mean, variance = mean + off, factor * factor * variance
         way, lap = position_m - mean, self.road.circumference_m
         return way - lap * round(way / lap) if lap > 0.0 and way == way else way, variance + noise_var
@@ -373,7 +355,7 @@ class OnlineFilter:
         """Of the measurement of vehicle m of the chain [m^2], where it is."""
         if not self._measured_otherwise:
             return float(self._rows[m, SIGMA_NU]) ** 2
-        return float(noise_var_at(float(self._filter.x[STATE * m]), self._rows[m], self._scene))
+        return float(noise_var_at(float(self._filter.x[STATE * m]), self._rows[m], self._scene.circumference_m))
 
     def _learn(self, innovation: float, variance: float) -> float:
         """Log-likelihood of the driver's own sample, and what it says of his noises."""
@@ -404,7 +386,7 @@ class OnlineFilter:
         """Kalman update with the position of one vehicle."""
         kalman, row = self._filter, self._rows[m]
         x = STATE * m
-        off, factor = measurement(kalman.x[x], row, self._scene)
+        off, factor = measurement(kalman.x[x], row, self._scene.circumference_m)
         gain = factor * kalman.P[:, x]
         y, variance = self._innovation(m, position_m)
         step, shrink, _ = robust(y, variance, row)

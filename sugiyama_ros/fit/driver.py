@@ -26,6 +26,8 @@ from sugiyama_ros.driver.parameters import (
     population,
 )
 from sugiyama_ros.filters import causal, paper
+from sugiyama_ros.filters.chain import CHAIN, Chain
+from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.paper import Scored
 from sugiyama_ros.fit.intervals import end_of_profile, quadratic
 from sugiyama_ros.road import Array, Ints
@@ -169,7 +171,7 @@ def _stds(scored: Scored, places: Ints) -> Array:
 
 
 def causal_score(
-    chain: causal.Chain,
+    chain: Chain,
     ahead: Array | None,
     places: Ints,
     parameters: Array,
@@ -234,7 +236,7 @@ class Job:
     seed: int = 0
     with_errors: bool = True
     perceived: paper.Perceived | None = None
-    chain: causal.Chain | None = None
+    chain: Chain | None = None
     ahead: Array | None = None
 
     def score(self, parameters: Array, information: Array | None, central: bool = False) -> Scored:
@@ -372,8 +374,8 @@ def job_of(
     one = Job(vehicle, known.get(vehicle, begin), places, upper)
     if formulation == "paper":
         return replace(one, perceived=paper.perceive(trajectories, driver))
-    chain = causal.chain_behind(trajectories, driver)
-    ahead = [known.get(_most(chain.identity[:, m]), population()) for m in range(1, causal.CHAIN)]
+    chain = chain_behind(trajectories, driver)
+    ahead = [known.get(_most(chain.identity[:, m]), population()) for m in range(1, CHAIN)]
     return replace(one, chain=chain, ahead=np.array(ahead))
 
 

@@ -23,6 +23,9 @@ from sugiyama_ros.driver.parameters import COUNT, NAMES, OMEGA_2, RHO, populatio
 from sugiyama_ros.effects.registry import DECLARED, place, whole
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters import causal
+from sugiyama_ros.filters.chain import CHAIN, Chain
+from sugiyama_ros.filters.extract import chain_behind
+from sugiyama_ros.filters.measurement import weigh_samples
 from sugiyama_ros.fit.driver import calibrate, upper_bounds
 from sugiyama_ros.road import Array, Ints
 from sugiyama_ros.trajectories.trajectories import Trajectories
@@ -69,7 +72,7 @@ class Recorded:
     """
 
     trajectories: Trajectories
-    chains: tuple[causal.Chain, ...]
+    chains: tuple[Chain, ...]
     ahead: Ints
     block: Ints
     fold: Ints
@@ -95,11 +98,11 @@ def prepare(trajectories: Trajectories, segment: Ints | None = None) -> Recorded
     block = np.minimum(
         (np.arange(samples) * trajectories.period_s / block_s).astype(np.int64), round(duration / block_s) - 1
     )
-    chains = tuple(causal.chain_behind(trajectories, i, segment=segment) for i in range(drivers))
+    chains = tuple(chain_behind(trajectories, i, segment=segment) for i in range(drivers))
     column = {int(v): k for k, v in enumerate(trajectories.vehicle)}
-    ahead = np.full((drivers, causal.CHAIN - 1), -1)
+    ahead = np.full((drivers, CHAIN - 1), -1)
     for i in range(drivers):
-        for m in range(1, causal.CHAIN):
+        for m in range(1, CHAIN):
             known = trajectories.vehicle[_columns(trajectories, i, m)[_columns(trajectories, i, m) >= 0]]
             if len(known):
                 values, counts = np.unique(known, return_counts=True)
@@ -179,7 +182,7 @@ class Model:
         return np.asarray((own - np.median(own, axis=0)) / np.array(self.prior_std))
 
 
-def own_of(chain: causal.Chain, row: Array, ahead: Array) -> tuple[Array, Array, Array]:
+def own_of(chain: Chain, row: Array, ahead: Array) -> tuple[Array, Array, Array]:
     """Innovation, variance and log-likelihood of one driver's samples."""
     y, variance, density = causal.predict_samples(chain, row, ahead)
     return y, variance, density
@@ -209,7 +212,7 @@ def _evaluate(data: Recorded, model: Model, who: Iterable[int], work: Executor) 
     return list(work.map(_star_own, jobs))
 
 
-def _star_own(job: tuple[causal.Chain, Array, Array]) -> tuple[Array, Array, Array]:
+def _star_own(job: tuple[Chain, Array, Array]) -> tuple[Array, Array, Array]:
     return own_of(*job)
 
 
@@ -315,7 +318,7 @@ def density_slope(y: Array, variance: Array, dy: Array, dvar: Array, row: Array)
     slope = np.empty_like(dy)
     weight, density = np.ones_like(y), np.empty_like(y)
     if row[OUTLIERS] > 0.0:
-        causal.weigh_samples(y, variance, row, weight, density)
+        weigh_samples(y, variance, row, weight, density)
     for t in range(len(y)):
         by_y = weight[t] * y[t] / variance[t]
         by_variance = 0.5 * weight[t] * (1.0 - by_y * y[t]) / variance[t]
@@ -325,7 +328,7 @@ def density_slope(y: Array, variance: Array, dy: Array, dvar: Array, row: Array)
 
 
 def _slopes_of(
-    chain: causal.Chain,
+    chain: Chain,
     row: Array,
     ahead: Array,
     at: tuple[Array, Array, Array],
@@ -353,7 +356,7 @@ def _slopes_of(
 
 
 def _star_slopes(
-    job: tuple[causal.Chain, Array, Array, tuple[Array, Array, Array], tuple[int, ...], tuple[int, ...], Ints, Array],
+    job: tuple[Chain, Array, Array, tuple[Array, Array, Array], tuple[int, ...], tuple[int, ...], Ints, Array],
 ) -> Slopes:
     return _slopes_of(*job)
 
@@ -713,7 +716,7 @@ def held_out_nearly(data: Recorded, fitted: Fit) -> Samples:
         y += np.clip(off_y, -most, most)
         variance[:] = np.clip(variance + off_variance, variance / _MOST_WIDER, variance * _MOST_WIDER)
         scored = np.isfinite(density)
-        causal.weigh_samples(y, variance, row, np.empty_like(y), density)
+        weigh_samples(y, variance, row, np.empty_like(y), density)
         density += np.where(scored, off_density, np.nan)
     return near
 

@@ -11,7 +11,7 @@ from sugiyama_msgs.srv import AddEffect
 
 from sugiyama_ros.driver.parameters import NAMES, population
 from sugiyama_ros.filters.bank import Bank, strengths
-from sugiyama_ros.filters.causal import CHAIN
+from sugiyama_ros.filters.chain import CHAIN
 from sugiyama_ros.filters.online import NOBODY, warm_up
 from sugiyama_ros.nodes.base import cdr_messages as wire
 from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode

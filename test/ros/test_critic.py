@@ -11,7 +11,8 @@ from sugiyama_msgs.srv import AddEffect, RemoveEffect, Seek
 
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, V_STAR, defaults, population
 from sugiyama_ros.effects.registry import switch_on, whole
-from sugiyama_ros.filters.causal import chain_behind, filter_chain
+from sugiyama_ros.filters.causal import filter_chain
+from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.online import ADAPT
 from sugiyama_ros.formats.plain_csv import write_csv
 from sugiyama_ros.nodes.base.qos import STREAM

@@ -14,7 +14,7 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from sugiyama_ros.filters.causal import chain_behind
+from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.online import OnlineFilter
 from sugiyama_ros.formats import read_trajectories
 from sugiyama_ros.formats.mcap_reader import Bag
