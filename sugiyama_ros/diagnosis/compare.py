@@ -10,7 +10,6 @@ from sugiyama_ros.diagnosis.bootstrap import resample, seeds
 from sugiyama_ros.diagnosis.candidates import named
 from sugiyama_ros.diagnosis.diagnosis import INDIVIDUAL
 from sugiyama_ros.diagnosis.errors import Errors, errors_of
-from sugiyama_ros.diagnosis.free_run import filtered_states
 from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter, laws
 from sugiyama_ros.diagnosis.screen import with_candidate
 from sugiyama_ros.filters.causal import chain_behind, track
@@ -20,6 +19,7 @@ from sugiyama_ros.fit.fitting import (
     Gain,
     Model,
     Recorded,
+    filtered_states,
     fit,
     fit_base,
     gain,

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sugiyama_ros.diagnosis.free_run import HORIZONS_S, FreeRuns, follow, free_runs, rmse
-from sugiyama_ros.fit.fitting import Model, Recorded, Samples, of_folds
+from sugiyama_ros.diagnosis.free_runs import HORIZONS_S, FreeRuns, free_runs, rmse
+from sugiyama_ros.fit.fitting import Model, Recorded, Samples, follow, of_folds
 
 # Share by which a free run's error may be larger than before without counting as worse: two starts differ by more.
 _TOLERANCE = 0.05

@@ -12,9 +12,8 @@ import numpy as np
 from scipy.stats import norm
 
 from sugiyama_ros.diagnosis.discover import looked_at
-from sugiyama_ros.diagnosis.free_run import filtered_states
 from sugiyama_ros.driver.parameters import RHO
-from sugiyama_ros.fit.fitting import Model, Recorded, Samples
+from sugiyama_ros.fit.fitting import Model, Recorded, Samples, filtered_states
 from sugiyama_ros.road import Array
 
 #: False-discovery rate of the flags.

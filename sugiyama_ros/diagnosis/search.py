@@ -17,7 +17,6 @@ from sugiyama_ros.diagnosis.bootstrap import resample, seeds
 from sugiyama_ros.diagnosis.candidates import Candidate, Kind, candidates, recording_of
 from sugiyama_ros.diagnosis.discover import Discovery
 from sugiyama_ros.diagnosis.errors import Errors, errors_of
-from sugiyama_ros.diagnosis.free_run import filtered_states
 from sugiyama_ros.diagnosis.screen import FULL, QUICK, Glance, closer, forecast, glance, glance_again, refine
 from sugiyama_ros.effects.registry import DECLARED
 from sugiyama_ros.fit.fitting import (
@@ -27,6 +26,7 @@ from sugiyama_ros.fit.fitting import (
     Recorded,
     begun,
     climb,
+    filtered_states,
     gain,
     held_out_nearly,
     objective,

@@ -213,6 +213,26 @@ def _star_own(job: tuple[causal.Chain, Array, Array]) -> tuple[Array, Array, Arr
     return own_of(*job)
 
 
+def filtered_states(data: Recorded, model: Model, work: Executor) -> Array:
+    """Filtered position, speed, noise and held acceleration of every driver, (T, N, 4); NaN where unknown."""
+    return follow(data, model, work)[1]
+
+
+def follow(data: Recorded, model: Model, work: Executor) -> tuple[Samples, Array]:
+    """What the model says of every sample, and the filtered states as in ``filtered_states``."""
+    jobs = [(data.chains[i], model.rows[i], leaders(data, model, i)) for i in range(data.drivers)]
+    outputs = list(work.map(_follow_driver, jobs))
+    y, variance, density = (np.array([o[k] for o in outputs]) for k in range(3))
+    states = np.stack([o[3] for o in outputs], axis=1)
+    states[~np.isfinite(variance.T)] = np.nan
+    return Samples(y, variance, density), states
+
+
+def _follow_driver(job: tuple[causal.Chain, Array, Array]) -> tuple[Array, Array, Array, Array]:
+    chain, row, ahead = job
+    return causal.predict_states(chain, row, ahead)
+
+
 # --- coordinates -----------------------------------------------------------------------------------------------------
 
 
