@@ -13,20 +13,13 @@ from sugiyama_ros.diagnosis.errors import Errors, errors_of
 from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter, laws
 from sugiyama_ros.diagnosis.screen import with_candidate
 from sugiyama_ros.filters.causal import chain_behind, track
-from sugiyama_ros.fit.fitting import (
-    FOLDS,
-    Fit,
-    Gain,
-    Model,
-    Recorded,
-    filtered_states,
-    fit,
-    fit_base,
-    gain,
-    prepare,
-    without_folds,
-)
+from sugiyama_ros.fit.cross_validation import Gain, gain, without_folds
+from sugiyama_ros.fit.joint import Fit, fit
+from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.model_file import ModelFile
+from sugiyama_ros.fit.population import fit_base
+from sugiyama_ros.fit.recording import FOLDS, Recorded, prepare
+from sugiyama_ros.fit.score import filtered_states
 from sugiyama_ros.simulation.collective import Collective, collective
 from sugiyama_ros.trajectories.trajectories import Trajectories
 

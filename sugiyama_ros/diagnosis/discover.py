@@ -10,7 +10,9 @@ from sugiyama_ros.diagnosis.candidates import Candidate
 from sugiyama_ros.diagnosis.screen import Glance, glance
 from sugiyama_ros.effects.discovered_force import COVARIATES, KNOTS
 from sugiyama_ros.effects.registry import place
-from sugiyama_ros.fit.fitting import Fit, Recorded, filtered_states
+from sugiyama_ros.fit.joint import Fit
+from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.fit.score import filtered_states
 from sugiyama_ros.road import Array
 
 _FIRST = place("discovered_force", "covariate")

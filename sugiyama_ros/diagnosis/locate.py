@@ -13,7 +13,9 @@ from scipy.stats import norm
 
 from sugiyama_ros.diagnosis.discover import looked_at
 from sugiyama_ros.driver.parameters import RHO
-from sugiyama_ros.fit.fitting import Model, Recorded, Samples, filtered_states
+from sugiyama_ros.fit.model import Model
+from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.fit.score import Samples, filtered_states
 from sugiyama_ros.road import Array
 
 #: False-discovery rate of the flags.

@@ -12,8 +12,12 @@ import numpy as np
 
 from sugiyama_ros.driver.parameters import SIGMA_A, SIGMA_NU
 from sugiyama_ros.effects.registry import DECLARED, LAW, LAW_PLACES
-from sugiyama_ros.fit.fitting import FOLDS, Fit, Model, Recorded, filtered_states, fit_base, start_model
+from sugiyama_ros.fit.joint import Fit
 from sugiyama_ros.fit.least_squares import Following, fit_gaps
+from sugiyama_ros.fit.model import Model
+from sugiyama_ros.fit.population import fit_base, start_model
+from sugiyama_ros.fit.recording import FOLDS, Recorded
+from sugiyama_ros.fit.score import filtered_states
 from sugiyama_ros.laws.registry import LAWS
 from sugiyama_ros.road import Array
 

@@ -19,21 +19,10 @@ from sugiyama_ros.diagnosis.discover import Discovery
 from sugiyama_ros.diagnosis.errors import Errors, errors_of
 from sugiyama_ros.diagnosis.screen import FULL, QUICK, Glance, closer, forecast, glance, glance_again, refine
 from sugiyama_ros.effects.registry import DECLARED
-from sugiyama_ros.fit.fitting import (
-    FOLDS,
-    Fit,
-    Gain,
-    Recorded,
-    begun,
-    climb,
-    filtered_states,
-    gain,
-    held_out_nearly,
-    objective,
-    refit,
-    sum_error,
-    without_folds,
-)
+from sugiyama_ros.fit.cross_validation import Gain, gain, held_out_nearly, sum_error, without_folds
+from sugiyama_ros.fit.joint import Fit, begun, climb, objective, refit
+from sugiyama_ros.fit.recording import FOLDS, Recorded
+from sugiyama_ros.fit.score import filtered_states
 
 #: Level of significance, after Bonferroni's correction.
 LEVEL = 0.05
