@@ -70,8 +70,8 @@ def climb(
 ) -> Fit:
     """Maximise the log posterior from a model whose slopes are known.
 
-    The derivatives of the samples take most of the time. They are kept from step to step, and computed anew where a step
-    gains less than half of what it promises, and at the end. Without shared parameters every driver rests on arrival.
+    The derivatives of the samples take most of the time. They are kept from step to step, and computed anew at the end
+    and where a step gains less than half of what it promises. Without shared parameters every driver rests on arrival.
 
     Parameters
     ----------
