@@ -14,13 +14,15 @@ from sugiyama_ros.diagnosis.screen import with_candidate
 from sugiyama_ros.driver.parameters import NAMES, index
 from sugiyama_ros.effects.registry import ENTRIES, whole
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.fit.bounds import upper_bounds
 from sugiyama_ros.fit.checkpoint import Checkpoint
 from sugiyama_ros.fit.classes import Classes, find_classes
-from sugiyama_ros.fit.driver import Fit, Formulation, calibrate, job_of, upper_bounds
+from sugiyama_ros.fit.driver import Fit, Formulation, SearchOptions, calibrate, job_of
 from sugiyama_ros.fit.driver_types import DriverTypes
-from sugiyama_ros.fit.fitting import fit_base, prepare
 from sugiyama_ros.fit.intervals import quadratic
 from sugiyama_ros.fit.model_file import stds_of, write_drivers
+from sugiyama_ros.fit.population import fit_base
+from sugiyama_ros.fit.recording import prepare
 from sugiyama_ros.road import Array
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
@@ -94,11 +96,13 @@ def each_for_himself(
                 trajectories,
                 formulation,
                 estimated,
-                is_regularised=is_regularised,
-                profiled=profiled and is_last,
-                with_errors=is_last,
-                hops=hops,
-                seed=seed,
+                SearchOptions(
+                    is_regularised=is_regularised,
+                    profiled=profiled and is_last,
+                    hops=hops,
+                    seed=seed,
+                    with_errors=is_last,
+                ),
                 starts=starts,
                 work=work,
             )
@@ -135,7 +139,8 @@ def in_classes(
     if drivers < count:
         raise InputError(f"{trajectories.source}: {drivers} drivers, {count} classes; give --classes {drivers} at most")
     places, upper = np.array([index(name) for name in estimated]), upper_bounds(trajectories)
-    jobs = [replace(job_of(trajectories, i, formulation, places, upper, {}), with_errors=False) for i in range(drivers)]
+    options = SearchOptions(with_errors=False)
+    jobs = [replace(job_of(trajectories, i, formulation, places, upper, {}), options=options) for i in range(drivers)]
     found = find_classes(jobs, count, int(np.isfinite(trajectories.position_m).sum()), seed, work)
     of = found.probability.argmax(axis=1)
     rows, std = found.rows[of], found.std[of]

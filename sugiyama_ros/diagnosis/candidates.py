@@ -10,7 +10,9 @@ from sugiyama_ros.driver.parameters import index
 from sugiyama_ros.effects.effect import MEASUREMENT, Recording
 from sugiyama_ros.effects.registry import DECLARED, EFFECTS, PLACES, place
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.fit.fitting import LARGEST_STD, Model, Recorded
+from sugiyama_ros.fit.model import Model
+from sugiyama_ros.fit.population import LARGEST_STD
+from sugiyama_ros.fit.recording import Recorded
 
 Kind = Literal["effect", "measurement", "constants"]
 

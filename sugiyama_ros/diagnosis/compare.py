@@ -10,23 +10,16 @@ from sugiyama_ros.diagnosis.bootstrap import resample, seeds
 from sugiyama_ros.diagnosis.candidates import named
 from sugiyama_ros.diagnosis.diagnosis import INDIVIDUAL
 from sugiyama_ros.diagnosis.errors import Errors, errors_of
-from sugiyama_ros.diagnosis.free_run import filtered_states
 from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter, laws
 from sugiyama_ros.diagnosis.screen import with_candidate
 from sugiyama_ros.filters.extract import chain_behind, track
-from sugiyama_ros.fit.fitting import (
-    FOLDS,
-    Fit,
-    Gain,
-    Model,
-    Recorded,
-    fit,
-    fit_base,
-    gain,
-    prepare,
-    without_folds,
-)
+from sugiyama_ros.fit.cross_validation import Gain, gain, without_folds
+from sugiyama_ros.fit.joint import Fit, fit
+from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.model_file import ModelFile
+from sugiyama_ros.fit.population import fit_base
+from sugiyama_ros.fit.recording import FOLDS, Recorded, prepare
+from sugiyama_ros.fit.score import filtered_states
 from sugiyama_ros.simulation.collective import Collective, collective
 from sugiyama_ros.trajectories.trajectories import Trajectories
 

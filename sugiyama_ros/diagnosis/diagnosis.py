@@ -12,7 +12,10 @@ from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter, la
 from sugiyama_ros.diagnosis.screen import Glance
 from sugiyama_ros.diagnosis.search import LEVEL, Looked, Named, OnProgress, Search
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR
-from sugiyama_ros.fit.fitting import Fit, Gain, Recorded, fit_base, prepare, without_folds
+from sugiyama_ros.fit.cross_validation import Gain, without_folds
+from sugiyama_ros.fit.joint import Fit
+from sugiyama_ros.fit.population import fit_base
+from sugiyama_ros.fit.recording import Recorded, prepare
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 #: Each driver's own parameters.

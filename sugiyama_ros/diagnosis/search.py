@@ -17,23 +17,12 @@ from sugiyama_ros.diagnosis.bootstrap import resample, seeds
 from sugiyama_ros.diagnosis.candidates import Candidate, Kind, candidates, recording_of
 from sugiyama_ros.diagnosis.discover import Discovery
 from sugiyama_ros.diagnosis.errors import Errors, errors_of
-from sugiyama_ros.diagnosis.free_run import filtered_states
 from sugiyama_ros.diagnosis.screen import FULL, QUICK, Glance, closer, forecast, glance, glance_again, refine
 from sugiyama_ros.effects.registry import DECLARED
-from sugiyama_ros.fit.fitting import (
-    FOLDS,
-    Fit,
-    Gain,
-    Recorded,
-    begun,
-    climb,
-    gain,
-    held_out_nearly,
-    objective,
-    refit,
-    sum_error,
-    without_folds,
-)
+from sugiyama_ros.fit.cross_validation import Gain, gain, held_out_nearly, sum_error, without_folds
+from sugiyama_ros.fit.joint import Fit, begun, climb, objective, refit
+from sugiyama_ros.fit.recording import FOLDS, Recorded
+from sugiyama_ros.fit.score import filtered_states
 
 #: Level of significance, after Bonferroni's correction.
 LEVEL = 0.05

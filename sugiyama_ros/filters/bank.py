@@ -4,9 +4,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.effects.registry import effect, switch_on, whole
 from sugiyama_ros.filters.online import NOBODY, Estimate, OnlineFilter
-from sugiyama_ros.road import Array, Road
+from sugiyama_ros.road import Road
 
 #: Name of the model without any effect.
 BASE = "base"

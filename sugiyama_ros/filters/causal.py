@@ -24,6 +24,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import UTILITY
 from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.effects.control import lean
@@ -43,7 +44,6 @@ from sugiyama_ros.filters.state import (
     workspace_for,
 )
 from sugiyama_ros.filters.vehicles import forget_vehicle, start_vehicle
-from sugiyama_ros.road import Array, Ints
 
 #: Samples after the start of a vehicle's record (or after a break) whose innovations are not scored.
 SETTLING = 6

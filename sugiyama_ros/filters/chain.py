@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import NAMES, OMEGA_2, UTILITY, at_period, population
 from sugiyama_ros.effects.registry import WIDTH, place, whole
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.road import Array, Ints
 
 #: Vehicles in a chain: own, leader and the leader's leader.
 CHAIN = 3

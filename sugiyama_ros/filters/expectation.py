@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import RHO, UTILITY
 from sugiyama_ros.effects.control import expect_change, intend, lean, remembers
 from sugiyama_ros.effects.effect import Seen
 from sugiyama_ros.effects.registry import place
 from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Moment, Scene, State, Workspace
-from sugiyama_ros.road import Array, Ints
 
 _DELAY = place("reaction_delay", "delay")
 # Variance below which a direction of what the driver sees counts as known; keeps the Cholesky factor invertible.

@@ -4,13 +4,13 @@ import math
 
 from numba import njit
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import SIGMA_NU
 from sugiyama_ros.effects.control import lean
 from sugiyama_ros.effects.outlier_noise import weigh
 from sugiyama_ros.effects.registry import place
 from sugiyama_ros.effects.sensor_eccentricity import displacement
 from sugiyama_ros.effects.uneven_noise import factor as noise_std_factor
-from sugiyama_ros.road import Array
 
 #: Place in a driver's row of the share of outliers; 0 where none are expected.
 OUTLIERS = place("outlier_noise", "share")

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import SIGMA_A, SIGMA_NU
 from sugiyama_ros.filters.state import STATE
-from sugiyama_ros.road import Array
 
 #: The noises that are learnt, as places in a driver's row.
 NOISES = [SIGMA_NU, SIGMA_A]

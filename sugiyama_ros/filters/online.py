@@ -13,6 +13,7 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 from scipy.linalg import block_diag
 
+from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import NAMES, SIGMA_NU, UTILITY, check, population
 from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.effects.effect import MEASUREMENT
@@ -27,7 +28,7 @@ from sugiyama_ros.filters.measurement import measurement, noise_var_at, robust
 from sugiyama_ros.filters.noise import NOISES, Learning, NoiseLearner
 from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Linearised, Moment, State, scene_at, workspace_for
 from sugiyama_ros.filters.vehicles import forget_vehicle, start_vehicle
-from sugiyama_ros.road import Array, Ints, Road
+from sugiyama_ros.road import Road
 
 #: Adaptation of the estimator nodes: desired speed and risk premium. The prior stds are about those over the drivers of
 #: the measured experiment, each fitted for himself.

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.moments import mean_actions
 from sugiyama_ros.driver.parameters import (
     COUNT,
@@ -26,7 +27,6 @@ from sugiyama_ros.driver.parameters import (
 )
 from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.road import Array
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 #: Samples without a perceived state at the start and at the end: the smoothed speed reaches from t - 2 to t + 3.

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import REFERENCE_HORIZON, UTILITY, horizon_at
 from sugiyama_ros.driver.utility import room_for
-from sugiyama_ros.road import Array, Ints
 
 #: Acceleration of the last vehicle of a chain: correlation over the reference period and std [m/s^2] of its shock.
 LAST_RHO, LAST_SHOCK_STD = 0.9, 0.7

@@ -4,11 +4,11 @@ import math
 
 from numba import njit
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import RHO, SIGMA_A
 from sugiyama_ros.effects.control import remembers
 from sugiyama_ros.filters.measurement import measurement, noise_var_at
 from sugiyama_ros.filters.state import MOVING, POSITION, STATE, UNKNOWN, Scene, State
-from sugiyama_ros.road import Array
 
 # Acceleration [m/s^2] for which a speed from two positions allows.
 _START_ACCELERATION_STD = 1.0

@@ -12,9 +12,13 @@ from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.stats import qmc
 
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.driver.advance import advance
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.laws.registry import LAWS, Law, fvdm, idm
-from sugiyama_ros.road import Array
+from sugiyama_ros.laws.fvdm import fvdm
+from sugiyama_ros.laws.idm import idm
+from sugiyama_ros.laws.law import Law
+from sugiyama_ros.laws.registry import LAWS
 
 Mask = NDArray[np.bool_]
 
@@ -80,8 +84,8 @@ def _run(law: int, rows: Array, states: Array, half_lengths: float, period: floa
                 x, v = position, max(speed, 0.0)
             gap = leader_position - x - half_lengths
             a = idm(gap, v, leader_speed, rows[k]) if law == 0 else fvdm(gap, v, leader_speed, rows[k])
-            x += period * v
-            v = max(v + period * a, 0.0)
+            x, v = advance(x, v, a, period)
+            v = max(v, 0.0)
 
 
 def gap_errors(law: Law, parameters: Array, following: Following, chosen: Mask) -> Array:

@@ -11,13 +11,20 @@ from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 from sugiyama_ros.calibration import each_for_himself
 from sugiyama_ros.driver.parameters import KAPPA_V, NAMES, SIGMA_A, SIGMA_NU, UTILITY, V_STAR, population
 from sugiyama_ros.driver.utility import ACTIONS
-from sugiyama_ros.filters.causal import SETTLING
-from sugiyama_ros.filters.chain import CHAIN, Adaptation, chain_parameters
-from sugiyama_ros.filters.extract import chain_behind
-from sugiyama_ros.filters.linearisation import linearise
+from sugiyama_ros.filters.causal import (
+    CHAIN,
+    MOVING,
+    SETTLING,
+    STATE,
+    Adaptation,
+    chain_behind,
+    chain_parameters,
+    linearise,
+    scene_at,
+    start_vehicle,
+    workspace_for,
+)
 from sugiyama_ros.filters.online import ADAPT, Learnt, OnlineFilter
-from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Linearised, Moment, State, scene_at, workspace_for
-from sugiyama_ros.filters.vehicles import start_vehicle
 from sugiyama_ros.road import Array, Ints, Road
 from sugiyama_ros.studies.rings import CARS, alike, jams
 from sugiyama_ros.studies.study import Answer, Asked, Row, Study
@@ -93,9 +100,10 @@ class Unscented:
         kalman, self._length = self._filter, length_m
         self._steps += 1
         if self._known.min() < MOVING:
-            state = State(kalman.x, kalman.P, self._known)
             for m, position in enumerate(position_m):
-                start_vehicle(m, position, self._scene.period_s, state, self._rows, self._scene)
+                start_vehicle(
+                    m, position, self._scene.period_s, kalman.x, kalman.P, self._known, self._rows, self._scene
+                )
             return np.nan
         # what never changes has no uncertainty, of which there is no Cholesky factor
         kalman.P += _LEAST_VAR * np.eye(len(kalman.x))
@@ -113,12 +121,21 @@ class Unscented:
         size = len(x)
         moved, noise = np.empty(size), np.empty((size, size))
         linearise(
-            State(x, _SHARP**2 * np.eye(size), self._known),
-            Drivers(self._rows, self._places, self._prior_mean, self._prior_var),
-            Moment(self._length, np.full(3, np.nan), 0.0),
-            self._scene,
+            x,
+            _SHARP**2 * np.eye(size),
+            self._known,
+            self._length,
+            np.full(3, np.nan),
+            self._rows,
+            self._places,
+            self._prior_mean,
+            self._prior_var,
             self._workspace,
-            Linearised(moved, np.empty((size, size)), noise),
+            0.0,
+            self._scene,
+            moved,
+            np.empty((size, size)),
+            noise,
         )
         return moved, noise
 

@@ -7,7 +7,7 @@ import numpy as np
 from sugiyama_ros.calibration import each_for_himself
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, index
 from sugiyama_ros.effects.registry import switch_on, whole
-from sugiyama_ros.filters.extract import chain_behind
+from sugiyama_ros.filters.causal import chain_behind
 from sugiyama_ros.filters.online import OnlineFilter
 from sugiyama_ros.fit.driver import ESTIMATED
 from sugiyama_ros.road import Array

@@ -23,7 +23,6 @@ from sugiyama_ros.calibration import each_for_himself
 from sugiyama_ros.driver.parameters import NAMES, SIGMA_A, defaults
 from sugiyama_ros.driver.utility import ACTIONS, FORWARD
 from sugiyama_ros.filters import causal, paper
-from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.fit.driver import ESTIMATED, calibrate
 from sugiyama_ros.road import Array, Road
 from sugiyama_ros.simulation.simulator import Simulator, platoon, simulate
@@ -152,7 +151,7 @@ def main() -> None:
     given = parser.parse_args()
     t = run(Ring(alike(), 4, jammed=True, duration_s=_DURATION_S)).measured
     perceived, p = paper.perceive(t, 3), defaults()
-    chain = chain_behind(t, 3)
+    chain = causal.chain_behind(t, 3)
     found: dict[str, float] = {
         "floor_s": floor(perceived),
         "likelihood_with_gradient_s": best_of(50, lambda: paper.score(perceived, p, _PLACES)),

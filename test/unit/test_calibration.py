@@ -13,7 +13,8 @@ from sugiyama_ros.driver.parameters import KAPPA_V, NAMES, SIGMA_A, SIGMA_NU, V_
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters import paper
 from sugiyama_ros.fit import driver as calibration
-from sugiyama_ros.fit.driver import ESTIMATED, calibrate, regularised
+from sugiyama_ros.fit.driver import ESTIMATED, SearchOptions, calibrate
+from sugiyama_ros.fit.driver_score import regularised
 from sugiyama_ros.fit.intervals import end_of_profile
 from sugiyama_ros.fit.model_file import read_model
 from sugiyama_ros.road import Road
@@ -81,7 +82,7 @@ def test_regularisation_is_the_papers(jam):
     penalty = 50.0 * (v_star - 11.0) ** 2 + 500.0 * (kappa_v - 0.5) ** 2
     assert plain.log_likelihood - pulled.log_likelihood == pytest.approx(penalty)
     assert plain.gradient[V_STAR] - pulled.gradient[V_STAR] == pytest.approx(100.0 * (v_star - 11.0))
-    fits = list(calibrate(jam, "paper", is_regularised=True))
+    fits = list(calibrate(jam, "paper", options=SearchOptions(is_regularised=True)))
     free = list(calibrate(jam, "paper"))
     assert all(a.log_likelihood <= b.log_likelihood + 1e-3 for a, b in zip(fits, free, strict=True))
     assert np.mean([f.parameters[KAPPA_V] for f in fits]) > np.mean([f.parameters[KAPPA_V] for f in free]) + 0.02
@@ -161,7 +162,7 @@ def test_an_interval_ends_where_the_profile_has_fallen_by_half_of_1_96_squared(s
 
 def test_profile_intervals_are_those_of_another_search(jam):
     """The paper's likelihood, maximised over the others by scipy at the ends of the intervals."""
-    fit = next(calibrate(jam, "paper", profiled=True))
+    fit = next(calibrate(jam, "paper", options=SearchOptions(profiled=True)))
     perceived = paper.perceive(jam, 0)
     assert np.all(fit.interval[PLACES, 0] < fit.parameters[PLACES])
     assert np.all(fit.interval[PLACES, 1] > fit.parameters[PLACES])
@@ -183,14 +184,14 @@ def test_profile_intervals_are_those_of_another_search(jam):
 
 
 def test_an_interval_of_a_negative_parameter_has_two_ends(jam):
-    fit = next(calibrate(jam, "paper", ("omega_2",), profiled=True))
+    fit = next(calibrate(jam, "paper", ("omega_2",), SearchOptions(profiled=True)))
     k = index("omega_2")
     low, high = fit.interval[k]
     assert -np.inf < low < fit.parameters[k] < high < 0.0
 
 
 def test_basinhopping_ends_in_the_same_maximum_and_repeats(jam):
-    first, again = (next(calibrate(jam, "paper", hops=3, seed=2)) for _ in range(2))
+    first, again = (next(calibrate(jam, "paper", options=SearchOptions(hops=3, seed=2))) for _ in range(2))
     plain = next(calibrate(jam, "paper"))
     assert np.array_equal(first.parameters, again.parameters)
     assert first.log_likelihood > plain.log_likelihood - 1e-3
