@@ -1,11 +1,12 @@
-"""Calibration as a user asks for it: one formulation, some parameters, perhaps a population or effects with them."""
+"""Calibration as a user asks for it: each driver alone, all drivers as one population, or classes of drivers."""
 
 import contextlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from sugiyama_ros.effects.registry import ENTRIES, whole
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.checkpoint import Checkpoint
 from sugiyama_ros.fit.classes import Classes, find_classes
-from sugiyama_ros.fit.driver import Fit, Formulation, calibrate, job_of, upper_bounds
+from sugiyama_ros.fit.driver import ESTIMATED, Fit, Formulation, calibrate, job_of, upper_bounds
 from sugiyama_ros.fit.driver_types import DriverTypes
 from sugiyama_ros.fit.fitting import fit_base, prepare
 from sugiyama_ros.fit.intervals import quadratic
@@ -24,19 +25,66 @@ from sugiyama_ros.fit.model_file import stds_of, write_drivers
 from sugiyama_ros.road import Array
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
-#: Called with the fits done, and to do.
+#: Called with the number of fits that are done, and the number of all fits.
 OnProgress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a calibration estimates, and how it searches.
+
+    Parameters
+    ----------
+    formulation
+        ``"paper"``: perceived states are smoothed; ``"causal"``: they are filtered.
+    estimated
+        Names of the parameters to estimate.
+    is_regularised
+        Whether the paper's penalty is added to the likelihood of each driver.
+    profiled
+        Whether the intervals come from the profile likelihood.
+    hops
+        Hops of basinhopping before the search.
+    seed
+        Seed of the random numbers.
+    """
+
+    formulation: Formulation = "causal"
+    estimated: tuple[str, ...] = ESTIMATED
+    is_regularised: bool = False
+    profiled: bool = False
+    hops: int = 0
+    seed: int = 0
 
 
 @dataclass(frozen=True, eq=False)
 class Calibrated:
-    """Drivers with their parameters: rows (N, WIDTH), std and identified of each by name, log-likelihood (N,).
+    """Calibrated drivers, N of them, in the order of the vehicles.
 
-    interval: (N, P, 2), ends of the 95 % intervals of the base model's parameters; shared_std: of what all drivers have
-    in common; classes: those that the drivers were divided into, if they were.
+    Parameters
+    ----------
+    trajectories
+        The recording.
+    settings
+        What was asked for.
+    rows : (N, WIDTH)
+        Parameters of each driver, in the units that they are declared with.
+    std
+        Standard deviations of each driver's parameters, by name.
+    identified
+        Whether the data determine each driver's parameters, by name.
+    interval : (N, P, 2)
+        Ends of the 95 % intervals of the base model's parameters.
+    log_likelihood : (N,)
+        Log-likelihood of each driver [nats], without the 2 pi term.
+    shared_std
+        Standard deviations of the parameters that all drivers have in common, by name.
+    classes
+        The classes of drivers, if the drivers were divided into classes.
     """
 
     trajectories: Trajectories
+    settings: Settings
     rows: Array
     std: tuple[dict[str, float], ...]
     identified: tuple[dict[str, bool], ...]
@@ -46,7 +94,13 @@ class Calibrated:
     classes: Classes | None = None
 
     def write(self, path: Path) -> None:
-        """Write a model file. Raises OutputError."""
+        """Write a model file.
+
+        Raises
+        ------
+        OutputError
+            If the file cannot be written.
+        """
         total, types = float(self.log_likelihood.sum()), None
         if self.classes is not None:
             types = DriverTypes(self.classes.share, self.classes.rows)
@@ -55,128 +109,185 @@ class Calibrated:
 
 def each_for_himself(
     trajectories: Trajectories,
-    formulation: Formulation,
-    estimated: Sequence[str],
+    settings: Settings,
     *,
-    is_regularised: bool = False,
-    profiled: bool = False,
-    hops: int = 0,
-    seed: int = 0,
     work: Executor | None = None,
     kept: Path | None = None,
     on_progress: OnProgress = lambda done, total: None,
 ) -> Calibrated:
-    """Calibrate the drivers one by one; the causal formulation twice, then with the drivers ahead as they were found.
+    """Calibrate the drivers one by one.
 
-    profiled: whether intervals come from the profile likelihood; hops: of basinhopping before the search; kept: file in
-    which the fits are kept until all is done, so that a calibration that was cut off can go on.
+    The causal formulation calibrates twice: the second time, the drivers ahead have the parameters that were found the
+    first time.
+
+    Parameters
+    ----------
+    trajectories
+        The recording.
+    settings
+        What to estimate, and how to search.
+    work
+        Executor that carries out the searches; without one, they are carried out in turn.
+    kept
+        File that keeps the fits while the calibration runs, so that a calibration that was stopped can go on.
+    on_progress
+        Called after each fit.
+
+    Raises
+    ------
+    InputError
+        For an unknown parameter, or for data that the formulation cannot use.
+    OutputError
+        If ``kept`` cannot be written.
     """
-    passes = 1 if formulation == "paper" else 2
-    total = passes * len(trajectories.vehicle)
+    passes = 1 if settings.formulation == "paper" else 2
+    drivers = len(trajectories.vehicle)
     found: dict[int, Fit] = {}
     with contextlib.ExitStack() as stack:
         resume = None
         if kept is not None:
-            about = {
-                "sha256": trajectories.sha256,
-                "ring_m": trajectories.road.circumference_m,
-                "formulation": formulation,
-                "estimated": list(estimated),
-                "regularised": is_regularised,
-                "profiled": profiled,
-                "hops": [hops, seed],
-            }
-            resume = stack.enter_context(Checkpoint(kept, about)).resume
+            resume = stack.enter_context(Checkpoint(kept, _about(trajectories, settings))).resume
         for number in range(passes):
-            starts, is_last = {v: fit.parameters for v, fit in found.items()}, number == passes - 1
-            one_pass = partial(
-                calibrate,
-                trajectories,
-                formulation,
-                estimated,
-                is_regularised=is_regularised,
-                profiled=profiled and is_last,
-                with_errors=is_last,
-                hops=hops,
-                seed=seed,
-                starts=starts,
-                work=work,
-            )
+            starts = {v: fit.parameters for v, fit in found.items()}
+            one_pass = _one_pass(trajectories, settings, starts, number == passes - 1, work)
             latest: dict[int, Fit] = {}
             for fit in resume(f"pass {number + 1}", one_pass) if resume else one_pass():
                 latest[fit.vehicle] = fit
-                on_progress(number * len(trajectories.vehicle) + len(latest), total)
+                on_progress(number * drivers + len(latest), passes * drivers)
             found = latest
     fits = [found[v] for v in trajectories.vehicle.tolist()]
+    estimated = settings.estimated
     return Calibrated(
-        trajectories,
-        whole(np.array([fit.parameters for fit in fits])),
-        tuple({name: float(fit.std[index(name)]) for name in estimated} for fit in fits),
-        tuple({name: fit.identified(name) for name in estimated} for fit in fits),
-        np.array([fit.interval for fit in fits]),
-        np.array([fit.log_likelihood for fit in fits]),
-        {},
+        trajectories=trajectories,
+        settings=settings,
+        rows=whole(np.array([fit.parameters for fit in fits])),
+        std=tuple({name: float(fit.std[index(name)]) for name in estimated} for fit in fits),
+        identified=tuple({name: fit.identified(name) for name in estimated} for fit in fits),
+        interval=np.array([fit.interval for fit in fits]),
+        log_likelihood=np.array([fit.log_likelihood for fit in fits]),
+        shared_std={},
     )
 
 
-def in_classes(
-    trajectories: Trajectories,
-    formulation: Formulation,
-    estimated: Sequence[str],
-    count: int,
-    seed: int,
-    work: Executor,
-) -> Calibrated:
-    """Calibrate ``count`` classes of drivers who share their parameters; each has those of his likeliest class.
+def _about(trajectories: Trajectories, settings: Settings) -> dict[str, Any]:
+    """What must be the same for kept fits to be used again."""
+    return {
+        "sha256": trajectories.sha256,
+        "ring_m": trajectories.road.circumference_m,
+        "formulation": settings.formulation,
+        "estimated": list(settings.estimated),
+        "regularised": settings.is_regularised,
+        "profiled": settings.profiled,
+        "hops": [settings.hops, settings.seed],
+    }
 
-    Raises InputError for fewer drivers than classes.
+
+def _one_pass(
+    trajectories: Trajectories, settings: Settings, starts: Mapping[int, Array], is_last: bool, work: Executor | None
+) -> Callable[..., Iterator[Fit]]:
+    """The fits of all drivers, from ``starts``, as a function; only the last pass needs errors and intervals."""
+    return partial(
+        calibrate,
+        trajectories,
+        settings.formulation,
+        settings.estimated,
+        is_regularised=settings.is_regularised,
+        profiled=settings.profiled and is_last,
+        with_errors=is_last,
+        hops=settings.hops,
+        seed=settings.seed,
+        starts=starts,
+        work=work,
+    )
+
+
+def in_classes(trajectories: Trajectories, settings: Settings, count: int, work: Executor) -> Calibrated:
+    """Calibrate classes of drivers who share all parameters; each driver gets the parameters of the likeliest class.
+
+    Parameters
+    ----------
+    trajectories
+        The recording.
+    settings
+        Formulation, parameters to estimate, and seed; the other settings are for drivers who are calibrated alone.
+    count
+        Number of classes.
+    work
+        Executor that carries out the searches.
+
+    Raises
+    ------
+    InputError
+        If there are fewer drivers than classes.
     """
     drivers = len(trajectories.vehicle)
     if drivers < count:
         raise InputError(f"{trajectories.source}: {drivers} drivers, {count} classes; give --classes {drivers} at most")
+    estimated = settings.estimated
     places, upper = np.array([index(name) for name in estimated]), upper_bounds(trajectories)
-    jobs = [replace(job_of(trajectories, i, formulation, places, upper, {}), with_errors=False) for i in range(drivers)]
-    found = find_classes(jobs, count, int(np.isfinite(trajectories.position_m).sum()), seed, work)
-    of = found.probability.argmax(axis=1)
-    rows, std = found.rows[of], found.std[of]
+    jobs = [
+        replace(job_of(trajectories, i, settings.formulation, places, upper, {}), with_errors=False)
+        for i in range(drivers)
+    ]
+    samples = int(np.isfinite(trajectories.position_m).sum())
+    found = find_classes(jobs, count, samples, settings.seed, work)
+    likeliest = found.probability.argmax(axis=1)
+    rows, std = found.rows[likeliest], found.std[likeliest]
     return Calibrated(
-        trajectories,
-        whole(rows),
-        tuple(dict(zip(estimated, one.tolist(), strict=True)) for one in std[:, places]),
-        tuple(dict.fromkeys(estimated, True) for _ in of),
-        quadratic(rows, std),
-        found.log_likelihood,
-        {},
-        found,
+        trajectories=trajectories,
+        settings=settings,
+        rows=whole(rows),
+        std=tuple(dict(zip(estimated, one.tolist(), strict=True)) for one in std[:, places]),
+        identified=tuple(dict.fromkeys(estimated, True) for _ in likeliest),
+        interval=quadratic(rows, std),
+        log_likelihood=found.log_likelihood,
+        shared_std={},
+        classes=found,
     )
 
 
-def all_together(
-    trajectories: Trajectories, estimated: Sequence[str], effects: Sequence[str], work: Executor
-) -> Calibrated:
-    """Calibrate all drivers together, as draws of one population (partial pooling), with effects if any are given.
+def all_together(trajectories: Trajectories, settings: Settings, effects: Sequence[str], work: Executor) -> Calibrated:
+    """Calibrate all drivers together, as draws of one population (partial pooling), by the causal formulation.
 
-    The prior over the drivers is found from themselves (empirical Bayes). Raises InputError for an unknown effect.
+    The distribution of the parameters over the drivers is estimated from the drivers themselves (empirical Bayes).
+
+    Parameters
+    ----------
+    trajectories
+        The recording.
+    settings
+        Parameters to estimate; the other settings are for drivers who are calibrated alone.
+    effects
+        Names of the effects to fit together with the parameters.
+    work
+        Executor that carries out the searches.
+
+    Raises
+    ------
+    InputError
+        For an unknown effect, or a recording that is too short.
     """
     data = prepare(trajectories)
     chosen = named(data, effects)
-    fitted = fit_base(data, [index(name) for name in estimated], work)
+    fitted = fit_base(data, [index(name) for name in settings.estimated], work)
     for candidate in chosen:
         fitted = with_candidate(data, fitted, candidate, work)
     own, shared = stds_of(fitted)
     names = [ENTRIES[k] for k in fitted.model.individual]
     prior = np.array(fitted.model.prior_std)
-    # what the prior leaves as wide as it was is not in the data
+    # where the prior stays as wide as it was, the data say nothing
     known = [
         np.array([s.information.sum(axis=0)[k, k] for k in range(len(names))]) > 3.0 / np.square(prior)
         for s in fitted.slopes
     ]
+    stds = np.array([[s.get(name, 0.0) for name in NAMES] for s in own])
     return Calibrated(
-        trajectories,
-        fitted.model.rows,
-        tuple(own),
-        tuple({n: bool(k) for n, k in zip(names, one, strict=True)} for one in known),
-        quadratic(fitted.model.rows[:, : len(NAMES)], np.array([[s.get(name, 0.0) for name in NAMES] for s in own])),
-        np.nansum(fitted.samples.log_likelihood, axis=1),
-        shared,
+        trajectories=trajectories,
+        settings=settings,
+        rows=fitted.model.rows,
+        std=tuple(own),
+        identified=tuple({n: bool(k) for n, k in zip(names, one, strict=True)} for one in known),
+        interval=quadratic(fitted.model.rows[:, : len(NAMES)], stds),
+        log_likelihood=np.nansum(fitted.samples.log_likelihood, axis=1),
+        shared_std=shared,
     )

@@ -241,7 +241,7 @@ def calibrate(
     as_json: Json = False,
 ) -> None:
     """Estimate every driver's parameters by maximum likelihood, and say how well the data hold them."""
-    from sugiyama_ros.calibration import all_together, each_for_himself, in_classes
+    from sugiyama_ros.calibration import Settings, all_together, each_for_himself, in_classes
     from sugiyama_ros.formats import read_trajectories
     from sugiyama_ros.workers import workers
 
@@ -258,23 +258,19 @@ def calibrate(
     if classes and (pooled or profile or hops or regularise):
         raise InputError("--classes: share all parameters; leave --effects, --regularise, --profile and --hops out")
     form: Formulation = "paper" if formulation == "paper" else "causal"
+    settings = Settings(form, tuple(names), regularise, profile, hops, seed)
     trajectories = read_trajectories(source, ring)
     began = time.monotonic()
     with _progress("calibrating") as advance, workers(len(trajectories.vehicle), scheduler) as work:
         kept = output.with_name(output.name + ".fits") if output is not None else None
         if pooled:
-            found = all_together(trajectories, names, added, work)
+            found = all_together(trajectories, settings, added, work)
         elif classes:
-            found = in_classes(trajectories, form, names, classes, seed, work)
+            found = in_classes(trajectories, settings, classes, work)
         else:
             found = each_for_himself(
                 trajectories,
-                form,
-                names,
-                is_regularised=regularise,
-                profiled=profile,
-                hops=hops,
-                seed=seed,
+                settings,
                 work=work,
                 kept=kept,
                 on_progress=advance or (lambda done, total: None),
