@@ -241,7 +241,8 @@ def calibrate(
     as_json: Json = False,
 ) -> None:
     """Estimate every driver's parameters by maximum likelihood, and say how well the data hold them."""
-    from sugiyama_ros.calibration import Settings, all_together, each_for_himself, in_classes
+    from sugiyama_ros.calibration.calibrate import all_together, each_for_himself, in_classes
+    from sugiyama_ros.calibration.result import Settings
     from sugiyama_ros.formats import read_trajectories
     from sugiyama_ros.workers import workers
 

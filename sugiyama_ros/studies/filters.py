@@ -8,7 +8,8 @@ from typing import Any, Protocol
 import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
-from sugiyama_ros.calibration import Settings, each_for_himself
+from sugiyama_ros.calibration.calibrate import each_for_himself
+from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.driver.parameters import KAPPA_V, NAMES, SIGMA_A, SIGMA_NU, UTILITY, V_STAR, population
 from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.filters.causal import (

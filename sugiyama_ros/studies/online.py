@@ -4,7 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from sugiyama_ros.calibration import Settings, each_for_himself
+from sugiyama_ros.calibration.calibrate import each_for_himself
+from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, index
 from sugiyama_ros.effects.registry import switch_on, whole
 from sugiyama_ros.filters.causal import chain_behind

@@ -4,7 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from sugiyama_ros.calibration import Settings, each_for_himself
+from sugiyama_ros.calibration.calibrate import each_for_himself
+from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.driver.parameters import index
 from sugiyama_ros.fit.driver import ESTIMATED, Formulation
 from sugiyama_ros.road import Array

@@ -19,7 +19,8 @@ from filterpy.kalman import KalmanFilter
 from scipy.optimize import minimize
 from statsmodels.tsa.statespace.mlemodel import MLEModel
 
-from sugiyama_ros.calibration import Settings, each_for_himself
+from sugiyama_ros.calibration.calibrate import each_for_himself
+from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.driver.parameters import NAMES, SIGMA_A, defaults
 from sugiyama_ros.driver.utility import ACTIONS, FORWARD
 from sugiyama_ros.filters import causal, paper

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from sugiyama_ros.calibration import Settings, all_together, each_for_himself, in_classes
+from sugiyama_ros.calibration.calibrate import all_together, each_for_himself, in_classes
+from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.driver.parameters import KAPPA_V, NAMES, SIGMA_A, SIGMA_NU, V_STAR, defaults, index
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters import paper

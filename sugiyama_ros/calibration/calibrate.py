@@ -3,108 +3,30 @@
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from sugiyama_ros.calibration.result import Calibrated, Settings
 from sugiyama_ros.diagnosis.candidates import named
 from sugiyama_ros.diagnosis.screen import with_candidate
 from sugiyama_ros.driver.parameters import NAMES, index
 from sugiyama_ros.effects.registry import ENTRIES, whole
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.checkpoint import Checkpoint
-from sugiyama_ros.fit.classes import Classes, find_classes
-from sugiyama_ros.fit.driver import ESTIMATED, Fit, Formulation, calibrate, job_of, upper_bounds
-from sugiyama_ros.fit.driver_types import DriverTypes
+from sugiyama_ros.fit.classes import find_classes
+from sugiyama_ros.fit.driver import Fit, calibrate, job_of, upper_bounds
 from sugiyama_ros.fit.fitting import fit_base, prepare
 from sugiyama_ros.fit.intervals import quadratic
-from sugiyama_ros.fit.model_file import stds_of, write_drivers
+from sugiyama_ros.fit.model_file import stds_of
 from sugiyama_ros.road import Array
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 #: Called with the number of fits that are done, and the number of all fits.
 OnProgress = Callable[[int, int], None]
-
-
-@dataclass(frozen=True)
-class Settings:
-    """What a calibration estimates, and how it searches.
-
-    Parameters
-    ----------
-    formulation
-        ``"paper"``: perceived states are smoothed; ``"causal"``: they are filtered.
-    estimated
-        Names of the parameters to estimate.
-    is_regularised
-        Whether the paper's penalty is added to the likelihood of each driver.
-    profiled
-        Whether the intervals come from the profile likelihood.
-    hops
-        Hops of basinhopping before the search.
-    seed
-        Seed of the random numbers.
-    """
-
-    formulation: Formulation = "causal"
-    estimated: tuple[str, ...] = ESTIMATED
-    is_regularised: bool = False
-    profiled: bool = False
-    hops: int = 0
-    seed: int = 0
-
-
-@dataclass(frozen=True, eq=False)
-class Calibrated:
-    """Calibrated drivers, N of them, in the order of the vehicles.
-
-    Parameters
-    ----------
-    trajectories
-        The recording.
-    settings
-        What was asked for.
-    rows : (N, WIDTH)
-        Parameters of each driver, in the units that they are declared with.
-    std
-        Standard deviations of each driver's parameters, by name.
-    identified
-        Whether the data determine each driver's parameters, by name.
-    interval : (N, P, 2)
-        Ends of the 95 % intervals of the base model's parameters.
-    log_likelihood : (N,)
-        Log-likelihood of each driver [nats], without the 2 pi term.
-    shared_std
-        Standard deviations of the parameters that all drivers have in common, by name.
-    classes
-        The classes of drivers, if the drivers were divided into classes.
-    """
-
-    trajectories: Trajectories
-    settings: Settings
-    rows: Array
-    std: tuple[dict[str, float], ...]
-    identified: tuple[dict[str, bool], ...]
-    interval: Array
-    log_likelihood: Array
-    shared_std: Mapping[str, float]
-    classes: Classes | None = None
-
-    def write(self, path: Path) -> None:
-        """Write a model file.
-
-        Raises
-        ------
-        OutputError
-            If the file cannot be written.
-        """
-        total, types = float(self.log_likelihood.sum()), None
-        if self.classes is not None:
-            types = DriverTypes(self.classes.share, self.classes.rows)
-        write_drivers(path, self.trajectories, self.rows, self.std, self.shared_std, total, types)
 
 
 def each_for_himself(
