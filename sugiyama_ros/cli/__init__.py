@@ -6,6 +6,8 @@ line and exit code 2. Each command imports what it needs when it runs, so that `
 
 import os
 import sys
+from importlib import metadata
+from typing import Annotated
 
 import typer
 
@@ -33,8 +35,18 @@ for command in (
     app.command()(command)
 
 
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(f"sugiyama {metadata.version('sugiyama_ros')}")
+        raise typer.Exit
+
+
 @app.callback()
-def sugiyama() -> None:
+def sugiyama(
+    version: Annotated[
+        bool, typer.Option("--version", is_eager=True, callback=_print_version, help="Show the version and exit.")
+    ] = False,
+) -> None:
     """Estimate how people drive, live or from recordings, and find out what the driver model lacks."""
 
 
