@@ -29,7 +29,7 @@ from sugiyama_ros.trajectories.trajectories import Trajectories
 OnProgress = Callable[[int, int], None]
 
 
-def each_for_himself(
+def each_driver(
     trajectories: Trajectories,
     settings: Settings,
     *,
@@ -168,7 +168,7 @@ def in_classes(trajectories: Trajectories, settings: Settings, count: int, work:
     )
 
 
-def all_together(trajectories: Trajectories, settings: Settings, effects: Sequence[str], work: Executor) -> Calibrated:
+def pooled(trajectories: Trajectories, settings: Settings, effects: Sequence[str], work: Executor) -> Calibrated:
     """Calibrate all drivers together, as draws of one population (partial pooling), by the causal formulation.
 
     The distribution of the parameters over the drivers is estimated from the drivers themselves (empirical Bayes).

@@ -125,7 +125,7 @@ def _calibrated(
     advance: Callable[[int, int], None],
 ) -> "Calibrated":
     """Drivers calibrated together, in classes, or one by one."""
-    from sugiyama_ros.calibration.calibrate import all_together, each_for_himself, in_classes
+    from sugiyama_ros.calibration.calibrate import each_driver, in_classes, pooled
     from sugiyama_ros.calibration.result import Settings
 
     settings = Settings(
@@ -137,10 +137,10 @@ def _calibrated(
         seed=options.seed,
     )
     if options.is_pooled:
-        return all_together(trajectories, settings, names(options.effects), work)
+        return pooled(trajectories, settings, names(options.effects), work)
     if options.classes:
         return in_classes(trajectories, settings, options.classes, work)
-    return each_for_himself(trajectories, settings, work=work, kept=kept, on_progress=advance)
+    return each_driver(trajectories, settings, work=work, kept=kept, on_progress=advance)
 
 
 def _print(found: "Calibrated", output: Path | None) -> None:
