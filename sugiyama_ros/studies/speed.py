@@ -19,7 +19,8 @@ from filterpy.kalman import KalmanFilter
 from scipy.optimize import minimize
 from statsmodels.tsa.statespace.mlemodel import MLEModel
 
-from sugiyama_ros.calibration import each_for_himself
+from sugiyama_ros.calibration.calibrate import each_driver
+from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.driver.parameters import NAMES, SIGMA_A, defaults
 from sugiyama_ros.driver.utility import ACTIONS, FORWARD
 from sugiyama_ros.filters import causal, paper
@@ -162,7 +163,7 @@ def main() -> None:
     assert abs(difference) < 1e-6, difference
     with ThreadPoolExecutor(4) as work:
         found["fit_22_paper_s"] = best_of(5, lambda: list(calibrate(t, "paper", work=work)))
-        found["fit_22_causal_s"] = best_of(1, lambda: each_for_himself(t, "causal", ESTIMATED, work=work))
+        found["fit_22_causal_s"] = best_of(1, lambda: each_driver(t, Settings(), work=work))
     began = time.perf_counter()
     local = plain_fit(perceived)
     found["plain_fit_s"] = time.perf_counter() - began
@@ -201,7 +202,7 @@ def many(drivers: int) -> float:
     measured = simulate(simulator, ring.duration_s, stop_at_collision=False).measured
     began = time.perf_counter()
     with workers(drivers) as work:
-        each_for_himself(measured, "causal", ESTIMATED, work=work)
+        each_driver(measured, Settings(), work=work)
     return time.perf_counter() - began
 
 

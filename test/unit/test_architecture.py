@@ -18,6 +18,7 @@ ORDER = (
     "simulation",
     "filters",
     "workers",
+    "tables",
     "fit",
     "diagnosis",
     "calibration",
