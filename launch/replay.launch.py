@@ -2,7 +2,7 @@
 
     ros2 launch sugiyama_ros replay.launch.py source:=FILE output:=FILE.mcap [rate:=1.0] [ring:=230.0]
 
-``rate:=0.0`` is as fast as the nodes take it; ``ring`` is needed only where the file does not tell.
+``rate:=0.0`` is as fast as the nodes take it; ``ring`` is needed only where the file does not say it.
 """
 
 from pathlib import Path
@@ -13,6 +13,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchContext, LaunchDescription
+from sugiyama_ros.nodes.base import environment
 from sugiyama_ros.nodes.plan import Plan
 
 
@@ -44,6 +45,7 @@ def nodes(context: LaunchContext) -> list[Node]:
 
 def generate_launch_description() -> LaunchDescription:
     """Arguments and nodes."""
+    environment.find_packages()
     config = Path(get_package_share_directory("sugiyama_ros")) / "config"
     return LaunchDescription(
         [
