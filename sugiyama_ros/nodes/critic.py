@@ -13,6 +13,7 @@ from sugiyama_ros.driver.parameters import NAMES, population
 from sugiyama_ros.filters.bank import Bank, strengths
 from sugiyama_ros.filters.causal import CHAIN
 from sugiyama_ros.filters.online import NOBODY, warm_up
+from sugiyama_ros.formats.measured import FRAME
 from sugiyama_ros.nodes.base import cdr_messages as wire
 from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
@@ -113,7 +114,7 @@ class Critic(PacedNode):
             samples=bank.samples,
         )
         message.header.stamp = wire.time_message(sample.stamp_ns)
-        message.header.frame_id = wire.FRAME
+        message.header.frame_id = FRAME
         self.send(self._to_verdict, message)
 
     def _on_add_effect(self, request: AddEffect.Request, response: AddEffect.Response) -> AddEffect.Response:

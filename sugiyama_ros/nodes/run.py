@@ -1,7 +1,6 @@
 """The main job: replay a recording through one estimator for each driver, all of it recorded in one MCAP file."""
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,10 +14,9 @@ from sugiyama_ros.nodes.base.spin import Spinner, ros
 from sugiyama_ros.nodes.plan import RECORDER, REPLAY, Plan
 from sugiyama_ros.nodes.results import DriverResult, read_run
 from sugiyama_ros.nodes.runners import OneProcess, Processes
+from sugiyama_ros.progress import OnProgress
 
 _START_S = 60.0
-#: Called with the steps taken by all, and the steps there are.
-OnProgress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from sugiyama_msgs.msg import MeasuredPositions, Progress
 from sugiyama_msgs.msg import Road as RoadMessage
 from visualization_msgs.msg import MarkerArray
 
+from sugiyama_ros.formats.measured import FRAME
 from sugiyama_ros.nodes.base import cdr_messages as wire
 from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode
 from sugiyama_ros.nodes.base.pacing import Pace
@@ -128,7 +129,7 @@ class Source(PacedNode):
         stamp = wire.time_message(round((samples.start_s + step * samples.period_s) * wire.NS))
         self.send(self._to_clock, Clock(clock=stamp))
         message = MeasuredPositions(step=step, **positions._asdict())
-        message.header.stamp, message.header.frame_id = stamp, wire.FRAME
+        message.header.stamp, message.header.frame_id = stamp, FRAME
         self.send(self._to_measured, message)
         self.next_step += 1
         self._pace.sent()
@@ -146,7 +147,7 @@ class Source(PacedNode):
             source=s.source,
             sha256=s.sha256,
         )
-        message.header.stamp, message.header.frame_id = wire.time_message(round(s.start_s * wire.NS)), wire.FRAME
+        message.header.stamp, message.header.frame_id = wire.time_message(round(s.start_s * wire.NS)), FRAME
         self.send(self._to_road, message)
 
     def _on_progress(self, message: Progress) -> None:

@@ -6,6 +6,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sugiyama_msgs.msg import DriverParameters, Innovation, MeasuredPositions, VehicleState
 
 from sugiyama_ros.filters.online import Estimate
+from sugiyama_ros.formats.measured import FRAME
 from sugiyama_ros.nodes.base import cdr_messages as wire
 
 
@@ -60,7 +61,7 @@ def test_another_byte_order_is_refused() -> None:
 def test_states_are_written(stamp_ns: int) -> None:
     estimate = an_estimate(1)
     expected = VehicleState(vehicle=7, covariance=estimate.covariance.ravel())
-    expected.header.stamp, expected.header.frame_id = wire.time_message(stamp_ns), wire.FRAME
+    expected.header.stamp, expected.header.frame_id = wire.time_message(stamp_ns), FRAME
     for name in ("position_m", "speed", "acceleration", "mean_action", "gap_m", "approach_rate"):
         setattr(expected, name, getattr(estimate, name))
     raw = wire.state(stamp_ns, 7, estimate)
@@ -76,7 +77,7 @@ def test_states_are_written(stamp_ns: int) -> None:
 def test_innovations_are_written(seed: int) -> None:
     estimate = an_estimate(seed)
     expected = Innovation(vehicle=-1)
-    expected.header.stamp, expected.header.frame_id = wire.time_message(5), wire.FRAME
+    expected.header.stamp, expected.header.frame_id = wire.time_message(5), FRAME
     for name in ("innovation_m", "innovation_var", "nis", "log_likelihood", "scored"):
         setattr(expected, name, getattr(estimate, name))
     raw = wire.innovation(5, -1, estimate)

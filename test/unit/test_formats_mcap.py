@@ -28,7 +28,7 @@ from sugiyama_ros.formats.convert import convert, write_trajectories
 from sugiyama_ros.formats.definitions import full_text
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.mcap_records import MAGIC
-from sugiyama_ros.formats.mcap_writer import LATCHED, BagWriter
+from sugiyama_ros.formats.mcap_writer import LATCHED_TOPIC, BagWriter
 from sugiyama_ros.formats.recover import recover
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.trajectories import Trajectories
@@ -139,8 +139,8 @@ def test_chunks_are_small_and_unneeded_ones_are_passed_over(tmp_path: Path, monk
 
 def test_topics_latched_and_announced_again(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "a.mcap") as bag:
-        first = bag.topic("/road", HEADER, LATCHED)
-        assert bag.topic("/road", HEADER, LATCHED) == first
+        first = bag.topic("/road", HEADER, LATCHED_TOPIC)
+        assert bag.topic("/road", HEADER, LATCHED_TOPIC) == first
         with pytest.raises(InputError, match="announced as"):
             bag.topic("/road", INNOVATION)
         with pytest.raises(InputError, match="before 0"):
