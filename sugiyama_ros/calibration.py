@@ -1,7 +1,7 @@
 """Calibration as a user asks for it: one formulation, some parameters, perhaps a population or effects with them."""
 
 import contextlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -21,11 +21,9 @@ from sugiyama_ros.fit.driver_types import DriverTypes
 from sugiyama_ros.fit.fitting import fit_base, prepare
 from sugiyama_ros.fit.intervals import quadratic
 from sugiyama_ros.fit.model_file import stds_of, write_drivers
+from sugiyama_ros.progress import OnProgress
 from sugiyama_ros.road import Array
 from sugiyama_ros.trajectories.trajectories import Trajectories
-
-#: Called with the fits done, and to do.
-OnProgress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, eq=False)

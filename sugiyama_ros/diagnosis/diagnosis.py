@@ -10,9 +10,10 @@ from sugiyama_ros.diagnosis.errors import Errors, errors_of
 from sugiyama_ros.diagnosis.locate import Located, locate
 from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter, laws
 from sugiyama_ros.diagnosis.screen import Glance
-from sugiyama_ros.diagnosis.search import LEVEL, Looked, Named, OnProgress, Search
+from sugiyama_ros.diagnosis.search import LEVEL, Looked, Named, Search
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR
 from sugiyama_ros.fit.fitting import Fit, Gain, Recorded, fit_base, prepare, without_folds
+from sugiyama_ros.progress import OnStage
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 #: Each driver's own parameters.
@@ -51,7 +52,7 @@ def diagnose(
     verdict_only: bool = False,
     add_forces: bool = False,
     workers: int = 4,
-    on_progress: OnProgress = lambda what, done, total: None,
+    on_progress: OnStage = lambda what, done, total: None,
 ) -> Diagnosis:
     """Find what is missing: at most ``most`` effects, one after the other.
 

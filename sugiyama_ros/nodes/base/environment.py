@@ -12,7 +12,7 @@ _PARTICIPANTS = 120
 
 
 def find_packages() -> None:
-    """Say where the ROS packages are, unless the environment does: wheels install them below the interpreter's prefix."""
+    """Say where ROS is installed, unless the environment does: wheels install it below the interpreter's prefix."""
     os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
 
 
