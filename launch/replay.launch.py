@@ -13,6 +13,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchContext, LaunchDescription
+from sugiyama_ros.formats.registry import known_suffixes
 from sugiyama_ros.nodes.base import environment
 from sugiyama_ros.nodes.plan import Plan
 
@@ -49,7 +50,7 @@ def generate_launch_description() -> LaunchDescription:
     config = Path(get_package_share_directory("sugiyama_ros")) / "config"
     return LaunchDescription(
         [
-            DeclareLaunchArgument("source", description="file of trajectories: .data, .csv or .mcap"),
+            DeclareLaunchArgument("source", description=f"file of trajectories: {known_suffixes()}"),
             DeclareLaunchArgument("output", description="MCAP file to write"),
             DeclareLaunchArgument("rate", default_value="1.0", description="times real time; 0: as fast as possible"),
             DeclareLaunchArgument("ring", default_value="0.0", description="circumference [m]; 0: as the file says"),

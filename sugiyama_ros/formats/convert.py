@@ -4,7 +4,7 @@ from pathlib import Path
 
 from sugiyama_ros.formats.mcap_writer import LATCHED_TOPIC, BagWriter, Qos
 from sugiyama_ros.formats.measured import MEASURED_TYPE, ROAD_TYPE, messages
-from sugiyama_ros.formats.trajectory_files import read_trajectories
+from sugiyama_ros.formats.registry import read_trajectories
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 
