@@ -15,7 +15,7 @@ from launch_ros.actions import Node
 from launch import LaunchContext, LaunchDescription
 from sugiyama_ros.formats.registry import known_suffixes
 from sugiyama_ros.nodes.base import environment
-from sugiyama_ros.nodes.plan import Plan
+from sugiyama_ros.nodes.plan import Plan, RunSettings
 
 
 def nodes(context: LaunchContext) -> list[Node]:
@@ -25,7 +25,8 @@ def nodes(context: LaunchContext) -> list[Node]:
         return LaunchConfiguration(name).perform(context)
 
     config = Path(given("config"))
-    plan = Plan.read(Path(given("source")), Path(given("output")), float(given("rate")), float(given("ring")) or None)
+    settings = RunSettings(rate=float(given("rate")), ring_m=float(given("ring")) or None)
+    plan = Plan.read(Path(given("source")), Path(given("output")), settings)
     package = "sugiyama_ros"
     return [
         Node(package=package, executable="recorder", parameters=[config / "recorder.yaml", plan.recorder]),

@@ -26,7 +26,7 @@ from sugiyama_ros.nodes.base import cdr_messages as wire
 from sugiyama_ros.nodes.base import environment
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.base.spin import Spinner, ros
-from sugiyama_ros.nodes.plan import REPLAY, Plan, estimators, namespaces
+from sugiyama_ros.nodes.plan import REPLAY, Plan, RunSettings, estimators, namespaces
 from sugiyama_ros.nodes.runners import OneProcess
 from sugiyama_ros.page.guard import Guard
 from sugiyama_ros.page.live import KEPT, Log, page
@@ -181,24 +181,25 @@ def serve(
     """
     if source is not None:
         environment.isolate()
-    plan = Plan.read(source, output, rate, ring_m, model, critic=True) if source is not None else None
+    settings = RunSettings(rate, ring_m, model, critic=True)
+    plan = Plan.read(source, output, settings) if source is not None else None
     with ros() as asked_to_stop, contextlib.ExitStack() as stack:
         view = View(rate)
         stack.callback(view.destroy_node)
         server, url = _server(view, host, port)
-        team = OneProcess(plan) if plan is not None else None
-        if team is not None:
-            stack.callback(team.close)
-        spinner = Spinner([*(team.nodes if team is not None else ()), view])
+        runner = OneProcess(plan) if plan is not None else None
+        if runner is not None:
+            stack.callback(runner.close)
+        spinner = Spinner([*(runner.nodes if runner is not None else ()), view])
         stack.callback(spinner.close)
-        if team is not None:
-            stack.callback(team.stop, spinner)
+        if runner is not None:
+            stack.callback(runner.stop, spinner)
         loop = IOLoop.current()
 
         def stretch() -> None:
             spinner.until(lambda: False, _STRETCH_S)
-            if team is not None:
-                team.check()
+            if runner is not None:
+                runner.check()
             if asked_to_stop():
                 loop.stop()
 

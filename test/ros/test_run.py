@@ -13,8 +13,7 @@ import pytest
 from sugiyama_ros.errors import InputError, OutputError, SugiyamaError
 from sugiyama_ros.formats import read_trajectories
 from sugiyama_ros.formats.mcap_reader import Bag
-from sugiyama_ros.nodes import recorder, source
-from sugiyama_ros.nodes import runners as team
+from sugiyama_ros.nodes import recorder, runners, source
 from sugiyama_ros.nodes.base.node import PacedNode
 from sugiyama_ros.nodes.estimator import Estimator
 from sugiyama_ros.nodes.plan import namespaces
@@ -100,7 +99,7 @@ def test_a_slow_driver_loses_nothing(ring_csv: Path, tmp_path: Path, monkeypatch
 def test_a_driver_that_stops_is_left_behind(ring_csv: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(source, "_PATIENCE_S", 1.0)
     monkeypatch.setattr(recorder, "_PATIENCE_S", 1.0)
-    monkeypatch.setattr(team, "_STOP_S", 1.0)
+    monkeypatch.setattr(runners, "STOP_S", 1.0)
     take, beat = Estimator._on_measured, PacedNode._on_beat
 
     def is_stuck(node: PacedNode) -> bool:
