@@ -18,7 +18,7 @@ from sugiyama_ros.nodes.base import cdr_messages as wire
 from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.base.spin import run_node
-from sugiyama_ros.nodes.estimator import declare_driver
+from sugiyama_ros.nodes.driver_parameters import declare_driver
 from sugiyama_ros.nodes.plan import estimators, namespaces
 from sugiyama_ros.road import Road
 

@@ -19,7 +19,8 @@ from sugiyama_ros.nodes.base.samples import Samples
 from sugiyama_ros.nodes.markers import markers
 
 _TICK_S = 0.005
-_PATIENCE_S = 10.0
+#: Silence [s] after which a subscriber is no longer waited for.
+PATIENCE_S = 10.0
 _MARKERS_EVERY_S = 0.2
 
 
@@ -55,7 +56,7 @@ class Source(PacedNode):
         self.samples = self.open()
         self._speed_up = self.get_parameter("rate").value
         self._paused = self.get_parameter("start_paused").value
-        self._pace = Pace(WINDOW, _PATIENCE_S, filter(None, self.get_parameter("wait_for").value))
+        self._pace = Pace(WINDOW, PATIENCE_S, filter(None, self.get_parameter("wait_for").value))
         self.next_step = 0
         self._jump_to: int | None = None
         self._anchor: tuple[float, int] | None = None
@@ -164,7 +165,7 @@ class Source(PacedNode):
         self._awake_s += min(now - self._ticked_s, 0.1)
         self._ticked_s = now
         for name in self._pace.drop_silent(self._awake_s):
-            self.get_logger().warning(f"{name} has been silent for {_PATIENCE_S:.0f} s: no longer waiting for it")
+            self.get_logger().warning(f"{name} has been silent for {PATIENCE_S:.0f} s: no longer waiting for it")
         self._pump()
         self.report_if_worse()
 
