@@ -30,7 +30,7 @@ from sugiyama_ros.nodes.plan import REPLAY, Plan, RunSettings, estimators, names
 from sugiyama_ros.nodes.runners import OneProcess
 from sugiyama_ros.page.guard import Guard
 from sugiyama_ros.page.live import KEPT, Log, page
-from sugiyama_ros.page.panels import MOVING_S
+from sugiyama_ros.page.panels.base import MOVING_S
 from sugiyama_ros.road import Road
 
 #: The address of this machine that no other one reaches.

@@ -8,7 +8,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from sugiyama_ros.formats.writing import make_directory, replacing
-from sugiyama_ros.page.panels import BLUE, COLOURS, GREEN, GREY, ORANGE, VERMILION, error_growth, speeds
+from sugiyama_ros.page.panels.base import BLUE, COLOURS, GREEN, GREY, ORANGE, VERMILION
+from sugiyama_ros.page.panels.measured import speeds
+from sugiyama_ros.page.panels.missing import error_growth
 from sugiyama_ros.page.recording import Recording
 
 _SIZE_IN, _DOTS_PER_IN = (6.0, 3.6), 200

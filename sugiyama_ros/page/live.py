@@ -22,7 +22,7 @@ from bokeh.models import (
 )
 from bokeh.palettes import Cividis256
 
-from sugiyama_ros.page.panels import BLUE, GREY, MOVING_S, ORANGE, VERMILION, from_above, panel
+from sugiyama_ros.page.panels.base import BLUE, GREY, MOVING_S, ORANGE, VERMILION, from_above, panel
 from sugiyama_ros.road import Array, Road
 
 #: Time [s] between two updates of the road, and of what is drawn over time; samples kept of each vehicle.

@@ -11,7 +11,7 @@ from bokeh.models import Select, UIElement
 from bokeh.resources import Resources
 
 from sugiyama_ros.formats.writing import replacing
-from sugiyama_ros.page import panels
+from sugiyama_ros.page.panels import measured, missing, model
 from sugiyama_ros.page.recording import Recording
 
 _STYLE = """
@@ -46,38 +46,38 @@ def report(r: Recording, diagnosis: Mapping[str, Any] | None) -> str:
         width=200,
     )
     sections: list[tuple[str, str, Sequence[UIElement]]] = [
-        ("What was measured", "", [panels.space_time(r), panels.speed_profile(r), panels.ring(r)])
+        ("What was measured", "", [measured.space_time(r), measured.speed_profile(r), measured.ring(r)])
     ]
     if r.has_estimates:
         s = r.series
         time = np.broadcast_to(r.time_s[:, None], t.position_m.shape)
         place = t.road.wrap(t.position_m) if t.road.is_ring else t.position_m
         sections += [
-            ("What the model says", "", [panels.error_over_time(r), panels.driver(r, select)]),
+            ("What the model says", "", [model.error_over_time(r), model.driver(r, select)]),
             (
                 "Where it fails",
                 "A bias of the one-step error, where it stays away from 0, is something that the model does not know.",
                 [
-                    panels.bias_map(
+                    model.bias_map(
                         r, "Bias over speed and gap", s["speed"], "speed [m/s]", 12, s["gap_m"], "gap [m]", 12
                     ),
-                    panels.bias_map(r, "Bias over time and place", time, "time [s]", 25, place, "position [m]", 16),
-                    panels.by_driver(r, select),
+                    model.bias_map(r, "Bias over time and place", time, "time [s]", 25, place, "position [m]", 16),
+                    model.by_driver(r, select),
                 ],
             ),
         ]
-    missing: list[UIElement] = [panels.weights(r)] if r.weights else []
+    panels: list[UIElement] = [model.weights(r)] if r.weights else []
     if diagnosis is not None:
-        missing.append(panels.candidates(diagnosis))
-        sections.append(("What is missing", _told(diagnosis), missing))
+        panels.append(missing.candidates(diagnosis))
+        sections.append(("What is missing", _told(diagnosis), panels))
         sections.append(
-            ("After adding it", _errors(diagnosis), [panels.growth(diagnosis), panels.before_and_after(diagnosis)])
+            ("After adding it", _errors(diagnosis), [missing.growth(diagnosis), missing.before_and_after(diagnosis)])
         )
     else:
         hint = (
             "<p>For what is missing, give this page the document that <code>sugiyama diagnose --json</code> prints.</p>"
         )
-        sections.append(("What is missing", hint, missing))
+        sections.append(("What is missing", hint, panels))
     return _page(r, sections)
 
 
