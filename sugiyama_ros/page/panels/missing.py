@@ -31,18 +31,18 @@ def candidates(diagnosis: Mapping[str, Any]) -> UIElement:
     best = diagnosis["candidates"][:_MOST_SHOWN][::-1]
     names = [c["name"] for c in best]
     gain, se = (np.array([float(c[key] or 0.0) for c in best]) for key in ("heldout_gain_nats", "heldout_gain_se"))
-    named = {n["name"] for n in diagnosis["verdict"]["effects"]}
+    added = {n["name"] for n in diagnosis["verdict"]["effects"]}
     source = ColumnDataSource(
         {
             "name": names,
             "gain": gain,
             "low": gain - se,
             "high": gain + se,
-            "colour": [VERMILION if n in named else BLUE for n in names],
+            "colour": [VERMILION if n in added else BLUE for n in names],
         }
     )
     plot = panel(
-        "What may be missing; red: named", "held-out gain [nats]", "candidate", y_range=FactorRange(factors=names)
+        "What may be missing; red: added", "held-out gain [nats]", "candidate", y_range=FactorRange(factors=names)
     )
     plot.hbar("name", right="gain", source=source, height=0.7, color="colour")
     plot.add_layout(Whisker(base="name", lower="low", upper="high", source=source, dimension="width"))
@@ -51,7 +51,7 @@ def candidates(diagnosis: Mapping[str, Any]) -> UIElement:
 
 
 def before_and_after(diagnosis: Mapping[str, Any]) -> UIElement:
-    """Error of every driver before and after what was found was added."""
+    """Error of every driver, before and after the effects that were found are added."""
     of = diagnosis["drivers"]
     names = [str(d["vehicle"]) for d in of]
     plot = panel(
@@ -69,8 +69,8 @@ def before_and_after(diagnosis: Mapping[str, Any]) -> UIElement:
 
 
 def growth(diagnosis: Mapping[str, Any]) -> UIElement:
-    """How the error of free runs grows with time, of every model."""
-    plot = panel("Free runs: all cars (line), one car behind his measured leader (dashed)", "after [s]", "error [m]")
+    """Error of free runs over time, for every model."""
+    plot = panel("Free runs: all cars (line), one car behind its measured leader (dashed)", "after [s]", "error [m]")
     for (name, errors), colour in zip(diagnosis["errors"].items(), COLOURS, strict=False):
         for run, dash in (("free_run", "solid"), ("single_car", "dashed")):
             seconds, values = error_growth(errors, run)

@@ -1,6 +1,7 @@
-"""Panels of what the model says of the drivers, and where it fails."""
+"""Panels of what the model says about the drivers, and where it fails."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from bokeh.layouts import column
@@ -36,7 +37,7 @@ _LEAST_IN_BIN = 8
 
 
 def driver(r: Recording, select: Select) -> UIElement:
-    """One driver: his speed, what he means to do, and how well his next position was predicted."""
+    """One driver: the speed, the mean action, and how well each next position was predicted."""
     s = r.series
     std = np.sqrt(s["innovation_var"])
     arrays = {
@@ -51,7 +52,7 @@ def driver(r: Recording, select: Select) -> UIElement:
     }
     everything = ColumnDataSource({name: values.T.ravel().astype(SINGLE) for name, values in arrays.items()})
     shown = ColumnDataSource({"time": r.time_s, **{n: v[:, 0].astype(SINGLE) for n, v in arrays.items()}})
-    speed = panel("What the model says of one driver: speed, with one sigma", "time [s]", "speed [m/s]")
+    speed = panel("One driver in the model: speed, with one sigma", "time [s]", "speed [m/s]")
     speed.varea("time", "low", "high", source=shown, color=BLUE, alpha=0.3)
     speed.line("time", "measured", source=shown, color=GREY, legend_label="from two positions, smoothed")
     speed.line("time", "speed", source=shown, color=BLUE, legend_label="filtered", line_width=2)
@@ -59,7 +60,7 @@ def driver(r: Recording, select: Select) -> UIElement:
     error = panel("Error of the next position, with two sigma", "time [s]", "innovation [m]", x_range=speed.x_range)
     error.varea("time", "below", "above", source=shown, color=ORANGE, alpha=0.3)
     error.line("time", "innovation", source=shown, color=VERMILION)
-    meant = panel("What he means to do", "time [s]", "mean action [m/s²]", x_range=speed.x_range)
+    meant = panel("What the driver means to do", "time [s]", "mean action [m/s²]", x_range=speed.x_range)
     meant.line("time", "meant", source=shown, color=GREEN)
     select.js_on_change(
         "value",
@@ -76,7 +77,7 @@ def driver(r: Recording, select: Select) -> UIElement:
 
 
 def error_over_time(r: Recording) -> UIElement:
-    """One-step error of all drivers, as a moving root mean square."""
+    """One-step error of all drivers: a moving root mean square."""
     y = np.where(r.series["scored"] > 0.0, r.series["innovation_m"], np.nan)
     width = max(1, round(MOVING_S / r.trajectories.period_s))
     known = np.isfinite(y)
@@ -91,17 +92,24 @@ def error_over_time(r: Recording) -> UIElement:
     return plot
 
 
-def bias_map(
-    r: Recording, title: str, x: Array, x_label: str, x_bins: int, y: Array, y_label: str, y_bins: int
-) -> UIElement:
-    """Mean innovation, in its standard deviations, over two quantities, (T, N) each."""
+class Quantity(NamedTuple):
+    """A quantity over which a bias is shown: values (T, N), name with unit, number of bins."""
+
+    values: Array
+    label: str
+    bins: int
+
+
+def bias_map(r: Recording, title: str, x: Quantity, y: Quantity) -> UIElement:
+    """Mean innovation, in standard deviations of the innovation, over two quantities."""
     z = r.series["innovation_m"] / np.sqrt(r.series["innovation_var"])
-    known = (r.series["scored"] > 0.0) & np.isfinite(z) & np.isfinite(x) & np.isfinite(y)
-    plot = panel(title, x_label, y_label)
+    known = (r.series["scored"] > 0.0) & np.isfinite(z) & np.isfinite(x.values) & np.isfinite(y.values)
+    plot = panel(title, x.label, y.label)
     if known.any():
-        edges = [_edges(a[known], bins) for a, bins in ((x, x_bins), (y, y_bins))]
-        count = np.histogram2d(x[known], y[known], bins=edges)[0]
-        total = np.histogram2d(x[known], y[known], bins=edges, weights=z[known])[0]
+        edges = [_edges(axis.values[known], axis.bins) for axis in (x, y)]
+        at = x.values[known], y.values[known]
+        count = np.histogram2d(*at, bins=edges)[0]
+        total = np.histogram2d(*at, bins=edges, weights=z[known])[0]
         i, j = np.nonzero(count >= _LEAST_IN_BIN)
         source = ColumnDataSource(
             {
@@ -127,7 +135,7 @@ def _edges(values: Array, bins: int) -> Array:
 
 
 def by_driver(r: Recording, select: Select) -> UIElement:
-    """One-step error of every driver; a click chooses him."""
+    """One-step error of every driver; a click chooses the driver."""
     names = [str(v) for v in r.trajectories.vehicle]
     source = ColumnDataSource({"vehicle": names, "error": r.error_by_driver})
     plot = panel("One-step error by driver: click one", "vehicle", "error [m]", x_range=FactorRange(factors=names))
@@ -145,8 +153,8 @@ def by_driver(r: Recording, select: Select) -> UIElement:
 
 
 def weights(r: Recording) -> UIElement:
-    """Probability of each model of the critic's bank over time."""
-    plot = panel("What the critic believes while it listens", "time [s]", "probability")
+    """Posterior probability of each model of the critic's bank, over time."""
+    plot = panel("Probability of each model of the critic over time", "time [s]", "probability")
     shown = sorted(r.weights, key=lambda name: -float(r.weights[name].max()))[:5]
     for name, colour in zip(shown, (BLUE, VERMILION, GREEN, ORANGE, GREY), strict=False):
         plot.line(r.verdict_s, r.weights[name], color=colour, legend_label=name, line_width=2)
