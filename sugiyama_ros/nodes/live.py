@@ -22,8 +22,7 @@ from tornado.ioloop import IOLoop, PeriodicCallback
 from sugiyama_ros.effects.effect import Recording
 from sugiyama_ros.effects.registry import EFFECTS, effect
 from sugiyama_ros.errors import SugiyamaError
-from sugiyama_ros.nodes.base import cdr_messages as wire
-from sugiyama_ros.nodes.base import environment
+from sugiyama_ros.nodes.base import cdr_messages, environment
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.base.spin import Spinner, ros
 from sugiyama_ros.nodes.plan import REPLAY, Plan, RunSettings, estimators, namespaces
@@ -121,7 +120,7 @@ class View(Node):
     def _on_measured(self, raw: bytes) -> None:
         if self.vehicles:
             return
-        vehicles = sorted(wire.measured(raw).place)
+        vehicles = sorted(cdr_messages.measured(raw).place)
         for v, space in zip(vehicles, namespaces(vehicles), strict=True):
             self._speed[v] = self._std[v] = math.nan
             self.create_subscription(VehicleState, f"{space}/state", self._on_state, STREAM, raw=True)
@@ -130,13 +129,13 @@ class View(Node):
         self.vehicles = vehicles
 
     def _on_state(self, raw: bytes) -> None:
-        time_s, v, position, speed, variance = wire.read_state(raw)
+        time_s, v, position, speed, variance = cdr_messages.read_state(raw)
         self._speed[v], self._std[v] = speed, math.sqrt(max(variance, 0.0))
         self._now[v] = (position, speed)
         self.space.add(time_s, position, speed)
 
     def _on_innovation(self, raw: bytes) -> None:
-        time_s, v, innovation, variance, scored = wire.read_innovation(raw)
+        time_s, v, innovation, variance, scored = cdr_messages.read_innovation(raw)
         if time_s != self._latest_s:
             if time_s < self._latest_s - 1.0:
                 self._squares.clear()

@@ -13,7 +13,7 @@ from rclpy.topic_or_service_is_hidden import topic_or_service_is_hidden
 
 from sugiyama_ros.errors import InputError, SugiyamaError
 from sugiyama_ros.formats.mcap_writer import BagWriter, Qos
-from sugiyama_ros.nodes.base import cdr_messages as wire
+from sugiyama_ros.nodes.base import cdr_messages
 from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode
 from sugiyama_ros.nodes.base.pacing import Levels
 from sugiyama_ros.nodes.base.qos import DEPTH, reliable
@@ -132,9 +132,9 @@ class Recorder(PacedNode):
         self._on_message(topic, channel, raw)
         if topic not in self._levels.topics:
             return
-        stamp = wire.stamp_key(raw)
+        stamp = cdr_messages.stamp_key(raw)
         if topic == self._measured:
-            self._step[stamp] = wire.measured(raw).step
+            self._step[stamp] = cdr_messages.measured(raw).step
         if self._levels.reached(topic, stamp):
             self._complete(stamp)
 

@@ -11,7 +11,7 @@ from sugiyama_msgs.msg import Road as RoadMessage
 from visualization_msgs.msg import MarkerArray
 
 from sugiyama_ros.formats.measured import FRAME
-from sugiyama_ros.nodes.base import cdr_messages as wire
+from sugiyama_ros.nodes.base import cdr_messages
 from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode
 from sugiyama_ros.nodes.base.pacing import Pace
 from sugiyama_ros.nodes.base.qos import LATCHED, PROGRESS_IN, STREAM, WINDOW
@@ -127,7 +127,7 @@ class Source(PacedNode):
     def _send(self) -> None:
         step, samples = self.next_step, self.samples
         positions = samples.at(step)
-        stamp = wire.time_message(round((samples.start_s + step * samples.period_s) * wire.NS))
+        stamp = cdr_messages.time_message(round((samples.start_s + step * samples.period_s) * cdr_messages.NS))
         self.send(self._to_clock, Clock(clock=stamp))
         message = MeasuredPositions(step=step, **positions._asdict())
         message.header.stamp, message.header.frame_id = stamp, FRAME
@@ -148,7 +148,10 @@ class Source(PacedNode):
             source=s.source,
             sha256=s.sha256,
         )
-        message.header.stamp, message.header.frame_id = wire.time_message(round(s.start_s * wire.NS)), FRAME
+        message.header.stamp, message.header.frame_id = (
+            cdr_messages.time_message(round(s.start_s * cdr_messages.NS)),
+            FRAME,
+        )
         self.send(self._to_road, message)
 
     def _on_progress(self, message: Progress) -> None:
