@@ -22,11 +22,9 @@ from sugiyama_ros.fit.driver import Fit, SearchOptions, calibrate, job_of, upper
 from sugiyama_ros.fit.fitting import fit_base, prepare
 from sugiyama_ros.fit.intervals import quadratic
 from sugiyama_ros.fit.model_file import stds_of
+from sugiyama_ros.progress import OnProgress
 from sugiyama_ros.road import Array
 from sugiyama_ros.trajectories.trajectories import Trajectories
-
-#: Called with the number of fits that are done, and the number of all fits.
-OnProgress = Callable[[int, int], None]
 
 
 def each_driver(

@@ -10,12 +10,13 @@ from sugiyama_ros.diagnosis.errors import Errors, errors_of
 from sugiyama_ros.diagnosis.locate import Located, locate
 from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter, laws
 from sugiyama_ros.diagnosis.screen import Glance
-from sugiyama_ros.diagnosis.search import LEVEL, Looked, Named, OnProgress, Search
+from sugiyama_ros.diagnosis.search import LEVEL, Looked, Named, Search
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR
 from sugiyama_ros.fit.cross_validation import Gain, without_folds
 from sugiyama_ros.fit.joint import Fit
 from sugiyama_ros.fit.population import fit_base
 from sugiyama_ros.fit.recording import Recorded, prepare
+from sugiyama_ros.progress import OnStage
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 #: Each driver's own parameters.
@@ -54,7 +55,7 @@ def diagnose(
     verdict_only: bool = False,
     add_forces: bool = False,
     workers: int = 4,
-    on_progress: OnProgress = lambda what, done, total: None,
+    on_progress: OnStage = lambda what, done, total: None,
 ) -> Diagnosis:
     """Find what is missing: at most ``most`` effects, one after the other.
 

@@ -22,6 +22,7 @@ from sugiyama_ros.effects.registry import DECLARED
 from sugiyama_ros.fit.cross_validation import Gain, gain, held_out_nearly, sum_error, without_folds
 from sugiyama_ros.fit.joint import Fit, begun, climb, objective, refit
 from sugiyama_ros.fit.recording import FOLDS, Recorded
+from sugiyama_ros.progress import OnStage
 from sugiyama_ros.fit.score import filtered_states
 
 #: Level of significance, after Bonferroni's correction.
@@ -48,8 +49,6 @@ _OF_NOISE = ("noise_constants", "outlier_noise", "speed_dependent_noise", "uneve
 _AT_ONCE = 3
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
-#: Called with what is being done, and the steps done and to do.
-OnProgress = Callable[[str, int, int], None]
 
 #: What to record to tell two effects apart.
 ADVICE: dict[frozenset[str], str] = {
@@ -114,7 +113,7 @@ class Search:
     """
 
     def __init__(
-        self, data: Recorded, base: Fit, quick: bool, seed: int, work: ThreadPoolExecutor, on_progress: OnProgress
+        self, data: Recorded, base: Fit, quick: bool, seed: int, work: ThreadPoolExecutor, on_progress: OnStage
     ) -> None:
         self._data, self._quick, self._seed, self._work, self._on_progress = data, quick, seed, work, on_progress
         self._possible = candidates(recording_of(data), data.drivers)
@@ -317,7 +316,7 @@ def parameters_of(fitted: Fit, candidate: Candidate) -> dict[str, float]:
 
 
 def at_once(
-    function: Callable[[_Item], _Result], items: Sequence[_Item], what: str, on_progress: OnProgress
+    function: Callable[[_Item], _Result], items: Sequence[_Item], what: str, on_progress: OnStage
 ) -> list[_Result]:
     """Results for all items; while one waits for the last of its filters, another uses the processors."""
     results = []

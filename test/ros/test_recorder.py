@@ -34,7 +34,7 @@ def recorder(output: Path, *paced: str) -> Recorder:
 
 def holds(recording: Recorder, topic: str, messages: int) -> bool:
     """Whether the recorder has so many messages of a topic; it records its own /diagnostics as well."""
-    return recording._bag.counts.get(topic, 0) >= messages
+    return recording.counts.get(topic, 0) >= messages
 
 
 def test_bytes_and_quality_of_service_are_kept(stage, tmp_path: Path) -> None:
@@ -85,12 +85,12 @@ def test_a_topic_that_appears_later_is_recorded_too(stage, tmp_path: Path) -> No
 
 
 def test_a_topic_that_falls_silent_is_no_longer_waited_for(stage, tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr(recorder_module, "_PATIENCE_S", 1.0)
+    monkeypatch.setattr(recorder_module, "PATIENCE_S", 1.0)
     node = Node("sender")
     measured = node.create_publisher(Header, "measured", STREAM)
     state = node.create_publisher(Header, "state", STREAM)
     # These stand for measured positions: only their stamps and steps are looked at.
-    monkeypatch.setattr(recorder_module.wire, "measured", lambda raw: type("Sample", (), {"step": raw[4]}))
+    monkeypatch.setattr(recorder_module.cdr_messages, "measured", lambda raw: type("Sample", (), {"step": raw[4]}))
     recording = recorder(tmp_path / "out.mcap", "/measured", "/state")
     stage.add(node, recording)
 

@@ -175,7 +175,7 @@ def test_too_many_samples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_a_file_that_cannot_be_told(tmp_path: Path) -> None:
-    assert "not known what this is" in refused(tmp_path, "a.txt", CSV)
+    assert "not a known file format" in refused(tmp_path, "a.txt", CSV)
     with pytest.raises(InputError, match="No such file"):
         read_trajectories(tmp_path / "none.csv")
     with pytest.raises(InputError, match="not a regular file"):
