@@ -20,7 +20,7 @@ from sugiyama_ros.effects.discovered_force import COVARIATES
 from sugiyama_ros.fit.joint import Fit
 from sugiyama_ros.fit.population import fit_base
 from sugiyama_ros.fit.recording import FOLDS, Recorded, prepare
-from sugiyama_ros.formats import read_trajectories
+from sugiyama_ros.formats.registry import read_trajectories
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 _FITTED = 0.6

@@ -10,20 +10,22 @@ from typing import Any
 
 import numpy as np
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.calibration.result import Calibrated, Settings
 from sugiyama_ros.diagnosis.candidates import named
 from sugiyama_ros.diagnosis.screen import with_candidate
 from sugiyama_ros.driver.parameters import NAMES, index
 from sugiyama_ros.effects.registry import ENTRIES, whole
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.fit.bounds import upper_bounds
 from sugiyama_ros.fit.checkpoint import Checkpoint
 from sugiyama_ros.fit.classes import find_classes
-from sugiyama_ros.fit.driver import Fit, SearchOptions, calibrate, job_of, upper_bounds
-from sugiyama_ros.fit.fitting import fit_base, prepare
+from sugiyama_ros.fit.driver import Fit, SearchOptions, calibrate, job_of
 from sugiyama_ros.fit.intervals import quadratic
 from sugiyama_ros.fit.model_file import stds_of
+from sugiyama_ros.fit.population import fit_base
+from sugiyama_ros.fit.recording import prepare
 from sugiyama_ros.progress import OnProgress
-from sugiyama_ros.road import Array
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 

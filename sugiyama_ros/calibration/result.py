@@ -5,13 +5,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import index
 from sugiyama_ros.effects.registry import ENTRIES
 from sugiyama_ros.fit.classes import Classes
 from sugiyama_ros.fit.driver import ESTIMATED, Formulation
 from sugiyama_ros.fit.driver_types import DriverTypes
 from sugiyama_ros.fit.model_file import write_drivers
-from sugiyama_ros.road import Array
 from sugiyama_ros.tables import TextTable
 from sugiyama_ros.trajectories.trajectories import Trajectories
 

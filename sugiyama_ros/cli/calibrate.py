@@ -99,7 +99,7 @@ def calibrate(options: CalibrateOptions) -> None:
     The estimates are maximum-likelihood estimates, with their uncertainty.
     """
     options.check()
-    from sugiyama_ros.formats import read_trajectories
+    from sugiyama_ros.formats.registry import read_trajectories
     from sugiyama_ros.workers import workers
 
     trajectories = read_trajectories(options.source, options.ring)

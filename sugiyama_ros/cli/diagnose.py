@@ -38,7 +38,7 @@ def diagnose(
     from sugiyama_ros.diagnosis.diagnosis import diagnose as find
     from sugiyama_ros.diagnosis.verdict import document, sentences
     from sugiyama_ros.fit.model_file import write_model
-    from sugiyama_ros.formats import read_trajectories
+    from sugiyama_ros.formats.registry import read_trajectories
 
     trajectories = read_trajectories(source, ring)
     with stages() as advance:
@@ -81,7 +81,7 @@ def compare(
     from sugiyama_ros.diagnosis.compare import compare as compare_models
     from sugiyama_ros.diagnosis.comparison_document import document
     from sugiyama_ros.fit.model_file import read_model
-    from sugiyama_ros.formats import read_trajectories
+    from sugiyama_ros.formats.registry import read_trajectories
 
     given = read_model(model) if model is not None else None
     trajectories = read_trajectories(source, ring)

@@ -13,7 +13,7 @@ from sugiyama_ros.cli.output import print_json, print_line, print_note
 from sugiyama_ros.errors import InputError
 
 if TYPE_CHECKING:
-    from sugiyama_ros.road import Array
+    from sugiyama_ros.arrays import Array
     from sugiyama_ros.simulation.simulator import Simulation
 
 

@@ -27,7 +27,7 @@ def study(
 
     Some studies simulate drivers, others use measured drivers.
     """
-    from sugiyama_ros.formats import read_trajectories
+    from sugiyama_ros.formats.registry import read_trajectories
     from sugiyama_ros.studies.all_studies import STUDIES
     from sugiyama_ros.studies.all_studies import study as study_of
     from sugiyama_ros.studies.study import Asked

@@ -2,10 +2,10 @@
 
 from typing import Any
 
-from numba import njit
+from sugiyama_ros.jit import kernel
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def advance(position: Any, speed: Any, acceleration: Any, period: float) -> tuple[Any, Any]:
     """Advance vehicles by one period.
 

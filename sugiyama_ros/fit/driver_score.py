@@ -5,6 +5,7 @@ import numpy as np
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import COUNT, KAPPA_V, V_STAR
 from sugiyama_ros.filters import causal
+from sugiyama_ros.filters.chain import Chain
 from sugiyama_ros.filters.paper import Scored
 
 # Difference quotients of the causal filter: part of a parameter's std, bounds of the step in a logarithm, first one.
@@ -14,7 +15,7 @@ REGULARISATION = ((V_STAR, 11.0, 50.0), (KAPPA_V, 0.5, 500.0))
 
 
 def causal_score(
-    chain: causal.Chain,
+    chain: Chain,
     ahead: Array | None,
     places: Ints,
     parameters: Array,

@@ -11,12 +11,9 @@ from numpy.typing import NDArray
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import OMEGA_2
-from sugiyama_ros.effects.registry import DECLARED, place
+from sugiyama_ros.effects.registry import DECLARED
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.scoring import LONGEST, limited
-
-_TIMES = (place("preference_switch", "time"), place("external_push", "time"))
-_CENTRES = (place("road_grade", "centre"), place("slow_patch", "centre"))
 
 # Coordinates: +1 log p, -1 log -p, 0 p itself.
 _SIGN = np.array([1.0 if p.lower >= 0.0 else 0.0 for p in DECLARED])
@@ -105,9 +102,9 @@ def reach(data: Recorded, places: Sequence[int]) -> Array:
     road = t.road.circumference_m or float(np.nanmax(t.position_m) - np.nanmin(t.position_m))
     longest = np.array([0.2 * (DECLARED[k].upper - DECLARED[k].lower) for k in places])
     for j, k in enumerate(places):
-        if k in _TIMES:
+        if DECLARED[k].axis == "time":
             longest[j] = 0.05 * t.duration_s
-        elif k in _CENTRES:
+        elif DECLARED[k].axis == "place":
             longest[j] = 0.1 * road
     return longest
 

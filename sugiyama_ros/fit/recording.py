@@ -8,8 +8,7 @@ from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import COUNT, RHO
 from sugiyama_ros.effects.registry import DECLARED
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.filters import causal
-from sugiyama_ros.filters.chain import CHAIN
+from sugiyama_ros.filters.chain import CHAIN, Chain
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.fit.bounds import upper_bounds
 from sugiyama_ros.trajectories.trajectories import Trajectories
@@ -28,7 +27,7 @@ class Recorded:
     """
 
     trajectories: Trajectories
-    chains: tuple[causal.Chain, ...]
+    chains: tuple[Chain, ...]
     ahead: Ints
     block: Ints
     fold: Ints

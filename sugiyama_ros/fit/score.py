@@ -9,6 +9,7 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.filters import causal
+from sugiyama_ros.filters.chain import Chain
 from sugiyama_ros.fit.model import Model, leaders
 from sugiyama_ros.fit.recording import Recorded
 
@@ -59,7 +60,7 @@ def unknown(drivers: int, samples: int) -> Samples:
     return Samples(*(np.full((drivers, samples), np.nan) for _ in range(3)))
 
 
-def predict_driver(chain: causal.Chain, row: Array, ahead: Array) -> DriverDensity:
+def predict_driver(chain: Chain, row: Array, ahead: Array) -> DriverDensity:
     """What the filter says of one driver's samples.
 
     Parameters
@@ -99,7 +100,7 @@ def predict_drivers(data: Recorded, model: Model, who: Iterable[int], work: Exec
     return list(work.map(_predict_driver, jobs))
 
 
-def _predict_driver(job: tuple[causal.Chain, Array, Array]) -> DriverDensity:
+def _predict_driver(job: tuple[Chain, Array, Array]) -> DriverDensity:
     return predict_driver(*job)
 
 
@@ -118,6 +119,6 @@ def follow(data: Recorded, model: Model, work: Executor) -> tuple[Samples, Array
     return Samples(y, variance, density), states
 
 
-def _follow_driver(job: tuple[causal.Chain, Array, Array]) -> tuple[Array, Array, Array, Array]:
+def _follow_driver(job: tuple[Chain, Array, Array]) -> tuple[Array, Array, Array, Array]:
     chain, row, ahead = job
     return causal.predict_states(chain, row, ahead)

@@ -6,11 +6,11 @@ import numpy as np
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from rclpy.node import Node
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import PARAMETERS, population
 from sugiyama_ros.effects.registry import whole
 from sugiyama_ros.fit.driver_types import DriverTypes
 from sugiyama_ros.fit.model_file import read_model
-from sugiyama_ros.road import Array
 
 
 def declare_driver(node: Node, default: Array) -> None:

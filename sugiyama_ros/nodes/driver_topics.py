@@ -3,6 +3,7 @@
 import numpy as np
 from sugiyama_msgs.msg import DriverParameters, DriverType, Innovation, StyleChange, VehicleState
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import NAMES
 from sugiyama_ros.effects.registry import ENTRIES, PLACES, active
 from sugiyama_ros.filters.online import Estimate, OnlineFilter
@@ -10,7 +11,6 @@ from sugiyama_ros.fit.driver_types import DriverTypes
 from sugiyama_ros.nodes.base import cdr_messages
 from sugiyama_ros.nodes.base.node import PacedNode
 from sugiyama_ros.nodes.base.qos import STREAM
-from sugiyama_ros.road import Array
 
 _PARAMETERS_EVERY_NS = cdr_messages.NS
 

@@ -10,6 +10,7 @@ from sugiyama_msgs.msg import DriverParameters, MeasuredPositions
 from sugiyama_msgs.msg import Road as RoadMessage
 from sugiyama_msgs.srv import AddEffect, RemoveEffect
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import NAMES
 from sugiyama_ros.effects.registry import PLACES, active, effect, switch_on
 from sugiyama_ros.errors import InputError, SugiyamaError
@@ -22,7 +23,7 @@ from sugiyama_ros.nodes.driver_parameters import declare_driver, declare_model, 
 from sugiyama_ros.nodes.driver_topics import DriverTopics
 from sugiyama_ros.nodes.follower import UNKNOWN, Follower, new_counts
 from sugiyama_ros.nodes.saved_state import Kept, file_of, kept_in, read_learnt, write_learnt
-from sugiyama_ros.road import Array, Road
+from sugiyama_ros.road import Road
 
 # Time [s] in which a keeper may answer.
 _PATIENCE_S = 5.0

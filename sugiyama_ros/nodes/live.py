@@ -55,7 +55,7 @@ class View(Node):
         self.said = ""
         self._duration_s = 1.0
         self.effects: Sequence[str] = [
-            e.name for e in EFFECTS if e.function is not None and e.starts(self._recording())
+            name for name, e in EFFECTS.items() if e.function is not None and e.starts(self._recording())
         ]
         self._strength: dict[str, float] = {}
         self._speed: dict[int, float] = {}

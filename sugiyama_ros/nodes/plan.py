@@ -9,7 +9,7 @@ from typing import Any
 from sugiyama_ros.driver.parameters import NAMES, population
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.model_file import read_model
-from sugiyama_ros.formats import read_trajectories
+from sugiyama_ros.formats.registry import read_trajectories
 from sugiyama_ros.formats.writing import make_directory
 from sugiyama_ros.nodes.saved_state import file_of, read_learnt
 from sugiyama_ros.trajectories.trajectories import Trajectories

@@ -8,8 +8,7 @@ from rcl_interfaces.msg import ParameterDescriptor
 from sugiyama_msgs.srv import Seek
 
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.formats import read_trajectories
-from sugiyama_ros.formats.registry import known_suffixes
+from sugiyama_ros.formats.registry import known_suffixes, read_trajectories
 from sugiyama_ros.nodes.base.samples import Positions
 from sugiyama_ros.nodes.base.spin import run_node
 from sugiyama_ros.nodes.source import Source, answer

@@ -22,8 +22,9 @@ from bokeh.models import (
 )
 from bokeh.palettes import Cividis256
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.page.panels.base import BLUE, GREY, MOVING_S, ORANGE, VERMILION, from_above, panel
-from sugiyama_ros.road import Array, Road
+from sugiyama_ros.road import Road
 
 #: Time [s] between two updates of the road, and of what is drawn over time; samples kept of each vehicle.
 UPDATE_S, TELL_S, KEPT = 0.1, 0.5, 750

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.formats import read_trajectories
 from sugiyama_ros.formats.mcap_reader import Bag
-from sugiyama_ros.road import Array
+from sugiyama_ros.formats.registry import read_trajectories
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 _FIELDS = {

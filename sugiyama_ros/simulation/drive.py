@@ -3,12 +3,12 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.utility import room_for
 from sugiyama_ros.effects.control import carry_out, intend
 from sugiyama_ros.effects.effect import Seen
+from sugiyama_ros.jit import kernel
 
 
 class Traffic(NamedTuple):
@@ -44,7 +44,7 @@ class Setting(NamedTuple):
     circumference: float
 
 
-@njit(cache=True)
+@kernel
 def see(driver: int, leader: int, traffic: Traffic, order: Order) -> tuple[float, float]:
     """What a driver sees of the vehicle ahead.
 
@@ -67,7 +67,7 @@ def see(driver: int, leader: int, traffic: Traffic, order: Order) -> tuple[float
     return headway - 0.5 * (order.length[leader] + order.length[driver]), traffic.speed[leader]
 
 
-@njit(cache=True)
+@kernel
 def drive(
     traffic: Traffic,
     order: Order,

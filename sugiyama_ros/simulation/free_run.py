@@ -4,15 +4,15 @@ Coupled: all vehicles drive by the model. Single: one vehicle drives behind its 
 """
 
 import numpy as np
-from numba import njit
 
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.advance import advance
 from sugiyama_ros.driver.parameters import RHO
+from sugiyama_ros.jit import kernel
 from sugiyama_ros.simulation.drive import Order, Setting, Traffic, drive
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def run_coupled(
     state: Array, order: Order, rows: Array, actions: Array, time: float, setting: Setting, out: Array
 ) -> None:
@@ -51,7 +51,7 @@ def run_coupled(
         out[k, :, 0], out[k, :, 1] = x, v
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _neighbourhood(i: int, order: Order) -> tuple[Ints, Order]:
     """Vehicle i, the two ahead and the one behind: their numbers, i first, and their order among themselves."""
     leader = order.leader
@@ -74,7 +74,7 @@ def _neighbourhood(i: int, order: Order) -> tuple[Ints, Order]:
     return numbers, Order(ahead, order.turn[numbers], order.length[numbers])
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def run_single(
     i: int, recorded: Array, order: Order, rows: Array, actions: Array, time: float, setting: Setting, out: Array
 ) -> None:

@@ -8,25 +8,18 @@ from typing import Any, Protocol
 import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
-from sugiyama_ros.calibration.calibrate import each_driver
-from sugiyama_ros.calibration.result import Settings
+from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.calibration import each_for_himself
 from sugiyama_ros.driver.parameters import KAPPA_V, NAMES, SIGMA_A, SIGMA_NU, UTILITY, V_STAR, population
 from sugiyama_ros.driver.utility import ACTIONS
-from sugiyama_ros.filters.causal import (
-    CHAIN,
-    MOVING,
-    SETTLING,
-    STATE,
-    Adaptation,
-    chain_behind,
-    chain_parameters,
-    linearise,
-    scene_at,
-    start_vehicle,
-    workspace_for,
-)
+from sugiyama_ros.filters.causal import SETTLING
+from sugiyama_ros.filters.chain import CHAIN, Adaptation, chain_parameters
+from sugiyama_ros.filters.extract import chain_behind
+from sugiyama_ros.filters.linearisation import linearise
 from sugiyama_ros.filters.online import ADAPT, Learnt, OnlineFilter
-from sugiyama_ros.road import Array, Ints, Road
+from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Linearised, Moment, State, scene_at, workspace_for
+from sugiyama_ros.filters.vehicles import start_vehicle
+from sugiyama_ros.road import Road
 from sugiyama_ros.studies.rings import CARS, alike, jams
 from sugiyama_ros.studies.study import Answer, Asked, Row, Study
 from sugiyama_ros.trajectories.trajectories import Trajectories
@@ -101,10 +94,9 @@ class Unscented:
         kalman, self._length = self._filter, length_m
         self._steps += 1
         if self._known.min() < MOVING:
+            state = State(kalman.x, kalman.P, self._known)
             for m, position in enumerate(position_m):
-                start_vehicle(
-                    m, position, self._scene.period_s, kalman.x, kalman.P, self._known, self._rows, self._scene
-                )
+                start_vehicle(m, position, self._scene.period_s, state, self._rows, self._scene)
             return np.nan
         # what never changes has no uncertainty, of which there is no Cholesky factor
         kalman.P += _LEAST_VAR * np.eye(len(kalman.x))
@@ -122,21 +114,12 @@ class Unscented:
         size = len(x)
         moved, noise = np.empty(size), np.empty((size, size))
         linearise(
-            x,
-            _SHARP**2 * np.eye(size),
-            self._known,
-            self._length,
-            np.full(3, np.nan),
-            self._rows,
-            self._places,
-            self._prior_mean,
-            self._prior_var,
-            self._workspace,
-            0.0,
+            State(x, _SHARP**2 * np.eye(size), self._known),
+            Drivers(self._rows, self._places, self._prior_mean, self._prior_var),
+            Moment(self._length, np.full(3, np.nan), 0.0),
             self._scene,
-            moved,
-            np.empty((size, size)),
-            noise,
+            self._workspace,
+            Linearised(moved, np.empty((size, size)), noise),
         )
         return moved, noise
 
@@ -226,7 +209,7 @@ def answer(asked: Asked) -> Answer:
                 error[name].append(found[0] - truth[i])
                 density[name].append(found[1][SETTLING + 2 :])
                 cost[name].append(found[2])
-        fits = each_driver(t, Settings(), work=asked.work)
+        fits = each_for_himself(t, "causal", ("sigma_nu", "sigma_a", "v_star", "kappa_v"), work=asked.work)
         batch.append(np.log(fits.rows[:, list(_PLACES)]) - truth)
     root = {name: np.sqrt(np.mean(np.square(e), axis=0)) for name, e in error.items()}
     last = len(next(iter(root.values()))) - 1

@@ -4,14 +4,14 @@ from typing import Any
 
 import numpy as np
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.calibration.calibrate import each_driver
 from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, index
 from sugiyama_ros.effects.registry import switch_on, whole
-from sugiyama_ros.filters.causal import chain_behind
+from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.online import OnlineFilter
 from sugiyama_ros.fit.driver import ESTIMATED
-from sugiyama_ros.road import Array
 from sugiyama_ros.studies.rings import CARS, Ring, alike, jams, run
 from sugiyama_ros.studies.study import Answer, Asked, Row, Study
 from sugiyama_ros.trajectories.trajectories import Trajectories

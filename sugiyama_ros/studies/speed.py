@@ -21,14 +21,16 @@ from filterpy.kalman import KalmanFilter
 from scipy.optimize import minimize
 from statsmodels.tsa.statespace.mlemodel import MLEModel
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.calibration.calibrate import each_driver
 from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.driver.parameters import NAMES, SIGMA_A, defaults
 from sugiyama_ros.driver.utility import ACTIONS, FORWARD
 from sugiyama_ros.filters import causal, paper
+from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.fit.driver import ESTIMATED, calibrate
 from sugiyama_ros.formats.mcap_writer import BagWriter
-from sugiyama_ros.road import Array, Road
+from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, platoon, simulate
 from sugiyama_ros.studies.rings import Ring, alike, run
 from sugiyama_ros.workers import workers
@@ -155,7 +157,7 @@ def main() -> None:
     given = parser.parse_args()
     t = run(Ring(alike(), 4, jammed=True, duration_s=_DURATION_S)).measured
     perceived, p = paper.perceive(t, 3), defaults()
-    chain = causal.chain_behind(t, 3)
+    chain = chain_behind(t, 3)
     found: dict[str, float] = {
         "floor_s": floor(perceived),
         "likelihood_with_gradient_s": best_of(50, lambda: paper.score(perceived, p, _PLACES)),

@@ -19,7 +19,7 @@ from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.online import Learnt, OnlineFilter
 from sugiyama_ros.fit.driver_types import DriverTypes
 from sugiyama_ros.fit.model_file import write_drivers
-from sugiyama_ros.formats import read_trajectories
+from sugiyama_ros.formats.registry import read_trajectories
 from sugiyama_ros.nodes.base import cdr_messages
 from sugiyama_ros.nodes.base.node import ERROR, OK, WARN
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM

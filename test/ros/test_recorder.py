@@ -15,6 +15,7 @@ from std_msgs.msg import Header, String
 
 from sugiyama_ros.errors import InputError, OutputError
 from sugiyama_ros.formats.mcap_reader import Bag
+from sugiyama_ros.formats.mcap_writer import BagWriter
 from sugiyama_ros.formats.recover import recover
 from sugiyama_ros.nodes import recorder as recorder_module
 from sugiyama_ros.nodes.base.node import ERROR
@@ -128,7 +129,7 @@ def test_a_disk_that_refuses_ends_the_recorder_and_no_other(stage, tmp_path: Pat
     def refuse(*_: object) -> None:
         raise OutputError("out.mcap: cannot be written: No space left on device; free some space")
 
-    monkeypatch.setattr(recorder_module.BagWriter, "write", refuse)
+    monkeypatch.setattr(BagWriter, "write", refuse)
     publisher.publish(String(data="one"))
     stage.until(lambda: recording.failure is not None)
     recording.close()

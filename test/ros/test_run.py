@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from sugiyama_ros.errors import InputError, OutputError, SugiyamaError
-from sugiyama_ros.formats import read_trajectories
 from sugiyama_ros.formats.mcap_reader import Bag
+from sugiyama_ros.formats.registry import read_trajectories
 from sugiyama_ros.nodes import recorder, runners, source
 from sugiyama_ros.nodes.base.node import PacedNode
 from sugiyama_ros.nodes.estimator import Estimator

@@ -26,7 +26,8 @@ from sugiyama_ros.effects.registry import (
     whole,
 )
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.filters.causal import chain_behind, filter_chain, log_likelihood
+from sugiyama_ros.filters.causal import filter_chain, log_likelihood
+from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.online import ADAPT, NOBODY, OnlineFilter
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, evenly, simulate

@@ -17,15 +17,11 @@ from sugiyama_ros.driver.parameters import (
 from sugiyama_ros.driver.utility import ACTIONS, mean_action
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters import paper
-from sugiyama_ros.filters.causal import (
-    LAST_RHO,
-    LAST_SHOCK_STD,
-    Adaptation,
-    chain_behind,
-    filter_chain,
-    log_likelihood,
-)
+from sugiyama_ros.filters.causal import filter_chain, log_likelihood
+from sugiyama_ros.filters.chain import Adaptation
+from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.online import ADAPT, OnlineFilter
+from sugiyama_ros.filters.state import LAST_RHO, LAST_SHOCK_STD
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, platoon, simulate
 from sugiyama_ros.trajectories.trajectories import Trajectories

@@ -23,14 +23,14 @@ from mcap.records import Channel, Chunk, ChunkIndex, DataEnd, Footer, Header, Me
 from mcap.writer import CompressionType, Writer
 
 from sugiyama_ros.errors import InputError, OutputError
-from sugiyama_ros.formats import read_trajectories
 from sugiyama_ros.formats.cdr import Encoder
 from sugiyama_ros.formats.convert import convert, write_trajectories
 from sugiyama_ros.formats.definitions import full_text
 from sugiyama_ros.formats.mcap_reader import Bag
-from sugiyama_ros.formats.mcap_records import MAGIC, RecordFile
+from sugiyama_ros.formats.mcap_records import MAGIC, RecordFile, content_records
 from sugiyama_ros.formats.mcap_writer import LATCHED_TOPIC, BagWriter
 from sugiyama_ros.formats.recover import recover
+from sugiyama_ros.formats.registry import read_trajectories
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
@@ -125,7 +125,7 @@ def test_chunks_are_small_and_unneeded_ones_are_passed_over(tmp_path: Path, monk
     from sugiyama_ros.formats import mcap_reader
 
     opened = []
-    whole = mcap_reader.content_records
+    whole = content_records
     monkeypatch.setattr(
         mcap_reader, "content_records", lambda content, where: opened.append(1) or whole(content, where)
     )

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from sugiyama_ros.errors import InputError, OutputError
-from sugiyama_ros.formats import read_trajectories, samples
+from sugiyama_ros.formats import samples
 from sugiyama_ros.formats.plain_csv import write_csv
+from sugiyama_ros.formats.registry import read_trajectories
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M, Trajectories, regular_time_base
 

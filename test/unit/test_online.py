@@ -8,7 +8,8 @@ import pytest
 
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, defaults, population
 from sugiyama_ros.effects.registry import switch_on, whole
-from sugiyama_ros.filters.causal import Adaptation, chain_behind
+from sugiyama_ros.filters.chain import Adaptation
+from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.noise import Learning
 from sugiyama_ros.filters.online import OnlineFilter
 from sugiyama_ros.fit.driver_types import DriverTypes

@@ -15,9 +15,9 @@ from builtin_interfaces.msg import Time
 from rclpy.serialization import serialize_message
 from sugiyama_msgs.msg import DriverParameters, DriverType, StyleChange
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.filters.online import Estimate
 from sugiyama_ros.formats.measured import FRAME
-from sugiyama_ros.road import Array
 
 NS = 1_000_000_000
 

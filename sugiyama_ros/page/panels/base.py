@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 from bokeh.plotting import figure
 
-from sugiyama_ros.road import Array, Road
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.road import Road
 
 # Okabe and Ito's colours.
 BLUE, ORANGE, GREEN, VERMILION, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#777777"

@@ -15,9 +15,9 @@ from bokeh.models import (
 )
 from bokeh.palettes import Cividis256
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.page.panels.base import BLUE, GREEN, GREY, ORANGE, SINGLE, from_above, legend_above, panel
 from sugiyama_ros.page.recording import Recording
-from sugiyama_ros.road import Array
 
 
 def space_time(r: Recording) -> UIElement:

@@ -18,6 +18,7 @@ from bokeh.models import (
 )
 from bokeh.palettes import PuOr11
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.page.panels.base import (
     BLUE,
     GREEN,
@@ -31,7 +32,6 @@ from sugiyama_ros.page.panels.base import (
 )
 from sugiyama_ros.page.panels.measured import naive_speeds
 from sugiyama_ros.page.recording import Recording
-from sugiyama_ros.road import Array
 
 _LEAST_IN_BIN = 8
 
