@@ -1,4 +1,4 @@
-"""Missing forces that nobody has named: a curve over each covariate, fitted as the effect ``discovered_force``."""
+"""Missing forces without a name: a curve over each covariate, fitted as the effect ``discovered_force``."""
 
 from concurrent.futures import Executor
 from dataclasses import dataclass
@@ -64,7 +64,12 @@ def discover(data: Recorded, fitted: Fit, work: Executor) -> list[tuple[Discover
         knots = low + (high - low) * np.arange(KNOTS) / (KNOTS if ring else KNOTS - 1)
         p_value = min(1.0, len(COVARIATES) * float(chi2.sf(2.0 * max(look.gain, 0.0) / _INFLATION, KNOTS - 1)))
         discovery = Discovery(
-            covariate, float(np.ptp(force)), p_value, look.gain, tuple(knots.tolist()), tuple(force.tolist())
+            covariate=covariate,
+            strength=float(np.ptp(force)),
+            p_value=p_value,
+            gain_nats=look.gain,
+            knots=tuple(knots.tolist()),
+            force=tuple(force.tolist()),
         )
         found.append((discovery, look))
     return sorted(found, key=lambda pair: -pair[0].gain_nats)

@@ -32,7 +32,7 @@ class Errors:
 
     @property
     def one_step_rmse_m(self) -> float:
-        """Of the innovations [m]."""
+        """Root mean square of the innovations [m]."""
         return rmse(self.samples.innovation_m)
 
     def by_driver(self) -> list[tuple[float, float]]:
@@ -41,10 +41,10 @@ class Errors:
         return [(float(total), rmse(self.runs.single[:, -1, i])) for i, total in enumerate(totals)]
 
     def no_worse_than(self, other: "Errors") -> bool:
-        """Whether the free runs are no worse by more than 5 % and two paired standard errors over starts.
+        """Whether the free runs are not worse by more than 5 % and two paired standard errors over starts.
 
-        Of the mean square errors of all horizons, coupled and of single cars, each relative to the other model's: a
-        horizon alone may be luck, since a free run knows no noise, and a jam without noise is a delicate thing.
+        All horizons, coupled and single, count together, each relative to the other model's mean square error. A single
+        horizon may be luck, because a free run has no noise, and a jam without noise depends on small things.
         """
         pairs = ((self.runs.coupled, other.runs.coupled), (self.runs.single, other.runs.single))
         by_horizon = []
@@ -72,10 +72,10 @@ class Errors:
         }
 
     def details(self) -> dict[str, float]:
-        """Figures of speed, gap and time gap: rmse, relative to the measured mean, and NRMSE fit [%] of the gap.
+        """Errors of speed, gap and time gap by name: rmse, rmse over the measured mean, and NRMSE fit [%] of the gap.
 
-        Time gap [s]: gap over speed, where the car drives faster than _MOVING. Fit: 100 (1 - rmse / std of the measured
-        gaps), so 100 for a perfect model and 0 for one that knows the mean gap only.
+        The time gap [s] counts where the car drives faster than 1 m/s. The fit is 100 (1 - rmse / std of the measured
+        gaps): 100 for a perfect model, and 0 for a model that knows only the mean gap.
         """
         found: dict[str, float] = {}
         r = self.runs

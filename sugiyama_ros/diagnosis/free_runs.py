@@ -30,9 +30,9 @@ _OFF_CENTRE = PLACES["sensor_eccentricity"]
 class FreeRuns:
     """Errors of free runs, model minus measurement, (S, H, N) at HORIZONS_S; start: (S,) samples.
 
-    coupled, single: of positions [m]; behind a leader as he was recorded, the error of the gap is that of the position
-    with the other sign. coupled_speed, single_speed: of speeds [m/s], against the filtered ones; coupled_gap: of gaps
-    [m]. gap, speed: measured and filtered there, NaN without a leader.
+    coupled, single: of positions [m]; in a single run, the error of the gap is the error of the position with the other
+    sign. coupled_speed, single_speed: of speeds [m/s], against the filtered speeds; coupled_gap: of gaps [m]. gap,
+    speed: measured gap [m] and filtered speed [m/s] there, NaN without a leader.
     """
 
     coupled: Array
@@ -46,9 +46,18 @@ class FreeRuns:
 
 
 def free_runs(data: Recorded, models: Sequence[Model], states: Sequence[Array], work: Executor) -> FreeRuns:
-    """Free runs from every ``_EVERY_S`` seconds, each by the model fitted without the fold in which it starts.
+    """Free runs that start every 2.5 s, each by the model fitted without the fold in which it starts.
 
-    states: filtered states of all drivers by each of the models, (T, N, 4), as ``filtered_states`` gives them.
+    Parameters
+    ----------
+    data
+        The recording.
+    models
+        For every fold, the model fitted without it.
+    states
+        (T, N, 4) filtered states by each of the models, as ``filtered_states`` gives them.
+    work
+        Executor that carries out the runs.
     """
     t = data.trajectories
     steps = np.array([max(1, round(h / t.period_s)) for h in HORIZONS_S])
@@ -113,7 +122,7 @@ def _drive_on(data: Recorded, rows: Array, recorded: Array, k: int, leader: Ints
 
 
 def _as_measured(position: Array, rows: Array, ring: float) -> Array:
-    """Where positions (H, N) [m] are measured: with an eccentric camera, not where they are."""
+    """Positions (H, N) [m] as an eccentric camera measures them."""
     if not rows[:, _OFF_CENTRE].any():
         return position
     off = [[displacement(x, ring, row[_OFF_CENTRE])[0] for x, row in zip(at, rows, strict=True)] for at in position]
@@ -121,6 +130,6 @@ def _as_measured(position: Array, rows: Array, ring: float) -> Array:
 
 
 def rmse(errors: Array) -> float:
-    """Root of the mean square of all that are known."""
+    """Root of the mean square of all finite errors; NaN if there are none."""
     known = errors[np.isfinite(errors)]
     return float(np.sqrt(np.mean(np.square(known)))) if len(known) else float("nan")

@@ -1,7 +1,7 @@
-"""A quick, even-handed look at every candidate: one Newton step from the fitted model, and what it would predict.
+"""A quick look at every candidate, the same for all: a few Newton steps from the fitted model.
 
-The same look is taken at the data and at data simulated from the model without any effect (``bootstrap``), so that what
-is approximate in it cancels.
+The look is taken at the data and at data simulated from the model without the candidate (``bootstrap``), so that its
+approximations cancel.
 """
 
 from collections.abc import Sequence
@@ -22,8 +22,6 @@ from sugiyama_ros.road import Array
 
 # Steps of a closer look at most, and the log-likelihood [nats] that one must promise.
 _CLOSER, _PROMISE = 4, 0.4
-# Drivers, or up to twice as many, on whom the starts of a search are compared.
-_SOME_DRIVERS = 11
 # A candidate that promises less than this [nats] is not looked at any closer.
 _HOPELESS = 1.0
 
@@ -33,7 +31,8 @@ class Effort:
     """How far a search goes, at most.
 
     runs: simulated recordings; looks: steps of a first look; shortlist, later: candidates that are fitted in full in
-    the first round and in later ones; steps, renewals: of such a fit, and times that it takes the derivatives anew.
+    the first round and in later rounds; steps, renewals: steps of a full fit, and how often it computes derivatives
+    anew; drivers: starts of a search are compared on this many drivers, or up to twice as many.
     """
 
     runs: int
@@ -42,19 +41,23 @@ class Effort:
     later: int
     steps: int
     renewals: int
+    drivers: int = 11
 
 
-#: Of a diagnosis, and of one in a hurry: constants that make up for much of what is missing climb slowly.
-FULL, QUICK = Effort(6, 6, 8, 8, 20, 6), Effort(2, 2, 4, 2, 8, 1)
+#: Effort of a diagnosis. Constants that make up for much of what is missing need many steps.
+FULL = Effort(runs=6, looks=6, shortlist=8, later=8, steps=20, renewals=6)
+#: Effort of a quick diagnosis.
+QUICK = Effort(runs=2, looks=2, shortlist=4, later=2, steps=8, renewals=1)
 
 
 @dataclass(frozen=True, eq=False)
 class Glance:
     """A candidate added to a model, roughly fitted.
 
-    gain: in log posterior [nats] over the model, in sample; promise: what the next step may add to it; loss: of the
-    log posterior at the start ``loss_at`` of the search once the other parameters have given way, so what an effect of
-    that strength would have gained if it existed.
+    fit: the model with the candidate; gain: rise of the log posterior [nats] over the model without it, in sample;
+    promise: what the next step may add to the gain; loss: fall of the log posterior [nats] at the start ``loss_at`` of
+    the search, once the other parameters have given way. An effect as strong as at that start would have gained as much
+    if it existed.
     """
 
     candidate: Candidate
@@ -66,8 +69,22 @@ class Glance:
 
 
 def glance(data: Recorded, base: Fit, candidate: Candidate, work: Executor, effort: Effort = FULL) -> Glance:
-    """Add a candidate to a fitted model by a few steps, from its starts."""
-    model, at, loss, loss_at = _best_start(data, base, candidate, work)
+    """Add a candidate to a fitted model by a few steps from the best of its starts.
+
+    Parameters
+    ----------
+    data
+        The recording.
+    base
+        The fitted model without the candidate.
+    candidate
+        What is added.
+    work
+        Executor that runs the filters.
+    effort
+        How far the look goes.
+    """
+    model, at, loss, loss_at = _best_start(data, base, candidate, work, effort.drivers)
     known = {*base.model.individual, *base.model.shared}
     new = {}
     if len(candidate.strengths) == 1:
@@ -76,16 +93,20 @@ def glance(data: Recorded, base: Fit, candidate: Candidate, work: Executor, effo
     for k in (*model.individual, *model.shared):
         if k not in known and k not in new:
             new[k] = _column(data, model, at, k, work)
-    look = Glance(candidate, Fit(model, at, _joined(data, base, model, at, new)), 0.0, 0.0, loss, loss_at)
+    fitted = Fit(model, at, _joined(data, base, model, at, new))
+    look = Glance(candidate=candidate, fit=fitted, gain=0.0, promise=0.0, loss=loss, loss_at=loss_at)
     return _first_steps(data, base, look, work, effort)
 
 
 def _best_start(
-    data: Recorded, base: Fit, candidate: Candidate, work: Executor
+    data: Recorded, base: Fit, candidate: Candidate, work: Executor, drivers: int
 ) -> tuple[Model, Samples, float, dict[int, float]]:
-    """The start that promises most on some of the drivers, the samples there, and the loss as in ``Glance``."""
+    """The start that promises most, the samples there, and loss and loss_at as in ``Glance``.
+
+    drivers: number of drivers on whom the starts are compared, or half of it.
+    """
     is_only = len(candidate.starts) == 1
-    some = range(0, data.drivers, 1 if is_only else max(1, data.drivers // _SOME_DRIVERS))
+    some = range(0, data.drivers, 1 if is_only else max(1, data.drivers // drivers))
     here, tried = base.samples.only(some), []
     for start in candidate.starts:
         model = added(base.model, candidate, start)
@@ -106,7 +127,7 @@ def _best_start(
 
 
 def glance_again(data: Recorded, base: Fit, before: Fit, look: Glance, work: Executor, effort: Effort) -> Glance:
-    """Look again at a candidate that was looked at when the model was ``before``, from where that has ended."""
+    """Look again at a candidate, from where an earlier look ended that was taken when the model was ``before``."""
     model = _carried_over(before, look, base)
     at = evaluate(data, model, work)
     begun = replace(look, fit=Fit(model, at, _joined(data, base, model, at, _columns(look.fit))))
@@ -114,7 +135,7 @@ def glance_again(data: Recorded, base: Fit, before: Fit, look: Glance, work: Exe
 
 
 def _first_steps(data: Recorded, base: Fit, look: Glance, work: Executor, effort: Effort) -> Glance:
-    """A few steps from where a look begins, if it promises anything."""
+    """Take the first few steps of a look, if they promise anything."""
     everywhere = range(FOLDS)
     gain = objective(look.fit.slopes, look.fit.model, everywhere) - objective(base.slopes, base.model, everywhere)
     promise = solve(look.fit.slopes, look.fit.model, everywhere, 1e-3).promise
@@ -123,12 +144,12 @@ def _first_steps(data: Recorded, base: Fit, look: Glance, work: Executor, effort
 
 
 def closer(data: Recorded, look: Glance, work: Executor) -> Glance:
-    """The same, looked at more closely."""
+    """Take a few more steps of a look, if they promise anything."""
     return _further(data, look, work, _CLOSER) if look.gain + look.promise > _HOPELESS else look
 
 
 def _further(data: Recorded, look: Glance, work: Executor, steps: int) -> Glance:
-    """The same some steps further, with the derivatives as they were."""
+    """Take more steps of a look, with the derivatives as they were."""
     everywhere, fitted = range(FOLDS), climb(data, look.fit, work, iterations=steps, enough=_PROMISE, renewals=0)
     rise = objective(fitted.slopes, fitted.model, everywhere) - objective(look.fit.slopes, look.fit.model, everywhere)
     promise = solve(fitted.slopes, fitted.model, everywhere, 1e-3).promise
@@ -136,17 +157,17 @@ def _further(data: Recorded, look: Glance, work: Executor, steps: int) -> Glance
 
 
 def refine(data: Recorded, look: Glance, work: Executor, effort: Effort = FULL) -> Fit:
-    """Fit in full, from where a glance has come to."""
+    """Fit a candidate in full, from where a look ended."""
     return climb(data, look.fit, work, iterations=effort.steps, renewals=effort.renewals, fresh=False)
 
 
 def with_candidate(data: Recorded, base: Fit, candidate: Candidate, work: Executor) -> Fit:
-    """A fitted model with a candidate added, fitted in full."""
+    """Add a candidate to a fitted model, and fit the new model in full."""
     return refine(data, glance(data, base, candidate, work), work)
 
 
 def _carried_over(before: Fit, look: Glance, current: Fit) -> Model:
-    """The current model with a candidate as it was looked at ``before``: what gave way to it then gives way again."""
+    """The current model with a candidate as an earlier look left it; the other parameters give way as they did then."""
     candidate = look.candidate
     model = added(current.model, candidate, candidate.starts[0])
     rows = model.rows.copy()
@@ -158,9 +179,9 @@ def _carried_over(before: Fit, look: Glance, current: Fit) -> Model:
 
 
 def forecast(data: Recorded, before: Fit, look: Glance, current: Fit) -> float:
-    """Gain [nats] that a candidate, looked at when the model was ``before``, promises over ``current``.
+    """Gain [nats] over ``current`` that a look promises, which was taken when the model was ``before``.
 
-    As if what it changes in every sample were the same now; costs no filter.
+    The change of every sample is taken to be the same now, so no filter is run.
     """
     candidate = look.candidate
     model = added(current.model, candidate, {})
@@ -181,9 +202,9 @@ def forecast(data: Recorded, before: Fit, look: Glance, current: Fit) -> float:
 
 
 def _promise(base: Fit, model: Model, samples: Samples) -> float:
-    """Log-likelihood once the parameters of the base have given way to the candidate, to first order.
+    """Log-likelihood [nats] once the parameters of the base model have given way to the candidate, to first order.
 
-    Of what they promise, half is believed: a start far off promises much.
+    Half of what they promise is believed, because a start far off promises much.
     """
     own, total = len(base.model.individual), samples.total
     prior = np.diag(1.0 / np.array(base.model.prior_std) ** 2)
@@ -198,10 +219,10 @@ def _promise(base: Fit, model: Model, samples: Samples) -> float:
 def _strongest(
     data: Recorded, base: Fit, here: Samples, candidate: Candidate, tried: Sequence[tuple[float, Model, Samples]]
 ) -> dict[int, float]:
-    """The start that promises most once its strengths are scaled as the samples want it, so scaled.
+    """The start that promises most after its strengths were scaled to fit the samples; values by place.
 
-    What a start changes in every sample is taken for a derivative, so that this costs no filter. here: samples of the
-    base, of those drivers with whom the starts were tried.
+    The change of every sample at a start is taken as a derivative, so no filter is run. here: samples of the base
+    model, of the drivers on whom the starts were tried; tried: what each start promises, its model and samples.
     """
     steps, (ray, *_) = [], candidate.strengths
     model = replace(base.model, shared=(*base.model.shared, ray))
@@ -219,7 +240,7 @@ def _strongest(
 def _joined(
     data: Recorded, base: Fit, model: Model, at: Samples, new: dict[int, list[tuple[Array, Array, Array]]]
 ) -> tuple[Slopes, ...]:
-    """Slopes at a model near ``base``: derivatives by its parameters are those that it has, those by others are new."""
+    """Slopes at a model near ``base``, with the derivatives of ``base`` and ``new`` ones by the other parameters."""
     known, places = [*base.model.individual, *base.model.shared], (*model.individual, *model.shared)
     joined = []
     for i, (s, row) in enumerate(zip(base.slopes, model.rows, strict=True)):

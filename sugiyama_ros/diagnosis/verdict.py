@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
+from sugiyama_ros.diagnosis.addition import Named, parameters_of
 from sugiyama_ros.diagnosis.diagnosis import Diagnosis
 from sugiyama_ros.diagnosis.locate import Bin, Located
-from sugiyama_ros.diagnosis.search import Named, parameters_of
 from sugiyama_ros.effects.registry import DECLARED, EFFECTS, effect
 
 # Bins that are told of in words.

@@ -46,8 +46,8 @@ def without_folds(data: Recorded, fitted: Fit, work: Executor, *, searched: bool
 def _without(data: Recorded, fitted: Fit, fold: int) -> Model:
     """The model fitted to all folds but one, by the infinitesimal jackknife (Giordano et al. 2019).
 
-    One step with the information of all folds, in proportion: that of the others alone may be next to nothing for a
-    parameter, and the step without end.
+    It is one step with the information of all folds in proportion: the other folds alone may say next to nothing about
+    a parameter, and the step would have no end.
     """
     others = [k for k in range(FOLDS) if k != fold]
     step = solve(fitted.slopes, fitted.model, others, 1e-6, curvature=range(FOLDS))

@@ -42,7 +42,7 @@ class ModelFile:
     types: DriverTypes | None = None
 
     def rows_of(self, vehicles: Ints) -> Array:
-        """Rows (N, WIDTH) of these vehicles; the median driver's for one that is not in the file."""
+        """Rows (N, WIDTH) of these vehicles; the median driver's for a vehicle that is not in the file."""
         typical = np.median(self.rows, axis=0)
         known = {int(v): k for k, v in enumerate(self.vehicle)}
         return np.array([self.rows[known[int(v)]] if int(v) in known else typical for v in vehicles])
