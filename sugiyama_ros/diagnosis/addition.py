@@ -24,7 +24,7 @@ ADVICE: dict[frozenset[str], str] = {
 
 
 @dataclass(frozen=True, eq=False)
-class Named:
+class Addition:
     """An effect that was added, with everything that a verdict says about it.
 
     parameters: values by name; indistinguishable: names of candidates that explain the data as well; advice: what to

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from sugiyama_ros.diagnosis.candidates import Candidate
-from sugiyama_ros.diagnosis.screen import Glance
+from sugiyama_ros.diagnosis.screen import Screened
 from sugiyama_ros.effects.registry import DECLARED
 from sugiyama_ros.fit.joint import Fit
 
@@ -21,7 +21,7 @@ _COMMON = 4
 
 
 @dataclass(frozen=True, eq=False)
-class Looked:
+class Candidacy:
     """What was found about one candidate in one round; gains in nats.
 
     look: the quick look; fit: the model with the candidate; gain: over the model without it; expected, spread: mean and
@@ -29,7 +29,7 @@ class Looked:
     whether ``fit`` is a full fit.
     """
 
-    look: Glance
+    look: Screened
     fit: Fit
     gain: float
     expected: float
@@ -60,7 +60,7 @@ class NullGains:
     gains: dict[str, list[float]]
     scale: dict[str, float]
 
-    def judge(self, look: Glance, rivals: int) -> Looked:
+    def judge(self, look: Screened, rivals: int) -> Candidacy:
         """Judge a look at a candidate.
 
         The p-value is Student's t over the simulated gains, whose spread is partly shared among candidates. ``rivals``:
@@ -84,7 +84,7 @@ class NullGains:
         known = len(gains) - 1 + _COMMON
         spread = float(np.sqrt((squares + _COMMON * common**2) / known * (1.0 + 1.0 / len(gains))))
         p_alone = float(student.sf((look.gain - expected) / spread, known))
-        return Looked(
+        return Candidacy(
             look=look,
             fit=look.fit,
             gain=look.gain,
@@ -118,7 +118,7 @@ def chance_scale(candidate: Candidate, drivers: int) -> float:
     return math.sqrt(0.5 * parameters_added(candidate, drivers))
 
 
-def smallest_detectable(looks: Sequence[Glance], null: NullGains) -> dict[str, float]:
+def smallest_detectable(looks: Sequence[Screened], null: NullGains) -> dict[str, float]:
     """Strength of each effect from which these data would usually have shown it: value of its first parameter."""
     found = {}
     for look in looks:

@@ -5,14 +5,14 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 
-from sugiyama_ros.diagnosis.addition import Named
-from sugiyama_ros.diagnosis.candidacy import Looked
+from sugiyama_ros.diagnosis.addition import Addition
+from sugiyama_ros.diagnosis.candidacy import Candidacy
 from sugiyama_ros.diagnosis.discover import Discovery
 from sugiyama_ros.diagnosis.errors import Errors, errors_of
 from sugiyama_ros.diagnosis.locate import Located, locate
 from sugiyama_ros.diagnosis.progress import OnProgress
 from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter, laws
-from sugiyama_ros.diagnosis.screen import Glance
+from sugiyama_ros.diagnosis.screen import Screened
 from sugiyama_ros.diagnosis.search import LEVEL, Search
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR
 from sugiyama_ros.fit.cross_validation import Gain, without_folds
@@ -29,7 +29,7 @@ INDIVIDUAL = (SIGMA_NU, SIGMA_A, V_STAR, KAPPA_V)
 class Diagnosis:
     """Verdict on a recording.
 
-    base, final: the fitted model without and with what was added; named: what was added; looked: candidates of the
+    base, final: the fitted model without and with what was added; named: what was added; scored: candidates of the
     first round, best first; heldout: their held-out gains by name; discovered: forces without a name; before, after:
     held-out errors of the two models; where_before, where_after: where they fail; smallest: strength of each effect
     from which it would have shown; rivals: errors of other laws by name; bootstrap_runs: recordings simulated per
@@ -39,8 +39,8 @@ class Diagnosis:
     data: Recorded
     base: Fit
     final: Fit
-    named: tuple[Named, ...]
-    looked: tuple[Looked, ...]
+    named: tuple[Addition, ...]
+    scored: tuple[Candidacy, ...]
     heldout: dict[str, Gain]
     discovered: tuple[Discovery, ...]
     before: Errors
@@ -123,7 +123,7 @@ def _summed_up(
         base=search.base,
         final=search.current,
         named=tuple(search.named),
-        looked=tuple(search.looked),
+        scored=tuple(search.scored),
         heldout=search.heldout,
         discovered=tuple(forces),
         before=search.before,
@@ -141,7 +141,7 @@ def _summed_up(
 
 def _grow(search: Search, most: int, *, with_forces: bool, add_forces: bool) -> list[Discovery]:
     """Add what is supported to the model, and return the forces without a name that are left, if asked for."""
-    forces: list[tuple[Discovery, Glance]] = []
+    forces: list[tuple[Discovery, Screened]] = []
     is_growing = True
     while is_growing:
         while len(search.named) < most and search.add_effect():

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import norm
 
-from sugiyama_ros.diagnosis.discover import looked_at
+from sugiyama_ros.diagnosis.discover import covariates_of
 from sugiyama_ros.driver.parameters import RHO
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import Recorded
@@ -104,7 +104,7 @@ def locate(data: Recorded, model: Model, samples: Samples, work: Executor) -> Lo
 def _covariates(data: Recorded, states: Array) -> dict[str, Array]:
     """Covariates by name, (T, N) each, of filtered states (T, N, 4)."""
     t = data.trajectories
-    gap, speed, approach, rear_gap, _ = looked_at(data, states)
+    gap, speed, approach, rear_gap, _ = covariates_of(data, states)
     time = np.tile((t.start_s + t.period_s * np.arange(len(gap)))[:, None], (1, data.drivers))
     place = t.road.wrap(states[:, :, 0])
     return {"gap": gap, "speed": speed, "approach_rate": approach, "rear_gap": rear_gap, "place": place, "time": time}

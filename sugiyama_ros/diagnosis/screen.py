@@ -22,7 +22,7 @@ from sugiyama_ros.road import Array
 
 # Steps of a closer look at most, and the log-likelihood [nats] that one must promise.
 _CLOSER, _PROMISE = 4, 0.4
-# A candidate that promises less than this [nats] is not looked at any closer.
+# A candidate that promises less than this [nats] is not screened any closer.
 _HOPELESS = 1.0
 
 
@@ -51,7 +51,7 @@ QUICK = Effort(runs=2, looks=2, shortlist=4, later=2, steps=8, renewals=1)
 
 
 @dataclass(frozen=True, eq=False)
-class Glance:
+class Screened:
     """A candidate added to a model, roughly fitted.
 
     fit: the model with the candidate; gain: rise of the log posterior [nats] over the model without it, in sample;
@@ -68,7 +68,7 @@ class Glance:
     loss_at: dict[int, float]
 
 
-def glance(data: Recorded, base: Fit, candidate: Candidate, work: Executor, effort: Effort = FULL) -> Glance:
+def screen(data: Recorded, base: Fit, candidate: Candidate, work: Executor, effort: Effort = FULL) -> Screened:
     """Add a candidate to a fitted model by a few steps from the best of its starts.
 
     Parameters
@@ -94,14 +94,14 @@ def glance(data: Recorded, base: Fit, candidate: Candidate, work: Executor, effo
         if k not in known and k not in new:
             new[k] = _column(data, model, at, k, work)
     fitted = Fit(model, at, _joined(data, base, model, at, new))
-    look = Glance(candidate=candidate, fit=fitted, gain=0.0, promise=0.0, loss=loss, loss_at=loss_at)
+    look = Screened(candidate=candidate, fit=fitted, gain=0.0, promise=0.0, loss=loss, loss_at=loss_at)
     return _first_steps(data, base, look, work, effort)
 
 
 def _best_start(
     data: Recorded, base: Fit, candidate: Candidate, work: Executor, drivers: int
 ) -> tuple[Model, Samples, float, dict[int, float]]:
-    """The start that promises most, the samples there, and loss and loss_at as in ``Glance``.
+    """The start that promises most, the samples there, and loss and loss_at as in ``Screened``.
 
     drivers: number of drivers on whom the starts are compared, or half of it.
     """
@@ -126,15 +126,15 @@ def _best_start(
     return model, at, loss, candidate.starts[worst]
 
 
-def glance_again(data: Recorded, base: Fit, before: Fit, look: Glance, work: Executor, effort: Effort) -> Glance:
+def screen_again(data: Recorded, base: Fit, before: Fit, look: Screened, work: Executor, effort: Effort) -> Screened:
     """Look again at a candidate, from where an earlier look ended that was taken when the model was ``before``."""
     model = _carried_over(before, look, base)
     at = evaluate(data, model, work)
-    begun = replace(look, fit=Fit(model, at, _joined(data, base, model, at, _columns(look.fit))))
-    return _first_steps(data, base, begun, work, effort)
+    again = replace(look, fit=Fit(model, at, _joined(data, base, model, at, _columns(look.fit))))
+    return _first_steps(data, base, again, work, effort)
 
 
-def _first_steps(data: Recorded, base: Fit, look: Glance, work: Executor, effort: Effort) -> Glance:
+def _first_steps(data: Recorded, base: Fit, look: Screened, work: Executor, effort: Effort) -> Screened:
     """Take the first few steps of a look, if they promise anything."""
     everywhere = range(FOLDS)
     gain = objective(look.fit.slopes, look.fit.model, everywhere) - objective(base.slopes, base.model, everywhere)
@@ -143,12 +143,12 @@ def _first_steps(data: Recorded, base: Fit, look: Glance, work: Executor, effort
     return _further(data, look, work, effort.looks) if gain + promise > _HOPELESS else look
 
 
-def closer(data: Recorded, look: Glance, work: Executor) -> Glance:
+def closer(data: Recorded, look: Screened, work: Executor) -> Screened:
     """Take a few more steps of a look, if they promise anything."""
     return _further(data, look, work, _CLOSER) if look.gain + look.promise > _HOPELESS else look
 
 
-def _further(data: Recorded, look: Glance, work: Executor, steps: int) -> Glance:
+def _further(data: Recorded, look: Screened, work: Executor, steps: int) -> Screened:
     """Take more steps of a look, with the derivatives as they were."""
     everywhere, fitted = range(FOLDS), climb(data, look.fit, work, iterations=steps, enough=_PROMISE, renewals=0)
     rise = objective(fitted.slopes, fitted.model, everywhere) - objective(look.fit.slopes, look.fit.model, everywhere)
@@ -156,17 +156,17 @@ def _further(data: Recorded, look: Glance, work: Executor, steps: int) -> Glance
     return replace(look, fit=fitted, gain=look.gain + rise, promise=promise)
 
 
-def refine(data: Recorded, look: Glance, work: Executor, effort: Effort = FULL) -> Fit:
+def refine(data: Recorded, look: Screened, work: Executor, effort: Effort = FULL) -> Fit:
     """Fit a candidate in full, from where a look ended."""
     return climb(data, look.fit, work, iterations=effort.steps, renewals=effort.renewals, fresh=False)
 
 
 def with_candidate(data: Recorded, base: Fit, candidate: Candidate, work: Executor) -> Fit:
     """Add a candidate to a fitted model, and fit the new model in full."""
-    return refine(data, glance(data, base, candidate, work), work)
+    return refine(data, screen(data, base, candidate, work), work)
 
 
-def _carried_over(before: Fit, look: Glance, current: Fit) -> Model:
+def _carried_over(before: Fit, look: Screened, current: Fit) -> Model:
     """The current model with a candidate as an earlier look left it; the other parameters give way as they did then."""
     candidate = look.candidate
     model = added(current.model, candidate, candidate.starts[0])
@@ -178,7 +178,7 @@ def _carried_over(before: Fit, look: Glance, current: Fit) -> Model:
     return replace(model, rows=rows)
 
 
-def forecast(data: Recorded, before: Fit, look: Glance, current: Fit) -> float:
+def forecast(data: Recorded, before: Fit, look: Screened, current: Fit) -> float:
     """Gain [nats] over ``current`` that a look promises, which was taken when the model was ``before``.
 
     The change of every sample is taken to be the same now, so no filter is run.

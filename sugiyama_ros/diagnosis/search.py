@@ -10,14 +10,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from sugiyama_ros.diagnosis.addition import Named, advice_for, parameters_of
+from sugiyama_ros.diagnosis.addition import Addition, advice_for, parameters_of
 from sugiyama_ros.diagnosis.bootstrap import resample, seeds
-from sugiyama_ros.diagnosis.candidacy import LEAST_GAIN, UNKNOWN, Looked, NullGains, chance_scale, smallest_detectable
+from sugiyama_ros.diagnosis.candidacy import (
+    LEAST_GAIN,
+    UNKNOWN,
+    Candidacy,
+    NullGains,
+    chance_scale,
+    smallest_detectable,
+)
 from sugiyama_ros.diagnosis.candidates import Candidate, candidates, recording_of
 from sugiyama_ros.diagnosis.discover import Discovery, discover
 from sugiyama_ros.diagnosis.errors import Errors, errors_of
 from sugiyama_ros.diagnosis.progress import OnProgress, at_once
-from sugiyama_ros.diagnosis.screen import FULL, QUICK, Glance, closer, forecast, glance, glance_again, refine
+from sugiyama_ros.diagnosis.screen import FULL, QUICK, Screened, closer, forecast, refine, screen, screen_again
 from sugiyama_ros.fit.cross_validation import Gain, gain, held_out_nearly, sum_error, without_folds
 from sugiyama_ros.fit.joint import Fit, begun, climb, objective, refit
 from sugiyama_ros.fit.recording import FOLDS, Recorded
@@ -29,7 +36,7 @@ LEVEL = 0.05
 _SHARE = 0.3
 # Share of the best gain above which a candidate may be a rival that cannot be told apart.
 _RIVAL = 0.5
-# Candidates that are looked at again after the first round.
+# Candidates that are screened again after the first round.
 _LATER_LOOKS = 8
 # Standard errors by which one candidate is clearly worse than another (5 %), and the least difference [nats].
 _CLEARLY, _LEAST_DIFFERENCE = 1.645, 3.0
@@ -45,7 +52,7 @@ class Search:
     """A model that grows from ``base`` by what the data support.
 
     before: held-out errors of ``base``; current, errors: the current model and its held-out errors; named: what was
-    added. Results of the first round: looked, best first; heldout: the candidates' held-out gains; smallest: strengths
+    added. Results of the first round: scored, best first; heldout: the candidates' held-out gains; smallest: strengths
     from which they would have shown.
     """
 
@@ -55,12 +62,12 @@ class Search:
         self.data, self.base, self.quick, self.seed = data, base, quick, seed
         self._work, self._on_progress = work, on_progress
         self._possible = candidates(recording_of(data), data.drivers)
-        self._seen: dict[str, tuple[Fit, Glance]] = {}
+        self._seen: dict[str, tuple[Fit, Screened]] = {}
         self.effort = QUICK if quick else FULL
         self.current = base
         self.before = self.errors = errors_of(data, without_folds(data, base, work, searched=not quick), work)
-        self.named: list[Named] = []
-        self.looked: list[Looked] = []
+        self.named: list[Addition] = []
+        self.scored: list[Candidacy] = []
         self.heldout: dict[str, Gain] = {}
         self.smallest: dict[str, float] = {}
 
@@ -70,25 +77,25 @@ class Search:
         If others cannot be told apart from it, the candidate that predicts held-out samples best is added; a quick
         search does not compare them.
         """
-        looked = self._look_at_all()
-        supported = [one for one in looked if one.refined and one.p_value <= LEVEL and one.gain >= LEAST_GAIN]
+        scored = self._look_at_all()
+        supported = [one for one in scored if one.refined and one.p_value <= LEVEL and one.gain >= LEAST_GAIN]
         now = self._nearly(self.current) if supported and not self.quick else self.errors
-        grown: list[Named] = []
+        grown: list[Addition] = []
         predicted = self._gains(supported)
         for one in sorted(supported, key=lambda one: -predicted[one.candidate.name].nats):
             is_rival = not grown or (one.candidate.name in grown[0].indistinguishable and not self.quick)
             if is_rival and self._predicts_more(one, now):
-                rivals = self._indistinguishable(one, looked)
+                rivals = self._indistinguishable(one, scored)
                 named = self._grow(one.candidate, one.fit, one.p_value, rivals)
                 grown += [named] if named is not None else []
         return self._take(max(grown, key=lambda one: one.heldout.nats, default=None))
 
-    def discover(self) -> list[tuple[Discovery, Glance]]:
+    def discover(self) -> list[tuple[Discovery, Screened]]:
         """Forces without a name that the current model lacks, best supported first."""
         self._on_progress("forces without a name", 0, 1)
         return discover(self.data, self.current, self._work)
 
-    def add_force(self, forces: Sequence[tuple[Discovery, Glance]]) -> bool:
+    def add_force(self, forces: Sequence[tuple[Discovery, Screened]]) -> bool:
         """Add the first force that holds, if any does."""
         for force, look in forces:
             one = self._grow(look.candidate, refine(self.data, look, self._work), force.p_value)
@@ -97,7 +104,7 @@ class Search:
                 return self._take(one)
         return False
 
-    def _look_at_all(self) -> list[Looked]:
+    def _look_at_all(self) -> list[Candidacy]:
         """Screen the candidates that are worth it, best first; the most promising are fitted in full."""
         is_first = not self._seen
         chosen: Sequence[Candidate] = self._possible if is_first else self._worth_a_look()
@@ -113,32 +120,32 @@ class Search:
         if is_first and not doubtful:
             doubtful = promising[:1]
         null = self._simulate([looks[k].candidate for k in doubtful]) if doubtful else UNKNOWN
-        looked = [self._judge(look, null) for look in looks]
-        best = max(looked[k].gain for k in promising)
+        scored = [self._judge(look, null) for look in looks]
+        best = max(scored[k].gain for k in promising)
         hopeful = [
-            looked[k]
+            scored[k]
             for k in promising
-            if looked[k].p_value <= LEVEL or (looked[k].p_alone <= LEVEL and looked[k].gain > _RIVAL * best)
+            if scored[k].p_value <= LEVEL or (scored[k].p_alone <= LEVEL and scored[k].gain > _RIVAL * best)
         ]
         fitted = at_once(self._in_full, hopeful, f"{title}: fitting", self._on_progress)
-        looked = sorted([*fitted, *(one for one in looked if one not in hopeful)], key=lambda one: -one.score)
+        scored = sorted([*fitted, *(one for one in scored if one not in hopeful)], key=lambda one: -one.score)
         if is_first:
-            self.looked, self.smallest = looked, smallest_detectable(looks, null)
-            self.heldout = self._gains(looked)
-        return looked
+            self.scored, self.smallest = scored, smallest_detectable(looks, null)
+            self.heldout = self._gains(scored)
+        return scored
 
-    def _gains(self, looked: Sequence[Looked]) -> dict[str, Gain]:
+    def _gains(self, scored: Sequence[Candidacy]) -> dict[str, Gain]:
         """Held-out gains of candidates over the current model, without running the filter."""
         now = held_out_nearly(self.data, self.current)
-        return {one.candidate.name: gain(self.data, held_out_nearly(self.data, one.fit), now) for one in looked}
+        return {one.candidate.name: gain(self.data, held_out_nearly(self.data, one.fit), now) for one in scored}
 
-    def _predicts_more(self, one: Looked, now: Errors) -> bool:
+    def _predicts_more(self, one: Candidacy, now: Errors) -> bool:
         """Whether held-out samples support a candidate, too; now: errors of the current model."""
         predicted = self._nearly(one.fit)
         won = gain(self.data, predicted.samples, now.samples)
         return won.nats > -won.se and (one.candidate.name in _OF_NOISE or predicted.no_worse_than(now))
 
-    def _indistinguishable(self, best: Looked, looked: Sequence[Looked]) -> tuple[str, ...]:
+    def _indistinguishable(self, best: Candidacy, scored: Sequence[Candidacy]) -> tuple[str, ...]:
         """Names of the candidates that do not predict held-out samples clearly worse than the best candidate.
 
         Vuong's test of models that are not nested (Econometrica 57 (1989) 307), one-sided, paired over drivers. It is
@@ -146,7 +153,7 @@ class Search:
         """
         by_best = held_out_nearly(self.data, best.fit)
         names = []
-        for one in looked:
+        for one in scored:
             if one.refined and one.candidate.name != best.candidate.name:
                 behind = gain(self.data, by_best, held_out_nearly(self.data, one.fit))
                 if behind.nats < max(_CLEARLY * sum_error(behind.drivers), _LEAST_DIFFERENCE):
@@ -157,7 +164,7 @@ class Search:
         """Held-out errors, without a search for each fold."""
         return errors_of(self.data, without_folds(self.data, fitted, self._work, searched=False), self._work)
 
-    def _grow(self, candidate: Candidate, fitted: Fit, p_value: float, rivals: tuple[str, ...] = ()) -> Named | None:
+    def _grow(self, candidate: Candidate, fitted: Fit, p_value: float, rivals: tuple[str, ...] = ()) -> Addition | None:
         """The model with a candidate added, fitted in full, if its held-out gain is above its error over drivers."""
         data, work, before = self.data, self._work, self.errors
         model = replace(fitted.model, ahead=fitted.model.rows)
@@ -166,7 +173,7 @@ class Search:
         won = gain(data, after.samples, before.samples)
         if won.nats < sum_error(won.drivers):
             return None
-        return Named(
+        return Addition(
             name=candidate.name,
             kind=candidate.kind,
             parameters=parameters_of(grown, candidate),
@@ -179,7 +186,7 @@ class Search:
             fit=grown,
         )
 
-    def _take(self, one: Named | None) -> bool:
+    def _take(self, one: Addition | None) -> bool:
         """Make a grown model the current one; False if there is none."""
         if one is None:
             return False
@@ -188,10 +195,10 @@ class Search:
         self._possible = tuple(c for c in self._possible if c.name != one.name)
         return True
 
-    def _judge(self, look: Glance, null: NullGains | None = None) -> Looked:
+    def _judge(self, look: Screened, null: NullGains | None = None) -> Candidacy:
         return (null or UNKNOWN).judge(look, len(self._possible))
 
-    def _shortlist(self, looks: Sequence[Glance]) -> list[int]:
+    def _shortlist(self, looks: Sequence[Screened]) -> list[int]:
         """Numbers of the looks to fit in full: the largest gains, and noises, whose best values may lie far away.
 
         In later rounds: the looks that gain most above chance.
@@ -212,19 +219,19 @@ class Search:
         order = sorted(self._possible, key=lambda c: -forecast(self.data, *self._seen[c.name], self.current))
         return order[:_LATER_LOOKS]
 
-    def _look(self, candidate: Candidate) -> Glance:
+    def _look(self, candidate: Candidate) -> Screened:
         """Look at a candidate from where an earlier look has ended, or from the start if this leads nowhere."""
         before = self._seen.get(candidate.name)
         if before and before[1].gain > 0.0:
-            again = glance_again(self.data, self.current, *before, self._work, self.effort)
+            again = screen_again(self.data, self.current, *before, self._work, self.effort)
             if again.gain > 0.0 or again.promise < LEAST_GAIN:
                 return again
-        return glance(self.data, self.current, candidate, self._work, self.effort)
+        return screen(self.data, self.current, candidate, self._work, self.effort)
 
-    def _look_closer(self, look: Glance) -> Glance:
+    def _look_closer(self, look: Screened) -> Screened:
         return closer(self.data, look, self._work)
 
-    def _in_full(self, one: Looked) -> Looked:
+    def _in_full(self, one: Candidacy) -> Candidacy:
         """Fit a candidate in full; what chance gives still comes from quick looks."""
         refined = refine(self.data, one.look, self._work, self.effort)
         return replace(one, fit=refined, gain=max(one.gain, _rise(self.current, refined)), refined=True)
@@ -238,7 +245,7 @@ class Search:
             simulated = resample(data, current.model, states, rng)
             start = begun(simulated, current.model, work)
             fitted = climb(simulated, start, work, iterations=_FEW_STEPS, renewals=0)
-            looks = (glance(simulated, fitted, candidate, work, self.effort) for candidate in chosen)
+            looks = (screen(simulated, fitted, candidate, work, self.effort) for candidate in chosen)
             return [closer(simulated, look, work).gain for look in looks]
 
         gains = at_once(
@@ -257,6 +264,6 @@ def _rise(current: Fit, fitted: Fit) -> float:
     return objective(fitted.slopes, fitted.model, everywhere) - objective(current.slopes, current.model, everywhere)
 
 
-def _obvious(look: Glance) -> bool:
+def _obvious(look: Screened) -> bool:
     """Whether no simulation could gain as much; a parameter for each driver may gain much by chance."""
     return look.gain >= _OBVIOUS and not look.candidate.individual
