@@ -13,7 +13,7 @@ import numpy as np
 from sugiyama_ros.diagnosis.candidates import Candidate, added
 from sugiyama_ros.effects.registry import DECLARED
 from sugiyama_ros.filters import causal
-from sugiyama_ros.fit.joint import Fit, climb, objective, solve
+from sugiyama_ros.fit.joint import Fit, maximise, objective, solve
 from sugiyama_ros.fit.model import Model, coordinate, value
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import Samples, evaluate
@@ -150,7 +150,7 @@ def closer(data: Recorded, look: Screened, work: Executor) -> Screened:
 
 def _further(data: Recorded, look: Screened, work: Executor, steps: int) -> Screened:
     """Take more steps of a look, with the derivatives as they were."""
-    everywhere, fitted = range(FOLDS), climb(data, look.fit, work, iterations=steps, enough=_PROMISE, renewals=0)
+    everywhere, fitted = range(FOLDS), maximise(data, look.fit, work, iterations=steps, enough=_PROMISE, renewals=0)
     rise = objective(fitted.slopes, fitted.model, everywhere) - objective(look.fit.slopes, look.fit.model, everywhere)
     promise = solve(fitted.slopes, fitted.model, everywhere, 1e-3).promise
     return replace(look, fit=fitted, gain=look.gain + rise, promise=promise)
@@ -158,7 +158,7 @@ def _further(data: Recorded, look: Screened, work: Executor, steps: int) -> Scre
 
 def refine(data: Recorded, look: Screened, work: Executor, effort: Effort = FULL) -> Fit:
     """Fit a candidate in full, from where a look ended."""
-    return climb(data, look.fit, work, iterations=effort.steps, renewals=effort.renewals, fresh=False)
+    return maximise(data, look.fit, work, iterations=effort.steps, renewals=effort.renewals, fresh=False)
 
 
 def with_candidate(data: Recorded, base: Fit, candidate: Candidate, work: Executor) -> Fit:

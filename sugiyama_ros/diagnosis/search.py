@@ -26,7 +26,7 @@ from sugiyama_ros.diagnosis.errors import Errors, errors_of
 from sugiyama_ros.diagnosis.progress import OnProgress, at_once
 from sugiyama_ros.diagnosis.screen import FULL, QUICK, Screened, closer, forecast, refine, screen, screen_again
 from sugiyama_ros.fit.cross_validation import Gain, gain, held_out_nearly, sum_error, without_folds
-from sugiyama_ros.fit.joint import Fit, begun, climb, objective, refit
+from sugiyama_ros.fit.joint import Fit, maximise, objective, start_fit, warm_start
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import filtered_states
 
@@ -168,7 +168,7 @@ class Search:
         """The model with a candidate added, fitted in full, if its held-out gain is above its error over drivers."""
         data, work, before = self.data, self._work, self.errors
         model = replace(fitted.model, ahead=fitted.model.rows)
-        grown = refit(data, fitted, model, work, renewals=0 if self.quick else self.effort.renewals)
+        grown = warm_start(data, fitted, model, work, renewals=0 if self.quick else self.effort.renewals)
         after = errors_of(data, without_folds(data, grown, work, searched=not self.quick), work)
         won = gain(data, after.samples, before.samples)
         if won.nats < sum_error(won.drivers):
@@ -243,8 +243,8 @@ class Search:
 
         def one_run(rng: np.random.Generator) -> list[float]:
             simulated = resample(data, current.model, states, rng)
-            start = begun(simulated, current.model, work)
-            fitted = climb(simulated, start, work, iterations=_FEW_STEPS, renewals=0)
+            start = start_fit(simulated, current.model, work)
+            fitted = maximise(simulated, start, work, iterations=_FEW_STEPS, renewals=0)
             looks = (screen(simulated, fitted, candidate, work, self.effort) for candidate in chosen)
             return [closer(simulated, look, work).gain for look in looks]
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sugiyama_ros.filters import causal
-from sugiyama_ros.fit.joint import Fit, begun, climb, solve
+from sugiyama_ros.fit.joint import Fit, maximise, solve, start_fit
 from sugiyama_ros.fit.model import Model, coordinate, moved
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import Samples, evaluate, unknown
@@ -38,7 +38,7 @@ def without_folds(data: Recorded, fitted: Fit, work: Executor, *, searched: bool
         model = _without(data, fitted, f)
         if searched:
             others = [k for k in range(FOLDS) if k != f]
-            model = climb(data, begun(data, model, work), work, folds=others, iterations=_STEPS_WITHOUT).model
+            model = maximise(data, start_fit(data, model, work), work, folds=others, iterations=_STEPS_WITHOUT).model
         models.append(model)
     return tuple(models)
 

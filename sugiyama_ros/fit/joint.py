@@ -40,7 +40,7 @@ class Fit:
         return self.samples.total
 
 
-def begun(data: Recorded, model: Model, work: Executor) -> Fit:
+def start_fit(data: Recorded, model: Model, work: Executor) -> Fit:
     """The beginning of a search from ``model``: its samples and slopes."""
     start, samples = slopes(data, model, work)
     return Fit(model, samples, tuple(start))
@@ -48,16 +48,16 @@ def begun(data: Recorded, model: Model, work: Executor) -> Fit:
 
 def fit(data: Recorded, model: Model, work: Executor, *, iterations: int = _STEPS) -> Fit:
     """Maximise the likelihood from ``model``, with at most ``iterations`` steps."""
-    return climb(data, begun(data, model, work), work, iterations=iterations)
+    return maximise(data, start_fit(data, model, work), work, iterations=iterations)
 
 
-def refit(data: Recorded, near: Fit, model: Model, work: Executor, *, renewals: int = _RENEWALS) -> Fit:
+def warm_start(data: Recorded, near: Fit, model: Model, work: Executor, *, renewals: int = _RENEWALS) -> Fit:
     """Maximise the likelihood from ``model``, with the derivatives of the fit ``near`` until they are poor."""
     start = at_model(data, near, model, work, np.ones(data.drivers, np.bool_))
-    return climb(data, start, work, renewals=renewals, fresh=False)
+    return maximise(data, start, work, renewals=renewals, fresh=False)
 
 
-def climb(
+def maximise(
     data: Recorded,
     start: Fit,
     work: Executor,
