@@ -20,9 +20,9 @@ from sugiyama_ros.fit.score import Samples, evaluate
 from sugiyama_ros.fit.slopes import OUTLIERS, Derivatives, Slopes, density_slope, difference_steps, sums
 from sugiyama_ros.road import Array
 
-# Steps of a closer look at most, and the log-likelihood [nats] that one must promise.
-_CLOSER, _PROMISE = 4, 0.4
-# A candidate that promises less than this [nats] is not screened any closer.
+# Steps of a closer look at most, and the log-likelihood [nats] that a further step must be predicted to gain.
+_CLOSER, _LEAST_PREDICTED = 4, 0.4
+# A candidate whose gain is predicted to be less than this [nats] is not screened any closer.
 _HOPELESS = 1.0
 
 
@@ -55,15 +55,15 @@ class Screened:
     """A candidate added to a model, roughly fitted.
 
     fit: the model with the candidate; gain: rise of the log posterior [nats] over the model without it, in sample;
-    promise: what the next step may add to the gain; loss: fall of the log posterior [nats] at the start ``loss_at`` of
-    the search, once the other parameters have given way. An effect as strong as at that start would have gained as much
-    if it existed.
+    predicted_gain: what the next step may add to the gain; loss: fall of the log posterior [nats] at the start
+    ``loss_at`` of the search, once the other parameters have given way. An effect as strong as at that start would have
+    gained as much if it existed.
     """
 
     candidate: Candidate
     fit: Fit
     gain: float
-    promise: float
+    predicted_gain: float
     loss: float
     loss_at: dict[int, float]
 
@@ -94,14 +94,14 @@ def screen(data: Recorded, base: Fit, candidate: Candidate, work: Executor, effo
         if k not in known and k not in new:
             new[k] = _column(data, model, at, k, work)
     fitted = Fit(model, at, _joined(data, base, model, at, new))
-    look = Screened(candidate=candidate, fit=fitted, gain=0.0, promise=0.0, loss=loss, loss_at=loss_at)
+    look = Screened(candidate=candidate, fit=fitted, gain=0.0, predicted_gain=0.0, loss=loss, loss_at=loss_at)
     return _first_steps(data, base, look, work, effort)
 
 
 def _best_start(
     data: Recorded, base: Fit, candidate: Candidate, work: Executor, drivers: int
 ) -> tuple[Model, Samples, float, dict[int, float]]:
-    """The start that promises most, the samples there, and loss and loss_at as in ``Screened``.
+    """The start with the largest predicted likelihood, the samples there, and loss and loss_at as in ``Screened``.
 
     drivers: number of drivers on whom the starts are compared, or half of it.
     """
@@ -111,8 +111,8 @@ def _best_start(
     for start in candidate.starts:
         model = added(base.model, candidate, start)
         at = evaluate(data, model, work, some)
-        tried.append((_promise(base, model, at), model, at))
-    worst = int(np.argmin([promise for promise, _, _ in tried]))
+        tried.append((_predicted(base, model, at), model, at))
+    worst = int(np.argmin([likelihood for likelihood, _, _ in tried]))
     loss = (here.total - tried[worst][0]) * data.drivers / len(some)
     _, model, at = max(tried, key=lambda one: one[0])
     if candidate.strengths:
@@ -135,25 +135,26 @@ def screen_again(data: Recorded, base: Fit, before: Fit, look: Screened, work: E
 
 
 def _first_steps(data: Recorded, base: Fit, look: Screened, work: Executor, effort: Effort) -> Screened:
-    """Take the first few steps of a look, if they promise anything."""
+    """Take the first few steps of a look, if the predicted gain is worth it."""
     everywhere = range(FOLDS)
     gain = objective(look.fit.slopes, look.fit.model, everywhere) - objective(base.slopes, base.model, everywhere)
-    promise = solve(look.fit.slopes, look.fit.model, everywhere, 1e-3).promise
-    look = replace(look, gain=gain, promise=promise)
-    return _further(data, look, work, effort.looks) if gain + promise > _HOPELESS else look
+    predicted_gain = solve(look.fit.slopes, look.fit.model, everywhere, 1e-3).predicted_gain
+    look = replace(look, gain=gain, predicted_gain=predicted_gain)
+    return _further(data, look, work, effort.looks) if gain + predicted_gain > _HOPELESS else look
 
 
 def closer(data: Recorded, look: Screened, work: Executor) -> Screened:
-    """Take a few more steps of a look, if they promise anything."""
-    return _further(data, look, work, _CLOSER) if look.gain + look.promise > _HOPELESS else look
+    """Take a few more steps of a look, if the predicted gain is worth it."""
+    return _further(data, look, work, _CLOSER) if look.gain + look.predicted_gain > _HOPELESS else look
 
 
 def _further(data: Recorded, look: Screened, work: Executor, steps: int) -> Screened:
     """Take more steps of a look, with the derivatives as they were."""
-    everywhere, fitted = range(FOLDS), maximise(data, look.fit, work, iterations=steps, enough=_PROMISE, renewals=0)
+    fitted = maximise(data, look.fit, work, iterations=steps, enough=_LEAST_PREDICTED, renewals=0)
+    everywhere = range(FOLDS)
     rise = objective(fitted.slopes, fitted.model, everywhere) - objective(look.fit.slopes, look.fit.model, everywhere)
-    promise = solve(fitted.slopes, fitted.model, everywhere, 1e-3).promise
-    return replace(look, fit=fitted, gain=look.gain + rise, promise=promise)
+    predicted_gain = solve(fitted.slopes, fitted.model, everywhere, 1e-3).predicted_gain
+    return replace(look, fit=fitted, gain=look.gain + rise, predicted_gain=predicted_gain)
 
 
 def refine(data: Recorded, look: Screened, work: Executor, effort: Effort = FULL) -> Fit:
@@ -179,7 +180,7 @@ def _carried_over(before: Fit, look: Screened, current: Fit) -> Model:
 
 
 def forecast(data: Recorded, before: Fit, look: Screened, current: Fit) -> float:
-    """Gain [nats] over ``current`` that a look promises, which was taken when the model was ``before``.
+    """Gain [nats] over ``current`` predicted from a look that was taken when the model was ``before``.
 
     The change of every sample is taken to be the same now, so no filter is run.
     """
@@ -197,14 +198,14 @@ def forecast(data: Recorded, before: Fit, look: Screened, current: Fit) -> float
     density[np.isnan(now.log_likelihood)] = np.nan
     here = _joined(data, current, model, Samples(y, variance, density), _columns(look.fit))
     everywhere = range(FOLDS)
-    reached = objective(here, model, everywhere) + solve(here, model, everywhere, 1e-3).promise
+    reached = objective(here, model, everywhere) + solve(here, model, everywhere, 1e-3).predicted_gain
     return reached - objective(current.slopes, current.model, everywhere)
 
 
-def _promise(base: Fit, model: Model, samples: Samples) -> float:
+def _predicted(base: Fit, model: Model, samples: Samples) -> float:
     """Log-likelihood [nats] once the parameters of the base model have given way to the candidate, to first order.
 
-    Half of what they promise is believed, because a start far off promises much.
+    Half of their predicted gain counts, because it is too large at a start that is far off.
     """
     own, total = len(base.model.individual), samples.total
     prior = np.diag(1.0 / np.array(base.model.prior_std) ** 2)
@@ -219,17 +220,17 @@ def _promise(base: Fit, model: Model, samples: Samples) -> float:
 def _strongest(
     data: Recorded, base: Fit, here: Samples, candidate: Candidate, tried: Sequence[tuple[float, Model, Samples]]
 ) -> dict[int, float]:
-    """The start that promises most after its strengths were scaled to fit the samples; values by place.
+    """The start with the largest predicted gain after its strengths were scaled to fit the samples; values by place.
 
     The change of every sample at a start is taken as a derivative, so no filter is run. here: samples of the base
-    model, of the drivers on whom the starts were tried; tried: what each start promises, its model and samples.
+    model, of the drivers on whom the starts were tried; tried: predicted likelihood, model and samples of each.
     """
     steps, (ray, *_) = [], candidate.strengths
     model = replace(base.model, shared=(*base.model.shared, ray))
     for _, start, there in tried:
         new = {ray: _differences(here, there, 1.0, start.rows)}
         steps.append(solve(_joined(data, base, model, here, new), model, range(FOLDS), 1e-3))
-    best = int(np.argmax([step.promise for step in steps]))
+    best = int(np.argmax([step.predicted_gain for step in steps]))
     scale = float(steps[best].shared[-1])
     return {
         k: float(np.clip(scale * v, DECLARED[k].lower, DECLARED[k].upper)) if k in candidate.strengths else v

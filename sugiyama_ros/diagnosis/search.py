@@ -215,7 +215,7 @@ class Search:
         return chosen
 
     def _worth_a_look(self) -> list[Candidate]:
-        """The candidates that promise most over the current model, from what was seen of them before."""
+        """The candidates with the largest predicted gains over the current model, from what was seen of them before."""
         order = sorted(self._possible, key=lambda c: -forecast(self.data, *self._seen[c.name], self.current))
         return order[:_LATER_LOOKS]
 
@@ -224,7 +224,7 @@ class Search:
         before = self._seen.get(candidate.name)
         if before and before[1].gain > 0.0:
             again = screen_again(self.data, self.current, *before, self._work, self.effort)
-            if again.gain > 0.0 or again.promise < LEAST_GAIN:
+            if again.gain > 0.0 or again.predicted_gain < LEAST_GAIN:
                 return again
         return screen(self.data, self.current, candidate, self._work, self.effort)
 

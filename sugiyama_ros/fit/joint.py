@@ -18,8 +18,8 @@ from sugiyama_ros.fit.scoring import Damping, damped, damped_step
 from sugiyama_ros.fit.slopes import Slopes, informed_steps, slopes, slopes_of, sums
 from sugiyama_ros.road import Array
 
-# A search has ended when a step promises less log-likelihood [nats] than this; from step to step of the difference
-# quotients the likelihood of a recording is rough by about 1.
+# A search has ended when a step is predicted to gain less log-likelihood [nats] than this; the likelihood of a recording
+# is rough by about 1 from step to step of the difference quotients.
 _ENOUGH = 0.5
 _DAMPING = Damping(least=1e-6, least_after_failure=0.1, most=1e4)
 # Steps of a search at most, and times at most that it takes the derivatives anew.
@@ -71,7 +71,7 @@ def maximise(
     """Maximise the log posterior from a model whose slopes are known.
 
     The derivatives of the samples take most of the time. They are kept from step to step, and computed anew at the end
-    and where a step gains less than half of what it promises. Without shared parameters every driver rests on arrival.
+    and where a step gains less than half of what was predicted. Without shared parameters each driver rests on arrival.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def maximise(
     iterations
         Steps at most.
     enough
-        The search ends when a step promises less than this [nats].
+        The search ends when a step is predicted to gain less than this [nats].
     renewals
         How often derivatives are computed anew, at most.
     fresh
@@ -95,20 +95,20 @@ def maximise(
     is_fresh = np.full(data.drivers, fresh)
     for _ in range(iterations):
         step, moves = _next_step(here, folds, damping, enough)
-        if step.promise < enough or damping[moves].min(initial=np.inf) > _DAMPING.most:
+        if step.predicted_gain < enough or damping[moves].min(initial=np.inf) > _DAMPING.most:
             if is_fresh.all() or not renewals:
                 break
             here, renewals = renewed(data, here, work, ~is_fresh), renewals - 1
             is_fresh[:] = True
             step, moves = _next_step(here, folds, damping, enough)
-            if step.promise < enough:
+            if step.predicted_gain < enough:
                 break
         there = at_model(data, here, moved(data, here.model, step), work, moves)
-        rise, promises = _risen(here, there, step, folds)
+        rise, predicted_gains = _risen(here, there, step, folds)
         better = moves & (rise > 0.0)
         here = mixed(here, there, better)
         gained = np.where(better, rise, 0.0)
-        poor = moves & (gained <= 0.5 * promises)
+        poor = moves & (gained <= 0.5 * predicted_gains)
         if gained.sum() < enough and is_fresh[moves].all() and better.any():
             break
         damping = _DAMPING.updated(damping, better, moves & ~better & is_fresh)
@@ -120,20 +120,20 @@ def maximise(
 
 
 def _next_step(here: Fit, folds: Sequence[int], damping: Array, enough: float) -> tuple[Step, NDArray[np.bool_]]:
-    """The next step, and the drivers (N,) that it moves: those that it promises something, or all together."""
+    """The next step, and the drivers (N,) that it moves: those with enough to gain, or all together."""
     step = solve(here.slopes, here.model, folds, damping)
-    return step, bool(here.model.shared) | (step.promises > enough / len(here.slopes))
+    return step, bool(here.model.shared) | (step.predicted_gains > enough / len(here.slopes))
 
 
 def _risen(here: Fit, there: Fit, step: Step, folds: Sequence[int]) -> tuple[Array, Array]:
-    """Rise of each driver's objective from one model to another, and the rise that the step promised; (N,) each.
+    """Rise of each driver's objective from one model to another, and the rise that was predicted; (N,) each.
 
     With shared parameters the drivers rise and fall together, so each has the mean.
     """
     rise = objectives(there.slopes, there.model, folds) - objectives(here.slopes, here.model, folds)
     if not here.model.shared:
-        return rise, step.promises
-    return np.full_like(rise, rise.mean()), np.full_like(rise, step.promise / len(rise))
+        return rise, step.predicted_gains
+    return np.full_like(rise, rise.mean()), np.full_like(rise, step.predicted_gain / len(rise))
 
 
 def solve(
@@ -172,8 +172,8 @@ def solve(
     rest = g[:, own:].sum(axis=0) - np.einsum("nis,ni->s", gives_way, g_own)
     of_shared = damped_step(reduced, rest, of_driver.max() + 1e-9, 1e-6)
     of_own: Array = np.einsum("nij,nj->ni", inverse, g_own - cross @ of_shared)
-    promises: Array = 0.5 * np.einsum("ni,nij,nj->n", g_own, inverse, g_own)
-    return Step(of_own, of_shared, promises, 0.5 * float(rest @ of_shared) + float(promises.sum()))
+    predicted_gains: Array = 0.5 * np.einsum("ni,nij,nj->n", g_own, inverse, g_own)
+    return Step(of_own, of_shared, predicted_gains, 0.5 * float(rest @ of_shared) + float(predicted_gains.sum()))
 
 
 def at_model(data: Recorded, here: Fit, model: Model, work: Executor, who: NDArray[np.bool_]) -> Fit:
