@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from sugiyama_ros.diagnosis.candidates import Candidate, Kind
-from sugiyama_ros.diagnosis.errors import Errors
+from sugiyama_ros.diagnosis.errors import HeldOutErrors
 from sugiyama_ros.effects.registry import DECLARED
 from sugiyama_ros.fit.cross_validation import Gain
-from sugiyama_ros.fit.joint import Fit
+from sugiyama_ros.fit.joint import JointFit
 
 #: What to record to tell two effects apart.
 ADVICE: dict[frozenset[str], str] = {
@@ -38,9 +38,9 @@ class Addition:
     advice: tuple[str, ...]
     p_value: float
     heldout: Gain
-    before: Errors
-    after: Errors
-    fit: Fit
+    before: HeldOutErrors
+    after: HeldOutErrors
+    fit: JointFit
 
 
 def advice_for(name: str, others: Iterable[str]) -> tuple[str, ...]:
@@ -49,7 +49,7 @@ def advice_for(name: str, others: Iterable[str]) -> tuple[str, ...]:
     return tuple(text for pair, text in ADVICE.items() if name in pair and pair <= about)
 
 
-def parameters_of(fitted: Fit, candidate: Candidate) -> dict[str, float]:
+def parameters_of(fitted: JointFit, candidate: Candidate) -> dict[str, float]:
     """Values of a candidate's parameters by name; the median driver's where every driver has a value."""
     places = sorted({*candidate.places, *candidate.starts[0]})
     rows = np.median(fitted.model.rows[:, places], axis=0)

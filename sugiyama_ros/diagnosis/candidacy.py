@@ -10,7 +10,7 @@ from scipy.stats import t as student
 from sugiyama_ros.diagnosis.candidates import Candidate
 from sugiyama_ros.diagnosis.screen import Screened
 from sugiyama_ros.effects.registry import DECLARED
-from sugiyama_ros.fit.joint import Fit
+from sugiyama_ros.fit.joint import JointFit
 
 #: A gain is not believed below this [nats], whatever the p-value.
 LEAST_GAIN = 5.0
@@ -30,7 +30,7 @@ class Candidacy:
     """
 
     look: Screened
-    fit: Fit
+    fit: JointFit
     gain: float
     expected: float
     spread: float

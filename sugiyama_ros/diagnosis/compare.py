@@ -9,13 +9,13 @@ import numpy as np
 from sugiyama_ros.diagnosis.bootstrap import resample, seeds
 from sugiyama_ros.diagnosis.candidates import Candidate, named
 from sugiyama_ros.diagnosis.diagnosis import INDIVIDUAL
-from sugiyama_ros.diagnosis.errors import Errors, errors_of
+from sugiyama_ros.diagnosis.errors import HeldOutErrors, errors_of
 from sugiyama_ros.diagnosis.progress import OnProgress
 from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter, laws
 from sugiyama_ros.diagnosis.screen import with_candidate
 from sugiyama_ros.filters.causal import chain_behind, track
 from sugiyama_ros.fit.cross_validation import Gain, gain, without_folds
-from sugiyama_ros.fit.joint import Fit, fit
+from sugiyama_ros.fit.joint import JointFit, fit
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.model_file import ModelFile
 from sugiyama_ros.fit.population import fit_base
@@ -39,7 +39,7 @@ class Compared:
     """
 
     name: str
-    errors: Errors
+    errors: HeldOutErrors
     gain: Gain | None
     nis_mean: float
     nis_std_error: float
@@ -115,12 +115,12 @@ class _Comparison:
         self._on_progress(what, self._done, self._steps)
         self._done += 1
 
-    def add_fitted(self, name: str, fitted: Fit) -> None:
+    def add_fitted(self, name: str, fitted: JointFit) -> None:
         """Add a fitted model, which is searched for again without each fold."""
         models = without_folds(self._data, fitted, self._work, searched=True)
         self._add(name, models, fitted.model)
 
-    def add_effects(self, base: Fit, chosen: Sequence[Candidate]) -> None:
+    def add_effects(self, base: JointFit, chosen: Sequence[Candidate]) -> None:
         """Add the base model with candidates, if there are any."""
         current = base
         for candidate in chosen:
@@ -181,7 +181,7 @@ def _compared(
     name: str,
     data: Recorded,
     models: Sequence[Model],
-    base: Errors | None,
+    base: HeldOutErrors | None,
     of_road: dict[str, tuple[float, float]],
     work: ThreadPoolExecutor,
 ) -> Compared:
@@ -202,7 +202,7 @@ def _compared(
     )
 
 
-def _floor(data: Recorded, base: Fit, seed: int, work: ThreadPoolExecutor) -> Compared:
+def _floor(data: Recorded, base: JointFit, seed: int, work: ThreadPoolExecutor) -> Compared:
     simulated = resample(data, base.model, filtered_states(data, base.model, work), seeds(seed, 1)[0])
     fitted = fit(simulated, base.model, work)
     return _compared("floor", simulated, without_folds(simulated, fitted, work, searched=True), None, {}, work)

@@ -8,7 +8,7 @@ from functools import partial
 from sugiyama_ros.diagnosis.addition import Addition
 from sugiyama_ros.diagnosis.candidacy import Candidacy
 from sugiyama_ros.diagnosis.discover import Discovery
-from sugiyama_ros.diagnosis.errors import Errors, errors_of
+from sugiyama_ros.diagnosis.errors import HeldOutErrors, errors_of
 from sugiyama_ros.diagnosis.locate import Located, locate
 from sugiyama_ros.diagnosis.progress import OnProgress
 from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter, laws
@@ -16,7 +16,7 @@ from sugiyama_ros.diagnosis.screen import Screened
 from sugiyama_ros.diagnosis.search import LEVEL, Search
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR
 from sugiyama_ros.fit.cross_validation import Gain, without_folds
-from sugiyama_ros.fit.joint import Fit
+from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.population import fit_base
 from sugiyama_ros.fit.recording import Recorded, prepare
 from sugiyama_ros.trajectories.trajectories import Trajectories
@@ -37,14 +37,14 @@ class Diagnosis:
     """
 
     data: Recorded
-    base: Fit
-    final: Fit
+    base: JointFit
+    final: JointFit
     named: tuple[Addition, ...]
     scored: tuple[Candidacy, ...]
     heldout: dict[str, Gain]
     discovered: tuple[Discovery, ...]
-    before: Errors
-    after: Errors
+    before: HeldOutErrors
+    after: HeldOutErrors
     where_before: Located
     where_after: Located
     smallest: dict[str, float]

@@ -10,7 +10,7 @@ from sugiyama_ros.diagnosis.candidates import Candidate
 from sugiyama_ros.diagnosis.screen import Screened, screen
 from sugiyama_ros.effects.discovered_force import COVARIATES, KNOTS
 from sugiyama_ros.effects.registry import place
-from sugiyama_ros.fit.joint import Fit
+from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.score import filtered_states
 from sugiyama_ros.road import Array
@@ -37,7 +37,7 @@ class Discovery:
     force: tuple[float, ...]
 
 
-def discover(data: Recorded, fitted: Fit, work: Executor) -> list[tuple[Discovery, Screened]]:
+def discover(data: Recorded, fitted: JointFit, work: Executor) -> list[tuple[Discovery, Screened]]:
     """Every covariate's curve, best supported first; p-values are corrected for their number (Bonferroni)."""
     seen = covariates_of(data, filtered_states(data, fitted.model, work))
     found = []

@@ -10,7 +10,7 @@ from sugiyama_ros.diagnosis.free_runs import HORIZONS_S, FreeRuns, free_runs, rm
 from sugiyama_ros.fit.cross_validation import of_folds
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import Recorded
-from sugiyama_ros.fit.score import Samples, follow
+from sugiyama_ros.fit.score import PointwiseDensity, follow
 
 # Share by which a free run's error may be larger than before without counting as worse: two starts differ by more.
 _TOLERANCE = 0.05
@@ -19,10 +19,10 @@ _MOVING = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class Errors:
+class HeldOutErrors:
     """Held-out samples and free runs of a model, each predicted by the model fitted without its fold."""
 
-    samples: Samples
+    samples: PointwiseDensity
     runs: FreeRuns
 
     @property
@@ -40,7 +40,7 @@ class Errors:
         totals = np.nansum(self.samples.log_likelihood, axis=1)
         return [(float(total), rmse(self.runs.single[:, -1, i])) for i, total in enumerate(totals)]
 
-    def no_worse_than(self, other: "Errors") -> bool:
+    def no_worse_than(self, other: "HeldOutErrors") -> bool:
         """Whether the free runs are not worse by more than 5 % and two paired standard errors over starts.
 
         All horizons, coupled and single, count together, each relative to the other model's mean square error. A single
@@ -101,8 +101,8 @@ class Errors:
         return found
 
 
-def errors_of(data: Recorded, models: Sequence[Model], work: Executor) -> Errors:
+def errors_of(data: Recorded, models: Sequence[Model], work: Executor) -> HeldOutErrors:
     """Errors of the models fitted without each fold, from ``cross_validation.without_folds``."""
     followed = [follow(data, model, work) for model in models]
     samples = of_folds(data, [samples for samples, _ in followed])
-    return Errors(samples, free_runs(data, models, [states for _, states in followed], work))
+    return HeldOutErrors(samples, free_runs(data, models, [states for _, states in followed], work))

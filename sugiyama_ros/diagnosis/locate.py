@@ -15,7 +15,7 @@ from sugiyama_ros.diagnosis.discover import covariates_of
 from sugiyama_ros.driver.parameters import RHO
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import Recorded
-from sugiyama_ros.fit.score import Samples, filtered_states
+from sugiyama_ros.fit.score import PointwiseDensity, filtered_states
 from sugiyama_ros.road import Array
 
 #: False-discovery rate of the flags.
@@ -70,7 +70,7 @@ class Located:
         return sorted((b for b in self.bins if b.flagged), key=lambda b: b.p_value)
 
 
-def locate(data: Recorded, model: Model, samples: Samples, work: Executor) -> Located:
+def locate(data: Recorded, model: Model, samples: PointwiseDensity, work: Executor) -> Located:
     """Find where the samples of a model differ from what it says.
 
     Parameters

@@ -12,7 +12,7 @@ import numpy as np
 
 from sugiyama_ros.driver.parameters import SIGMA_A, SIGMA_NU
 from sugiyama_ros.effects.registry import DECLARED, LAW, LAW_PLACES
-from sugiyama_ros.fit.joint import Fit
+from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.least_squares import Following, fit_gaps
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.population import fit_base, start_model
@@ -25,7 +25,7 @@ from sugiyama_ros.road import Array
 _FEWEST = 50
 
 
-def in_filter(data: Recorded, law: str, work: Executor) -> Fit:
+def in_filter(data: Recorded, law: str, work: Executor) -> JointFit:
     """A rival with its parameters and noises fitted for every driver in the causal filter."""
     places = LAW_PLACES[law]
     model = start_model(data.drivers, (SIGMA_NU, SIGMA_A, *range(places.start, places.stop)))
@@ -35,7 +35,7 @@ def in_filter(data: Recorded, law: str, work: Executor) -> Fit:
     return fit_base(data, model.individual, work, model)
 
 
-def by_gaps(data: Recorded, law: str, fitted: Fit, work: Executor) -> tuple[Model, ...]:
+def by_gaps(data: Recorded, law: str, fitted: JointFit, work: Executor) -> tuple[Model, ...]:
     """For every fold, the rival fitted by least squares to the gaps outside the fold; noises as in ``fitted``."""
     states = filtered_states(data, fitted.model, work)
     places = LAW_PLACES[law]

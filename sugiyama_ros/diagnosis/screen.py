@@ -13,10 +13,10 @@ import numpy as np
 from sugiyama_ros.diagnosis.candidates import Candidate, added
 from sugiyama_ros.effects.registry import DECLARED
 from sugiyama_ros.filters import causal
-from sugiyama_ros.fit.joint import Fit, maximise, objective, solve
+from sugiyama_ros.fit.joint import JointFit, maximise, objective, solve
 from sugiyama_ros.fit.model import Model, coordinate, value
 from sugiyama_ros.fit.recording import FOLDS, Recorded
-from sugiyama_ros.fit.score import Samples, evaluate
+from sugiyama_ros.fit.score import PointwiseDensity, evaluate
 from sugiyama_ros.fit.slopes import OUTLIERS, Derivatives, Slopes, density_slope, difference_steps, sums
 from sugiyama_ros.road import Array
 
@@ -61,14 +61,14 @@ class Screened:
     """
 
     candidate: Candidate
-    fit: Fit
+    fit: JointFit
     gain: float
     predicted_gain: float
     loss: float
     loss_at: dict[int, float]
 
 
-def screen(data: Recorded, base: Fit, candidate: Candidate, work: Executor, effort: Effort = FULL) -> Screened:
+def screen(data: Recorded, base: JointFit, candidate: Candidate, work: Executor, effort: Effort = FULL) -> Screened:
     """Add a candidate to a fitted model by a few steps from the best of its starts.
 
     Parameters
@@ -93,14 +93,14 @@ def screen(data: Recorded, base: Fit, candidate: Candidate, work: Executor, effo
     for k in (*model.individual, *model.shared):
         if k not in known and k not in new:
             new[k] = _column(data, model, at, k, work)
-    fitted = Fit(model, at, _joined(data, base, model, at, new))
+    fitted = JointFit(model, at, _joined(data, base, model, at, new))
     look = Screened(candidate=candidate, fit=fitted, gain=0.0, predicted_gain=0.0, loss=loss, loss_at=loss_at)
     return _first_steps(data, base, look, work, effort)
 
 
 def _best_start(
-    data: Recorded, base: Fit, candidate: Candidate, work: Executor, drivers: int
-) -> tuple[Model, Samples, float, dict[int, float]]:
+    data: Recorded, base: JointFit, candidate: Candidate, work: Executor, drivers: int
+) -> tuple[Model, PointwiseDensity, float, dict[int, float]]:
     """The start with the largest predicted likelihood, the samples there, and loss and loss_at as in ``Screened``.
 
     drivers: number of drivers on whom the starts are compared, or half of it.
@@ -126,15 +126,17 @@ def _best_start(
     return model, at, loss, candidate.starts[worst]
 
 
-def screen_again(data: Recorded, base: Fit, before: Fit, look: Screened, work: Executor, effort: Effort) -> Screened:
+def screen_again(
+    data: Recorded, base: JointFit, before: JointFit, look: Screened, work: Executor, effort: Effort
+) -> Screened:
     """Look again at a candidate, from where an earlier look ended that was taken when the model was ``before``."""
     model = _carried_over(before, look, base)
     at = evaluate(data, model, work)
-    again = replace(look, fit=Fit(model, at, _joined(data, base, model, at, _columns(look.fit))))
+    again = replace(look, fit=JointFit(model, at, _joined(data, base, model, at, _columns(look.fit))))
     return _first_steps(data, base, again, work, effort)
 
 
-def _first_steps(data: Recorded, base: Fit, look: Screened, work: Executor, effort: Effort) -> Screened:
+def _first_steps(data: Recorded, base: JointFit, look: Screened, work: Executor, effort: Effort) -> Screened:
     """Take the first few steps of a look, if the predicted gain is worth it."""
     everywhere = range(FOLDS)
     gain = objective(look.fit.slopes, look.fit.model, everywhere) - objective(base.slopes, base.model, everywhere)
@@ -157,17 +159,17 @@ def _further(data: Recorded, look: Screened, work: Executor, steps: int) -> Scre
     return replace(look, fit=fitted, gain=look.gain + rise, predicted_gain=predicted_gain)
 
 
-def refine(data: Recorded, look: Screened, work: Executor, effort: Effort = FULL) -> Fit:
+def refine(data: Recorded, look: Screened, work: Executor, effort: Effort = FULL) -> JointFit:
     """Fit a candidate in full, from where a look ended."""
     return maximise(data, look.fit, work, iterations=effort.steps, renewals=effort.renewals, fresh=False)
 
 
-def with_candidate(data: Recorded, base: Fit, candidate: Candidate, work: Executor) -> Fit:
+def with_candidate(data: Recorded, base: JointFit, candidate: Candidate, work: Executor) -> JointFit:
     """Add a candidate to a fitted model, and fit the new model in full."""
     return refine(data, screen(data, base, candidate, work), work)
 
 
-def _carried_over(before: Fit, look: Screened, current: Fit) -> Model:
+def _carried_over(before: JointFit, look: Screened, current: JointFit) -> Model:
     """The current model with a candidate as an earlier look left it; the other parameters give way as they did then."""
     candidate = look.candidate
     model = added(current.model, candidate, candidate.starts[0])
@@ -179,7 +181,7 @@ def _carried_over(before: Fit, look: Screened, current: Fit) -> Model:
     return replace(model, rows=rows)
 
 
-def forecast(data: Recorded, before: Fit, look: Screened, current: Fit) -> float:
+def forecast(data: Recorded, before: JointFit, look: Screened, current: JointFit) -> float:
     """Gain [nats] over ``current`` predicted from a look that was taken when the model was ``before``.
 
     The change of every sample is taken to be the same now, so no filter is run.
@@ -196,13 +198,13 @@ def forecast(data: Recorded, before: Fit, look: Screened, current: Fit) -> float
     for i, row in enumerate(rows):
         causal.weigh_samples(y[i], variance[i], row, np.empty_like(y[i]), density[i])
     density[np.isnan(now.log_likelihood)] = np.nan
-    here = _joined(data, current, model, Samples(y, variance, density), _columns(look.fit))
+    here = _joined(data, current, model, PointwiseDensity(y, variance, density), _columns(look.fit))
     everywhere = range(FOLDS)
     reached = objective(here, model, everywhere) + solve(here, model, everywhere, 1e-3).predicted_gain
     return reached - objective(current.slopes, current.model, everywhere)
 
 
-def _predicted(base: Fit, model: Model, samples: Samples) -> float:
+def _predicted(base: JointFit, model: Model, samples: PointwiseDensity) -> float:
     """Log-likelihood [nats] once the parameters of the base model have given way to the candidate, to first order.
 
     Half of their predicted gain counts, because it is too large at a start that is far off.
@@ -218,7 +220,11 @@ def _predicted(base: Fit, model: Model, samples: Samples) -> float:
 
 
 def _strongest(
-    data: Recorded, base: Fit, here: Samples, candidate: Candidate, tried: Sequence[tuple[float, Model, Samples]]
+    data: Recorded,
+    base: JointFit,
+    here: PointwiseDensity,
+    candidate: Candidate,
+    tried: Sequence[tuple[float, Model, PointwiseDensity]],
 ) -> dict[int, float]:
     """The start with the largest predicted gain after its strengths were scaled to fit the samples; values by place.
 
@@ -239,7 +245,7 @@ def _strongest(
 
 
 def _joined(
-    data: Recorded, base: Fit, model: Model, at: Samples, new: dict[int, list[tuple[Array, Array, Array]]]
+    data: Recorded, base: JointFit, model: Model, at: PointwiseDensity, new: dict[int, list[tuple[Array, Array, Array]]]
 ) -> tuple[Slopes, ...]:
     """Slopes at a model near ``base``, with the derivatives of ``base`` and ``new`` ones by the other parameters."""
     known, places = [*base.model.individual, *base.model.shared], (*model.individual, *model.shared)
@@ -252,13 +258,15 @@ def _joined(
     return tuple(joined)
 
 
-def _columns(fitted: Fit) -> dict[int, list[tuple[Array, Array, Array]]]:
+def _columns(fitted: JointFit) -> dict[int, list[tuple[Array, Array, Array]]]:
     """Derivatives of every driver's samples by each parameter of a fit, as ``_column`` gives them."""
     places, derivatives = (*fitted.model.individual, *fitted.model.shared), [s.derivatives for s in fitted.slopes]
     return {k: [(d.innovation[j], d.variance[j], d.density[j]) for d in derivatives] for j, k in enumerate(places)}
 
 
-def _column(data: Recorded, model: Model, at: Samples, place: int, work: Executor) -> list[tuple[Array, Array, Array]]:
+def _column(
+    data: Recorded, model: Model, at: PointwiseDensity, place: int, work: Executor
+) -> list[tuple[Array, Array, Array]]:
     """Derivatives of every driver's samples by one parameter, as ``Slopes`` keeps them, (T,) each."""
     coordinates = coordinate(model.rows[:, [place]], [place])
     step = float(difference_steps(data, [place])[0])
@@ -267,7 +275,9 @@ def _column(data: Recorded, model: Model, at: Samples, place: int, work: Executo
     return _differences(at, evaluate(data, replace(model, rows=rows), work), step, model.rows)
 
 
-def _differences(at: Samples, there: Samples, step: float, rows: Array) -> list[tuple[Array, Array, Array]]:
+def _differences(
+    at: PointwiseDensity, there: PointwiseDensity, step: float, rows: Array
+) -> list[tuple[Array, Array, Array]]:
     """Difference quotients of every driver's samples, as ``Slopes`` keeps them, (T,) each; rows: (N, WIDTH)."""
     found = []
     for i, row in enumerate(rows):

@@ -22,11 +22,11 @@ from sugiyama_ros.diagnosis.candidacy import (
 )
 from sugiyama_ros.diagnosis.candidates import Candidate, candidates, recording_of
 from sugiyama_ros.diagnosis.discover import Discovery, discover
-from sugiyama_ros.diagnosis.errors import Errors, errors_of
+from sugiyama_ros.diagnosis.errors import HeldOutErrors, errors_of
 from sugiyama_ros.diagnosis.progress import OnProgress, at_once
 from sugiyama_ros.diagnosis.screen import FULL, QUICK, Screened, closer, forecast, refine, screen, screen_again
 from sugiyama_ros.fit.cross_validation import Gain, gain, held_out_nearly, sum_error, without_folds
-from sugiyama_ros.fit.joint import Fit, maximise, objective, start_fit, warm_start
+from sugiyama_ros.fit.joint import JointFit, maximise, objective, start_fit, warm_start
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import filtered_states
 
@@ -57,12 +57,19 @@ class Search:
     """
 
     def __init__(
-        self, data: Recorded, base: Fit, quick: bool, seed: int, work: ThreadPoolExecutor, *, on_progress: OnProgress
+        self,
+        data: Recorded,
+        base: JointFit,
+        quick: bool,
+        seed: int,
+        work: ThreadPoolExecutor,
+        *,
+        on_progress: OnProgress,
     ) -> None:
         self.data, self.base, self.quick, self.seed = data, base, quick, seed
         self._work, self._on_progress = work, on_progress
         self._possible = candidates(recording_of(data), data.drivers)
-        self._seen: dict[str, tuple[Fit, Screened]] = {}
+        self._seen: dict[str, tuple[JointFit, Screened]] = {}
         self.effort = QUICK if quick else FULL
         self.current = base
         self.before = self.errors = errors_of(data, without_folds(data, base, work, searched=not quick), work)
@@ -139,7 +146,7 @@ class Search:
         now = held_out_nearly(self.data, self.current)
         return {one.candidate.name: gain(self.data, held_out_nearly(self.data, one.fit), now) for one in scored}
 
-    def _predicts_more(self, one: Candidacy, now: Errors) -> bool:
+    def _predicts_more(self, one: Candidacy, now: HeldOutErrors) -> bool:
         """Whether held-out samples support a candidate, too; now: errors of the current model."""
         predicted = self._nearly(one.fit)
         won = gain(self.data, predicted.samples, now.samples)
@@ -160,11 +167,13 @@ class Search:
                     names.append(one.candidate.name)
         return tuple(names)
 
-    def _nearly(self, fitted: Fit) -> Errors:
+    def _nearly(self, fitted: JointFit) -> HeldOutErrors:
         """Held-out errors, without a search for each fold."""
         return errors_of(self.data, without_folds(self.data, fitted, self._work, searched=False), self._work)
 
-    def _grow(self, candidate: Candidate, fitted: Fit, p_value: float, rivals: tuple[str, ...] = ()) -> Addition | None:
+    def _grow(
+        self, candidate: Candidate, fitted: JointFit, p_value: float, rivals: tuple[str, ...] = ()
+    ) -> Addition | None:
         """The model with a candidate added, fitted in full, if its held-out gain is above its error over drivers."""
         data, work, before = self.data, self._work, self.errors
         model = replace(fitted.model, ahead=fitted.model.rows)
@@ -259,7 +268,7 @@ class Search:
         return NullGains({candidate.name: list(one) for candidate, one in by_candidate}, scale)
 
 
-def _rise(current: Fit, fitted: Fit) -> float:
+def _rise(current: JointFit, fitted: JointFit) -> float:
     everywhere = range(FOLDS)
     return objective(fitted.slopes, fitted.model, everywhere) - objective(current.slopes, current.model, everywhere)
 

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from sugiyama_ros.fit.model import Model, Step, moved
 from sugiyama_ros.fit.recording import FOLDS, Recorded
-from sugiyama_ros.fit.score import Samples, predict_drivers
+from sugiyama_ros.fit.score import PointwiseDensity, predict_drivers
 from sugiyama_ros.fit.scoring import Damping, damped, damped_step
 from sugiyama_ros.fit.slopes import Slopes, informed_steps, slopes, slopes_of, sums
 from sugiyama_ros.road import Array
 
-# A search has ended when a step is predicted to gain less log-likelihood [nats] than this; the likelihood of a recording
-# is rough by about 1 from step to step of the difference quotients.
+# A search ends when a step is predicted to gain less log-likelihood [nats] than this. The likelihood of a recording is
+# rough by about 1 from step to step of the difference quotients.
 _ENOUGH = 0.5
 _DAMPING = Damping(least=1e-6, least_after_failure=0.1, most=1e4)
 # Steps of a search at most, and times at most that it takes the derivatives anew.
@@ -27,11 +27,11 @@ _STEPS, _RENEWALS = 12, 5
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class JointFit:
     """A model of all drivers with its samples and slopes, at a maximum or on the way to one."""
 
     model: Model
-    samples: Samples
+    samples: PointwiseDensity
     slopes: tuple[Slopes, ...]
 
     @property
@@ -40,18 +40,18 @@ class Fit:
         return self.samples.total
 
 
-def start_fit(data: Recorded, model: Model, work: Executor) -> Fit:
+def start_fit(data: Recorded, model: Model, work: Executor) -> JointFit:
     """The beginning of a search from ``model``: its samples and slopes."""
     start, samples = slopes(data, model, work)
-    return Fit(model, samples, tuple(start))
+    return JointFit(model, samples, tuple(start))
 
 
-def fit(data: Recorded, model: Model, work: Executor, *, iterations: int = _STEPS) -> Fit:
+def fit(data: Recorded, model: Model, work: Executor, *, iterations: int = _STEPS) -> JointFit:
     """Maximise the likelihood from ``model``, with at most ``iterations`` steps."""
     return maximise(data, start_fit(data, model, work), work, iterations=iterations)
 
 
-def warm_start(data: Recorded, near: Fit, model: Model, work: Executor, *, renewals: int = _RENEWALS) -> Fit:
+def warm_start(data: Recorded, near: JointFit, model: Model, work: Executor, *, renewals: int = _RENEWALS) -> JointFit:
     """Maximise the likelihood from ``model``, with the derivatives of the fit ``near`` until they are poor."""
     start = at_model(data, near, model, work, np.ones(data.drivers, np.bool_))
     return maximise(data, start, work, renewals=renewals, fresh=False)
@@ -59,7 +59,7 @@ def warm_start(data: Recorded, near: Fit, model: Model, work: Executor, *, renew
 
 def maximise(
     data: Recorded,
-    start: Fit,
+    start: JointFit,
     work: Executor,
     *,
     folds: Sequence[int] = tuple(range(FOLDS)),
@@ -67,7 +67,7 @@ def maximise(
     enough: float = _ENOUGH,
     renewals: int = _RENEWALS,
     fresh: bool = True,
-) -> Fit:
+) -> JointFit:
     """Maximise the log posterior from a model whose slopes are known.
 
     The derivatives of the samples take most of the time. They are kept from step to step, and computed anew at the end
@@ -119,13 +119,13 @@ def maximise(
     return here
 
 
-def _next_step(here: Fit, folds: Sequence[int], damping: Array, enough: float) -> tuple[Step, NDArray[np.bool_]]:
+def _next_step(here: JointFit, folds: Sequence[int], damping: Array, enough: float) -> tuple[Step, NDArray[np.bool_]]:
     """The next step, and the drivers (N,) that it moves: those with enough to gain, or all together."""
     step = solve(here.slopes, here.model, folds, damping)
     return step, bool(here.model.shared) | (step.predicted_gains > enough / len(here.slopes))
 
 
-def _risen(here: Fit, there: Fit, step: Step, folds: Sequence[int]) -> tuple[Array, Array]:
+def _risen(here: JointFit, there: JointFit, step: Step, folds: Sequence[int]) -> tuple[Array, Array]:
     """Rise of each driver's objective from one model to another, and the rise that was predicted; (N,) each.
 
     With shared parameters the drivers rise and fall together, so each has the mean.
@@ -176,7 +176,7 @@ def solve(
     return Step(of_own, of_shared, predicted_gains, 0.5 * float(rest @ of_shared) + float(predicted_gains.sum()))
 
 
-def at_model(data: Recorded, here: Fit, model: Model, work: Executor, who: NDArray[np.bool_]) -> Fit:
+def at_model(data: Recorded, here: JointFit, model: Model, work: Executor, who: NDArray[np.bool_]) -> JointFit:
     """Move the drivers in ``who`` (N,) to another model near by, with the derivatives as they were."""
     numbers = np.flatnonzero(who)
     rows, slopes_, samples = here.model.rows.copy(), list(here.slopes), here.samples.copy()
@@ -184,10 +184,10 @@ def at_model(data: Recorded, here: Fit, model: Model, work: Executor, who: NDArr
     for i, at in zip(numbers, predict_drivers(data, model, numbers, work), strict=True):
         slopes_[i] = sums(at, slopes_[i].derivatives, rows[i], data.fold)
         samples.put(i, at)
-    return Fit(replace(model, rows=rows), samples, tuple(slopes_))
+    return JointFit(replace(model, rows=rows), samples, tuple(slopes_))
 
 
-def renewed(data: Recorded, here: Fit, work: Executor, who: NDArray[np.bool_]) -> Fit:
+def renewed(data: Recorded, here: JointFit, work: Executor, who: NDArray[np.bool_]) -> JointFit:
     """The fit with the derivatives of the drivers in ``who`` (N,) computed anew."""
     numbers, slopes_ = np.flatnonzero(who), list(here.slopes)
     steps = informed_steps(data, here.model, here.slopes)
@@ -196,14 +196,14 @@ def renewed(data: Recorded, here: Fit, work: Executor, who: NDArray[np.bool_]) -
     return replace(here, slopes=tuple(slopes_))
 
 
-def mixed(here: Fit, there: Fit, better: NDArray[np.bool_]) -> Fit:
+def mixed(here: JointFit, there: JointFit, better: NDArray[np.bool_]) -> JointFit:
     """The fit ``there`` for the drivers in ``better`` (N,), and ``here`` for the others."""
     rows, slopes_, samples = here.model.rows.copy(), list(here.slopes), here.samples.copy()
     rows[better] = there.model.rows[better]
     for i in np.flatnonzero(better):
         slopes_[i] = there.slopes[i]
         samples.put(i, there.samples.of(i))
-    return Fit(replace(here.model, rows=rows), samples, tuple(slopes_))
+    return JointFit(replace(here.model, rows=rows), samples, tuple(slopes_))
 
 
 def objectives(all_slopes: Sequence[Slopes], model: Model, folds: Sequence[int]) -> Array:

@@ -63,7 +63,7 @@ class Following:
 
 
 @dataclass(frozen=True, eq=False)
-class Calibrated:
+class GapFit:
     """Parameters (n,) of a law, in the law's order, and the rmse [m] of the gaps that they were fitted to."""
 
     parameters: Array
@@ -118,7 +118,7 @@ def gap_errors(law: Law, parameters: Array, following: Following, chosen: Mask) 
     return errors.reshape(*parameters.shape[:-1], len(states))
 
 
-def fit_gaps(law: Law, following: Following, chosen: Mask, start: Array | None = None) -> Calibrated:
+def fit_gaps(law: Law, following: Following, chosen: Mask, start: Array | None = None) -> GapFit:
     """Fit a law's parameters by least squares of ``gap_errors``, within their bounds.
 
     Parameters
@@ -159,10 +159,10 @@ def fit_gaps(law: Law, following: Following, chosen: Mask, start: Array | None =
 
     if start is not None:
         found = search(np.clip(start, lower, upper), _MOST)
-        return Calibrated(found.x, float(np.sqrt(np.mean(np.square(found.fun)))))
+        return GapFit(found.x, float(np.sqrt(np.mean(np.square(found.fun)))))
     places = qmc.Halton(len(default), scramble=False).random(_LOOKED_AT)
     starts = np.clip(default * _FACTOR ** (2.0 * places - 1.0), lower, upper)
     starts = starts[np.argsort(np.square(errors(starts)).sum(axis=1))]
     tried = sorted((search(start, _FEW) for start in starts[:_TRIED]), key=lambda found: float(found.cost))
     best = min((search(found.x, _MOST) for found in tried[:_FOLLOWED]), key=lambda found: float(found.cost))
-    return Calibrated(best.x, float(np.sqrt(np.mean(np.square(best.fun)))))
+    return GapFit(best.x, float(np.sqrt(np.mean(np.square(best.fun)))))
