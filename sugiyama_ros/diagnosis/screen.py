@@ -103,7 +103,7 @@ def _best_start(
 ) -> tuple[Model, PointwiseDensity, float, dict[int, float]]:
     """The start with the largest predicted likelihood, the samples there, and loss and loss_at as in ``Screened``.
 
-    drivers: number of drivers on whom the starts are compared, or half of it.
+    drivers: the starts are compared on this many drivers, or up to twice as many.
     """
     is_only = len(candidate.starts) == 1
     some = range(0, data.drivers, 1 if is_only else max(1, data.drivers // drivers))
