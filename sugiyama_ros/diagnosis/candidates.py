@@ -19,10 +19,11 @@ Kind = Literal["effect", "measurement", "constants"]
 
 @dataclass(frozen=True)
 class Candidate:
-    """Something that may be added to a model: entries of the rows that are freed, and where their search begins.
+    """Something that may be added to a model.
 
-    starts: values by place; individual: whether each driver has values of his own; strengths: places to whose values
-    what it changes is proportional, to first order; is_noise: whether it changes no mean motion.
+    places: entries of the rows that are freed; starts: where their search begins, values by place; individual: whether
+    every driver has their own values; strengths: places to whose values the change of the samples is proportional, to
+    first order.
     """
 
     name: str
@@ -32,7 +33,6 @@ class Candidate:
     individual: bool = False
     summary: str = ""
     strengths: tuple[int, ...] = ()
-    is_noise: bool = False
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -40,42 +40,31 @@ class Candidate:
         return tuple(DECLARED[k].name for k in self.places)
 
 
-@dataclass(frozen=True)
-class Constants:
-    """Constants that are freed together; individual: for each driver; is_noise: whether they change no mean motion."""
-
-    name: str
-    parameters: tuple[str, ...]
-    individual: bool = False
-    is_noise: bool = False
-
-
 #: Constants that the paper fixes, freed together where they act together.
 _CONSTANTS = (
-    Constants("response_constants", ("kappa_c", "kappa_d", "kappa_1")),
-    Constants("noise_constants", ("rho", "sigma_x", "sigma_v"), is_noise=True),
-    Constants("rationality", ("rationality",), individual=True),
-    Constants("risk_constants", ("kappa_c", "kappa_d"), individual=True),
+    ("response_constants", ("kappa_c", "kappa_d", "kappa_1"), False),
+    ("noise_constants", ("rho", "sigma_x", "sigma_v"), False),
+    ("rationality", ("rationality",), True),
+    ("risk_constants", ("kappa_c", "kappa_d"), True),
 )
 
 
 def candidates(recording: Recording, drivers: int) -> tuple[Candidate, ...]:
-    """All candidates that make sense for a recording."""
+    """All candidates that make sense for a recording with this number of drivers."""
     found = [
         Candidate(
-            name=c.name,
+            name=name,
             kind="constants",
-            places=tuple(index(p) for p in c.parameters),
+            places=tuple(index(p) for p in parameters),
             starts=({},),
-            individual=c.individual,
+            individual=individual,
             summary="a constant of the paper",
-            is_noise=c.is_noise,
         )
-        for c in _CONSTANTS
+        for name, parameters, individual in _CONSTANTS
     ]
-    for e in EFFECTS.values():
+    for e in EFFECTS:
         starts = e.starts(recording)
-        if not starts or drivers <= e.reach:
+        if not starts or (e.name == "second_leader" and drivers < 3):
             continue
         strengths = tuple(place(e.name, name) for name in e.switches)
         has_signs = not e.individual and all(DECLARED[k].lower < 0.0 for k in strengths)
@@ -88,14 +77,13 @@ def candidates(recording: Recording, drivers: int) -> tuple[Candidate, ...]:
                 individual=e.individual,
                 summary=e.summary,
                 strengths=strengths if has_signs else (),
-                is_noise=e.is_noise,
             )
         )
     return tuple(found)
 
 
 def named(data: Recorded, names: Sequence[str]) -> list[Candidate]:
-    """The candidates of these names. Raises InputError for one that is none."""
+    """The candidates of these names. Raises InputError for an unknown name."""
     possible = {c.name: c for c in candidates(recording_of(data), data.drivers)}
     for name in names:
         if name not in possible:
@@ -104,14 +92,14 @@ def named(data: Recorded, names: Sequence[str]) -> list[Candidate]:
 
 
 def recording_of(data: Recorded) -> Recording:
-    """What a search may know of a recording."""
+    """What a search may know about a recording."""
     t = data.trajectories
     first, last = float(np.nanmin(t.position_m)), float(np.nanmax(t.position_m))
     return Recording(t.start_s, t.start_s + t.duration_s, t.road.circumference_m, first, last)
 
 
 def added(model: Model, candidate: Candidate, start: dict[int, float]) -> Model:
-    """The model with the candidate's entries freed and at a start of the search."""
+    """The model with the candidate's entries freed, at a start of the search (values by place)."""
     rows = model.rows.copy()
     for k, v in start.items():
         rows[:, k] = v

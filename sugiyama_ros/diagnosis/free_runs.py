@@ -9,28 +9,30 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import at_period, horizon_at
 from sugiyama_ros.driver.utility import ACTIONS
-from sugiyama_ros.effects.sensing import displacements
+from sugiyama_ros.effects.registry import PLACES
+from sugiyama_ros.effects.sensor_eccentricity import displacement
 from sugiyama_ros.filters import causal
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.road import Array, Ints
 from sugiyama_ros.simulation.drive import Order, Setting
 from sugiyama_ros.simulation.free_run import run_coupled, run_single
 
 #: Times ahead [s] at which free runs are compared with the measurements, and time [s] between two starts.
 HORIZONS_S = (2.0, 5.0, 10.0)
 _EVERY_S = 2.5
+_OFF_CENTRE = PLACES["sensor_eccentricity"]
 
 
 @dataclass(frozen=True, eq=False)
 class FreeRuns:
     """Errors of free runs, model minus measurement, (S, H, N) at HORIZONS_S; start: (S,) samples.
 
-    coupled, single: of positions [m]; behind a leader as he was recorded, the error of the gap is that of the position
-    with the other sign. coupled_speed, single_speed: of speeds [m/s], against the filtered ones; coupled_gap: of gaps
-    [m]. gap, speed: measured and filtered there, NaN without a leader.
+    coupled, single: of positions [m]; in a single run, the error of the gap is the error of the position with the other
+    sign. coupled_speed, single_speed: of speeds [m/s], against the filtered speeds; coupled_gap: of gaps [m]. gap,
+    speed: measured gap [m] and filtered speed [m/s] there, NaN without a leader.
     """
 
     coupled: Array
@@ -44,9 +46,18 @@ class FreeRuns:
 
 
 def free_runs(data: Recorded, models: Sequence[Model], states: Sequence[Array], work: Executor) -> FreeRuns:
-    """Free runs from every ``_EVERY_S`` seconds, each by the model fitted without the fold in which it starts.
+    """Free runs that start every 2.5 s, each by the model fitted without the fold in which it starts.
 
-    states: filtered states of all drivers by each of the models, (T, N, 4), as ``filtered_states`` gives them.
+    Parameters
+    ----------
+    data
+        The recording.
+    models
+        For every fold, the model fitted without it.
+    states
+        (T, N, 4) filtered states by each of the models, as ``filtered_states`` gives them.
+    work
+        Executor that carries out the runs.
     """
     t = data.trajectories
     steps = np.array([max(1, round(h / t.period_s)) for h in HORIZONS_S])
@@ -111,11 +122,14 @@ def _drive_on(data: Recorded, rows: Array, recorded: Array, k: int, leader: Ints
 
 
 def _as_measured(position: Array, rows: Array, ring: float) -> Array:
-    """Where positions (H, N) [m] are measured, which effects may displace."""
-    return np.asarray(position + np.array([displacements(at, ring, rows) for at in position]))
+    """Positions (H, N) [m] as an eccentric camera measures them."""
+    if not rows[:, _OFF_CENTRE].any():
+        return position
+    off = [[displacement(x, ring, row[_OFF_CENTRE])[0] for x, row in zip(at, rows, strict=True)] for at in position]
+    return np.asarray(position + np.array(off))
 
 
 def rmse(errors: Array) -> float:
-    """Root of the mean square of all that are known."""
+    """Root of the mean square of all finite errors; NaN if there are none."""
     known = errors[np.isfinite(errors)]
     return float(np.sqrt(np.mean(np.square(known)))) if len(known) else float("nan")

@@ -11,20 +11,20 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
-from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.effects.sensing import is_contaminated
-from sugiyama_ros.filters.chain import Chain
-from sugiyama_ros.filters.measurement import weigh_samples
+from sugiyama_ros.effects.registry import place
+from sugiyama_ros.filters import causal
 from sugiyama_ros.fit.model import Model, coordinate, is_linear, leaders, reach, value
 from sugiyama_ros.fit.recording import FOLDS, Recorded
-from sugiyama_ros.fit.score import DriverDensity, Samples, evaluate, predict_driver
-from sugiyama_ros.jit import kernel
+from sugiyama_ros.fit.score import DriverDensity, PointwiseDensity, evaluate, predict_driver
+from sugiyama_ros.road import Array, Ints
 
 # Step of the difference quotients in a logarithm, and as part of the longest step of the search in a linear coordinate;
 # once the information is known, as part of a parameter's std, and the longest in a logarithm. The likelihood is smooth
 # at these scales only: close to contact the filter amplifies any smaller change without end.
 _STEP, _PART_OF_STD, _LONGEST_STEP = 0.01, 0.5, 0.05
+OUTLIERS = place("outlier_noise", "share")
 
 
 class Derivatives(NamedTuple):
@@ -73,7 +73,7 @@ def sums(samples: DriverDensity, derivatives: Derivatives, row: Array, fold: Int
     return Slopes(score, information, total, derivatives)
 
 
-@kernel
+@njit(nogil=True, cache=True)
 def _add_up(
     samples: DriverDensity,
     derivatives: Derivatives,
@@ -86,7 +86,7 @@ def _add_up(
     """Score (F, K), information (F, K, K) and log-likelihood (F,) of every fold, from scored samples."""
     y, variance, density = samples
     dy, dvar, direct = derivatives
-    robust, places = is_contaminated(row), len(dy)
+    robust, places = row[OUTLIERS] > 0.0, len(dy)
     slope = density_slope(y, variance, dy, dvar, row) + direct
     for t in range(len(fold)):
         if math.isnan(density[t]):
@@ -105,7 +105,7 @@ def _add_up(
                     information[f, j, i] += h
 
 
-@kernel
+@njit(nogil=True, cache=True)
 def density_slope(y: Array, variance: Array, dy: Array, dvar: Array, row: Array) -> Array:
     """Derivatives (K, T) of the log-likelihoods that come through innovations and variances.
 
@@ -120,8 +120,8 @@ def density_slope(y: Array, variance: Array, dy: Array, dvar: Array, row: Array)
     """
     slope = np.empty_like(dy)
     weight, density = np.ones_like(y), np.empty_like(y)
-    if is_contaminated(row):
-        weigh_samples(y, variance, row, weight, density)
+    if row[OUTLIERS] > 0.0:
+        causal.weigh_samples(y, variance, row, weight, density)
     for t in range(len(y)):
         by_y = weight[t] * y[t] / variance[t]
         by_variance = 0.5 * weight[t] * (1.0 - by_y * y[t]) / variance[t]
@@ -131,7 +131,7 @@ def density_slope(y: Array, variance: Array, dy: Array, dvar: Array, row: Array)
 
 
 def _slopes_of(
-    chain: Chain,
+    chain: causal.Chain,
     row: Array,
     ahead: Array,
     at: DriverDensity,
@@ -154,19 +154,19 @@ def _slopes_of(
             changed_ahead[:, places[k]] = changed[places[k]]
         y, variance, density = predict_driver(chain, changed, changed_ahead)
         dy[k], dvar[k], direct[k] = (y - at[0]) / step, (variance - at[1]) / step, (density - at[2]) / step
-    direct -= density_slope(at[0], at[1], dy, dvar, row) if is_contaminated(row) else direct
+    direct -= density_slope(at[0], at[1], dy, dvar, row) if row[OUTLIERS] > 0.0 else direct
     return sums(at, Derivatives(dy, dvar, direct), row, fold)
 
 
 def _slopes_of_job(
-    job: tuple[Chain, Array, Array, DriverDensity, tuple[int, ...], tuple[int, ...], Ints, Array],
+    job: tuple[causal.Chain, Array, Array, DriverDensity, tuple[int, ...], tuple[int, ...], Ints, Array],
 ) -> Slopes:
     return _slopes_of(*job)
 
 
 def slopes(
     data: Recorded, model: Model, work: Executor, known: Sequence[Slopes] | None = None
-) -> tuple[list[Slopes], Samples]:
+) -> tuple[list[Slopes], PointwiseDensity]:
     """Slopes of all drivers at a model, and the samples there.
 
     Parameters
@@ -187,7 +187,12 @@ def slopes(
 
 
 def slopes_of(
-    data: Recorded, model: Model, samples: Samples, steps: Array, work: Executor, who: Iterable[int] | None = None
+    data: Recorded,
+    model: Model,
+    samples: PointwiseDensity,
+    steps: Array,
+    work: Executor,
+    who: Iterable[int] | None = None,
 ) -> list[Slopes]:
     """Slopes of all drivers, or of drivers ``who``, whose samples are known.
 
