@@ -6,7 +6,7 @@ import numpy as np
 from scipy.special import softmax
 
 from sugiyama_ros.driver.parameters import index
-from sugiyama_ros.filters.online import Learnt
+from sugiyama_ros.filters.learnt import Learnt
 from sugiyama_ros.road import Array
 
 
