@@ -182,10 +182,10 @@ def noise_factor(speed: float, row: Array) -> float:
 
 
 @lean
-def intend(seen: Seen, row: Array, room: Array, period: float, horizon: int) -> tuple[float, float]:
+def intend(seen: Seen, row: Array, scratch: Array, period: float, horizon: int) -> tuple[float, float]:
     """What the driver means his car to do until the next period, and what the environment adds; [m/s^2] both.
 
-    row: (WIDTH,), at this period; changed on the way and restored. room: of ``room_for`` the actions that he considers.
+    row: (WIDTH,), at this period; changed on the way and restored. scratch: of ``scratch_for`` the driver's actions.
     """
     perceived = _perceived(seen, row) if _any_of(_PERCEIVING, row) else seen
     v_star, kappa_v = row[V_STAR], row[KAPPA_V]
@@ -193,7 +193,7 @@ def intend(seen: Seen, row: Array, room: Array, period: float, horizon: int) -> 
         row[V_STAR], row[KAPPA_V] = _preferred(v_star, kappa_v, perceived, row)
     gap, speed, leader_speed = perceived.gap, perceived.speed, perceived.leader_speed
     if row[LAW] == 0.0:
-        action = considered_action(gap, speed, leader_speed, row, room, period, horizon)
+        action = considered_action(gap, speed, leader_speed, row, scratch, period, horizon)
     elif row[LAW] == 1.0:
         action = idm(gap, speed, leader_speed, row[_IDM_AT:_IDM_END])
     elif row[LAW] == 3.0:

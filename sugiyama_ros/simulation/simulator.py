@@ -23,7 +23,7 @@ from sugiyama_ros.driver.parameters import (
     check,
     horizon_at,
 )
-from sugiyama_ros.driver.utility import ACTIONS, room_for
+from sugiyama_ros.driver.utility import ACTIONS, scratch_for
 from sugiyama_ros.effects.control import carry_out, intend, noise_factor
 from sugiyama_ros.effects.effect import Seen
 from sugiyama_ros.effects.registry import PLACES, whole
@@ -74,7 +74,7 @@ def drive(
     These are the first D = len(out) of the N vehicles;
     held, acceleration: (N,) [m/s^2] of the last period; rows: (N, WIDTH) at this period; time [s] of the recording.
     """
-    follower, room = np.full(len(leader), -1), room_for(actions)
+    follower, scratch = np.full(len(leader), -1), scratch_for(actions)
     for i in range(len(leader)):
         if leader[i] >= 0:
             follower[leader[i]] = i
@@ -101,7 +101,7 @@ def drive(
             rear_gap,
             rear_speed,
         )
-        meant, pushed[i] = intend(seen, rows[i], room, period, horizon)
+        meant, pushed[i] = intend(seen, rows[i], scratch, period, horizon)
         out[i] = carry_out(meant, held[i], rows[i], period)
 
 
