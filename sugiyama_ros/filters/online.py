@@ -252,8 +252,8 @@ class OnlineFilter:
             density = kalman.learn(innovation, variance)
         elif known[0] == MOVING:
             variance = kalman.innovation(0, math.nan)[1]
-        believed = [m for m in moving if self._is_believed(m, *innovations[m])]
-        kalman.take_in(np.array([position_m[m] for m in believed]), np.array(believed))
+        accepted = [m for m in moving if self._is_accepted(m, *innovations[m])]
+        kalman.take_in(np.array([position_m[m] for m in accepted]), np.array(accepted))
         if 0 in innovations:
             self.change_of_style = kalman.check_style()
         for m in sampled:
@@ -272,7 +272,7 @@ class OnlineFilter:
             return _NO_REAR
         return np.array([estimate.position_m, estimate.speed, length])
 
-    def _is_believed(self, m: int, innovation: float, variance: float) -> bool:
+    def _is_accepted(self, m: int, innovation: float, variance: float) -> bool:
         """Whether the filter takes in a sample: not a gross error, unless so many come that the filter is wrong."""
         gross = innovation * innovation > _GROSS * variance and not self.kalman.rows[m, OUTLIERS]
         self._refused[m] = self._refused[m] + 1 if gross else 0
