@@ -13,7 +13,7 @@ from sugiyama_ros.diagnosis.errors import HeldOutErrors, errors_of
 from sugiyama_ros.diagnosis.progress import OnProgress
 from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter, laws
 from sugiyama_ros.diagnosis.screen import with_candidate
-from sugiyama_ros.filters.causal import chain_behind, track
+from sugiyama_ros.filters.extract import chain_behind, track
 from sugiyama_ros.fit.cross_validation import Gain, gain, without_folds
 from sugiyama_ros.fit.joint import JointFit, fit
 from sugiyama_ros.fit.model import Model

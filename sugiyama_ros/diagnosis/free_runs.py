@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import at_period, horizon_at
 from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.effects.registry import PLACES
@@ -16,7 +17,6 @@ from sugiyama_ros.effects.sensor_eccentricity import displacement
 from sugiyama_ros.filters import causal
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import Recorded
-from sugiyama_ros.road import Array, Ints
 from sugiyama_ros.simulation.drive import Order, Setting
 from sugiyama_ros.simulation.free_run import run_coupled, run_single
 

@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import norm
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.discover import covariates_of
 from sugiyama_ros.driver.parameters import RHO
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.score import PointwiseDensity, filtered_states
-from sugiyama_ros.road import Array
 
 #: False-discovery rate of the flags.
 RATE = 0.05

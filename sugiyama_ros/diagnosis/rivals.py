@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import SIGMA_A, SIGMA_NU
 from sugiyama_ros.effects.registry import DECLARED, LAW, LAW_PLACES
 from sugiyama_ros.fit.joint import JointFit
@@ -19,7 +20,6 @@ from sugiyama_ros.fit.population import fit_base, start_model
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import filtered_states
 from sugiyama_ros.laws.registry import LAWS
-from sugiyama_ros.road import Array
 
 # Samples below which the gaps of a driver are not fitted.
 _FEWEST = 50

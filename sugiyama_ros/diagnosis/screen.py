@@ -10,15 +10,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.candidates import Candidate, added
 from sugiyama_ros.effects.registry import DECLARED
-from sugiyama_ros.filters import causal
+from sugiyama_ros.filters.measurement import weigh_samples
 from sugiyama_ros.fit.joint import JointFit, maximise, objective, solve
 from sugiyama_ros.fit.model import Model, coordinate, value
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import PointwiseDensity, evaluate
 from sugiyama_ros.fit.slopes import OUTLIERS, Derivatives, Slopes, density_slope, difference_steps, sums
-from sugiyama_ros.road import Array
 
 # Steps of a closer look at most, and the log-likelihood [nats] that a further step must be predicted to gain.
 _CLOSER, _LEAST_PREDICTED = 4, 0.4
@@ -196,7 +196,7 @@ def forecast(data: Recorded, before: JointFit, look: Screened, current: JointFit
     variance = now.innovation_var * (with_it.innovation_var / then.innovation_var)
     density = np.empty_like(y)
     for i, row in enumerate(rows):
-        causal.weigh_samples(y[i], variance[i], row, np.empty_like(y[i]), density[i])
+        weigh_samples(y[i], variance[i], row, np.empty_like(y[i]), density[i])
     density[np.isnan(now.log_likelihood)] = np.nan
     here = _joined(data, current, model, PointwiseDensity(y, variance, density), _columns(look.fit))
     everywhere = range(FOLDS)

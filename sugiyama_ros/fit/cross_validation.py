@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sugiyama_ros.filters import causal
+from sugiyama_ros.filters.measurement import weigh_samples
 from sugiyama_ros.fit.joint import JointFit, maximise, solve, start_fit
 from sugiyama_ros.fit.model import Model, coordinate, moved
 from sugiyama_ros.fit.recording import FOLDS, Recorded
@@ -87,7 +87,7 @@ def held_out_nearly(data: Recorded, fitted: JointFit) -> PointwiseDensity:
         y += np.clip(off_y, -most, most)
         variance[:] = np.clip(variance + off_variance, variance / _MOST_WIDER, variance * _MOST_WIDER)
         scored = np.isfinite(density)
-        causal.weigh_samples(y, variance, row, np.empty_like(y), density)
+        weigh_samples(y, variance, row, np.empty_like(y), density)
         density += np.where(scored, off_density, np.nan)
     return near
 

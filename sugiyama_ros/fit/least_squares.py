@@ -7,15 +7,18 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.stats import qmc
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.advance import advance
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.laws.registry import LAWS, Law, fvdm, idm
-from sugiyama_ros.road import Array
+from sugiyama_ros.jit import kernel
+from sugiyama_ros.laws.fvdm import fvdm
+from sugiyama_ros.laws.idm import idm
+from sugiyama_ros.laws.law import Law
+from sugiyama_ros.laws.registry import LAWS
 
 Mask = NDArray[np.bool_]
 
@@ -70,7 +73,7 @@ class GapFit:
     rmse_m: float
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _run(law: int, rows: Array, states: Array, half_lengths: float, period: float, driven: Mask, out: Array) -> None:
     """Errors of the gaps [m] into ``out`` (K, T), for parameters ``rows`` (K, n); entries not driven to stay."""
     for k in range(len(rows)):

@@ -11,14 +11,15 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.effects.registry import place
-from sugiyama_ros.filters import causal
+from sugiyama_ros.filters.chain import Chain
+from sugiyama_ros.filters.measurement import weigh_samples
 from sugiyama_ros.fit.model import Model, coordinate, is_linear, leaders, reach, value
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import DriverDensity, PointwiseDensity, evaluate, predict_driver
-from sugiyama_ros.road import Array, Ints
+from sugiyama_ros.jit import kernel
 
 # Step of the difference quotients in a logarithm, and as part of the longest step of the search in a linear coordinate;
 # once the information is known, as part of a parameter's std, and the longest in a logarithm. The likelihood is smooth
@@ -73,7 +74,7 @@ def sums(samples: DriverDensity, derivatives: Derivatives, row: Array, fold: Int
     return Slopes(score, information, total, derivatives)
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _add_up(
     samples: DriverDensity,
     derivatives: Derivatives,
@@ -105,7 +106,7 @@ def _add_up(
                     information[f, j, i] += h
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def density_slope(y: Array, variance: Array, dy: Array, dvar: Array, row: Array) -> Array:
     """Derivatives (K, T) of the log-likelihoods that come through innovations and variances.
 
@@ -121,7 +122,7 @@ def density_slope(y: Array, variance: Array, dy: Array, dvar: Array, row: Array)
     slope = np.empty_like(dy)
     weight, density = np.ones_like(y), np.empty_like(y)
     if row[OUTLIERS] > 0.0:
-        causal.weigh_samples(y, variance, row, weight, density)
+        weigh_samples(y, variance, row, weight, density)
     for t in range(len(y)):
         by_y = weight[t] * y[t] / variance[t]
         by_variance = 0.5 * weight[t] * (1.0 - by_y * y[t]) / variance[t]
@@ -131,7 +132,7 @@ def density_slope(y: Array, variance: Array, dy: Array, dvar: Array, row: Array)
 
 
 def _slopes_of(
-    chain: causal.Chain,
+    chain: Chain,
     row: Array,
     ahead: Array,
     at: DriverDensity,
@@ -159,7 +160,7 @@ def _slopes_of(
 
 
 def _slopes_of_job(
-    job: tuple[causal.Chain, Array, Array, DriverDensity, tuple[int, ...], tuple[int, ...], Ints, Array],
+    job: tuple[Chain, Array, Array, DriverDensity, tuple[int, ...], tuple[int, ...], Ints, Array],
 ) -> Slopes:
     return _slopes_of(*job)
 

@@ -8,7 +8,7 @@ import numpy as np
 from sugiyama_msgs.msg import DriverParameters
 
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.filters.online import Learnt
+from sugiyama_ros.filters.learnt import Learnt
 from sugiyama_ros.formats.writing import replacing
 from sugiyama_ros.nodes.base.cdr_messages import NS
 

@@ -15,8 +15,9 @@ from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.filters.causal import SETTLING
 from sugiyama_ros.filters.chain import CHAIN, Adaptation, chain_parameters
 from sugiyama_ros.filters.extract import chain_behind
+from sugiyama_ros.filters.learnt import Learnt
 from sugiyama_ros.filters.linearisation import linearise
-from sugiyama_ros.filters.online import ADAPT, Learnt, OnlineFilter
+from sugiyama_ros.filters.online import ADAPT, OnlineFilter
 from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Linearised, Moment, State, scene_at, workspace_for
 from sugiyama_ros.filters.vehicles import start_vehicle
 from sugiyama_ros.road import Road
