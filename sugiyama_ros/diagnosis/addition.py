@@ -7,20 +7,9 @@ import numpy as np
 
 from sugiyama_ros.diagnosis.candidates import Candidate, Kind
 from sugiyama_ros.diagnosis.errors import HeldOutErrors
-from sugiyama_ros.effects.registry import DECLARED
+from sugiyama_ros.effects.registry import DECLARED, EFFECTS
 from sugiyama_ros.fit.cross_validation import Gain
 from sugiyama_ros.fit.joint import JointFit
-
-#: What to record to tell two effects apart.
-ADVICE: dict[frozenset[str], str] = {
-    frozenset({"actuation_lag", "reaction_delay"}): "record accelerations, or positions at 10 Hz and more",
-    frozenset({"rear_pressure", "reaction_delay"}): "record cars without a follower too",
-    frozenset({"road_grade", "slow_patch"}): "survey the road, or record standing starts on all of it",
-    frozenset({"comfort_limits", "limited_braking"}): "record hard accelerations, as from traffic lights",
-    frozenset({"comfort_limits", "limited_power"}): "record hard braking",
-    frozenset({"drag", "limited_power"}): "record coasting, or accelerations at several speeds",
-    frozenset({"preference_drift", "preference_switch"}): "record for longer",
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +35,12 @@ class Addition:
 def advice_for(name: str, others: Iterable[str]) -> tuple[str, ...]:
     """What to record to tell an effect from others that explain the data as well."""
     about = {name, *others}
-    return tuple(text for pair, text in ADVICE.items() if name in pair and pair <= about)
+    return tuple(
+        text
+        for first in EFFECTS.values()
+        for second, text in first.advice.items()
+        if name in (first.name, second) and {first.name, second} <= about
+    )
 
 
 def parameters_of(fitted: JointFit, candidate: Candidate) -> dict[str, float]:

@@ -9,7 +9,7 @@ from scipy.stats import t as student
 
 from sugiyama_ros.diagnosis.candidates import Candidate
 from sugiyama_ros.diagnosis.screen import Screened
-from sugiyama_ros.effects.registry import DECLARED
+from sugiyama_ros.effects.registry import effect
 from sugiyama_ros.fit.joint import JointFit
 
 #: A gain is not believed below this [nats], whatever the p-value.
@@ -127,7 +127,7 @@ def smallest_detectable(looks: Sequence[Screened], null: NullGains) -> dict[str,
         start = look.loss_at[look.candidate.places[0]]
         scaled = start * float(np.sqrt(null.needed / look.loss))
         # a limit is the stronger the smaller it is
-        if DECLARED[look.candidate.places[0]].name in ("limit", "power"):
+        if effect(look.candidate.name).is_limit:
             scaled = start * start / scaled
         found[look.candidate.name] = scaled
     return found

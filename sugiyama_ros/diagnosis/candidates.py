@@ -33,6 +33,7 @@ class Candidate:
     individual: bool = False
     summary: str = ""
     strengths: tuple[int, ...] = ()
+    is_noise: bool = False
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -40,12 +41,22 @@ class Candidate:
         return tuple(DECLARED[k].name for k in self.places)
 
 
+@dataclass(frozen=True)
+class Constants:
+    """Constants that are freed together; individual: for each driver; is_noise: whether they change no mean motion."""
+
+    name: str
+    parameters: tuple[str, ...]
+    individual: bool = False
+    is_noise: bool = False
+
+
 #: Constants that the paper fixes, freed together where they act together.
 _CONSTANTS = (
-    ("response_constants", ("kappa_c", "kappa_d", "kappa_1"), False),
-    ("noise_constants", ("rho", "sigma_x", "sigma_v"), False),
-    ("rationality", ("rationality",), True),
-    ("risk_constants", ("kappa_c", "kappa_d"), True),
+    Constants("response_constants", ("kappa_c", "kappa_d", "kappa_1")),
+    Constants("noise_constants", ("rho", "sigma_x", "sigma_v"), is_noise=True),
+    Constants("rationality", ("rationality",), individual=True),
+    Constants("risk_constants", ("kappa_c", "kappa_d"), individual=True),
 )
 
 
@@ -53,18 +64,19 @@ def candidates(recording: Recording, drivers: int) -> tuple[Candidate, ...]:
     """All candidates that make sense for a recording with this number of drivers."""
     found = [
         Candidate(
-            name=name,
+            name=c.name,
             kind="constants",
-            places=tuple(index(p) for p in parameters),
+            places=tuple(index(p) for p in c.parameters),
             starts=({},),
-            individual=individual,
+            individual=c.individual,
             summary="a constant of the paper",
+            is_noise=c.is_noise,
         )
-        for name, parameters, individual in _CONSTANTS
+        for c in _CONSTANTS
     ]
-    for e in EFFECTS:
+    for e in EFFECTS.values():
         starts = e.starts(recording)
-        if not starts or (e.name == "second_leader" and drivers < 3):
+        if not starts or drivers <= e.reach:
             continue
         strengths = tuple(place(e.name, name) for name in e.switches)
         has_signs = not e.individual and all(DECLARED[k].lower < 0.0 for k in strengths)
@@ -77,6 +89,7 @@ def candidates(recording: Recording, drivers: int) -> tuple[Candidate, ...]:
                 individual=e.individual,
                 summary=e.summary,
                 strengths=strengths if has_signs else (),
+                is_noise=e.is_noise,
             )
         )
     return tuple(found)

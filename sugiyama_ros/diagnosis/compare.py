@@ -11,7 +11,7 @@ from sugiyama_ros.diagnosis.candidates import Candidate, named
 from sugiyama_ros.diagnosis.diagnosis import INDIVIDUAL
 from sugiyama_ros.diagnosis.errors import HeldOutErrors, errors_of
 from sugiyama_ros.diagnosis.progress import OnProgress
-from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter, laws
+from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter
 from sugiyama_ros.diagnosis.screen import with_candidate
 from sugiyama_ros.filters.extract import chain_behind, track
 from sugiyama_ros.fit.cross_validation import Gain, gain, without_folds
@@ -21,6 +21,7 @@ from sugiyama_ros.fit.model_file import ModelFile
 from sugiyama_ros.fit.population import fit_base
 from sugiyama_ros.fit.recording import FOLDS, Recorded, prepare
 from sugiyama_ros.fit.score import filtered_states
+from sugiyama_ros.laws.registry import RIVALS
 from sugiyama_ros.simulation.collective import Collective, collective
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
@@ -84,7 +85,7 @@ def compare(
     with ThreadPoolExecutor(workers) as work:
         data = prepare(trajectories)
         chosen = named(data, effects)
-        steps = 2 + sum(1 + has_parameters(law) for law in laws()) + len(effects) + (model is not None)
+        steps = 2 + sum(1 + has_parameters(law) for law in RIVALS) + len(effects) + (model is not None)
         comparison = _Comparison(data, seed, steps, work, on_progress)
         comparison.begin("base")
         base = fit_base(data, INDIVIDUAL, work)
@@ -92,7 +93,7 @@ def compare(
         comparison.add_effects(base, chosen)
         if model is not None:
             comparison.add_file(model)
-        for law in laws():
+        for law in RIVALS:
             comparison.add_rival(law)
         comparison.begin("floor")
         found = [*comparison.found, _floor(data, base, seed, work)]

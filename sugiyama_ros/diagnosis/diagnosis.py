@@ -11,7 +11,7 @@ from sugiyama_ros.diagnosis.discover import Discovery
 from sugiyama_ros.diagnosis.errors import HeldOutErrors, errors_of
 from sugiyama_ros.diagnosis.locate import Located, locate
 from sugiyama_ros.diagnosis.progress import OnProgress
-from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter, laws
+from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter
 from sugiyama_ros.diagnosis.screen import Screened
 from sugiyama_ros.diagnosis.search import LEVEL, Search
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR
@@ -19,6 +19,7 @@ from sugiyama_ros.fit.cross_validation import Gain, without_folds
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.population import fit_base
 from sugiyama_ros.fit.recording import Recorded, prepare
+from sugiyama_ros.laws.registry import RIVALS
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 #: Each driver's own parameters.
@@ -93,12 +94,12 @@ def diagnose(
         If the recording is too short.
     """
     began = time.monotonic()
-    with ThreadPoolExecutor(workers) as work, ThreadPoolExecutor(len(laws())) as aside:
+    with ThreadPoolExecutor(workers) as work, ThreadPoolExecutor(len(RIVALS)) as aside:
         on_progress("fitting the base model", 0, 1)
         data = prepare(trajectories)
         # beside the search, which cannot always use all workers
         rival = partial(_rival, data, work, quick)
-        others = aside.map(rival, [] if verdict_only else laws())
+        others = aside.map(rival, [] if verdict_only else RIVALS)
         base = fit_base(data, INDIVIDUAL, work)
         search = Search(data, base, quick, seed, work, on_progress=on_progress)
         forces = _grow(search, most, with_forces=not (quick or verdict_only), add_forces=add_forces)

@@ -12,8 +12,7 @@ import numpy as np
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import at_period, horizon_at
 from sugiyama_ros.driver.utility import ACTIONS
-from sugiyama_ros.effects.registry import PLACES
-from sugiyama_ros.effects.sensor_eccentricity import displacement
+from sugiyama_ros.effects.sensing import displacements
 from sugiyama_ros.filters import causal
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import Recorded
@@ -23,7 +22,6 @@ from sugiyama_ros.simulation.free_run import run_coupled, run_single
 #: Times ahead [s] at which free runs are compared with the measurements, and time [s] between two starts.
 HORIZONS_S = (2.0, 5.0, 10.0)
 _EVERY_S = 2.5
-_OFF_CENTRE = PLACES["sensor_eccentricity"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,11 +120,8 @@ def _drive_on(data: Recorded, rows: Array, recorded: Array, k: int, leader: Ints
 
 
 def _as_measured(position: Array, rows: Array, ring: float) -> Array:
-    """Positions (H, N) [m] as an eccentric camera measures them."""
-    if not rows[:, _OFF_CENTRE].any():
-        return position
-    off = [[displacement(x, ring, row[_OFF_CENTRE])[0] for x, row in zip(at, rows, strict=True)] for at in position]
-    return np.asarray(position + np.array(off))
+    """Where positions (H, N) [m] are measured, which effects may displace."""
+    return np.asarray(position + np.array([displacements(at, ring, rows) for at in position]))
 
 
 def rmse(errors: Array) -> float:

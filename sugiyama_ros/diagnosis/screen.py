@@ -13,12 +13,13 @@ import numpy as np
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.candidates import Candidate, added
 from sugiyama_ros.effects.registry import DECLARED
+from sugiyama_ros.effects.sensing import is_contaminated
 from sugiyama_ros.filters.measurement import weigh_samples
 from sugiyama_ros.fit.joint import JointFit, maximise, objective, solve
 from sugiyama_ros.fit.model import Model, coordinate, value
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import PointwiseDensity, evaluate
-from sugiyama_ros.fit.slopes import OUTLIERS, Derivatives, Slopes, density_slope, difference_steps, sums
+from sugiyama_ros.fit.slopes import Derivatives, Slopes, density_slope, difference_steps, sums
 
 # Steps of a closer look at most, and the log-likelihood [nats] that a further step must be predicted to gain.
 _CLOSER, _LEAST_PREDICTED = 4, 0.4
@@ -284,7 +285,7 @@ def _differences(
         y, variance = at.innovation_m[i], at.innovation_var[i]
         dy, dvar = (there.innovation_m[i] - y) / step, (there.innovation_var[i] - variance) / step
         direct = np.zeros_like(dy)
-        if row[OUTLIERS] > 0.0:
+        if is_contaminated(row):
             direct = (there.log_likelihood[i] - at.log_likelihood[i]) / step
             direct -= density_slope(y, variance, dy[None], dvar[None], row)[0]
         found.append((dy, dvar, direct))

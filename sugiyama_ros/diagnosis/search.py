@@ -44,8 +44,6 @@ _CLEARLY, _LEAST_DIFFERENCE = 1.645, 3.0
 _OBVIOUS = 60.0
 # Steps of a search that begins at the truth.
 _FEW_STEPS = 4
-# What changes no mean motion: a free run, which has no noise, cannot speak against it.
-_OF_NOISE = ("noise_constants", "outlier_noise", "speed_dependent_noise", "uneven_noise")
 
 
 class Search:
@@ -150,7 +148,7 @@ class Search:
         """Whether held-out samples support a candidate, too; now: errors of the current model."""
         predicted = self._nearly(one.fit)
         won = gain(self.data, predicted.samples, now.samples)
-        return won.nats > -won.se and (one.candidate.name in _OF_NOISE or predicted.no_worse_than(now))
+        return won.nats > -won.se and (one.candidate.is_noise or predicted.no_worse_than(now))
 
     def _indistinguishable(self, best: Candidacy, scored: Sequence[Candidacy]) -> tuple[str, ...]:
         """Names of the candidates that do not predict held-out samples clearly worse than the best candidate.
@@ -218,9 +216,8 @@ class Search:
         best = max(looks[order[0]].gain, 1.0)
         chosen = [k for k in order[: self.effort.shortlist] if looks[k].gain > _SHARE * best or k in order[:2]]
         if best > 50.0:
-            chosen += [
-                k for k, look in enumerate(looks) if look.candidate.name == "noise_constants" and k not in chosen
-            ]
+            freed = [k for k, look in enumerate(looks) if look.candidate.kind == "constants"]
+            chosen += [k for k in freed if looks[k].candidate.is_noise and k not in chosen]
         return chosen
 
     def _worth_a_look(self) -> list[Candidate]:

@@ -76,7 +76,7 @@ def noise_factor(speed: float, row: Array) -> float:
 
 @kernel(allocates=False)
 def intend(seen: Seen, row: Array, scratch: Array, period: float, horizon: int) -> tuple[float, float]:
-    """Tell what the driver means the car to do until the next period, and what the environment adds; both [m/s^2].
+    """Tell what the driver means the car to do in the next period, and what the environment adds; both [m/s^2].
 
     The row (WIDTH,) is that of the period; it is changed on the way and restored. ``scratch`` is the scratch array of the
     actions that the driver considers.

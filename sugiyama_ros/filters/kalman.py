@@ -12,7 +12,8 @@ from filterpy.kalman import ExtendedKalmanFilter
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import NAMES, SIGMA_NU
 from sugiyama_ros.driver.utility import ACTIONS
-from sugiyama_ros.effects.outlier_noise import weigh
+from sugiyama_ros.effects.contaminated_normal import contaminated_normal
+from sugiyama_ros.effects.sensing import is_contaminated
 from sugiyama_ros.filters.alarm import StyleAlarm
 from sugiyama_ros.filters.chain_model import ChainModel
 from sugiyama_ros.filters.linearisation import linearise
@@ -20,7 +21,6 @@ from sugiyama_ros.filters.measurement import measurement, noise_var_at, robust
 from sugiyama_ros.filters.noise import NOISES, Learning, NoiseLearner
 from sugiyama_ros.filters.state import STATE, Drivers, Linearised, Moment, State, workspace_for
 from sugiyama_ros.filters.vehicles import forget_vehicle, start_vehicle
-from sugiyama_ros.fit.slopes import OUTLIERS
 from sugiyama_ros.road import Road
 
 
@@ -149,9 +149,11 @@ class ChainKalman(ExtendedKalmanFilter):  # type: ignore[misc]
             changed = self.model.measured_otherwise
             factor = math.sqrt((variance - noise_var) / float(self.P[0, 0])) if changed else 1.0
             self.noises.learn(innovation, variance, noise_var, factor)
-        if self.noises is None or self.rows[0, OUTLIERS]:
+        if self.noises is None or is_contaminated(self.rows[0]):
             return float(robust(innovation, variance, self.rows[0])[2])
-        return float(weigh(innovation, variance, float(self.rows[0, SIGMA_NU]) ** 2, self.noises.outliers)[2])
+        return float(
+            contaminated_normal(innovation, variance, float(self.rows[0, SIGMA_NU]) ** 2, *self.noises.outliers)[2]
+        )
 
     def check_style(self) -> tuple[str, float] | None:
         """Return the parameter that has jumped and its factor, if the alarm is given; the state is corrected then."""

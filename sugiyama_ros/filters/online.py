@@ -10,6 +10,7 @@ import numpy as np
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import NAMES, check, population
 from sugiyama_ros.effects.registry import whole
+from sugiyama_ros.effects.sensing import is_contaminated
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.causal import SETTLING
 from sugiyama_ros.filters.chain import CHAIN, NOT_ADAPTED, Adaptation
@@ -26,7 +27,6 @@ from sugiyama_ros.filters.learnt import (
 )
 from sugiyama_ros.filters.noise import Learning
 from sugiyama_ros.filters.state import MOVING, STATE, Moment
-from sugiyama_ros.fit.slopes import OUTLIERS
 from sugiyama_ros.road import Road
 
 #: Adaptation of the estimator nodes: desired speed and risk premium. The prior stds are about the stds over the drivers
@@ -154,7 +154,9 @@ class OnlineFilter:
         row[len(NAMES) :] = parameters[len(NAMES) :]
         model = self._model_of(row)
         if not np.array_equal(model.places, self._model.places):
-            raise InputError("effect preference_drift: this filter does not adapt v_star and kappa_v; start it anew")
+            raise InputError(
+                "effect: this filter does not adapt the preferences that wander with it; start the filter anew"
+            )
         self._model = model
         self.kalman.change(model)
         if model.has_effects and self._behind is None:
@@ -275,7 +277,7 @@ class OnlineFilter:
 
     def _is_accepted(self, m: int, innovation: float, variance: float) -> bool:
         """Whether the filter takes in a sample: not a gross error, unless so many come that the filter is wrong."""
-        gross = innovation * innovation > _GROSS * variance and not self.kalman.rows[m, OUTLIERS]
+        gross = innovation * innovation > _GROSS * variance and not is_contaminated(self.kalman.rows[m])
         self._refused[m] = self._refused[m] + 1 if gross else 0
         return not 0 < self._refused[m] <= _MOST_REFUSED
 

@@ -7,20 +7,17 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.stats import qmc
 
-from sugiyama_ros.arrays import Array
+from sugiyama_ros.arrays import Array, Mask
 from sugiyama_ros.driver.advance import advance
+from sugiyama_ros.effects.control import law_acceleration
+from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.jit import kernel
-from sugiyama_ros.laws.fvdm import fvdm
-from sugiyama_ros.laws.idm import idm
 from sugiyama_ros.laws.law import Law
-from sugiyama_ros.laws.registry import LAWS
-
-Mask = NDArray[np.bool_]
+from sugiyama_ros.laws.registry import number_of
 
 # Starts compared at first, each parameter from its default over the factor to its default times the factor.
 _LOOKED_AT, _FACTOR = 64, 4.0
@@ -74,8 +71,8 @@ class GapFit:
 
 
 @kernel
-def _run(law: int, rows: Array, states: Array, half_lengths: float, period: float, driven: Mask, out: Array) -> None:
-    """Errors of the gaps [m] into ``out`` (K, T), for parameters ``rows`` (K, n); entries not driven to stay."""
+def _run(rows: Array, states: Array, half_lengths: float, period: float, driven: Mask, out: Array) -> None:
+    """Errors of the gaps [m] into ``out`` (K, T), for drivers' rows (K, WIDTH); entries not driven to stay."""
     for k in range(len(rows)):
         x, v = 0.0, 0.0
         for t in range(len(states)):
@@ -87,7 +84,7 @@ def _run(law: int, rows: Array, states: Array, half_lengths: float, period: floa
             else:
                 x, v = position, max(speed, 0.0)
             gap = leader_position - x - half_lengths
-            a = idm(gap, v, leader_speed, rows[k]) if law == 0 else fvdm(gap, v, leader_speed, rows[k])
+            a = law_acceleration(gap, v, leader_speed, rows[k])
             x, v = advance(x, v, a, period)
             v = max(v, 0.0)
 
@@ -113,11 +110,13 @@ def gap_errors(law: Law, parameters: Array, following: Following, chosen: Mask) 
     -------
     Errors (..., T); NaN where a car starts, and where not chosen.
     """
-    rows = np.ascontiguousarray(parameters.reshape(-1, parameters.shape[-1]))
+    values = parameters.reshape(-1, parameters.shape[-1])
+    rows = np.zeros((len(values), ROW.width))
+    rows[:, ROW.law], rows[:, ROW.law_places[law.name]] = number_of(law.name), values
     states = following.states
     driven = chosen & np.isfinite(states).all(axis=1)
     errors = np.full((len(rows), len(states)), np.nan)
-    _run(LAWS.index(law), rows, states, following.half_lengths_m, following.period_s, driven, errors)
+    _run(rows, states, following.half_lengths_m, following.period_s, driven, errors)
     return errors.reshape(*parameters.shape[:-1], len(states))
 
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.effects.registry import place
+from sugiyama_ros.effects.sensing import is_contaminated
 from sugiyama_ros.filters.chain import Chain
 from sugiyama_ros.filters.measurement import weigh_samples
 from sugiyama_ros.fit.model import Model, coordinate, is_linear, leaders, reach, value
@@ -25,7 +25,6 @@ from sugiyama_ros.jit import kernel
 # once the information is known, as part of a parameter's std, and the longest in a logarithm. The likelihood is smooth
 # at these scales only: close to contact the filter amplifies any smaller change without end.
 _STEP, _PART_OF_STD, _LONGEST_STEP = 0.01, 0.5, 0.05
-OUTLIERS = place("outlier_noise", "share")
 
 
 class Derivatives(NamedTuple):
@@ -87,7 +86,7 @@ def _add_up(
     """Score (F, K), information (F, K, K) and log-likelihood (F,) of every fold, from scored samples."""
     y, variance, density = samples
     dy, dvar, direct = derivatives
-    robust, places = row[OUTLIERS] > 0.0, len(dy)
+    robust, places = is_contaminated(row), len(dy)
     slope = density_slope(y, variance, dy, dvar, row) + direct
     for t in range(len(fold)):
         if math.isnan(density[t]):
@@ -121,7 +120,7 @@ def density_slope(y: Array, variance: Array, dy: Array, dvar: Array, row: Array)
     """
     slope = np.empty_like(dy)
     weight, density = np.ones_like(y), np.empty_like(y)
-    if row[OUTLIERS] > 0.0:
+    if is_contaminated(row):
         weigh_samples(y, variance, row, weight, density)
     for t in range(len(y)):
         by_y = weight[t] * y[t] / variance[t]
@@ -155,7 +154,7 @@ def _slopes_of(
             changed_ahead[:, places[k]] = changed[places[k]]
         y, variance, density = predict_driver(chain, changed, changed_ahead)
         dy[k], dvar[k], direct[k] = (y - at[0]) / step, (variance - at[1]) / step, (density - at[2]) / step
-    direct -= density_slope(at[0], at[1], dy, dvar, row) if row[OUTLIERS] > 0.0 else direct
+    direct -= density_slope(at[0], at[1], dy, dvar, row) if is_contaminated(row) else direct
     return sums(at, Derivatives(dy, dvar, direct), row, fold)
 
 

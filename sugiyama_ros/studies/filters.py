@@ -9,7 +9,7 @@ import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
 from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.calibration import each_for_himself
+from sugiyama_ros.calibration import each_driver
 from sugiyama_ros.driver.parameters import KAPPA_V, NAMES, SIGMA_A, SIGMA_NU, UTILITY, V_STAR, population
 from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.filters.causal import SETTLING
@@ -210,7 +210,7 @@ def answer(asked: Asked) -> Answer:
                 error[name].append(found[0] - truth[i])
                 density[name].append(found[1][SETTLING + 2 :])
                 cost[name].append(found[2])
-        fits = each_for_himself(t, "causal", ("sigma_nu", "sigma_a", "v_star", "kappa_v"), work=asked.work)
+        fits = each_driver(t, "causal", ("sigma_nu", "sigma_a", "v_star", "kappa_v"), work=asked.work)
         batch.append(np.log(fits.rows[:, list(_PLACES)]) - truth)
     root = {name: np.sqrt(np.mean(np.square(e), axis=0)) for name, e in error.items()}
     last = len(next(iter(root.values()))) - 1
