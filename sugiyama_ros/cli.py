@@ -436,8 +436,8 @@ def study(
 ) -> None:
     """Answer a question of the paper anew, by simulation or on measured drivers."""
     from sugiyama_ros.formats import read_trajectories
-    from sugiyama_ros.studies.all_studies import STUDIES
-    from sugiyama_ros.studies.all_studies import study as study_of
+    from sugiyama_ros.studies.registry import STUDIES
+    from sugiyama_ros.studies.registry import study as study_of
     from sugiyama_ros.studies.study import Asked
     from sugiyama_ros.workers import workers
 
