@@ -82,7 +82,7 @@ def demo(
     from sugiyama_ros.formats.convert import write_trajectories
     from sugiyama_ros.page.recording import read_recording
     from sugiyama_ros.page.report import write_report
-    from sugiyama_ros.studies.hidden_effects import STRENGTHS, hide
+    from sugiyama_ros.studies.hiding import STRENGTHS, hide
 
     if hidden == "random":
         hidden = list(STRENGTHS)[int(np.random.default_rng(seed).integers(len(STRENGTHS)))]
