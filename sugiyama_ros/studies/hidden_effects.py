@@ -45,7 +45,7 @@ FORMS: Mapping[str, tuple[str, float, float, tuple[float, ...]]] = {
 
 
 @dataclass(frozen=True)
-class Outcome:
+class Judgement:
     """What a diagnosis said of one recording; gains in nats, of what was named first and of the true effect."""
 
     hidden: str
@@ -62,7 +62,7 @@ class Outcome:
     wall_s: float
 
 
-def judge(hidden: str, strength: str, measured: Trajectories, seed: int, quick: bool) -> Outcome:
+def judge(hidden: str, strength: str, measured: Trajectories, seed: int, quick: bool) -> Judgement:
     """Diagnose one recording; of a form that is not in the catalogue, forces without a name too."""
     d = diagnose(
         measured,
@@ -74,7 +74,7 @@ def judge(hidden: str, strength: str, measured: Trajectories, seed: int, quick: 
     )
     first = d.named[0] if d.named else None
     oracle = next((one.gain for one in d.looked if one.candidate.name == hidden), 0.0)
-    return Outcome(
+    return Judgement(
         hidden,
         strength,
         seed,
@@ -90,7 +90,7 @@ def judge(hidden: str, strength: str, measured: Trajectories, seed: int, quick: 
     )
 
 
-def _one(job: tuple[str, str, int, bool]) -> Outcome:
+def _one(job: tuple[str, str, int, bool]) -> Judgement:
     hidden, strength, seed, quick = job
     effects: dict[str, Values] = {}
     if strength == FORM:
@@ -104,7 +104,7 @@ def _one(job: tuple[str, str, int, bool]) -> Outcome:
     return judge(hidden, strength, run.measured, seed, quick)
 
 
-def report(outcomes: Sequence[Outcome]) -> str:
+def report(outcomes: Sequence[Judgement]) -> str:
     """Markdown: rates, and for every hidden effect what was named first."""
     lines = [
         "| strength | recordings | first name right | true effect in the set | mean set size | wrong name | none |"
