@@ -208,22 +208,27 @@ def serve(
         stack.callback(spinner.close)
         if runner is not None:
             stack.callback(runner.stop, spinner)
-        loop = IOLoop.current()
-
-        def stretch() -> None:
-            spinner.until(lambda: False, _STRETCH_S)
-            if runner is not None:
-                runner.check()
-            if asked_to_stop():
-                loop.stop()
-
-        turns = PeriodicCallback(stretch, 1000 * _EVERY_S)
+        turns = _turns(spinner, runner, asked_to_stop)
         server.start()
         stack.callback(server.stop)
         turns.start()
         stack.callback(turns.stop)
         on_ready(url)
-        loop.start()
+        IOLoop.current().start()
+
+
+def _turns(spinner: Spinner, runner: OneProcess | None, asked_to_stop: Callable[[], bool]) -> PeriodicCallback:
+    """Callback that lets the nodes run between the turns of the server, and stops the server after a signal."""
+    loop = IOLoop.current()
+
+    def stretch() -> None:
+        spinner.until(lambda: False, _STRETCH_S)
+        if runner is not None:
+            runner.check()
+        if asked_to_stop():
+            loop.stop()
+
+    return PeriodicCallback(stretch, 1000 * _EVERY_S)
 
 
 def _server(view: View, host: str, port: int) -> tuple[Server, str]:
