@@ -76,10 +76,10 @@ def noise_factor(speed: float, row: Array) -> float:
 
 @kernel(allocates=False)
 def intend(seen: Seen, row: Array, scratch: Array, period: float, horizon: int) -> tuple[float, float]:
-    """Tell what the driver means the car to do in the next period, and what the environment adds; both [m/s^2].
+    """Tell what the driver means the car to do, and what the environment adds; both [m/s^2].
 
-    The row (WIDTH,) is that of the period; it is changed on the way and restored. ``scratch`` is the scratch array of the
-    actions that the driver considers.
+    The row (WIDTH,) is that of the period; it is changed on the way and restored. ``scratch`` is made by
+    ``scratch_for`` the actions that the driver considers.
     """
     perceived = _perceived(seen, row) if any_of(_PERCEIVING, row) else seen
     v_star, kappa_v = row[V_STAR], row[KAPPA_V]

@@ -6,11 +6,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.calibration.calibrate import each_driver
 from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, population
-from sugiyama_ros.filters.causal import SETTLING, chain_behind
-from sugiyama_ros.road import Array
+from sugiyama_ros.filters.causal import SETTLING
+from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.studies.followers import PARTICLES, PLACES, Cubature, Follower, Particles, Unscented
 from sugiyama_ros.studies.rings import CARS, alike, jams
 from sugiyama_ros.studies.study import Answer, Asked, Row, Study

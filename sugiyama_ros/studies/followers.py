@@ -6,22 +6,16 @@ from typing import Protocol
 import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
+from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import KAPPA_V, NAMES, SIGMA_NU, UTILITY, V_STAR
 from sugiyama_ros.driver.utility import ACTIONS
-from sugiyama_ros.filters.causal import (
-    CHAIN,
-    MOVING,
-    STATE,
-    Adaptation,
-    chain_parameters,
-    linearise,
-    scene_at,
-    start_vehicle,
-    workspace_for,
-)
-from sugiyama_ros.filters.state import Drivers, Linearised, Moment, State
-from sugiyama_ros.filters.online import ADAPT, Learnt, OnlineFilter
-from sugiyama_ros.road import Array, Ints, Road
+from sugiyama_ros.filters.chain import CHAIN, Adaptation, chain_parameters
+from sugiyama_ros.filters.learnt import Learnt
+from sugiyama_ros.filters.linearisation import linearise
+from sugiyama_ros.filters.online import ADAPT, OnlineFilter
+from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Linearised, Moment, State, scene_at, workspace_for
+from sugiyama_ros.filters.vehicles import start_vehicle
+from sugiyama_ros.road import Road
 
 #: Places in a driver's row of the parameters that the filters learn.
 PLACES = (V_STAR, KAPPA_V)

@@ -73,7 +73,7 @@ def judge(hidden: str, strength: str, measured: Trajectories, seed: int, quick: 
         workers=1,
     )
     first = d.named[0] if d.named else None
-    oracle = next((one.gain for one in d.looked if one.candidate.name == hidden), 0.0)
+    oracle = next((one.gain for one in d.scored if one.candidate.name == hidden), 0.0)
     return Judgement(
         hidden,
         strength,
