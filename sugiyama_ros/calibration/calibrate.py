@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.calibration.result import Calibrated, Settings
+from sugiyama_ros.calibration.result import Calibration, Settings
 from sugiyama_ros.diagnosis.candidates import named
 from sugiyama_ros.diagnosis.screen import with_candidate
 from sugiyama_ros.driver.parameters import NAMES, index
@@ -36,7 +36,7 @@ def each_driver(
     work: Executor | None = None,
     kept: Path | None = None,
     on_progress: OnProgress = lambda done, total: None,
-) -> Calibrated:
+) -> Calibration:
     """Calibrate the drivers one by one.
 
     The causal formulation calibrates twice: the second time, the drivers ahead have the parameters that were found the
@@ -79,7 +79,7 @@ def each_driver(
             found = latest
     fits = [found[v] for v in trajectories.vehicle.tolist()]
     estimated = settings.estimated
-    return Calibrated(
+    return Calibration(
         trajectories=trajectories,
         settings=settings,
         rows=whole(np.array([fit.parameters for fit in fits])),
@@ -125,7 +125,7 @@ def _one_pass(
     )
 
 
-def in_classes(trajectories: Trajectories, settings: Settings, count: int, work: Executor) -> Calibrated:
+def in_classes(trajectories: Trajectories, settings: Settings, count: int, work: Executor) -> Calibration:
     """Calibrate classes of drivers who share all parameters; each driver gets the parameters of the likeliest class.
 
     Parameters
@@ -158,7 +158,7 @@ def in_classes(trajectories: Trajectories, settings: Settings, count: int, work:
     found = find_classes(jobs, count, samples, settings.seed, work)
     likeliest = found.probability.argmax(axis=1)
     rows, std = found.rows[likeliest], found.std[likeliest]
-    return Calibrated(
+    return Calibration(
         trajectories=trajectories,
         settings=settings,
         rows=whole(rows),
@@ -171,7 +171,7 @@ def in_classes(trajectories: Trajectories, settings: Settings, count: int, work:
     )
 
 
-def pooled(trajectories: Trajectories, settings: Settings, effects: Sequence[str], work: Executor) -> Calibrated:
+def pooled(trajectories: Trajectories, settings: Settings, effects: Sequence[str], work: Executor) -> Calibration:
     """Calibrate all drivers together, as draws of one population (partial pooling), by the causal formulation.
 
     The distribution of the parameters over the drivers is estimated from the drivers themselves (empirical Bayes).
@@ -206,7 +206,7 @@ def pooled(trajectories: Trajectories, settings: Settings, effects: Sequence[str
         for s in fitted.slopes
     ]
     stds = np.array([[s.get(name, 0.0) for name in NAMES] for s in own])
-    return Calibrated(
+    return Calibration(
         trajectories=trajectories,
         settings=settings,
         rows=fitted.model.rows,
