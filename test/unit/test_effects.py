@@ -153,8 +153,7 @@ def test_the_online_filter_is_the_batch_filter(name):
     row = switch_on(whole(drivers()[0]), name, ACTING[name])
     t = recording(switch_on(whole(drivers()), name, ACTING[name]), duration_s=40.0).measured
     online, steps = online_steps(t, 2, row)
-    ahead = whole(defaults())
-    ahead = online._rows_at_start[1]
+    ahead = online.kalman.model.rows[1]
     chain = chain_behind(t, 2)
     batch = filter_chain(chain, row, ADAPT, ahead)
     for field in ("innovation_m", "innovation_var"):
@@ -237,7 +236,7 @@ def test_any_set_of_effects_combines():
     t = recording(rows, duration_s=40.0).measured
     assert np.isfinite(t.position_m).all()
     online, steps = online_steps(t, 1, rows[1])
-    batch = filter_chain(chain_behind(t, 1), rows[1], ADAPT, online._rows_at_start[1])
+    batch = filter_chain(chain_behind(t, 1), rows[1], ADAPT, online.kalman.model.rows[1])
     assert np.isfinite(batch.mean).all()
     assert [s.innovation_m for s in steps] == pytest.approx(batch.innovation_m, abs=1e-8, nan_ok=True)
 
