@@ -1,10 +1,10 @@
-"""How fast the calibration is: everything timed in one run on one machine, and told as ratios.
+"""How fast the calibration is, compared with other ways to calibrate on the same machine.
 
     python -m sugiyama_ros.studies.speed [--many 10000]
 
-The paper's recipe is a Kalman filter of filterpy in a Python loop, with the mean action by numpy, under scipy's
-L-BFGS-B with difference quotients; basinhopping repeats that a hundred times, which is extrapolated. Another user would
-take statsmodels' compiled filter and its own search, with the same matrices.
+The paper's recipe is a Kalman filter of filterpy in a Python loop, with the mean action in numpy. The search is scipy's
+L-BFGS-B with difference quotients. Basinhopping repeats the search a hundred times; its time is extrapolated. The other
+comparison is with the compiled filter and the search of statsmodels, with the same matrices.
 """
 
 import argparse
@@ -35,14 +35,14 @@ _PLACES = [NAMES.index(name) for name in ESTIMATED]
 
 
 def _start() -> Array:
-    """Parameters (P,) from which the searches begin."""
+    """Parameters (P,) at which the searches begin."""
     start = defaults()
     start[SIGMA_A] = 1.0
     return start
 
 
 def best_of(times: int, function: Callable[[], Any]) -> float:
-    """Shortest time [s] of several, after one that does not count."""
+    """Measure the shortest time [s] of several calls of a function, after a first call that does not count."""
     function()
     spans = []
     for _ in range(times):
@@ -53,7 +53,20 @@ def best_of(times: int, function: Callable[[], Any]) -> float:
 
 
 def plain_actions(perceived: paper.Perceived, p: Array) -> Array:
-    """Mean actions (T',) by numpy, straight from the paper's formulas."""
+    """Compute mean actions in numpy, straight from the paper's formulas.
+
+    Parameters
+    ----------
+    perceived : paper.Perceived
+        What the driver perceives over T' samples.
+    p : ndarray, shape (P,)
+        Parameters of the driver.
+
+    Returns
+    -------
+    ndarray, shape (T',)
+        Mean actions [m/s^2].
+    """
     q = dict(zip(NAMES, p.tolist(), strict=True))
     dt, a = perceived.period_s, ACTIONS[None, :]
     gap, v, ahead = perceived.gap_m[:, None], perceived.speed[:, None], perceived.leader_speed[:, None]
@@ -73,7 +86,15 @@ def plain_actions(perceived: paper.Perceived, p: Array) -> Array:
 
 
 def plain_likelihood(perceived: paper.Perceived, p: Array) -> float:
-    """Eq. SSM_Likelihood by filterpy."""
+    """Compute the log-likelihood (Eq. SSM_Likelihood) with filterpy.
+
+    Parameters
+    ----------
+    perceived : paper.Perceived
+        What the driver perceives.
+    p : ndarray, shape (P,)
+        Parameters of the driver.
+    """
     action = plain_actions(perceived, p)
     q = dict(zip(NAMES, p.tolist(), strict=True))
     kalman = KalmanFilter(dim_x=3, dim_z=1, dim_u=1)
@@ -92,7 +113,7 @@ def plain_likelihood(perceived: paper.Perceived, p: Array) -> float:
 
 
 def plain_fit(perceived: paper.Perceived) -> float:
-    """One local search of the paper's recipe; its log-likelihood."""
+    """Run one local search of the paper's recipe; the largest log-likelihood is returned."""
     start = _start()
 
     def negative(logarithms: Array) -> float:
@@ -104,7 +125,13 @@ def plain_fit(perceived: paper.Perceived) -> float:
 
 
 class OfStatsmodels(MLEModel):  # type: ignore[misc]
-    """The same model by statsmodels, with the logarithms of the estimated parameters."""
+    """The paper's model of one driver in statsmodels, with logarithms of the estimated parameters.
+
+    Parameters
+    ----------
+    perceived : paper.Perceived
+        What the driver perceives.
+    """
 
     def __init__(self, perceived: paper.Perceived) -> None:
         start = np.array([perceived.measured_m[0], perceived.speed[0], 0.0])
@@ -116,9 +143,11 @@ class OfStatsmodels(MLEModel):  # type: ignore[misc]
 
     @property
     def start_params(self) -> Array:
+        """Logarithms of the parameters at which the search begins."""
         return np.asarray(np.log(_start()[_PLACES]))
 
     def update(self, params: Array, **kwargs: Any) -> None:
+        """Set the matrices of the model for these logarithms of the parameters."""
         params = super().update(params, **kwargs)
         p = defaults()
         p[_PLACES] = np.exp(params)
@@ -129,14 +158,15 @@ class OfStatsmodels(MLEModel):  # type: ignore[misc]
         self["state_intercept", 2, :-1] = action[1:] - q["rho"] * action[:-1]
 
     def without_2_pi(self, log_likelihood: float) -> float:
-        """Eq. SSM_Likelihood, from what statsmodels calls the log-likelihood."""
+        """Convert the log-likelihood of statsmodels to the paper's (Eq. SSM_Likelihood), which has no 2 pi term."""
         return log_likelihood + 0.5 * (len(self._perceived.measured_m) - paper.UNSCORED) * float(np.log(2.0 * np.pi))
 
 
 def floor(perceived: paper.Perceived) -> float:
-    """Time [s] of the exponentials of one likelihood in one call of numpy.
+    """Measure the time [s] that numpy needs for the exponentials of one likelihood.
 
-    At each moment each action takes three (both terms of the utility, the weight), and where it ends slow a fourth.
+    Each action takes three exponentials at each moment: two for the utility and one for the weight. An action that
+    ends at a low speed takes a fourth exponential.
     """
     slow = perceived.speed[:, None] + perceived.period_s * ACTIONS < FORWARD
     x = -np.random.default_rng(0).uniform(0.0, 10.0, 3 * slow.size + int(slow.sum()))
@@ -145,9 +175,9 @@ def floor(perceived: paper.Perceived) -> float:
 
 
 def main() -> None:
-    """Measure, and print one JSON document."""
+    """Measure all times and print them as JSON."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--many", type=int, default=0, help="drivers of 60 s to calibrate, causal")
+    parser.add_argument("--many", type=int, default=0, help="number of drivers of 60 s to calibrate (causal)")
     given = parser.parse_args()
     t = run(Ring(alike(), 4, jammed=True, duration_s=_DURATION_S)).measured
     perceived, p = paper.perceive(t, 3), defaults()
@@ -191,9 +221,15 @@ def main() -> None:
 
 
 def many(drivers: int) -> float:
-    """Time [s] to calibrate so many drivers of 60 s, in the causal formulation."""
+    """Measure the time [s] to calibrate many drivers of 60 s in the causal formulation.
+
+    Parameters
+    ----------
+    drivers : int
+        Number of drivers.
+    """
     length = np.full(drivers, 4.33)
-    # rows of cars with room between them: each makes a wave of its own
+    # groups of cars with space between them: each group makes its own wave
     gap = np.where(np.arange(drivers) % _CARS_IN_A_ROW == _CARS_IN_A_ROW - 1, 120.0, 6.0)
     start = np.cumsum(length + gap) - length - gap
     ring = Ring(alike(drivers), 1, duration_s=_MANY_DURATION_S, ring_m=float(start[-1] + length[-1] + gap[-1]))
