@@ -198,7 +198,7 @@ def summed_up(found: Sequence[Outcome]) -> dict[str, float]:
     dict
         Numbers by the heading of their column.
     """
-    whole = [o for o in found if not o.collided]
+    complete = [o for o in found if not o.collided]
 
     def mean(values: list[float]) -> float:
         finite = [v for v in values if np.isfinite(v)]
@@ -207,13 +207,13 @@ def summed_up(found: Sequence[Outcome]) -> dict[str, float]:
     return {
         "runs": len(found),
         "with a wave": sum(o.wave for o in found),
-        "collided": len(found) - len(whole),
-        "mean speed [m/s]": mean([o.road.mean_speed for o in whole]),
-        "least [m/s]": mean([o.road.least_speed for o in whole]),
-        "largest [m/s]": mean([o.road.largest_speed for o in whole]),
-        "wave speed [m/s]": mean([o.road.wave_speed for o in whole]),
-        "queue [cars]": mean([o.road.queue_vehicles for o in whole]),
-        "flow [1/h]": mean([o.flow_per_h for o in whole]),
+        "collided": len(found) - len(complete),
+        "mean speed [m/s]": mean([o.road.mean_speed for o in complete]),
+        "least [m/s]": mean([o.road.least_speed for o in complete]),
+        "largest [m/s]": mean([o.road.largest_speed for o in complete]),
+        "wave speed [m/s]": mean([o.road.wave_speed for o in complete]),
+        "queue [cars]": mean([o.road.queue_vehicles for o in complete]),
+        "flow [1/h]": mean([o.flow_per_h for o in complete]),
     }
 
 
