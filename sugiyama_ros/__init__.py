@@ -1,1 +1,51 @@
-"""Live, honest estimation of how people drive."""
+"""Live, honest estimation of how people drive.
+
+The Python interface in one line each, with ``import sugiyama_ros as sg``:
+
+- ``sg.read(source)``: trajectories from a file or a data frame;
+- ``sg.simulate()``: drivers on a ring or an open road, with hidden effects if wanted;
+- ``sg.calibrate(trajectories)``: every driver's parameters, and how well the data hold them;
+- ``sg.compare(trajectories)``: held-out errors beside other car-following laws;
+- ``sg.diagnose(trajectories)``: which physical effect the model lacks;
+- ``sg.read_recording(path)``: what the estimators published in a recorded run;
+- ``sg.laws``, ``sg.effects``: what can be simulated, fitted and added, by name.
+
+Importing the package loads nothing else: what a name needs is loaded when the name is first used.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sugiyama_ros import effects, laws
+    from sugiyama_ros.api import calibrate, compare, diagnose, read, read_recording, simulate
+
+    __version__: str
+
+__all__ = [
+    "__version__",
+    "calibrate",
+    "compare",
+    "diagnose",
+    "effects",
+    "laws",
+    "read",
+    "read_recording",
+    "simulate",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("sugiyama_ros")
+    if name in ("effects", "laws"):
+        return import_module(f"sugiyama_ros.{name}")
+    if name in __all__:
+        return getattr(import_module("sugiyama_ros.api"), name)
+    raise AttributeError(f"module 'sugiyama_ros' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -5,10 +5,11 @@ offers it through an entry point, for example ``[project.entry-points."sugiyama_
 ``syrup = "my_package.syrup:EFFECT"``.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
 from importlib.metadata import entry_points
-from typing import Protocol, TypeVar
+from types import ModuleType
+from typing import Any, Protocol, TypeVar
 
 from sugiyama_ros.errors import InputError
 
@@ -109,3 +110,34 @@ def find(extensions: Mapping[str, _Kind], group: str, name: str, what: str) -> _
     if (group, name) in FAILED:
         raise InputError(f"{what} {name}: {FAILED[group, name]}")
     raise InputError(f"{what} {name!r}: not known; choose among {', '.join(extensions)}")
+
+
+class ExtensionModule(ModuleType, Mapping[str, Any]):
+    """A package of extensions that is also a mapping of their names to them, read from its module ``registry``."""
+
+    @property
+    def _extensions(self) -> Mapping[str, Any]:
+        """The registry's mapping has the name of the package in capitals."""
+        registry = import_module(f"{self.__name__}.registry")
+        extensions: Mapping[str, Any] = getattr(registry, self.__name__.rpartition(".")[2].upper())
+        return extensions
+
+    def __getitem__(self, name: str) -> Any:
+        return self._extensions[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._extensions)
+
+    def __len__(self) -> int:
+        return len(self._extensions)
+
+    def __hash__(self) -> int:
+        return id(self)
+
+    def __eq__(self, other: object) -> bool:
+        return self is other
+
+    def _repr_html_(self) -> str:
+        """Show titles and summaries in a notebook."""
+        rows = (f"<tr><td>{name}</td><td>{e.title}</td><td>{e.summary}</td></tr>" for name, e in self.items())
+        return "<table>" + "".join(rows) + "</table>"

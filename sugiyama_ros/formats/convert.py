@@ -1,17 +1,32 @@
-"""From any trajectory file to a bag."""
+"""Conversion of trajectory files to bags."""
 
 from pathlib import Path
 
-from sugiyama_ros.formats.mcap_writer import LATCHED, BagWriter, Qos
+from sugiyama_ros.formats.mcap_writer import LATCHED_TOPIC, BagWriter, Qos
 from sugiyama_ros.formats.measured import MEASURED_TYPE, ROAD_TYPE, messages
-from sugiyama_ros.formats.trajectory_files import read_trajectories
+from sugiyama_ros.formats.registry import read_trajectories
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 
 def convert(source: Path, out: Path, ring_m: float | None = None) -> Trajectories:
-    """Write the trajectories of a file into a bag with the topics /road and /measured; returns them.
+    """Convert a trajectory file to a bag with the topics /road and /measured.
 
-    Raises InputError for what cannot be read, OutputError for what cannot be written.
+    Parameters
+    ----------
+    source, out : Path
+        File to read, in any known format, and bag to write.
+    ring_m : float, optional
+        Circumference [m] of the ring, where the file does not say it; 0 for an open road.
+
+    Returns
+    -------
+    Trajectories
+        What the file contains.
+
+    Raises
+    ------
+    InputError, OutputError
+        For a file that cannot be read, or a bag that cannot be written.
     """
     trajectories = read_trajectories(source, ring_m)
     write_trajectories(trajectories, out)
@@ -23,7 +38,7 @@ def write_trajectories(trajectories: Trajectories, out: Path) -> None:
     about = {"source": trajectories.source, "sha256": trajectories.sha256}
     with BagWriter(out, about) as bag:
         channels = {
-            ROAD_TYPE: bag.topic("/road", ROAD_TYPE, LATCHED),
+            ROAD_TYPE: bag.topic("/road", ROAD_TYPE, LATCHED_TOPIC),
             MEASURED_TYPE: bag.topic("/measured", MEASURED_TYPE, Qos()),
         }
         for type_name, stamp, data in messages(trajectories):

@@ -1,4 +1,4 @@
-"""Fetching a public data set: download, verify, unpack, convert."""
+"""Download a public data set, verify, unpack and convert it."""
 
 import http.client
 import time
@@ -6,7 +6,7 @@ import urllib.error
 import urllib.request
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from sugiyama_ros.formats.catalogue import CATALOGUE, DataSet
 from sugiyama_ros.formats.convert import convert
 from sugiyama_ros.formats.reading import open_input, sha256
 from sugiyama_ros.formats.writing import not_written, replacing
+from sugiyama_ros.progress import OnProgress
 
 _TIMEOUT_S = 20.0
 _LONGEST_S = 600.0
@@ -22,25 +23,37 @@ _BLOCK = 1 << 16
 #: Largest file that is unpacked [bytes].
 _MAX_UNPACKED = 16 << 20
 
-Progress = Callable[[int, int], None]
-
 
 @dataclass(frozen=True)
 class Fetched:
-    """Where the data lies: as published, and as a bag."""
+    """Files of a data set: as published, and as a bag."""
 
     data: Path
     bag: Path
 
 
-def fetch(name: str, directory: Path, url: str | None = None, on_progress: Progress | None = None) -> Fetched:
+def fetch(name: str, directory: Path, url: str | None = None, on_progress: OnProgress | None = None) -> Fetched:
     """Download a data set of the catalogue into a directory, verify and unpack it, and convert it to a bag.
 
-    url: another address of the same file. on_progress: told the bytes so far and in all. To ask for consent to the
-    licence is the caller's part.
+    The caller asks for consent to the licence. A file that failed is never left under its name.
 
-    Raises InputError for an unknown name, a failing network or a file that is not the expected one, and OutputError
-    where the directory cannot be written. A file that failed is never left under its name.
+    Parameters
+    ----------
+    name : str
+        Name of the data set in the catalogue.
+    directory : Path
+        Where to put the files; made if it is not there.
+    url : str, optional
+        Another address of the same file.
+    on_progress : callable, optional
+        Called with the bytes so far and in all.
+
+    Raises
+    ------
+    InputError
+        For an unknown name, a network failure, or a file with another checksum.
+    OutputError
+        Where the directory cannot be written.
     """
     if name not in CATALOGUE:
         raise InputError(f"{name}: not in the catalogue; it has {', '.join(CATALOGUE)}")
@@ -65,8 +78,8 @@ def fetch(name: str, directory: Path, url: str | None = None, on_progress: Progr
     return Fetched(data, bag)
 
 
-def _downloaded(url: str, data_set: DataSet, on_progress: Progress | None) -> Iterator[bytes]:
-    """The file at an address, block by block; at most the size that the catalogue states."""
+def _downloaded(url: str, data_set: DataSet, on_progress: OnProgress | None) -> Iterator[bytes]:
+    """Blocks of the file at an address; at most the size that the catalogue states."""
     if not url.startswith(("http://", "https://")):
         raise InputError(f"{url}: not a web address; it must start with https:// or http://")
     received, until = 0, time.monotonic() + _LONGEST_S
@@ -90,7 +103,7 @@ def _downloaded(url: str, data_set: DataSet, on_progress: Progress | None) -> It
 
 
 def _unpacked(archive: Path, data_set: DataSet) -> bytes:
-    """Content of the wanted file in a verified archive. Only the file's content is used, never its path."""
+    """Content of the wanted file in a verified archive. Only its content is used, never its path."""
     with open_input(archive) as stream:
         size, found = archive.stat().st_size, sha256(stream)
         if (size, found) != (data_set.size_bytes, data_set.sha256):

@@ -1,10 +1,11 @@
-"""Reader of the ring file of the Mathematical Society of Traffic Flow."""
+"""Reader of the ring experiments of the Mathematical Society of Traffic Flow (MSTF)."""
 
 import re
 from pathlib import Path
 
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.catalogue import SUGIYAMA_CASE_1_SHA256
+from sugiyama_ros.formats.format import Format, has_suffix
 from sugiyama_ros.formats.reading import lines, number, open_input, sha256
 from sugiyama_ros.formats.samples import Samples, agreed_road
 from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M, Trajectories
@@ -18,12 +19,26 @@ _CIRCUIT = re.compile(r"circuit length is +(\d+(?:\.\d*)?) *m\b")
 
 
 def read_mstf(path: Path, ring_m: float | None = None) -> Trajectories:
-    """Trajectories out of a ``.data`` file: lines of position [m] and time [s], one block for each car.
+    """Read a ``.data`` file: lines of position [m] and time [s], one block for each car.
 
-    ring_m: circumference [m] where the file's head does not say it. Cars are numbered by block from 0. Their lengths
-    are not in the file: those of case 1 are the paper's, others are DEFAULT_LENGTH_M.
+    Cars are numbered by block, from 0. The file has no lengths: the cars of case 1 get the lengths in the reference,
+    other cars get ``DEFAULT_LENGTH_M``.
 
-    Raises InputError, with the line, for what is not such a file.
+    Parameters
+    ----------
+    path : Path
+        The file.
+    ring_m : float, optional
+        Circumference [m] of the ring, where the head of the file does not say it; 0 for an open road.
+
+    Raises
+    ------
+    InputError
+        With the line, for a file that has another form.
+
+    References
+    ----------
+    Dai et al., Table 1 (Vehicle sizes): lengths of the cars of case 1.
     """
     samples = Samples(path)
     said_m = None
@@ -50,3 +65,12 @@ def read_mstf(path: Path, ring_m: float | None = None) -> Trajectories:
     cars = len(samples.vehicles)
     lengths = _CASE_1_LENGTH_M if checksum == SUGIYAMA_CASE_1_SHA256 else [DEFAULT_LENGTH_M] * cars
     return samples.trajectories(lengths, agreed_road(path, said_m, ring_m), checksum)
+
+
+FORMAT = Format(
+    name="mstf",
+    suffixes=(".data",),
+    recognise=has_suffix(".data"),
+    read=read_mstf,
+    summary="ring experiments of the Mathematical Society of Traffic Flow: position and time, one block for each car",
+)

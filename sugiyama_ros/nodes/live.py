@@ -1,4 +1,4 @@
-"""The live page's ears and hands in the graph, and the server that shows the page on this machine."""
+"""The node behind the live page, and the server that shows the page."""
 
 import contextlib
 import logging
@@ -22,25 +22,24 @@ from tornado.ioloop import IOLoop, PeriodicCallback
 from sugiyama_ros.effects.effect import Recording
 from sugiyama_ros.effects.registry import EFFECTS, effect
 from sugiyama_ros.errors import SugiyamaError
-from sugiyama_ros.nodes.base import cdr_messages as wire
-from sugiyama_ros.nodes.base import environment
+from sugiyama_ros.nodes.base import cdr_messages, environment
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.base.spin import Spinner, ros
-from sugiyama_ros.nodes.plan import REPLAY, Plan, estimators, namespaces
+from sugiyama_ros.nodes.plan import REPLAY, Plan, RunSettings, estimators, namespaces
 from sugiyama_ros.nodes.runners import OneProcess
 from sugiyama_ros.page.guard import Guard
 from sugiyama_ros.page.live import KEPT, Log, page
-from sugiyama_ros.page.panels import MOVING_S
+from sugiyama_ros.page.panels.base import MOVING_S
 from sugiyama_ros.road import Road
 
-#: The address of this machine that no other one reaches.
+#: Address that only this machine reaches.
 LOCAL = "127.0.0.1"
-# Time [s] that the nodes have the processor at a stretch, and from one stretch to the next.
+# Time [s] for which the nodes run at a stretch, and from one stretch to the next.
 _STRETCH_S, _EVERY_S = 0.01, 0.015
 
 
 class View(Node):
-    """Hears everything that the page shows, and calls the services that its buttons stand for."""
+    """Subscribes to everything that the page shows, and calls the services behind its buttons."""
 
     def __init__(self, rate: float) -> None:
         super().__init__("view", start_parameter_services=False)
@@ -56,7 +55,7 @@ class View(Node):
         self.said = ""
         self._duration_s = 1.0
         self.effects: Sequence[str] = [
-            e.name for e in EFFECTS if e.function is not None and e.starts(self._recording())
+            name for name, e in EFFECTS.items() if e.function is not None and e.starts(self._recording())
         ]
         self._strength: dict[str, float] = {}
         self._speed: dict[int, float] = {}
@@ -80,7 +79,7 @@ class View(Node):
         self.rate = rate
 
     def add(self, name: str) -> None:
-        """Call every estimator's ~/add_effect, with the critic's strength or that at which a search would begin."""
+        """Call every estimator's ~/add_effect, with the critic's strength or else the value where a search begins."""
         if not self.vehicles:
             return
         values = dict(effect(name).starts(self._recording())[0])
@@ -121,7 +120,7 @@ class View(Node):
     def _on_measured(self, raw: bytes) -> None:
         if self.vehicles:
             return
-        vehicles = sorted(wire.measured(raw).place)
+        vehicles = sorted(cdr_messages.measured(raw).place)
         for v, space in zip(vehicles, namespaces(vehicles), strict=True):
             self._speed[v] = self._std[v] = math.nan
             self.create_subscription(VehicleState, f"{space}/state", self._on_state, STREAM, raw=True)
@@ -130,13 +129,13 @@ class View(Node):
         self.vehicles = vehicles
 
     def _on_state(self, raw: bytes) -> None:
-        time_s, v, position, speed, variance = wire.read_state(raw)
+        time_s, v, position, speed, variance = cdr_messages.read_state(raw)
         self._speed[v], self._std[v] = speed, math.sqrt(max(variance, 0.0))
         self._now[v] = (position, speed)
         self.space.add(time_s, position, speed)
 
     def _on_innovation(self, raw: bytes) -> None:
-        time_s, v, innovation, variance, scored = wire.read_innovation(raw)
+        time_s, v, innovation, variance, scored = cdr_messages.read_innovation(raw)
         if time_s != self._latest_s:
             if time_s < self._latest_s - 1.0:
                 self._squares.clear()
@@ -149,7 +148,7 @@ class View(Node):
         self.driver[v].add(time_s, self._speed[v], self._std[v], innovation, math.sqrt(max(variance, 0.0)))
 
     def _sum_up(self) -> None:
-        """The error up to the last sample, now that there is a newer one."""
+        """Log the error up to the last sample, which is complete when a newer sample comes."""
         self._squares.append((self._latest_s, self._sum, self._scored))
         while self._squares[0][0] < self._latest_s - MOVING_S:
             self._squares.popleft()
@@ -172,53 +171,74 @@ def serve(
     port: int = 5006,
     on_ready: Callable[[str], None] = lambda url: None,
 ) -> None:
-    """Show the live page until a signal comes: of a replay of ``source``, or of the graph that runs.
+    """Show the live page until a signal comes.
 
-    host: address on which to listen; on any but that of this machine alone, the page asks for a token, which is in the
-    address that ``on_ready`` is told.
+    Parameters
+    ----------
+    source : Path or None
+        File of trajectories to replay; None shows the graph that runs already.
+    output : Path
+        MCAP file to write during a replay.
+    rate, ring_m, model
+        See `RunSettings`.
+    host, port : str, int
+        Address and port on which to listen. Beyond this machine, the page asks for a token.
+    on_ready : callable
+        Called with the address of the page, which contains the token.
 
-    Raises InputError or OutputError for files, SugiyamaError where the port is taken.
+    Raises
+    ------
+    InputError, OutputError
+        For files that cannot be read or written.
+    SugiyamaError
+        Where the port is taken.
     """
     if source is not None:
         environment.isolate()
-    plan = Plan.read(source, output, rate, ring_m, model, critic=True) if source is not None else None
+    settings = RunSettings(rate, ring_m, model, critic=True)
+    plan = Plan.read(source, output, settings) if source is not None else None
     with ros() as asked_to_stop, contextlib.ExitStack() as stack:
         view = View(rate)
         stack.callback(view.destroy_node)
         server, url = _server(view, host, port)
-        team = OneProcess(plan) if plan is not None else None
-        if team is not None:
-            stack.callback(team.close)
-        spinner = Spinner([*(team.nodes if team is not None else ()), view])
+        runner = OneProcess(plan) if plan is not None else None
+        if runner is not None:
+            stack.callback(runner.close)
+        spinner = Spinner([*(runner.nodes if runner is not None else ()), view])
         stack.callback(spinner.close)
-        if team is not None:
-            stack.callback(team.stop, spinner)
-        loop = IOLoop.current()
-
-        def stretch() -> None:
-            spinner.until(lambda: False, _STRETCH_S)
-            if team is not None:
-                team.check()
-            if asked_to_stop():
-                loop.stop()
-
-        turns = PeriodicCallback(stretch, 1000 * _EVERY_S)
+        if runner is not None:
+            stack.callback(runner.stop, spinner)
+        turns = _turns(spinner, runner, asked_to_stop)
         server.start()
         stack.callback(server.stop)
         turns.start()
         stack.callback(turns.stop)
         on_ready(url)
-        loop.start()
+        IOLoop.current().start()
+
+
+def _turns(spinner: Spinner, runner: OneProcess | None, asked_to_stop: Callable[[], bool]) -> PeriodicCallback:
+    """Callback that lets the nodes run between the turns of the server, and stops the server after a signal."""
+    loop = IOLoop.current()
+
+    def stretch() -> None:
+        spinner.until(lambda: False, _STRETCH_S)
+        if runner is not None:
+            runner.check()
+        if asked_to_stop():
+            loop.stop()
+
+    return PeriodicCallback(stretch, 1000 * _EVERY_S)
 
 
 def _server(view: View, host: str, port: int) -> tuple[Server, str]:
-    """The server, which listens already, and the address of the page."""
+    """The server, which is already listening, and the address of the page."""
     more: dict[str, Any] = {}
     if host == LOCAL:
         url = f"http://localhost:{port}"
         more["allow_websocket_origin"] = [f"{name}:{port}" for name in ("localhost", LOCAL)]
     else:
-        # by what name a browser reaches this machine is not known; a page of another site has no cookie
+        # the name by which a browser reaches this machine is not known; pages of other sites have no cookie
         logging.getLogger("bokeh.server.util").setLevel(logging.ERROR)
         guard = Guard()
         url = f"http://{socket.gethostname() if host == '0.0.0.0' else host}:{port}/?token={guard.token}"

@@ -7,7 +7,7 @@ from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from sugiyama_ros.nodes.base.cdr_messages import FRAME
+from sugiyama_ros.formats.measured import FRAME
 from sugiyama_ros.nodes.base.samples import Positions
 from sugiyama_ros.road import Road
 
@@ -18,9 +18,9 @@ _CORNERS = 72
 
 
 def markers(stamp: Time, road: Road, positions: Positions) -> MarkerArray:
-    """A box for each vehicle whose position is known, on a circle as long as the ring, or along the x axis.
+    """Draw a box for each vehicle with a known position: on a circle for a ring, along the x axis for an open road.
 
-    Each message replaces the one before.
+    Each message replaces the message before.
     """
     array = MarkerArray(markers=[_marker(stamp, "", 0, Marker.DELETEALL)])
     if road.is_ring:

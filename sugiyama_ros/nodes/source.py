@@ -10,7 +10,8 @@ from sugiyama_msgs.msg import MeasuredPositions, Progress
 from sugiyama_msgs.msg import Road as RoadMessage
 from visualization_msgs.msg import MarkerArray
 
-from sugiyama_ros.nodes.base import cdr_messages as wire
+from sugiyama_ros.formats.measured import FRAME
+from sugiyama_ros.nodes.base import cdr_messages
 from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode
 from sugiyama_ros.nodes.base.pacing import Pace
 from sugiyama_ros.nodes.base.qos import LATCHED, PROGRESS_IN, STREAM, WINDOW
@@ -18,16 +19,19 @@ from sugiyama_ros.nodes.base.samples import Samples
 from sugiyama_ros.nodes.markers import markers
 
 _TICK_S = 0.005
-_PATIENCE_S = 10.0
+#: Silence [s] after which a subscriber is no longer waited for.
+PATIENCE_S = 10.0
 _MARKERS_EVERY_S = 0.2
 
 
 class Source(PacedNode):
-    """Publishes samples as `road`, `measured`, `/clock` and `markers`.
+    """Publishes samples as ``road``, ``measured``, ``/clock`` and ``markers``.
 
-    Parameters: ``rate`` (times real time; 0: as fast as the subscribers take it), ``start_paused``, ``wait_for`` (full
-    names of the nodes to wait for). Services: ``~/pause``, ``~/resume``, ``~/step``. At most WINDOW steps are under way
-    to the slowest subscriber that tells his progress; one who is silent for 10 s is dropped.
+    The source is at most WINDOW steps ahead of the slowest subscriber that reports its progress. It no longer waits for
+    a subscriber that is silent for 10 s.
+
+    Parameters of the node: ``rate`` (times real time; 0: as fast as the subscribers take it), ``start_paused``,
+    ``wait_for`` (full names of the nodes to wait for). Services: ``~/pause``, ``~/resume``, ``~/step``.
     """
 
     def __init__(self, name: str, **options: Any) -> None:
@@ -54,7 +58,7 @@ class Source(PacedNode):
         self.samples = self.open()
         self._speed_up = self.get_parameter("rate").value
         self._paused = self.get_parameter("start_paused").value
-        self._pace = Pace(WINDOW, _PATIENCE_S, filter(None, self.get_parameter("wait_for").value))
+        self._pace = Pace(WINDOW, PATIENCE_S, filter(None, self.get_parameter("wait_for").value))
         self.next_step = 0
         self._jump_to: int | None = None
         self._anchor: tuple[float, int] | None = None
@@ -74,11 +78,11 @@ class Source(PacedNode):
         self.announce()
 
     def open(self) -> Samples:
-        """The samples to send, from the node's parameters. Raises InputError where they cannot be had."""
+        """The samples to send, from the node's parameters. Raises InputError if there are none."""
         raise NotImplementedError
 
     def health(self) -> Health:
-        """ERROR while a subscriber is dropped, WARN while one is waited for."""
+        """ERROR while a subscriber is no longer waited for, WARN while a subscriber is missing."""
         values = {"step": self.next_step, "steps": self.samples.steps, "paused": self._paused}
         if self._pace.dropped:
             return Health(ERROR, f"gave up waiting for {', '.join(sorted(self._pace.dropped))}", values)
@@ -92,12 +96,12 @@ class Source(PacedNode):
         super().finish()
 
     def jump(self, step: int) -> None:
-        """Go on from sample number ``step``, as soon as everything sent has been taken."""
+        """Continue from sample number ``step``, as soon as the subscribers have taken everything that was sent."""
         self._jump_to = step
         self._pump()
 
     def _pump(self) -> None:
-        """Send whatever is due and fits into the window."""
+        """Send the steps that are due and fit into the window."""
         if self.next_step == self.samples.steps > 0 and self.loop and self._jump_to is None:
             self._jump_to = 0
         if self._jump_to is not None and self._pace.drained:
@@ -113,7 +117,7 @@ class Source(PacedNode):
         return self._jump_to is None and not at_end and self._pace.may_send
 
     def _is_due(self) -> bool:
-        """Whether the clock allows the next step; counted from where it was started, so that nothing drifts."""
+        """Whether the next step is due. Its time is counted from the first step, so that no error adds up."""
         if self._speed_up == 0.0:
             return True
         now = time.monotonic()
@@ -125,10 +129,10 @@ class Source(PacedNode):
     def _send(self) -> None:
         step, samples = self.next_step, self.samples
         positions = samples.at(step)
-        stamp = wire.time_message(round((samples.start_s + step * samples.period_s) * wire.NS))
+        stamp = cdr_messages.time_message(round((samples.start_s + step * samples.period_s) * cdr_messages.NS))
         self.send(self._to_clock, Clock(clock=stamp))
         message = MeasuredPositions(step=step, **positions._asdict())
-        message.header.stamp, message.header.frame_id = stamp, wire.FRAME
+        message.header.stamp, message.header.frame_id = stamp, FRAME
         self.send(self._to_measured, message)
         self.next_step += 1
         self._pace.sent()
@@ -146,7 +150,10 @@ class Source(PacedNode):
             source=s.source,
             sha256=s.sha256,
         )
-        message.header.stamp, message.header.frame_id = wire.time_message(round(s.start_s * wire.NS)), wire.FRAME
+        message.header.stamp, message.header.frame_id = (
+            cdr_messages.time_message(round(s.start_s * cdr_messages.NS)),
+            FRAME,
+        )
         self.send(self._to_road, message)
 
     def _on_progress(self, message: Progress) -> None:
@@ -158,12 +165,12 @@ class Source(PacedNode):
         self._pump()
 
     def _on_tick(self) -> None:
-        # A pause of this process itself, in which it could hear nobody, counts for a moment only.
+        # While this process itself pauses it hears nothing, so a pause counts as a moment only.
         now = time.monotonic()
         self._awake_s += min(now - self._ticked_s, 0.1)
         self._ticked_s = now
         for name in self._pace.drop_silent(self._awake_s):
-            self.get_logger().warning(f"{name} has been silent for {_PATIENCE_S:.0f} s: no longer waiting for it")
+            self.get_logger().warning(f"{name} has been silent for {PATIENCE_S:.0f} s: no longer waiting for it")
         self._pump()
         self.report_if_worse()
 

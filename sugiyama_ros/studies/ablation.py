@@ -2,8 +2,8 @@
 
 from collections.abc import Callable
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import SIGMA_A
-from sugiyama_ros.road import Array
 from sugiyama_ros.studies.cases import compare
 from sugiyama_ros.studies.rings import Ring, changed, estimated, mean_driver
 from sugiyama_ros.studies.study import Answer, Asked, Study

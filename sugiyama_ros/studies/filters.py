@@ -6,10 +6,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sugiyama_ros.calibration import each_for_himself
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.calibration.calibrate import each_driver
+from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, population
-from sugiyama_ros.filters.causal import SETTLING, chain_behind
-from sugiyama_ros.road import Array
+from sugiyama_ros.filters.causal import SETTLING
+from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.studies.followers import PARTICLES, PLACES, Cubature, Follower, Particles, Unscented
 from sugiyama_ros.studies.rings import CARS, alike, jams
 from sugiyama_ros.studies.study import Answer, Asked, Row, Study
@@ -86,7 +88,7 @@ def _errors(asked: Asked) -> _Errors:
                 error[name].append(found.logs - truth[i])
                 density[name].append(found.log_likelihood[SETTLING + 2 :])
                 cost[name].append(found.step_s)
-        fits = each_for_himself(t, "causal", ("sigma_nu", "sigma_a", "v_star", "kappa_v"), work=asked.work)
+        fits = each_driver(t, Settings(), work=asked.work)
         batch.append(np.log(fits.rows[:, list(PLACES)]) - truth)
     return _Errors(error, density, cost, np.concatenate(batch))
 

@@ -6,21 +6,16 @@ from typing import Protocol
 import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
+from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import KAPPA_V, NAMES, SIGMA_NU, UTILITY, V_STAR
 from sugiyama_ros.driver.utility import ACTIONS
-from sugiyama_ros.filters.causal import (
-    CHAIN,
-    MOVING,
-    STATE,
-    Adaptation,
-    chain_parameters,
-    linearise,
-    scene_at,
-    start_vehicle,
-    workspace_for,
-)
-from sugiyama_ros.filters.online import ADAPT, Learnt, OnlineFilter
-from sugiyama_ros.road import Array, Ints, Road
+from sugiyama_ros.filters.chain import CHAIN, Adaptation, chain_parameters
+from sugiyama_ros.filters.learnt import Learnt
+from sugiyama_ros.filters.linearisation import linearise
+from sugiyama_ros.filters.online import ADAPT, OnlineFilter
+from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Linearised, Moment, State, scene_at, workspace_for
+from sugiyama_ros.filters.vehicles import start_vehicle
+from sugiyama_ros.road import Road
 
 #: Places in a driver's row of the parameters that the filters learn.
 PLACES = (V_STAR, KAPPA_V)
@@ -130,10 +125,9 @@ class Unscented:
         """Predict and take in the next sample; see ``Follower.step``."""
         kalman, self._length = self._filter, length_m
         if self._known.min() < MOVING:
+            state = State(kalman.x, kalman.P, self._known)
             for m, position in enumerate(position_m):
-                start_vehicle(
-                    m, position, self._scene.period_s, kalman.x, kalman.P, self._known, self._rows, self._scene
-                )
+                start_vehicle(m, position, self._scene.period_s, state, self._rows, self._scene)
             return np.nan
         # a state that never changes has the variance 0, and the covariance then has no Cholesky factor
         kalman.P += _LEAST_VAR * np.eye(len(kalman.x))
@@ -151,21 +145,12 @@ class Unscented:
         size = len(x)
         moved, noise = np.empty(size), np.empty((size, size))
         linearise(
-            x,
-            _SHARP**2 * np.eye(size),
-            self._known,
-            self._length,
-            np.full(3, np.nan),
-            self._rows,
-            self._places,
-            self._prior_mean,
-            self._prior_var,
-            self._workspace,
-            0.0,
+            State(x, _SHARP**2 * np.eye(size), self._known),
+            Drivers(self._rows, self._places, self._prior_mean, self._prior_var),
+            Moment(self._length, np.full(3, np.nan), 0.0),
             self._scene,
-            moved,
-            np.empty((size, size)),
-            noise,
+            self._workspace,
+            Linearised(moved, np.empty((size, size)), noise),
         )
         return moved, noise
 

@@ -61,7 +61,7 @@ def judge(hidden: str, strength: str, measured: Trajectories, seed: int, quick: 
         indistinguishable=first.indistinguishable if first else (),
         p_value=first.p_value if first else 1.0,
         gain=first.heldout.nats if first else 0.0,
-        oracle_gain=next((one.gain for one in d.looked if one.candidate.name == hidden), 0.0),
+        oracle_gain=next((one.gain for one in d.scored if one.candidate.name == hidden), 0.0),
         oracle_heldout=d.heldout[hidden].nats if hidden in d.heldout else 0.0,
         discovered=tuple(one.covariate for one in d.discovered),
         wall_s=d.wall_s,

@@ -9,10 +9,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, defaults
 from sugiyama_ros.effects.effect import Values
 from sugiyama_ros.effects.registry import EFFECTS, effect, switch_on, whole
-from sugiyama_ros.road import Array, Road
+from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulation, Simulator, evenly, platoon, simulate
 
 DRIVERS, RING_M, DURATION_S, LENGTH_M = 22, 230.0, 250.0, 4.33

@@ -4,9 +4,11 @@ from typing import Any
 
 import numpy as np
 
-from sugiyama_ros.calibration import each_for_himself
+from sugiyama_ros.calibration.calibrate import each_driver
+from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.driver.parameters import index
 from sugiyama_ros.filters import causal
+from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.paper import smoothed_speed
 from sugiyama_ros.fit.driver import ESTIMATED, Formulation
 from sugiyama_ros.studies.study import Answer, Asked, Row, Study
@@ -26,7 +28,7 @@ def _answer(asked: Asked) -> Answer:
     t = asked.measured
     rows: list[Row] = []
     for name, formulation, is_regularised in _VARIANTS:
-        found = each_for_himself(t, formulation, ESTIMATED, is_regularised=is_regularised, work=asked.work)
+        found = each_driver(t, Settings(formulation, is_regularised=is_regularised), work=asked.work)
         row: dict[str, Any] = {"formulation": name}
         for parameter in ESTIMATED:
             known = np.array([one[parameter] for one in found.identified])
@@ -44,7 +46,7 @@ def _answer(asked: Asked) -> Answer:
         shown = np.linspace(0, len(t.vehicle) - 1, 3).astype(int)
         time = t.start_s + np.arange(len(t.position_m)) * t.period_s
         for axes, i in zip(figure.subplots(3, 1, sharex=True), shown, strict=True):
-            f = causal.filter_chain(causal.chain_behind(t, int(i)), found.rows[i])
+            f = causal.filter_chain(chain_behind(t, int(i)), found.rows[i])
             v, std = f.mean[:, 1], np.sqrt(f.covariance[:, 1, 1])
             axes.plot(time, speed[:, i], label="smoothed measurement")
             axes.plot(time, v, label="causal filter")

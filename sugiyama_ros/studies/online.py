@@ -4,7 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from sugiyama_ros.calibration import each_for_himself
+from sugiyama_ros.calibration.calibrate import each_driver
+from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, index
 from sugiyama_ros.fit.driver import ESTIMATED
 from sugiyama_ros.studies.following import followed
@@ -31,7 +32,7 @@ def _answer(asked: Asked) -> Answer:
         error = np.log(np.array(values) / drivers[:, None, _PLACES])
         errors.append(error)
         scaled.append(error / np.array(stds))
-        fits = each_for_himself(t, "causal", ESTIMATED, work=asked.work).rows[:, _PLACES]
+        fits = each_driver(t, Settings(), work=asked.work).rows[:, _PLACES]
         batch_errors.append(np.log(fits / drivers[:, _PLACES]))
     error, z, batch = np.concatenate(errors), np.concatenate(scaled), np.concatenate(batch_errors)
     root = np.sqrt(np.mean(np.square(error), axis=0))
@@ -69,7 +70,7 @@ def _measured(asked: Asked, t: Trajectories) -> Row:
     """Compare log-likelihoods per sample: predicted online, and of a batch fit of the same samples."""
     density = [one.log_likelihood for one in asked.work.map(followed, [(t, i) for i in range(len(t.vehicle))])]
     scored = int(sum(np.isfinite(d).sum() for d in density))
-    fitted = float(each_for_himself(t, "causal", ESTIMATED, work=asked.work).log_likelihood.sum()) / scored
+    fitted = float(each_driver(t, Settings(), work=asked.work).log_likelihood.sum()) / scored
     predicted = float(sum(np.nansum(d) for d in density)) / scored
     return {
         "parameter": "measured: nats per sample",

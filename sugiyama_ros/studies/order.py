@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from sugiyama_ros.road import Array
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.studies.rings import Ring, estimated, run
 from sugiyama_ros.studies.study import Answer, Asked, Study
 

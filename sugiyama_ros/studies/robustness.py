@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sugiyama_ros.road import Array
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.studies.cases import compare
 from sugiyama_ros.studies.rings import Ring, estimated
 from sugiyama_ros.studies.study import Answer, Asked, Study

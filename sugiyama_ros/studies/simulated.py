@@ -2,8 +2,8 @@
 
 from collections.abc import Callable
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.compare import collective_of
-from sugiyama_ros.road import Array
 from sugiyama_ros.studies.cases import compare
 from sugiyama_ros.studies.rings import FACTOR, PAPERS_FACTOR, RING_M, Ring, alike, estimated
 from sugiyama_ros.studies.study import Answer, Asked, Study

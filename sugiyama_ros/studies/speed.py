@@ -9,18 +9,23 @@ comparison is with the compiled filter and the search of statsmodels, with the s
 
 import argparse
 import json
+import tempfile
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sugiyama_ros.calibration import each_for_himself
+from sugiyama_ros.calibration.calibrate import each_driver
+from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.driver.parameters import defaults
 from sugiyama_ros.driver.utility import ACTIONS, FORWARD
 from sugiyama_ros.filters import causal, paper
-from sugiyama_ros.fit.driver import ESTIMATED, calibrate
+from sugiyama_ros.filters.extract import chain_behind
+from sugiyama_ros.fit.driver import calibrate
+from sugiyama_ros.formats.mcap_writer import BagWriter
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, platoon, simulate
 from sugiyama_ros.studies.plain_recipes import PLACES, OfStatsmodels, plain_fit, plain_likelihood, start_parameters
@@ -104,7 +109,7 @@ def main() -> None:
     given = parser.parse_args()
     t = run(Ring(alike(), 4, jammed=True, duration_s=_DURATION_S)).measured
     perceived, p = paper.perceive(t, 3), defaults()
-    chain = causal.chain_behind(t, 3)
+    chain = chain_behind(t, 3)
     found: dict[str, float] = {
         "floor_s": floor(perceived),
         "likelihood_with_gradient_s": best_of(50, lambda: paper.score(perceived, p, PLACES)),
@@ -115,16 +120,36 @@ def main() -> None:
     assert abs(difference) < 1e-6, difference
     with ThreadPoolExecutor(4) as work:
         found["fit_22_paper_s"] = best_of(5, lambda: list(calibrate(t, "paper", work=work)))
-        found["fit_22_causal_s"] = best_of(1, lambda: each_for_himself(t, "causal", ESTIMATED, work=work))
+        found["fit_22_causal_s"] = best_of(1, lambda: each_driver(t, Settings(), work=work))
     found |= compared_with_others(t, found)
     cars = len(t.vehicle)
     simulator = Simulator(
         alike(), np.full(cars, 4.33), platoon(np.full(cars, 4.33), 2.0), Road(230.0), np.random.default_rng(0)
     )
     found["vehicle_steps_per_s"] = cars * 200 / best_of(1, lambda: [simulator.step() for _ in range(200)])
+    found["messages_written_per_s"] = messages_written_per_s()
     if given.many:
         found["many"], found["many_s"] = float(given.many), many(given.many)
     print(json.dumps(found, indent=2))
+
+
+def messages_written_per_s(count: int = 50_000, size_bytes: int = 100) -> float:
+    """Measure how many messages a bag takes in a second of processor time; at least 150,000 are required.
+
+    Parameters
+    ----------
+    count : int
+        Number of messages.
+    size_bytes : int
+        Size of a message [bytes].
+    """
+    with tempfile.TemporaryDirectory() as directory, BagWriter(Path(directory) / "a.mcap") as bag:
+        channel = bag.topic("/header", "std_msgs/msg/Header")
+        data = bytes(size_bytes)
+        began = time.process_time()
+        for k in range(count):
+            bag.write(channel, data, k, k)
+        return count / (time.process_time() - began)
 
 
 def many(drivers: int) -> float:
@@ -144,7 +169,7 @@ def many(drivers: int) -> float:
     measured = simulate(simulator, ring.duration_s, stop_at_collision=False).measured
     began = time.perf_counter()
     with workers(drivers) as work:
-        each_for_himself(measured, "causal", ESTIMATED, work=work)
+        each_driver(measured, Settings(), work=work)
     return time.perf_counter() - began
 
 

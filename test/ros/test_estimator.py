@@ -15,12 +15,13 @@ from sugiyama_msgs.msg import Road as RoadMessage
 from sugiyama_ros.driver.parameters import NAMES, PARAMETERS, population
 from sugiyama_ros.effects.registry import whole
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.filters.causal import chain_behind
-from sugiyama_ros.filters.online import Learnt, OnlineFilter
+from sugiyama_ros.filters.extract import chain_behind
+from sugiyama_ros.filters.learnt import Learnt
+from sugiyama_ros.filters.online import OnlineFilter
 from sugiyama_ros.fit.driver_types import DriverTypes
 from sugiyama_ros.fit.model_file import write_drivers
-from sugiyama_ros.formats import read_trajectories
-from sugiyama_ros.nodes.base import cdr_messages as wire
+from sugiyama_ros.formats.registry import read_trajectories
+from sugiyama_ros.nodes.base import cdr_messages
 from sugiyama_ros.nodes.base.node import ERROR, OK, WARN
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.estimator import Estimator
@@ -54,7 +55,7 @@ class Road(Node):
         """A sample; 7 follows 8, 8 follows 9, 9 follows 7."""
         leader = {7: 8, 8: 9, 9: 7}
         message = MeasuredPositions(step=self.step, vehicle=list(position_m), leader=[leader[v] for v in position_m])
-        message.header.stamp = wire.time_message(round(time_s * wire.NS))
+        message.header.stamp = cdr_messages.time_message(round(time_s * cdr_messages.NS))
         message.position_m, message.length_m = list(position_m.values()), [4.5] * len(position_m)
         self.to_measured.publish(message)
         self.step += 1
@@ -98,7 +99,7 @@ def test_it_says_what_the_filter_says(stage, ring_csv: Path) -> None:
     to_measured = road.create_publisher(MeasuredPositions, "measured", STREAM)
     for k in range(50):
         message = MeasuredPositions(step=k, vehicle=[0, 1, 2, 3], leader=[1, 2, 3, 0], length_m=[4.5] * 4)
-        message.header.stamp = wire.time_message(round(k * trajectories.period_s * wire.NS))
+        message.header.stamp = cdr_messages.time_message(round(k * trajectories.period_s * cdr_messages.NS))
         message.position_m = trajectories.position_m[k].tolist()
         to_measured.publish(message)
     stage.until(lambda: len(states) == len(innovations) == 50)
@@ -173,14 +174,14 @@ def test_a_position_that_is_no_number_is_missing(stage, pair, wrong: float) -> N
 
 
 def test_a_leader_who_stands_comes_and_goes(stage, pair) -> None:
-    """8 stands for a minute while 7 comes up to him, then is gone, then is there again."""
+    """8 stands for a minute while 7 closes up, then is gone, then is there again."""
     road, estimator = pair
     for k in range(160):
         leader = {} if 120 <= k < 140 else {8: 30.0}
         road.send(k * PERIOD_S, {7: min(5.0 * k * PERIOD_S, 24.0), **leader})
         stage.until(lambda k=k: len(road.states) == k + 1)
     assert estimator.health().level == OK
-    # alone, he would be off with 4 m/s^2 at once
+    # alone, 7 would accelerate with 4 m/s^2 at once
     assert max(abs(i.innovation_m) for i in road.innovations[60:120]) < 0.3
     assert max(abs(i.innovation_m) for i in road.innovations[120:]) < 2.0
     assert all(abs(s.speed) < 4.0 * s.covariance[4] ** 0.5 for s in (*road.states[60:120], *road.states[150:]))
@@ -267,7 +268,7 @@ def test_it_tells_the_type_of_the_driver(stage, ring_csv: Path, tmp_path: Path) 
     road.drive(0, 21)
     stage.until(lambda: len(told) == 11)
     assert told[0].probability == pytest.approx([0.75, 0.25])
-    learnt, prior = estimator._filter.learnt, estimator._filter.prior
+    learnt, prior = estimator.filter.learnt, estimator.filter.prior
     assert told[-1].probability == pytest.approx(types.probabilities(learnt, prior))
     assert (told[-1].header.stamp.sec, told[-1].vehicle) == (10, 7)
 
@@ -293,7 +294,7 @@ def test_what_was_learnt_is_forgotten_when_the_user_sets_a_parameter(stage, tmp_
 
 
 def test_a_node_that_was_killed_goes_on_where_it_was(stage, tmp_path: Path) -> None:
-    """Killed after 30 s, it had kept what it knew at 20 s; 10 s later it knows what one knows that was never killed."""
+    """Killed after 30 s, with a file of 20 s; 10 s later it knows as much as an estimator that was never killed."""
     noise = np.random.default_rng(1).normal(0.0, 0.26, (80, 2))
     position = (np.array([0.0, 30.0]) + 5.0 * PERIOD_S * np.arange(80)[:, None] + noise) % 100.0
     road, kept = Road(), [Parameter("save_state", value=str(tmp_path))]
@@ -302,7 +303,7 @@ def test_a_node_that_was_killed_goes_on_where_it_was(stage, tmp_path: Path) -> N
     def drive(estimator: Estimator, begin: int, end: int) -> None:
         for k in range(begin, end):
             road.send(k * PERIOD_S, dict(zip((7, 8), position[k].tolist(), strict=True)))
-        stage.until(lambda: estimator._stamp_ns == round((end - 1) * PERIOD_S * wire.NS))
+        stage.until(lambda: estimator.stamp_ns == round((end - 1) * PERIOD_S * cdr_messages.NS))
 
     stage.add(road, first)
     stage.until(lambda: first.health().level == OK)
@@ -311,22 +312,22 @@ def test_a_node_that_was_killed_goes_on_where_it_was(stage, tmp_path: Path) -> N
     saved = read_learnt(file_of(tmp_path, 7))
     stage.kill(first)
     again = Estimator(namespace="/vehicle_07", parameter_overrides=[Parameter("resume", value=str(tmp_path))])
-    assert again._kept.learnt.mean.tolist() == saved.learnt.mean.tolist()
-    assert saved.until_ns == 20 * wire.NS
+    assert again.kept.learnt.mean.tolist() == saved.learnt.mean.tolist()
+    assert saved.until_ns == 20 * cdr_messages.NS
     stage.add(again)
-    # the road is latched, and so are its last samples: the node learns from those that the one before had not kept
+    # the road and the last samples are latched, so the node learns from the samples after its predecessor's last file
     stage.until(lambda: again.health().level == OK)
     drive(again, 60, 80)
     never = OnlineFilter(PERIOD_S, RingRoad(100.0))
     for k in range(80):
         never.step([*position[k], nan], [7, 8, 9], [4.5, 4.5, 0.0], k * PERIOD_S)
     assert values(again)["samples"] == 80
-    off = again._filter.learnt.mean - never.learnt.mean
+    off = again.filter.learnt.mean - never.learnt.mean
     assert np.all(np.abs(off) < np.sqrt(np.diag(never.learnt.covariance)))
 
 
 def test_a_node_that_was_killed_goes_on_from_what_the_keeper_has_heard(stage) -> None:
-    """Killed after 30 s; 10 s later its successor knows what one knows that was never killed."""
+    """Killed after 30 s; 10 s later its successor knows as much as an estimator that was never killed."""
     noise = np.random.default_rng(1).normal(0.0, 0.26, (80, 2))
     position = (np.array([0.0, 30.0]) + 5.0 * PERIOD_S * np.arange(80)[:, None] + noise) % 100.0
     road, keeper = Road(), Keeper()
@@ -337,7 +338,7 @@ def test_a_node_that_was_killed_goes_on_from_what_the_keeper_has_heard(stage) ->
     def drive(estimator: Estimator, begin: int, end: int) -> None:
         for k in range(begin, end):
             road.send(k * PERIOD_S, dict(zip((7, 8), position[k].tolist(), strict=True)))
-        stage.until(lambda: estimator._stamp_ns == round((end - 1) * PERIOD_S * wire.NS))
+        stage.until(lambda: estimator.stamp_ns == round((end - 1) * PERIOD_S * cdr_messages.NS))
 
     stage.add(road, keeper, first)
     stage.until(lambda: first.health().level == OK and dict(keeper.health().values)["drivers"] == 1)
@@ -348,11 +349,11 @@ def test_a_node_that_was_killed_goes_on_from_what_the_keeper_has_heard(stage) ->
     again = Estimator(namespace="/vehicle_07", parameter_overrides=[Parameter("ask_keeper", value=True)])
     stage.add(again)
     drive(again, 60, 80)
-    assert again._kept.until_ns == 29 * wire.NS
+    assert again.kept.until_ns == 29 * cdr_messages.NS
     never = OnlineFilter(PERIOD_S, RingRoad(100.0))
     for k in range(80):
         never.step([*position[k], nan], [7, 8, 9], [4.5, 4.5, 0.0], k * PERIOD_S)
-    off = again._filter.learnt.mean - never.learnt.mean
+    off = again.filter.learnt.mean - never.learnt.mean
     assert np.all(np.abs(off) < np.sqrt(np.diag(never.learnt.covariance)))
 
 

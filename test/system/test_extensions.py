@@ -1,6 +1,6 @@
 """Another package adds a law, an effect of each stage, a file format and a study, and every command knows them.
 
-All commands run in one process, because its compiled code is of its own: the row of a driver is longer with more effects.
+All commands run in one process, which compiles its own code: a driver's row is longer with more effects.
 """
 
 import json
@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-MODULE = '''
+MODULE = """
 from pathlib import Path
 
 import numpy as np
@@ -102,7 +102,7 @@ def read(path, ring_m=None):
 
 FORMAT = Format("grid", (".grid",), lambda head, path: head.startswith(b"grid"), read, "a table of positions")
 STUDY = Study("made_up", "What is one and one?", "says nothing", lambda asked: Answer(({"sum": 2},), lambda axes: None))
-'''
+"""
 ENTRIES = """
 [sugiyama_ros.effects]
 nearsighted = mine:NEARSIGHTED
@@ -151,7 +151,9 @@ def answers(tmp_path_factory):
     base = ["--vehicles", "4", "--ring", "45", "--duration", "40", "--seed", "1", "--json"]
     effects = [argument for name in STAGES for argument in ("--effect", f"{name}:k=0.05")]
     commands = {
-        **{f"simulate {name}": ["simulate", "-o", f"{name}.csv", *base, "--effect", f"{name}:k=0.3"] for name in STAGES},
+        **{
+            f"simulate {name}": ["simulate", "-o", f"{name}.csv", *base, "--effect", f"{name}:k=0.3"] for name in STAGES
+        },
         "simulate": ["simulate", "-o", "base.csv", *base],
         "simulate all": ["simulate", "-o", "all.csv", *base, *effects],
         "broken": ["simulate", "-o", "broken.csv", *base, "--effect", "broken:k=1"],

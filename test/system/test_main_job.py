@@ -14,10 +14,10 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from sugiyama_ros.filters.causal import chain_behind
+from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.online import OnlineFilter
-from sugiyama_ros.formats import read_trajectories
 from sugiyama_ros.formats.mcap_reader import Bag
+from sugiyama_ros.formats.registry import read_trajectories
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
 SUGIYAMA = [sys.executable, "-m", "sugiyama_ros.cli"]
@@ -75,7 +75,7 @@ def test_other_readers_read_every_message(recorded):
         assert summary is not None
         assert summary.statistics is not None
         assert summary.statistics.message_count == sum(counts.values()) == result["messages_recorded"]
-    # nothing is published where nobody changes his style
+    # nothing is published while no driver changes style
     assert {topic for topic in counts if not topic.endswith("/style_change")} == all_topics()
     store = get_typestore(Stores.EMPTY)
     with AnyReader([output], default_typestore=store) as bag:

@@ -6,7 +6,9 @@ import pytest
 from sugiyama_ros.driver.parameters import RHO, SIGMA_A, SIGMA_NU, SIGMA_V, SIGMA_X, V_STAR, defaults
 from sugiyama_ros.driver.utility import ACTIONS, mean_action
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.filters.causal import CHAIN, MOVING, STATE, linearise, scene_at, workspace_for
+from sugiyama_ros.filters.chain import CHAIN
+from sugiyama_ros.filters.linearisation import linearise
+from sugiyama_ros.filters.state import MOVING, STATE, scene_at, workspace_for
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, evenly, platoon, simulate
 

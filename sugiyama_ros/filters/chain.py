@@ -1,0 +1,114 @@
+"""A driver and the vehicles ahead: what is measured of them, which parameters they have, and what is adapted."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.driver.parameters import NAMES, OMEGA_2, UTILITY, at_period, population
+from sugiyama_ros.effects.registry import EFFECTS, ROW
+from sugiyama_ros.errors import InputError
+
+#: Vehicles in a chain: own, leader and the leader's leader.
+CHAIN = 3
+_WANDERING = tuple(e for e in EFFECTS.values() if e.wanders)
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """What is measured of one driver and of the vehicles ahead, M in all, own first.
+
+    position_m: (T, M), NaN where missing; identity: (T, M) number of the vehicle, -1 for none; length_m: (T, M);
+    rear: (T, 3) filtered position [m] and speed [m/s], and length [m], of the vehicle behind, NaN where there is none;
+    start_s: time [s] of the first sample; circumference_m: length of the ring, 0 for an open road.
+    """
+
+    position_m: Array
+    identity: Ints
+    length_m: Array
+    rear: Array
+    period_s: float
+    start_s: float
+    circumference_m: float
+
+
+@dataclass(frozen=True)
+class Adaptation:
+    """Which parameters of the utility are adapted online.
+
+    names: of the parameters; prior_std: of their logarithms; relaxation_s: time [s] in which they return to the prior,
+    infinite for drivers who never change. Raises InputError for a parameter that cannot be adapted.
+    """
+
+    names: tuple[str, ...] = ()
+    prior_std: tuple[float, ...] = ()
+    relaxation_s: float = math.inf
+
+    def __post_init__(self) -> None:
+        # omega_2 is negative, so it has no logarithm
+        adaptable = [NAMES[k] for k in UTILITY if k != OMEGA_2]
+        if len(self.names) != len(self.prior_std):
+            raise InputError(f"adapt: {len(self.names)} names and {len(self.prior_std)} prior stds; give one each")
+        for name in self.names:
+            if name not in adaptable:
+                raise InputError(f"adapt: {name!r} cannot be adapted online; choose among {', '.join(adaptable)}")
+
+    @property
+    def arrays(self) -> tuple[Ints, Array]:
+        """Places in UTILITY and prior variances of the logarithms, (A,) each."""
+        places = np.array([UTILITY.index(NAMES.index(name)) for name in self.names], dtype=np.int64)
+        return places, np.array(self.prior_std, dtype=np.float64) ** 2
+
+
+#: Nothing is adapted.
+NOT_ADAPTED = Adaptation()
+
+
+def adaptation_of(parameters: Array, given: Adaptation = NOT_ADAPTED) -> Adaptation:
+    """Return how a driver's preferences are adapted.
+
+    Parameters
+    ----------
+    parameters
+        The driver's parameters, (P,), or their row with effects, (WIDTH,).
+    given
+        What holds unless an effect of the row makes preferences wander.
+
+    Returns
+    -------
+    Adaptation
+        The parameters that wander, with the std and the time constant of the effect if one is on, else ``given``.
+    """
+    if len(parameters) == ROW.width:
+        for effect in _WANDERING:
+            std, relaxation_s = parameters[ROW.places[effect.name]][:2].tolist()
+            if std != 0.0:
+                return Adaptation(effect.wanders, (std,) * len(effect.wanders), relaxation_s)
+    return given
+
+
+def chain_parameters(own: Array, ahead: Array | None, vehicles: int, period_s: float) -> Array:
+    """Return the rows of all drivers of a chain.
+
+    Parameters
+    ----------
+    own
+        Parameters of the driver at the reference period, (P,) or (WIDTH,).
+    ahead
+        Parameters of the drivers ahead, the same for all of them or one row each, (M - 1, P) or (M - 1, WIDTH); the
+        mean of the population if left out.
+    vehicles
+        Number M of vehicles.
+    period_s
+        Time between two samples [s].
+
+    Returns
+    -------
+    Array
+        Rows at ``period_s``, (M, WIDTH).
+    """
+    rows = np.empty((vehicles, ROW.width))
+    rows[1:] = ROW.with_effects(population() if ahead is None else ahead)
+    rows[0] = ROW.with_effects(own)
+    return at_period(rows, period_s)

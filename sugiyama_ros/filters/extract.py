@@ -1,0 +1,81 @@
+"""Chains of vehicles out of trajectories."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.driver.parameters import population
+from sugiyama_ros.filters.causal import filter_chain
+from sugiyama_ros.filters.chain import CHAIN, Chain
+from sugiyama_ros.trajectories.trajectories import Trajectories
+
+
+def chain_behind(trajectories: Trajectories, driver: int, vehicles: int = CHAIN, segment: Ints | None = None) -> Chain:
+    """Return the chain that starts with a driver and looks ahead.
+
+    Parameters
+    ----------
+    trajectories
+        Of all vehicles, T samples.
+    driver
+        Column of the driver.
+    vehicles
+        Number M of vehicles in the chain.
+    segment
+        Number of the segment that each sample belongs to, (T,). Vehicles of different segments count as different ones.
+
+    Returns
+    -------
+    Chain
+        T samples of M vehicles, with the filtered vehicle behind.
+    """
+    samples = np.arange(len(trajectories.position_m))
+    column = np.where(trajectories.present[:, driver], driver, -1)
+    columns = [column]
+    for _ in range(vehicles - 1):
+        column = np.where(column >= 0, trajectories.leader[samples, column], -1)
+        # on a ring with few vehicles the chain ends before it bites its own tail
+        column = np.where(np.any([column == before for before in columns], axis=0), -1, column)
+        columns.append(column)
+    chain = _of_columns(trajectories, np.stack(columns, axis=1), segment)
+    follows = (trajectories.leader == driver) & trajectories.present
+    behind = np.where(follows.any(axis=1), follows.argmax(axis=1), -1)
+    return replace(chain, rear=track(_of_columns(trajectories, behind[:, None], segment)))
+
+
+def _of_columns(trajectories: Trajectories, columns: Ints, segment: Ints | None) -> Chain:
+    """Return the chain of the vehicles in ``columns`` (T, M), -1 for none, with nobody behind."""
+    samples = np.arange(len(columns))
+    there = columns >= 0
+    identity = trajectories.vehicle[columns]
+    if segment is not None:
+        identity = identity + (int(trajectories.vehicle.max()) + 1) * segment[:, None]
+    return Chain(
+        position_m=np.where(there, trajectories.position_m[samples[:, None], columns], np.nan),
+        identity=np.where(there, identity, -1),
+        length_m=np.where(there, trajectories.length_m[columns], 0.0),
+        rear=np.full((len(columns), 3), np.nan),
+        period_s=trajectories.period_s,
+        start_s=trajectories.start_s,
+        circumference_m=trajectories.road.circumference_m,
+    )
+
+
+def track(alone: Chain) -> Array:
+    """Return the filtered track of a single vehicle, which moves with an AR(1) acceleration.
+
+    Parameters
+    ----------
+    alone
+        A chain of one vehicle.
+
+    Returns
+    -------
+    Array
+        Position [m], speed [m/s] and length [m], (T, 3); NaN where the vehicle is not known.
+    """
+    filtered = filter_chain(alone, population())
+    tracked = np.column_stack([filtered.mean[:, :2], alone.length_m[:, 0]])
+    tracked[~np.isfinite(filtered.innovation_var)] = np.nan
+    return tracked

@@ -1,0 +1,90 @@
+"""The measurement of a vehicle's position: its offset, its noise, and how much an innovation counts."""
+
+import math
+
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.driver.parameters import SIGMA_NU
+from sugiyama_ros.effects.sensing import displacement, is_contaminated, noise_std_factor, weigh
+from sugiyama_ros.jit import kernel
+
+
+@kernel(allocates=False)
+def measurement(position: float, parameters: Array, circumference_m: float) -> tuple[float, float]:
+    """Return what a measured position is expected to have beyond the true position, and its slope.
+
+    Parameters
+    ----------
+    position
+        True position [m].
+    parameters
+        The driver's row, (WIDTH,).
+    circumference_m
+        Length of the ring [m], 0 for an open road.
+
+    Returns
+    -------
+    offset
+        Measured position less the true one, without noise [m].
+    slope
+        Derivative of the measured position by the true one: the entry of H.
+    """
+    offset, slope = displacement(position, circumference_m, parameters)
+    return offset, 1.0 + slope
+
+
+@kernel(allocates=False)
+def noise_var_at(position: float, parameters: Array, circumference_m: float) -> float:
+    """Return the variance of the measurement noise [m^2] at a position [m]; arguments as for ``measurement``."""
+    variance: float = parameters[SIGMA_NU] ** 2
+    return variance * noise_std_factor(position, circumference_m, parameters) ** 2
+
+
+@kernel(allocates=False)
+def robust(y: float, variance: float, parameters: Array) -> tuple[float, float, float]:
+    """Return how much an innovation counts, and its log-likelihood.
+
+    Without outliers both weights are 1 / S. With outliers the update is a mixture of two updates; the weights make its
+    mean and its covariance.
+
+    Parameters
+    ----------
+    y
+        Innovation [m].
+    variance
+        Its variance S [m^2].
+    parameters
+        The driver's row, (WIDTH,).
+
+    Returns
+    -------
+    step
+        Factor of P H' y in what is added to the mean [1/m^2].
+    shrink
+        Factor of P H' H P in what is taken off P [1/m^2].
+    log_likelihood
+        Without the term of 2 pi.
+    """
+    if not is_contaminated(parameters):
+        return 1.0 / variance, 1.0 / variance, -0.5 * (math.log(variance) + y * y / variance)
+    bad, wide, density = weigh(y, variance, parameters[SIGMA_NU] ** 2, parameters)
+    gain = (1.0 - bad) / variance + bad / wide
+    between = (1.0 - bad) / variance**2 + bad / wide**2 - gain * gain
+    return gain, gain - y * y * between, density
+
+
+@kernel
+def weigh_samples(y: Array, variance: Array, parameters: Array, weight: Array, density: Array) -> None:
+    """Fill in how much each of T innovations counts, and its log-likelihood.
+
+    Parameters
+    ----------
+    y, variance
+        Innovations [m] and their variances [m^2], (T,) each.
+    parameters
+        The driver's row, (WIDTH,).
+    weight, density
+        Filled, (T,) each: the weight, which is 1 without outliers, and the log-likelihood.
+    """
+    for t in range(len(y)):
+        gain, _, density[t] = robust(y[t], variance[t], parameters)
+        weight[t] = gain * variance[t]

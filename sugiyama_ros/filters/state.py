@@ -1,0 +1,154 @@
+"""What the causal filter works on: the chain's state, its drivers, the scene, and the arrays that a step fills.
+
+All of these are named tuples, so that compiled code and Python share them.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.driver.parameters import REFERENCE_HORIZON, UTILITY, horizon_at
+from sugiyama_ros.driver.utility import scratch_for
+from sugiyama_ros.jit import kernel
+
+#: Acceleration of the last vehicle of a chain: correlation over the reference period and std [m/s^2] of its shock.
+LAST_RHO, LAST_SHOCK_STD = 0.9, 0.7
+#: A vehicle is known by nothing, by one position, or by position and speed.
+UNKNOWN, POSITION, MOVING = 0, 1, 2
+#: Entries of the state for each vehicle: position, speed, noise, held acceleration.
+STATE = 4
+
+
+class Scene(NamedTuple):
+    """What the filter of a chain needs besides the state and the drivers; ``scene_at`` makes it.
+
+    period_s: time [s] between two samples; horizon: periods of look-ahead; circumference_m: of the ring, 0 for an open
+    road; last_rho, last_shock_std: of the last vehicle's acceleration; memory: correlation of adapted parameters over
+    one period.
+    """
+
+    period_s: float
+    horizon: int
+    circumference_m: float
+    last_rho: float
+    last_shock_std: float
+    memory: float
+
+
+def scene_at(period_s: float, circumference_m: float, relaxation_s: float = math.inf) -> Scene:
+    """Return the scene for a period between samples.
+
+    Parameters
+    ----------
+    period_s
+        Time between two samples [s].
+    circumference_m
+        Length of the ring [m], 0 for an open road.
+    relaxation_s
+        Time in which adapted parameters return to their prior [s].
+
+    Returns
+    -------
+    Scene
+        The last vehicle's acceleration has the same correlation in time at every period.
+    """
+    rho = LAST_RHO ** (REFERENCE_HORIZON / horizon_at(period_s))
+    shock = LAST_SHOCK_STD * math.sqrt((1.0 - rho * rho) / (1.0 - LAST_RHO**2))
+    return Scene(period_s, horizon_at(period_s), circumference_m, rho, shock, math.exp(-period_s / relaxation_s))
+
+
+class State(NamedTuple):
+    """What is known of a chain of M vehicles with A adapted parameters, as a normal distribution.
+
+    mean: (4 M + A,), four entries for each vehicle, then the logarithms of the adapted parameters; covariance:
+    (4 M + A, 4 M + A); known: (M,), each UNKNOWN, POSITION or MOVING.
+    """
+
+    mean: Array
+    covariance: Array
+    known: Ints
+
+
+class Drivers(NamedTuple):
+    """The drivers of a chain, and which parameters of the own driver are adapted.
+
+    parameters: (M, WIDTH) at the period of the samples, row 0 with the present values of the adapted ones; adapted:
+    (A,) places in ``UTILITY``; prior_mean, prior_var: (A,) of the logarithms of the adapted parameters.
+    """
+
+    parameters: Array
+    adapted: Ints
+    prior_mean: Array
+    prior_var: Array
+
+
+@kernel
+def drivers_at(parameters: Array, adapted: Ints, prior_var: Array) -> Drivers:
+    """Return drivers whose adapted parameters have their present values as the prior mean; arrays as in ``Drivers``."""
+    prior_mean = np.empty(len(adapted))
+    for k in range(len(adapted)):
+        prior_mean[k] = math.log(parameters[0, UTILITY[adapted[k]]])
+    return Drivers(parameters.copy(), adapted, prior_mean, prior_var)
+
+
+class Moment(NamedTuple):
+    """What changes from sample to sample besides the state.
+
+    length: (M,) of the vehicles [m]; rear: (3,) position [m], speed [m/s] and length [m] of the vehicle behind, NaN
+    where there is none; time_s: time of the recording [s].
+    """
+
+    length: Array
+    rear: Array
+    time_s: float
+
+
+class Linearised(NamedTuple):
+    """One period of the model, linearised; arrays that ``linearise`` overwrites.
+
+    next_mean: (4 M + A,); jacobian: F, (4 M + A, 4 M + A); noise: the process noise Q, (4 M + A, 4 M + A).
+    """
+
+    next_mean: Array
+    jacobian: Array
+    noise: Array
+
+
+class Workspace(NamedTuple):
+    """Arrays in which expected actions are worked out; ``workspace_for`` makes them.
+
+    scratch: of ``scratch_for`` the drivers' actions; places: (2, 5 + A), what an action depends on; root:
+    (9 + A, 5 + A), root of its covariance, and rows below; slope, held_slope: (4 M + A,), regressions of the action and
+    of the held acceleration on the state.
+    """
+
+    scratch: Array
+    places: Ints
+    root: Array
+    slope: Array
+    held_slope: Array
+
+
+@kernel
+def workspace_for(actions: Array, vehicles: int, adapted: int) -> Workspace:
+    """Return the workspace of a chain.
+
+    Parameters
+    ----------
+    actions
+        Accelerations that the drivers consider [m/s^2], (K,).
+    vehicles
+        Number M of vehicles in the chain.
+    adapted
+        Number A of adapted parameters.
+
+    Returns
+    -------
+    Workspace
+        May be used for one step after the other.
+    """
+    size, most = STATE * vehicles + adapted, 5 + adapted
+    places, root = np.empty((2, most), np.int64), np.empty((4 + most, most))
+    return Workspace(scratch_for(actions), places, root, np.empty(size), np.empty(size))

@@ -1,0 +1,75 @@
+"""How a vehicle enters the state of a chain, and how it leaves the state."""
+
+import math
+
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.driver.parameters import RHO, SIGMA_A
+from sugiyama_ros.effects.control import remembers
+from sugiyama_ros.filters.measurement import measurement, noise_var_at
+from sugiyama_ros.filters.state import MOVING, POSITION, STATE, UNKNOWN, Scene, State
+from sugiyama_ros.jit import kernel
+
+# Acceleration [m/s^2] for which a speed from two positions allows.
+_START_ACCELERATION_STD = 1.0
+
+
+@kernel
+def forget_vehicle(m: int, state: State) -> None:
+    """Make vehicle m of a chain UNKNOWN, uncorrelated with everything else."""
+    state.known[m] = UNKNOWN
+    for k in range(STATE * m, STATE * (m + 1)):
+        state.mean[k] = 0.0
+        state.covariance[k, :] = 0.0
+        state.covariance[:, k] = 0.0
+
+
+@kernel
+def start_vehicle(m: int, measured: float, elapsed: float, state: State, parameters: Array, scene: Scene) -> None:
+    """Take in a sample of a vehicle that is not MOVING yet: the first gives its position, the second its speed.
+
+    Parameters
+    ----------
+    m
+        Number of the vehicle in the chain.
+    measured
+        Its measured position [m].
+    elapsed
+        Time since the first sample [s].
+    state
+        Changed in place.
+    parameters
+        Rows of all drivers at the period of the samples, (M, WIDTH).
+    scene
+        Period and road.
+
+    References
+    ----------
+    Two-point initialisation: Y. Bar-Shalom, X. R. Li and T. Kirubarajan, Estimation with Applications to Tracking and
+    Navigation (2001), section 5.5.3.
+    """
+    mean, covariance, known = state.mean, state.covariance, state.known
+    x, v, n, b = STATE * m, STATE * m + 1, STATE * m + 2, STATE * m + 3
+    circumference = scene.circumference_m
+    measured -= measurement(measured, parameters[m], circumference)[0]
+    if known[m] == UNKNOWN:
+        known[m] = POSITION
+        mean[x] = measured
+        if m > 0 and known[m - 1] != UNKNOWN and circumference > 0.0:
+            headway = measured - mean[x - STATE]
+            mean[x] = mean[x - STATE] + headway - circumference * math.floor(headway / circumference)
+        return
+    known[m] = MOVING
+    way = measured - mean[x]
+    if circumference > 0.0:
+        way -= circumference * round(way / circumference)
+    mean[x] += way
+    mean[v] = way / elapsed
+    noise_var = noise_var_at(mean[x], parameters[m], circumference)
+    covariance[x, x] = noise_var
+    covariance[x, v] = covariance[v, x] = noise_var / elapsed
+    covariance[v, v] = 2.0 * noise_var / elapsed**2 + (elapsed * _START_ACCELERATION_STD) ** 2
+    if m < len(known) - 1:
+        covariance[n, n] = parameters[m, SIGMA_A] ** 2 / (1.0 - parameters[m, RHO] ** 2)
+        covariance[b, b] = _START_ACCELERATION_STD**2 if remembers(parameters[m]) else 0.0
+    else:
+        covariance[n, n] = scene.last_shock_std**2 / (1.0 - scene.last_rho**2)

@@ -1,0 +1,154 @@
+"""What all results can do in a notebook: become a data frame, a picture, a page of HTML, or a file."""
+
+import html
+import json
+import math
+from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sugiyama_ros.errors import InputError, OutputError
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
+
+
+class Result:
+    """A result that can show itself.
+
+    A result says in one line what it is (`headline`), lists its figures (`records`) and draws its picture (`draw`).
+    Everything else follows from these.
+    """
+
+    def headline(self) -> str:
+        """Say in one line what the result is."""
+        raise NotImplementedError
+
+    def records(self) -> Sequence[Mapping[str, Any]]:
+        """List the figures: one mapping of column names to values for each row."""
+        raise NotImplementedError
+
+    def draw(self, figure: "Figure") -> None:
+        """Draw the picture into an empty figure of matplotlib."""
+        raise NotImplementedError
+
+    def to_frame(self) -> "pandas.DataFrame":
+        """Return the figures as a data frame.
+
+        Returns
+        -------
+        pandas.DataFrame
+            One row for each record.
+
+        Raises
+        ------
+        InputError
+            If pandas is not installed.
+        """
+        needs("pandas", "to_frame()", "notebook")
+        import pandas
+
+        return pandas.DataFrame.from_records(list(self.records()))
+
+    def plot(self) -> "Figure":
+        """Draw the picture.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            The figure, which a notebook shows.
+
+        Raises
+        ------
+        InputError
+            If matplotlib is not installed.
+        """
+        needs("matplotlib", "plot()", "notebook")
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=(9.0, 5.0), layout="constrained")
+        self.draw(figure)
+        return figure
+
+    def save(self, path: str | Path) -> None:
+        """Write the result to a file.
+
+        Parameters
+        ----------
+        path : str or Path
+            File to write; the suffix says how: ``.json`` and ``.csv`` for the figures, ``.png`` and ``.pdf`` for the
+            picture.
+
+        Raises
+        ------
+        InputError
+            For another suffix, or a library that is not installed.
+        OutputError
+            If the file cannot be written.
+        """
+        path = Path(path)
+        writers = {".json": self._save_json, ".csv": self._save_csv, ".png": self._save_plot, ".pdf": self._save_plot}
+        if path.suffix not in writers:
+            raise InputError(f"{path}: cannot be written as {path.suffix!r}; give a name in {', '.join(writers)}")
+        try:
+            writers[path.suffix](path)
+        except OSError as error:
+            raise OutputError(f"{path}: cannot be written: {error.strerror}; choose another place") from None
+
+    def _save_json(self, path: Path) -> None:
+        path.write_text(json.dumps(plain(list(self.records())), indent=2, allow_nan=False) + "\n")
+
+    def _save_csv(self, path: Path) -> None:
+        self.to_frame().to_csv(path, index=False)
+
+    def _save_plot(self, path: Path) -> None:
+        self.plot().savefig(path, dpi=150)
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {self.headline()}>"
+
+    def _repr_html_(self) -> str:
+        """Show the headline and the first rows in a notebook."""
+        rows = list(self.records())
+        lines = [f"<p><b>{type(self).__name__}</b>: {html.escape(self.headline())}</p>"]
+        if rows:
+            names = list(dict.fromkeys(name for row in rows[:_SHOWN] for name in row))
+            lines.append("<table><thead><tr>" + "".join(f"<th>{html.escape(n)}</th>" for n in names) + "</tr></thead>")
+            for row in rows[:_SHOWN]:
+                lines.append("<tr>" + "".join(f"<td>{html.escape(_cell(row.get(n)))}</td>" for n in names) + "</tr>")
+            lines.append("</table>")
+        if len(rows) > _SHOWN:
+            lines.append(f"<p>{len(rows)} rows in all; to_frame() has them.</p>")
+        return "".join(lines)
+
+
+# Rows of a table in a notebook, at most.
+_SHOWN = 25
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return ""
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def needs(module: str, what: str, extra: str) -> None:
+    """Check that an optional library is there. Raises InputError, which says how to install it."""
+    if find_spec(module) is None:
+        raise InputError(f"{what}: {module} is not installed; pip install 'sugiyama_ros[{extra}]'")
+
+
+def plain(value: Any) -> Any:
+    """Convert a value to types that JSON knows: no NaN, no infinity, no numpy, no paths."""
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    if isinstance(value, Path):
+        return str(value)
+    if hasattr(value, "item"):
+        # a number of numpy
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value
