@@ -17,8 +17,10 @@ from sugiyama_ros.diagnosis.errors import errors_of
 from sugiyama_ros.diagnosis.rivals import in_filter
 from sugiyama_ros.diagnosis.screen import refine, with_candidate
 from sugiyama_ros.effects.discovered_force import COVARIATES
-from sugiyama_ros.fit.fitting import FOLDS, Fit, Recorded, fit_base, prepare
-from sugiyama_ros.formats import read_trajectories
+from sugiyama_ros.fit.joint import Fit
+from sugiyama_ros.fit.population import fit_base
+from sugiyama_ros.fit.recording import FOLDS, Recorded, prepare
+from sugiyama_ros.formats.registry import read_trajectories
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 _FITTED = 0.6

@@ -2,7 +2,7 @@
 
     ros2 launch sugiyama_ros replay.launch.py source:=FILE output:=FILE.mcap [rate:=1.0] [ring:=230.0]
 
-``rate:=0.0`` is as fast as the nodes take it; ``ring`` is needed only where the file does not tell.
+``rate:=0.0`` is as fast as the nodes take it; ``ring`` is needed only where the file does not say it.
 """
 
 from pathlib import Path
@@ -13,7 +13,9 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchContext, LaunchDescription
-from sugiyama_ros.nodes.plan import Plan
+from sugiyama_ros.formats.registry import known_suffixes
+from sugiyama_ros.nodes.base import environment
+from sugiyama_ros.nodes.plan import Plan, RunSettings
 
 
 def nodes(context: LaunchContext) -> list[Node]:
@@ -23,7 +25,8 @@ def nodes(context: LaunchContext) -> list[Node]:
         return LaunchConfiguration(name).perform(context)
 
     config = Path(given("config"))
-    plan = Plan.read(Path(given("source")), Path(given("output")), float(given("rate")), float(given("ring")) or None)
+    settings = RunSettings(rate=float(given("rate")), ring_m=float(given("ring")) or None)
+    plan = Plan.read(Path(given("source")), Path(given("output")), settings)
     package = "sugiyama_ros"
     return [
         Node(package=package, executable="recorder", parameters=[config / "recorder.yaml", plan.recorder]),
@@ -44,10 +47,11 @@ def nodes(context: LaunchContext) -> list[Node]:
 
 def generate_launch_description() -> LaunchDescription:
     """Arguments and nodes."""
+    environment.find_packages()
     config = Path(get_package_share_directory("sugiyama_ros")) / "config"
     return LaunchDescription(
         [
-            DeclareLaunchArgument("source", description="file of trajectories: .data, .csv or .mcap"),
+            DeclareLaunchArgument("source", description=f"file of trajectories: {known_suffixes()}"),
             DeclareLaunchArgument("output", description="MCAP file to write"),
             DeclareLaunchArgument("rate", default_value="1.0", description="times real time; 0: as fast as possible"),
             DeclareLaunchArgument("ring", default_value="0.0", description="circumference [m]; 0: as the file says"),

@@ -13,6 +13,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchContext, LaunchDescription
+from sugiyama_ros.nodes.base import environment
 from sugiyama_ros.nodes.plan import estimators, namespaces, step_topics
 
 
@@ -51,6 +52,7 @@ def nodes(context: LaunchContext) -> list[Node]:
 
 def generate_launch_description() -> LaunchDescription:
     """Arguments and nodes."""
+    environment.find_packages()
     config = Path(get_package_share_directory("sugiyama_ros")) / "config"
     return LaunchDescription(
         [

@@ -5,8 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from sugiyama_ros.fit.fitting import Model, Recorded, prepare
-from sugiyama_ros.road import Array, Ints
+from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.fit.model import Model
+from sugiyama_ros.fit.recording import Recorded, prepare
 from sugiyama_ros.simulation.simulator import Simulator
 
 

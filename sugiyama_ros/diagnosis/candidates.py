@@ -10,7 +10,9 @@ from sugiyama_ros.driver.parameters import index
 from sugiyama_ros.effects.effect import MEASUREMENT, Recording
 from sugiyama_ros.effects.registry import DECLARED, EFFECTS, PLACES, place
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.fit.fitting import LARGEST_STD, Model, Recorded
+from sugiyama_ros.fit.model import Model
+from sugiyama_ros.fit.population import LARGEST_STD
+from sugiyama_ros.fit.recording import Recorded
 
 Kind = Literal["effect", "measurement", "constants"]
 
@@ -20,7 +22,7 @@ class Candidate:
     """Something that may be added to a model: entries of the rows that are freed, and where their search begins.
 
     starts: values by place; individual: whether each driver has values of his own; strengths: places to whose values
-    what it changes is proportional, to first order.
+    what it changes is proportional, to first order; is_noise: whether it changes no mean motion.
     """
 
     name: str
@@ -30,6 +32,7 @@ class Candidate:
     individual: bool = False
     summary: str = ""
     strengths: tuple[int, ...] = ()
+    is_noise: bool = False
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -37,36 +40,55 @@ class Candidate:
         return tuple(DECLARED[k].name for k in self.places)
 
 
+@dataclass(frozen=True)
+class Constants:
+    """Constants that are freed together; individual: for each driver; is_noise: whether they change no mean motion."""
+
+    name: str
+    parameters: tuple[str, ...]
+    individual: bool = False
+    is_noise: bool = False
+
+
 #: Constants that the paper fixes, freed together where they act together.
 _CONSTANTS = (
-    ("response_constants", ("kappa_c", "kappa_d", "kappa_1"), False),
-    ("noise_constants", ("rho", "sigma_x", "sigma_v"), False),
-    ("rationality", ("rationality",), True),
-    ("risk_constants", ("kappa_c", "kappa_d"), True),
+    Constants("response_constants", ("kappa_c", "kappa_d", "kappa_1")),
+    Constants("noise_constants", ("rho", "sigma_x", "sigma_v"), is_noise=True),
+    Constants("rationality", ("rationality",), individual=True),
+    Constants("risk_constants", ("kappa_c", "kappa_d"), individual=True),
 )
 
 
 def candidates(recording: Recording, drivers: int) -> tuple[Candidate, ...]:
     """All candidates that make sense for a recording."""
     found = [
-        Candidate(name, "constants", tuple(index(p) for p in parameters), ({},), individual, "a constant of the paper")
-        for name, parameters, individual in _CONSTANTS
+        Candidate(
+            name=c.name,
+            kind="constants",
+            places=tuple(index(p) for p in c.parameters),
+            starts=({},),
+            individual=c.individual,
+            summary="a constant of the paper",
+            is_noise=c.is_noise,
+        )
+        for c in _CONSTANTS
     ]
-    for e in EFFECTS:
+    for e in EFFECTS.values():
         starts = e.starts(recording)
-        if not starts or (e.name == "second_leader" and drivers < 3):
+        if not starts or drivers <= e.reach:
             continue
         strengths = tuple(place(e.name, name) for name in e.switches)
         has_signs = not e.individual and all(DECLARED[k].lower < 0.0 for k in strengths)
         found.append(
             Candidate(
-                e.name,
-                "measurement" if e.stage == MEASUREMENT else "effect",
-                tuple(range(PLACES[e.name].start, PLACES[e.name].stop)),
-                tuple({place(e.name, p): v for p, v in values.items()} for values in starts),
-                e.individual,
-                e.summary,
-                strengths if has_signs else (),
+                name=e.name,
+                kind="measurement" if e.stage == MEASUREMENT else "effect",
+                places=tuple(range(PLACES[e.name].start, PLACES[e.name].stop)),
+                starts=tuple({place(e.name, p): v for p, v in values.items()} for values in starts),
+                individual=e.individual,
+                summary=e.summary,
+                strengths=strengths if has_signs else (),
+                is_noise=e.is_noise,
             )
         )
     return tuple(found)

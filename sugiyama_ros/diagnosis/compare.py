@@ -10,23 +10,17 @@ from sugiyama_ros.diagnosis.bootstrap import resample, seeds
 from sugiyama_ros.diagnosis.candidates import named
 from sugiyama_ros.diagnosis.diagnosis import INDIVIDUAL
 from sugiyama_ros.diagnosis.errors import Errors, errors_of
-from sugiyama_ros.diagnosis.free_run import filtered_states
-from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter, laws
+from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter
 from sugiyama_ros.diagnosis.screen import with_candidate
 from sugiyama_ros.filters.extract import chain_behind, track
-from sugiyama_ros.fit.fitting import (
-    FOLDS,
-    Fit,
-    Gain,
-    Model,
-    Recorded,
-    fit,
-    fit_base,
-    gain,
-    prepare,
-    without_folds,
-)
+from sugiyama_ros.fit.cross_validation import Gain, gain, without_folds
+from sugiyama_ros.fit.joint import Fit, fit
+from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.model_file import ModelFile
+from sugiyama_ros.fit.population import fit_base
+from sugiyama_ros.fit.recording import FOLDS, Recorded, prepare
+from sugiyama_ros.fit.score import filtered_states
+from sugiyama_ros.laws.registry import RIVALS
 from sugiyama_ros.simulation.collective import Collective, collective
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
@@ -71,7 +65,7 @@ def compare(
     with ThreadPoolExecutor(workers) as work:
         data = prepare(trajectories)
         chosen = named(data, effects)
-        steps = 2 + sum(1 + has_parameters(law) for law in laws()) + len(effects) + (model is not None)
+        steps = 2 + sum(1 + has_parameters(law) for law in RIVALS) + len(effects) + (model is not None)
         done = 0
 
         def next_step(what: str) -> None:
@@ -103,7 +97,7 @@ def compare(
             rows = model.rows_of(trajectories.vehicle)
             given = Model(rows, (), (), (), rows)
             found.append(judged(f"file: {', '.join(model.effects) or 'base'}", [given] * FOLDS, given))
-        for law in laws():
+        for law in RIVALS:
             next_step(law)
             fitted = in_filter(data, law, work)
             found.append(judged(law, without_folds(data, fitted, work, searched=True), fitted.model))

@@ -8,11 +8,16 @@ from functools import partial
 from sugiyama_ros.diagnosis.discover import Discovery, discover
 from sugiyama_ros.diagnosis.errors import Errors, errors_of
 from sugiyama_ros.diagnosis.locate import Located, locate
-from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter, laws
+from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter
 from sugiyama_ros.diagnosis.screen import Glance
-from sugiyama_ros.diagnosis.search import LEVEL, Looked, Named, OnProgress, Search
+from sugiyama_ros.diagnosis.search import LEVEL, Looked, Named, Search
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR
-from sugiyama_ros.fit.fitting import Fit, Gain, Recorded, fit_base, prepare, without_folds
+from sugiyama_ros.fit.cross_validation import Gain, without_folds
+from sugiyama_ros.fit.joint import Fit
+from sugiyama_ros.fit.population import fit_base
+from sugiyama_ros.fit.recording import Recorded, prepare
+from sugiyama_ros.laws.registry import RIVALS
+from sugiyama_ros.progress import OnStage
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 #: Each driver's own parameters.
@@ -51,7 +56,7 @@ def diagnose(
     verdict_only: bool = False,
     add_forces: bool = False,
     workers: int = 4,
-    on_progress: OnProgress = lambda what, done, total: None,
+    on_progress: OnStage = lambda what, done, total: None,
 ) -> Diagnosis:
     """Find what is missing: at most ``most`` effects, one after the other.
 
@@ -60,12 +65,12 @@ def diagnose(
     Raises InputError for a recording that is too short.
     """
     began = time.monotonic()
-    with ThreadPoolExecutor(workers) as work, ThreadPoolExecutor(len(laws())) as aside:
+    with ThreadPoolExecutor(workers) as work, ThreadPoolExecutor(len(RIVALS)) as aside:
         on_progress("fitting the base model", 0, 1)
         data = prepare(trajectories)
         # beside the search, which cannot always use all workers
         rival = partial(_rival, data, work, quick)
-        others = aside.map(rival, [] if verdict_only else laws())
+        others = aside.map(rival, [] if verdict_only else RIVALS)
         base = fit_base(data, INDIVIDUAL, work)
         search = Search(data, base, quick, seed, work, on_progress)
         before = search.errors

@@ -6,13 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.candidates import Candidate
-from sugiyama_ros.diagnosis.free_run import filtered_states
 from sugiyama_ros.diagnosis.screen import Glance, glance
 from sugiyama_ros.effects.discovered_force import COVARIATES, KNOTS
 from sugiyama_ros.effects.registry import place
-from sugiyama_ros.fit.fitting import Fit, Recorded
-from sugiyama_ros.road import Array
+from sugiyama_ros.fit.joint import Fit
+from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.fit.score import filtered_states
 
 _FIRST = place("discovered_force", "covariate")
 _FORCES = tuple(range(_FIRST + 3, _FIRST + 3 + KNOTS))

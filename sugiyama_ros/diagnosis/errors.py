@@ -6,8 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sugiyama_ros.diagnosis.free_run import HORIZONS_S, FreeRuns, follow, free_runs, rmse
-from sugiyama_ros.fit.fitting import Model, Recorded, Samples, of_folds
+from sugiyama_ros.diagnosis.free_runs import HORIZONS_S, FreeRuns, free_runs, rmse
+from sugiyama_ros.fit.cross_validation import of_folds
+from sugiyama_ros.fit.model import Model
+from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.fit.score import Samples, follow
 
 # Share by which a free run's error may be larger than before without counting as worse: two starts differ by more.
 _TOLERANCE = 0.05
@@ -99,7 +102,7 @@ class Errors:
 
 
 def errors_of(data: Recorded, models: Sequence[Model], work: Executor) -> Errors:
-    """Errors of the models fitted without each fold, from ``fitting.without_folds``."""
+    """Errors of the models fitted without each fold, from ``cross_validation.without_folds``."""
     followed = [follow(data, model, work) for model in models]
     samples = of_folds(data, [samples for samples, _ in followed])
     return Errors(samples, free_runs(data, models, [states for _, states in followed], work))

@@ -11,11 +11,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import norm
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.discover import looked_at
-from sugiyama_ros.diagnosis.free_run import filtered_states
 from sugiyama_ros.driver.parameters import RHO
-from sugiyama_ros.fit.fitting import Model, Recorded, Samples
-from sugiyama_ros.road import Array
+from sugiyama_ros.fit.model import Model
+from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.fit.score import Samples, filtered_states
 
 #: False-discovery rate of the flags.
 RATE = 0.05

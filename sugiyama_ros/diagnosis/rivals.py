@@ -4,19 +4,21 @@ In the causal filter, as the driver model is; and by least squares on the gap of
 he was recorded (Treiber and Kesting, Traffic Flow Dynamics, chapter 17).
 """
 
-from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 
 import numpy as np
 
-from sugiyama_ros.diagnosis.free_run import filtered_states
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import SIGMA_A, SIGMA_NU
 from sugiyama_ros.effects.registry import DECLARED, LAW, LAW_PLACES
-from sugiyama_ros.fit.fitting import FOLDS, Fit, Model, Recorded, fit_base, start_model
+from sugiyama_ros.fit.joint import Fit
 from sugiyama_ros.fit.least_squares import Following, fit_gaps
-from sugiyama_ros.laws.registry import LAWS
-from sugiyama_ros.road import Array
+from sugiyama_ros.fit.model import Model
+from sugiyama_ros.fit.population import fit_base, start_model
+from sugiyama_ros.fit.recording import FOLDS, Recorded
+from sugiyama_ros.fit.score import filtered_states
+from sugiyama_ros.laws.registry import LAWS, number_of
 
 # Samples below which the gaps of a driver are not fitted.
 _FEWEST = 50
@@ -27,7 +29,7 @@ def in_filter(data: Recorded, law: str, work: Executor) -> Fit:
     places = LAW_PLACES[law]
     model = start_model(data.drivers, (SIGMA_NU, SIGMA_A, *range(places.start, places.stop)))
     for rows in (model.rows, model.ahead):
-        rows[:, LAW] = 1 + [one.name for one in LAWS].index(law)
+        rows[:, LAW] = number_of(law)
         rows[:, places] = [DECLARED[k].default for k in range(places.start, places.stop)]
     return fit_base(data, model.individual, work, model)
 
@@ -66,19 +68,15 @@ def _fit_driver(job: tuple[Recorded, str, Array, int, Array]) -> Array:
     # a run starts anew with every block, where one sample is left out
     inside = np.diff(data.block, prepend=-1) == 0
     known = np.isfinite(following.states).all(axis=1) & inside
-    one = next(candidate for candidate in LAWS if candidate.name == law)
     if known.sum() <= _FEWEST:
         return np.tile(start, (FOLDS, 1))
-    everywhere = fit_gaps(one, following, known).parameters
+    everywhere = fit_gaps(LAWS[law], following, known).parameters
     masks = [known & (data.fold != f) for f in range(FOLDS)]
-    return np.array([fit_gaps(one, following, m, everywhere).parameters if m.sum() > _FEWEST else start for m in masks])
-
-
-def laws() -> Sequence[str]:
-    """Names of the rivals."""
-    return [law.name for law in LAWS]
+    return np.array(
+        [fit_gaps(LAWS[law], following, m, everywhere).parameters if m.sum() > _FEWEST else start for m in masks]
+    )
 
 
 def has_parameters(name: str) -> bool:
-    """Whether there is anything to calibrate but noises."""
-    return any(law.name == name and law.parameters for law in LAWS)
+    """Whether a law has anything to calibrate but noises."""
+    return bool(LAWS[name].parameters)

@@ -10,28 +10,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.candidates import Candidate, added
 from sugiyama_ros.effects.registry import DECLARED
+from sugiyama_ros.effects.sensing import is_contaminated
 from sugiyama_ros.filters.measurement import weigh_samples
-from sugiyama_ros.fit.fitting import (
-    FOLDS,
-    OUTLIERS,
-    Fit,
-    Model,
-    Recorded,
-    Samples,
-    Slopes,
-    climb,
-    coordinate,
-    density_slope,
-    difference_steps,
-    evaluate,
-    objective,
-    solve,
-    sums,
-    value,
-)
-from sugiyama_ros.road import Array
+from sugiyama_ros.fit.joint import Fit, climb, objective, solve
+from sugiyama_ros.fit.model import Model, coordinate, value
+from sugiyama_ros.fit.recording import FOLDS, Recorded
+from sugiyama_ros.fit.score import Samples, evaluate
+from sugiyama_ros.fit.slopes import Derivatives, Slopes, density_slope, difference_steps, sums
 
 # Steps of a closer look at most, and the log-likelihood [nats] that one must promise.
 _CLOSER, _PROMISE = 4, 0.4
@@ -202,7 +190,7 @@ def _promise(base: Fit, model: Model, samples: Samples) -> float:
     prior = np.diag(1.0 / np.array(base.model.prior_std) ** 2)
     for i, (s, row) in enumerate(zip(base.slopes, model.rows, strict=True)):
         y, variance, density = samples.of(i)
-        slope = density_slope(y, variance, s.innovation[:own], s.variance[:own], row)
+        slope = density_slope(y, variance, s.derivatives.innovation[:own], s.derivatives.variance[:own], row)
         score = slope[:, np.isfinite(density)].sum(axis=1)
         total += 0.25 * float(score @ np.linalg.solve(s.information.sum(axis=0)[:own, :own] + prior, score))
     return total
@@ -233,24 +221,20 @@ def _joined(
     data: Recorded, base: Fit, model: Model, at: Samples, new: dict[int, list[tuple[Array, Array, Array]]]
 ) -> tuple[Slopes, ...]:
     """Slopes at a model near ``base``: derivatives by its parameters are those that it has, those by others are new."""
-    known = [*base.model.individual, *base.model.shared]
+    known, places = [*base.model.individual, *base.model.shared], (*model.individual, *model.shared)
     joined = []
     for i, (s, row) in enumerate(zip(base.slopes, model.rows, strict=True)):
-        old = (s.innovation, s.variance, s.density)
-        dy, dvar, direct = (
-            np.array(
-                [old[j][known.index(k)] if k in known else new[k][i][j] for k in (*model.individual, *model.shared)]
-            )
-            for j in range(3)
-        )
-        joined.append(sums(at.of(i), (dy, dvar, direct), row, data.fold))
+        rows = [
+            [old[known.index(k)] if k in known else new[k][i][j] for k in places] for j, old in enumerate(s.derivatives)
+        ]
+        joined.append(sums(at.of(i), Derivatives(*map(np.array, rows)), row, data.fold))
     return tuple(joined)
 
 
 def _columns(fitted: Fit) -> dict[int, list[tuple[Array, Array, Array]]]:
     """Derivatives of every driver's samples by each parameter of a fit, as ``_column`` gives them."""
-    places = (*fitted.model.individual, *fitted.model.shared)
-    return {k: [(s.innovation[j], s.variance[j], s.density[j]) for s in fitted.slopes] for j, k in enumerate(places)}
+    places, derivatives = (*fitted.model.individual, *fitted.model.shared), [s.derivatives for s in fitted.slopes]
+    return {k: [(d.innovation[j], d.variance[j], d.density[j]) for d in derivatives] for j, k in enumerate(places)}
 
 
 def _column(data: Recorded, model: Model, at: Samples, place: int, work: Executor) -> list[tuple[Array, Array, Array]]:
@@ -269,7 +253,7 @@ def _differences(at: Samples, there: Samples, step: float, rows: Array) -> list[
         y, variance = at.innovation_m[i], at.innovation_var[i]
         dy, dvar = (there.innovation_m[i] - y) / step, (there.innovation_var[i] - variance) / step
         direct = np.zeros_like(dy)
-        if row[OUTLIERS] > 0.0:
+        if is_contaminated(row):
             direct = (there.log_likelihood[i] - at.log_likelihood[i]) / step
             direct -= density_slope(y, variance, dy[None], dvar[None], row)[0]
         found.append((dy, dvar, direct))

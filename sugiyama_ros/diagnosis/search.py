@@ -5,7 +5,7 @@ Every candidate is looked at in the same way on the data and on data simulated f
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TypeVar
@@ -17,23 +17,13 @@ from sugiyama_ros.diagnosis.bootstrap import resample, seeds
 from sugiyama_ros.diagnosis.candidates import Candidate, Kind, candidates, recording_of
 from sugiyama_ros.diagnosis.discover import Discovery
 from sugiyama_ros.diagnosis.errors import Errors, errors_of
-from sugiyama_ros.diagnosis.free_run import filtered_states
 from sugiyama_ros.diagnosis.screen import FULL, QUICK, Glance, closer, forecast, glance, glance_again, refine
-from sugiyama_ros.effects.registry import DECLARED
-from sugiyama_ros.fit.fitting import (
-    FOLDS,
-    Fit,
-    Gain,
-    Recorded,
-    begun,
-    climb,
-    gain,
-    held_out_nearly,
-    objective,
-    refit,
-    sum_error,
-    without_folds,
-)
+from sugiyama_ros.effects.registry import DECLARED, EFFECTS, effect
+from sugiyama_ros.fit.cross_validation import Gain, gain, held_out_nearly, sum_error, without_folds
+from sugiyama_ros.fit.joint import Fit, begun, climb, objective, refit
+from sugiyama_ros.fit.recording import FOLDS, Recorded
+from sugiyama_ros.fit.score import filtered_states
+from sugiyama_ros.progress import OnStage
 
 #: Level of significance, after Bonferroni's correction.
 LEVEL = 0.05
@@ -53,25 +43,10 @@ _COMMON = 4
 _OBVIOUS = 60.0
 # Steps of a search that begins at the truth.
 _FEW_STEPS = 4
-# What changes no mean motion: a free run, which has no noise, cannot speak against it.
-_OF_NOISE = ("noise_constants", "outlier_noise", "speed_dependent_noise", "uneven_noise")
 # Fits that are under way at the same time, all on the same workers.
 _AT_ONCE = 3
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
-#: Called with what is being done, and the steps done and to do.
-OnProgress = Callable[[str, int, int], None]
-
-#: What to record to tell two effects apart.
-ADVICE: dict[frozenset[str], str] = {
-    frozenset({"actuation_lag", "reaction_delay"}): "record accelerations, or positions at 10 Hz and more",
-    frozenset({"rear_pressure", "reaction_delay"}): "record cars without a follower too",
-    frozenset({"road_grade", "slow_patch"}): "survey the road, or record standing starts on all of it",
-    frozenset({"comfort_limits", "limited_braking"}): "record hard accelerations, as from traffic lights",
-    frozenset({"comfort_limits", "limited_power"}): "record hard braking",
-    frozenset({"drag", "limited_power"}): "record coasting, or accelerations at several speeds",
-    frozenset({"preference_drift", "preference_switch"}): "record for longer",
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +100,7 @@ class Search:
     """
 
     def __init__(
-        self, data: Recorded, base: Fit, quick: bool, seed: int, work: ThreadPoolExecutor, on_progress: OnProgress
+        self, data: Recorded, base: Fit, quick: bool, seed: int, work: ThreadPoolExecutor, on_progress: OnStage
     ) -> None:
         self._data, self._quick, self._seed, self._work, self._on_progress = data, quick, seed, work, on_progress
         self._possible = candidates(recording_of(data), data.drivers)
@@ -154,7 +129,7 @@ class Search:
             if is_rival and self._predicts_more(one, now):
                 rivals = self._indistinguishable(one, looked)
                 about = {one.candidate.name, *rivals}
-                advice = tuple(text for pair, text in ADVICE.items() if one.candidate.name in pair and pair <= about)
+                advice = advice_on(one.candidate.name, about)
                 named = self._grow(one.candidate, one.fit, one.p_value, rivals, advice)
                 grown += [named] if named is not None else []
         return self._take(max(grown, key=lambda one: one.heldout.nats, default=None))
@@ -207,7 +182,7 @@ class Search:
         """Whether a candidate is supported held out, too; now: errors of the model as it stands."""
         predicted = self._nearly(one.fit)
         won = gain(self._data, predicted.samples, now.samples)
-        return won.nats > -won.se and (one.candidate.name in _OF_NOISE or predicted.no_worse_than(now))
+        return won.nats > -won.se and (one.candidate.is_noise or predicted.no_worse_than(now))
 
     def _indistinguishable(self, best: Looked, looked: Sequence[Looked]) -> tuple[str, ...]:
         """Candidates that do not predict clearly less than the best one, held out.
@@ -271,7 +246,9 @@ class Search:
         chosen = [k for k in order[: self.effort.shortlist] if looks[k].gain > _SHARE * best or k in order[:2]]
         if best > 50.0:
             chosen += [
-                k for k, look in enumerate(looks) if look.candidate.name == "noise_constants" and k not in chosen
+                k
+                for k, look in enumerate(looks)
+                if look.candidate.kind == "constants" and look.candidate.is_noise and k not in chosen
             ]
         return chosen
 
@@ -320,6 +297,16 @@ class Search:
         return _Null({candidate.name: list(one) for candidate, one in by_candidate}, scale)
 
 
+def advice_on(name: str, others: Collection[str]) -> tuple[str, ...]:
+    """What to record to tell an effect from others that it cannot be told apart from."""
+    found = []
+    for first in EFFECTS.values():
+        for second, text in first.advice.items():
+            if name in (first.name, second) and {first.name, second} - {name} <= set(others):
+                found.append(text)
+    return tuple(found)
+
+
 def parameters_of(fitted: Fit, candidate: Candidate) -> dict[str, float]:
     """Values of a candidate's parameters, the median driver's where they are individual."""
     places = sorted({*candidate.places, *candidate.starts[0]})
@@ -328,7 +315,7 @@ def parameters_of(fitted: Fit, candidate: Candidate) -> dict[str, float]:
 
 
 def at_once(
-    function: Callable[[_Item], _Result], items: Sequence[_Item], what: str, on_progress: OnProgress
+    function: Callable[[_Item], _Result], items: Sequence[_Item], what: str, on_progress: OnStage
 ) -> list[_Result]:
     """Results for all items; while one waits for the last of its filters, another uses the processors."""
     results = []
@@ -407,7 +394,7 @@ def _smallest(looks: Sequence[Glance], null: _Null) -> dict[str, float]:
         start = look.loss_at[look.candidate.places[0]]
         scaled = start * float(np.sqrt(null.needed / look.loss))
         # a limit is the stronger the smaller it is
-        if DECLARED[look.candidate.places[0]].name in ("limit", "power"):
+        if effect(look.candidate.name).is_limit:
             scaled = start * start / scaled
         found[look.candidate.name] = scaled
     return found

@@ -129,7 +129,7 @@ def sentences(d: Diagnosis) -> list[str]:
     else:
         lines = []
     for n in d.named:
-        units = {p.name: p.unit for e in EFFECTS if e.name == n.name for p in e.parameters}
+        units = {p.name: p.unit for p in EFFECTS[n.name].parameters} if n.name in EFFECTS else {}
         units |= {p.name: p.unit for p in DECLARED if p.name in n.parameters and p.name not in units}
         values = ", ".join(f"{k} {v:.3g} {units.get(k, '')}".rstrip() for k, v in n.parameters.items())
         lines.append(

@@ -14,10 +14,10 @@ from sugiyama_ros.effects.effect import Effect, Seen, with_view
 from sugiyama_ros.effects.registry import EFFECTS, ROW
 from sugiyama_ros.jit import kernel
 
-Chain: TypeAlias = Callable[..., Any]
+Hook: TypeAlias = Callable[..., Any]
 
 
-def chain(start: Chain, link: Callable[[Chain, Effect], Chain], effects: Iterable[Effect]) -> Chain:
+def chain(start: Hook, link: Callable[[Hook, Effect], Hook], effects: Iterable[Effect]) -> Hook:
     """Make a chain of a hook of these effects."""
     for effect in effects:
         start = link(start, effect)
@@ -55,7 +55,7 @@ def nothing_perceived(seen: Seen, row: Array) -> Seen:
     return seen
 
 
-def then_perceive(before: Chain, effect: Effect) -> Chain:
+def then_perceive(before: Hook, effect: Effect) -> Hook:
     """Perceive the gap and the speeds."""
     first, last, switch, other = _places(effect)
     perceive: Any = effect.function
@@ -77,7 +77,7 @@ def nothing_preferred(v_star: float, kappa_v: float, seen: Seen, row: Array) -> 
     return v_star, kappa_v
 
 
-def then_prefer(before: Chain, effect: Effect) -> Chain:
+def then_prefer(before: Hook, effect: Effect) -> Hook:
     """Change the desired speed and the risk premium."""
     first, last, switch, other = _places(effect)
     prefer: Any = effect.function
@@ -99,7 +99,7 @@ def nothing_valued(seen: Seen, action: float, period: float, horizon: int, row: 
     return 0.0
 
 
-def then_value(before: Chain, effect: Effect) -> Chain:
+def then_value(before: Hook, effect: Effect) -> Hook:
     """Add a component to the utility of an action."""
     first, last, switch, other = _places(effect)
     component: Any = effect.function
@@ -120,7 +120,7 @@ def nothing_actuated(acceleration: float, seen: Seen, row: Array) -> float:
     return acceleration
 
 
-def then_actuate(before: Chain, effect: Effect) -> Chain:
+def then_actuate(before: Hook, effect: Effect) -> Hook:
     """Change the acceleration that is meant."""
     first, last, switch, other = _places(effect)
     actuate: Any = effect.function
@@ -141,7 +141,7 @@ def nothing_pushes(seen: Seen, row: Array) -> float:
     return 0.0
 
 
-def then_push(before: Chain, effect: Effect) -> Chain:
+def then_push(before: Hook, effect: Effect) -> Hook:
     """Add an acceleration of the environment."""
     first, last, switch, other = _places(effect)
     push: Any = effect.function
@@ -162,7 +162,7 @@ def all_changed(wanted: float, period: float, row: Array) -> float:
     return wanted
 
 
-def then_change(before: Chain, effect: Effect) -> Chain:
+def then_change(before: Hook, effect: Effect) -> Hook:
     """Carry out a wanted change of the acceleration."""
     first, last, switch, other = _places(effect)
     change: Any = effect.memory.change if effect.memory else None
@@ -183,7 +183,7 @@ def all_expected(wanted: float, variance: float, period: float, row: Array) -> t
     return wanted, 1.0, 0.0
 
 
-def then_expect(before: Chain, effect: Effect) -> Chain:
+def then_expect(before: Hook, effect: Effect) -> Hook:
     """Moments of a change that is carried out, as a normal distribution from link to link."""
     first, last, switch, other = _places(effect)
     expect: Any = effect.memory.expected_change if effect.memory else None
@@ -206,7 +206,7 @@ def no_factor(at: float, row: Array) -> float:
     return 1.0
 
 
-def then_factor(before: Chain, effect: Effect) -> Chain:
+def then_factor(before: Hook, effect: Effect) -> Hook:
     """Multiply the std of the acceleration noise."""
     first, last, switch, other = _places(effect)
     factor_of: Any = effect.noise_factor
@@ -227,7 +227,7 @@ def no_displacement(position: float, circumference: float, row: Array) -> tuple[
     return 0.0, 0.0
 
 
-def then_displace(before: Chain, effect: Effect) -> Chain:
+def then_displace(before: Hook, effect: Effect) -> Hook:
     """Displace a measured position."""
     first, last, switch, other = _places(effect)
     displacement: Any = effect.displacement
@@ -249,7 +249,7 @@ def no_measurement_factor(position: float, circumference: float, row: Array) -> 
     return 1.0
 
 
-def then_measurement_factor(before: Chain, effect: Effect) -> Chain:
+def then_measurement_factor(before: Hook, effect: Effect) -> Hook:
     """Multiply the std of the measurement noise."""
     first, last, switch, other = _places(effect)
     factor_of: Any = effect.measurement_noise_factor
@@ -270,7 +270,7 @@ def never_bad(innovation: float, variance: float, noise_var: float, row: Array) 
     return 0.0, variance, 0.0
 
 
-def then_weigh(before: Chain, effect: Effect) -> Chain:
+def then_weigh(before: Hook, effect: Effect) -> Hook:
     """Weigh a measurement; the last effect of this kind that is on decides."""
     first, last, switch, other = _places(effect)
     weigh: Any = effect.contamination.weigh if effect.contamination else None

@@ -6,7 +6,7 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
 from sugiyama_ros.driver.utility import GRID_ROW, UTILITY_ROW, boltzmann_mean, preferences, utilities
 from sugiyama_ros.effects import chains
-from sugiyama_ros.effects.chains import Chain, any_of, chain, having, switches
+from sugiyama_ros.effects.chains import Hook, any_of, chain, having, switches
 from sugiyama_ros.effects.effect import ACTUATION, ENVIRONMENT, MEASUREMENT, PERCEPTION, PREFERENCE, UTILITY, Seen
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.jit import kernel
@@ -36,7 +36,7 @@ def _no_law(gap: float, speed: float, leader_speed: float, row: Array) -> float:
     return math.nan
 
 
-def _then_law(before: Chain, number: float, name: str, law: LawFunction) -> Chain:
+def _then_law(before: Hook, number: float, name: str, law: LawFunction) -> Hook:
     first, last = ROW.law_places[name].start, ROW.law_places[name].stop
 
     @kernel(cached=False)
@@ -48,7 +48,7 @@ def _then_law(before: Chain, number: float, name: str, law: LawFunction) -> Chai
     return by_law
 
 
-_by_law: Chain = _no_law
+_by_law: Hook = _no_law
 for _number, _name in reversed(list(enumerate(LAWS))):
     if _number != ADAPTIVE_SEEK:
         _by_law = _then_law(_by_law, float(_number), _name, LAWS[_name].function)

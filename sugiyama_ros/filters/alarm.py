@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sugiyama_ros.road import Array, Ints
+from sugiyama_ros.arrays import Array, Ints
 
 #: Time [s] from one possible onset to the next, and how long one is watched.
 ONSET_S, WATCHED_S = 2.0, 30.0

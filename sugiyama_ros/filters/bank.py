@@ -4,25 +4,15 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from sugiyama_ros.effects.registry import effect, switch_on, whole
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.effects.registry import EFFECTS, ROW, effect, switch_on
 from sugiyama_ros.filters.online import NOBODY, Estimate, OnlineFilter
-from sugiyama_ros.road import Array, Road
+from sugiyama_ros.road import Road
 
 #: Name of the model without any effect.
 BASE = "base"
-#: Effects at strengths that matter and that most drivers would survive; those that need a place or a time are left out.
-BANK: Mapping[str, Mapping[str, float]] = {
-    "reaction_delay": {"delay": 0.1},
-    "actuation_lag": {"time_constant": 0.2},
-    "second_leader": {"weight": 0.15},
-    "rear_pressure": {"strength": 1.0, "distance": 3.0},
-    "comfort_limits": {"limit": 4.0},
-    "limited_power": {"power": 10.0},
-    "limited_braking": {"limit": 2.5},
-    "drag": {"c0": 0.1, "c2": 0.003},
-    "speed_dependent_noise": {"exponent": 0.3},
-    "outlier_noise": {"share": 0.03, "factor": 3.0},
-}
+#: Values of the effects that the bank follows: those that declare some.
+BANK: Mapping[str, Mapping[str, float]] = {name: e.bank for name, e in EFFECTS.items() if e.bank is not None}
 
 
 def strengths(names: Sequence[str]) -> Array:
@@ -41,7 +31,9 @@ class Bank:
         self, vehicles: Sequence[int], period_s: float, road: Road, parameters: Array, forget_s: float
     ) -> None:
         self.names = (BASE, *BANK)
-        rows = [whole(parameters)] + [switch_on(whole(parameters), name, values) for name, values in BANK.items()]
+        rows = [ROW.with_effects(parameters)] + [
+            switch_on(ROW.with_effects(parameters), name, values) for name, values in BANK.items()
+        ]
         self._filters = {v: [OnlineFilter(period_s, road, row) for row in rows] for v in vehicles}
         self._memory = float(np.exp(-period_s / forget_s))
         self.scores = np.zeros(len(self.names))

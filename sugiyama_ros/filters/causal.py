@@ -21,12 +21,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import UTILITY
 from sugiyama_ros.driver.utility import ACTIONS
-from sugiyama_ros.effects.control import lean
 from sugiyama_ros.filters.chain import NOT_ADAPTED, Adaptation, Chain, adaptation_of, chain_parameters
 from sugiyama_ros.filters.linearisation import linearise
 from sugiyama_ros.filters.measurement import measurement, noise_var_at, robust
@@ -43,7 +42,7 @@ from sugiyama_ros.filters.state import (
     workspace_for,
 )
 from sugiyama_ros.filters.vehicles import forget_vehicle, start_vehicle
-from sugiyama_ros.road import Array, Ints
+from sugiyama_ros.jit import kernel
 
 #: Samples after the start of a vehicle's record (or after a break) whose innovations are not scored.
 SETTLING = 6
@@ -78,7 +77,7 @@ class Trace(NamedTuple):
     motion: Array
 
 
-@lean
+@kernel(allocates=False)
 def _predict(covariance: Array, jacobian: Array, noise: Array, half: Array) -> None:
     """F P F' + Q in place; most of F is 0.
 
@@ -105,7 +104,7 @@ def _predict(covariance: Array, jacobian: Array, noise: Array, half: Array) -> N
                     covariance[i, j] += factor * half[k, j]
 
 
-@lean
+@kernel(allocates=False)
 def _update(state: State, gain: Array, y: float, step: float, shrink: float) -> None:
     """Take in an innovation; gain: (4 M + A,), P H'; step, shrink: as ``robust`` returns them."""
     for i in range(len(gain)):
@@ -114,7 +113,7 @@ def _update(state: State, gain: Array, y: float, step: float, shrink: float) -> 
             state.covariance[i, j] -= gain[i] * gain[j] * shrink
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def run(
     observed: Observed,
     drivers: Drivers,

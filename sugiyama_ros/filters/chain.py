@@ -5,14 +5,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import NAMES, OMEGA_2, UTILITY, at_period, population
-from sugiyama_ros.effects.registry import WIDTH, place, whole
+from sugiyama_ros.effects.registry import EFFECTS, ROW
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.road import Array, Ints
 
 #: Vehicles in a chain: own, leader and the leader's leader.
 CHAIN = 3
-_DRIFT = place("preference_drift", "std")
+_WANDERING = tuple(e for e in EFFECTS.values() if e.wanders)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,17 +73,19 @@ def adaptation_of(parameters: Array, given: Adaptation = NOT_ADAPTED) -> Adaptat
     parameters
         The driver's parameters, (P,), or their row with effects, (WIDTH,).
     given
-        What holds unless the row has the effect ``preference_drift``.
+        What holds unless an effect of the row makes preferences wander.
 
     Returns
     -------
     Adaptation
-        v_star and kappa_v with the std and time constant of ``preference_drift`` if it is on, else ``given``.
+        The parameters that wander, with the std and the time constant of the effect if one is on, else ``given``.
     """
-    if len(parameters) <= _DRIFT or parameters[_DRIFT] == 0.0:
-        return given
-    std = float(parameters[_DRIFT])
-    return Adaptation(("v_star", "kappa_v"), (std, std), float(parameters[_DRIFT + 1]))
+    if len(parameters) == ROW.width:
+        for effect in _WANDERING:
+            std, relaxation_s = parameters[ROW.places[effect.name]][:2].tolist()
+            if std != 0.0:
+                return Adaptation(effect.wanders, (std,) * len(effect.wanders), relaxation_s)
+    return given
 
 
 def chain_parameters(own: Array, ahead: Array | None, vehicles: int, period_s: float) -> Array:
@@ -106,7 +108,7 @@ def chain_parameters(own: Array, ahead: Array | None, vehicles: int, period_s: f
     Array
         Rows at ``period_s``, (M, WIDTH).
     """
-    rows = np.empty((vehicles, WIDTH))
-    rows[1:] = whole(population() if ahead is None else ahead)
-    rows[0] = whole(own)
+    rows = np.empty((vehicles, ROW.width))
+    rows[1:] = ROW.with_effects(population() if ahead is None else ahead)
+    rows[0] = ROW.with_effects(own)
     return at_period(rows, period_s)

@@ -11,14 +11,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import RHO, UTILITY
-from sugiyama_ros.effects.control import expect_change, intend, lean, remembers
+from sugiyama_ros.effects.control import expect_change, feels_accelerations, intend, remembers
 from sugiyama_ros.effects.effect import Seen
-from sugiyama_ros.effects.registry import place
 from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Moment, Scene, State, Workspace
-from sugiyama_ros.road import Array, Ints
+from sugiyama_ros.jit import kernel
 
-_DELAY = place("reaction_delay", "delay")
 # Variance below which a direction of what the driver sees counts as known; keeps the Cholesky factor invertible.
 _KNOWN_VAR = 1e-12
 
@@ -35,7 +34,7 @@ class Expected(NamedTuple):
     action_var: float
 
 
-@lean
+@kernel(allocates=False)
 def _look(m: int, led: bool, delayed: bool, vehicles: int, adapted: int, places: Ints) -> int:
     """Fill in what the action of driver m depends on, and return the number of these quantities.
 
@@ -58,7 +57,7 @@ def _look(m: int, led: bool, delayed: bool, vehicles: int, adapted: int, places:
     return seen + adapted
 
 
-@lean
+@kernel(allocates=False)
 def _root(covariance: Array, places: Ints, size: int, root: Array) -> None:
     """Fill in the lower Cholesky factor of the covariance of the quantities in ``places`` of ``_look``."""
     for i in range(size):
@@ -78,7 +77,7 @@ def _root(covariance: Array, places: Ints, size: int, root: Array) -> None:
             root[i, j] = 0.0
 
 
-@lean
+@kernel(allocates=False)
 def _regress(work: Array, row: int, places: Ints, size: int, slope: Array) -> None:
     """Fill in the regression of an action on the state.
 
@@ -95,7 +94,7 @@ def _regress(work: Array, row: int, places: Ints, size: int, slope: Array) -> No
             slope[places[1, i]] -= work[row, i]
 
 
-@lean
+@kernel(allocates=False)
 def _variance_along(slope: Array, covariance: Array) -> float:
     """Return the variance of a quantity that changes with the state by ``slope``."""
     variance = 0.0
@@ -105,7 +104,7 @@ def _variance_along(slope: Array, covariance: Array) -> float:
     return variance
 
 
-@lean
+@kernel(allocates=False)
 def _surroundings(m: int, state: State, parameters: Array, moment: Moment, scene: Scene) -> Seen:
     """Return what driver m of a chain sees at the mean of the state."""
     mean, known, length, rear = state.mean, state.known, moment.length, moment.rear
@@ -146,7 +145,7 @@ def _surroundings(m: int, state: State, parameters: Array, moment: Moment, scene
     )
 
 
-@lean
+@kernel(allocates=False)
 def expected_action(
     m: int, state: State, drivers: Drivers, moment: Moment, scene: Scene, workspace: Workspace
 ) -> Expected:
@@ -179,7 +178,7 @@ def expected_action(
     places, work = workspace.places, workspace.root
     led = known[m + 1] == MOVING
     driver = parameters[m]
-    delayed = led and driver[_DELAY] != 0.0
+    delayed = led and feels_accelerations(driver)
     size = _look(m, led, delayed, len(known), len(adapted), places)
     # the root, and below it rows of their own
     centre, look, cross, held_cross = size, size + 1, size + 2, size + 3
@@ -226,7 +225,7 @@ def expected_action(
     return _carried_out(m, meant, state, driver, scene.period_s, workspace) if remembers(driver) else meant
 
 
-@lean
+@kernel(allocates=False)
 def _seen_at(here: Seen, work: Array, centre: int, led: bool, delayed: bool, rho: float, leader_rho: float) -> Seen:
     """Return what the driver sees at one point of the cubature, which stands in the row below ``centre``."""
     look = centre + 1
@@ -254,7 +253,7 @@ def _seen_at(here: Seen, work: Array, centre: int, led: bool, delayed: bool, rho
     )
 
 
-@lean
+@kernel(allocates=False)
 def _carried_out(m: int, meant: Expected, state: State, row: Array, period: float, workspace: Workspace) -> Expected:
     """Return what driver m carries out, who means ``meant`` and remembers what was held in the last period.
 

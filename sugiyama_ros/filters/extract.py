@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import population
 from sugiyama_ros.filters.causal import filter_chain
 from sugiyama_ros.filters.chain import CHAIN, Chain
-from sugiyama_ros.road import Array, Ints
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 

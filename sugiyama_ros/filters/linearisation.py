@@ -3,12 +3,13 @@
 import math
 
 from sugiyama_ros.driver.parameters import RHO, SIGMA_A, SIGMA_V, SIGMA_X
-from sugiyama_ros.effects.control import lean, noise_factor
+from sugiyama_ros.effects.control import noise_factor
 from sugiyama_ros.filters.expectation import expected_action
 from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Linearised, Moment, Scene, State, Workspace
+from sugiyama_ros.jit import kernel
 
 
-@lean
+@kernel(allocates=False)
 def linearise(
     state: State, drivers: Drivers, moment: Moment, scene: Scene, workspace: Workspace, out: Linearised
 ) -> float:

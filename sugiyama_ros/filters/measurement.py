@@ -2,22 +2,13 @@
 
 import math
 
-from numba import njit
-
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import SIGMA_NU
-from sugiyama_ros.effects.control import lean
-from sugiyama_ros.effects.outlier_noise import weigh
-from sugiyama_ros.effects.registry import place
-from sugiyama_ros.effects.sensor_eccentricity import displacement
-from sugiyama_ros.effects.uneven_noise import factor as noise_std_factor
-from sugiyama_ros.road import Array
-
-#: Place in a driver's row of the share of outliers; 0 where none are expected.
-OUTLIERS = place("outlier_noise", "share")
-_OFF_CENTRE, _UNEVEN = place("sensor_eccentricity", "cosine"), place("uneven_noise", "cosine")
+from sugiyama_ros.effects.sensing import displacement, is_contaminated, noise_std_factor, weigh
+from sugiyama_ros.jit import kernel
 
 
-@lean
+@kernel(allocates=False)
 def measurement(position: float, parameters: Array, circumference_m: float) -> tuple[float, float]:
     """Return what a measured position is expected to have beyond the true position, and its slope.
 
@@ -37,22 +28,18 @@ def measurement(position: float, parameters: Array, circumference_m: float) -> t
     slope
         Derivative of the measured position by the true one: the entry of H.
     """
-    if parameters[_OFF_CENTRE] == 0.0 and parameters[_OFF_CENTRE + 1] == 0.0:
-        return 0.0, 1.0
-    off, slope = displacement(position, circumference_m, parameters[_OFF_CENTRE : _OFF_CENTRE + 2])
-    return off, 1.0 + slope
+    offset, slope = displacement(position, circumference_m, parameters)
+    return offset, 1.0 + slope
 
 
-@lean
+@kernel(allocates=False)
 def noise_var_at(position: float, parameters: Array, circumference_m: float) -> float:
     """Return the variance of the measurement noise [m^2] at a position [m]; arguments as for ``measurement``."""
     variance: float = parameters[SIGMA_NU] ** 2
-    if parameters[_UNEVEN] == 0.0 and parameters[_UNEVEN + 1] == 0.0:
-        return variance
-    return variance * noise_std_factor(position, circumference_m, parameters[_UNEVEN : _UNEVEN + 2]) ** 2
+    return variance * noise_std_factor(position, circumference_m, parameters) ** 2
 
 
-@lean
+@kernel(allocates=False)
 def robust(y: float, variance: float, parameters: Array) -> tuple[float, float, float]:
     """Return how much an innovation counts, and its log-likelihood.
 
@@ -77,15 +64,15 @@ def robust(y: float, variance: float, parameters: Array) -> tuple[float, float, 
     log_likelihood
         Without the term of 2 pi.
     """
-    if parameters[OUTLIERS] == 0.0:
+    if not is_contaminated(parameters):
         return 1.0 / variance, 1.0 / variance, -0.5 * (math.log(variance) + y * y / variance)
-    bad, wide, density = weigh(y, variance, parameters[SIGMA_NU] ** 2, parameters[OUTLIERS : OUTLIERS + 2])
+    bad, wide, density = weigh(y, variance, parameters[SIGMA_NU] ** 2, parameters)
     gain = (1.0 - bad) / variance + bad / wide
     between = (1.0 - bad) / variance**2 + bad / wide**2 - gain * gain
     return gain, gain - y * y * between, density
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def weigh_samples(y: Array, variance: Array, parameters: Array, weight: Array, density: Array) -> None:
     """Fill in how much each of T innovations counts, and its log-likelihood.
 

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import SIGMA_A, SIGMA_NU
 from sugiyama_ros.filters.state import STATE
-from sugiyama_ros.road import Array
+from sugiyama_ros.jit import kernel
 
 #: The noises that are learnt, as places in a driver's row.
 NOISES = [SIGMA_NU, SIGMA_A]
@@ -47,7 +47,7 @@ _NU, _A = 0, 1
 _OWN_NOISE = 2
 
 
-@njit(cache=True)
+@kernel
 def _predict(jacobian: Array, noise: Array, d_mean: Array, d_covariance: Array) -> None:
     """Sensitivities after F x and F P F' + Q; d Q / d log sigma_a is twice the variance of the shock."""
     for k in range(2):
@@ -56,7 +56,7 @@ def _predict(jacobian: Array, noise: Array, d_mean: Array, d_covariance: Array) 
     d_covariance[_A, _OWN_NOISE, _OWN_NOISE] += 2.0 * noise[_OWN_NOISE, _OWN_NOISE]
 
 
-@njit(cache=True)
+@kernel
 def _update(
     measures: Array, gain: Array, weight: Array, y: Array, own_noise_var: float, d_mean: Array, d_covariance: Array
 ) -> None:
@@ -74,7 +74,7 @@ def _update(
         d_covariance[k] = rest @ d_covariance[k] @ rest.T + d_noise * np.outer(own, own)
 
 
-@njit(cache=True)
+@kernel
 def _mix(weight: Array, stay: float, mean: Array, covariance: Array) -> None:
     """Interaction before a period: each model goes on from where a driver may have been who follows it now."""
     models = len(weight)
@@ -89,7 +89,7 @@ def _mix(weight: Array, stay: float, mean: Array, covariance: Array) -> None:
         mean[j], covariance[j] = _moments(came_from[:, j] / weight[j], was, spread)
 
 
-@njit(cache=True)
+@kernel
 def _moments(weight: Array, mean: Array, covariance: Array) -> tuple[Array, Array]:
     """Mean (2,) and covariance (2, 2) of a mixture."""
     centre, around = np.zeros(2), np.zeros((2, 2))
@@ -101,7 +101,7 @@ def _moments(weight: Array, mean: Array, covariance: Array) -> tuple[Array, Arra
     return centre, around
 
 
-@njit(cache=True)
+@kernel
 def _learn(
     y: float,
     variance: float,

@@ -13,11 +13,13 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 from scipy.linalg import block_diag
 
+from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import NAMES, SIGMA_NU, UTILITY, check, population
 from sugiyama_ros.driver.utility import ACTIONS
+from sugiyama_ros.effects.contaminated_normal import contaminated_normal
 from sugiyama_ros.effects.effect import MEASUREMENT
-from sugiyama_ros.effects.outlier_noise import weigh
 from sugiyama_ros.effects.registry import WIDTH, active, effect, place, whole
+from sugiyama_ros.effects.sensing import is_contaminated
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.alarm import StyleAlarm
 from sugiyama_ros.filters.causal import SETTLING
@@ -27,7 +29,7 @@ from sugiyama_ros.filters.measurement import measurement, noise_var_at, robust
 from sugiyama_ros.filters.noise import NOISES, Learning, NoiseLearner
 from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Linearised, Moment, State, scene_at, workspace_for
 from sugiyama_ros.filters.vehicles import forget_vehicle, start_vehicle
-from sugiyama_ros.road import Array, Ints, Road
+from sugiyama_ros.road import Road
 
 #: Adaptation of the estimator nodes: desired speed and risk premium. The prior stds are about those over the drivers of
 #: the measured experiment, each fitted for himself.
@@ -37,7 +39,6 @@ LEARN = Learning()
 #: No vehicle behind.
 NOBODY = (math.nan, -1, 0.0)
 _NO_REAR = np.full(3, np.nan)
-_OUTLIERS = place("outlier_noise", "share")
 # Squared normalised innovation of a gross error, which the filter does not take in; but not more of them in a row.
 _GROSS, _MOST_REFUSED = 36.0, 3
 
@@ -365,9 +366,11 @@ class OnlineFilter:
                 math.sqrt((variance - noise_var) / float(self._filter.P[0, 0])) if self._measured_otherwise else 1.0
             )
             self._noises.learn(innovation, variance, noise_var, factor)
-        if self._noises is None or self._rows[0, _OUTLIERS]:
+        if self._noises is None or is_contaminated(self._rows[0]):
             return float(robust(innovation, variance, self._rows[0])[2])
-        return float(weigh(innovation, variance, float(self._rows[0, SIGMA_NU]) ** 2, self._noises.outliers)[2])
+        return float(
+            contaminated_normal(innovation, variance, float(self._rows[0, SIGMA_NU]) ** 2, *self._noises.outliers)[2]
+        )
 
     def _check_style(self) -> tuple[str, float] | None:
         """Name of the parameter that has jumped, and by what factor, if the alarm is given; the filter is corrected."""
@@ -378,7 +381,7 @@ class OnlineFilter:
 
     def _is_believed(self, m: int, innovation: float, variance: float) -> bool:
         """Whether the filter takes in a sample: not a gross error, unless so many come that the filter is wrong."""
-        gross = innovation * innovation > _GROSS * variance and not self._rows[m, _OUTLIERS]
+        gross = innovation * innovation > _GROSS * variance and not is_contaminated(self._rows[m])
         self._refused[m] = self._refused[m] + 1 if gross else 0
         return not 0 < self._refused[m] <= _MOST_REFUSED
 

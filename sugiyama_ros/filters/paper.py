@@ -9,8 +9,8 @@ from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.moments import mean_actions
 from sugiyama_ros.driver.parameters import (
     COUNT,
@@ -26,7 +26,7 @@ from sugiyama_ros.driver.parameters import (
 )
 from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.road import Array
+from sugiyama_ros.jit import kernel
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 #: Samples without a perceived state at the start and at the end: the smoothed speed reaches from t - 2 to t + 3.
@@ -125,7 +125,7 @@ def perceive(trajectories: Trajectories, driver: int) -> Perceived:
     )
 
 
-@njit(cache=True)
+@kernel
 def _predict(covariance: Array, period: float, rho: float, out: Array) -> None:
     """Phi P Phi' of a symmetric P (3, 3) into ``out``."""
     xx, xv, xa = covariance[0, 0], covariance[0, 1], covariance[0, 2]
@@ -138,7 +138,7 @@ def _predict(covariance: Array, period: float, rho: float, out: Array) -> None:
     out[2, 2] = rho * rho * aa
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _gains(parameters: Array, period: float, gain: Array, variance: Array, d_gain: Array, d_variance: Array) -> int:
     """Gain (T', 3) and variance of the innovation (T',), and their derivatives by the noises (T', 5, 3), (T', 5).
 
@@ -191,7 +191,7 @@ def _gains(parameters: Array, period: float, gain: Array, variance: Array, d_gai
     return len(variance)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def run(
     action: Array,
     partials: Array,
@@ -250,7 +250,7 @@ def run(
     return _sum_up(innovation, innovation_var, slopes, d_variance, moving, gradient, information)
 
 
-@njit(cache=True)
+@kernel
 def _sum_up(
     innovation: Array,
     variance: Array,
@@ -293,7 +293,7 @@ def _sum_up(
     return total
 
 
-@njit(cache=True)
+@kernel
 def _add_variance(d_variance: Array, s: float, less: float, samples: float, gradient: Array, curvature: Array) -> None:
     for i in range(len(_NOISES)):
         gradient[i] += 0.5 * d_variance[i] / s * less

@@ -7,11 +7,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import REFERENCE_HORIZON, UTILITY, horizon_at
 from sugiyama_ros.driver.utility import room_for
-from sugiyama_ros.road import Array, Ints
+from sugiyama_ros.jit import kernel
 
 #: Acceleration of the last vehicle of a chain: correlation over the reference period and std [m/s^2] of its shock.
 LAST_RHO, LAST_SHOCK_STD = 0.9, 0.7
@@ -84,7 +84,7 @@ class Drivers(NamedTuple):
     prior_var: Array
 
 
-@njit(cache=True)
+@kernel
 def drivers_at(parameters: Array, adapted: Ints, prior_var: Array) -> Drivers:
     """Return drivers whose adapted parameters have their present values as the prior mean; arrays as in ``Drivers``."""
     prior_mean = np.empty(len(adapted))
@@ -131,7 +131,7 @@ class Workspace(NamedTuple):
     held_slope: Array
 
 
-@njit(cache=True)
+@kernel
 def workspace_for(actions: Array, vehicles: int, adapted: int) -> Workspace:
     """Return the workspace of a chain.
 

@@ -2,19 +2,18 @@
 
 import math
 
-from numba import njit
-
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import RHO, SIGMA_A
 from sugiyama_ros.effects.control import remembers
 from sugiyama_ros.filters.measurement import measurement, noise_var_at
 from sugiyama_ros.filters.state import MOVING, POSITION, STATE, UNKNOWN, Scene, State
-from sugiyama_ros.road import Array
+from sugiyama_ros.jit import kernel
 
 # Acceleration [m/s^2] for which a speed from two positions allows.
 _START_ACCELERATION_STD = 1.0
 
 
-@njit(cache=True)
+@kernel
 def forget_vehicle(m: int, state: State) -> None:
     """Make vehicle m of a chain UNKNOWN, uncorrelated with everything else."""
     state.known[m] = UNKNOWN
@@ -24,7 +23,7 @@ def forget_vehicle(m: int, state: State) -> None:
         state.covariance[:, k] = 0.0
 
 
-@njit(cache=True)
+@kernel
 def start_vehicle(m: int, measured: float, elapsed: float, state: State, parameters: Array, scene: Scene) -> None:
     """Take in a sample of a vehicle that is not MOVING yet: the first gives its position, the second its speed.
 

@@ -1,4 +1,4 @@
-"""Fits kept on disk while a long calibration runs, so that one which is cut off goes on where it stopped."""
+"""Fits kept on disk while a long calibration runs, so that a calibration that was cut off goes on where it stopped."""
 
 import json
 from collections.abc import Callable, Iterator
@@ -12,10 +12,10 @@ from sugiyama_ros.fit.driver import Fit
 
 
 class Checkpoint:
-    """A file of one JSON document a line: what is being calibrated, then every fit, with the name of its pass.
+    """A file with one JSON document per line: what is calibrated, then every fit with the name of its pass.
 
-    about: what must be the same for the fits to be taken up again. Used as a context; whoever has
-    the fits safe elsewhere removes the file.
+    about: what must be equal for the fits to be used again. The checkpoint is a context manager. The caller removes the
+    file once the fits are saved elsewhere.
     """
 
     def __init__(self, path: Path, about: dict[str, Any]) -> None:
@@ -25,13 +25,13 @@ class Checkpoint:
         self._stream: TextIO | None = None
 
     def __enter__(self) -> "Checkpoint":
-        whole = self._read()
+        length = self._read()
         try:
             # an unfinished last line, and all of another calibration, are written over
-            self._stream = self.path.open("r+" if whole else "w")
-            self._stream.seek(whole)
+            self._stream = self.path.open("r+" if length else "w")
+            self._stream.seek(length)
             self._stream.truncate()
-            if not whole:
+            if not length:
                 self._stream.write(self._head + "\n")
         except OSError as error:
             raise OutputError(f"{self.path}: cannot be written: {error.strerror}; choose another place") from None
@@ -42,7 +42,7 @@ class Checkpoint:
             self._stream.close()
 
     def resume(self, name: str, fits: Callable[..., Iterator[Fit]]) -> Iterator[Fit]:
-        """Fits of a pass: those on disk, then the others, from ``fits(skip=vehicles)``, which are kept too."""
+        """Fits of a pass: first those on disk, then the others from ``fits(skip=vehicles)``, which are written too."""
         kept = self._fits.get(name, {})
         yield from kept.values()
         for fit in fits(skip=kept.keys()):
@@ -50,7 +50,7 @@ class Checkpoint:
             yield fit
 
     def _read(self) -> int:
-        """Take in what is there; the length [bytes] of what is whole."""
+        """Read the complete lines of the file, and return their length [bytes]."""
         if not self.path.is_file():
             return 0
         length = 0
@@ -80,4 +80,11 @@ class Checkpoint:
 
 def _fit_of(line: bytes) -> tuple[str, Fit]:
     name, vehicle, parameters, log_likelihood, std, at_bound, interval = json.loads(line)
-    return name, Fit(vehicle, np.array(parameters), log_likelihood, np.array(std), tuple(at_bound), np.array(interval))
+    return name, Fit(
+        vehicle=vehicle,
+        parameters=np.array(parameters),
+        log_likelihood=log_likelihood,
+        std=np.array(std),
+        at_bound=tuple(at_bound),
+        interval=np.array(interval),
+    )

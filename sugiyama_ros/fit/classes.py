@@ -1,32 +1,38 @@
-"""Classes of drivers who share their parameters: for records that are too short to tell every driver's own.
+"""Classes of drivers who share their parameters: for recordings that are too short to fit every driver alone.
 
 A mixture (latent classes) by the EM algorithm (Dempster, Laird and Rubin, J. R. Stat. Soc. B 39 (1977) 1), with a step
-of Fisher scoring for each maximisation. What class a driver is of is known up to a probability.
+of Fisher scoring for each maximisation. The class of a driver is known up to a probability.
 """
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.cluster.vq import kmeans2
 from scipy.special import logsumexp
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.filters.paper import Scored
-from sugiyama_ros.fit.driver import Fit, Job, carry_out, search_bounds
-from sugiyama_ros.road import Array
+from sugiyama_ros.fit.bounds import LogSpace, log_space
+from sugiyama_ros.fit.driver import Fit, Job, carry_out
+from sugiyama_ros.fit.scoring import damped_step, limited
 
 # Steps at most; a rise of the log-likelihood [nats] that is not worth another one; longest step of a logarithm.
 _STEPS, _ENOUGH, _LONGEST = 60, 0.05, 0.3
+# Ridge of the information, so that a class without drivers has a step.
+_RIDGE = 1e-6
 # Ways to divide the single fits that are tried; how far off a single fit may lie, in standard deviations over drivers.
 _STARTS, _FAR = 4, 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class Classes:
-    """rows: (K, P) parameters of each class, std: (K, P), as if it were known who is of it; share: (K,) of the drivers.
+    """K classes of N drivers.
 
-    probability: (N, K) that a driver is of a class; log_likelihood: (N,); bic: Bayesian information criterion.
+    rows: (K, P) parameters of each class; std: (K, P), as if every driver's class were known; share: (K,) of the
+    drivers; probability: (N, K) that a driver belongs to a class; log_likelihood: (N,); bic: Bayesian information
+    criterion.
     """
 
     rows: Array
@@ -38,13 +44,24 @@ class Classes:
 
 
 def find_classes(jobs: Sequence[Job], count: int, samples: int, seed: int, work: Executor) -> Classes:
-    """Divide drivers into ``count`` classes.
+    """Divide drivers into classes.
 
-    jobs: of all drivers, with their data; samples: how many there are in all, for the information criterion.
+    Parameters
+    ----------
+    jobs
+        Data and search of every driver.
+    count
+        Number of classes.
+    samples
+        Number of samples of all drivers, for the information criterion.
+    seed
+        Seed of the divisions from which the search starts.
+    work
+        Executor that carries out the jobs.
     """
     # each driver's own parameters give the start
     fits, places = list(work.map(carry_out, jobs)), jobs[0].places
-    _, smallest, largest = search_bounds(fits[0].parameters, places, jobs[0].upper)
+    space = log_space(fits[0].parameters, places, jobs[0].upper)
     rows = max(
         (_divided(fits, jobs[0], count, seed + k) for k in range(_STARTS)),
         key=lambda start: float(_posterior(_scores(jobs, start, None, work), np.full(count, 1.0 / count))[0].sum()),
@@ -54,17 +71,8 @@ def find_classes(jobs: Sequence[Job], count: int, samples: int, seed: int, work:
     value, probability = _posterior(scores, share)
     shrink = 1.0
     for _ in range(_STEPS):
-        information = [
-            sum(r[k] * s[k].information for r, s in zip(probability, scores, strict=True)) for k in range(count)
-        ]
-        moved = rows.copy()
-        for k in range(count):
-            scale = rows[k, places]
-            slope = sum(r[k] * s[k].gradient[places] for r, s in zip(probability, scores, strict=True)) * scale
-            curvature = information[k][np.ix_(places, places)] * np.outer(scale, scale)
-            step = np.linalg.solve(curvature + 1e-6 * np.eye(len(places)), slope)
-            logarithm = np.log(np.abs(scale)) + shrink * np.clip(step, -_LONGEST, _LONGEST)
-            moved[k, places] = np.sign(scale) * np.exp(np.clip(logarithm, smallest, largest))
+        gradient, information = _expected(scores, probability)
+        moved = np.array([_moved(space, *one, shrink) for one in zip(rows, gradient, information, strict=True)])
         shares = np.maximum(probability.mean(axis=0), 1e-6)
         scores_there = _scores(jobs, moved, information, work)
         value_there, probability_there = _posterior(scores_there, shares)
@@ -77,19 +85,42 @@ def find_classes(jobs: Sequence[Job], count: int, samples: int, seed: int, work:
         if rise < _ENOUGH:
             break
     std = np.zeros_like(rows)
-    for k in range(count):
-        held = sum(r[k] * s[k].information for r, s in zip(probability, scores, strict=True))[np.ix_(places, places)]
+    for k, information_of_class in enumerate(_expected(scores, probability)[1]):
+        held = information_of_class[np.ix_(places, places)]
         std[k, places] = np.sqrt(np.maximum(np.diag(np.linalg.pinv(held, hermitian=True)), 0.0))
     order = np.argsort(-share)
     free = count * len(places) + count - 1
     bic = -2.0 * float(value.sum()) + free * float(np.log(samples))
-    return Classes(rows[order], std[order], share[order], probability[:, order], value, bic)
+    return Classes(
+        rows=rows[order],
+        std=std[order],
+        share=share[order],
+        probability=probability[:, order],
+        log_likelihood=value,
+        bic=bic,
+    )
+
+
+def _expected(scores: Sequence[Sequence[Scored]], probability: Array) -> tuple[list[Array], list[Array]]:
+    """Gradient (P,) and information (P, P) of each class, drivers weighted by their probability to belong to it."""
+    pairs, classes = list(zip(probability, scores, strict=True)), range(probability.shape[1])
+    gradient = [np.asarray(sum(r[k] * s[k].gradient for r, s in pairs)) for k in classes]
+    return gradient, [np.asarray(sum(r[k] * s[k].information for r, s in pairs)) for k in classes]
+
+
+def _moved(space: LogSpace, row: Array, gradient: Array, information: Array, share: float) -> Array:
+    """Parameters (P,) of a class after a ``share`` of a step of Fisher scoring."""
+    here = replace(space, start=row)
+    slope, curvature = space.derivatives(row, gradient, information)
+    step = limited(damped_step(curvature, slope, 0.0, _RIDGE), _LONGEST)
+    x = np.log(np.abs(row[space.places])) + share * step
+    return here.parameters(np.clip(x, space.smallest, space.largest))
 
 
 def _scores(
     jobs: Sequence[Job], rows: Array, information: Sequence[Array] | None, work: Executor
 ) -> list[list[Scored]]:
-    """What every driver's samples say of every class."""
+    """Score of every driver's samples under every class."""
     return list(work.map(_score, [(job, rows, information) for job in jobs]))
 
 
@@ -106,7 +137,7 @@ def _posterior(scores: Sequence[Sequence[Scored]], share: Array) -> tuple[Array,
 
 
 def _divided(fits: Sequence[Fit], job: Job, count: int, seed: int) -> Array:
-    """Rows (K, P) of classes to begin with: centres of groups of single fits."""
+    """Parameters (K, P) of the classes at the start: centres of groups of single fits."""
     points = np.log(np.abs([fit.parameters[job.places] for fit in fits]))
     middle, spread = np.median(points, axis=0), np.maximum(np.std(points, axis=0), 1e-6)
     clipped = np.clip((points - middle) / spread, -_FAR, _FAR)

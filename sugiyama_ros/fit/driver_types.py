@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import softmax
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import index
 from sugiyama_ros.filters.online import Learnt
-from sugiyama_ros.road import Array
 
 
 @dataclass(frozen=True, eq=False)

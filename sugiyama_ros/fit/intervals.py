@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sugiyama_ros.road import Array
+from sugiyama_ros.arrays import Array
 
 #: Standard deviations of a normal distribution within which 95 % lie.
 SIGMAS = 1.96

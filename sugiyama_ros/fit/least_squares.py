@@ -7,16 +7,17 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.stats import qmc
 
+from sugiyama_ros.arrays import Array, Mask
+from sugiyama_ros.driver.advance import advance
+from sugiyama_ros.effects.control import law_acceleration
+from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.laws.registry import LAWS, Law, fvdm, idm
-from sugiyama_ros.road import Array
-
-Mask = NDArray[np.bool_]
+from sugiyama_ros.jit import kernel
+from sugiyama_ros.laws.law import Law
+from sugiyama_ros.laws.registry import number_of
 
 # Places looked at, from every default over the factor to it times the factor.
 _LOOKED_AT, _FACTOR = 64, 4.0
@@ -65,9 +66,9 @@ class Calibrated:
     rmse_m: float
 
 
-@njit(nogil=True, cache=True)
-def _run(law: int, rows: Array, states: Array, half_lengths: float, period: float, driven: Mask, out: Array) -> None:
-    """Errors [m] of the gaps into ``out`` (K, T), for ``rows`` (K, n); entries that are not driven to stay."""
+@kernel
+def _run(rows: Array, states: Array, half_lengths: float, period: float, driven: Mask, out: Array) -> None:
+    """Errors [m] of the gaps into ``out`` (K, T), for drivers' rows (K, WIDTH); entries that are not driven to stay."""
     for k in range(len(rows)):
         x, v = 0.0, 0.0
         for t in range(len(states)):
@@ -79,9 +80,9 @@ def _run(law: int, rows: Array, states: Array, half_lengths: float, period: floa
             else:
                 x, v = position, max(speed, 0.0)
             gap = leader_position - x - half_lengths
-            a = idm(gap, v, leader_speed, rows[k]) if law == 0 else fvdm(gap, v, leader_speed, rows[k])
-            x += period * v
-            v = max(v + period * a, 0.0)
+            a = law_acceleration(gap, v, leader_speed, rows[k])
+            x, v = advance(x, v, a, period)
+            v = max(v, 0.0)
 
 
 def gap_errors(law: Law, parameters: Array, following: Following, chosen: Mask) -> Array:
@@ -91,11 +92,13 @@ def gap_errors(law: Law, parameters: Array, following: Following, chosen: Mask) 
     break or a missing sample; so a sample left out between two blocks of time starts him anew. NaN there and where not
     chosen. Euler's rule as in the simulation; speeds stay at or above 0.
     """
-    rows = np.ascontiguousarray(parameters.reshape(-1, parameters.shape[-1]))
+    values = parameters.reshape(-1, parameters.shape[-1])
+    rows = np.zeros((len(values), ROW.width))
+    rows[:, ROW.law], rows[:, ROW.law_places[law.name]] = number_of(law.name), values
     states = following.states
     driven = chosen & np.isfinite(states).all(axis=1)
     errors = np.full((len(rows), len(states)), np.nan)
-    _run(LAWS.index(law), rows, states, following.half_lengths_m, following.period_s, driven, errors)
+    _run(rows, states, following.half_lengths_m, following.period_s, driven, errors)
     return errors.reshape(*parameters.shape[:-1], len(states))
 
 

@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 import yaml
 
+from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import COUNT, NAMES, check
 from sugiyama_ros.effects.registry import ENTRIES, WIDTH, active, effect, place, switch_on
 from sugiyama_ros.errors import InputError, OutputError
 from sugiyama_ros.fit.driver_types import DriverTypes
-from sugiyama_ros.fit.fitting import FOLDS, Fit, Recorded, coordinate
-from sugiyama_ros.road import Array, Ints
+from sugiyama_ros.fit.joint import Fit
+from sugiyama_ros.fit.model import coordinate
+from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 _FORMAT = 1
@@ -129,7 +131,14 @@ def read_model(path: Path) -> ModelFile:
     known = about_data if isinstance(about_data, dict) else {}
     stacked = np.array(rows)
     source, checksum = str(known.get("source", "")), str(known.get("sha256", ""))
-    return ModelFile(np.array(vehicles), stacked, active(stacked), source, checksum, types)
+    return ModelFile(
+        vehicle=np.array(vehicles),
+        rows=stacked,
+        effects=active(stacked),
+        source=source,
+        sha256=checksum,
+        types=types,
+    )
 
 
 def _types(path: Path, classes: Any) -> DriverTypes:

@@ -1,5 +1,6 @@
-"""Readers of other people's files; MCAP files in and out. Works without ROS."""
+"""Readers of trajectory files; MCAP files in and out. Works without ROS."""
 
-from sugiyama_ros.formats.trajectory_files import read_trajectories
+from sugiyama_ros.formats.format import Format
+from sugiyama_ros.formats.registry import read_trajectories
 
-__all__ = ["read_trajectories"]
+__all__ = ["Format", "read_trajectories"]

@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from sugiyama_ros.formats.mcap_writer import LATCHED, BagWriter, Qos
+from sugiyama_ros.formats.mcap_writer import LATCHED_TOPIC, BagWriter, Qos
 from sugiyama_ros.formats.measured import MEASURED_TYPE, ROAD_TYPE, messages
-from sugiyama_ros.formats.trajectory_files import read_trajectories
+from sugiyama_ros.formats.registry import read_trajectories
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 
@@ -23,7 +23,7 @@ def write_trajectories(trajectories: Trajectories, out: Path) -> None:
     about = {"source": trajectories.source, "sha256": trajectories.sha256}
     with BagWriter(out, about) as bag:
         channels = {
-            ROAD_TYPE: bag.topic("/road", ROAD_TYPE, LATCHED),
+            ROAD_TYPE: bag.topic("/road", ROAD_TYPE, LATCHED_TOPIC),
             MEASURED_TYPE: bag.topic("/measured", MEASURED_TYPE, Qos()),
         }
         for type_name, stamp, data in messages(trajectories):

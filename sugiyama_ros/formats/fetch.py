@@ -6,7 +6,7 @@ import urllib.error
 import urllib.request
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,14 +15,13 @@ from sugiyama_ros.formats.catalogue import CATALOGUE, DataSet
 from sugiyama_ros.formats.convert import convert
 from sugiyama_ros.formats.reading import open_input, sha256
 from sugiyama_ros.formats.writing import not_written, replacing
+from sugiyama_ros.progress import OnProgress
 
 _TIMEOUT_S = 20.0
 _LONGEST_S = 600.0
 _BLOCK = 1 << 16
 #: Largest file that is unpacked [bytes].
 _MAX_UNPACKED = 16 << 20
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -33,7 +32,7 @@ class Fetched:
     bag: Path
 
 
-def fetch(name: str, directory: Path, url: str | None = None, on_progress: Progress | None = None) -> Fetched:
+def fetch(name: str, directory: Path, url: str | None = None, on_progress: OnProgress | None = None) -> Fetched:
     """Download a data set of the catalogue into a directory, verify and unpack it, and convert it to a bag.
 
     url: another address of the same file. on_progress: told the bytes so far and in all. To ask for consent to the
@@ -65,7 +64,7 @@ def fetch(name: str, directory: Path, url: str | None = None, on_progress: Progr
     return Fetched(data, bag)
 
 
-def _downloaded(url: str, data_set: DataSet, on_progress: Progress | None) -> Iterator[bytes]:
+def _downloaded(url: str, data_set: DataSet, on_progress: OnProgress | None) -> Iterator[bytes]:
     """The file at an address, block by block; at most the size that the catalogue states."""
     if not url.startswith(("http://", "https://")):
         raise InputError(f"{url}: not a web address; it must start with https:// or http://")

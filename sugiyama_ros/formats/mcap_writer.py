@@ -47,7 +47,7 @@ class Qos:
 
 
 #: For what is sent once and must reach those who come later.
-LATCHED = Qos(durability="transient_local", depth=1)
+LATCHED_TOPIC = Qos(durability="transient_local", depth=1)
 
 
 class BagWriter:

@@ -9,7 +9,9 @@ import numpy as np
 
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.cdr import Encoder
+from sugiyama_ros.formats.format import Format
 from sugiyama_ros.formats.mcap_reader import Bag
+from sugiyama_ros.formats.mcap_records import MAGIC
 from sugiyama_ros.formats.reading import open_input, sha256
 from sugiyama_ros.formats.samples import MAX_SAMPLES, agreed_road
 from sugiyama_ros.trajectories.trajectories import Trajectories
@@ -186,3 +188,17 @@ class _Columns:
             source=road.source or self._path.name,
             sha256=checksum,
         )
+
+
+def _is_bag(head: bytes, path: Path) -> bool:
+    """Whether a file is a bag by its content, or is called one."""
+    return head.startswith(MAGIC) or path.suffix.lower() == ".mcap"
+
+
+FORMAT = Format(
+    name="mcap",
+    suffixes=(".mcap",),
+    recognise=_is_bag,
+    read=read_measured,
+    summary="a bag with the topics road and measured",
+)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.catalogue import SUGIYAMA_CASE_1_SHA256
+from sugiyama_ros.formats.format import Format, has_suffix
 from sugiyama_ros.formats.reading import lines, number, open_input, sha256
 from sugiyama_ros.formats.samples import Samples, agreed_road
 from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M, Trajectories
@@ -50,3 +51,12 @@ def read_mstf(path: Path, ring_m: float | None = None) -> Trajectories:
     cars = len(samples.vehicles)
     lengths = _CASE_1_LENGTH_M if checksum == SUGIYAMA_CASE_1_SHA256 else [DEFAULT_LENGTH_M] * cars
     return samples.trajectories(lengths, agreed_road(path, said_m, ring_m), checksum)
+
+
+FORMAT = Format(
+    name="mstf",
+    suffixes=(".data",),
+    recognise=has_suffix(".data"),
+    read=read_mstf,
+    summary="ring experiments of the Mathematical Society of Traffic Flow: position and time, one block for each car",
+)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.formats.format import Format, has_suffix
 from sugiyama_ros.formats.reading import lines, number, open_input, sha256
 from sugiyama_ros.formats.samples import Samples, agreed_road
 from sugiyama_ros.formats.writing import replacing
@@ -95,3 +96,12 @@ def _vehicle(text: str, where: str) -> int:
     if not _VEHICLE.fullmatch(text):
         raise InputError(f"{where}: vehicle {text[:40]!r} is not a number from 0 to 999999999; number the vehicles")
     return int(text)
+
+
+FORMAT = Format(
+    name="csv",
+    suffixes=(".csv",),
+    recognise=has_suffix(".csv"),
+    read=read_csv,
+    summary="one line for each sample, with the columns time_s, vehicle, position_m and, if known, length_m",
+)

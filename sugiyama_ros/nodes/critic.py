@@ -13,15 +13,16 @@ from sugiyama_ros.driver.parameters import NAMES, population
 from sugiyama_ros.filters.bank import Bank, strengths
 from sugiyama_ros.filters.chain import CHAIN
 from sugiyama_ros.filters.online import NOBODY, warm_up
-from sugiyama_ros.nodes.base import cdr_messages as wire
+from sugiyama_ros.formats.measured import FRAME
+from sugiyama_ros.nodes.base import cdr_messages
 from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.base.spin import run_node
-from sugiyama_ros.nodes.estimator import declare_driver
+from sugiyama_ros.nodes.driver_parameters import declare_driver
 from sugiyama_ros.nodes.plan import estimators, namespaces
 from sugiyama_ros.road import Road
 
-_VERDICT_EVERY_NS = 5 * wire.NS
+_VERDICT_EVERY_NS = 5 * cdr_messages.NS
 
 
 class Critic(PacedNode):
@@ -64,17 +65,17 @@ class Critic(PacedNode):
     def _on_measured(self, raw: bytes) -> None:
         if self._road is None:
             return
-        sample = wire.measured(raw)
+        sample = cdr_messages.measured(raw)
         try:
             self._follow(sample, self._road)
         except Exception as error:
             if not self._failure:
-                self._failure = f"at {sample.stamp_ns / wire.NS:.3f} s: {error!r}"
+                self._failure = f"at {sample.stamp_ns / cdr_messages.NS:.3f} s: {error!r}"
                 self.get_logger().error(self._failure)
         self.taken(sample.step + 1, last=sample.step + 1 == self._road.steps)
         self.report_if_worse()
 
-    def _follow(self, sample: wire.Sample, road: RoadMessage) -> None:
+    def _follow(self, sample: cdr_messages.Sample, road: RoadMessage) -> None:
         jumped = self._stamp_ns is not None and sample.stamp_ns < self._stamp_ns
         if self._bank is None or jumped:
             row = np.array([self.get_parameter(name).value for name in NAMES])
@@ -96,13 +97,13 @@ class Critic(PacedNode):
             if rear >= 0:
                 p = sample.place[rear]
                 behind = sample.position_m[p], rear, sample.length_m[p]
-            time_s = sample.stamp_ns / wire.NS
+            time_s = sample.stamp_ns / cdr_messages.NS
             self._bank.step(vehicle, position, self._chains[vehicle], length, time_s, behind)
         if sample.stamp_ns - self._told_ns >= _VERDICT_EVERY_NS or sample.step + 1 == road.steps:
             self._told_ns = sample.stamp_ns
             self._publish(sample, self._bank)
 
-    def _publish(self, sample: wire.Sample, bank: Bank) -> None:
+    def _publish(self, sample: cdr_messages.Sample, bank: Bank) -> None:
         weights = bank.weights
         message = Verdict(
             best=bank.names[int(weights.argmax())],
@@ -112,8 +113,8 @@ class Critic(PacedNode):
             strength=strengths(bank.names).tolist(),
             samples=bank.samples,
         )
-        message.header.stamp = wire.time_message(sample.stamp_ns)
-        message.header.frame_id = wire.FRAME
+        message.header.stamp = cdr_messages.time_message(sample.stamp_ns)
+        message.header.frame_id = FRAME
         self.send(self._to_verdict, message)
 
     def _on_add_effect(self, request: AddEffect.Request, response: AddEffect.Response) -> AddEffect.Response:

@@ -22,15 +22,14 @@ from tornado.ioloop import IOLoop, PeriodicCallback
 from sugiyama_ros.effects.effect import Recording
 from sugiyama_ros.effects.registry import EFFECTS, effect
 from sugiyama_ros.errors import SugiyamaError
-from sugiyama_ros.nodes.base import cdr_messages as wire
-from sugiyama_ros.nodes.base import environment
+from sugiyama_ros.nodes.base import cdr_messages, environment
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.base.spin import Spinner, ros
-from sugiyama_ros.nodes.plan import REPLAY, Plan, estimators, namespaces
+from sugiyama_ros.nodes.plan import REPLAY, Plan, RunSettings, estimators, namespaces
 from sugiyama_ros.nodes.runners import OneProcess
 from sugiyama_ros.page.guard import Guard
 from sugiyama_ros.page.live import KEPT, Log, page
-from sugiyama_ros.page.panels import MOVING_S
+from sugiyama_ros.page.panels.base import MOVING_S
 from sugiyama_ros.road import Road
 
 #: The address of this machine that no other one reaches.
@@ -56,7 +55,7 @@ class View(Node):
         self.said = ""
         self._duration_s = 1.0
         self.effects: Sequence[str] = [
-            e.name for e in EFFECTS if e.function is not None and e.starts(self._recording())
+            name for name, e in EFFECTS.items() if e.function is not None and e.starts(self._recording())
         ]
         self._strength: dict[str, float] = {}
         self._speed: dict[int, float] = {}
@@ -121,7 +120,7 @@ class View(Node):
     def _on_measured(self, raw: bytes) -> None:
         if self.vehicles:
             return
-        vehicles = sorted(wire.measured(raw).place)
+        vehicles = sorted(cdr_messages.measured(raw).place)
         for v, space in zip(vehicles, namespaces(vehicles), strict=True):
             self._speed[v] = self._std[v] = math.nan
             self.create_subscription(VehicleState, f"{space}/state", self._on_state, STREAM, raw=True)
@@ -130,13 +129,13 @@ class View(Node):
         self.vehicles = vehicles
 
     def _on_state(self, raw: bytes) -> None:
-        time_s, v, position, speed, variance = wire.read_state(raw)
+        time_s, v, position, speed, variance = cdr_messages.read_state(raw)
         self._speed[v], self._std[v] = speed, math.sqrt(max(variance, 0.0))
         self._now[v] = (position, speed)
         self.space.add(time_s, position, speed)
 
     def _on_innovation(self, raw: bytes) -> None:
-        time_s, v, innovation, variance, scored = wire.read_innovation(raw)
+        time_s, v, innovation, variance, scored = cdr_messages.read_innovation(raw)
         if time_s != self._latest_s:
             if time_s < self._latest_s - 1.0:
                 self._squares.clear()
@@ -181,24 +180,25 @@ def serve(
     """
     if source is not None:
         environment.isolate()
-    plan = Plan.read(source, output, rate, ring_m, model, critic=True) if source is not None else None
+    settings = RunSettings(rate, ring_m, model, critic=True)
+    plan = Plan.read(source, output, settings) if source is not None else None
     with ros() as asked_to_stop, contextlib.ExitStack() as stack:
         view = View(rate)
         stack.callback(view.destroy_node)
         server, url = _server(view, host, port)
-        team = OneProcess(plan) if plan is not None else None
-        if team is not None:
-            stack.callback(team.close)
-        spinner = Spinner([*(team.nodes if team is not None else ()), view])
+        runner = OneProcess(plan) if plan is not None else None
+        if runner is not None:
+            stack.callback(runner.close)
+        spinner = Spinner([*(runner.nodes if runner is not None else ()), view])
         stack.callback(spinner.close)
-        if team is not None:
-            stack.callback(team.stop, spinner)
+        if runner is not None:
+            stack.callback(runner.stop, spinner)
         loop = IOLoop.current()
 
         def stretch() -> None:
             spinner.until(lambda: False, _STRETCH_S)
-            if team is not None:
-                team.check()
+            if runner is not None:
+                runner.check()
             if asked_to_stop():
                 loop.stop()
 

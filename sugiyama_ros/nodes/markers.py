@@ -7,7 +7,7 @@ from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from sugiyama_ros.nodes.base.cdr_messages import FRAME
+from sugiyama_ros.formats.measured import FRAME
 from sugiyama_ros.nodes.base.samples import Positions
 from sugiyama_ros.road import Road
 

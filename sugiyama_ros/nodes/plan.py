@@ -1,4 +1,4 @@
-"""What a run consists of: names of its nodes and topics, parameters of its nodes."""
+"""What a run consists of: its settings, the names of its nodes and topics, the parameters of its nodes."""
 
 import json
 from collections.abc import Iterable
@@ -9,7 +9,7 @@ from typing import Any
 from sugiyama_ros.driver.parameters import NAMES, population
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.model_file import read_model
-from sugiyama_ros.formats import read_trajectories
+from sugiyama_ros.formats.registry import read_trajectories
 from sugiyama_ros.formats.writing import make_directory
 from sugiyama_ros.nodes.saved_state import file_of, read_learnt
 from sugiyama_ros.trajectories.trajectories import Trajectories
@@ -35,51 +35,71 @@ def step_topics(spaces: Iterable[str]) -> list[str]:
 
 
 @dataclass(frozen=True)
-class Plan:
-    """Replay ``source``, which holds ``trajectories``, and record it in ``output``.
+class RunSettings:
+    """How a recording is replayed.
 
-    rate: times real time; 0 is as fast as the nodes take it. model: file with the drivers and effects from which the
-    estimators start; critic: whether a critic listens; save_state: directory in which the estimators keep what they
-    have learnt; resume: one from which they go on.
+    Parameters
+    ----------
+    rate : float
+        Times real time; 0 is as fast as the nodes take it.
+    ring_m : float, optional
+        Circumference [m] of the ring, where the file does not say it.
+    model : Path, optional
+        File with the drivers and effects from which the estimators start.
+    critic : bool
+        Whether a critic listens.
+    save_state : Path, optional
+        Directory in which the estimators keep what they have learnt.
+    resume : Path, optional
+        Directory with what the estimators of an earlier run have learnt, from which they go on.
     """
 
-    trajectories: Trajectories
-    source: Path
-    output: Path
-    rate: float
+    rate: float = 0.0
+    ring_m: float | None = None
     model: Path | None = None
     critic: bool = False
     save_state: Path | None = None
     resume: Path | None = None
 
-    @classmethod
-    def read(
-        cls,
-        source: Path,
-        output: Path,
-        rate: float,
-        ring_m: float | None,
-        model: Path | None = None,
-        critic: bool = False,
-        save_state: Path | None = None,
-        resume: Path | None = None,
-    ) -> "Plan":
-        """A plan for a file of trajectories; ``ring_m`` [m] where the file does not tell.
 
-        Raises InputError or OutputError.
+@dataclass(frozen=True)
+class Plan:
+    """Replay ``source``, which holds ``trajectories``, and record everything in ``output``."""
+
+    trajectories: Trajectories
+    source: Path
+    output: Path
+    settings: RunSettings
+
+    @classmethod
+    def read(cls, source: Path, output: Path, settings: RunSettings) -> "Plan":
+        """Read a file of trajectories, and check what the settings name.
+
+        Raises
+        ------
+        InputError, OutputError
+            For files that cannot be read, and directories that cannot be made.
         """
-        if model is not None:
-            read_model(model)
-        if save_state is not None:
-            make_directory(save_state)
-        plan = cls(read_trajectories(source, ring_m), source, output, rate, model, critic, save_state, resume)
-        if resume is not None:
-            kept = [path for v in plan.trajectories.vehicle.tolist() if (path := file_of(resume, v)).exists()]
-            if not kept:
-                raise InputError(f"{resume}: nothing is known of these vehicles; give a directory of --save-state")
-            for path in kept:
+        if settings.model is not None:
+            read_model(settings.model)
+        if settings.save_state is not None:
+            make_directory(settings.save_state)
+        plan = cls(read_trajectories(source, settings.ring_m), source, output, settings)
+        if settings.resume is not None:
+            vehicles = plan.trajectories.vehicle.tolist()
+            saved = [path for v in vehicles if (path := file_of(settings.resume, v)).exists()]
+            if not saved:
+                raise InputError(
+                    f"{settings.resume}: nothing is known of these vehicles; give a directory of --save-state"
+                )
+            for path in saved:
                 read_learnt(path)
         return plan
+
+    @property
+    def steps(self) -> int:
+        """Samples in the recording."""
+        return len(self.trajectories.position_m)
 
     @property
     def namespaces(self) -> list[str]:
@@ -99,13 +119,14 @@ class Plan:
     @property
     def estimator(self) -> dict[str, Any]:
         """Parameters of every estimator."""
-        given = {"model": self.model, "save_state": self.save_state, "resume": self.resume}
+        s = self.settings
+        given = {"model": s.model, "save_state": s.save_state, "resume": s.resume}
         return {name: str(path) for name, path in given.items() if path is not None}
 
     @property
     def followers(self) -> list[str]:
-        """Full names of the nodes that the replay waits for, but for the recorder."""
-        return [*self.estimators, *([CRITIC] if self.critic else [])]
+        """Full names of the nodes that follow the replay; without the recorder."""
+        return [*self.estimators, *([CRITIC] if self.settings.critic else [])]
 
     @property
     def replay(self) -> dict[str, Any]:
@@ -113,7 +134,7 @@ class Plan:
         return {
             "source": str(self.source),
             "ring": self.trajectories.road.circumference_m,
-            "rate": float(self.rate),
+            "rate": float(self.settings.rate),
             "wait_for": [RECORDER, *self.followers],
         }
 
@@ -126,8 +147,8 @@ class Plan:
             "sha256": t.sha256,
             "vehicles": len(t.vehicle),
             "steps": len(t.position_m),
-            "rate": self.rate or "max",
-            "model": str(self.model or ""),
+            "rate": self.settings.rate or "max",
+            "model": str(self.settings.model or ""),
             "start_parameters": json.dumps(dict(zip(NAMES, population().tolist(), strict=True))),
         }
         return {

@@ -13,7 +13,7 @@ from rclpy.topic_or_service_is_hidden import topic_or_service_is_hidden
 
 from sugiyama_ros.errors import InputError, SugiyamaError
 from sugiyama_ros.formats.mcap_writer import BagWriter, Qos
-from sugiyama_ros.nodes.base import cdr_messages as wire
+from sugiyama_ros.nodes.base import cdr_messages
 from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode
 from sugiyama_ros.nodes.base.pacing import Levels
 from sugiyama_ros.nodes.base.qos import DEPTH, reliable
@@ -25,7 +25,8 @@ _AT_A_TIME = 50
 # Messages that may wait on a topic to which all nodes write, and which nobody paces.
 _FROM_ALL = 5000
 _FLUSH_S = 1.0
-_PATIENCE_S = 10.0
+#: Silence [s] after which a topic is no longer waited for.
+PATIENCE_S = 10.0
 #: ROS's own topics, which say nothing about the road.
 _LEFT_OUT = ("/rosout", "/parameter_events")
 
@@ -68,6 +69,11 @@ class Recorder(PacedNode):
             return Health(WARN, f"{len(self._unheard)} topics have not appeared: {min(self._unheard)} ...", values)
         return Health(OK, "recording", values)
 
+    @property
+    def counts(self) -> dict[str, int]:
+        """Messages recorded so far on each topic."""
+        return self._bag.counts
+
     def close(self) -> None:
         """Finish the file."""
         if self.failure is not None:
@@ -90,7 +96,7 @@ class Recorder(PacedNode):
         if not self._unheard:
             self.announce()
         self._waiting_s = self._waiting_s + _POLL_S if self._levels.waiting else 0.0
-        if self._waiting_s > _PATIENCE_S:
+        if self._waiting_s > PATIENCE_S:
             self._drop_late()
         self.report_if_worse()
 
@@ -126,9 +132,9 @@ class Recorder(PacedNode):
         self._on_message(topic, channel, raw)
         if topic not in self._levels.topics:
             return
-        stamp = wire.stamp_key(raw)
+        stamp = cdr_messages.stamp_key(raw)
         if topic == self._measured:
-            self._step[stamp] = wire.measured(raw).step
+            self._step[stamp] = cdr_messages.measured(raw).step
         if self._levels.reached(topic, stamp):
             self._complete(stamp)
 
@@ -150,7 +156,7 @@ class Recorder(PacedNode):
         self._waiting_s = 0.0
         if late:
             self._late += late
-            self.get_logger().warning(f"nothing for {_PATIENCE_S:.0f} s on {', '.join(late)}: no longer waiting for it")
+            self.get_logger().warning(f"nothing for {PATIENCE_S:.0f} s on {', '.join(late)}: no longer waiting for it")
         if stamp is not None:
             self._complete(stamp)
 

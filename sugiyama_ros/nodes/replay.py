@@ -8,7 +8,7 @@ from rcl_interfaces.msg import ParameterDescriptor
 from sugiyama_msgs.srv import Seek
 
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.formats import read_trajectories
+from sugiyama_ros.formats.registry import known_suffixes, read_trajectories
 from sugiyama_ros.nodes.base.samples import Positions
 from sugiyama_ros.nodes.base.spin import run_node
 from sugiyama_ros.nodes.source import Source, answer
@@ -52,7 +52,7 @@ class Replay(Source):
     def open(self) -> Recorded:
         """The trajectories given, or those of parameter ``source``."""
         for name, default, description in (
-            ("source", "", "file of trajectories: .data, .csv or .mcap"),
+            ("source", "", f"file of trajectories: {known_suffixes()}"),
             ("ring", 0.0, "circumference [m] of the ring, where the file does not tell; 0: as the file says"),
             ("loop", False, "start again at the end"),
         ):

@@ -1,9 +1,9 @@
-"""The main job: replay a recording through one estimator for each driver, all of it recorded in one MCAP file."""
+"""The main job: replay a recording through one estimator for each driver, and record everything in one MCAP file."""
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from rclpy.node import Node
 from sugiyama_msgs.msg import Progress
@@ -12,23 +12,36 @@ from sugiyama_ros.errors import SugiyamaError
 from sugiyama_ros.nodes.base import environment
 from sugiyama_ros.nodes.base.qos import PROGRESS_IN
 from sugiyama_ros.nodes.base.spin import Spinner, ros
-from sugiyama_ros.nodes.plan import RECORDER, REPLAY, Plan
+from sugiyama_ros.nodes.plan import RECORDER, REPLAY, Plan, RunSettings
 from sugiyama_ros.nodes.results import DriverResult, read_run
 from sugiyama_ros.nodes.runners import OneProcess, Processes
+from sugiyama_ros.progress import OnProgress
 
 _START_S = 60.0
-#: Called with the steps taken by all, and the steps there are.
-OnProgress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
 class RunResult:
     """What a run did.
 
-    steps: samples that all nodes have taken. messages_published, as the nodes counted them; messages_recorded, as read
-    back from the finished file; messages_lost: what should be in the file and is not. wall_s [s]: from the start of the
-    nodes to the closed file. real_time_factor: time of the recording over the time from the first sample sent to the
-    last one taken. interrupted: stopped by a signal.
+    Attributes
+    ----------
+    steps : int
+        Samples that all nodes have taken.
+    vehicles : int
+        Number of drivers.
+    messages_published, messages_recorded, messages_lost : int
+        Messages that the nodes have counted, messages in the finished file, and messages that the file lacks.
+    wall_s : float
+        Time [s] from the start of the nodes to the closed file.
+    real_time_factor : float
+        Duration of the recording, divided by the time from the first sample sent to the last one taken [1].
+    output : Path
+        The file.
+    interrupted : bool
+        Whether a signal has ended the run.
+    drivers : tuple of DriverResult
+        Parameters and errors of every driver.
     """
 
     steps: int
@@ -55,7 +68,7 @@ class _Monitor(Node):
 
     @property
     def steps(self) -> int:
-        """Steps that all have taken."""
+        """Steps that all nodes have taken."""
         return self.last[REPLAY].steps if REPLAY in self.last else 0
 
     def _on_progress(self, message: Progress) -> None:
@@ -72,58 +85,78 @@ def run(
     source: Path,
     output: Path,
     *,
-    rate: float = 0.0,
     processes: bool = False,
-    ring_m: float | None = None,
-    model: Path | None = None,
-    critic: bool = False,
-    save_state: Path | None = None,
-    resume: Path | None = None,
     on_progress: OnProgress | None = None,
+    **settings: Any,
 ) -> RunResult:
-    """Replay ``source`` through one estimator for each driver and record everything in ``output``.
+    """Replay a recording through one estimator for each driver, and record everything in one file.
 
-    rate: times real time; 0 is as fast as the nodes take it. processes: one process for each node instead of one for
-    all. ring_m: circumference [m] where the file does not tell. model: file with the drivers and effects from which
-    the estimators start; critic: whether a critic listens, and its verdicts are recorded; save_state: directory in
-    which the estimators keep what they have learnt; resume: one from which they go on. A signal (SIGINT, SIGTERM) ends
-    the run early, in good order. To be called in the main thread, where signals come.
+    SIGINT or SIGTERM ends the run early, in good order. Call this function in the main thread, where signals come.
 
-    Raises InputError or OutputError for files that cannot be read or written, and SugiyamaError where a node has
-    ended or has not started.
+    Parameters
+    ----------
+    source : Path
+        File of trajectories.
+    output : Path
+        MCAP file to write.
+    processes : bool
+        Whether each node has a process of its own. Without it, all nodes share this process.
+    on_progress : callable, optional
+        Called with the steps that all nodes have taken, and the steps there are.
+    **settings
+        Fields of `RunSettings`: rate, ring_m, model, critic, save_state, resume.
+
+    Returns
+    -------
+    RunResult
+        What was recorded, and how well each driver was predicted.
+
+    Raises
+    ------
+    InputError, OutputError
+        For files that cannot be read or written.
+    SugiyamaError
+        Where a node has ended or has not started.
     """
     environment.isolate()
-    plan = Plan.read(source, output, rate, ring_m, model, critic, save_state, resume)
-    total = len(plan.trajectories.position_m)
+    plan = Plan.read(source, output, RunSettings(**settings))
     began = time.monotonic()
     with ros() as asked_to_stop:
         monitor = _Monitor()
-        team = Processes(plan) if processes else OneProcess(plan)
-        spinner = Spinner([monitor, *team.nodes])
+        runners = Processes(plan) if processes else OneProcess(plan)
+        spinner = Spinner([monitor, *runners.nodes])
         try:
-            while not asked_to_stop() and monitor.steps < total:
+            while not asked_to_stop() and monitor.steps < plan.steps:
                 spinner.slice()
-                team.check()
-                missing = {REPLAY, RECORDER, *plan.followers} - set(monitor.last)
-                if missing and time.monotonic() - began > _START_S:
-                    raise SugiyamaError(
-                        f"{min(missing)}: not heard of after {_START_S:.0f} s; is the machine overloaded?"
-                    )
+                runners.check()
+                _check_started(plan, monitor, began)
                 if on_progress is not None:
-                    on_progress(monitor.steps, total)
+                    on_progress(monitor.steps, plan.steps)
         finally:
-            team.stop(spinner)
+            runners.stop(spinner)
             wall_s = time.monotonic() - began
             spinner.until_quiet(lambda: monitor.heard)
             spinner.close()
-            team.close()
+            runners.close()
             monitor.destroy_node()
-        team.check()
+        runners.check()
         interrupted = asked_to_stop()
-    counts, drivers = read_run(output)
+    return _result(plan, monitor, wall_s, interrupted)
+
+
+def _check_started(plan: Plan, monitor: _Monitor, began_s: float) -> None:
+    """Raise SugiyamaError where a node has not been heard of for too long."""
+    missing = {REPLAY, RECORDER, *plan.followers} - set(monitor.last)
+    if missing and time.monotonic() - began_s > _START_S:
+        raise SugiyamaError(f"{min(missing)}: not heard of after {_START_S:.0f} s; is the machine overloaded?")
+
+
+def _result(plan: Plan, monitor: _Monitor, wall_s: float, interrupted: bool) -> RunResult:
+    """Compare what the nodes say that they published with what is in the finished file."""
+    counts, drivers = read_run(plan.output)
     published = sum(message.published for message in monitor.last.values())
     recorded = sum(counts.values())
-    # What a driver missed was never published either: his topics are short of messages.
+    # What an estimator missed was never published either: the topics of its driver are short of messages.
     short = sum(monitor.steps - counts.get(topic, 0) for topic in plan.step_topics)
     return RunResult(
         steps=monitor.steps,
@@ -133,7 +166,7 @@ def run(
         messages_lost=max(0, published - recorded, short),
         wall_s=wall_s,
         real_time_factor=plan.trajectories.period_s * monitor.steps / max(monitor.moved_s - monitor.joined_s, 1e-9),
-        output=output,
+        output=plan.output,
         interrupted=interrupted,
         drivers=drivers,
     )

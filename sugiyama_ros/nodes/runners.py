@@ -1,4 +1,4 @@
-"""The nodes of a run: in this process, or each in a process of its own."""
+"""Runners of the nodes of a run: all nodes in this process, or each node in a process of its own."""
 
 import json
 import os
@@ -8,7 +8,7 @@ import sys
 import tempfile
 from pathlib import Path
 from shutil import rmtree
-from typing import Any, Protocol
+from typing import Any
 
 from rclpy.parameter import Parameter
 
@@ -22,29 +22,15 @@ from sugiyama_ros.nodes.plan import CRITIC, RECORDER, REPLAY, Plan
 from sugiyama_ros.nodes.recorder import Recorder
 from sugiyama_ros.nodes.replay import Replay
 
-_STOP_S = 15.0
+#: Longest time [s] that nodes get to come to an orderly end.
+STOP_S = 15.0
 _LAST_STEPS_S = 0.5
-#: Exit codes of a node that was stopped; the alarm is the one that run_node sets when its work is done.
+#: Exit codes of a node that was stopped. ``run_node`` sets the alarm when the work of the node is done.
 _ENDED_WELL = (0, -signal.SIGALRM)
 
 
-class Team(Protocol):
-    """The nodes of a run; ``nodes`` are those to be executed in this process."""
-
-    nodes: list[PacedNode]
-
-    def check(self) -> None:
-        """Raises SugiyamaError, in one line, if a node has failed."""
-
-    def stop(self, spinner: Spinner) -> None:
-        """An orderly end: the source first, the recorder last, so that everything sent is in the file."""
-
-    def close(self) -> None:
-        """Let go of everything."""
-
-
 class OneProcess:
-    """All nodes in this process."""
+    """Runs all nodes in this process; ``nodes`` are to be executed here."""
 
     def __init__(self, plan: Plan) -> None:
         self.nodes: list[PacedNode] = []
@@ -53,30 +39,30 @@ class OneProcess:
             self._replay = Replay(plan.trajectories, parameter_overrides=_overrides(plan.replay))
             self.nodes.append(self._replay)
             self.nodes += (Estimator(namespace=n, parameter_overrides=own) for n in plan.namespaces)
-            if plan.critic:
+            if plan.settings.critic:
                 self.nodes.append(Critic())
             self._followers = self.nodes[1:]
             # Last, so that it finds the topics of all the others at once.
             self._recorder = Recorder(parameter_overrides=_overrides(plan.recorder))
             self.nodes.append(self._recorder)
         except SugiyamaError:
-            # a replay that lived on would go on telling other runs of this process its road
+            # a replay that stays alive would send its road to other runs of this process
             self.close()
             raise
 
     def check(self) -> None:
-        """Raises the error that a node has met."""
+        """Raise the error that a node has met."""
         for node in self.nodes:
             if node.failure is not None:
                 raise node.failure
 
     def stop(self, spinner: Spinner) -> None:
-        """Stop the nodes one after the other."""
+        """Stop the source first and the recorder last, so that everything sent is in the file."""
         self._replay.finish()
-        spinner.until(lambda: all(node.steps == self._replay.next_step for node in self._followers), _STOP_S)
+        spinner.until(lambda: all(node.steps == self._replay.next_step for node in self._followers), STOP_S)
         for node in [*self._followers, self._recorder]:
             node.finish()
-        spinner.until(lambda: self._recorder.received == sum(node.published for node in self.nodes), _STOP_S)
+        spinner.until(lambda: self._recorder.received == sum(node.published for node in self.nodes), STOP_S)
         self._recorder.close()
 
     def close(self) -> None:
@@ -86,7 +72,7 @@ class OneProcess:
 
 
 class Processes:
-    """Every node in a process of its own."""
+    """Runs every node in a process of its own; ``nodes``, to be executed here, is empty."""
 
     def __init__(self, plan: Plan) -> None:
         self.nodes: list[PacedNode] = []
@@ -98,12 +84,12 @@ class Processes:
         self._start(RECORDER, "recorder", plan.recorder)
         for name in plan.estimators:
             self._start(name, "estimator", plan.estimator)
-        if plan.critic:
+        if plan.settings.critic:
             self._start(CRITIC, "critic", {})
         self._start(REPLAY, "replay", plan.replay)
 
     def check(self) -> None:
-        """Raises SugiyamaError if a process has ended that was not stopped, or not in good order."""
+        """Raise SugiyamaError if a process has ended without being asked to, or with a failure."""
         for name, child in self._children.items():
             code = child.poll()
             if code is not None and not (self._stopped and code in _ENDED_WELL):
@@ -113,7 +99,7 @@ class Processes:
                 raise SugiyamaError(f"{name}: ended with code {code}: {said}; its log is {log}")
 
     def stop(self, spinner: Spinner) -> None:
-        """Stop the processes one after the other; one that does not end is killed."""
+        """Stop the source first and the recorder last. Kill a process that does not end."""
         self._stopped = True
         self._interrupt(REPLAY)
         spinner.until(lambda: False, _LAST_STEPS_S)
@@ -129,7 +115,7 @@ class Processes:
             rmtree(self._logs)
 
     def _start(self, name: str, module: str, parameters: dict[str, Any]) -> None:
-        """Start one node. Its parameters go by file, in which no character means anything but itself."""
+        """Start one node. Its parameters go into a file, because a command line gives some characters a meaning."""
         arguments = ["--ros-args", "-r", f"__ns:={name.rpartition('/')[0] or '/'}"]
         if parameters:
             given = self._log(name).with_suffix(".yaml")
@@ -151,9 +137,9 @@ class Processes:
             self._children[name].send_signal(signal.SIGINT)
 
     def _wait_for(self, spinner: Spinner, *names: str) -> None:
-        """Wait until processes have ended; one that does not is killed."""
+        """Wait until processes have ended. Kill those that do not end."""
         children = [self._children[name] for name in names]
-        spinner.until(lambda: all(child.poll() is not None for child in children), _STOP_S)
+        spinner.until(lambda: all(child.poll() is not None for child in children), STOP_S)
         for child in children:
             if child.poll() is None:
                 child.kill()

@@ -9,7 +9,7 @@ from sugiyama_ros.driver.parameters import NAMES, defaults
 from sugiyama_ros.nodes.base.node import ERROR, Health
 from sugiyama_ros.nodes.base.samples import Positions
 from sugiyama_ros.nodes.base.spin import run_node
-from sugiyama_ros.nodes.estimator import declare_driver
+from sugiyama_ros.nodes.driver_parameters import declare_driver
 from sugiyama_ros.nodes.source import Source
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, platoon

@@ -10,7 +10,8 @@ from sugiyama_msgs.msg import MeasuredPositions, Progress
 from sugiyama_msgs.msg import Road as RoadMessage
 from visualization_msgs.msg import MarkerArray
 
-from sugiyama_ros.nodes.base import cdr_messages as wire
+from sugiyama_ros.formats.measured import FRAME
+from sugiyama_ros.nodes.base import cdr_messages
 from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode
 from sugiyama_ros.nodes.base.pacing import Pace
 from sugiyama_ros.nodes.base.qos import LATCHED, PROGRESS_IN, STREAM, WINDOW
@@ -18,7 +19,8 @@ from sugiyama_ros.nodes.base.samples import Samples
 from sugiyama_ros.nodes.markers import markers
 
 _TICK_S = 0.005
-_PATIENCE_S = 10.0
+#: Silence [s] after which a subscriber is no longer waited for.
+PATIENCE_S = 10.0
 _MARKERS_EVERY_S = 0.2
 
 
@@ -54,7 +56,7 @@ class Source(PacedNode):
         self.samples = self.open()
         self._speed_up = self.get_parameter("rate").value
         self._paused = self.get_parameter("start_paused").value
-        self._pace = Pace(WINDOW, _PATIENCE_S, filter(None, self.get_parameter("wait_for").value))
+        self._pace = Pace(WINDOW, PATIENCE_S, filter(None, self.get_parameter("wait_for").value))
         self.next_step = 0
         self._jump_to: int | None = None
         self._anchor: tuple[float, int] | None = None
@@ -125,10 +127,10 @@ class Source(PacedNode):
     def _send(self) -> None:
         step, samples = self.next_step, self.samples
         positions = samples.at(step)
-        stamp = wire.time_message(round((samples.start_s + step * samples.period_s) * wire.NS))
+        stamp = cdr_messages.time_message(round((samples.start_s + step * samples.period_s) * cdr_messages.NS))
         self.send(self._to_clock, Clock(clock=stamp))
         message = MeasuredPositions(step=step, **positions._asdict())
-        message.header.stamp, message.header.frame_id = stamp, wire.FRAME
+        message.header.stamp, message.header.frame_id = stamp, FRAME
         self.send(self._to_measured, message)
         self.next_step += 1
         self._pace.sent()
@@ -146,7 +148,10 @@ class Source(PacedNode):
             source=s.source,
             sha256=s.sha256,
         )
-        message.header.stamp, message.header.frame_id = wire.time_message(round(s.start_s * wire.NS)), wire.FRAME
+        message.header.stamp, message.header.frame_id = (
+            cdr_messages.time_message(round(s.start_s * cdr_messages.NS)),
+            FRAME,
+        )
         self.send(self._to_road, message)
 
     def _on_progress(self, message: Progress) -> None:
@@ -163,7 +168,7 @@ class Source(PacedNode):
         self._awake_s += min(now - self._ticked_s, 0.1)
         self._ticked_s = now
         for name in self._pace.drop_silent(self._awake_s):
-            self.get_logger().warning(f"{name} has been silent for {_PATIENCE_S:.0f} s: no longer waiting for it")
+            self.get_logger().warning(f"{name} has been silent for {PATIENCE_S:.0f} s: no longer waiting for it")
         self._pump()
         self.report_if_worse()
 

@@ -8,14 +8,36 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from sugiyama_ros.formats.writing import make_directory, replacing
-from sugiyama_ros.page.panels import BLUE, COLOURS, GREEN, GREY, ORANGE, VERMILION, error_growth, speeds
+from sugiyama_ros.page.panels.base import BLUE, COLOURS, GREEN, GREY, ORANGE, VERMILION
+from sugiyama_ros.page.panels.measured import speeds
+from sugiyama_ros.page.panels.missing import error_growth
 from sugiyama_ros.page.recording import Recording
 
 _SIZE_IN, _DOTS_PER_IN = (6.0, 3.6), 200
 
 
 def write_figures(r: Recording, diagnosis: Mapping[str, Any] | None, directory: Path) -> list[Path]:
-    """Write all figures that the data allow; their files. Raises OutputError."""
+    """Write all figures that the data allow, each as a PDF and a PNG file.
+
+    Parameters
+    ----------
+    r : Recording
+        The run.
+    diagnosis : mapping or None
+        Document of `sugiyama diagnose --json`.
+    directory : Path
+        Where to write; made if it is not there.
+
+    Returns
+    -------
+    list of Path
+        The files.
+
+    Raises
+    ------
+    OutputError
+        Where a file cannot be written.
+    """
     drawings: dict[str, Callable[[Any], None]] = {
         "space_time": lambda axes: _space_time(axes, r),
         "speeds": lambda axes: _speed_profile(axes, r),
@@ -64,12 +86,12 @@ def _by_driver(axes: Any, r: Recording) -> None:
 
 def _candidates(axes: Any, diagnosis: Mapping[str, Any]) -> None:
     best = [c for c in diagnosis["candidates"] if c["heldout_gain_nats"] is not None][:12][::-1]
-    named = {n["name"] for n in diagnosis["verdict"]["effects"]}
+    added = {n["name"] for n in diagnosis["verdict"]["effects"]}
     axes.barh(
         [c["name"].replace("_", " ") for c in best],
         [c["heldout_gain_nats"] for c in best],
         xerr=[c["heldout_gain_se"] or 0.0 for c in best],
-        color=[VERMILION if c["name"] in named else BLUE for c in best],
+        color=[VERMILION if c["name"] in added else BLUE for c in best],
     )
     axes.axvline(0.0, color=GREY, linewidth=0.8)
     axes.set(xlabel="held-out gain [nats], with one standard error")

@@ -11,7 +11,7 @@ _COOKIE = "sugiyama_token"
 
 
 class Guard(AuthProvider):  # type: ignore[misc]
-    """Lets in whoever comes with ``?token=`` and the right one, and knows him by a cookie from then on."""
+    """Lets a browser in that asks with the right ``?token=``, and recognises the browser by a cookie from then on."""
 
     def __init__(self) -> None:
         self.token = secrets.token_urlsafe(24)
@@ -19,7 +19,7 @@ class Guard(AuthProvider):  # type: ignore[misc]
 
     @property
     def get_user(self) -> Callable[[Any], str]:
-        """Name of who asks; refuses him with 403 if he has no token."""
+        """Function that names the user who asks; it answers 403 without the token."""
         return self._user
 
     @property

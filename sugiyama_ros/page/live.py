@@ -1,4 +1,4 @@
-"""The live page: the same story while it happens, from what a feed has heard since it was last asked."""
+"""The live page: what the topics say, while they say it."""
 
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -22,8 +22,9 @@ from bokeh.models import (
 )
 from bokeh.palettes import Cividis256
 
-from sugiyama_ros.page.panels import BLUE, GREY, MOVING_S, ORANGE, VERMILION, from_above, panel
-from sugiyama_ros.road import Array, Road
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.page.panels.base import BLUE, GREY, MOVING_S, ORANGE, VERMILION, from_above, panel
+from sugiyama_ros.road import Road
 
 #: Time [s] between two updates of the road, and of what is drawn over time; samples kept of each vehicle.
 UPDATE_S, TELL_S, KEPT = 0.1, 0.5, 750
@@ -31,7 +32,7 @@ _FASTEST = 12.0
 
 
 class Log:
-    """The latest rows that were heard; whoever reads remembers how many he has seen, so that many can read."""
+    """The latest rows that were heard, for many readers: each reader remembers how many rows it has seen."""
 
     def __init__(self, kept: int) -> None:
         self._rows: deque[tuple[float, ...]] = deque(maxlen=kept)
@@ -43,16 +44,36 @@ class Log:
         self.heard += 1
 
     def since(self, seen: int) -> Array:
-        """What is kept of the rows after the first ``seen`` ones, (rows, columns)."""
+        """The rows after the first ``seen`` rows, as far as they are kept, (rows, columns)."""
         new = min(self.heard - seen, len(self._rows))
         return np.array(list(islice(self._rows, len(self._rows) - new, None)))
 
 
 class Feed(Protocol):
-    """Where the page hears the news, and whom it tells what its buttons ask for.
+    """What the page shows, and what its buttons do.
 
-    space: time [s], place [m] and speed [m/s] of every vehicle at every sample; error: time [s] and one-step error [m]
-    of all drivers over the last seconds; driver: of each vehicle, time, speed, its std, innovation, its std.
+    Attributes
+    ----------
+    road : Road
+        The road.
+    rate : float
+        Rate of the replay, in times real time.
+    vehicles : sequence of int
+        Numbers of the vehicles; empty before the first sample.
+    weights : mapping
+        Posterior probability of each model, by name; empty without a critic.
+    now : mapping
+        Position [m] and speed [m/s] of each vehicle.
+    effects, added : sequence of str
+        Effects that can be added, and effects that were added.
+    said : str
+        Last answer of a node.
+    space : Log
+        Time [s], position [m] and speed [m/s] of every vehicle at every sample.
+    error : Log
+        Time [s] and one-step error [m] of all drivers over the last ``MOVING_S`` seconds.
+    driver : mapping
+        For each vehicle a Log of time [s], speed and its std [m/s], innovation and its std [m].
     """
 
     road: Road
@@ -68,20 +89,20 @@ class Feed(Protocol):
     driver: Mapping[int, Log]
 
     def pause(self, paused: bool) -> None:
-        """Hold the replay, or let it go on."""
+        """Pause the replay, or resume it."""
 
     def set_rate(self, rate: float) -> None:
-        """Times real time."""
+        """Set the rate of the replay, in times real time."""
 
     def add(self, effect: str) -> None:
         """Add an effect to all estimators."""
 
     def remove(self, effect: str) -> None:
-        """Remove it again."""
+        """Remove an effect from all estimators."""
 
 
 def page(feed: Feed) -> Callable[[Document], None]:
-    """What fills a new document of Bokeh's server."""
+    """Function that fills a new document of Bokeh's server."""
     return lambda document: _Page(feed).fill(document)
 
 
@@ -119,11 +140,13 @@ class _Page:
         speed = panel("The driver: speed, with one sigma", "time [s]", "speed [m/s]")
         speed.varea("time", "low", "high", source=self._driver, color=BLUE, alpha=0.3)
         speed.line("time", "speed", source=self._driver, color=BLUE, line_width=2)
-        innovation = panel("Error of his next position, with two sigma", "time [s]", "innovation [m]")
+        innovation = panel("Error of the next position, with two sigma", "time [s]", "innovation [m]")
         innovation.varea("time", "below", "above", source=self._driver, color=ORANGE, alpha=0.3)
         innovation.line("time", "innovation", source=self._driver, color=VERMILION)
         self._models = FactorRange(factors=[])
-        critic = panel("What the critic believes", "probability", "model", y_range=self._models, x_range=(0.0, 1.0))
+        critic = panel(
+            "Probability of each model of the critic", "probability", "model", y_range=self._models, x_range=(0.0, 1.0)
+        )
         critic.hbar("name", right="weight", source=self._weights, height=0.7, color=BLUE)
         rates = sorted({1.0, 2.0, 4.0, 8.0, self._feed.rate})
         pause = Toggle(label="pause", width=90)
@@ -150,7 +173,7 @@ class _Page:
         self._driver.data = {name: [] for name in self._driver.data}
 
     def _new(self, log: Log) -> Array:
-        """Columns of what the page has not shown yet; none if that is nothing."""
+        """Columns (columns, rows) that the page has not shown yet; empty if there are none."""
         rows = log.since(self._seen.get(log, 0))
         self._seen[log] = log.heard
         return rows.T

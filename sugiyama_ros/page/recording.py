@@ -1,4 +1,4 @@
-"""What a recorded run says, as arrays over samples and vehicles."""
+"""A recorded run as arrays over samples and vehicles."""
 
 import json
 from collections import defaultdict
@@ -8,26 +8,37 @@ from typing import Any
 
 import numpy as np
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.formats import read_trajectories
 from sugiyama_ros.formats.mcap_reader import Bag
-from sugiyama_ros.road import Array
+from sugiyama_ros.formats.registry import read_trajectories
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 _FIELDS = {
     "state": ("speed", "acceleration", "mean_action", "gap_m", "approach_rate"),
     "innovation": ("innovation_m", "innovation_var", "nis", "scored"),
 }
-# What a diagnosis has, of what is shown.
+# Parts of a diagnosis that are shown.
 _ASKED = {"verdict", "candidates", "smallest_detectable", "errors", "drivers"}
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A recorded run: trajectories, and what the estimators published, (T, N) each by name; NaN where nothing was.
+    """A recorded run: T samples of N vehicles, and K verdicts of the critic.
 
-    series: speed, its std speed_std, acceleration, mean_action, gap_m, approach_rate, innovation_m, innovation_var,
-    nis, scored; SI units. verdict: time (K,) [s], and the weight of each model by name, (K,).
+    Attributes
+    ----------
+    trajectories : Trajectories
+        Measured positions.
+    time_s : array (T,)
+        Time of each sample [s].
+    series : dict of arrays (T, N)
+        What the estimators published, in SI units; NaN where nothing was published. Names: speed, speed_std,
+        acceleration, mean_action, gap_m, approach_rate, innovation_m, innovation_var, nis, scored.
+    verdict_s : array (K,)
+        Time of each verdict [s].
+    weights : dict of arrays (K,)
+        Posterior probability of each model.
     """
 
     trajectories: Trajectories
@@ -43,7 +54,7 @@ class Recording:
 
     @property
     def error_by_driver(self) -> Array:
-        """Root mean square (N,) of the one-step errors [m]; 0 of a driver who has none."""
+        """Root mean square (N,) of the one-step errors [m]; 0 for a driver without any."""
         y = np.where(self.series["scored"] > 0.0, self.series["innovation_m"], np.nan)
         known = np.isfinite(y)
         mean = np.square(np.where(known, y, 0.0)).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
@@ -51,7 +62,7 @@ class Recording:
 
 
 def read_recording(path: Path) -> Recording:
-    """Read a bag that `sugiyama run` recorded, or one of trajectories alone. Raises InputError."""
+    """Read a bag that `sugiyama run` recorded, or a file of trajectories in a bag. Raises InputError."""
     trajectories = read_trajectories(path, None)
     t = trajectories
     samples, vehicles = t.position_m.shape

@@ -1,4 +1,4 @@
-"""The page as one file that needs no network: the story of a recorded run, in the order in which a user thinks."""
+"""The page as one file that needs no network: data, model, where the model fails, and what is missing."""
 
 from collections.abc import Mapping, Sequence
 from html import escape
@@ -11,7 +11,8 @@ from bokeh.models import Select, UIElement
 from bokeh.resources import Resources
 
 from sugiyama_ros.formats.writing import replacing
-from sugiyama_ros.page import panels
+from sugiyama_ros.page.panels import measured, missing, model
+from sugiyama_ros.page.panels.model import Quantity
 from sugiyama_ros.page.recording import Recording
 
 _STYLE = """
@@ -30,7 +31,22 @@ td, th { padding: .2rem .8rem; text-align: right; } td:first-child, th:first-chi
 
 
 def write_report(recording: Recording, diagnosis: Mapping[str, Any] | None, output: Path) -> None:
-    """Write the page. Raises OutputError."""
+    """Write the page of a recorded run.
+
+    Parameters
+    ----------
+    recording : Recording
+        The run.
+    diagnosis : mapping or None
+        Document of `sugiyama diagnose --json`.
+    output : Path
+        HTML file to write.
+
+    Raises
+    ------
+    OutputError
+        Where the file cannot be written.
+    """
     page = report(recording, diagnosis)
     with replacing(output) as stream:
         stream.write(page.encode())
@@ -46,38 +62,44 @@ def report(r: Recording, diagnosis: Mapping[str, Any] | None) -> str:
         width=200,
     )
     sections: list[tuple[str, str, Sequence[UIElement]]] = [
-        ("What was measured", "", [panels.space_time(r), panels.speed_profile(r), panels.ring(r)])
+        ("What was measured", "", [measured.space_time(r), measured.speed_profile(r), measured.ring(r)])
     ]
     if r.has_estimates:
         s = r.series
         time = np.broadcast_to(r.time_s[:, None], t.position_m.shape)
         place = t.road.wrap(t.position_m) if t.road.is_ring else t.position_m
         sections += [
-            ("What the model says", "", [panels.error_over_time(r), panels.driver(r, select)]),
+            ("What the model says", "", [model.error_over_time(r), model.driver(r, select)]),
             (
                 "Where it fails",
-                "A bias of the one-step error, where it stays away from 0, is something that the model does not know.",
+                "Where the mean of the one-step error stays away from 0, the model lacks something.",
                 [
-                    panels.bias_map(
-                        r, "Bias over speed and gap", s["speed"], "speed [m/s]", 12, s["gap_m"], "gap [m]", 12
+                    model.bias_map(
+                        r,
+                        "Bias over speed and gap",
+                        Quantity(s["speed"], "speed [m/s]", 12),
+                        Quantity(s["gap_m"], "gap [m]", 12),
                     ),
-                    panels.bias_map(r, "Bias over time and place", time, "time [s]", 25, place, "position [m]", 16),
-                    panels.by_driver(r, select),
+                    model.bias_map(
+                        r,
+                        "Bias over time and place",
+                        Quantity(time, "time [s]", 25),
+                        Quantity(place, "position [m]", 16),
+                    ),
+                    model.by_driver(r, select),
                 ],
             ),
         ]
-    missing: list[UIElement] = [panels.weights(r)] if r.weights else []
+    panels: list[UIElement] = [model.weights(r)] if r.weights else []
     if diagnosis is not None:
-        missing.append(panels.candidates(diagnosis))
-        sections.append(("What is missing", _told(diagnosis), missing))
+        panels.append(missing.candidates(diagnosis))
+        sections.append(("What is missing", _told(diagnosis), panels))
         sections.append(
-            ("After adding it", _errors(diagnosis), [panels.growth(diagnosis), panels.before_and_after(diagnosis)])
+            ("After adding it", _errors(diagnosis), [missing.growth(diagnosis), missing.before_and_after(diagnosis)])
         )
     else:
-        hint = (
-            "<p>For what is missing, give this page the document that <code>sugiyama diagnose --json</code> prints.</p>"
-        )
-        sections.append(("What is missing", hint, missing))
+        hint = "<p>To see what is missing, add the document that <code>sugiyama diagnose --json</code> prints.</p>"
+        sections.append(("What is missing", hint, panels))
     return _page(r, sections)
 
 
@@ -102,7 +124,7 @@ def _page(r: Recording, sections: Sequence[tuple[str, str, Sequence[UIElement]]]
 
 
 def _told(diagnosis: Mapping[str, Any]) -> str:
-    """The verdict in words."""
+    """The verdict as text."""
     lines = []
     for n in diagnosis["verdict"]["effects"]:
         text = f"{n['name']}: held-out gain {n['heldout_gain_nats']:.0f} ± {n['heldout_gain_se']:.0f} nats"

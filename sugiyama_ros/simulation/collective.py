@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sugiyama_ros.road import Array, Ints
+from sugiyama_ros.arrays import Array, Ints
 
 #: Speed [m/s] below which a vehicle stands in a queue.
 QUEUE_SPEED = 2.0

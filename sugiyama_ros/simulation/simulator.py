@@ -9,8 +9,9 @@ run as it is.
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.driver.advance import advance
 from sugiyama_ros.driver.parameters import (
     RHO,
     SIGMA_A,
@@ -22,83 +23,16 @@ from sugiyama_ros.driver.parameters import (
     horizon_at,
     index,
 )
-from sugiyama_ros.driver.utility import ACTIONS, room_for
-from sugiyama_ros.effects.control import carry_out, intend, noise_factor
-from sugiyama_ros.effects.effect import Seen
+from sugiyama_ros.driver.utility import ACTIONS
+from sugiyama_ros.effects.control import noise_factor
 from sugiyama_ros.effects.registry import EFFECTS, ROW
 from sugiyama_ros.effects.sensing import displacements, noise_std_factors, spoil
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.road import Array, Ints, Road
+from sugiyama_ros.road import Road
+from sugiyama_ros.simulation.drive import Order, Setting, Traffic, drive, see
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 _WANDERING = tuple(e for e in EFFECTS.values() if e.wanders)
-
-
-@njit(cache=True)
-def see(driver: int, leader: int, position: Array, speed: Array, length: Array, turn: Array) -> tuple[float, float]:
-    """What a driver sees: gap [m] (infinite without a leader, leader < 0) and his leader's speed [m/s].
-
-    Positions are continuous; ``turn`` (N,) [m] is what the leader's has beyond a driver's own in whole turns of a ring.
-    So a vehicle that passed its leader keeps a negative headway.
-    """
-    if leader < 0:
-        return np.inf, 0.0
-    headway = position[leader] - position[driver] - turn[driver]
-    return headway - 0.5 * (length[leader] + length[driver]), speed[leader]
-
-
-@njit(cache=True)
-def drive(
-    position: Array,
-    speed: Array,
-    held: Array,
-    acceleration: Array,
-    length: Array,
-    leader: Ints,
-    turn: Array,
-    rows: Array,
-    actions: Array,
-    time: float,
-    period: float,
-    horizon: int,
-    circumference: float,
-    out: Array,
-    pushed: Array,
-) -> None:
-    """What drivers make their cars do into ``out``, and what the environment adds into ``pushed``, (D,) each.
-
-    These are the first D = len(out) of the N vehicles;
-    held, acceleration: (N,) [m/s^2] of the last period; rows: (N, WIDTH) at this period; time [s] of the recording.
-    """
-    follower, room = np.full(len(leader), -1), room_for(actions)
-    for i in range(len(leader)):
-        if leader[i] >= 0:
-            follower[leader[i]] = i
-    for i in range(len(out)):
-        gap, leader_speed = see(i, leader[i], position, speed, length, turn)
-        leader_acceleration, second_gap, second_speed, rear_gap, rear_speed = 0.0, np.inf, 0.0, np.inf, 0.0
-        if leader[i] >= 0:
-            leader_acceleration = acceleration[leader[i]]
-            second_gap, second_speed = see(leader[i], leader[leader[i]], position, speed, length, turn)
-        if follower[i] >= 0:
-            rear_gap, _ = see(follower[i], i, position, speed, length, turn)
-            rear_speed = speed[follower[i]]
-        seen = Seen(
-            gap,
-            speed[i],
-            leader_speed,
-            position[i],
-            time,
-            circumference,
-            acceleration[i],
-            leader_acceleration,
-            second_gap,
-            second_speed,
-            rear_gap,
-            rear_speed,
-        )
-        meant, pushed[i] = intend(seen, rows[i], room, period, horizon)
-        out[i] = carry_out(meant, held[i], rows[i], period)
 
 
 @dataclass(frozen=True)
@@ -184,9 +118,15 @@ class Simulator:
     @property
     def gap_m(self) -> Array:
         """Gaps [m] to the leaders, (N,); infinite without a leader."""
-        return np.array(
-            [see(i, j, self.position_m, self.speed, self.length_m, self._turn)[0] for i, j in enumerate(self.leader)]
-        )
+        return np.array([see(i, j, self._traffic, self._order)[0] for i, j in enumerate(self.leader)])
+
+    @property
+    def _traffic(self) -> Traffic:
+        return Traffic(self.position_m, self.speed, self.held, self.acceleration)
+
+    @property
+    def _order(self) -> Order:
+        return Order(self.leader, self._turn, self.length_m)
 
     def measure(self) -> Array:
         """Measured positions (N,) [m] of the present sample: the truth plus measurement noise, wrapped on a ring."""
@@ -201,9 +141,8 @@ class Simulator:
         shock = self._rng.standard_normal((3, len(self.position_m)))
         p = self.parameters
         factor = np.array([noise_factor(v, row) for v, row in zip(self.speed, p, strict=True)])
-        position = self.position_m + self.period_s * self.speed + p[:, SIGMA_X] * shock[0]
-        self.speed = self.speed + self.period_s * self.acceleration + p[:, SIGMA_V] * shock[1]
-        self.position_m = position
+        position, speed = advance(self.position_m, self.speed, self.acceleration, self.period_s)
+        self.position_m, self.speed = position + p[:, SIGMA_X] * shock[0], speed + p[:, SIGMA_V] * shock[1]
         self.noise = p[:, RHO] * self.noise + p[:, SIGMA_A] * factor * shock[2]
         self.step_number += 1
         self._accelerate()
@@ -217,23 +156,9 @@ class Simulator:
         rows = self._wandering()
         held: Array = np.empty(len(rows))
         pushed: Array = np.empty(len(rows))
-        drive(
-            self.position_m,
-            self.speed,
-            self.held,
-            self.acceleration,
-            self.length_m,
-            self.leader,
-            self._turn,
-            rows,
-            ACTIONS,
-            self.start_s + self.step_number * self.period_s,
-            self.period_s,
-            self.horizon,
-            self.road.circumference_m,
-            held,
-            pushed,
-        )
+        time = self.start_s + self.step_number * self.period_s
+        setting = Setting(self.period_s, self.horizon, self.road.circumference_m)
+        drive(self._traffic, self._order, rows, ACTIONS, time, setting, held, pushed)
         self.held = held
         self.acceleration = held + pushed + self.noise
 

@@ -27,7 +27,7 @@ def measure(without: str) -> dict[str, float]:
 
     from sugiyama_ros.driver.parameters import defaults, population
     from sugiyama_ros.filters.causal import log_likelihood
-    from sugiyama_ros.filters.chain import chain_behind
+    from sugiyama_ros.filters.extract import chain_behind
     from sugiyama_ros.road import Road
     from sugiyama_ros.simulation.simulator import Simulator, platoon, simulate
 

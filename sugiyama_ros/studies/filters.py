@@ -8,6 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
+from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.calibration import each_for_himself
 from sugiyama_ros.driver.parameters import KAPPA_V, NAMES, SIGMA_A, SIGMA_NU, UTILITY, V_STAR, population
 from sugiyama_ros.driver.utility import ACTIONS
@@ -18,7 +19,7 @@ from sugiyama_ros.filters.linearisation import linearise
 from sugiyama_ros.filters.online import ADAPT, Learnt, OnlineFilter
 from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Linearised, Moment, State, scene_at, workspace_for
 from sugiyama_ros.filters.vehicles import start_vehicle
-from sugiyama_ros.road import Array, Ints, Road
+from sugiyama_ros.road import Road
 from sugiyama_ros.studies.rings import CARS, alike, jams
 from sugiyama_ros.studies.study import Answer, Asked, Row, Study
 from sugiyama_ros.trajectories.trajectories import Trajectories

@@ -4,7 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from sugiyama_ros.calibration import each_for_himself
+from sugiyama_ros.calibration.calibrate import each_driver
+from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.driver.parameters import index
 from sugiyama_ros.filters import causal
 from sugiyama_ros.filters.extract import chain_behind
@@ -24,7 +25,7 @@ def answer(asked: Asked) -> Answer:
     t = asked.measured
     rows: list[Row] = []
     for name, formulation, is_regularised in _VARIANTS:
-        found = each_for_himself(t, formulation, ESTIMATED, is_regularised=is_regularised, work=asked.work)
+        found = each_driver(t, Settings(formulation, is_regularised=is_regularised), work=asked.work)
         row: dict[str, Any] = {"formulation": name}
         for parameter in ESTIMATED:
             known = np.array([one[parameter] for one in found.identified])

@@ -4,13 +4,14 @@ from typing import Any
 
 import numpy as np
 
-from sugiyama_ros.calibration import each_for_himself
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.calibration.calibrate import each_driver
+from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, index
 from sugiyama_ros.effects.registry import switch_on, whole
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.online import OnlineFilter
 from sugiyama_ros.fit.driver import ESTIMATED
-from sugiyama_ros.road import Array
 from sugiyama_ros.studies.rings import CARS, Ring, alike, jams, run
 from sugiyama_ros.studies.study import Answer, Asked, Row, Study
 from sugiyama_ros.trajectories.trajectories import Trajectories
@@ -47,7 +48,7 @@ def convergence(asked: Asked) -> Answer:
         error = np.log(np.array(values) / drivers[:, None, _PLACES])
         errors.append(error)
         scaled.append(error / np.array(stds))
-        fits = each_for_himself(t, "causal", ESTIMATED, work=asked.work).rows[:, _PLACES]
+        fits = each_driver(t, Settings(), work=asked.work).rows[:, _PLACES]
         batch_errors.append(np.log(fits / drivers[:, _PLACES]))
     error, z, batch = np.concatenate(errors), np.concatenate(scaled), np.concatenate(batch_errors)
     root = np.sqrt(np.mean(np.square(error), axis=0))
@@ -85,7 +86,7 @@ def _measured(asked: Asked, t: Trajectories) -> Row:
     """Log-likelihood per sample, predicted online, beside that of the batch fit on the samples it was fitted to."""
     density = [d for _, _, d, _ in asked.work.map(followed, [(t, i) for i in range(len(t.vehicle))])]
     scored = int(sum(np.isfinite(d).sum() for d in density))
-    fitted = float(each_for_himself(t, "causal", ESTIMATED, work=asked.work).log_likelihood.sum()) / scored
+    fitted = float(each_driver(t, Settings(), work=asked.work).log_likelihood.sum()) / scored
     predicted = float(sum(np.nansum(d) for d in density)) / scored
     return {
         "parameter": "measured: nats per sample",

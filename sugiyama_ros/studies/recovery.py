@@ -4,10 +4,11 @@ from typing import Any
 
 import numpy as np
 
-from sugiyama_ros.calibration import each_for_himself
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.calibration.calibrate import each_driver
+from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.driver.parameters import index
 from sugiyama_ros.fit.driver import ESTIMATED, Formulation
-from sugiyama_ros.road import Array
 from sugiyama_ros.studies.rings import Ring, alike, run
 from sugiyama_ros.studies.study import Answer, Asked, Row, Study
 
@@ -26,7 +27,7 @@ def answer(asked: Asked) -> Answer:
         if simulated.collisions:
             continue
         for f in _FORMULATIONS:
-            found = each_for_himself(simulated.measured, f, ESTIMATED, profiled=True, work=asked.work)
+            found = each_driver(simulated.measured, Settings(f, profiled=True), work=asked.work)
             errors[f].append(found.rows[:, places] - truth)
             intervals[f].append(found.interval[:, places])
     rows: list[Row] = []

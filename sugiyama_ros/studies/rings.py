@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import SIGMA_A, defaults
-from sugiyama_ros.fit.driver import calibrate
-from sugiyama_ros.road import Array, Road
+from sugiyama_ros.fit.driver import SearchOptions, calibrate
+from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.collective import Collective, collective
 from sugiyama_ros.simulation.simulator import Simulation, Simulator, evenly, platoon, simulate
 from sugiyama_ros.trajectories.trajectories import Trajectories
@@ -96,7 +97,8 @@ def alike(cars: int = CARS) -> Array:
 
 def estimated(trajectories: Trajectories, factor: float = FACTOR) -> Array:
     """Drivers (N, P) as the paper finds them, regularised, with part of the acceleration noise (sections 4.4 and 6)."""
-    rows = np.array([fit.parameters for fit in calibrate(trajectories, "paper", is_regularised=True)])
+    fits = calibrate(trajectories, "paper", options=SearchOptions(is_regularised=True))
+    rows = np.array([fit.parameters for fit in fits])
     rows[:, SIGMA_A] *= factor
     return rows
 

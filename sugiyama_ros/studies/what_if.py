@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.compare import collective_of
 from sugiyama_ros.driver.parameters import KAPPA_C, KAPPA_V, SIGMA_A, V_STAR
-from sugiyama_ros.road import Array
 from sugiyama_ros.studies.rings import (
     FACTOR,
     PAPERS_FACTOR,

@@ -7,8 +7,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.road import Array, Ints, Road
+from sugiyama_ros.road import Road
 
 #: Length [m] of a vehicle whose file does not tell: the mean of the paper's Table 1.
 DEFAULT_LENGTH_M = 4.33

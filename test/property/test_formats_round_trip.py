@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.formats import read_trajectories
 from sugiyama_ros.formats.convert import write_trajectories
 from sugiyama_ros.formats.plain_csv import write_csv
+from sugiyama_ros.formats.registry import read_trajectories
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.trajectories import Trajectories
 

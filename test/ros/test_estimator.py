@@ -19,8 +19,8 @@ from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.online import Learnt, OnlineFilter
 from sugiyama_ros.fit.driver_types import DriverTypes
 from sugiyama_ros.fit.model_file import write_drivers
-from sugiyama_ros.formats import read_trajectories
-from sugiyama_ros.nodes.base import cdr_messages as wire
+from sugiyama_ros.formats.registry import read_trajectories
+from sugiyama_ros.nodes.base import cdr_messages
 from sugiyama_ros.nodes.base.node import ERROR, OK, WARN
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.estimator import Estimator
@@ -54,7 +54,7 @@ class Road(Node):
         """A sample; 7 follows 8, 8 follows 9, 9 follows 7."""
         leader = {7: 8, 8: 9, 9: 7}
         message = MeasuredPositions(step=self.step, vehicle=list(position_m), leader=[leader[v] for v in position_m])
-        message.header.stamp = wire.time_message(round(time_s * wire.NS))
+        message.header.stamp = cdr_messages.time_message(round(time_s * cdr_messages.NS))
         message.position_m, message.length_m = list(position_m.values()), [4.5] * len(position_m)
         self.to_measured.publish(message)
         self.step += 1
@@ -98,7 +98,7 @@ def test_it_says_what_the_filter_says(stage, ring_csv: Path) -> None:
     to_measured = road.create_publisher(MeasuredPositions, "measured", STREAM)
     for k in range(50):
         message = MeasuredPositions(step=k, vehicle=[0, 1, 2, 3], leader=[1, 2, 3, 0], length_m=[4.5] * 4)
-        message.header.stamp = wire.time_message(round(k * trajectories.period_s * wire.NS))
+        message.header.stamp = cdr_messages.time_message(round(k * trajectories.period_s * cdr_messages.NS))
         message.position_m = trajectories.position_m[k].tolist()
         to_measured.publish(message)
     stage.until(lambda: len(states) == len(innovations) == 50)
@@ -267,7 +267,7 @@ def test_it_tells_the_type_of_the_driver(stage, ring_csv: Path, tmp_path: Path) 
     road.drive(0, 21)
     stage.until(lambda: len(told) == 11)
     assert told[0].probability == pytest.approx([0.75, 0.25])
-    learnt, prior = estimator._filter.learnt, estimator._filter.prior
+    learnt, prior = estimator.filter.learnt, estimator.filter.prior
     assert told[-1].probability == pytest.approx(types.probabilities(learnt, prior))
     assert (told[-1].header.stamp.sec, told[-1].vehicle) == (10, 7)
 
@@ -302,7 +302,7 @@ def test_a_node_that_was_killed_goes_on_where_it_was(stage, tmp_path: Path) -> N
     def drive(estimator: Estimator, begin: int, end: int) -> None:
         for k in range(begin, end):
             road.send(k * PERIOD_S, dict(zip((7, 8), position[k].tolist(), strict=True)))
-        stage.until(lambda: estimator._stamp_ns == round((end - 1) * PERIOD_S * wire.NS))
+        stage.until(lambda: estimator.stamp_ns == round((end - 1) * PERIOD_S * cdr_messages.NS))
 
     stage.add(road, first)
     stage.until(lambda: first.health().level == OK)
@@ -311,8 +311,8 @@ def test_a_node_that_was_killed_goes_on_where_it_was(stage, tmp_path: Path) -> N
     saved = read_learnt(file_of(tmp_path, 7))
     stage.kill(first)
     again = Estimator(namespace="/vehicle_07", parameter_overrides=[Parameter("resume", value=str(tmp_path))])
-    assert again._kept.learnt.mean.tolist() == saved.learnt.mean.tolist()
-    assert saved.until_ns == 20 * wire.NS
+    assert again.kept.learnt.mean.tolist() == saved.learnt.mean.tolist()
+    assert saved.until_ns == 20 * cdr_messages.NS
     stage.add(again)
     # the road is latched, and so are its last samples: the node learns from those that the one before had not kept
     stage.until(lambda: again.health().level == OK)
@@ -321,7 +321,7 @@ def test_a_node_that_was_killed_goes_on_where_it_was(stage, tmp_path: Path) -> N
     for k in range(80):
         never.step([*position[k], nan], [7, 8, 9], [4.5, 4.5, 0.0], k * PERIOD_S)
     assert values(again)["samples"] == 80
-    off = again._filter.learnt.mean - never.learnt.mean
+    off = again.filter.learnt.mean - never.learnt.mean
     assert np.all(np.abs(off) < np.sqrt(np.diag(never.learnt.covariance)))
 
 
@@ -337,7 +337,7 @@ def test_a_node_that_was_killed_goes_on_from_what_the_keeper_has_heard(stage) ->
     def drive(estimator: Estimator, begin: int, end: int) -> None:
         for k in range(begin, end):
             road.send(k * PERIOD_S, dict(zip((7, 8), position[k].tolist(), strict=True)))
-        stage.until(lambda: estimator._stamp_ns == round((end - 1) * PERIOD_S * wire.NS))
+        stage.until(lambda: estimator.stamp_ns == round((end - 1) * PERIOD_S * cdr_messages.NS))
 
     stage.add(road, keeper, first)
     stage.until(lambda: first.health().level == OK and dict(keeper.health().values)["drivers"] == 1)
@@ -348,11 +348,11 @@ def test_a_node_that_was_killed_goes_on_from_what_the_keeper_has_heard(stage) ->
     again = Estimator(namespace="/vehicle_07", parameter_overrides=[Parameter("ask_keeper", value=True)])
     stage.add(again)
     drive(again, 60, 80)
-    assert again._kept.until_ns == 29 * wire.NS
+    assert again.kept.until_ns == 29 * cdr_messages.NS
     never = OnlineFilter(PERIOD_S, RingRoad(100.0))
     for k in range(80):
         never.step([*position[k], nan], [7, 8, 9], [4.5, 4.5, 0.0], k * PERIOD_S)
-    off = again._filter.learnt.mean - never.learnt.mean
+    off = again.filter.learnt.mean - never.learnt.mean
     assert np.all(np.abs(off) < np.sqrt(np.diag(never.learnt.covariance)))
 
 

@@ -15,6 +15,7 @@ from std_msgs.msg import Header, String
 
 from sugiyama_ros.errors import InputError, OutputError
 from sugiyama_ros.formats.mcap_reader import Bag
+from sugiyama_ros.formats.mcap_writer import BagWriter
 from sugiyama_ros.formats.recover import recover
 from sugiyama_ros.nodes import recorder as recorder_module
 from sugiyama_ros.nodes.base.node import ERROR
@@ -34,7 +35,7 @@ def recorder(output: Path, *paced: str) -> Recorder:
 
 def holds(recording: Recorder, topic: str, messages: int) -> bool:
     """Whether the recorder has so many messages of a topic; it records its own /diagnostics as well."""
-    return recording._bag.counts.get(topic, 0) >= messages
+    return recording.counts.get(topic, 0) >= messages
 
 
 def test_bytes_and_quality_of_service_are_kept(stage, tmp_path: Path) -> None:
@@ -85,12 +86,12 @@ def test_a_topic_that_appears_later_is_recorded_too(stage, tmp_path: Path) -> No
 
 
 def test_a_topic_that_falls_silent_is_no_longer_waited_for(stage, tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr(recorder_module, "_PATIENCE_S", 1.0)
+    monkeypatch.setattr(recorder_module, "PATIENCE_S", 1.0)
     node = Node("sender")
     measured = node.create_publisher(Header, "measured", STREAM)
     state = node.create_publisher(Header, "state", STREAM)
     # These stand for measured positions: only their stamps and steps are looked at.
-    monkeypatch.setattr(recorder_module.wire, "measured", lambda raw: type("Sample", (), {"step": raw[4]}))
+    monkeypatch.setattr(recorder_module.cdr_messages, "measured", lambda raw: type("Sample", (), {"step": raw[4]}))
     recording = recorder(tmp_path / "out.mcap", "/measured", "/state")
     stage.add(node, recording)
 
@@ -128,7 +129,7 @@ def test_a_disk_that_refuses_ends_the_recorder_and_no_other(stage, tmp_path: Pat
     def refuse(*_: object) -> None:
         raise OutputError("out.mcap: cannot be written: No space left on device; free some space")
 
-    monkeypatch.setattr(recorder_module.BagWriter, "write", refuse)
+    monkeypatch.setattr(BagWriter, "write", refuse)
     publisher.publish(String(data="one"))
     stage.until(lambda: recording.failure is not None)
     recording.close()

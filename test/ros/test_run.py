@@ -11,12 +11,12 @@ from pathlib import Path
 import pytest
 
 from sugiyama_ros.errors import InputError, OutputError, SugiyamaError
-from sugiyama_ros.formats import read_trajectories
 from sugiyama_ros.formats.mcap_reader import Bag
-from sugiyama_ros.nodes import recorder, source
-from sugiyama_ros.nodes import runners as team
+from sugiyama_ros.formats.registry import read_trajectories
+from sugiyama_ros.nodes import recorder, runners, source
 from sugiyama_ros.nodes.base.node import PacedNode
 from sugiyama_ros.nodes.estimator import Estimator
+from sugiyama_ros.nodes.follower import Follower
 from sugiyama_ros.nodes.plan import namespaces
 from sugiyama_ros.nodes.run import RunResult, run
 
@@ -86,31 +86,31 @@ def test_a_run_goes_on_from_what_another_has_learnt(ring_csv: Path, tmp_path: Pa
 
 
 def test_a_slow_driver_loses_nothing(ring_csv: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    follow = Estimator._follow
+    follow = Follower.follow
 
-    def slowly(self: Estimator, *arguments: object) -> object:
+    def slowly(self: Follower, *arguments: object) -> object:
         if self.vehicle == 2:
             time.sleep(0.005)
         return follow(self, *arguments)
 
-    monkeypatch.setattr(Estimator, "_follow", slowly)
+    monkeypatch.setattr(Follower, "follow", slowly)
     assert_nothing_lost(run(ring_csv, tmp_path / "out.mcap", ring_m=100.0), tmp_path / "out.mcap")
 
 
 def test_a_driver_that_stops_is_left_behind(ring_csv: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(source, "_PATIENCE_S", 1.0)
-    monkeypatch.setattr(recorder, "_PATIENCE_S", 1.0)
-    monkeypatch.setattr(team, "_STOP_S", 1.0)
-    take, beat = Estimator._on_measured, PacedNode._on_beat
+    monkeypatch.setattr(source, "PATIENCE_S", 1.0)
+    monkeypatch.setattr(recorder, "PATIENCE_S", 1.0)
+    monkeypatch.setattr(runners, "STOP_S", 1.0)
+    take_in, beat = Estimator.take_in, PacedNode.beat
 
     def is_stuck(node: PacedNode) -> bool:
         return isinstance(node, Estimator) and node.vehicle == 2 and node.steps >= 50
 
-    monkeypatch.setattr(Estimator, "_on_measured", lambda self, raw: None if is_stuck(self) else take(self, raw))
-    monkeypatch.setattr(PacedNode, "_on_beat", lambda self: None if is_stuck(self) else beat(self))
+    monkeypatch.setattr(Estimator, "take_in", lambda self, raw: None if is_stuck(self) else take_in(self, raw))
+    monkeypatch.setattr(PacedNode, "beat", lambda self: None if is_stuck(self) else beat(self))
     result = run(ring_csv, tmp_path / "out.mcap", ring_m=100.0)
     assert result.steps == 200
-    # His state and innovation of 150 steps, and nobody else's.
+    # State and innovation of this driver in 150 steps, and nothing of the others.
     assert result.messages_lost == 300
     with Bag(tmp_path / "out.mcap") as bag:
         counts = {topic.name: topic.count for topic in bag.info().topics}

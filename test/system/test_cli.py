@@ -5,6 +5,7 @@ import os
 import struct
 import subprocess
 import sys
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -43,7 +44,7 @@ def here(tmp_path, monkeypatch):
 
 
 def one_line(result, *words):
-    """It was refused as it should be."""
+    """The command was refused with one line, which contains the words."""
     code, out, err = result
     assert code == 2
     assert out == ""
@@ -196,6 +197,65 @@ def test_every_json_is_one_document(sugiyama, here):
     assert [set(d) for d in run["drivers"]] == [keys] * 22
     assert (run["steps"], run["vehicles"], run["messages_lost"]) == (91, 22, 0)
     assert len(documents["echo", "good.mcap", "/measured"]) == 40
+
+
+COMMANDS = (
+    *("demo", "run", "simulate", "calibrate", "diagnose", "study", "compare", "report", "live"),
+    *("convert", "fetch", "info", "echo", "recover"),
+)
+
+
+def test_the_version_is_the_packages(sugiyama):
+    assert sugiyama("--version") == (0, f"sugiyama {version('sugiyama_ros')}\n", "")
+
+
+def test_help_tells_of_every_command_in_a_whole_sentence(sugiyama):
+    code, out, err = sugiyama("--help")
+    assert (code, err) == (0, "")
+    told = out.split("Commands:\n")[1].splitlines()
+    assert tuple(line.split()[0] for line in told) == COMMANDS
+    assert all(line.endswith(".") and not line.endswith("...") for line in told)
+
+
+def test_help_keeps_units_in_square_brackets(sugiyama):
+    run, simulate = (" ".join(sugiyama(command, "--help")[1].split()) for command in ("run", "simulate"))
+    assert "Circumference of the road [m], if" in run
+    for words in ("Circumference of the ring [m];", "simulation [s].", "at the start [m].", "two samples [s]."):
+        assert words in simulate
+    assert "NAME:PARAMETER=VALUE[,...]:" in simulate
+
+
+def test_help_loads_nothing_heavy():
+    code = (
+        "import sys\n"
+        "from sugiyama_ros.cli import main\n"
+        "sys.argv = ['sugiyama', 'calibrate', '--help']\n"
+        "try:\n"
+        "    main()\n"
+        "except SystemExit:\n"
+        "    print(*sorted({'numba', 'scipy', 'rclpy', 'bokeh'} & set(sys.modules)), file=sys.stderr)\n"
+    )
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert told.stdout.startswith("Usage: sugiyama calibrate")
+    assert told.stderr == "\n"
+
+
+CONTRADICTIONS = [
+    (("--formulation", "exact"), ("--formulation exact", "paper", "causal")),
+    (("--output", "model.txt"), ("model.txt", ".yaml")),
+    (("--formulation", "paper", "--effects", "drag"), ("--effects", "--formulation causal")),
+    (("--effects", "drag", "--profile"), ("--profile", "--effects")),
+    (("--regularise", "--hops", "3"), ("--hops", "--regularise")),
+    (("--classes", "2", "--effects", "drag"), ("--classes", "--effects")),
+    (("--classes", "2", "--formulation", "paper", "--regularise"), ("--classes", "--regularise")),
+    (("--parameters", "speed"), ("speed", "v_star")),
+]
+
+
+@pytest.mark.parametrize(("arguments", "words"), CONTRADICTIONS)
+def test_options_that_contradict_each_other(sugiyama, here, arguments, words):
+    one_line(sugiyama("calibrate", "good.csv", *arguments), *words)
+    assert sorted(p.name for p in here.iterdir()) == ["good.csv"]
 
 
 def test_a_seed_repeats_the_file(sugiyama, here):

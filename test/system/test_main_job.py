@@ -16,8 +16,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.online import OnlineFilter
-from sugiyama_ros.formats import read_trajectories
 from sugiyama_ros.formats.mcap_reader import Bag
+from sugiyama_ros.formats.registry import read_trajectories
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
 SUGIYAMA = [sys.executable, "-m", "sugiyama_ros.cli"]

@@ -17,7 +17,7 @@ from bokeh.util.token import generate_jwt_token
 
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.mcap_reader import Bag
-from sugiyama_ros.page.panels import growth
+from sugiyama_ros.page.panels.missing import growth
 from sugiyama_ros.page.recording import read_diagnosis, read_recording
 from sugiyama_ros.page.report import report, write_report
 

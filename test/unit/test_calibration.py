@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from sugiyama_ros.calibration import all_together, each_for_himself, in_classes
+from sugiyama_ros.calibration.calibrate import each_driver, in_classes, pooled
+from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.driver.parameters import KAPPA_V, NAMES, SIGMA_A, SIGMA_NU, V_STAR, defaults, index
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters import paper
 from sugiyama_ros.fit import driver as calibration
-from sugiyama_ros.fit.driver import ESTIMATED, calibrate, regularised
+from sugiyama_ros.fit.driver import ESTIMATED, SearchOptions, calibrate
+from sugiyama_ros.fit.driver_score import regularised
 from sugiyama_ros.fit.intervals import end_of_profile
 from sugiyama_ros.fit.model_file import read_model
 from sugiyama_ros.road import Road
@@ -34,7 +36,7 @@ def jam():
 @pytest.fixture(scope="module")
 def causal_fits(jam):
     with ThreadPoolExecutor(2) as work:
-        return each_for_himself(jam, "causal", ESTIMATED, work=work)
+        return each_driver(jam, Settings(), work=work)
 
 
 def test_the_truth_lies_within_the_errors_of_the_causal_fits(causal_fits):
@@ -81,14 +83,14 @@ def test_regularisation_is_the_papers(jam):
     penalty = 50.0 * (v_star - 11.0) ** 2 + 500.0 * (kappa_v - 0.5) ** 2
     assert plain.log_likelihood - pulled.log_likelihood == pytest.approx(penalty)
     assert plain.gradient[V_STAR] - pulled.gradient[V_STAR] == pytest.approx(100.0 * (v_star - 11.0))
-    fits = list(calibrate(jam, "paper", is_regularised=True))
+    fits = list(calibrate(jam, "paper", options=SearchOptions(is_regularised=True)))
     free = list(calibrate(jam, "paper"))
     assert all(a.log_likelihood <= b.log_likelihood + 1e-3 for a, b in zip(fits, free, strict=True))
     assert np.mean([f.parameters[KAPPA_V] for f in fits]) > np.mean([f.parameters[KAPPA_V] for f in free]) + 0.02
 
 
 def test_a_calibration_that_was_cut_off_goes_on(jam, tmp_path, monkeypatch):
-    whole = each_for_himself(jam, "paper", ESTIMATED)
+    whole = each_driver(jam, Settings("paper"))
     kept = tmp_path / "fits"
     carried_out = []
     carry_out = calibration.carry_out
@@ -101,30 +103,30 @@ def test_a_calibration_that_was_cut_off_goes_on(jam, tmp_path, monkeypatch):
 
     monkeypatch.setattr(calibration, "carry_out", counted)
     with pytest.raises(KeyboardInterrupt):
-        each_for_himself(jam, "paper", ESTIMATED, kept=kept)
+        each_driver(jam, Settings("paper"), kept=kept)
     # the last line was half written when the power failed
     kept.write_text(kept.read_text()[:-30])
     monkeypatch.setattr(calibration, "carry_out", lambda job: carried_out.append(job.vehicle) or carry_out(job))
-    resumed = each_for_himself(jam, "paper", ESTIMATED, kept=kept)
+    resumed = each_driver(jam, Settings("paper"), kept=kept)
     assert sorted(carried_out) == sorted([*range(22), 8])
     assert np.array_equal(resumed.rows, whole.rows)
     assert resumed.std == whole.std
     # another question is not answered with these fits
     carried_out.clear()
-    each_for_himself(jam, "paper", ("v_star",), kept=kept)
+    each_driver(jam, Settings("paper", ("v_star",)), kept=kept)
     assert len(carried_out) == 22
 
 
 def test_a_population_narrows_what_single_drivers_leave_wide(jam, causal_fits, tmp_path):
     with ThreadPoolExecutor(2) as work:
-        pooled = all_together(jam, ESTIMATED, (), work)
-    spread = [np.std(c.rows[:, V_STAR]) for c in (pooled, causal_fits)]
+        population = pooled(jam, Settings(), (), work)
+    spread = [np.std(c.rows[:, V_STAR]) for c in (population, causal_fits)]
     assert spread[0] < spread[1]
     # all drivers are alike here
-    error = [np.mean((c.rows[:, V_STAR] - defaults()[V_STAR]) ** 2) for c in (pooled, causal_fits)]
+    error = [np.mean((c.rows[:, V_STAR] - defaults()[V_STAR]) ** 2) for c in (population, causal_fits)]
     assert error[0] < error[1]
-    pooled.write(tmp_path / "model.yaml")
-    assert read_model(tmp_path / "model.yaml").rows == pytest.approx(pooled.rows)
+    population.write(tmp_path / "model.yaml")
+    assert read_model(tmp_path / "model.yaml").rows == pytest.approx(population.rows)
 
 
 def test_any_parameters_may_be_estimated(jam):
@@ -161,7 +163,7 @@ def test_an_interval_ends_where_the_profile_has_fallen_by_half_of_1_96_squared(s
 
 def test_profile_intervals_are_those_of_another_search(jam):
     """The paper's likelihood, maximised over the others by scipy at the ends of the intervals."""
-    fit = next(calibrate(jam, "paper", profiled=True))
+    fit = next(calibrate(jam, "paper", options=SearchOptions(profiled=True)))
     perceived = paper.perceive(jam, 0)
     assert np.all(fit.interval[PLACES, 0] < fit.parameters[PLACES])
     assert np.all(fit.interval[PLACES, 1] > fit.parameters[PLACES])
@@ -183,14 +185,14 @@ def test_profile_intervals_are_those_of_another_search(jam):
 
 
 def test_an_interval_of_a_negative_parameter_has_two_ends(jam):
-    fit = next(calibrate(jam, "paper", ("omega_2",), profiled=True))
+    fit = next(calibrate(jam, "paper", ("omega_2",), SearchOptions(profiled=True)))
     k = index("omega_2")
     low, high = fit.interval[k]
     assert -np.inf < low < fit.parameters[k] < high < 0.0
 
 
 def test_basinhopping_ends_in_the_same_maximum_and_repeats(jam):
-    first, again = (next(calibrate(jam, "paper", hops=3, seed=2)) for _ in range(2))
+    first, again = (next(calibrate(jam, "paper", options=SearchOptions(hops=3, seed=2))) for _ in range(2))
     plain = next(calibrate(jam, "paper"))
     assert np.array_equal(first.parameters, again.parameters)
     assert first.log_likelihood > plain.log_likelihood - 1e-3
@@ -205,7 +207,7 @@ def test_drivers_of_two_kinds_are_divided_into_two_classes(tmp_path):
     length, road = np.full(22, 4.33), Road(400.0)
     short = simulate(Simulator(rows, length, evenly(length, road), road, np.random.default_rng(3)), 60.0).measured
     with ThreadPoolExecutor(2) as work:
-        one, two, again = (in_classes(short, "paper", ESTIMATED, k, 0, work) for k in (1, 2, 2))
+        one, two, again = (in_classes(short, Settings("paper"), k, work) for k in (1, 2, 2))
     assert two.classes.bic < one.classes.bic
     assert np.array_equal(two.rows, again.rows)
     assert two.classes.probability.sum(axis=1) == pytest.approx(np.ones(22))
@@ -223,4 +225,4 @@ def test_drivers_of_two_kinds_are_divided_into_two_classes(tmp_path):
         pytest.raises(InputError, match="22 drivers, 30 classes; give --classes 22 at most"),
         ThreadPoolExecutor(1) as w,
     ):
-        in_classes(short, "paper", ESTIMATED, 30, 0, w)
+        in_classes(short, Settings("paper"), 30, w)

@@ -19,20 +19,13 @@ from sugiyama_ros.diagnosis.verdict import document, sentences
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, defaults
 from sugiyama_ros.effects.registry import switch_on, whole
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.fit.fitting import (
-    FOLDS,
-    evaluate,
-    fit,
-    fit_base,
-    held_out,
-    held_out_nearly,
-    objective,
-    prepare,
-    slopes,
-    start_model,
-    without_folds,
-)
+from sugiyama_ros.fit.cross_validation import held_out, held_out_nearly, without_folds
+from sugiyama_ros.fit.joint import fit, objective
 from sugiyama_ros.fit.model_file import read_model, write_model
+from sugiyama_ros.fit.population import fit_base, start_model
+from sugiyama_ros.fit.recording import FOLDS, prepare
+from sugiyama_ros.fit.score import evaluate
+from sugiyama_ros.fit.slopes import slopes
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, platoon, simulate
 

@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 
 from sugiyama_ros.errors import InputError, OutputError
-from sugiyama_ros.formats import catalogue, fetch, read_trajectories
+from sugiyama_ros.formats import catalogue, fetch
+from sugiyama_ros.formats.registry import read_trajectories
 
 DATA = b"# circuit length is 100m.\n1.0 0.0\n2.0 0.5\n3.0 1.0\n\n50.0 0.0\n51.0 0.5\n52.0 1.0\n"
 

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from sugiyama_ros.errors import InputError, OutputError
-from sugiyama_ros.formats import read_trajectories, samples
+from sugiyama_ros.formats import samples
 from sugiyama_ros.formats.plain_csv import write_csv
+from sugiyama_ros.formats.registry import read_trajectories
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M, Trajectories, regular_time_base
 
@@ -175,7 +176,7 @@ def test_too_many_samples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_a_file_that_cannot_be_told(tmp_path: Path) -> None:
-    assert "not known what this is" in refused(tmp_path, "a.txt", CSV)
+    assert "not a known file format" in refused(tmp_path, "a.txt", CSV)
     with pytest.raises(InputError, match="No such file"):
         read_trajectories(tmp_path / "none.csv")
     with pytest.raises(InputError, match="not a regular file"):

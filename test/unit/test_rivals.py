@@ -10,7 +10,9 @@ from hypothesis import strategies as st
 from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.least_squares import Following, fit_gaps, gap_errors
-from sugiyama_ros.laws.registry import LAWS, fvdm, idm
+from sugiyama_ros.laws.fvdm import fvdm
+from sugiyama_ros.laws.idm import idm
+from sugiyama_ros.laws.registry import LAWS
 
 FUNCTIONS = (idm, fvdm)
 IDM, FVDM = (np.array([p.default for p in law.parameters]) for law in LAWS[:2])

@@ -15,17 +15,16 @@ from builtin_interfaces.msg import Time
 from rclpy.serialization import serialize_message
 from sugiyama_msgs.msg import DriverParameters, DriverType, StyleChange
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.filters.online import Estimate
-from sugiyama_ros.road import Array
+from sugiyama_ros.formats.measured import FRAME
 
-#: Frame of all messages: positions along the road.
-FRAME = "road"
 NS = 1_000_000_000
 
 # Encapsulation (CDR, little endian); stamp, frame "road", vehicle; then the fields, which are aligned as they stand.
 _HEAD = "<4s i I I 5s 3x i"
 _ENCAPSULATION = b"\0\1\0\0"
-_FRAME_BYTES = b"road\0"
+_FRAME_BYTES = FRAME.encode() + b"\0"
 _MARK = 1.2345678901234567e-300
 _STATE = struct.Struct(_HEAD + "3d 9d 3d")
 _INNOVATION = struct.Struct(_HEAD + "4d ?")

@@ -1,4 +1,4 @@
-"""What the ROS libraries read from the environment, set before they are loaded."""
+"""What the ROS libraries read from the environment. Programs set it before they start a node; imports never do."""
 
 import os
 import random
@@ -12,7 +12,7 @@ _PARTICIPANTS = 120
 
 
 def find_packages() -> None:
-    """Where ROS comes from PyPI, nothing says where its packages are: under the interpreter's prefix."""
+    """Say where ROS is installed, unless the environment does: wheels install it below the interpreter's prefix."""
     os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
 
 

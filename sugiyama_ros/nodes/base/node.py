@@ -49,7 +49,7 @@ class PacedNode(Node):
         self._level = OK
         self._to_progress = self.create_publisher(Progress, self.shared("_progress"), PROGRESS_OUT)
         self._to_diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", STREAM)
-        self._beat = self.create_timer(_BEAT_S, self._on_beat, clock=self.steady)
+        self.create_timer(_BEAT_S, self.beat, clock=self.steady)
 
     def shared(self, topic: str) -> str:
         """Full name of a topic that all nodes of a road share."""
@@ -106,7 +106,8 @@ class PacedNode(Node):
     def close(self) -> None:
         """Let go of what the node holds, after the last message has been carried out."""
 
-    def _on_beat(self) -> None:
+    def beat(self) -> None:
+        """Report the health, and tell the source how far this node has come, if it is time; called by a timer."""
         now = time.monotonic()
         if now - self._reported_s >= _REPORT_S:
             self.report()

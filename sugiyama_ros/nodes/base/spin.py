@@ -14,6 +14,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from sugiyama_ros.errors import SugiyamaError
+from sugiyama_ros.nodes.base import environment
 from sugiyama_ros.nodes.base.node import PacedNode
 
 try:
@@ -36,6 +37,7 @@ def ros() -> Iterator[Callable[[], bool]]:
     def ask(number: int, _: FrameType | None) -> None:
         asked.append(number)
 
+    environment.find_packages()
     # rclpy's own handlers would take the publishers away before the last messages are sent.
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}

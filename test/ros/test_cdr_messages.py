@@ -6,7 +6,8 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sugiyama_msgs.msg import DriverParameters, Innovation, MeasuredPositions, VehicleState
 
 from sugiyama_ros.filters.online import Estimate
-from sugiyama_ros.nodes.base import cdr_messages as wire
+from sugiyama_ros.formats.measured import FRAME
+from sugiyama_ros.nodes.base import cdr_messages
 
 
 def an_estimate(seed: int) -> Estimate:
@@ -39,8 +40,8 @@ def test_measured_positions_are_read(frame: str, vehicles: int) -> None:
     message.leader = rng.integers(-1, 1000, vehicles).tolist()
     message.position_m = rng.normal(size=vehicles).tolist()
     message.length_m = rng.normal(size=vehicles).tolist()
-    sample = wire.measured(serialize_message(message))
-    assert sample.stamp_ns == -3 * wire.NS + 999_999_999
+    sample = cdr_messages.measured(serialize_message(message))
+    assert sample.stamp_ns == -3 * cdr_messages.NS + 999_999_999
     assert sample.step == message.step
     assert list(sample.place) == message.vehicle.tolist()
     assert list(sample.place.values()) == list(range(vehicles))
@@ -53,41 +54,47 @@ def test_another_byte_order_is_refused() -> None:
     raw = bytearray(serialize_message(MeasuredPositions()))
     raw[1] = 0
     with pytest.raises(ValueError, match="CDR format 0"):
-        wire.measured(bytes(raw))
+        cdr_messages.measured(bytes(raw))
 
 
-@pytest.mark.parametrize("stamp_ns", [0, 1, 333_333_333, 250 * wire.NS + 999_999_999, -1])
+@pytest.mark.parametrize("stamp_ns", [0, 1, 333_333_333, 250 * cdr_messages.NS + 999_999_999, -1])
 def test_states_are_written(stamp_ns: int) -> None:
     estimate = an_estimate(1)
     expected = VehicleState(vehicle=7, covariance=estimate.covariance.ravel())
-    expected.header.stamp, expected.header.frame_id = wire.time_message(stamp_ns), wire.FRAME
+    expected.header.stamp, expected.header.frame_id = cdr_messages.time_message(stamp_ns), FRAME
     for name in ("position_m", "speed", "acceleration", "mean_action", "gap_m", "approach_rate"):
         setattr(expected, name, getattr(estimate, name))
-    raw = wire.state(stamp_ns, 7, estimate)
+    raw = cdr_messages.state(stamp_ns, 7, estimate)
     assert len(raw) == len(serialize_message(expected))
     # Bytes between the fields are arbitrary, so the messages are compared, not the bytes.
     assert deserialize_message(raw, VehicleState) == expected
-    assert wire.stamp_key(raw) == wire.stamp_key(serialize_message(expected))
+    assert cdr_messages.stamp_key(raw) == cdr_messages.stamp_key(serialize_message(expected))
     e = estimate
-    assert wire.read_state(raw) == (pytest.approx(stamp_ns / wire.NS), 7, e.position_m, e.speed, e.covariance[1, 1])
+    assert cdr_messages.read_state(raw) == (
+        pytest.approx(stamp_ns / cdr_messages.NS),
+        7,
+        e.position_m,
+        e.speed,
+        e.covariance[1, 1],
+    )
 
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_innovations_are_written(seed: int) -> None:
     estimate = an_estimate(seed)
     expected = Innovation(vehicle=-1)
-    expected.header.stamp, expected.header.frame_id = wire.time_message(5), wire.FRAME
+    expected.header.stamp, expected.header.frame_id = cdr_messages.time_message(5), FRAME
     for name in ("innovation_m", "innovation_var", "nis", "log_likelihood", "scored"):
         setattr(expected, name, getattr(estimate, name))
-    raw = wire.innovation(5, -1, estimate)
+    raw = cdr_messages.innovation(5, -1, estimate)
     assert len(raw) == len(serialize_message(expected))
     assert deserialize_message(raw, Innovation) == expected
     e = estimate
-    assert wire.read_innovation(raw) == (pytest.approx(5e-9), -1, e.innovation_m, e.innovation_var, e.scored)
+    assert cdr_messages.read_innovation(raw) == (pytest.approx(5e-9), -1, e.innovation_m, e.innovation_var, e.scored)
 
 
 def test_a_chain_ends_where_there_is_no_leader_or_it_comes_back() -> None:
-    sample = wire.Sample(0, 0, [6, 7, -1, 8], [0.0] * 4, [0.0] * 4, {5: 0, 6: 1, 7: 2, 8: 3})
+    sample = cdr_messages.Sample(0, 0, [6, 7, -1, 8], [0.0] * 4, [0.0] * 4, {5: 0, 6: 1, 7: 2, 8: 3})
     assert sample.chain(5, 3) == [5, 6, 7]
     assert sample.chain(6, 3) == [6, 7, -1]
     assert sample.chain(7, 3) == [7, -1, -1]
@@ -95,16 +102,16 @@ def test_a_chain_ends_where_there_is_no_leader_or_it_comes_back() -> None:
 
 
 @pytest.mark.parametrize("count", [12, 13])
-@pytest.mark.parametrize("stamp_ns", [0, 250 * wire.NS + 999_999_999])
+@pytest.mark.parametrize("stamp_ns", [0, 250 * cdr_messages.NS + 999_999_999])
 def test_parameters_are_written(stamp_ns: int, count: int) -> None:
     rng = np.random.default_rng(3)
     value, covariance = rng.normal(size=count), rng.normal(size=(count, count))
     identified = [k % 3 == 0 for k in range(count)]
     names = [f"a_name_{k}" for k in range(count)]
-    writer = wire.Parameters(7, names, names[2:4])
+    writer = cdr_messages.Parameters(7, names, names[2:4])
     for _ in range(2):
         message = deserialize_message(writer.message(stamp_ns, value, covariance, identified), DriverParameters)
-    assert message.header.stamp.sec * wire.NS + message.header.stamp.nanosec == stamp_ns
+    assert message.header.stamp.sec * cdr_messages.NS + message.header.stamp.nanosec == stamp_ns
     assert (message.header.frame_id, message.vehicle, message.name) == ("road", 7, names)
     assert message.estimated == [k in (2, 3) for k in range(count)]
     assert message.identified == identified

@@ -1,0 +1,192 @@
+"""What a calibration was asked for, and what it found: as a document, as a table and as a model file."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.driver.parameters import index
+from sugiyama_ros.effects.registry import ENTRIES
+from sugiyama_ros.fit.classes import Classes
+from sugiyama_ros.fit.driver import ESTIMATED, Formulation
+from sugiyama_ros.fit.driver_types import DriverTypes
+from sugiyama_ros.fit.model_file import write_drivers
+from sugiyama_ros.tables import TextTable
+from sugiyama_ros.trajectories.trajectories import Trajectories
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a calibration estimates, and how it searches.
+
+    Parameters
+    ----------
+    formulation
+        ``"paper"``: perceived states are smoothed; ``"causal"``: they are filtered.
+    estimated
+        Names of the parameters to estimate.
+    is_regularised
+        Whether the paper's penalty is added to the likelihood of each driver.
+    profiled
+        Whether the intervals come from the profile likelihood.
+    hops
+        Hops of basinhopping before the search.
+    seed
+        Seed of the random numbers.
+    """
+
+    formulation: Formulation = "causal"
+    estimated: tuple[str, ...] = ESTIMATED
+    is_regularised: bool = False
+    profiled: bool = False
+    hops: int = 0
+    seed: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Calibrated:
+    """Calibrated drivers, N of them, in the order of the vehicles.
+
+    Parameters
+    ----------
+    trajectories
+        The recording.
+    settings
+        What was asked for.
+    rows : (N, WIDTH)
+        Parameters of each driver, in the units that they are declared with.
+    std
+        Standard deviations of each driver's parameters, by name.
+    identified
+        Whether the data determine each driver's parameters, by name.
+    interval : (N, P, 2)
+        Ends of the 95 % intervals of the base model's parameters.
+    log_likelihood : (N,)
+        Log-likelihood of each driver [nats], without the 2 pi term.
+    shared_std
+        Standard deviations of the parameters that all drivers have in common, by name.
+    classes
+        The classes of drivers, if the drivers were divided into classes.
+    """
+
+    trajectories: Trajectories
+    settings: Settings
+    rows: Array
+    std: tuple[dict[str, float], ...]
+    identified: tuple[dict[str, bool], ...]
+    interval: Array
+    log_likelihood: Array
+    shared_std: Mapping[str, float]
+    classes: Classes | None = None
+
+    def write(self, path: Path) -> None:
+        """Write a model file.
+
+        Raises
+        ------
+        OutputError
+            If the file cannot be written.
+        """
+        total, types = float(self.log_likelihood.sum()), None
+        if self.classes is not None:
+            types = DriverTypes(self.classes.share, self.classes.rows)
+        write_drivers(path, self.trajectories, self.rows, self.std, self.shared_std, total, types)
+
+    def document(self, wall_s: float) -> dict[str, Any]:
+        """All results in plain types, in SI units, for ``--json``.
+
+        Parameters
+        ----------
+        wall_s
+            Time [s] that the calibration took.
+
+        Returns
+        -------
+        dict
+            ``formulation``, ``drivers``, ``effects``, ``log_likelihood`` and ``wall_s``; with classes also ``classes``
+            and ``bic``.
+        """
+        drivers = self._drivers()
+        found: dict[str, Any] = {
+            "formulation": self.settings.formulation,
+            "drivers": drivers,
+            "effects": self._shared(),
+            "log_likelihood": float(self.log_likelihood.sum()),
+            "wall_s": wall_s,
+        }
+        if self.classes is not None:
+            found |= {"classes": _classes_of(self.classes, self.settings.estimated), "bic": self.classes.bic}
+            for driver, probability in zip(drivers, self.classes.probability.tolist(), strict=True):
+                driver["class_probability"] = probability
+        return found
+
+    def table(self) -> TextTable:
+        """Parameters of each driver with their uncertainty, and the means over the drivers."""
+        names, profiled, rows = self.settings.estimated, self.settings.profiled, []
+        for d in self._drivers():
+            cells = []
+            for n in names:
+                known = "{:.3f} to {:.3f}".format(*d["interval"][n]) if profiled else f"± {d['std'][n]:.3f}"
+                cells.append(f"{d[n]:.3f} {known if d['identified'][n] else '(not identified)'}")
+            rows.append((str(d["vehicle"]), *cells, f"{d['log_likelihood']:.1f}"))
+        means = self.rows[:, [index(name) for name in names]].mean(axis=0)
+        rows.append(("mean", *(f"{m:.3f}" for m in means), f"{float(self.log_likelihood.sum()):.1f}"))
+        title = f"Calibration, {self.settings.formulation} formulation"
+        return TextTable(title, ("vehicle", *names, "log-likelihood"), tuple(rows))
+
+    def class_sentences(self) -> list[str]:
+        """Share and parameters of each class, and the information criterion; nothing without classes."""
+        if self.classes is None:
+            return []
+        names, lines = self.settings.estimated, []
+        for number, one in enumerate(_classes_of(self.classes, names)):
+            values = ", ".join(f"{n} {one[n]:.3f} ± {one['std'][n]:.3f}" for n in names)
+            lines.append(f"class {number}: {one['share']:.0%} of the drivers, {values}")
+        bic = f"Bayesian information criterion {self.classes.bic:.1f}"
+        return [*lines, f"{bic}: the number of classes with the smallest is best"]
+
+    def shared_sentences(self) -> list[str]:
+        """Values of the parameters that all drivers have in common, one line for each effect."""
+        return [
+            f"{name}: " + ", ".join(f"{p} {v['value']:.4g} ± {v['std']:.2g}" for p, v in values.items())
+            for name, values in self._shared().items()
+        ]
+
+    def _drivers(self) -> list[dict[str, Any]]:
+        names = self.settings.estimated
+        places = [index(name) for name in names]
+        columns = (self.trajectories.vehicle, self.rows, self.log_likelihood, self.std, self.interval, self.identified)
+        return [
+            {
+                "vehicle": int(vehicle),
+                **{name: float(row[k]) for name, k in zip(names, places, strict=True)},
+                "log_likelihood": float(value),
+                "std": std,
+                "interval": {name: interval[k].tolist() for name, k in zip(names, places, strict=True)},
+                "identified": identified,
+            }
+            for vehicle, row, value, std, interval, identified in zip(*columns, strict=True)
+        ]
+
+    def _shared(self) -> dict[str, dict[str, dict[str, float]]]:
+        """Value and std of each shared parameter, by effect and parameter; ``constants`` are the model's own."""
+        found: dict[str, dict[str, dict[str, float]]] = {}
+        for entry, std in self.shared_std.items():
+            effect, _, parameter = entry.rpartition(".")
+            value = float(self.rows[0, ENTRIES.index(entry)])
+            found.setdefault(effect or "constants", {})[parameter] = {"value": value, "std": std}
+        return found
+
+
+def _classes_of(classes: Classes, names: Sequence[str]) -> list[dict[str, Any]]:
+    """Share of the drivers, parameters and their std, for each class."""
+    places = [index(name) for name in names]
+    return [
+        {
+            "share": float(share),
+            **dict(zip(names, row[places].tolist(), strict=True)),
+            "std": dict(zip(names, std[places].tolist(), strict=True)),
+        }
+        for share, row, std in zip(classes.share, classes.rows, classes.std, strict=True)
+    ]

@@ -1,0 +1,153 @@
+"""``sugiyama calibrate``."""
+
+import time
+from collections.abc import Callable
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from sugiyama_ros.cli.options import Json, Ring, Seed, Source, check_model_name, names, takes
+from sugiyama_ros.cli.output import print_json, print_line, print_table, progress
+from sugiyama_ros.errors import InputError
+
+if TYPE_CHECKING:
+    from sugiyama_ros.calibration.result import Calibrated
+    from sugiyama_ros.trajectories.trajectories import Trajectories
+
+
+@dataclass(frozen=True)
+class CalibrateOptions:
+    """Arguments and options of the command."""
+
+    source: Source
+    formulation: Annotated[
+        str,
+        typer.Option("--formulation", help="paper: perceived states are smoothed. causal: they are filtered."),
+    ] = "causal"
+    parameters: Annotated[str, typer.Option("--parameters", help="Parameters to estimate, separated by commas.")] = (
+        "sigma_nu,sigma_a,v_star,kappa_v"
+    )
+    effects: Annotated[
+        str,
+        typer.Option(
+            "--effects", help="Effects to fit with the parameters, separated by commas. Causal formulation only."
+        ),
+    ] = ""
+    regularise: Annotated[
+        bool,
+        typer.Option(
+            "--regularise", help="causal: the drivers are draws from one population. paper: add the paper's penalty."
+        ),
+    ] = False
+    profile: Annotated[
+        bool,
+        typer.Option(
+            "--profile", help="Compute intervals from the profile likelihood, which takes longer. Not with --effects."
+        ),
+    ] = False
+    hops: Annotated[
+        int,
+        typer.Option(
+            "--hops", min=0, help="Hops of basinhopping before the search; the paper uses 100. Not with --effects."
+        ),
+    ] = 0
+    classes: Annotated[
+        int,
+        typer.Option(
+            "--classes", min=0, help="Number of classes of drivers who share all parameters, for short recordings."
+        ),
+    ] = 0
+    seed: Seed = 0
+    scheduler: Annotated[
+        str | None,
+        typer.Option("--scheduler", help="Dask scheduler whose workers do the work, such as tcp://host:8786."),
+    ] = None
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="Model file (YAML) to write.")] = None
+    ring: Ring = None
+    as_json: Json = False
+
+    @property
+    def is_pooled(self) -> bool:
+        """Whether all drivers are calibrated together, as one population."""
+        return bool(names(self.effects)) or (self.regularise and self.formulation == "causal")
+
+    def check(self) -> None:
+        """Raise InputError for options that contradict each other."""
+        if self.formulation not in ("paper", "causal"):
+            raise InputError(f"--formulation {self.formulation}: give paper or causal")
+        check_model_name(self.output)
+        if names(self.effects) and self.formulation == "paper":
+            raise InputError("--effects: the paper's formulation has no effects; use --formulation causal")
+        if self.is_pooled and (self.profile or self.hops):
+            raise InputError(
+                "--profile and --hops: are for drivers calibrated one by one; leave out --effects and --regularise"
+            )
+        if self.classes and (self.is_pooled or self.profile or self.hops or self.regularise):
+            raise InputError(
+                "--classes: the drivers of a class share all parameters; leave out --effects, --regularise, --profile"
+                " and --hops"
+            )
+
+
+@takes(CalibrateOptions)
+def calibrate(options: CalibrateOptions) -> None:
+    """Estimate the parameters of each driver.
+
+    The estimates are maximum-likelihood estimates, with their uncertainty.
+    """
+    options.check()
+    from sugiyama_ros.formats.registry import read_trajectories
+    from sugiyama_ros.workers import workers
+
+    trajectories = read_trajectories(options.source, options.ring)
+    began = time.monotonic()
+    with progress("calibrating") as advance, workers(len(trajectories.vehicle), options.scheduler) as work:
+        kept = options.output.with_name(options.output.name + ".fits") if options.output is not None else None
+        found = _calibrated(options, trajectories, work, kept, advance)
+    wall_s = time.monotonic() - began
+    if options.output is not None and kept is not None:
+        found.write(options.output)
+        kept.unlink(missing_ok=True)
+    if options.as_json:
+        print_json(found.document(wall_s))
+    else:
+        _print(found, options.output)
+
+
+def _calibrated(
+    options: CalibrateOptions,
+    trajectories: "Trajectories",
+    work: Executor,
+    kept: Path | None,
+    advance: Callable[[int, int], None],
+) -> "Calibrated":
+    """Drivers calibrated together, in classes, or one by one."""
+    from sugiyama_ros.calibration.calibrate import each_driver, in_classes, pooled
+    from sugiyama_ros.calibration.result import Settings
+
+    settings = Settings(
+        formulation="paper" if options.formulation == "paper" else "causal",
+        estimated=names(options.parameters),
+        is_regularised=options.regularise,
+        profiled=options.profile,
+        hops=options.hops,
+        seed=options.seed,
+    )
+    if options.is_pooled:
+        return pooled(trajectories, settings, names(options.effects), work)
+    if options.classes:
+        return in_classes(trajectories, settings, options.classes, work)
+    return each_driver(trajectories, settings, work=work, kept=kept, on_progress=advance)
+
+
+def _print(found: "Calibrated", output: Path | None) -> None:
+    for line in found.class_sentences():
+        print_line(line)
+    print_table(found.table())
+    for line in found.shared_sentences():
+        print_line(line)
+    if output is not None:
+        print_line(f"model file: {output}")

@@ -1,0 +1,99 @@
+"""``sugiyama diagnose`` and ``sugiyama compare``."""
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sugiyama_ros.cli.options import Json, ModelFile, Ring, Seed, Source, check_model_name, names
+from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table, stages
+from sugiyama_ros.errors import InputError
+
+
+def diagnose(
+    source: Source,
+    add: Annotated[
+        str | None, typer.Option("--add", help="auto: add effects until the data support no further one.")
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="Model file (YAML) to write, with the effects that were added."),
+    ] = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Simulate fewer recordings: faster, with rougher p-values.")
+    ] = False,
+    ring: Ring = None,
+    seed: Seed = 0,
+    as_json: Json = False,
+) -> None:
+    """Find out what the model lacks.
+
+    The diagnosis says where the model fails, which effect explains the failure, and how certain that is.
+    """
+    if add not in (None, "auto"):
+        raise InputError(f"--add {add}: is not known; give auto")
+    check_model_name(output)
+    from sugiyama_ros.diagnosis import tables
+    from sugiyama_ros.diagnosis.diagnosis import diagnose as find
+    from sugiyama_ros.diagnosis.verdict import document, sentences
+    from sugiyama_ros.fit.model_file import write_model
+    from sugiyama_ros.formats.registry import read_trajectories
+
+    trajectories = read_trajectories(source, ring)
+    with stages() as advance:
+        found = find(
+            trajectories,
+            seed=seed,
+            quick=quick,
+            most=8 if add else 3,
+            add_forces=add is not None,
+            workers=os.cpu_count() or 1,
+            on_progress=advance,
+        )
+    if output is not None:
+        write_model(output, found.data, found.final)
+    if as_json:
+        print_json(document(found))
+        return
+    for line in sentences(found):
+        print_line(line)
+    print_table(tables.steps(found))
+    print_table(tables.by_driver(document(found)["drivers"]))
+    runs = f"{found.bootstrap_runs} simulated recordings" + (" (quick)" if quick else "")
+    print_note(f"p-values from {runs}; {found.wall_s:.0f} s")
+
+
+def compare(
+    source: Source,
+    effects: Annotated[str, typer.Option("--effects", help="Effects to add to the model, separated by commas.")] = "",
+    model: ModelFile = None,
+    ring: Ring = None,
+    seed: Seed = 0,
+    as_json: Json = False,
+) -> None:
+    """Compare the model with measurements and with other models.
+
+    The comparison uses samples that no fit has seen.
+    """
+    from sugiyama_ros.diagnosis import tables
+    from sugiyama_ros.diagnosis.compare import collective_of
+    from sugiyama_ros.diagnosis.compare import compare as compare_models
+    from sugiyama_ros.diagnosis.comparison_document import document
+    from sugiyama_ros.fit.model_file import read_model
+    from sugiyama_ros.formats.registry import read_trajectories
+
+    given = read_model(model) if model is not None else None
+    trajectories = read_trajectories(source, ring)
+    with stages() as advance:
+        compared = compare_models(
+            trajectories, names(effects), given, seed=seed, workers=os.cpu_count() or 1, on_progress=advance
+        )
+    measured = collective_of(trajectories)
+    if as_json:
+        print_json(document(compared, trajectories, measured, seed))
+        return
+    print_table(tables.held_out_errors(compared))
+    print_table(tables.details(compared))
+    print_table(tables.collective(measured, compared))
+    print_line(f"white innovations have an autocorrelation within ± {compared[0].band:.3f}")

@@ -1,0 +1,86 @@
+"""Options that several commands share, and the checks of their values."""
+
+import dataclasses
+import functools
+import inspect
+import math
+from collections.abc import Callable
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Annotated, TypeVar, get_type_hints
+
+import typer
+
+from sugiyama_ros.errors import InputError
+
+Source = Annotated[Path, typer.Argument(help="Trajectories: .data, .csv or .mcap.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON document instead of text.")]
+Ring = Annotated[
+    float | None, typer.Option("--ring", help="Circumference of the road [m], if the file does not give it.")
+]
+Recording = Annotated[Path, typer.Option("--output", "-o", help="MCAP file to write.")]
+Rate = Annotated[
+    str, typer.Option("--rate", help="Speed of the replay in multiples of real time, or max for as fast as possible.")
+]
+ModelFile = Annotated[
+    Path | None, typer.Option("--model", help="Model file (YAML), written by diagnose -o or calibrate -o.")
+]
+Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of the random numbers.")]
+
+_Options = TypeVar("_Options")
+
+
+def takes(options: type[_Options]) -> Callable[[Callable[[_Options], None]], Callable[..., None]]:
+    """Make a command whose function takes one frozen dataclass; each field becomes an argument or an option.
+
+    Typer reads the parameters of a function. This decorator shows Typer one parameter for each field of ``options``.
+    """
+    hints = get_type_hints(options, include_extras=True)
+
+    def decorate(function: Callable[[_Options], None]) -> Callable[..., None]:
+        @functools.wraps(function)
+        def command(**values: object) -> None:
+            function(options(**values))
+
+        command.__annotations__ = hints
+        command.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+            [_parameter(field, hints[field.name]) for field in dataclasses.fields(options)]  # type: ignore[arg-type]
+        )
+        return command
+
+    return decorate
+
+
+def _parameter(field: "dataclasses.Field[object]", annotation: object) -> inspect.Parameter:
+    default = inspect.Parameter.empty if field.default is dataclasses.MISSING else field.default
+    return inspect.Parameter(field.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+
+
+def names(text: str) -> tuple[str, ...]:
+    """The names in a list that is separated by commas."""
+    return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def rate_of(text: str) -> float:
+    """Multiple of real time; 0 for ``max``. Raises InputError."""
+    if text == "max":
+        return 0.0
+    try:
+        rate = float(text)
+    except ValueError:
+        rate = math.nan
+    if not 0.0 < rate < 1e6:
+        raise InputError(f"--rate {text}: is not a rate; give a positive number, or max")
+    return rate
+
+
+def check_model_name(output: Path | None) -> None:
+    """Raise InputError if a model file has no YAML name."""
+    if output is not None and output.suffix not in (".yaml", ".yml"):
+        raise InputError(f"{output}: is not the name of a model file; give a name that ends in .yaml")
+
+
+def need_matplotlib(option: str) -> None:
+    """Raise InputError if matplotlib is not installed."""
+    if find_spec("matplotlib") is None:
+        raise InputError(f"{option}: matplotlib is not installed; pip install 'sugiyama_ros[pictures]'")

@@ -1,0 +1,48 @@
+"""``sugiyama report``."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sugiyama_ros.cli.options import Json, need_matplotlib
+from sugiyama_ros.cli.output import tell
+from sugiyama_ros.errors import InputError
+
+
+def report(
+    source: Annotated[Path, typer.Argument(help="MCAP file that `sugiyama run` recorded.")],
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="HTML file to write.")] = None,
+    diagnosis: Annotated[
+        Path | None,
+        typer.Option("--diagnosis", help="Document that `sugiyama diagnose --json` printed for the same data."),
+    ] = None,
+    figures: Annotated[
+        Path | None, typer.Option("--figures", help="Directory to write figures to, for a paper: PDF and PNG.")
+    ] = None,
+    show: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Write an HTML page about a recorded run.
+
+    The page shows what was measured, what the model says, where it fails, and what is missing.
+    """
+    from sugiyama_ros.page.recording import read_diagnosis, read_recording
+    from sugiyama_ros.page.report import write_report
+
+    page = output or source.with_suffix(".html")
+    if page.suffix != ".html":
+        raise InputError(f"{page}: is not the name of a page; give a name that ends in .html")
+    if figures is not None:
+        need_matplotlib("--figures")
+    found, recording = read_diagnosis(diagnosis) if diagnosis is not None else None, read_recording(source)
+    write_report(recording, found, page)
+    written: list[Path] = []
+    if figures is not None:
+        from sugiyama_ros.page.figures import write_figures
+
+        written = write_figures(recording, found, figures)
+    text = f"page: {page}" + (f"; {len(written)} figures in {figures}" if written else "")
+    tell({"output": str(page), "size_bytes": page.stat().st_size, "figures": written}, text, as_json)
+    if show:
+        typer.launch(str(page))

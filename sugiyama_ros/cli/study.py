@@ -1,0 +1,71 @@
+"""``sugiyama study``."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from sugiyama_ros.cli.options import Json, Ring, Seed, need_matplotlib
+from sugiyama_ros.cli.output import print_json, print_line, print_table
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.tables import TextTable
+
+
+def study(
+    name: Annotated[str, typer.Argument(help="Name of the study. Without a name, all studies are listed.")] = "",
+    source: Annotated[
+        Path | None, typer.Argument(help="Trajectories of measured drivers: .data, .csv or .mcap.")
+    ] = None,
+    runs: Annotated[int, typer.Option("--runs", min=1, help="Number of simulated runs of each case.")] = 8,
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="Picture to write: .png or .pdf.")] = None,
+    ring: Ring = None,
+    seed: Seed = 0,
+    as_json: Json = False,
+) -> None:
+    """Answer a question of the paper again.
+
+    Some studies simulate drivers, others use measured drivers.
+    """
+    from sugiyama_ros.formats.registry import read_trajectories
+    from sugiyama_ros.studies.all_studies import STUDIES
+    from sugiyama_ros.studies.all_studies import study as study_of
+    from sugiyama_ros.studies.study import Asked
+    from sugiyama_ros.workers import workers
+
+    if not name:
+        for one in STUDIES.values():
+            print_line(f"{one.name:12} {one.question}")
+        return
+    if output is not None and output.suffix not in (".png", ".pdf"):
+        raise InputError(f"{output}: is not the name of a picture; give a name that ends in .png or .pdf")
+    asked = study_of(name)
+    trajectories = read_trajectories(source, ring) if source is not None else None
+    with workers(runs) as work:
+        answer = asked.answer(Asked(trajectories, runs, seed, work))
+        if output is not None:
+            _draw(answer.draw, output)
+    if as_json:
+        print_json({"study": name, "paper": asked.paper, "rows": answer.rows, "seed": seed})
+        return
+    print_table(_table(asked.question, answer.rows))
+    print_line(f"The paper: {asked.paper}")
+
+
+def _table(title: str, answers: Sequence[Mapping[str, Any]]) -> TextTable:
+    headings = tuple(dict.fromkeys(heading for row in answers for heading in row))
+    cells = ((row.get(heading, "") for heading in headings) for row in answers)
+    rows = tuple(tuple(f"{c:.4g}" if isinstance(c, float) else str(c) for c in row) for row in cells)
+    return TextTable(title, headings, rows)
+
+
+def _draw(draw: Callable[[Any], None], output: Path) -> None:
+    from sugiyama_ros.formats.writing import replacing
+
+    need_matplotlib("--output")
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12, 7), layout="constrained")
+    draw(figure)
+    with replacing(output) as stream:
+        figure.savefig(stream, dpi=120, format=output.suffix[1:])

@@ -1,0 +1,56 @@
+"""A comparison of models as a document (for ``--json``)."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+from sugiyama_ros.diagnosis.compare import Compared
+from sugiyama_ros.simulation.collective import Collective
+from sugiyama_ros.trajectories.trajectories import Trajectories
+
+
+def document(
+    compared: Sequence[Compared], trajectories: Trajectories, measured: Collective, seed: int
+) -> dict[str, Any]:
+    """All results of a comparison in plain types, in SI units.
+
+    Parameters
+    ----------
+    compared
+        The models.
+    trajectories
+        The recording that the models were compared on.
+    measured
+        Collective measures of the recording.
+    seed
+        Seed of the random numbers.
+
+    Returns
+    -------
+    dict
+        ``models``, ``measured`` and ``seed``.
+    """
+    return {
+        "models": [_model(one, trajectories) for one in compared],
+        "measured": asdict(measured),
+        "seed": seed,
+    }
+
+
+def _model(one: Compared, trajectories: Trajectories) -> dict[str, Any]:
+    return {
+        "name": one.name,
+        **one.errors.summary(),
+        **one.errors.details(),
+        "collective": {name: {"mean": mean, "std": std} for name, (mean, std) in one.collective.items()},
+        "drivers": [
+            {"vehicle": int(vehicle), "log_likelihood": log_likelihood, "single_car_10s_m": error}
+            for vehicle, (log_likelihood, error) in zip(trajectories.vehicle, one.errors.by_driver(), strict=True)
+        ],
+        "heldout_gain_nats": one.gain.nats if one.gain else 0.0 if one.name == "base" else None,
+        "heldout_gain_se": one.gain.se if one.gain else None,
+        "nis_mean": one.nis_mean,
+        "nis_std_error": one.nis_std_error,
+        "autocorrelation": one.autocorrelation,
+        "autocorrelation_band": one.band,
+    }

@@ -1,0 +1,98 @@
+"""The tables of a diagnosis and of a comparison."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+from sugiyama_ros.diagnosis.compare import Compared
+from sugiyama_ros.diagnosis.diagnosis import Diagnosis
+from sugiyama_ros.simulation.collective import Collective
+from sugiyama_ros.tables import TextTable
+
+_ERRORS = (
+    "one-step [m]",
+    "free run 2 s [m]",
+    "5 s",
+    "10 s",
+    "single car 2 s [m]",
+    "5 s",
+    "10 s",
+    "nats per sample",
+)
+# Errors that are small enough for a third decimal place.
+_SMALL = ("one_step_rmse_m", "loglik_per_sample")
+# Heading of each further error, and the name of the figure.
+_DETAILS = {
+    "gap [m]": "gap_m",
+    "of mean gap [%]": "gap_relative",
+    "fit [%]": "gap_fit_percent",
+    "speed [m/s]": "speed_mps",
+    "time gap [s]": "time_gap_s",
+}
+_COLLECTIVE = ("mean speed [m/s]", "least", "largest", "wave speed [m/s]", "queue [vehicles]", "period [s]")
+
+
+def steps(diagnosis: Diagnosis) -> TextTable:
+    """Held-out errors of the base model, after each effect that was added, and of other models."""
+    models = [("base model", diagnosis.before.summary())]
+    models += [(f"+ {added.name}", added.after.summary()) for added in diagnosis.named]
+    models += list(diagnosis.rivals.items())
+    rows = tuple((name, *_error_cells(summary)) for name, summary in models)
+    return TextTable("Held-out errors, step by step", ("model", *_ERRORS), rows, left=1)
+
+
+def by_driver(drivers: Sequence[Mapping[str, Any]]) -> TextTable:
+    """What the added effects gain for each driver; ``drivers`` as in the document of the diagnosis."""
+    headings = ("vehicle", "held-out gain [nats]", "single car 10 s [m]", "after")
+    rows = tuple(
+        (
+            str(d["vehicle"]),
+            f"{d['heldout_gain_nats']:.1f}",
+            f"{d['single_car_10s_before_m']:.2f}",
+            f"{d['single_car_10s_after_m']:.2f}",
+        )
+        for d in drivers
+    )
+    return TextTable("By driver, before and after", headings, rows)
+
+
+def held_out_errors(compared: Sequence[Compared]) -> TextTable:
+    """Held-out errors of each model, its gain over the base model, and how its innovations look."""
+    rows = []
+    for one in compared:
+        gain = f"{one.gain.nats:.0f} ± {one.gain.se:.0f}" if one.gain else ""
+        nis = f"{one.nis_mean:.2f} ± {one.nis_std_error:.2f}"
+        rows.append((one.name, *_error_cells(one.errors.summary()), gain, nis, f"{one.autocorrelation[0]:+.3f}"))
+    headings = ("model", *_ERRORS, "gain [nats]", "mean NIS", "autocorrelation")
+    return TextTable("Held-out errors", headings, tuple(rows), left=1)
+
+
+def details(compared: Sequence[Compared]) -> TextTable:
+    """Errors of gap, speed and time gap after 10 s, in free runs of all cars and of a single car."""
+    rows = []
+    for one in compared:
+        figures = one.errors.details()
+        values = [
+            figures.get(f"{run}_10s_{name}", math.nan) * (100.0 if name == "gap_relative" else 1.0)
+            for run in ("free_run", "single_car")
+            for name in _DETAILS.values()
+        ]
+        rows.append((one.name, *(f"{v:.2f}" if abs(v) < 10.0 else f"{v:.0f}" for v in values)))
+    title = "Held-out errors of 10-s free runs: coupled, and of a single car"
+    return TextTable(title, ("model", *_DETAILS, *_DETAILS), tuple(rows), left=1)
+
+
+def collective(measured: Collective, compared: Sequence[Compared]) -> TextTable:
+    """Collective measures: measured, and in simulations of each model, with their std over simulations."""
+    rows = [("measured", *(f"{v:.2f}" for v in asdict(measured).values()))]
+    rows += [
+        (one.name, *(f"{mean:.2f} ± {std:.2f}" for mean, std in one.collective.values()))
+        for one in compared
+        if one.collective
+    ]
+    return TextTable("Collective measures: measured, and of simulations", ("", *_COLLECTIVE), tuple(rows), left=1)
+
+
+def _error_cells(summary: Mapping[str, float]) -> list[str]:
+    return [f"{value:.3f}" if name in _SMALL else f"{value:.2f}" for name, value in summary.items()]

@@ -1,0 +1,78 @@
+"""Score of one driver's likelihood in the causal formulation, and the paper's regularisation."""
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.driver.parameters import COUNT, KAPPA_V, V_STAR
+from sugiyama_ros.filters import causal
+from sugiyama_ros.filters.chain import Chain
+from sugiyama_ros.filters.paper import Scored
+
+# Difference quotients of the causal filter: part of a parameter's std, bounds of the step in a logarithm, first one.
+_PART_OF_STD, _SHORTEST_STEP, _LONGEST_STEP, _FIRST_STEP = 0.5, 5e-3, 0.05, 0.03
+#: The paper's regularisation, Eq. Regularized_SSM_Likelihood: centre and weight of v* [m/s] and kappa_v [s].
+REGULARISATION = ((V_STAR, 11.0, 50.0), (KAPPA_V, 0.5, 500.0))
+
+
+def causal_score(
+    chain: Chain,
+    ahead: Array | None,
+    places: Ints,
+    parameters: Array,
+    information: Array | None,
+    central: bool = False,
+) -> Scored:
+    """Score by difference quotients of innovations and variances in the logarithms of the parameters.
+
+    Parameters
+    ----------
+    chain, ahead
+        The driver's data, and the parameters of the drivers ahead (M - 1, P).
+    places
+        (K,) places of the parameters that are searched for.
+    parameters
+        (P,) parameters of the driver.
+    information
+        (P, P) information at parameters near by, which sets the steps; None if not known.
+    central
+        Whether differences go to both sides. This takes twice the time, but a jump of the rough likelihood does less
+        harm.
+    """
+    y, variance, density = causal.predict_samples(chain, parameters, ahead)
+    steps = np.full(len(places), _FIRST_STEP)
+    if information is not None:
+        held = np.diag(information)[places] * parameters[places] ** 2
+        steps = np.clip(_PART_OF_STD / np.sqrt(np.maximum(held, 1e-12)), _SHORTEST_STEP, _LONGEST_STEP)
+    scored = np.isfinite(density)
+    y, variance = y[scored], variance[scored]
+    dy, dvar = np.empty((len(places), len(y))), np.empty((len(places), len(y)))
+    for j, (k, step) in enumerate(zip(places, steps, strict=True)):
+        moved = parameters.copy()
+        moved[k] *= np.exp(step)
+        y_up, variance_up, _ = causal.predict_samples(chain, moved, ahead)
+        y_down, variance_down, span = y, variance, step
+        if central:
+            moved[k] = parameters[k] * np.exp(-step)
+            y_down, variance_down = (one[scored] for one in causal.predict_samples(chain, moved, ahead)[:2])
+            span = 2.0 * step
+        dy[j], dvar[j] = (y_up[scored] - y_down) / span, (variance_up[scored] - variance_down) / span
+    slopes = -(dy * (y / variance) + 0.5 * dvar * (1.0 - y * y / variance) / variance)
+    curvature = (dy / variance) @ dy.T + 0.5 * (dvar / variance**2) @ dvar.T
+    gradient, full, scatter = np.zeros(COUNT), np.zeros((COUNT, COUNT)), np.zeros((COUNT, COUNT))
+    scale = parameters[places]
+    block = np.ix_(places, places)
+    gradient[places] = slopes.sum(axis=1) / scale
+    full[block] = curvature / np.outer(scale, scale)
+    scatter[block] = slopes @ slopes.T / np.outer(scale, scale)
+    return Scored(float(density[scored].sum()), gradient, full, scatter)
+
+
+def regularised(scored: Scored, parameters: Array) -> Scored:
+    """The score of the regularised likelihood, Eq. Regularized_SSM_Likelihood, at parameters (P,)."""
+    value, gradient, information = scored.log_likelihood, scored.gradient.copy(), scored.information.copy()
+    for k, centre, weight in REGULARISATION:
+        off = parameters[k] - centre
+        value -= weight * off * off
+        gradient[k] -= 2.0 * weight * off
+        information[k, k] += 2.0 * weight
+    return Scored(value, gradient, information)

@@ -1,0 +1,96 @@
+"""Trajectories made ready for a fit: the chain of vehicles behind each driver, and blocks of time to hold out."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.driver.parameters import COUNT, RHO
+from sugiyama_ros.effects.registry import DECLARED
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.filters.chain import CHAIN, Chain
+from sugiyama_ros.filters.extract import chain_behind
+from sugiyama_ros.fit.bounds import upper_bounds
+from sugiyama_ros.trajectories.trajectories import Trajectories
+
+#: Length [s] of the blocks that are held out in turn, and number of folds among which they are dealt out.
+BLOCK_S, FOLDS = 25.0, 5
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """Trajectories made ready for the filter.
+
+    chains: of N drivers, each with the vehicles ahead; ahead: (N, M - 1) columns of the vehicles that are ahead in most
+    samples, or -1; block: (T,) number of the block of time; fold: (T,) in which the block is held out; segment: (T,)
+    number of the unbroken part of the recording; upper: (WIDTH,) bounds of the search.
+    """
+
+    trajectories: Trajectories
+    chains: tuple[Chain, ...]
+    ahead: Ints
+    block: Ints
+    fold: Ints
+    segment: Ints
+    upper: Array
+
+    @property
+    def drivers(self) -> int:
+        """Number of drivers."""
+        return len(self.chains)
+
+
+def prepare(trajectories: Trajectories, segment: Ints | None = None) -> Recorded:
+    """Make trajectories ready for a fit.
+
+    Parameters
+    ----------
+    trajectories
+        N vehicles at T samples.
+    segment
+        (T,) numbers; where the number changes, the recording is broken and every filter starts anew.
+
+    Raises
+    ------
+    InputError
+        If there are too few samples to hold any out.
+    """
+    samples, drivers = trajectories.position_m.shape
+    duration = trajectories.period_s * samples
+    if duration < 8.0:
+        raise InputError(f"{trajectories.source}: lasts {duration:.1f} s; give at least 8 s to fit and to hold out")
+    block_s = min(BLOCK_S, duration / (2 * FOLDS))
+    block = np.minimum(
+        (np.arange(samples) * trajectories.period_s / block_s).astype(np.int64), round(duration / block_s) - 1
+    )
+    chains = tuple(chain_behind(trajectories, i, segment=segment) for i in range(drivers))
+    column = {int(v): k for k, v in enumerate(trajectories.vehicle)}
+    ahead = np.full((drivers, CHAIN - 1), -1)
+    for i in range(drivers):
+        for m in range(1, CHAIN):
+            known = trajectories.vehicle[_columns(trajectories, i, m)[_columns(trajectories, i, m) >= 0]]
+            if len(known):
+                values, counts = np.unique(known, return_counts=True)
+                ahead[i, m - 1] = column[int(values[np.argmax(counts)])]
+    upper = np.array([p.upper for p in DECLARED])
+    upper[:COUNT] = upper_bounds(trajectories)
+    upper[RHO] = 0.99
+    unbroken = np.zeros(samples, np.int64) if segment is None else segment
+    return Recorded(
+        trajectories=trajectories,
+        chains=chains,
+        ahead=ahead,
+        block=block,
+        fold=block % FOLDS,
+        segment=unbroken,
+        upper=upper,
+    )
+
+
+def _columns(trajectories: Trajectories, driver: int, m: int) -> Ints:
+    """Column of the m-th vehicle ahead of a driver at every sample, (T,), or -1."""
+    column = np.where(trajectories.present[:, driver], driver, -1)
+    samples = np.arange(len(column))
+    for _ in range(m):
+        column = np.where(column >= 0, trajectories.leader[samples, column], -1)
+    return column

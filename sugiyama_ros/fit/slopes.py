@@ -1,0 +1,215 @@
+"""Derivatives of the likelihood: score and expected information of every driver by difference quotients of the filter.
+
+The causal likelihood is a sum over samples of log-densities of innovations y with variance S, so its expected
+information is sum(dy dy' / S + dS dS' / 2 S^2).
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.effects.sensing import is_contaminated
+from sugiyama_ros.filters.chain import Chain
+from sugiyama_ros.filters.measurement import weigh_samples
+from sugiyama_ros.fit.model import Model, coordinate, is_linear, leaders, reach, value
+from sugiyama_ros.fit.recording import FOLDS, Recorded
+from sugiyama_ros.fit.score import DriverDensity, Samples, evaluate, predict_driver
+from sugiyama_ros.jit import kernel
+
+# Step of the difference quotients in a logarithm, and as part of the longest step of the search in a linear coordinate;
+# once the information is known, as part of a parameter's std, and the longest in a logarithm. The likelihood is smooth
+# at these scales only: close to contact the filter amplifies any smaller change without end.
+_STEP, _PART_OF_STD, _LONGEST_STEP = 0.01, 0.5, 0.05
+
+
+class Derivatives(NamedTuple):
+    """Derivatives of one driver's samples by K parameters, (K, T) each.
+
+    innovation, variance: of the innovation [m] and of its variance [m^2]; density: the part of the derivative of the
+    log-likelihood that does not come through these two. It is zero unless there are outliers.
+    """
+
+    innovation: Array
+    variance: Array
+    density: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Slopes:
+    """One driver's score and information in each fold, individual parameters first, then the shared ones.
+
+    score: (F, K); information: (F, K, K); log_likelihood: (F,); derivatives: of the samples, from which all follow.
+    """
+
+    score: Array
+    information: Array
+    log_likelihood: Array
+    derivatives: Derivatives
+
+
+def sums(samples: DriverDensity, derivatives: Derivatives, row: Array, fold: Ints) -> Slopes:
+    """Score and information of one driver, summed over the samples of each fold.
+
+    With outliers an innovation counts as much as the slope of its density says, and the information comes from products
+    of the slopes.
+
+    Parameters
+    ----------
+    samples, derivatives
+        Of the driver.
+    row
+        (WIDTH,) parameters of the driver.
+    fold
+        (T,) number of each sample's fold.
+    """
+    count = len(derivatives.innovation)
+    score, information, total = np.zeros((FOLDS, count)), np.zeros((FOLDS, count, count)), np.zeros(FOLDS)
+    _add_up(samples, derivatives, row, fold, score, information, total)
+    return Slopes(score, information, total, derivatives)
+
+
+@kernel
+def _add_up(
+    samples: DriverDensity,
+    derivatives: Derivatives,
+    row: Array,
+    fold: Ints,
+    score: Array,
+    information: Array,
+    total: Array,
+) -> None:
+    """Score (F, K), information (F, K, K) and log-likelihood (F,) of every fold, from scored samples."""
+    y, variance, density = samples
+    dy, dvar, direct = derivatives
+    robust, places = is_contaminated(row), len(dy)
+    slope = density_slope(y, variance, dy, dvar, row) + direct
+    for t in range(len(fold)):
+        if math.isnan(density[t]):
+            continue
+        f, s = fold[t], variance[t]
+        total[f] += density[t]
+        for i in range(places):
+            score[f, i] += slope[i, t]
+            for j in range(i + 1):
+                if robust:
+                    h = slope[i, t] * slope[j, t]
+                else:
+                    h = (dy[i, t] * dy[j, t] + 0.5 * dvar[i, t] * dvar[j, t] / s) / s
+                information[f, i, j] += h
+                if j < i:
+                    information[f, j, i] += h
+
+
+@kernel
+def density_slope(y: Array, variance: Array, dy: Array, dvar: Array, row: Array) -> Array:
+    """Derivatives (K, T) of the log-likelihoods that come through innovations and variances.
+
+    Parameters
+    ----------
+    y, variance
+        (T,) innovations [m] and their variances [m^2].
+    dy, dvar
+        (K, T) their derivatives.
+    row
+        (WIDTH,) parameters of the driver.
+    """
+    slope = np.empty_like(dy)
+    weight, density = np.ones_like(y), np.empty_like(y)
+    if is_contaminated(row):
+        weigh_samples(y, variance, row, weight, density)
+    for t in range(len(y)):
+        by_y = weight[t] * y[t] / variance[t]
+        by_variance = 0.5 * weight[t] * (1.0 - by_y * y[t]) / variance[t]
+        for k in range(len(dy)):
+            slope[k, t] = -(dy[k, t] * by_y + dvar[k, t] * by_variance)
+    return slope
+
+
+def _slopes_of(
+    chain: Chain,
+    row: Array,
+    ahead: Array,
+    at: DriverDensity,
+    individual: tuple[int, ...],
+    shared: tuple[int, ...],
+    fold: Ints,
+    steps: Array,
+) -> Slopes:
+    """Score and information of one driver by difference quotients from the samples ``at``."""
+    places = [*individual, *shared]
+    coordinates = coordinate(row[places], places)
+    dy, dvar, direct = (np.empty((len(places), len(fold))) for _ in range(3))
+    for k, step in enumerate(steps):
+        moved = coordinates.copy()
+        moved[k] += step
+        changed, changed_ahead = row.copy(), ahead
+        changed[places] = value(moved, places)
+        if k >= len(individual):
+            changed_ahead = ahead.copy()
+            changed_ahead[:, places[k]] = changed[places[k]]
+        y, variance, density = predict_driver(chain, changed, changed_ahead)
+        dy[k], dvar[k], direct[k] = (y - at[0]) / step, (variance - at[1]) / step, (density - at[2]) / step
+    direct -= density_slope(at[0], at[1], dy, dvar, row) if is_contaminated(row) else direct
+    return sums(at, Derivatives(dy, dvar, direct), row, fold)
+
+
+def _slopes_of_job(
+    job: tuple[Chain, Array, Array, DriverDensity, tuple[int, ...], tuple[int, ...], Ints, Array],
+) -> Slopes:
+    return _slopes_of(*job)
+
+
+def slopes(
+    data: Recorded, model: Model, work: Executor, known: Sequence[Slopes] | None = None
+) -> tuple[list[Slopes], Samples]:
+    """Slopes of all drivers at a model, and the samples there.
+
+    Parameters
+    ----------
+    data, model
+        The recording and the model.
+    work
+        Executor that runs the filters.
+    known
+        Slopes at a model near by, whose information sets the steps of the difference quotients.
+    """
+    if known is None:
+        steps = np.tile(difference_steps(data, [*model.individual, *model.shared]), (data.drivers, 1))
+    else:
+        steps = informed_steps(data, model, known)
+    samples = evaluate(data, model, work)
+    return slopes_of(data, model, samples, steps, work), samples
+
+
+def slopes_of(
+    data: Recorded, model: Model, samples: Samples, steps: Array, work: Executor, who: Iterable[int] | None = None
+) -> list[Slopes]:
+    """Slopes of all drivers, or of drivers ``who``, whose samples are known.
+
+    steps: (N, K) of the difference quotients, in coordinates.
+    """
+    about = model.individual, model.shared, data.fold
+    chosen = range(data.drivers) if who is None else who
+    jobs = [(data.chains[i], model.rows[i], leaders(data, model, i), samples.of(i), *about, steps[i]) for i in chosen]
+    return list(work.map(_slopes_of_job, jobs))
+
+
+def informed_steps(data: Recorded, model: Model, all_slopes: Sequence[Slopes]) -> Array:
+    """Steps of difference quotients, (N, K), from the information; for a shared parameter from that of all drivers."""
+    places, own = [*model.individual, *model.shared], len(model.individual)
+    information = np.array([np.diag(s.information.sum(axis=0)) for s in all_slopes])
+    information[:, :own] += 1.0 / np.square(np.array(model.prior_std))
+    information[:, own:] = information[:, own:].sum(axis=0)
+    longest = difference_steps(data, places) * (_LONGEST_STEP / _STEP)
+    steps = _PART_OF_STD / np.sqrt(np.maximum(information, 1e-12))
+    return np.asarray(np.clip(steps, 0.02 * longest, longest))
+
+
+def difference_steps(data: Recorded, places: Sequence[int]) -> Array:
+    """Steps of difference quotients, (K,), where nothing is known of the information yet."""
+    return np.where(is_linear(places), _STEP * reach(data, places), _STEP)

@@ -1,0 +1,123 @@
+"""Panels of what was measured: positions, speeds, the road from above."""
+
+import numpy as np
+from bokeh.layouts import column, row
+from bokeh.models import (
+    BasicTicker,
+    Button,
+    ColorBar,
+    ColumnDataSource,
+    CustomJS,
+    HoverTool,
+    LinearColorMapper,
+    Slider,
+    UIElement,
+)
+from bokeh.palettes import Cividis256
+
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.page.panels.base import BLUE, GREEN, GREY, ORANGE, SINGLE, from_above, legend_above, panel
+from sugiyama_ros.page.recording import Recording
+
+
+def space_time(r: Recording) -> UIElement:
+    """Position over time of every vehicle, coloured by speed."""
+    t = r.trajectories
+    position = t.road.wrap(t.position_m) if t.road.is_ring else t.position_m
+    speed = speeds(r)
+    known = np.isfinite(position)
+    time = np.broadcast_to(r.time_s[:, None], position.shape)
+    source = ColumnDataSource(
+        {
+            "time": time[known].astype(SINGLE),
+            "position": position[known].astype(SINGLE),
+            "speed": speed[known].astype(SINGLE),
+        }
+    )
+    colours = LinearColorMapper(Cividis256, low=0.0, high=float(np.nanquantile(speed, 0.99)), nan_color=GREY)
+    plot = panel("Where everybody was, and how fast", "time [s]", "position [m]")
+    plot.scatter("time", "position", source=source, size=2, color={"field": "speed", "transform": colours})
+    plot.add_layout(ColorBar(color_mapper=colours, ticker=BasicTicker(), title="speed [m/s]"), "right")
+    return plot
+
+
+def speed_profile(r: Recording) -> UIElement:
+    """Mean, least and largest speed of all vehicles."""
+    speed = speeds(r)
+    whole = np.isfinite(speed).any(axis=1)
+    plot = panel("Speeds of all vehicles", "time [s]", "speed [m/s]")
+    for label, of, colour in (("largest", np.nanmax, ORANGE), ("mean", np.nanmean, BLUE), ("least", np.nanmin, GREEN)):
+        plot.line(
+            r.time_s[whole],
+            of(speed[whole], axis=1).astype(SINGLE),
+            color=colour,
+            legend_label=label,
+            line_width=2,
+        )
+    legend_above(plot)
+    return plot
+
+
+def ring(r: Recording) -> UIElement:
+    """The road from above, at a time that a slider or a button chooses."""
+    t = r.trajectories
+    speed = speeds(r)
+    x, y = from_above(t.road, t.position_m)
+    every = max(1, len(x) // 1500)
+    frames = {
+        "x": np.round(x[::every], 2).astype(SINGLE),
+        "y": np.round(y[::every], 2).astype(SINGLE),
+        "speed": np.round(speed[::every], 2).astype(SINGLE),
+    }
+    all_frames = ColumnDataSource({name: values.ravel() for name, values in frames.items()})
+    shown = ColumnDataSource({**{n: v[0] for n, v in frames.items()}, "vehicle": [str(v) for v in t.vehicle]})
+    colours = LinearColorMapper(Cividis256, low=0.0, high=float(np.nanquantile(speed, 0.99)), nan_color=GREY)
+    plot = panel("The road from above", "x [m]", "y [m]", match_aspect=t.road.is_ring)
+    plot.scatter("x", "y", source=shown, size=12, line_color="black", color={"field": "speed", "transform": colours})
+    plot.add_tools(HoverTool(tooltips=[("vehicle", "@vehicle"), ("speed", "@speed{0.0} m/s")]))
+    last = len(frames["x"]) - 1
+    slider = Slider(start=0, end=max(last, 1), value=0, title="sample", sizing_mode="stretch_width")
+    move = CustomJS(
+        args={"all": all_frames, "shown": shown, "n": len(t.vehicle)},
+        code="""
+        const k = cb_obj.value * n
+        for (const name of ["x", "y", "speed"]) shown.data[name] = all.data[name].slice(k, k + n)
+        shown.change.emit()
+        """,
+    )
+    slider.js_on_change("value", move)
+    play = Button(label="play", width=80)
+    play.js_on_click(
+        CustomJS(
+            args={"slider": slider, "button": play, "ms": 1000.0 * t.period_s * every / 4.0},
+            code="""
+            if (button.label == "pause") { clearInterval(window.sugiyama_play); button.label = "play"; return }
+            button.label = "pause"
+            window.sugiyama_play = setInterval(() => {
+                slider.value = slider.value >= slider.end ? slider.start : slider.value + 1
+            }, ms)
+            """,
+        )
+    )
+    return column(plot, row(play, slider, sizing_mode="stretch_width"), sizing_mode="stretch_width")
+
+
+def speeds(r: Recording) -> Array:
+    """Speeds (T, N) [m/s]: filtered ones where estimators have run."""
+    return r.series["speed"] if r.has_estimates else naive_speeds(r)
+
+
+def naive_speeds(r: Recording) -> Array:
+    """Speeds (T, N) [m/s] from differences of measured positions, smoothed over 5 samples."""
+    t = r.trajectories
+    speed = np.full_like(t.position_m, np.nan)
+    speed[:-1] = t.road.difference(t.position_m[1:], t.position_m[:-1]) / t.period_s
+    known = np.isfinite(speed)
+    number, summed = (_moving_sum(a) for a in (known.astype(np.float64), np.where(known, speed, 0.0)))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(np.where(number > 0.0, summed / number, np.nan), dtype=np.float64)
+
+
+def _moving_sum(values: Array) -> Array:
+    """Sum (T, N) over 5 samples."""
+    return np.asarray(np.apply_along_axis(np.convolve, 0, values, np.ones(5), mode="same"), dtype=np.float64)

@@ -1,0 +1,109 @@
+"""Compiled free runs: from a given state on, the model drives alone.
+
+Coupled: all vehicles drive by the model. Single: one vehicle drives behind its leader as the leader was recorded.
+"""
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.driver.advance import advance
+from sugiyama_ros.driver.parameters import RHO
+from sugiyama_ros.jit import kernel
+from sugiyama_ros.simulation.drive import Order, Setting, Traffic, drive
+
+
+@kernel
+def run_coupled(
+    state: Array, order: Order, rows: Array, actions: Array, time: float, setting: Setting, out: Array
+) -> None:
+    """Let all vehicles drive by the model.
+
+    Parameters
+    ----------
+    state
+        (4, N) position [m], speed [m/s], acceleration noise and held acceleration [m/s^2]; changed in place.
+    order, setting
+        Who follows whom, and what does not change.
+    rows
+        (N, WIDTH) parameters at this period.
+    actions
+        (K,) accelerations that drivers choose among [m/s^2].
+    time
+        Time of the first sample [s].
+    out
+        (steps, N, 2) filled with positions [m] and speeds [m/s].
+    """
+    x, v, n, b = state[0], state[1], state[2], state[3]
+    vehicles = len(x)
+    # drive changes preferences in place, and other free runs share these rows
+    rows = rows.copy()
+    held, pushed = np.empty(vehicles), np.empty(vehicles)
+    acceleration = b + rows[:, RHO] * n
+    traffic = Traffic(x, v, b, acceleration)
+    for k in range(len(out)):
+        drive(traffic, order, rows, actions, time, setting, held, pushed)
+        for i in range(vehicles):
+            acceleration[i] = held[i] + pushed[i] + n[i]
+            x[i], v[i] = advance(x[i], v[i], acceleration[i], setting.period)
+            n[i] *= rows[i, RHO]
+            b[i] = held[i]
+        time += setting.period
+        out[k, :, 0], out[k, :, 1] = x, v
+
+
+@kernel
+def _neighbourhood(i: int, order: Order) -> tuple[Ints, Order]:
+    """Vehicle i, the two ahead and the one behind: their numbers, i first, and their order among themselves."""
+    leader = order.leader
+    near = np.array([i, leader[i], leader[leader[i]] if leader[i] >= 0 else -1, -1])
+    for j in range(len(leader)):
+        if leader[j] == i:
+            near[3] = j
+    count, place = 0, np.full(len(leader), -1)
+    chosen: Ints = np.empty(4, np.int64)
+    for j in near:
+        if j >= 0 and place[j] < 0:
+            place[j] = count
+            chosen[count] = j
+            count += 1
+    ahead = np.full(count, -1)
+    for k in range(count):
+        if leader[chosen[k]] >= 0:
+            ahead[k] = place[leader[chosen[k]]]
+    numbers = chosen[:count]
+    return numbers, Order(ahead, order.turn[numbers], order.length[numbers])
+
+
+@kernel
+def run_single(
+    i: int, recorded: Array, order: Order, rows: Array, actions: Array, time: float, setting: Setting, out: Array
+) -> None:
+    """Let vehicle i drive by the model among neighbours who drive as they were recorded.
+
+    Parameters
+    ----------
+    i
+        Number of the vehicle.
+    recorded
+        (steps, N, 4) filtered position [m], speed [m/s], acceleration noise and held acceleration [m/s^2].
+    order, rows, actions, time, setting
+        As for ``run_coupled``.
+    out
+        (steps, N, 2) filled with the positions [m] and speeds [m/s] of vehicle i.
+    """
+    near, order_near = _neighbourhood(i, order)
+    rows_near = rows[near]
+    held, pushed = np.empty(1), np.empty(1)
+    x, v, n, b = recorded[0, i, 0], recorded[0, i, 1], recorded[0, i, 2], recorded[0, i, 3]
+    a = b + rows[i, RHO] * n
+    for k in range(len(out)):
+        xs, vs, bs = recorded[k, near, 0].copy(), recorded[k, near, 1].copy(), recorded[k, near, 3].copy()
+        accelerations = bs + recorded[k, near, 2]
+        xs[0], vs[0], bs[0], accelerations[0] = x, v, b, a
+        drive(Traffic(xs, vs, bs, accelerations), order_near, rows_near, actions, time, setting, held, pushed)
+        a = held[0] + pushed[0] + n
+        x, v = advance(x, v, a, setting.period)
+        n *= rows[i, RHO]
+        b = held[0]
+        time += setting.period
+        out[k, i, 0], out[k, i, 1] = x, v
