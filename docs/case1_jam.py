@@ -17,7 +17,7 @@ from sugiyama_ros.diagnosis.errors import errors_of
 from sugiyama_ros.diagnosis.rivals import in_filter
 from sugiyama_ros.diagnosis.screen import refine, with_candidate
 from sugiyama_ros.effects.discovered_force import COVARIATES
-from sugiyama_ros.fit.joint import Fit
+from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.population import fit_base
 from sugiyama_ros.fit.recording import FOLDS, Recorded, prepare
 from sugiyama_ros.formats.registry import read_trajectories
@@ -38,7 +38,7 @@ def main(source: Path, document: Path) -> None:
     early, late = part(t, 0, split), part(t, split, len(t.position_m))
     with ThreadPoolExecutor(4) as work:
 
-        def row(name: str, fitted: Fit) -> None:
+        def row(name: str, fitted: JointFit) -> None:
             seen, unseen = (errors_of(data, [fitted.model] * FOLDS, work).summary() for data in (early, late))
             errors = [
                 ", ".join(f"{unseen[f'{run}_{h}s_m']:.2f}" for h in (2, 5, 10)) for run in ("free_run", "single_car")

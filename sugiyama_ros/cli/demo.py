@@ -43,7 +43,7 @@ def demo(
     from sugiyama_ros.diagnosis.verdict import document, sentences
     from sugiyama_ros.page.recording import read_recording
     from sugiyama_ros.page.report import write_report
-    from sugiyama_ros.studies.hidden_effects import STRENGTHS, hide
+    from sugiyama_ros.studies.hiding import STRENGTHS, hide
 
     hidden = _chosen(hidden, tuple(STRENGTHS), seed)
     simulated, values = hide(hidden, STRENGTHS[hidden][0], seed)

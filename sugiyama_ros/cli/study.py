@@ -28,8 +28,8 @@ def study(
     Some studies simulate drivers, others use measured drivers.
     """
     from sugiyama_ros.formats.registry import read_trajectories
-    from sugiyama_ros.studies.all_studies import STUDIES
-    from sugiyama_ros.studies.all_studies import study as study_of
+    from sugiyama_ros.studies.registry import STUDIES
+    from sugiyama_ros.studies.registry import study as study_of
     from sugiyama_ros.studies.study import Asked
     from sugiyama_ros.workers import workers
 

@@ -1,4 +1,4 @@
-"""Data as the fitted model itself would have made them: the parametric bootstrap that says what chance alone does."""
+"""Recordings simulated by the fitted model: the parametric bootstrap, which says what chance alone does."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,11 +12,19 @@ from sugiyama_ros.simulation.simulator import Simulator
 
 
 def resample(data: Recorded, model: Model, states: Array, rng: np.random.Generator) -> Recorded:
-    """Data simulated from the model: the same road, vehicles and times, from the state in which the recording begins.
+    """Simulate a recording with the same road, vehicles and times, from the state in which the recording begins.
 
-    states: (T, N, 4) as ``free_run.filtered_states`` gives them. Vehicles without a leader drive as they were recorded.
-    After a collision, or where vehicles come, go or change their order, the simulation starts anew from the recorded
-    state, and the recording counts as broken there.
+    Vehicles without a leader drive as they were recorded. After a collision, or where vehicles come, go or change their
+    order, the simulation starts anew from the recorded state, and the recording counts as broken there.
+
+    Parameters
+    ----------
+    data, model
+        The recording and the model fitted to it.
+    states
+        (T, N, 4) filtered states, as ``fit.score.filtered_states`` gives them.
+    rng
+        Generator of all noises.
     """
     t = data.trajectories
     position, speed = states[:, :, 0], states[:, :, 1]
@@ -44,6 +52,7 @@ def resample(data: Recorded, model: Model, states: Array, rng: np.random.Generat
 
 
 def _lead(simulator: Simulator, order: Ints, position: Array, speed: Array) -> None:
+    """Put vehicles without a leader where they were recorded."""
     for place in np.flatnonzero(simulator.leader < 0):
         simulator.position_m[place], simulator.speed[place] = position[order[place]], speed[order[place]]
 
@@ -51,7 +60,7 @@ def _lead(simulator: Simulator, order: Ints, position: Array, speed: Array) -> N
 def _start(
     data: Recorded, model: Model, k: int, position: Array, speed: Array, there: Array, rng: np.random.Generator
 ) -> tuple[Simulator | None, Ints]:
-    """A simulator from the recorded state of sample k, None if too little is known, and its vehicles' columns."""
+    """A simulator from the recorded state of sample k, None if too little is known, and the columns of its vehicles."""
     t = data.trajectories
     columns = np.flatnonzero(there)
     if len(columns) < max(1, int(0.5 * t.present[k].sum())):

@@ -19,10 +19,11 @@ Kind = Literal["effect", "measurement", "constants"]
 
 @dataclass(frozen=True)
 class Candidate:
-    """Something that may be added to a model: entries of the rows that are freed, and where their search begins.
+    """Something that may be added to a model.
 
-    starts: values by place; individual: whether each driver has values of his own; strengths: places to whose values
-    what it changes is proportional, to first order; is_noise: whether it changes no mean motion.
+    places: entries of the rows that are freed; starts: where their search begins, values by place; individual: whether
+    every driver has their own values; strengths: places to whose values the change of the samples is proportional, to
+    first order.
     """
 
     name: str
@@ -60,7 +61,7 @@ _CONSTANTS = (
 
 
 def candidates(recording: Recording, drivers: int) -> tuple[Candidate, ...]:
-    """All candidates that make sense for a recording."""
+    """All candidates that make sense for a recording with this number of drivers."""
     found = [
         Candidate(
             name=c.name,
@@ -95,7 +96,7 @@ def candidates(recording: Recording, drivers: int) -> tuple[Candidate, ...]:
 
 
 def named(data: Recorded, names: Sequence[str]) -> list[Candidate]:
-    """The candidates of these names. Raises InputError for one that is none."""
+    """The candidates of these names. Raises InputError for an unknown name."""
     possible = {c.name: c for c in candidates(recording_of(data), data.drivers)}
     for name in names:
         if name not in possible:
@@ -104,14 +105,14 @@ def named(data: Recorded, names: Sequence[str]) -> list[Candidate]:
 
 
 def recording_of(data: Recorded) -> Recording:
-    """What a search may know of a recording."""
+    """What a search may know about a recording."""
     t = data.trajectories
     first, last = float(np.nanmin(t.position_m)), float(np.nanmax(t.position_m))
     return Recording(t.start_s, t.start_s + t.duration_s, t.road.circumference_m, first, last)
 
 
 def added(model: Model, candidate: Candidate, start: dict[int, float]) -> Model:
-    """The model with the candidate's entries freed and at a start of the search."""
+    """The model with the candidate's entries freed, at a start of the search (values by place)."""
     rows = model.rows.copy()
     for k, v in start.items():
         rows[:, k] = v

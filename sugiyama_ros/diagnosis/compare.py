@@ -1,20 +1,21 @@
 """The model beside others on the same held-out samples, with paired standard errors, and beside its own floor."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 
 import numpy as np
 
 from sugiyama_ros.diagnosis.bootstrap import resample, seeds
-from sugiyama_ros.diagnosis.candidates import named
+from sugiyama_ros.diagnosis.candidates import Candidate, named
 from sugiyama_ros.diagnosis.diagnosis import INDIVIDUAL
-from sugiyama_ros.diagnosis.errors import Errors, errors_of
+from sugiyama_ros.diagnosis.errors import HeldOutErrors, errors_of
+from sugiyama_ros.diagnosis.progress import OnProgress
 from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter
 from sugiyama_ros.diagnosis.screen import with_candidate
 from sugiyama_ros.filters.extract import chain_behind, track
 from sugiyama_ros.fit.cross_validation import Gain, gain, without_folds
-from sugiyama_ros.fit.joint import Fit, fit
+from sugiyama_ros.fit.joint import JointFit, fit
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.model_file import ModelFile
 from sugiyama_ros.fit.population import fit_base
@@ -33,13 +34,13 @@ _SIMULATIONS = 3
 class Compared:
     """One model's held-out errors, its gain over the base model, and how its innovations look.
 
-    collective: measures of the whole road in simulations of the model, averaged over runs, each with their std.
-    nis_mean and nis_std_error: mean of y^2/S, 1 for a model that knows its own uncertainty; autocorrelation: of the
-    normalised innovations at lags 1 to 10, within ``band`` for white ones at the 95 % level.
+    nis_mean, nis_std_error: mean of y^2/S and its standard error; the mean is 1 for a model that knows its own
+    uncertainty; autocorrelation: of the normalised innovations at lags 1 to 10, which stays within ``band`` for white
+    innovations at the 95 % level; collective: measures of the whole road, mean and std over simulations of the model.
     """
 
     name: str
-    errors: Errors
+    errors: HeldOutErrors
     gain: Gain | None
     nis_mean: float
     nis_std_error: float
@@ -55,59 +56,102 @@ def compare(
     *,
     seed: int = 0,
     workers: int = 4,
-    on_progress: Callable[[str, int, int], None] = lambda what, done, total: None,
+    on_progress: OnProgress = lambda what, done, total: None,
 ) -> list[Compared]:
-    """Base model, base model with ``effects``, a model from a file (not refitted), rivals, and the floor.
+    """Compare the base model, with and without effects, a model from a file, the rivals, and the floor.
 
-    The floor is the base model on data that it has simulated itself: no model can be expected to do better.
-    Raises InputError for an unknown effect or a recording that is too short.
+    The floor is the base model on data that it simulated itself: no model can be expected to do better.
+
+    Parameters
+    ----------
+    trajectories
+        The recording.
+    effects
+        Names of effects that are added to the base model.
+    model
+        A model that is compared as it is, without a fit.
+    seed
+        Seed of the simulations.
+    workers
+        Number of threads.
+    on_progress
+        Called with what is being done, and the steps done and to do.
+
+    Raises
+    ------
+    InputError
+        For an unknown effect or a recording that is too short.
     """
     with ThreadPoolExecutor(workers) as work:
         data = prepare(trajectories)
         chosen = named(data, effects)
         steps = 2 + sum(1 + has_parameters(law) for law in RIVALS) + len(effects) + (model is not None)
-        done = 0
-
-        def next_step(what: str) -> None:
-            nonlocal done
-            on_progress(what, done, steps)
-            done += 1
-
-        def judged(name: str, models: Sequence[Model], simulated: Model | None) -> Compared:
-            base = found[0].errors if found else None
-            of_road = _simulated_collective(data, simulated, seed, work) if simulated is not None else {}
-            return _compared(name, data, models, base, of_road, work)
-
-        found: list[Compared] = []
-        next_step("base")
+        comparison = _Comparison(data, seed, steps, work, on_progress)
+        comparison.begin("base")
         base = fit_base(data, INDIVIDUAL, work)
-        found.append(judged("base", without_folds(data, base, work, searched=True), base.model))
-        current = base
-        for candidate in chosen:
-            next_step(candidate.name)
-            current = with_candidate(data, current, candidate, work)
-        if effects:
-            found.append(
-                judged(
-                    "base + " + " + ".join(effects), without_folds(data, current, work, searched=True), current.model
-                )
-            )
+        comparison.add_fitted("base", base)
+        comparison.add_effects(base, chosen)
         if model is not None:
-            next_step("model file")
-            rows = model.rows_of(trajectories.vehicle)
-            given = Model(rows, (), (), (), rows)
-            found.append(judged(f"file: {', '.join(model.effects) or 'base'}", [given] * FOLDS, given))
+            comparison.add_file(model)
         for law in RIVALS:
-            next_step(law)
-            fitted = in_filter(data, law, work)
-            found.append(judged(law, without_folds(data, fitted, work, searched=True), fitted.model))
-            if has_parameters(law):
-                next_step(f"{law}, least squares")
-                found.append(judged(f"{law}_least_squares", by_gaps(data, law, fitted, work), None))
-        next_step("floor")
-        found.append(_floor(data, base, seed, work))
+            comparison.add_rival(law)
+        comparison.begin("floor")
+        found = [*comparison.found, _floor(data, base, seed, work)]
         on_progress("done", steps, steps)
     return found
+
+
+class _Comparison:
+    """Models that were compared so far, the base model first; ``steps``: number of models to come."""
+
+    def __init__(
+        self, data: Recorded, seed: int, steps: int, work: ThreadPoolExecutor, on_progress: OnProgress
+    ) -> None:
+        self._data, self._seed, self._steps, self._work, self._on_progress = data, seed, steps, work, on_progress
+        self._done = 0
+        self.found: list[Compared] = []
+
+    def begin(self, what: str) -> None:
+        """Say what is being done now."""
+        self._on_progress(what, self._done, self._steps)
+        self._done += 1
+
+    def add_fitted(self, name: str, fitted: JointFit) -> None:
+        """Add a fitted model, which is searched for again without each fold."""
+        models = without_folds(self._data, fitted, self._work, searched=True)
+        self._add(name, models, fitted.model)
+
+    def add_effects(self, base: JointFit, chosen: Sequence[Candidate]) -> None:
+        """Add the base model with candidates, if there are any."""
+        current = base
+        for candidate in chosen:
+            self.begin(candidate.name)
+            current = with_candidate(self._data, current, candidate, self._work)
+        if chosen:
+            self.add_fitted("base + " + " + ".join(candidate.name for candidate in chosen), current)
+
+    def add_file(self, model: ModelFile) -> None:
+        """Add a model from a file as it is."""
+        self.begin("model file")
+        rows = model.rows_of(self._data.trajectories.vehicle)
+        given = Model(rows, (), (), (), rows)
+        self._add(f"file: {', '.join(model.effects) or 'base'}", [given] * FOLDS, given)
+
+    def add_rival(self, law: str) -> None:
+        """Add a rival, calibrated in the filter and, if it has parameters, by least squares on gaps."""
+        self.begin(law)
+        fitted = in_filter(self._data, law, self._work)
+        self.add_fitted(law, fitted)
+        if has_parameters(law):
+            self.begin(f"{law}, least squares")
+            self._add(f"{law}_least_squares", by_gaps(self._data, law, fitted, self._work), None)
+
+    def _add(self, name: str, models: Sequence[Model], simulated: Model | None) -> None:
+        base = self.found[0].errors if self.found else None
+        of_road = {}
+        if simulated is not None:
+            of_road = _simulated_collective(self._data, simulated, self._seed, self._work)
+        self.found.append(_compared(name, self._data, models, base, of_road, self._work))
 
 
 def collective_of(trajectories: Trajectories) -> Collective:
@@ -138,7 +182,7 @@ def _compared(
     name: str,
     data: Recorded,
     models: Sequence[Model],
-    base: Errors | None,
+    base: HeldOutErrors | None,
     of_road: dict[str, tuple[float, float]],
     work: ThreadPoolExecutor,
 ) -> Compared:
@@ -148,18 +192,18 @@ def _compared(
     normal = np.where(scored, s.innovation_m / np.sqrt(s.innovation_var), np.nan)
     nis = np.nanmean(np.square(normal), axis=1)
     return Compared(
-        name,
-        errors,
-        gain(data, s, base.samples) if base is not None else None,
-        float(np.nanmean(nis)),
-        float(np.nanstd(nis) / np.sqrt(max(len(nis) - 1, 1))),
-        tuple(float(np.nanmean(normal[:, k:] * normal[:, :-k])) for k in range(1, _LAGS + 1)),
-        float(1.96 / np.sqrt(max(scored.sum(), 1))),
-        of_road,
+        name=name,
+        errors=errors,
+        gain=gain(data, s, base.samples) if base is not None else None,
+        nis_mean=float(np.nanmean(nis)),
+        nis_std_error=float(np.nanstd(nis) / np.sqrt(max(len(nis) - 1, 1))),
+        autocorrelation=tuple(float(np.nanmean(normal[:, k:] * normal[:, :-k])) for k in range(1, _LAGS + 1)),
+        band=float(1.96 / np.sqrt(max(scored.sum(), 1))),
+        collective=of_road,
     )
 
 
-def _floor(data: Recorded, base: Fit, seed: int, work: ThreadPoolExecutor) -> Compared:
+def _floor(data: Recorded, base: JointFit, seed: int, work: ThreadPoolExecutor) -> Compared:
     simulated = resample(data, base.model, filtered_states(data, base.model, work), seeds(seed, 1)[0])
     fitted = fit(simulated, base.model, work)
     return _compared("floor", simulated, without_folds(simulated, fitted, work, searched=True), None, {}, work)

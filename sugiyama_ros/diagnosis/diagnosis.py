@@ -5,19 +5,21 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 
-from sugiyama_ros.diagnosis.discover import Discovery, discover
-from sugiyama_ros.diagnosis.errors import Errors, errors_of
+from sugiyama_ros.diagnosis.addition import Addition
+from sugiyama_ros.diagnosis.candidacy import Candidacy
+from sugiyama_ros.diagnosis.discover import Discovery
+from sugiyama_ros.diagnosis.errors import HeldOutErrors, errors_of
 from sugiyama_ros.diagnosis.locate import Located, locate
+from sugiyama_ros.diagnosis.progress import OnProgress
 from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter
-from sugiyama_ros.diagnosis.screen import Glance
-from sugiyama_ros.diagnosis.search import LEVEL, Looked, Named, Search
+from sugiyama_ros.diagnosis.screen import Screened
+from sugiyama_ros.diagnosis.search import LEVEL, Search
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR
 from sugiyama_ros.fit.cross_validation import Gain, without_folds
-from sugiyama_ros.fit.joint import Fit
+from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.population import fit_base
 from sugiyama_ros.fit.recording import Recorded, prepare
 from sugiyama_ros.laws.registry import RIVALS
-from sugiyama_ros.progress import OnStage
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 #: Each driver's own parameters.
@@ -26,17 +28,24 @@ INDIVIDUAL = (SIGMA_NU, SIGMA_A, V_STAR, KAPPA_V)
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """Verdict on a recording; fits: the base model's and the last one's; looked: first round, best first."""
+    """Verdict on a recording.
+
+    base, final: the fitted model without and with what was added; named: what was added; scored: candidates of the
+    first round, best first; heldout: their held-out gains by name; discovered: forces without a name; before, after:
+    held-out errors of the two models; where_before, where_after: where they fail; smallest: strength of each effect
+    from which it would have shown; rivals: errors of other laws by name; bootstrap_runs: recordings simulated per
+    round.
+    """
 
     data: Recorded
-    base: Fit
-    final: Fit
-    named: tuple[Named, ...]
-    looked: tuple[Looked, ...]
+    base: JointFit
+    final: JointFit
+    named: tuple[Addition, ...]
+    scored: tuple[Candidacy, ...]
     heldout: dict[str, Gain]
     discovered: tuple[Discovery, ...]
-    before: Errors
-    after: Errors
+    before: HeldOutErrors
+    after: HeldOutErrors
     where_before: Located
     where_after: Located
     smallest: dict[str, float]
@@ -56,13 +65,33 @@ def diagnose(
     verdict_only: bool = False,
     add_forces: bool = False,
     workers: int = 4,
-    on_progress: OnStage = lambda what, done, total: None,
+    on_progress: OnProgress = lambda what, done, total: None,
 ) -> Diagnosis:
-    """Find what is missing: at most ``most`` effects, one after the other.
+    """Find what is missing from the model.
 
-    verdict_only: leave out the rivals and the forces without a name; add_forces: add the best of these at the end.
+    Parameters
+    ----------
+    trajectories
+        The recording.
+    seed
+        Seed of the simulated recordings.
+    quick
+        Whether to spend less time: fewer simulations, no search for each fold, no forces without a name.
+    most
+        Number of effects that are added at most.
+    verdict_only
+        Whether to leave out the rivals and the forces without a name.
+    add_forces
+        Whether to add the best force without a name at the end.
+    workers
+        Number of threads.
+    on_progress
+        Called with what is being done, and the steps done and to do.
 
-    Raises InputError for a recording that is too short.
+    Raises
+    ------
+    InputError
+        If the recording is too short.
     """
     began = time.monotonic()
     with ThreadPoolExecutor(workers) as work, ThreadPoolExecutor(len(RIVALS)) as aside:
@@ -72,47 +101,62 @@ def diagnose(
         rival = partial(_rival, data, work, quick)
         others = aside.map(rival, [] if verdict_only else RIVALS)
         base = fit_base(data, INDIVIDUAL, work)
-        search = Search(data, base, quick, seed, work, on_progress)
-        before = search.errors
-        forces: list[tuple[Discovery, Glance]] = []
-        is_growing = True
-        while is_growing:
-            while len(search.named) < most and search.add_effect():
-                pass
-            if forces or quick or verdict_only:
-                break
-            on_progress("forces without a name", 0, 1)
-            forces = [one for one in discover(data, search.current, work) if one[0].p_value < LEVEL]
-            # with a force, something may be supported that was not
-            is_growing = add_forces and search.add_force(forces)
+        search = Search(data, base, quick, seed, work, on_progress=on_progress)
+        forces = _grow(search, most, with_forces=not (quick or verdict_only), add_forces=add_forces)
         on_progress("rival models", 0, 1)
         rivals = {name: errors for found in others for name, errors in found.items()}
         on_progress("where it fails", 0, 1)
-        compared = ((base, before), (search.current, search.errors))
-        where = [locate(data, one.model, e.samples, work) for one, e in compared]
+        return _summed_up(search, forces, rivals, work, began)
+
+
+def _summed_up(
+    search: Search,
+    forces: list[Discovery],
+    rivals: dict[str, dict[str, float]],
+    work: ThreadPoolExecutor,
+    began: float,
+) -> Diagnosis:
+    """The diagnosis at the end of a search that began at a time of the monotonic clock [s]."""
+    compared = ((search.base, search.before), (search.current, search.errors))
+    where_before, where_after = (locate(search.data, one.model, e.samples, work) for one, e in compared)
     return Diagnosis(
-        data,
-        base,
-        search.current,
-        tuple(search.named),
-        tuple(search.looked),
-        search.heldout,
-        tuple(force for force, _ in forces),
-        before,
-        search.errors,
-        where[0],
-        where[1],
-        search.smallest,
-        rivals,
-        search.effort.runs,
-        quick,
-        seed,
-        time.monotonic() - began,
+        data=search.data,
+        base=search.base,
+        final=search.current,
+        named=tuple(search.named),
+        scored=tuple(search.scored),
+        heldout=search.heldout,
+        discovered=tuple(forces),
+        before=search.before,
+        after=search.errors,
+        where_before=where_before,
+        where_after=where_after,
+        smallest=search.smallest,
+        rivals=rivals,
+        bootstrap_runs=search.effort.runs,
+        quick=search.quick,
+        seed=search.seed,
+        wall_s=time.monotonic() - began,
     )
 
 
+def _grow(search: Search, most: int, *, with_forces: bool, add_forces: bool) -> list[Discovery]:
+    """Add what is supported to the model, and return the forces without a name that are left, if asked for."""
+    forces: list[tuple[Discovery, Screened]] = []
+    is_growing = True
+    while is_growing:
+        while len(search.named) < most and search.add_effect():
+            pass
+        if forces or not with_forces:
+            break
+        forces = [one for one in search.discover() if one[0].p_value < LEVEL]
+        # with a force, something may be supported that was not
+        is_growing = add_forces and search.add_force(forces)
+    return [force for force, _ in forces]
+
+
 def _rival(data: Recorded, work: ThreadPoolExecutor, quick: bool, law: str) -> dict[str, dict[str, float]]:
-    """Errors of a rival calibrated in the filter, and, but for ``quick``, of the same by least squares on gaps."""
+    """Errors of a rival calibrated in the filter and, unless ``quick``, of the rival fitted to gaps."""
     fitted = in_filter(data, law, work)
     found = {law: errors_of(data, without_folds(data, fitted, work, searched=not quick), work).summary()}
     if not quick and has_parameters(law):

@@ -1,4 +1,4 @@
-"""Missing forces that nobody has named: a curve over each covariate, fitted as the effect ``discovered_force``."""
+"""Missing forces without a name: a curve over each covariate, fitted as the effect ``discovered_force``."""
 
 from concurrent.futures import Executor
 from dataclasses import dataclass
@@ -8,10 +8,10 @@ from scipy.stats import chi2
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.candidates import Candidate
-from sugiyama_ros.diagnosis.screen import Glance, glance
+from sugiyama_ros.diagnosis.screen import Screened, screen
 from sugiyama_ros.effects.discovered_force import COVARIATES, KNOTS
 from sugiyama_ros.effects.registry import place
-from sugiyama_ros.fit.joint import Fit
+from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.score import filtered_states
 
@@ -37,9 +37,9 @@ class Discovery:
     force: tuple[float, ...]
 
 
-def discover(data: Recorded, fitted: Fit, work: Executor) -> list[tuple[Discovery, Glance]]:
+def discover(data: Recorded, fitted: JointFit, work: Executor) -> list[tuple[Discovery, Screened]]:
     """Every covariate's curve, best supported first; p-values are corrected for their number (Bonferroni)."""
-    seen = looked_at(data, filtered_states(data, fitted.model, work))
+    seen = covariates_of(data, filtered_states(data, fitted.model, work))
     found = []
     for number, covariate in enumerate(COVARIATES, 1):
         t = data.trajectories
@@ -58,19 +58,24 @@ def discover(data: Recorded, fitted: Fit, work: Executor) -> list[tuple[Discover
                 continue
             low, high = (float(q) for q in np.quantile(values, _INNER))
         start = {_FIRST: float(number), _FIRST + 1: low, _FIRST + 2: high}
-        look = glance(data, fitted, Candidate("discovered_force", "effect", _FORCES, (start,)), work)
+        look = screen(data, fitted, Candidate("discovered_force", "effect", _FORCES, (start,)), work)
         force = look.fit.model.rows[0, list(_FORCES)]
         ring = covariate == "place" and t.road.is_ring
         knots = low + (high - low) * np.arange(KNOTS) / (KNOTS if ring else KNOTS - 1)
         p_value = min(1.0, len(COVARIATES) * float(chi2.sf(2.0 * max(look.gain, 0.0) / _INFLATION, KNOTS - 1)))
         discovery = Discovery(
-            covariate, float(np.ptp(force)), p_value, look.gain, tuple(knots.tolist()), tuple(force.tolist())
+            covariate=covariate,
+            strength=float(np.ptp(force)),
+            p_value=p_value,
+            gain_nats=look.gain,
+            knots=tuple(knots.tolist()),
+            force=tuple(force.tolist()),
         )
         found.append((discovery, look))
     return sorted(found, key=lambda pair: -pair[0].gain_nats)
 
 
-def looked_at(data: Recorded, state: Array) -> tuple[Array, ...]:
+def covariates_of(data: Recorded, state: Array) -> tuple[Array, ...]:
     """Gaps, speeds, approach rates, gaps behind and gaps ahead of the leader, (T, N) each, of filtered states."""
     t = data.trajectories
     x, v = t.road.wrap(state[:, :, 0]), state[:, :, 1]

@@ -10,7 +10,7 @@ from sugiyama_ros.diagnosis.free_runs import HORIZONS_S, FreeRuns, free_runs, rm
 from sugiyama_ros.fit.cross_validation import of_folds
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import Recorded
-from sugiyama_ros.fit.score import Samples, follow
+from sugiyama_ros.fit.score import PointwiseDensity, follow
 
 # Share by which a free run's error may be larger than before without counting as worse: two starts differ by more.
 _TOLERANCE = 0.05
@@ -19,10 +19,10 @@ _MOVING = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class Errors:
+class HeldOutErrors:
     """Held-out samples and free runs of a model, each predicted by the model fitted without its fold."""
 
-    samples: Samples
+    samples: PointwiseDensity
     runs: FreeRuns
 
     @property
@@ -32,7 +32,7 @@ class Errors:
 
     @property
     def one_step_rmse_m(self) -> float:
-        """Of the innovations [m]."""
+        """Root mean square of the innovations [m]."""
         return rmse(self.samples.innovation_m)
 
     def by_driver(self) -> list[tuple[float, float]]:
@@ -40,11 +40,11 @@ class Errors:
         totals = np.nansum(self.samples.log_likelihood, axis=1)
         return [(float(total), rmse(self.runs.single[:, -1, i])) for i, total in enumerate(totals)]
 
-    def no_worse_than(self, other: "Errors") -> bool:
-        """Whether the free runs are no worse by more than 5 % and two paired standard errors over starts.
+    def no_worse_than(self, other: "HeldOutErrors") -> bool:
+        """Whether the free runs are not worse by more than 5 % and two paired standard errors over starts.
 
-        Of the mean square errors of all horizons, coupled and of single cars, each relative to the other model's: a
-        horizon alone may be luck, since a free run knows no noise, and a jam without noise is a delicate thing.
+        All horizons, coupled and single, count together, each relative to the other model's mean square error. A single
+        horizon may be luck, because a free run has no noise, and a jam without noise depends on small things.
         """
         pairs = ((self.runs.coupled, other.runs.coupled), (self.runs.single, other.runs.single))
         by_horizon = []
@@ -72,10 +72,10 @@ class Errors:
         }
 
     def details(self) -> dict[str, float]:
-        """Figures of speed, gap and time gap: rmse, relative to the measured mean, and NRMSE fit [%] of the gap.
+        """Errors of speed, gap and time gap by name: rmse, rmse over the measured mean, and NRMSE fit [%] of the gap.
 
-        Time gap [s]: gap over speed, where the car drives faster than _MOVING. Fit: 100 (1 - rmse / std of the measured
-        gaps), so 100 for a perfect model and 0 for one that knows the mean gap only.
+        The time gap [s] counts where the car drives faster than 1 m/s. The fit is 100 (1 - rmse / std of the measured
+        gaps): 100 for a perfect model, and 0 for a model that knows only the mean gap.
         """
         found: dict[str, float] = {}
         r = self.runs
@@ -101,8 +101,8 @@ class Errors:
         return found
 
 
-def errors_of(data: Recorded, models: Sequence[Model], work: Executor) -> Errors:
+def errors_of(data: Recorded, models: Sequence[Model], work: Executor) -> HeldOutErrors:
     """Errors of the models fitted without each fold, from ``cross_validation.without_folds``."""
     followed = [follow(data, model, work) for model in models]
     samples = of_folds(data, [samples for samples, _ in followed])
-    return Errors(samples, free_runs(data, models, [states for _, states in followed], work))
+    return HeldOutErrors(samples, free_runs(data, models, [states for _, states in followed], work))

@@ -28,9 +28,9 @@ _EVERY_S = 2.5
 class FreeRuns:
     """Errors of free runs, model minus measurement, (S, H, N) at HORIZONS_S; start: (S,) samples.
 
-    coupled, single: of positions [m]; behind a leader as he was recorded, the error of the gap is that of the position
-    with the other sign. coupled_speed, single_speed: of speeds [m/s], against the filtered ones; coupled_gap: of gaps
-    [m]. gap, speed: measured and filtered there, NaN without a leader.
+    coupled, single: of positions [m]; in a single run, the error of the gap is the error of the position with the other
+    sign. coupled_speed, single_speed: of speeds [m/s], against the filtered speeds; coupled_gap: of gaps [m]. gap,
+    speed: measured gap [m] and filtered speed [m/s] there, NaN without a leader.
     """
 
     coupled: Array
@@ -44,9 +44,18 @@ class FreeRuns:
 
 
 def free_runs(data: Recorded, models: Sequence[Model], states: Sequence[Array], work: Executor) -> FreeRuns:
-    """Free runs from every ``_EVERY_S`` seconds, each by the model fitted without the fold in which it starts.
+    """Free runs that start every 2.5 s, each by the model fitted without the fold in which it starts.
 
-    states: filtered states of all drivers by each of the models, (T, N, 4), as ``filtered_states`` gives them.
+    Parameters
+    ----------
+    data
+        The recording.
+    models
+        For every fold, the model fitted without it.
+    states
+        (T, N, 4) filtered states by each of the models, as ``filtered_states`` gives them.
+    work
+        Executor that carries out the runs.
     """
     t = data.trajectories
     steps = np.array([max(1, round(h / t.period_s)) for h in HORIZONS_S])
@@ -116,6 +125,6 @@ def _as_measured(position: Array, rows: Array, ring: float) -> Array:
 
 
 def rmse(errors: Array) -> float:
-    """Root of the mean square of all that are known."""
+    """Root of the mean square of all finite errors; NaN if there are none."""
     known = errors[np.isfinite(errors)]
     return float(np.sqrt(np.mean(np.square(known)))) if len(known) else float("nan")

@@ -1,6 +1,6 @@
-"""Where a model fails: innovations that are not centred, or wider than the model says, in bins of what may matter.
+"""Where a model fails: bins of covariates in which innovations are not centred, or wider than the model says.
 
-A model that misses nothing has innovations that depend on nothing that was known before: in any bin of any covariate,
+The innovations of a model that misses nothing depend on nothing that was known before. So in any bin of any covariate,
 their mean over their predicted std is a standard normal variable over the root of their number. Bins are flagged at a
 false-discovery rate of 5 % over all bins together (Benjamini and Hochberg 1995).
 """
@@ -12,17 +12,17 @@ import numpy as np
 from scipy.stats import norm
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.diagnosis.discover import looked_at
+from sugiyama_ros.diagnosis.discover import covariates_of
 from sugiyama_ros.driver.parameters import RHO
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import Recorded
-from sugiyama_ros.fit.score import Samples, filtered_states
+from sugiyama_ros.fit.score import PointwiseDensity, filtered_states
 
 #: False-discovery rate of the flags.
 RATE = 0.05
 # Bins of a covariate, and fewest samples in one.
 _BINS, _FEWEST = 10, 30
-# Acceleration [m/s^2] from which a driver accelerates or brakes, and speed [m/s] below which he stands.
+# Acceleration [m/s^2] from which a driver accelerates or brakes, and speed [m/s] below which a driver stands.
 _CHANGING, _STANDING = 0.3, 0.5
 _REGIMES = ("standing", "braking", "accelerating", "following")
 
@@ -70,8 +70,18 @@ class Located:
         return sorted((b for b in self.bins if b.flagged), key=lambda b: b.p_value)
 
 
-def locate(data: Recorded, model: Model, samples: Samples, work: Executor) -> Located:
-    """Where ``samples`` of a model (best held out) are not as it says; what was known a sample before is looked at."""
+def locate(data: Recorded, model: Model, samples: PointwiseDensity, work: Executor) -> Located:
+    """Find where the samples of a model differ from what it says.
+
+    Parameters
+    ----------
+    data, model
+        The recording and the model.
+    samples
+        Samples of the model, best held out.
+    work
+        Executor that runs the filters.
+    """
     states = filtered_states(data, model, work)
     normal = samples.innovation_m / np.sqrt(samples.innovation_var)
     after = np.where(np.isfinite(samples.log_likelihood), normal, np.nan)[:, 1:]
@@ -92,8 +102,9 @@ def locate(data: Recorded, model: Model, samples: Samples, work: Executor) -> Lo
 
 
 def _covariates(data: Recorded, states: Array) -> dict[str, Array]:
+    """Covariates by name, (T, N) each, of filtered states (T, N, 4)."""
     t = data.trajectories
-    gap, speed, approach, rear_gap, _ = looked_at(data, states)
+    gap, speed, approach, rear_gap, _ = covariates_of(data, states)
     time = np.tile((t.start_s + t.period_s * np.arange(len(gap)))[:, None], (1, data.drivers))
     place = t.road.wrap(states[:, :, 0])
     return {"gap": gap, "speed": speed, "approach_rate": approach, "rear_gap": rear_gap, "place": place, "time": time}
@@ -125,7 +136,16 @@ def _bin(name: str, label: str, low: float, high: float, values: Array, after: A
         return None
     bias = float(chosen.mean())
     p_value = 2.0 * float(norm.sf(abs(bias) * np.sqrt(len(chosen))))
-    return Bin(name, label, float(low), float(high), len(chosen), bias, float(np.mean(np.square(chosen))), p_value)
+    return Bin(
+        covariate=name,
+        label=label,
+        low=float(low),
+        high=float(high),
+        samples=len(chosen),
+        bias=bias,
+        nis=float(np.mean(np.square(chosen))),
+        p_value=p_value,
+    )
 
 
 def _with_flags(bins: list[Bin]) -> list[Bin]:

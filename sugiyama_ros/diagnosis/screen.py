@@ -1,7 +1,7 @@
-"""A quick, even-handed look at every candidate: one Newton step from the fitted model, and what it would predict.
+"""A quick look at every candidate, the same for all: a few Newton steps from the fitted model.
 
-The same look is taken at the data and at data simulated from the model without any effect (``bootstrap``), so that what
-is approximate in it cancels.
+The look is taken at the data and at data simulated from the model without the candidate (``bootstrap``), so that its
+approximations cancel.
 """
 
 from collections.abc import Sequence
@@ -15,17 +15,15 @@ from sugiyama_ros.diagnosis.candidates import Candidate, added
 from sugiyama_ros.effects.registry import DECLARED
 from sugiyama_ros.effects.sensing import is_contaminated
 from sugiyama_ros.filters.measurement import weigh_samples
-from sugiyama_ros.fit.joint import Fit, climb, objective, solve
+from sugiyama_ros.fit.joint import JointFit, maximise, objective, solve
 from sugiyama_ros.fit.model import Model, coordinate, value
 from sugiyama_ros.fit.recording import FOLDS, Recorded
-from sugiyama_ros.fit.score import Samples, evaluate
+from sugiyama_ros.fit.score import PointwiseDensity, evaluate
 from sugiyama_ros.fit.slopes import Derivatives, Slopes, density_slope, difference_steps, sums
 
-# Steps of a closer look at most, and the log-likelihood [nats] that one must promise.
-_CLOSER, _PROMISE = 4, 0.4
-# Drivers, or up to twice as many, on whom the starts of a search are compared.
-_SOME_DRIVERS = 11
-# A candidate that promises less than this [nats] is not looked at any closer.
+# Steps of a closer look at most, and the log-likelihood [nats] that a further step must be predicted to gain.
+_CLOSER, _LEAST_PREDICTED = 4, 0.4
+# A candidate whose gain is predicted to be less than this [nats] is not screened any closer.
 _HOPELESS = 1.0
 
 
@@ -34,7 +32,8 @@ class Effort:
     """How far a search goes, at most.
 
     runs: simulated recordings; looks: steps of a first look; shortlist, later: candidates that are fitted in full in
-    the first round and in later ones; steps, renewals: of such a fit, and times that it takes the derivatives anew.
+    the first round and in later rounds; steps, renewals: steps of a full fit, and how often it computes derivatives
+    anew; drivers: starts of a search are compared on this many drivers, or up to twice as many.
     """
 
     runs: int
@@ -43,32 +42,50 @@ class Effort:
     later: int
     steps: int
     renewals: int
+    drivers: int = 11
 
 
-#: Of a diagnosis, and of one in a hurry: constants that make up for much of what is missing climb slowly.
-FULL, QUICK = Effort(6, 6, 8, 8, 20, 6), Effort(2, 2, 4, 2, 8, 1)
+#: Effort of a diagnosis. Constants that make up for much of what is missing need many steps.
+FULL = Effort(runs=6, looks=6, shortlist=8, later=8, steps=20, renewals=6)
+#: Effort of a quick diagnosis.
+QUICK = Effort(runs=2, looks=2, shortlist=4, later=2, steps=8, renewals=1)
 
 
 @dataclass(frozen=True, eq=False)
-class Glance:
+class Screened:
     """A candidate added to a model, roughly fitted.
 
-    gain: in log posterior [nats] over the model, in sample; promise: what the next step may add to it; loss: of the
-    log posterior at the start ``loss_at`` of the search once the other parameters have given way, so what an effect of
-    that strength would have gained if it existed.
+    fit: the model with the candidate; gain: rise of the log posterior [nats] over the model without it, in sample;
+    predicted_gain: what the next step may add to the gain; loss: fall of the log posterior [nats] at the start
+    ``loss_at`` of the search, once the other parameters have given way. An effect as strong as at that start would have
+    gained as much if it existed.
     """
 
     candidate: Candidate
-    fit: Fit
+    fit: JointFit
     gain: float
-    promise: float
+    predicted_gain: float
     loss: float
     loss_at: dict[int, float]
 
 
-def glance(data: Recorded, base: Fit, candidate: Candidate, work: Executor, effort: Effort = FULL) -> Glance:
-    """Add a candidate to a fitted model by a few steps, from its starts."""
-    model, at, loss, loss_at = _best_start(data, base, candidate, work)
+def screen(data: Recorded, base: JointFit, candidate: Candidate, work: Executor, effort: Effort = FULL) -> Screened:
+    """Add a candidate to a fitted model by a few steps from the best of its starts.
+
+    Parameters
+    ----------
+    data
+        The recording.
+    base
+        The fitted model without the candidate.
+    candidate
+        What is added.
+    work
+        Executor that runs the filters.
+    effort
+        How far the look goes.
+    """
+    model, at, loss, loss_at = _best_start(data, base, candidate, work, effort.drivers)
     known = {*base.model.individual, *base.model.shared}
     new = {}
     if len(candidate.strengths) == 1:
@@ -77,22 +94,26 @@ def glance(data: Recorded, base: Fit, candidate: Candidate, work: Executor, effo
     for k in (*model.individual, *model.shared):
         if k not in known and k not in new:
             new[k] = _column(data, model, at, k, work)
-    look = Glance(candidate, Fit(model, at, _joined(data, base, model, at, new)), 0.0, 0.0, loss, loss_at)
+    fitted = JointFit(model, at, _joined(data, base, model, at, new))
+    look = Screened(candidate=candidate, fit=fitted, gain=0.0, predicted_gain=0.0, loss=loss, loss_at=loss_at)
     return _first_steps(data, base, look, work, effort)
 
 
 def _best_start(
-    data: Recorded, base: Fit, candidate: Candidate, work: Executor
-) -> tuple[Model, Samples, float, dict[int, float]]:
-    """The start that promises most on some of the drivers, the samples there, and the loss as in ``Glance``."""
+    data: Recorded, base: JointFit, candidate: Candidate, work: Executor, drivers: int
+) -> tuple[Model, PointwiseDensity, float, dict[int, float]]:
+    """The start with the largest predicted likelihood, the samples there, and loss and loss_at as in ``Screened``.
+
+    drivers: the starts are compared on this many drivers, or up to twice as many.
+    """
     is_only = len(candidate.starts) == 1
-    some = range(0, data.drivers, 1 if is_only else max(1, data.drivers // _SOME_DRIVERS))
+    some = range(0, data.drivers, 1 if is_only else max(1, data.drivers // drivers))
     here, tried = base.samples.only(some), []
     for start in candidate.starts:
         model = added(base.model, candidate, start)
         at = evaluate(data, model, work, some)
-        tried.append((_promise(base, model, at), model, at))
-    worst = int(np.argmin([promise for promise, _, _ in tried]))
+        tried.append((_predicted(base, model, at), model, at))
+    worst = int(np.argmin([likelihood for likelihood, _, _ in tried]))
     loss = (here.total - tried[worst][0]) * data.drivers / len(some)
     _, model, at = max(tried, key=lambda one: one[0])
     if candidate.strengths:
@@ -106,48 +127,51 @@ def _best_start(
     return model, at, loss, candidate.starts[worst]
 
 
-def glance_again(data: Recorded, base: Fit, before: Fit, look: Glance, work: Executor, effort: Effort) -> Glance:
-    """Look again at a candidate that was looked at when the model was ``before``, from where that has ended."""
+def screen_again(
+    data: Recorded, base: JointFit, before: JointFit, look: Screened, work: Executor, effort: Effort
+) -> Screened:
+    """Look again at a candidate, from where an earlier look ended that was taken when the model was ``before``."""
     model = _carried_over(before, look, base)
     at = evaluate(data, model, work)
-    begun = replace(look, fit=Fit(model, at, _joined(data, base, model, at, _columns(look.fit))))
-    return _first_steps(data, base, begun, work, effort)
+    again = replace(look, fit=JointFit(model, at, _joined(data, base, model, at, _columns(look.fit))))
+    return _first_steps(data, base, again, work, effort)
 
 
-def _first_steps(data: Recorded, base: Fit, look: Glance, work: Executor, effort: Effort) -> Glance:
-    """A few steps from where a look begins, if it promises anything."""
+def _first_steps(data: Recorded, base: JointFit, look: Screened, work: Executor, effort: Effort) -> Screened:
+    """Take the first few steps of a look, if the predicted gain is worth it."""
     everywhere = range(FOLDS)
     gain = objective(look.fit.slopes, look.fit.model, everywhere) - objective(base.slopes, base.model, everywhere)
-    promise = solve(look.fit.slopes, look.fit.model, everywhere, 1e-3).promise
-    look = replace(look, gain=gain, promise=promise)
-    return _further(data, look, work, effort.looks) if gain + promise > _HOPELESS else look
+    predicted_gain = solve(look.fit.slopes, look.fit.model, everywhere, 1e-3).predicted_gain
+    look = replace(look, gain=gain, predicted_gain=predicted_gain)
+    return _further(data, look, work, effort.looks) if gain + predicted_gain > _HOPELESS else look
 
 
-def closer(data: Recorded, look: Glance, work: Executor) -> Glance:
-    """The same, looked at more closely."""
-    return _further(data, look, work, _CLOSER) if look.gain + look.promise > _HOPELESS else look
+def closer(data: Recorded, look: Screened, work: Executor) -> Screened:
+    """Take a few more steps of a look, if the predicted gain is worth it."""
+    return _further(data, look, work, _CLOSER) if look.gain + look.predicted_gain > _HOPELESS else look
 
 
-def _further(data: Recorded, look: Glance, work: Executor, steps: int) -> Glance:
-    """The same some steps further, with the derivatives as they were."""
-    everywhere, fitted = range(FOLDS), climb(data, look.fit, work, iterations=steps, enough=_PROMISE, renewals=0)
+def _further(data: Recorded, look: Screened, work: Executor, steps: int) -> Screened:
+    """Take more steps of a look, with the derivatives as they were."""
+    fitted = maximise(data, look.fit, work, iterations=steps, enough=_LEAST_PREDICTED, renewals=0)
+    everywhere = range(FOLDS)
     rise = objective(fitted.slopes, fitted.model, everywhere) - objective(look.fit.slopes, look.fit.model, everywhere)
-    promise = solve(fitted.slopes, fitted.model, everywhere, 1e-3).promise
-    return replace(look, fit=fitted, gain=look.gain + rise, promise=promise)
+    predicted_gain = solve(fitted.slopes, fitted.model, everywhere, 1e-3).predicted_gain
+    return replace(look, fit=fitted, gain=look.gain + rise, predicted_gain=predicted_gain)
 
 
-def refine(data: Recorded, look: Glance, work: Executor, effort: Effort = FULL) -> Fit:
-    """Fit in full, from where a glance has come to."""
-    return climb(data, look.fit, work, iterations=effort.steps, renewals=effort.renewals, fresh=False)
+def refine(data: Recorded, look: Screened, work: Executor, effort: Effort = FULL) -> JointFit:
+    """Fit a candidate in full, from where a look ended."""
+    return maximise(data, look.fit, work, iterations=effort.steps, renewals=effort.renewals, fresh=False)
 
 
-def with_candidate(data: Recorded, base: Fit, candidate: Candidate, work: Executor) -> Fit:
-    """A fitted model with a candidate added, fitted in full."""
-    return refine(data, glance(data, base, candidate, work), work)
+def with_candidate(data: Recorded, base: JointFit, candidate: Candidate, work: Executor) -> JointFit:
+    """Add a candidate to a fitted model, and fit the new model in full."""
+    return refine(data, screen(data, base, candidate, work), work)
 
 
-def _carried_over(before: Fit, look: Glance, current: Fit) -> Model:
-    """The current model with a candidate as it was looked at ``before``: what gave way to it then gives way again."""
+def _carried_over(before: JointFit, look: Screened, current: JointFit) -> Model:
+    """The current model with a candidate as an earlier look left it; the other parameters give way as they did then."""
     candidate = look.candidate
     model = added(current.model, candidate, candidate.starts[0])
     rows = model.rows.copy()
@@ -158,10 +182,10 @@ def _carried_over(before: Fit, look: Glance, current: Fit) -> Model:
     return replace(model, rows=rows)
 
 
-def forecast(data: Recorded, before: Fit, look: Glance, current: Fit) -> float:
-    """Gain [nats] that a candidate, looked at when the model was ``before``, promises over ``current``.
+def forecast(data: Recorded, before: JointFit, look: Screened, current: JointFit) -> float:
+    """Gain [nats] over ``current`` predicted from a look that was taken when the model was ``before``.
 
-    As if what it changes in every sample were the same now; costs no filter.
+    The change of every sample is taken to be the same now, so no filter is run.
     """
     candidate = look.candidate
     model = added(current.model, candidate, {})
@@ -175,16 +199,16 @@ def forecast(data: Recorded, before: Fit, look: Glance, current: Fit) -> float:
     for i, row in enumerate(rows):
         weigh_samples(y[i], variance[i], row, np.empty_like(y[i]), density[i])
     density[np.isnan(now.log_likelihood)] = np.nan
-    here = _joined(data, current, model, Samples(y, variance, density), _columns(look.fit))
+    here = _joined(data, current, model, PointwiseDensity(y, variance, density), _columns(look.fit))
     everywhere = range(FOLDS)
-    reached = objective(here, model, everywhere) + solve(here, model, everywhere, 1e-3).promise
+    reached = objective(here, model, everywhere) + solve(here, model, everywhere, 1e-3).predicted_gain
     return reached - objective(current.slopes, current.model, everywhere)
 
 
-def _promise(base: Fit, model: Model, samples: Samples) -> float:
-    """Log-likelihood once the parameters of the base have given way to the candidate, to first order.
+def _predicted(base: JointFit, model: Model, samples: PointwiseDensity) -> float:
+    """Log-likelihood [nats] once the parameters of the base model have given way to the candidate, to first order.
 
-    Of what they promise, half is believed: a start far off promises much.
+    Half of their predicted gain counts, because it is too large at a start that is far off.
     """
     own, total = len(base.model.individual), samples.total
     prior = np.diag(1.0 / np.array(base.model.prior_std) ** 2)
@@ -197,19 +221,23 @@ def _promise(base: Fit, model: Model, samples: Samples) -> float:
 
 
 def _strongest(
-    data: Recorded, base: Fit, here: Samples, candidate: Candidate, tried: Sequence[tuple[float, Model, Samples]]
+    data: Recorded,
+    base: JointFit,
+    here: PointwiseDensity,
+    candidate: Candidate,
+    tried: Sequence[tuple[float, Model, PointwiseDensity]],
 ) -> dict[int, float]:
-    """The start that promises most once its strengths are scaled as the samples want it, so scaled.
+    """The start with the largest predicted gain after its strengths were scaled to fit the samples; values by place.
 
-    What a start changes in every sample is taken for a derivative, so that this costs no filter. here: samples of the
-    base, of those drivers with whom the starts were tried.
+    The change of every sample at a start is taken as a derivative, so no filter is run. here: samples of the base
+    model, of the drivers on whom the starts were tried; tried: predicted likelihood, model and samples of each.
     """
     steps, (ray, *_) = [], candidate.strengths
     model = replace(base.model, shared=(*base.model.shared, ray))
     for _, start, there in tried:
         new = {ray: _differences(here, there, 1.0, start.rows)}
         steps.append(solve(_joined(data, base, model, here, new), model, range(FOLDS), 1e-3))
-    best = int(np.argmax([step.promise for step in steps]))
+    best = int(np.argmax([step.predicted_gain for step in steps]))
     scale = float(steps[best].shared[-1])
     return {
         k: float(np.clip(scale * v, DECLARED[k].lower, DECLARED[k].upper)) if k in candidate.strengths else v
@@ -218,9 +246,9 @@ def _strongest(
 
 
 def _joined(
-    data: Recorded, base: Fit, model: Model, at: Samples, new: dict[int, list[tuple[Array, Array, Array]]]
+    data: Recorded, base: JointFit, model: Model, at: PointwiseDensity, new: dict[int, list[tuple[Array, Array, Array]]]
 ) -> tuple[Slopes, ...]:
-    """Slopes at a model near ``base``: derivatives by its parameters are those that it has, those by others are new."""
+    """Slopes at a model near ``base``, with the derivatives of ``base`` and ``new`` ones by the other parameters."""
     known, places = [*base.model.individual, *base.model.shared], (*model.individual, *model.shared)
     joined = []
     for i, (s, row) in enumerate(zip(base.slopes, model.rows, strict=True)):
@@ -231,13 +259,15 @@ def _joined(
     return tuple(joined)
 
 
-def _columns(fitted: Fit) -> dict[int, list[tuple[Array, Array, Array]]]:
+def _columns(fitted: JointFit) -> dict[int, list[tuple[Array, Array, Array]]]:
     """Derivatives of every driver's samples by each parameter of a fit, as ``_column`` gives them."""
     places, derivatives = (*fitted.model.individual, *fitted.model.shared), [s.derivatives for s in fitted.slopes]
     return {k: [(d.innovation[j], d.variance[j], d.density[j]) for d in derivatives] for j, k in enumerate(places)}
 
 
-def _column(data: Recorded, model: Model, at: Samples, place: int, work: Executor) -> list[tuple[Array, Array, Array]]:
+def _column(
+    data: Recorded, model: Model, at: PointwiseDensity, place: int, work: Executor
+) -> list[tuple[Array, Array, Array]]:
     """Derivatives of every driver's samples by one parameter, as ``Slopes`` keeps them, (T,) each."""
     coordinates = coordinate(model.rows[:, [place]], [place])
     step = float(difference_steps(data, [place])[0])
@@ -246,7 +276,9 @@ def _column(data: Recorded, model: Model, at: Samples, place: int, work: Executo
     return _differences(at, evaluate(data, replace(model, rows=rows), work), step, model.rows)
 
 
-def _differences(at: Samples, there: Samples, step: float, rows: Array) -> list[tuple[Array, Array, Array]]:
+def _differences(
+    at: PointwiseDensity, there: PointwiseDensity, step: float, rows: Array
+) -> list[tuple[Array, Array, Array]]:
     """Difference quotients of every driver's samples, as ``Slopes`` keeps them, (T,) each; rows: (N, WIDTH)."""
     found = []
     for i, row in enumerate(rows):

@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
+from sugiyama_ros.diagnosis.addition import Addition, parameters_of
 from sugiyama_ros.diagnosis.diagnosis import Diagnosis
 from sugiyama_ros.diagnosis.locate import Bin, Located
-from sugiyama_ros.diagnosis.search import Named, parameters_of
 from sugiyama_ros.effects.registry import DECLARED, EFFECTS, effect
 
 # Bins that are told of in words.
@@ -43,7 +43,7 @@ def document(d: Diagnosis) -> dict[str, Any]:
                 "p_value": one.p_value,
             }
             for one in sorted(
-                (one for one in d.looked if one.candidate.name in d.heldout),
+                (one for one in d.scored if one.candidate.name in d.heldout),
                 key=lambda one: -d.heldout[one.candidate.name].nats,
             )
         ],
@@ -63,7 +63,7 @@ def document(d: Diagnosis) -> dict[str, Any]:
     }
 
 
-def _named(n: Named) -> dict[str, Any]:
+def _named(n: Addition) -> dict[str, Any]:
     before, after = n.before.summary(), n.after.summary()
     return {
         "name": n.name,

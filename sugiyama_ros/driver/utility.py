@@ -32,7 +32,7 @@ Preferences: TypeAlias = tuple[float, float, float, float, float, float, float]
 _EXPONENT_CAP = 600.0
 # Utility of an action that is none.
 _NEVER = -1e300
-# Rows of the room in which actions are considered; two of them are used twice.
+# Rows of the scratch array in which actions are considered; two of them are used twice.
 UTILITY_ROW, GRID_ROW, _HANDICAP, _GAP, _SCALE = range(5)
 _WEIGHT, _WEIGHTED = _GAP, _SCALE
 # Rows are a multiple of this long, and summed in as many lanes: several elements per vector instruction, in an order
@@ -128,111 +128,114 @@ def reward_and_risk(next_speed: float, gap: float, scale: float, driver: Prefere
 
 @kernel(vectorised=True)
 def _smallest_gaps(
-    gap: float, speed: float, leader_speed: float, driver: Preferences, room: Array, period: float, horizon: int
+    gap: float, speed: float, leader_speed: float, driver: Preferences, scratch: Array, period: float, horizon: int
 ) -> None:
     """Gap [m] and scale [m] where their ratio is smallest in the look-ahead, for each action."""
-    for k in range(room.shape[1]):
-        room[_GAP, k], room[_SCALE, k] = gap_and_scale(room[GRID_ROW, k], 1, gap, speed, leader_speed, driver, period)
+    for k in range(scratch.shape[1]):
+        scratch[_GAP, k], scratch[_SCALE, k] = gap_and_scale(
+            scratch[GRID_ROW, k], 1, gap, speed, leader_speed, driver, period
+        )
     for tau in range(2, horizon + 1):
-        for k in range(room.shape[1]):
-            gap_ahead, scale_ahead = gap_and_scale(room[GRID_ROW, k], tau, gap, speed, leader_speed, driver, period)
-            closer = gap_ahead * room[_SCALE, k] < room[_GAP, k] * scale_ahead
-            room[_GAP, k] = gap_ahead if closer else room[_GAP, k]
-            room[_SCALE, k] = scale_ahead if closer else room[_SCALE, k]
+        for k in range(scratch.shape[1]):
+            gap_ahead, scale_ahead = gap_and_scale(scratch[GRID_ROW, k], tau, gap, speed, leader_speed, driver, period)
+            closer = gap_ahead * scratch[_SCALE, k] < scratch[_GAP, k] * scale_ahead
+            scratch[_GAP, k] = gap_ahead if closer else scratch[_GAP, k]
+            scratch[_SCALE, k] = scale_ahead if closer else scratch[_SCALE, k]
 
 
 @kernel(vectorised=True)
-def _add_up(speed: float, driver: Preferences, room: Array, period: float) -> None:
-    for k in range(room.shape[1]):
-        room[UTILITY_ROW, k] = reward_and_risk(
-            speed + period * room[GRID_ROW, k], room[_GAP, k], room[_SCALE, k], driver
+def _add_up(speed: float, driver: Preferences, scratch: Array, period: float) -> None:
+    for k in range(scratch.shape[1]):
+        scratch[UTILITY_ROW, k] = reward_and_risk(
+            speed + period * scratch[GRID_ROW, k], scratch[_GAP, k], scratch[_SCALE, k], driver
         )
 
 
 @kernel(vectorised=True)
-def _take_off_backward(speed: float, room: Array, period: float) -> None:
+def _take_off_backward(speed: float, scratch: Array, period: float) -> None:
     """g1 of phi1's second term."""
-    for k in range(room.shape[1]):
-        room[UTILITY_ROW, k] -= backward_penalty(speed + period * room[GRID_ROW, k])
+    for k in range(scratch.shape[1]):
+        scratch[UTILITY_ROW, k] -= backward_penalty(speed + period * scratch[GRID_ROW, k])
 
 
 @kernel(inline=True)
 def utilities(
-    gap: float, speed: float, leader_speed: float, driver: Preferences, room: Array, period: float, horizon: int
+    gap: float, speed: float, leader_speed: float, driver: Preferences, scratch: Array, period: float, horizon: int
 ) -> None:
-    """Effective utility of holding each action in a room, into its UTILITY_ROW; Eq. EffectiveUtilityTilde.
+    """Effective utility of holding each action in a scratch array, into its UTILITY_ROW; Eq. EffectiveUtilityTilde.
 
     Every loop runs over the actions and is a function of its own, because compilers make vector instructions of that.
-    Each takes the room, not rows of it, and what lies between is always inlined: references to arrays would be counted.
+    Each takes the scratch array, not rows of it, and the functions in between are always inlined: otherwise references
+    to arrays would be counted.
     """
-    _smallest_gaps(min(gap, FAR), speed, leader_speed, driver, room, period, horizon)
-    _add_up(speed, driver, room, period)
-    if speed + period * room[GRID_ROW, 0] < FORWARD:
-        _take_off_backward(speed, room, period)
+    _smallest_gaps(min(gap, FAR), speed, leader_speed, driver, scratch, period, horizon)
+    _add_up(speed, driver, scratch, period)
+    if speed + period * scratch[GRID_ROW, 0] < FORWARD:
+        _take_off_backward(speed, scratch, period)
 
 
 @kernel(vectorised=True)
-def _best(room: Array) -> float:
+def _best(scratch: Array) -> float:
     """The largest utility."""
     for k in range(_LANES):
-        room[_WEIGHT, k] = room[UTILITY_ROW, k]
-    for start in range(_LANES, room.shape[1], _LANES):
+        scratch[_WEIGHT, k] = scratch[UTILITY_ROW, k]
+    for start in range(_LANES, scratch.shape[1], _LANES):
         for lane in range(_LANES):
-            other = room[UTILITY_ROW, start + lane]
-            room[_WEIGHT, lane] = other if other > room[_WEIGHT, lane] else room[_WEIGHT, lane]
-    best: float = room[_WEIGHT, 0]
+            other = scratch[UTILITY_ROW, start + lane]
+            scratch[_WEIGHT, lane] = other if other > scratch[_WEIGHT, lane] else scratch[_WEIGHT, lane]
+    best: float = scratch[_WEIGHT, 0]
     for lane in range(1, _LANES):
-        best = room[_WEIGHT, lane] if room[_WEIGHT, lane] > best else best
+        best = scratch[_WEIGHT, lane] if scratch[_WEIGHT, lane] > best else best
     return best
 
 
 @kernel(vectorised=True)
-def _sum(room: Array, row: int) -> float:
-    """Of a row of the room, which is overwritten."""
-    for start in range(_LANES, room.shape[1], _LANES):
+def _sum(scratch: Array, row: int) -> float:
+    """Sum of a row of the scratch array, which is overwritten."""
+    for start in range(_LANES, scratch.shape[1], _LANES):
         for lane in range(_LANES):
-            room[row, lane] += room[row, start + lane]
+            scratch[row, lane] += scratch[row, start + lane]
     for lane in range(8):
-        room[row, lane] += room[row, lane + 8]
+        scratch[row, lane] += scratch[row, lane + 8]
     for lane in range(4):
-        room[row, lane] += room[row, lane + 4]
-    total: float = (room[row, 0] + room[row, 1]) + (room[row, 2] + room[row, 3])
+        scratch[row, lane] += scratch[row, lane + 4]
+    total: float = (scratch[row, 0] + scratch[row, 1]) + (scratch[row, 2] + scratch[row, 3])
     return total
 
 
 @kernel(vectorised=True, inline=True)
-def boltzmann_mean(room: Array, rationality: float) -> float:
+def boltzmann_mean(scratch: Array, rationality: float) -> float:
     """Boltzmann mean of the actions."""
-    best = _best(room)
-    for k in range(room.shape[1]):
-        room[_WEIGHT, k] = exponential(rationality * (room[UTILITY_ROW, k] + room[_HANDICAP, k] - best))
-    for k in range(room.shape[1]):
-        room[_WEIGHTED, k] = room[_WEIGHT, k] * room[GRID_ROW, k]
-    return _sum(room, _WEIGHTED) / _sum(room, _WEIGHT)
+    best = _best(scratch)
+    for k in range(scratch.shape[1]):
+        scratch[_WEIGHT, k] = exponential(rationality * (scratch[UTILITY_ROW, k] + scratch[_HANDICAP, k] - best))
+    for k in range(scratch.shape[1]):
+        scratch[_WEIGHTED, k] = scratch[_WEIGHT, k] * scratch[GRID_ROW, k]
+    return _sum(scratch, _WEIGHTED) / _sum(scratch, _WEIGHT)
 
 
 @kernel
-def room_for(actions: Array) -> Array:
-    """Room (5, at least K) in which a driver considers the actions (K,), one moment after the other.
+def scratch_for(actions: Array) -> Array:
+    """Return the scratch array (5, at least K) in which a driver considers the actions (K,), moment after moment.
 
     Rows: utilities, actions, what an action that only fills the row up is worth less, and two of scratch.
     """
     count = len(actions)
-    room = np.zeros((5, -(-count // _LANES) * _LANES))
-    room[GRID_ROW, :count] = actions
-    room[GRID_ROW, count:] = actions[count - 1]
-    room[_HANDICAP, count:] = _NEVER
-    return room
+    scratch = np.zeros((5, -(-count // _LANES) * _LANES))
+    scratch[GRID_ROW, :count] = actions
+    scratch[GRID_ROW, count:] = actions[count - 1]
+    scratch[_HANDICAP, count:] = _NEVER
+    return scratch
 
 
 @kernel(inline=True)
 def considered_action(
-    gap: float, speed: float, leader_speed: float, parameters: Array, room: Array, period: float, horizon: int
+    gap: float, speed: float, leader_speed: float, parameters: Array, scratch: Array, period: float, horizon: int
 ) -> float:
-    """``mean_action`` over the actions in a room of ``room_for``, which may be used again and again."""
+    """``mean_action`` over the actions in an array of ``scratch_for``, which may be used again and again."""
     driver = preferences(parameters)
-    utilities(gap, speed, leader_speed, driver, room, period, horizon)
-    return boltzmann_mean(room, driver[-1])
+    utilities(gap, speed, leader_speed, driver, scratch, period, horizon)
+    return boltzmann_mean(scratch, driver[-1])
 
 
 @kernel
@@ -243,4 +246,4 @@ def mean_action(
 
     parameters: (P,); horizon: periods of look-ahead.
     """
-    return considered_action(gap, speed, leader_speed, parameters, room_for(actions), period, horizon)
+    return considered_action(gap, speed, leader_speed, parameters, scratch_for(actions), period, horizon)

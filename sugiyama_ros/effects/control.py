@@ -75,11 +75,11 @@ def noise_factor(speed: float, row: Array) -> float:
 
 
 @kernel(allocates=False)
-def intend(seen: Seen, row: Array, room: Array, period: float, horizon: int) -> tuple[float, float]:
-    """Tell what the driver means the car to do until the next period, and what the environment adds; both [m/s^2].
+def intend(seen: Seen, row: Array, scratch: Array, period: float, horizon: int) -> tuple[float, float]:
+    """Tell what the driver means the car to do, and what the environment adds; both [m/s^2].
 
-    The row (WIDTH,) is that of the period; it is changed on the way and restored. ``room`` is the scratch array of the
-    actions that the driver considers.
+    The row (WIDTH,) is that of the period; it is changed on the way and restored. ``scratch`` is made by
+    ``scratch_for`` the actions that the driver considers.
     """
     perceived = _perceived(seen, row) if any_of(_PERCEIVING, row) else seen
     v_star, kappa_v = row[V_STAR], row[KAPPA_V]
@@ -88,11 +88,11 @@ def intend(seen: Seen, row: Array, room: Array, period: float, horizon: int) -> 
     gap, speed, leader_speed = perceived.gap, perceived.speed, perceived.leader_speed
     if row[_LAW] == ADAPTIVE_SEEK:
         driver = preferences(row)
-        utilities(gap, speed, leader_speed, driver, room, period, horizon)
+        utilities(gap, speed, leader_speed, driver, scratch, period, horizon)
         if any_of(_VALUING, row):
-            for k in range(room.shape[1]):
-                room[UTILITY_ROW, k] += _valued(perceived, room[GRID_ROW, k], period, horizon, row)
-        action = boltzmann_mean(room, driver[-1])
+            for k in range(scratch.shape[1]):
+                scratch[UTILITY_ROW, k] += _valued(perceived, scratch[GRID_ROW, k], period, horizon, row)
+        action = boltzmann_mean(scratch, driver[-1])
     else:
         action = law_acceleration(gap, speed, leader_speed, row)
     row[V_STAR], row[KAPPA_V] = v_star, kappa_v

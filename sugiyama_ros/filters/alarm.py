@@ -1,8 +1,9 @@
-"""Alarm when a driver has changed his style: a jump of one of the parameters that a filter adapts.
+"""Alarm when a driver has changed their style: a jump of one of the parameters that a filter adapts.
 
-A jump leaves its signature in all later innovations (Willsky and Jones 1976), and what a jump of unknown size explains
-better than none is a likelihood ratio. Its sum over all onsets (Shiryaev and Roberts) grows by one with each onset in
-the mean if nothing ever changes, so an alarm at A of them comes, by chance, after A onsets in the mean at the soonest.
+A jump leaves its signature in all later innovations (Willsky and Jones 1976). A likelihood ratio says how much better a
+jump of unknown size explains them than no jump. The sum of the ratios over all onsets (Shiryaev and Roberts) grows by
+one with each onset in the mean if nothing ever changes. An alarm at a sum of A therefore comes by chance after A onsets
+in the mean, at the soonest.
 """
 
 import math
@@ -17,7 +18,7 @@ from sugiyama_ros.arrays import Array, Ints
 ONSET_S, WATCHED_S = 2.0, 30.0
 #: Mean time [s] between two false alarms of a driver, at least, where the model is right.
 BETWEEN_FALSE_S = 7200.0
-#: Std of the jump that is looked for, of a logarithm.
+#: Prior standard deviation of a jump of a logarithm.
 JUMP_STD = 0.15
 # Normalised innovation beyond which a sample tells no more: one gross error is no change of style.
 _LARGEST = 3.5
@@ -34,7 +35,14 @@ class Change:
 class StyleAlarm:
     """Watches the innovations of a filter for jumps of some entries of its state.
 
-    places: (J,) of these entries; size: of the state; period_s: time [s] between two samples.
+    Parameters
+    ----------
+    places
+        Entries of the state that may jump, (J,).
+    size
+        Number of entries of the state.
+    period_s
+        Time between two samples [s].
     """
 
     def __init__(self, places: Sequence[int], size: int, period_s: float) -> None:
@@ -49,7 +57,7 @@ class StyleAlarm:
         self.reset()
 
     def reset(self) -> None:
-        """Begin anew: what was before tells nothing of what comes."""
+        """Begin anew, without the past innovations."""
         self._steps = 0
         self._signature[:], self._known[:], self._seen[:] = 0.0, 0.0, 0.0
 
@@ -78,7 +86,7 @@ class StyleAlarm:
 
     @property
     def ratio(self) -> float:
-        """Sum over the onsets of the likelihood ratios, as a part of that at which the alarm is given."""
+        """Sum of the likelihood ratios over the onsets, divided by the sum at which the alarm is given."""
         return float(np.exp(self._log_ratios).sum()) / (self._threshold * len(self._places))
 
     @property
@@ -87,7 +95,7 @@ class StyleAlarm:
         return 0.5 * self._seen**2 / certain - 0.5 * np.log(certain * JUMP_STD**2)
 
     def check(self, mean: Array, covariance: Array) -> Change | None:
-        """What has jumped, if the alarm is given; then the filter's state is corrected for it, in place."""
+        """Return what has jumped if the alarm is given, and correct the filter's mean and covariance in place."""
         if self.ratio < 1.0:
             return None
         column = int(np.argmax(self._log_ratios))

@@ -1,4 +1,4 @@
-"""A bank of models that predict the same driver side by side, and what their predictions say of them."""
+"""A bank of models that predict the same driver side by side, compared by their predictions."""
 
 from collections.abc import Mapping, Sequence
 
@@ -16,24 +16,38 @@ BANK: Mapping[str, Mapping[str, float]] = {name: e.bank for name, e in EFFECTS.i
 
 
 def strengths(names: Sequence[str]) -> Array:
-    """First parameter of each model of the bank, 0 for the base."""
+    """Return the first parameter of each model of the bank, 0 for the base model."""
     return np.array([0.0 if n == BASE else BANK[n][effect(n).parameters[0].name] for n in names])
 
 
 class Bank:
     """One filter per model and vehicle; scores are sums of log-likelihoods that forget.
 
-    forget_s: time [s] after which a sample counts a factor e less. Multiple-model estimation after Bar-Shalom, Li and
-    Kirubarajan, section 11.6, for models that do not switch.
+    Parameters
+    ----------
+    vehicles
+        Numbers of the vehicles.
+    period_s
+        Time between two samples [s].
+    road
+        The road that the vehicles drive on.
+    parameters
+        Of all drivers at the reference period, (P,) or (WIDTH,).
+    forget_s
+        Time [s] after which a sample counts a factor e less.
+
+    References
+    ----------
+    Multiple-model estimation for models that do not switch: Y. Bar-Shalom, X. R. Li and T. Kirubarajan, Estimation with
+    Applications to Tracking and Navigation (2001), section 11.6.
     """
 
     def __init__(
         self, vehicles: Sequence[int], period_s: float, road: Road, parameters: Array, forget_s: float
     ) -> None:
         self.names = (BASE, *BANK)
-        rows = [ROW.with_effects(parameters)] + [
-            switch_on(ROW.with_effects(parameters), name, values) for name, values in BANK.items()
-        ]
+        base = ROW.with_effects(parameters)
+        rows = [base] + [switch_on(base, name, values) for name, values in BANK.items()]
         self._filters = {v: [OnlineFilter(period_s, road, row) for row in rows] for v in vehicles}
         self._memory = float(np.exp(-period_s / forget_s))
         self.scores = np.zeros(len(self.names))
@@ -48,7 +62,7 @@ class Bank:
         time_s: float,
         behind: tuple[float, int, float] = NOBODY,
     ) -> list[Estimate]:
-        """Every model's estimate of one vehicle, as ``OnlineFilter.step``; its scores count from ``forget`` on."""
+        """Return all models' estimates of one vehicle and add up their scores; arguments as ``OnlineFilter.step``."""
         estimates = [f.step(position_m, identity, length_m, time_s, behind) for f in self._filters[vehicle]]
         if all(e.scored for e in estimates):
             self.scores += [e.log_likelihood for e in estimates]
@@ -56,12 +70,12 @@ class Bank:
         return estimates
 
     def forget(self) -> None:
-        """Once per sample of time."""
+        """Let all scores forget one period; call once per sample of time."""
         self.scores *= self._memory
 
     @property
     def gains(self) -> Array:
-        """Scores over the base model's [nats]."""
+        """Scores less the score of the base model [nats]."""
         return np.asarray(self.scores - self.scores[0])
 
     @property

@@ -199,7 +199,7 @@ def expected_action(
             for k in range(len(adapted)):
                 driver[UTILITY[adapted[k]]] = math.exp(work[look, first_adapted + k])
             seen = _seen_at(here, work, centre, led, delayed, driver[RHO], leader_rho)
-            held, pushed = intend(seen, driver, workspace.room, scene.period_s, scene.horizon)
+            held, pushed = intend(seen, driver, workspace.scratch, scene.period_s, scene.horizon)
             action = held + pushed
             total += action
             squares += action * action

@@ -3,9 +3,9 @@
 A filter cannot hold them in its state, because they move no mean. They follow the likelihood instead: by recursive
 prediction error (Ljung and Soderstrom, Theory and Practice of Recursive Identification, 1983, section 3.8), with the
 exact sensitivities of the filter's mean and covariance, so that in the long run they end where the batch fit does.
-Whether a driver's acceleration noise changes is for his samples to tell: two interacting models (Blom and Bar-Shalom,
+The samples of a driver tell whether the acceleration noise changes: two interacting models (Blom and Bar-Shalom,
 IEEE Trans. Automatic Control 33 (1988) 780), with a constant one and with one that is forgotten, are weighed by what
-they predict. The measurement noise is the camera's and stays.
+they predict. The measurement noise is the camera's and does not change.
 """
 
 import math
@@ -60,9 +60,10 @@ def _predict(jacobian: Array, noise: Array, d_mean: Array, d_covariance: Array) 
 def _update(
     measures: Array, gain: Array, weight: Array, y: Array, own_noise_var: float, d_mean: Array, d_covariance: Array
 ) -> None:
-    """Sensitivities after a Kalman update with H, K, S^-1 and y; own_noise_var: of the first of y, if that is his own.
+    """Sensitivities after a Kalman update with H, K, S^-1 and y.
 
-    The gain is the best one, so its own change moves the covariance in second order only.
+    own_noise_var: of the first entry of y if it is the driver's own, else 0. The gain is the best one, so its own
+    change moves the covariance in second order only.
     """
     rest = np.eye(len(d_mean[0])) - gain @ measures
     weighted = weight @ y
@@ -76,7 +77,7 @@ def _update(
 
 @kernel
 def _mix(weight: Array, stay: float, mean: Array, covariance: Array) -> None:
-    """Interaction before a period: each model goes on from where a driver may have been who follows it now."""
+    """Mix the models before a period: a driver who follows a model now may have followed another one before."""
     models = len(weight)
     if models == 1:
         return
@@ -114,7 +115,7 @@ def _learn(
     mean: Array,
     covariance: Array,
 ) -> None:
-    """What a sample of innovation y says to each model: by its score and expected information of the logarithms."""
+    """Update each model with a sample of innovation y, by the score and the expected information of the logarithms."""
     slopes, shifts = np.empty(2), np.empty(2)
     for k in range(2):
         slopes[k] = factor * factor * d_covariance[k, 0, 0] + (2.0 * noise_var if k == _NU else 0.0)
@@ -136,16 +137,36 @@ def _learn(
 
 
 class NoiseLearner:
-    """Logarithms (2,) of a driver's noises, at the period of the samples, and their covariance (2, 2).
+    """Learns the logarithms of a driver's noises from the steps of a Kalman filter.
 
-    prior_mean: (2,) of the logarithms; period_s: time [s] between two samples; size: of the filter's state.
+    Parameters
+    ----------
+    learning
+        How the noises are learnt.
+    prior_mean
+        Prior mean of the logarithms at the period of the samples, (2,).
+    period_s
+        Time between two samples [s].
+    size
+        Number N of entries of the filter's state.
+
+    Attributes
+    ----------
+    mean, covariance
+        Of the logarithms as known now, (2,) and (2, 2).
+    d_mean, d_covariance
+        Derivatives of the filter's mean (2, N) and covariance (2, N, N) by the logarithms.
+    weight
+        Probability of each interacting model.
+    outliers
+        Share and factor of outliers, (2,).
     """
 
     def __init__(self, learning: Learning, prior_mean: Array, period_s: float, size: int) -> None:
         self._prior_mean, self._prior_var = prior_mean, np.diag(np.square(learning.prior_std))
         self._kept = np.exp(-period_s / np.array(learning.relaxations_s))
         self._stay = math.exp(-period_s / learning.dwell_s)
-        self._d_mean, self._d_covariance = np.zeros((2, size)), np.zeros((2, size, size))
+        self.d_mean, self.d_covariance = np.zeros((2, size)), np.zeros((2, size, size))
         self.outliers: Array = np.array(learning.outliers)
         models = len(self._kept)
         self.weight: Array = np.full(models, 1.0 / models)
@@ -164,7 +185,7 @@ class NoiseLearner:
 
     def predict(self, jacobian: Array, noise: Array) -> None:
         """Go on by one period with the filter's F and Q, and forget a little."""
-        _predict(jacobian, noise, self._d_mean, self._d_covariance)
+        _predict(jacobian, noise, self.d_mean, self.d_covariance)
         _mix(self.weight, self._stay, self._means, self._covariances)
         self._means = self._prior_mean + self._kept * (self._means - self._prior_mean)
         kept = self._kept[:, :, None] * self._kept[:, None, :]
@@ -178,8 +199,8 @@ class NoiseLearner:
             variance,
             noise_var,
             factor,
-            self._d_mean,
-            self._d_covariance,
+            self.d_mean,
+            self.d_covariance,
             self.mean,
             self.weight,
             self._means,
@@ -189,18 +210,18 @@ class NoiseLearner:
 
     def update(self, kalman: Any, measures: Array, own_noise_var: float) -> None:
         """After the filter's update; own_noise_var: of the first measured position, 0 if it is not the driver's."""
-        _update(measures, kalman.K, kalman.SI, kalman.y, own_noise_var, self._d_mean, self._d_covariance)
+        _update(measures, kalman.K, kalman.SI, kalman.y, own_noise_var, self.d_mean, self.d_covariance)
 
     def start(self, covariance: Array) -> None:
-        """The filter has just begun to follow the driver, with this covariance, or has lost him."""
-        self._d_mean[:], self._d_covariance[:] = 0.0, 0.0
+        """Begin with the filter, which has just begun to follow the driver with this covariance."""
+        self.d_mean[:], self.d_covariance[:] = 0.0, 0.0
         own = slice(0, _OWN_NOISE)
-        self._d_covariance[_NU, own, own] = 2.0 * covariance[own, own]
-        self._d_covariance[_A, _OWN_NOISE, _OWN_NOISE] = 2.0 * covariance[_OWN_NOISE, _OWN_NOISE]
+        self.d_covariance[_NU, own, own] = 2.0 * covariance[own, own]
+        self.d_covariance[_A, _OWN_NOISE, _OWN_NOISE] = 2.0 * covariance[_OWN_NOISE, _OWN_NOISE]
 
     def forget(self, m: int) -> None:
         """Vehicle m of the chain is another one now."""
         gone = slice(STATE * m, STATE * (m + 1))
-        self._d_mean[:, gone] = 0.0
-        self._d_covariance[:, gone, :] = 0.0
-        self._d_covariance[:, :, gone] = 0.0
+        self.d_mean[:, gone] = 0.0
+        self.d_covariance[:, gone, :] = 0.0
+        self.d_covariance[:, :, gone] = 0.0

@@ -10,7 +10,7 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import REFERENCE_HORIZON, UTILITY, horizon_at
-from sugiyama_ros.driver.utility import room_for
+from sugiyama_ros.driver.utility import scratch_for
 from sugiyama_ros.jit import kernel
 
 #: Acceleration of the last vehicle of a chain: correlation over the reference period and std [m/s^2] of its shock.
@@ -119,12 +119,12 @@ class Linearised(NamedTuple):
 class Workspace(NamedTuple):
     """Arrays in which expected actions are worked out; ``workspace_for`` makes them.
 
-    room: of ``room_for`` the drivers' actions; places: (2, 5 + A), what an action depends on; root: (9 + A, 5 + A),
-    root of its covariance, and rows below; slope, held_slope: (4 M + A,), regressions on the state of the whole action
-    and of the held one.
+    scratch: of ``scratch_for`` the drivers' actions; places: (2, 5 + A), what an action depends on; root:
+    (9 + A, 5 + A), root of its covariance, and rows below; slope, held_slope: (4 M + A,), regressions of the action and
+    of the held acceleration on the state.
     """
 
-    room: Array
+    scratch: Array
     places: Ints
     root: Array
     slope: Array
@@ -151,4 +151,4 @@ def workspace_for(actions: Array, vehicles: int, adapted: int) -> Workspace:
     """
     size, most = STATE * vehicles + adapted, 5 + adapted
     places, root = np.empty((2, most), np.int64), np.empty((4 + most, most))
-    return Workspace(room_for(actions), places, root, np.empty(size), np.empty(size))
+    return Workspace(scratch_for(actions), places, root, np.empty(size), np.empty(size))

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sugiyama_ros.filters.measurement import weigh_samples
-from sugiyama_ros.fit.joint import Fit, begun, climb, solve
+from sugiyama_ros.fit.joint import JointFit, maximise, solve, start_fit
 from sugiyama_ros.fit.model import Model, coordinate, moved
 from sugiyama_ros.fit.recording import FOLDS, Recorded
-from sugiyama_ros.fit.score import Samples, evaluate, unknown
+from sugiyama_ros.fit.score import PointwiseDensity, evaluate, unknown
 
 # Steps from the fit to all folds to that without one.
 _STEPS_WITHOUT = 4
@@ -21,7 +21,7 @@ _STEPS_WITHOUT = 4
 _MOST_OFF, _MOST_WIDER = 1.0, 2.0
 
 
-def without_folds(data: Recorded, fitted: Fit, work: Executor, *, searched: bool) -> tuple[Model, ...]:
+def without_folds(data: Recorded, fitted: JointFit, work: Executor, *, searched: bool) -> tuple[Model, ...]:
     """For every fold, the model fitted to the other folds.
 
     Parameters
@@ -38,28 +38,28 @@ def without_folds(data: Recorded, fitted: Fit, work: Executor, *, searched: bool
         model = _without(data, fitted, f)
         if searched:
             others = [k for k in range(FOLDS) if k != f]
-            model = climb(data, begun(data, model, work), work, folds=others, iterations=_STEPS_WITHOUT).model
+            model = maximise(data, start_fit(data, model, work), work, folds=others, iterations=_STEPS_WITHOUT).model
         models.append(model)
     return tuple(models)
 
 
-def _without(data: Recorded, fitted: Fit, fold: int) -> Model:
+def _without(data: Recorded, fitted: JointFit, fold: int) -> Model:
     """The model fitted to all folds but one, by the infinitesimal jackknife (Giordano et al. 2019).
 
-    One step with the information of all folds, in proportion: that of the others alone may be next to nothing for a
-    parameter, and the step without end.
+    It is one step with the information of all folds in proportion: the other folds alone may say next to nothing about
+    a parameter, and the step would have no end.
     """
     others = [k for k in range(FOLDS) if k != fold]
     step = solve(fitted.slopes, fitted.model, others, 1e-6, curvature=range(FOLDS))
     return moved(data, fitted.model, step, FOLDS / (FOLDS - 1))
 
 
-def held_out(data: Recorded, models: Sequence[Model], work: Executor) -> Samples:
+def held_out(data: Recorded, models: Sequence[Model], work: Executor) -> PointwiseDensity:
     """Samples of every fold as predicted by the model fitted without the fold (see ``without_folds``)."""
     return of_folds(data, [evaluate(data, model, work) for model in models])
 
 
-def of_folds(data: Recorded, by_model: Sequence[Samples]) -> Samples:
+def of_folds(data: Recorded, by_model: Sequence[PointwiseDensity]) -> PointwiseDensity:
     """Samples put together: for every fold those of the model with the fold's number."""
     known = unknown(data.drivers, len(data.fold))
     for f, samples in enumerate(by_model):
@@ -70,7 +70,7 @@ def of_folds(data: Recorded, by_model: Sequence[Samples]) -> Samples:
     return known
 
 
-def held_out_nearly(data: Recorded, fitted: Fit) -> Samples:
+def held_out_nearly(data: Recorded, fitted: JointFit) -> PointwiseDensity:
     """Held-out samples from the samples' derivatives, without running the filter.
 
     Approximates ``held_out`` of the models of ``without_folds(searched=False)``.
@@ -104,7 +104,7 @@ class Gain:
     drivers: tuple[float, ...]
 
 
-def gain(data: Recorded, better: Samples, than: Samples) -> Gain:
+def gain(data: Recorded, better: PointwiseDensity, than: PointwiseDensity) -> Gain:
     """Gain over the samples of another model, paired.
 
     Its standard error is the larger of two, by the jackknife over blocks of time and over drivers.

@@ -29,7 +29,7 @@ ESTIMATED = ("sigma_nu", "sigma_a", "v_star", "kappa_v")
 # Acceleration noise [m/s^2] to start from: larger than what is found, so that the search comes from the smooth side.
 # The paper's likelihood has further maxima in kappa_v, within 0.4 of the maximum that is found from here.
 _START_SIGMA_A = 1.0
-# A search ends when a step promises less log-likelihood than this; the causal likelihood is rough at a small scale.
+# A search ends when a step is predicted to gain less than this; the causal likelihood is rough at a small scale.
 _ENOUGH, _ENOUGH_CAUSAL = 1e-4, 0.02
 # Std of a logarithm from which on a parameter does not count as identified.
 _VAGUE = 0.5
@@ -96,7 +96,7 @@ def fit_driver(
     space
         Parameters that are searched for, their start and their bounds.
     enough
-        The search ends when a step promises less log-likelihood than this.
+        The search ends when a step is predicted to gain less than this.
     careful
         A better score, from which the errors are taken at the maximum.
     """

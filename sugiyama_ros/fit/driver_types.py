@@ -7,7 +7,7 @@ from scipy.special import softmax
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import index
-from sugiyama_ros.filters.online import Learnt
+from sugiyama_ros.filters.learnt import Learnt
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.fit.model import Model, Step, moved
 from sugiyama_ros.fit.recording import FOLDS, Recorded
-from sugiyama_ros.fit.score import Samples, predict_drivers
+from sugiyama_ros.fit.score import PointwiseDensity, predict_drivers
 from sugiyama_ros.fit.scoring import Damping, damped, damped_step
 from sugiyama_ros.fit.slopes import Slopes, informed_steps, slopes, slopes_of, sums
 
-# A search has ended when a step promises less log-likelihood [nats] than this; from step to step of the difference
-# quotients the likelihood of a recording is rough by about 1.
+# A search ends when a step is predicted to gain less log-likelihood [nats] than this. The likelihood of a recording is
+# rough by about 1 from step to step of the difference quotients.
 _ENOUGH = 0.5
 _DAMPING = Damping(least=1e-6, least_after_failure=0.1, most=1e4)
 # Steps of a search at most, and times at most that it takes the derivatives anew.
@@ -27,11 +27,11 @@ _STEPS, _RENEWALS = 12, 5
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class JointFit:
     """A model of all drivers with its samples and slopes, at a maximum or on the way to one."""
 
     model: Model
-    samples: Samples
+    samples: PointwiseDensity
     slopes: tuple[Slopes, ...]
 
     @property
@@ -40,26 +40,26 @@ class Fit:
         return self.samples.total
 
 
-def begun(data: Recorded, model: Model, work: Executor) -> Fit:
+def start_fit(data: Recorded, model: Model, work: Executor) -> JointFit:
     """The beginning of a search from ``model``: its samples and slopes."""
     start, samples = slopes(data, model, work)
-    return Fit(model, samples, tuple(start))
+    return JointFit(model, samples, tuple(start))
 
 
-def fit(data: Recorded, model: Model, work: Executor, *, iterations: int = _STEPS) -> Fit:
+def fit(data: Recorded, model: Model, work: Executor, *, iterations: int = _STEPS) -> JointFit:
     """Maximise the likelihood from ``model``, with at most ``iterations`` steps."""
-    return climb(data, begun(data, model, work), work, iterations=iterations)
+    return maximise(data, start_fit(data, model, work), work, iterations=iterations)
 
 
-def refit(data: Recorded, near: Fit, model: Model, work: Executor, *, renewals: int = _RENEWALS) -> Fit:
+def warm_start(data: Recorded, near: JointFit, model: Model, work: Executor, *, renewals: int = _RENEWALS) -> JointFit:
     """Maximise the likelihood from ``model``, with the derivatives of the fit ``near`` until they are poor."""
     start = at_model(data, near, model, work, np.ones(data.drivers, np.bool_))
-    return climb(data, start, work, renewals=renewals, fresh=False)
+    return maximise(data, start, work, renewals=renewals, fresh=False)
 
 
-def climb(
+def maximise(
     data: Recorded,
-    start: Fit,
+    start: JointFit,
     work: Executor,
     *,
     folds: Sequence[int] = tuple(range(FOLDS)),
@@ -67,11 +67,11 @@ def climb(
     enough: float = _ENOUGH,
     renewals: int = _RENEWALS,
     fresh: bool = True,
-) -> Fit:
+) -> JointFit:
     """Maximise the log posterior from a model whose slopes are known.
 
     The derivatives of the samples take most of the time. They are kept from step to step, and computed anew at the end
-    and where a step gains less than half of what it promises. Without shared parameters every driver rests on arrival.
+    and where a step gains less than half of what was predicted. Without shared parameters each driver rests on arrival.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def climb(
     iterations
         Steps at most.
     enough
-        The search ends when a step promises less than this [nats].
+        The search ends when a step is predicted to gain less than this [nats].
     renewals
         How often derivatives are computed anew, at most.
     fresh
@@ -95,20 +95,20 @@ def climb(
     is_fresh = np.full(data.drivers, fresh)
     for _ in range(iterations):
         step, moves = _next_step(here, folds, damping, enough)
-        if step.promise < enough or damping[moves].min(initial=np.inf) > _DAMPING.most:
+        if step.predicted_gain < enough or damping[moves].min(initial=np.inf) > _DAMPING.most:
             if is_fresh.all() or not renewals:
                 break
             here, renewals = renewed(data, here, work, ~is_fresh), renewals - 1
             is_fresh[:] = True
             step, moves = _next_step(here, folds, damping, enough)
-            if step.promise < enough:
+            if step.predicted_gain < enough:
                 break
         there = at_model(data, here, moved(data, here.model, step), work, moves)
-        rise, promises = _risen(here, there, step, folds)
+        rise, predicted_gains = _risen(here, there, step, folds)
         better = moves & (rise > 0.0)
         here = mixed(here, there, better)
         gained = np.where(better, rise, 0.0)
-        poor = moves & (gained <= 0.5 * promises)
+        poor = moves & (gained <= 0.5 * predicted_gains)
         if gained.sum() < enough and is_fresh[moves].all() and better.any():
             break
         damping = _DAMPING.updated(damping, better, moves & ~better & is_fresh)
@@ -119,21 +119,21 @@ def climb(
     return here
 
 
-def _next_step(here: Fit, folds: Sequence[int], damping: Array, enough: float) -> tuple[Step, NDArray[np.bool_]]:
-    """The next step, and the drivers (N,) that it moves: those that it promises something, or all together."""
+def _next_step(here: JointFit, folds: Sequence[int], damping: Array, enough: float) -> tuple[Step, NDArray[np.bool_]]:
+    """The next step, and the drivers (N,) that it moves: those with enough to gain, or all together."""
     step = solve(here.slopes, here.model, folds, damping)
-    return step, bool(here.model.shared) | (step.promises > enough / len(here.slopes))
+    return step, bool(here.model.shared) | (step.predicted_gains > enough / len(here.slopes))
 
 
-def _risen(here: Fit, there: Fit, step: Step, folds: Sequence[int]) -> tuple[Array, Array]:
-    """Rise of each driver's objective from one model to another, and the rise that the step promised; (N,) each.
+def _risen(here: JointFit, there: JointFit, step: Step, folds: Sequence[int]) -> tuple[Array, Array]:
+    """Rise of each driver's objective from one model to another, and the rise that was predicted; (N,) each.
 
     With shared parameters the drivers rise and fall together, so each has the mean.
     """
     rise = objectives(there.slopes, there.model, folds) - objectives(here.slopes, here.model, folds)
     if not here.model.shared:
-        return rise, step.promises
-    return np.full_like(rise, rise.mean()), np.full_like(rise, step.promise / len(rise))
+        return rise, step.predicted_gains
+    return np.full_like(rise, rise.mean()), np.full_like(rise, step.predicted_gain / len(rise))
 
 
 def solve(
@@ -172,11 +172,11 @@ def solve(
     rest = g[:, own:].sum(axis=0) - np.einsum("nis,ni->s", gives_way, g_own)
     of_shared = damped_step(reduced, rest, of_driver.max() + 1e-9, 1e-6)
     of_own: Array = np.einsum("nij,nj->ni", inverse, g_own - cross @ of_shared)
-    promises: Array = 0.5 * np.einsum("ni,nij,nj->n", g_own, inverse, g_own)
-    return Step(of_own, of_shared, promises, 0.5 * float(rest @ of_shared) + float(promises.sum()))
+    predicted_gains: Array = 0.5 * np.einsum("ni,nij,nj->n", g_own, inverse, g_own)
+    return Step(of_own, of_shared, predicted_gains, 0.5 * float(rest @ of_shared) + float(predicted_gains.sum()))
 
 
-def at_model(data: Recorded, here: Fit, model: Model, work: Executor, who: NDArray[np.bool_]) -> Fit:
+def at_model(data: Recorded, here: JointFit, model: Model, work: Executor, who: NDArray[np.bool_]) -> JointFit:
     """Move the drivers in ``who`` (N,) to another model near by, with the derivatives as they were."""
     numbers = np.flatnonzero(who)
     rows, slopes_, samples = here.model.rows.copy(), list(here.slopes), here.samples.copy()
@@ -184,10 +184,10 @@ def at_model(data: Recorded, here: Fit, model: Model, work: Executor, who: NDArr
     for i, at in zip(numbers, predict_drivers(data, model, numbers, work), strict=True):
         slopes_[i] = sums(at, slopes_[i].derivatives, rows[i], data.fold)
         samples.put(i, at)
-    return Fit(replace(model, rows=rows), samples, tuple(slopes_))
+    return JointFit(replace(model, rows=rows), samples, tuple(slopes_))
 
 
-def renewed(data: Recorded, here: Fit, work: Executor, who: NDArray[np.bool_]) -> Fit:
+def renewed(data: Recorded, here: JointFit, work: Executor, who: NDArray[np.bool_]) -> JointFit:
     """The fit with the derivatives of the drivers in ``who`` (N,) computed anew."""
     numbers, slopes_ = np.flatnonzero(who), list(here.slopes)
     steps = informed_steps(data, here.model, here.slopes)
@@ -196,14 +196,14 @@ def renewed(data: Recorded, here: Fit, work: Executor, who: NDArray[np.bool_]) -
     return replace(here, slopes=tuple(slopes_))
 
 
-def mixed(here: Fit, there: Fit, better: NDArray[np.bool_]) -> Fit:
+def mixed(here: JointFit, there: JointFit, better: NDArray[np.bool_]) -> JointFit:
     """The fit ``there`` for the drivers in ``better`` (N,), and ``here`` for the others."""
     rows, slopes_, samples = here.model.rows.copy(), list(here.slopes), here.samples.copy()
     rows[better] = there.model.rows[better]
     for i in np.flatnonzero(better):
         slopes_[i] = there.slopes[i]
         samples.put(i, there.samples.of(i))
-    return Fit(replace(here.model, rows=rows), samples, tuple(slopes_))
+    return JointFit(replace(here.model, rows=rows), samples, tuple(slopes_))
 
 
 def objectives(all_slopes: Sequence[Slopes], model: Model, folds: Sequence[int]) -> Array:

@@ -1,4 +1,4 @@
-"""Classic calibration of the rival laws: one car drives behind his measured leader, least squares on his gaps.
+"""Classic calibration of the rival laws: one car drives behind its measured leader, least squares on its gaps.
 
 Treiber and Kesting, Traffic Flow Dynamics, on calibration: the global approach, with absolute errors of gaps.
 """
@@ -19,9 +19,9 @@ from sugiyama_ros.jit import kernel
 from sugiyama_ros.laws.law import Law
 from sugiyama_ros.laws.registry import number_of
 
-# Places looked at, from every default over the factor to it times the factor.
+# Starts compared at first, each parameter from its default over the factor to its default times the factor.
 _LOOKED_AT, _FACTOR = 64, 4.0
-# The sum of squares has many minima: a few steps from the best places say which of them are worth following to the end.
+# The sum of squares has many minima: a few steps from the best starts say which are worth following to the end.
 _FEW, _TRIED, _FOLLOWED = 10, 8, 2
 # Step of the difference quotients relative to a default: near the root of the rounding error of a run.
 _STEP = 1e-7
@@ -31,12 +31,16 @@ _ENOUGH, _MOST = 1e-6, 60
 
 @dataclass(frozen=True, eq=False)
 class Following:
-    """One driver behind his leader, smoothed: positions [m] of the centres and speeds [m/s], each (T,).
+    """One driver behind the leader, smoothed: positions of the centres [m] and speeds [m/s], (T,) each.
 
-    Positions are continuous, and the leader's minus the driver's is the way to him; NaN where unknown.
-    half_lengths_m: half of the two vehicles' lengths together; source: names the driver in an error.
+    Positions are continuous, so the leader's minus the driver's is the way between them; NaN where unknown.
+    half_lengths_m: half of the two vehicles' lengths together [m]; period_s: between two samples [s]; source: names the
+    driver in an error.
 
-    Raises InputError where the shapes differ.
+    Raises
+    ------
+    InputError
+        If the shapes differ.
     """
 
     position_m: Array
@@ -54,13 +58,13 @@ class Following:
 
     @cached_property
     def states(self) -> Array:
-        """All of them, (T, 4), in the order above."""
+        """Positions and speeds of the driver, then of the leader, (T, 4)."""
         return np.column_stack((self.position_m, self.speed, self.leader_position_m, self.leader_speed))
 
 
 @dataclass(frozen=True, eq=False)
-class Calibrated:
-    """Parameters (n,) of a law, in its order, and the rmse [m] of the gaps that they were fitted to."""
+class GapFit:
+    """Parameters (n,) of a law, in the law's order, and the rmse [m] of the gaps that they were fitted to."""
 
     parameters: Array
     rmse_m: float
@@ -68,7 +72,7 @@ class Calibrated:
 
 @kernel
 def _run(rows: Array, states: Array, half_lengths: float, period: float, driven: Mask, out: Array) -> None:
-    """Errors [m] of the gaps into ``out`` (K, T), for drivers' rows (K, WIDTH); entries that are not driven to stay."""
+    """Errors of the gaps [m] into ``out`` (K, T), for drivers' rows (K, WIDTH); entries not driven to stay."""
     for k in range(len(rows)):
         x, v = 0.0, 0.0
         for t in range(len(states)):
@@ -86,11 +90,25 @@ def _run(rows: Array, states: Array, half_lengths: float, period: float, driven:
 
 
 def gap_errors(law: Law, parameters: Array, following: Following, chosen: Mask) -> Array:
-    """Errors [m] of the gaps where ``chosen`` (T,), simulated minus measured, shape (..., T).
+    """Errors of the gaps [m] in a simulation of one car, simulated minus measured.
 
-    parameters: (..., n), in the law's order. The car starts from his measured state where ``chosen`` begins after a
-    break or a missing sample; so a sample left out between two blocks of time starts him anew. NaN there and where not
-    chosen. Euler's rule as in the simulation; speeds stay at or above 0.
+    The car starts from its measured state wherever ``chosen`` begins after a break or a missing sample, so a sample
+    left out between two blocks of time starts it anew. Euler's rule as in the simulation; speeds stay at or above 0.
+
+    Parameters
+    ----------
+    law
+        The law.
+    parameters
+        (..., n) parameters in the law's order.
+    following
+        The driver and the leader.
+    chosen
+        (T,) samples that are driven to.
+
+    Returns
+    -------
+    Errors (..., T); NaN where a car starts, and where not chosen.
     """
     values = parameters.reshape(-1, parameters.shape[-1])
     rows = np.zeros((len(values), ROW.width))
@@ -102,11 +120,24 @@ def gap_errors(law: Law, parameters: Array, following: Following, chosen: Mask) 
     return errors.reshape(*parameters.shape[:-1], len(states))
 
 
-def fit_gaps(law: Law, following: Following, chosen: Mask, start: Array | None = None) -> Calibrated:
-    """The law's parameters, within their bounds, with the least squares of errors of the gaps where ``chosen`` (T,).
+def fit_gaps(law: Law, following: Following, chosen: Mask, start: Array | None = None) -> GapFit:
+    """Fit a law's parameters by least squares of ``gap_errors``, within their bounds.
 
-    The runs are those of ``gap_errors``. Searched from ``start`` (n,), or without it from the best of many.
-    Raises InputError where there are not more samples to compare than parameters.
+    Parameters
+    ----------
+    law
+        The law.
+    following
+        The driver and the leader.
+    chosen
+        (T,) samples that count.
+    start
+        (n,) parameters at which the search starts; if left out, it starts at the best of many.
+
+    Raises
+    ------
+    InputError
+        If there are not more samples than parameters.
     """
     default, lower, upper = (np.array([getattr(p, of) for p in law.parameters]) for of in ("default", "lower", "upper"))
     scored = np.isfinite(gap_errors(law, default, following, chosen))
@@ -130,10 +161,10 @@ def fit_gaps(law: Law, following: Following, chosen: Mask, start: Array | None =
 
     if start is not None:
         found = search(np.clip(start, lower, upper), _MOST)
-        return Calibrated(found.x, float(np.sqrt(np.mean(np.square(found.fun)))))
+        return GapFit(found.x, float(np.sqrt(np.mean(np.square(found.fun)))))
     places = qmc.Halton(len(default), scramble=False).random(_LOOKED_AT)
     starts = np.clip(default * _FACTOR ** (2.0 * places - 1.0), lower, upper)
     starts = starts[np.argsort(np.square(errors(starts)).sum(axis=1))]
     tried = sorted((search(start, _FEW) for start in starts[:_TRIED]), key=lambda found: float(found.cost))
     best = min((search(found.x, _MOST) for found in tried[:_FOLLOWED]), key=lambda found: float(found.cost))
-    return Calibrated(best.x, float(np.sqrt(np.mean(np.square(best.fun)))))
+    return GapFit(best.x, float(np.sqrt(np.mean(np.square(best.fun)))))

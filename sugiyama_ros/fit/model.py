@@ -46,13 +46,14 @@ class Model:
 class Step:
     """A step of the search: changes of the individual coordinates (N, I) and of the shared ones (S,).
 
-    promises: (N,) rise of the log posterior [nats] that the individual changes promise; promise: of the whole step.
+    predicted_gains: (N,) rise of the log posterior [nats] predicted for the individual changes; predicted_gain: for the
+    whole step.
     """
 
     individual: Array
     shared: Array
-    promises: Array
-    promise: float
+    predicted_gains: Array
+    predicted_gain: float
 
 
 def leaders(data: Recorded, model: Model, driver: int) -> Array:

@@ -14,7 +14,7 @@ from sugiyama_ros.driver.parameters import COUNT, NAMES, check
 from sugiyama_ros.effects.registry import ENTRIES, WIDTH, active, effect, place, switch_on
 from sugiyama_ros.errors import InputError, OutputError
 from sugiyama_ros.fit.driver_types import DriverTypes
-from sugiyama_ros.fit.joint import Fit
+from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.model import coordinate
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.trajectories.trajectories import Trajectories
@@ -42,13 +42,13 @@ class ModelFile:
     types: DriverTypes | None = None
 
     def rows_of(self, vehicles: Ints) -> Array:
-        """Rows (N, WIDTH) of these vehicles; the median driver's for one that is not in the file."""
+        """Rows (N, WIDTH) of these vehicles; the median driver's for a vehicle that is not in the file."""
         typical = np.median(self.rows, axis=0)
         known = {int(v): k for k, v in enumerate(self.vehicle)}
         return np.array([self.rows[known[int(v)]] if int(v) in known else typical for v in vehicles])
 
 
-def write_model(path: Path, data: Recorded, fitted: Fit) -> None:
+def write_model(path: Path, data: Recorded, fitted: JointFit) -> None:
     """Write a fitted model. Raises OutputError."""
     own, shared = stds_of(fitted)
     write_drivers(path, data.trajectories, fitted.model.rows, own, shared, fitted.log_likelihood)
@@ -157,7 +157,7 @@ def _types(path: Path, classes: Any) -> DriverTypes:
     return DriverTypes(share / share.sum(), rows)
 
 
-def stds_of(fitted: Fit) -> tuple[list[dict[str, float]], dict[str, float]]:
+def stds_of(fitted: JointFit) -> tuple[list[dict[str, float]], dict[str, float]]:
     """Standard deviations by name, from the information: of every driver's own parameters, and of the shared ones."""
     model = fitted.model
     own = len(model.individual)

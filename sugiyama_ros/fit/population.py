@@ -14,7 +14,7 @@ from sugiyama_ros.driver.parameters import NAMES, population
 from sugiyama_ros.effects.registry import whole
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.driver import calibrate
-from sugiyama_ros.fit.joint import Fit, at_model, begun, climb, mixed, objectives, refit, renewed
+from sugiyama_ros.fit.joint import JointFit, at_model, maximise, mixed, objectives, renewed, start_fit, warm_start
 from sugiyama_ros.fit.model import Model, coordinate
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 
@@ -32,7 +32,7 @@ def start_model(drivers: int, individual: Sequence[int]) -> Model:
     return Model(rows, tuple(individual), (), (PRIOR_STD,) * len(individual), rows.copy())
 
 
-def fit_base(data: Recorded, individual: Sequence[int], work: Executor, start: Model | None = None) -> Fit:
+def fit_base(data: Recorded, individual: Sequence[int], work: Executor, start: Model | None = None) -> JointFit:
     """Fit every driver alone, then all drivers as draws of one population, with the drivers ahead as they were found.
 
     Parameters
@@ -48,12 +48,12 @@ def fit_base(data: Recorded, individual: Sequence[int], work: Executor, start: M
     """
     first = start or start_model(data.drivers, individual)
     near = _by_paper(data, first, work) if start is None else None
-    start_at = begun(data, near or first, work)
-    found = climb(data, start_at, work, iterations=10 if near is None else 3, enough=_NEARLY)
-    return _second_chance(data, refit(data, found, as_population(found.model), work), work)
+    start_at = start_fit(data, near or first, work)
+    found = maximise(data, start_at, work, iterations=10 if near is None else 3, enough=_NEARLY)
+    return _second_chance(data, warm_start(data, found, as_population(found.model), work), work)
 
 
-def _second_chance(data: Recorded, found: Fit, work: Executor) -> Fit:
+def _second_chance(data: Recorded, found: JointFit, work: Executor) -> JointFit:
     """Search again from the median driver for drivers who are unlike all others, and keep the better of both.
 
     The likelihood of a driver has several maxima, and a search may have ended in a poor one far away.
@@ -65,10 +65,10 @@ def _second_chance(data: Recorded, found: Fit, work: Executor) -> Fit:
     rows = found.model.rows.copy()
     rows[np.ix_(far, own)] = np.median(rows[:, own], axis=0)
     elsewhere = at_model(data, found, replace(found.model, rows=rows), work, far)
-    again = climb(data, renewed(data, elsewhere, work, far), work)
+    again = maximise(data, renewed(data, elsewhere, work, far), work)
     everywhere = range(FOLDS)
     better = objectives(again.slopes, again.model, everywhere) > objectives(found.slopes, found.model, everywhere)
-    return climb(data, mixed(found, again, better), work, iterations=4)
+    return maximise(data, mixed(found, again, better), work, iterations=4)
 
 
 def _by_paper(data: Recorded, model: Model, work: Executor) -> Model | None:

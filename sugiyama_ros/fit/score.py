@@ -23,7 +23,7 @@ class DriverDensity(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
+class PointwiseDensity:
     """Innovation [m], its variance [m^2] and log-likelihood of all samples, (N, T) each; NaN if not scored."""
 
     innovation_m: Array
@@ -35,11 +35,11 @@ class Samples:
         """Log-likelihood of all samples together."""
         return float(np.nansum(self.log_likelihood))
 
-    def copy(self) -> "Samples":
+    def copy(self) -> "PointwiseDensity":
         """A copy that shares no arrays."""
-        return Samples(self.innovation_m.copy(), self.innovation_var.copy(), self.log_likelihood.copy())
+        return PointwiseDensity(self.innovation_m.copy(), self.innovation_var.copy(), self.log_likelihood.copy())
 
-    def only(self, who: Sequence[int]) -> "Samples":
+    def only(self, who: Sequence[int]) -> "PointwiseDensity":
         """The samples of some drivers, and NaN for the others."""
         some = unknown(*self.log_likelihood.shape)
         for i in who:
@@ -55,9 +55,9 @@ class Samples:
         self.innovation_m[driver], self.innovation_var[driver], self.log_likelihood[driver] = samples
 
 
-def unknown(drivers: int, samples: int) -> Samples:
+def unknown(drivers: int, samples: int) -> PointwiseDensity:
     """Samples of which nothing is known yet: NaN everywhere."""
-    return Samples(*(np.full((drivers, samples), np.nan) for _ in range(3)))
+    return PointwiseDensity(*(np.full((drivers, samples), np.nan) for _ in range(3)))
 
 
 def predict_driver(chain: Chain, row: Array, ahead: Array) -> DriverDensity:
@@ -75,7 +75,7 @@ def predict_driver(chain: Chain, row: Array, ahead: Array) -> DriverDensity:
     return DriverDensity(*causal.predict_samples(chain, row, ahead))
 
 
-def evaluate(data: Recorded, model: Model, work: Executor, who: Sequence[int] | None = None) -> Samples:
+def evaluate(data: Recorded, model: Model, work: Executor, who: Sequence[int] | None = None) -> PointwiseDensity:
     """What the model says of every sample.
 
     Parameters
@@ -109,14 +109,14 @@ def filtered_states(data: Recorded, model: Model, work: Executor) -> Array:
     return follow(data, model, work)[1]
 
 
-def follow(data: Recorded, model: Model, work: Executor) -> tuple[Samples, Array]:
+def follow(data: Recorded, model: Model, work: Executor) -> tuple[PointwiseDensity, Array]:
     """What the model says of every sample, and the filtered states as ``filtered_states`` gives them."""
     jobs = [(data.chains[i], model.rows[i], leaders(data, model, i)) for i in range(data.drivers)]
     outputs = list(work.map(_follow_driver, jobs))
     y, variance, density = (np.array([o[k] for o in outputs]) for k in range(3))
     states = np.stack([o[3] for o in outputs], axis=1)
     states[~np.isfinite(variance.T)] = np.nan
-    return Samples(y, variance, density), states
+    return PointwiseDensity(y, variance, density), states
 
 
 def _follow_driver(job: tuple[Chain, Array, Array]) -> tuple[Array, Array, Array, Array]:

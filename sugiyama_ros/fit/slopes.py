@@ -18,7 +18,7 @@ from sugiyama_ros.filters.chain import Chain
 from sugiyama_ros.filters.measurement import weigh_samples
 from sugiyama_ros.fit.model import Model, coordinate, is_linear, leaders, reach, value
 from sugiyama_ros.fit.recording import FOLDS, Recorded
-from sugiyama_ros.fit.score import DriverDensity, Samples, evaluate, predict_driver
+from sugiyama_ros.fit.score import DriverDensity, PointwiseDensity, evaluate, predict_driver
 from sugiyama_ros.jit import kernel
 
 # Step of the difference quotients in a logarithm, and as part of the longest step of the search in a linear coordinate;
@@ -166,7 +166,7 @@ def _slopes_of_job(
 
 def slopes(
     data: Recorded, model: Model, work: Executor, known: Sequence[Slopes] | None = None
-) -> tuple[list[Slopes], Samples]:
+) -> tuple[list[Slopes], PointwiseDensity]:
     """Slopes of all drivers at a model, and the samples there.
 
     Parameters
@@ -187,7 +187,12 @@ def slopes(
 
 
 def slopes_of(
-    data: Recorded, model: Model, samples: Samples, steps: Array, work: Executor, who: Iterable[int] | None = None
+    data: Recorded,
+    model: Model,
+    samples: PointwiseDensity,
+    steps: Array,
+    work: Executor,
+    who: Iterable[int] | None = None,
 ) -> list[Slopes]:
     """Slopes of all drivers, or of drivers ``who``, whose samples are known.
 

@@ -1,14 +1,14 @@
-"""Public data sets that ``sugiyama fetch`` knows: where they are, what they are, and under which terms."""
+"""Public data sets that ``sugiyama fetch`` can download: address, content and licence."""
 
 from dataclasses import dataclass
 
-#: Checksum of ``case1.data``, the experiment that the paper is about.
+#: Checksum of ``case1.data``, the experiment of the paper.
 SUGIYAMA_CASE_1_SHA256 = "91cf02c7cbf3fe6d817dd02ef347586b12a9134b1f914655e486be2f8773457c"
 
 
 @dataclass(frozen=True)
 class DataSet:
-    """One public archive: a zip file with one ``.data`` file in it that is of use."""
+    """A public archive: a zip file, of which one ``.data`` file is used."""
 
     url: str
     size_bytes: int
@@ -25,7 +25,7 @@ CATALOGUE = {
         member="case1.data",
         licence=(
             "The Mathematical Society of Traffic Flow allows the use of this data for academic research and for"
-            " non-commercial purposes. Whoever uses it cites New J. Phys. 10 (2008) 033001 and New J. Phys. 11 (2009)"
+            " non-commercial purposes. Users cite New J. Phys. 10 (2008) 033001 and New J. Phys. 11 (2009)"
             " 083025. The data may not be passed on to others: give them the address instead."
         ),
     ),

@@ -1,4 +1,4 @@
-"""Messages to and from CDR bytes without ROS, by the text of their definition."""
+"""Messages to and from CDR bytes without ROS, from the text of their definition."""
 
 import dataclasses
 import math
@@ -16,8 +16,8 @@ from rosbags.typesys.store import Typestore
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.definitions import full_text
 
-# A definition inside a file may be hostile. rosbags makes Python code from it: its grammar lets only plain names
-# through, but it unrolls arrays and follows types into types, so their size is bounded here.
+# A definition inside a file may be hostile. rosbags makes Python code from it. Its grammar accepts only plain names,
+# but it unrolls arrays and follows types into types, so their size is bounded here.
 _MAX_TEXT = 1 << 16
 _MAX_DEPTH = 8
 _MAX_UNROLLED = 1000
@@ -28,10 +28,20 @@ Decoder = Callable[[bytes], Any]
 
 
 def decoder(type_name: str, text: str) -> Decoder | None:
-    """Function that decodes CDR bytes of a message whose definition is ``text`` (``ros2msg``).
+    """Make a function that decodes a message.
 
-    Returns None where the definition cannot be used. The function returns a dataclass with numpy arrays in it,
-    and raises ValueError where the bytes do not fit the definition.
+    Parameters
+    ----------
+    type_name : str
+        Name of the type, such as ``std_msgs/msg/Header``.
+    text : str
+        Definition of the type and of all types in it (``ros2msg``).
+
+    Returns
+    -------
+    callable or None
+        Takes CDR bytes and returns a dataclass with numpy arrays; raises ValueError if the bytes do not fit the
+        definition. None if the definition cannot be used.
     """
     store = _store(type_name, text)
     if store is None:
@@ -42,12 +52,12 @@ def decoder(type_name: str, text: str) -> Decoder | None:
 
     def decode(data: bytes) -> Any:
         if largest is not None and len(data) > largest:
-            raise ValueError(f"{len(data)} bytes are more than the {largest} that are decoded of a {type_name}")
+            raise ValueError(f"{len(data)} bytes are more than the limit of {largest} for a {type_name}")
         if data[:2] not in (b"\0\0", b"\0\1"):
-            raise ValueError("does not begin as CDR does")
+            raise ValueError("does not begin like CDR")
         try:
             kind = store.get_msgdef(type_name)
-            # ROS leaves bytes behind the end where lists are empty, for their alignment: these are allowed.
+            # Where lists are empty, ROS leaves bytes for their alignment behind the end; they are allowed.
             read = kind.deserialize_cdr_le if data[1] else kind.deserialize_cdr_be
             return read(memoryview(data)[4:], 0, kind.cls, store)[0]
         except (SerdeError, struct.error, ValueError, IndexError, RecursionError) as error:
@@ -59,7 +69,7 @@ def decoder(type_name: str, text: str) -> Decoder | None:
 def plain(value: Any) -> Any:
     """A decoded message as dictionaries, lists, numbers and texts, for printing."""
     if dataclasses.is_dataclass(value):
-        # The fields of a message have no default; those that have are its constants.
+        # Fields have no default; the constants of a message have one.
         fields = (field.name for field in dataclasses.fields(value) if field.default is dataclasses.MISSING)
         return {name: plain(getattr(value, name)) for name in fields}
     if isinstance(value, np.ndarray):
@@ -68,7 +78,7 @@ def plain(value: Any) -> Any:
 
 
 class Encoder:
-    """Builds and encodes messages of installed types, to the same bytes as a ROS 2 publisher sends."""
+    """Builds and encodes messages of installed types. The bytes are the same as from a ROS 2 publisher."""
 
     def __init__(self, *type_names: str) -> None:
         """Raises InputError where a definition is not installed or cannot be used."""
@@ -80,13 +90,13 @@ class Encoder:
             self._stores[type_name] = store
 
     def __call__(self, type_name: str, **fields: Any) -> bytes:
-        """CDR bytes of a message; a nested message is given as a dictionary of its fields."""
+        """CDR bytes of a message. Give a nested message as a dictionary of its fields."""
         store = self._stores[type_name]
         return bytes(store.serialize_cdr(_build(store, type_name, fields), type_name, little_endian=True))
 
 
 def _build(store: Typestore, type_name: str, fields: dict[str, Any]) -> Any:
-    """Message object with its nested messages."""
+    """A message object with its nested messages."""
     message_type: Any = store.types[type_name]
     nested = {name: desc[1] for name, desc in store.fielddefs[type_name][1] if desc[0] == Nodetype.NAME}
     values = {name: _build(store, str(nested[name]), v) if name in nested else v for name, v in fields.items()}
@@ -94,7 +104,7 @@ def _build(store: Typestore, type_name: str, fields: dict[str, Any]) -> Any:
 
 
 def _store(type_name: str, text: str) -> Typestore | None:
-    """Types of a definition and of what it depends on, or None where it is malformed or too large."""
+    """Types of a definition and of the types in it; None if it is malformed or too large."""
     if len(text) > _MAX_TEXT:
         return None
     try:
@@ -106,7 +116,7 @@ def _store(type_name: str, text: str) -> Typestore | None:
 
 
 def _depth(type_name: str, store: Typestore, known: dict[str, float]) -> float:
-    """Levels of messages within messages below a type; infinite where it holds itself.
+    """Levels of messages within messages below a type; infinite if the type contains itself.
 
     Raises ValueError where a type is not defined or an array is too large to unroll.
     """
@@ -126,10 +136,10 @@ def _depth(type_name: str, store: Typestore, known: dict[str, float]) -> float:
 
 
 def _inner(desc: Any) -> Any:
-    """Description of a field's elements, or of the field itself where it is no list."""
+    """Description of the elements of a list, or of the field itself if it is not a list."""
     return desc[1][0] if desc[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE) else desc
 
 
 def _is_object(desc: Any) -> bool:
-    """Whether an element becomes a Python object of its own; numbers share one array."""
+    """Whether each element becomes a Python object; numbers share one array."""
     return bool(desc[0] == Nodetype.NAME or desc[1][0] == "string")

@@ -1,4 +1,4 @@
-"""From any trajectory file to a bag."""
+"""Conversion of trajectory files to bags."""
 
 from pathlib import Path
 
@@ -9,9 +9,24 @@ from sugiyama_ros.trajectories.trajectories import Trajectories
 
 
 def convert(source: Path, out: Path, ring_m: float | None = None) -> Trajectories:
-    """Write the trajectories of a file into a bag with the topics /road and /measured; returns them.
+    """Convert a trajectory file to a bag with the topics /road and /measured.
 
-    Raises InputError for what cannot be read, OutputError for what cannot be written.
+    Parameters
+    ----------
+    source, out : Path
+        File to read, in any known format, and bag to write.
+    ring_m : float, optional
+        Circumference [m] of the ring, where the file does not say it; 0 for an open road.
+
+    Returns
+    -------
+    Trajectories
+        What the file contains.
+
+    Raises
+    ------
+    InputError, OutputError
+        For a file that cannot be read, or a bag that cannot be written.
     """
     trajectories = read_trajectories(source, ring_m)
     write_trajectories(trajectories, out)

@@ -19,9 +19,17 @@ _PRIMITIVE = {"bool", "byte", "char", "float32", "float64", "string", "wstring"}
 
 @cache
 def full_text(type_name: str) -> str:
-    """Definition of a message with all that it depends on, as MCAP's schema encoding ``ros2msg`` wants it.
+    """Definition of a message and of all types in it, as MCAP's schema encoding ``ros2msg`` asks for.
 
-    type_name: such as ``std_msgs/msg/Header``. Raises InputError where a definition is not installed.
+    Parameters
+    ----------
+    type_name : str
+        Name of the type, such as ``std_msgs/msg/Header``.
+
+    Raises
+    ------
+    InputError
+        Where a definition is not installed.
     """
     texts: dict[str, str] = {}
     _collect(type_name, texts)
@@ -31,7 +39,7 @@ def full_text(type_name: str) -> str:
 
 @cache
 def type_hash(type_name: str) -> str:
-    """Hash (RIHS01) of a message type as its package states it; empty where it does not."""
+    """Hash (RIHS01) of a message type, as its package states it; empty if it states none."""
     path = _file(type_name).with_suffix(".json")
     if not path.is_file():
         return ""
@@ -42,7 +50,7 @@ def type_hash(type_name: str) -> str:
 
 
 def _collect(type_name: str, texts: dict[str, str]) -> None:
-    """Add the definition of ``type_name`` and of what it depends on, depth first, to ``texts``."""
+    """Add the definition of ``type_name`` and of all types in it to ``texts``, depth first."""
     texts[type_name] = _file(type_name).read_text()
     package = type_name.partition("/")[0]
     for line in texts[type_name].splitlines():
@@ -56,11 +64,11 @@ def _collect(type_name: str, texts: dict[str, str]) -> None:
 
 
 def _file(type_name: str) -> Path:
-    """Where the definition of a message type is installed."""
+    """File with the definition of a message type."""
     if not _TYPE.fullmatch(type_name):
         raise InputError(f"{type_name}: not the name of a message type; write package/msg/Name")
     package, _, name = type_name.split("/")
-    # A native ROS 2 names its prefixes in the environment; the wheels install below the interpreter's own prefix.
+    # An installed ROS 2 names its prefixes in the environment. The wheels install below the interpreter's prefix.
     prefixes = [p for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
     for prefix in [*prefixes, sys.prefix]:
         path = Path(prefix, "share", package, "msg", f"{name}.msg")

@@ -1,4 +1,4 @@
-"""Fetching a public data set: download, verify, unpack, convert."""
+"""Download a public data set, verify, unpack and convert it."""
 
 import http.client
 import time
@@ -26,7 +26,7 @@ _MAX_UNPACKED = 16 << 20
 
 @dataclass(frozen=True)
 class Fetched:
-    """Where the data lies: as published, and as a bag."""
+    """Files of a data set: as published, and as a bag."""
 
     data: Path
     bag: Path
@@ -35,11 +35,25 @@ class Fetched:
 def fetch(name: str, directory: Path, url: str | None = None, on_progress: OnProgress | None = None) -> Fetched:
     """Download a data set of the catalogue into a directory, verify and unpack it, and convert it to a bag.
 
-    url: another address of the same file. on_progress: told the bytes so far and in all. To ask for consent to the
-    licence is the caller's part.
+    The caller asks for consent to the licence. A file that failed is never left under its name.
 
-    Raises InputError for an unknown name, a failing network or a file that is not the expected one, and OutputError
-    where the directory cannot be written. A file that failed is never left under its name.
+    Parameters
+    ----------
+    name : str
+        Name of the data set in the catalogue.
+    directory : Path
+        Where to put the files; made if it is not there.
+    url : str, optional
+        Another address of the same file.
+    on_progress : callable, optional
+        Called with the bytes so far and in all.
+
+    Raises
+    ------
+    InputError
+        For an unknown name, a network failure, or a file with another checksum.
+    OutputError
+        Where the directory cannot be written.
     """
     if name not in CATALOGUE:
         raise InputError(f"{name}: not in the catalogue; it has {', '.join(CATALOGUE)}")
@@ -65,7 +79,7 @@ def fetch(name: str, directory: Path, url: str | None = None, on_progress: OnPro
 
 
 def _downloaded(url: str, data_set: DataSet, on_progress: OnProgress | None) -> Iterator[bytes]:
-    """The file at an address, block by block; at most the size that the catalogue states."""
+    """Blocks of the file at an address; at most the size that the catalogue states."""
     if not url.startswith(("http://", "https://")):
         raise InputError(f"{url}: not a web address; it must start with https:// or http://")
     received, until = 0, time.monotonic() + _LONGEST_S
@@ -89,7 +103,7 @@ def _downloaded(url: str, data_set: DataSet, on_progress: OnProgress | None) -> 
 
 
 def _unpacked(archive: Path, data_set: DataSet) -> bytes:
-    """Content of the wanted file in a verified archive. Only the file's content is used, never its path."""
+    """Content of the wanted file in a verified archive. Only its content is used, never its path."""
     with open_input(archive) as stream:
         size, found = archive.stat().st_size, sha256(stream)
         if (size, found) != (data_set.size_bytes, data_set.sha256):

@@ -1,4 +1,4 @@
-"""Reading MCAP files: what is in them, their messages, and trajectories out of them."""
+"""Reader of MCAP files: summary and messages."""
 
 import re
 import zlib
@@ -31,7 +31,7 @@ _BLOCK = 1 << 20
 
 @dataclass(frozen=True)
 class TopicInfo:
-    """One topic of a bag; ``reliability`` and ``durability`` are empty where the file does not tell."""
+    """One topic of a bag; ``reliability`` and ``durability`` are empty if the file does not say them."""
 
     name: str
     type: str
@@ -43,7 +43,7 @@ class TopicInfo:
 
 @dataclass(frozen=True)
 class BagInfo:
-    """What ``ros2 bag info`` tells about a bag, and the metadata in it."""
+    """What ``ros2 bag info`` says about a bag, and the metadata in it."""
 
     file: str
     size_bytes: int
@@ -60,7 +60,7 @@ class BagInfo:
 
 
 class BagMessage(NamedTuple):
-    """One message of a bag; ``message`` is a dataclass, or the bytes themselves where they cannot be decoded."""
+    """One message of a bag; ``message`` is a dataclass, or bytes if they cannot be decoded."""
 
     topic: str
     type: str
@@ -71,10 +71,13 @@ class BagMessage(NamedTuple):
 class Bag:
     """An MCAP file opened for reading; use it in a ``with`` block.
 
-    Memory stays below 512 MiB whatever the file claims: larger records, and larger chunks after
-    decompression, are refused before anything is allocated for them.
+    Memory stays below 512 MiB, whatever the file claims. Larger records, and larger chunks after decompression, are
+    refused before memory is allocated for them.
 
-    Raises InputError where the file is missing, cut off, damaged or not MCAP.
+    Raises
+    ------
+    InputError
+        Where the file is missing, cut off, damaged or not MCAP.
     """
 
     def __init__(self, path: Path) -> None:
@@ -90,7 +93,7 @@ class Bag:
             self._opened = opened.pop_all()
 
     def info(self) -> BagInfo:
-        """What is in the bag, from its summary, or where it has none from reading it through."""
+        """What is in the bag: from its summary, or from all its messages if it has no summary."""
         statistics: Statistics | None = None
         metadata: dict[str, dict[str, str]] = {}
         compression: set[str] = set()
@@ -128,9 +131,9 @@ class Bag:
         )
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[BagMessage]:
-        """Messages of some topics, or of all, in the order in which they were recorded.
+        """Messages of some topics, or of all topics, in the order in which they were recorded.
 
-        Raises InputError for a topic that the bag has not.
+        Raises InputError for a topic that is not in the bag.
         """
         decoders: dict[int, Decoder | None] = {}
         for number, message in enumerate(self._selected(topics)):
@@ -148,7 +151,7 @@ class Bag:
             yield found
 
     def raw_messages(self, topics: Collection[str] | None = None) -> Iterator[BagMessage]:
-        """The same as ``messages`` gives, but none of them decoded."""
+        """Messages as bytes; else like ``messages``."""
         return map(self._named, self._selected(topics))
 
     def _named(self, message: Message) -> BagMessage:
@@ -158,7 +161,7 @@ class Bag:
         return BagMessage(topic, schema.name if schema else "", message.log_time, message.data)
 
     def _selected(self, topics: Collection[str] | None) -> Iterator[Message]:
-        """Messages of some topics, or of all."""
+        """Messages of some topics, or of all topics."""
         skipped = self._chunks_without(topics) if topics is not None else frozenset()
         for opcode, content in self._contents(skipped):
             if opcode != Opcode.MESSAGE:
@@ -175,7 +178,7 @@ class Bag:
             raise InputError(f"{self.path}: no topic {', '.join(sorted(missing))}; see `sugiyama info {self.path}`")
 
     def _contents(self, skipped: Collection[int]) -> Iterator[tuple[int, Any]]:
-        """Messages and descriptions of the data section; chunks at the offsets ``skipped`` are passed over."""
+        """Messages and descriptions of the data section, without the chunks at the offsets ``skipped``."""
         for record in self._file.records():
             if record.opcode == Opcode.CHUNK and record.offset not in skipped:
                 yield from content_records(self._file.chunk(record), f"{self.path}: chunk at offset {record.offset}")
@@ -185,7 +188,7 @@ class Bag:
                 yield record.opcode, self._file.message(record)
 
     def _chunks_without(self, topics: Collection[str]) -> Collection[int]:
-        """Offsets of chunks that hold no message of ``topics``, as far as the summary tells."""
+        """Offsets of chunks that hold no message of ``topics``, as far as the summary says so."""
         if not self._summary:
             return frozenset()
         indexes = []
@@ -205,7 +208,7 @@ class Bag:
         return skipped
 
     def _decoder(self, number: int) -> Decoder | None:
-        """How to decode the messages of a channel."""
+        """Decoder for the messages of a channel; None if they cannot be decoded."""
         schema = self._described.schema(number)
         if schema is None or schema.encoding != "ros2msg" or self._described.channels[number].message_encoding != "cdr":
             return None
@@ -224,7 +227,7 @@ class Bag:
         )
 
     def _counted(self) -> Statistics:
-        """Statistics of a file that has none."""
+        """Statistics of a file without a statistics record, by counting."""
         counts: dict[int, int] = {}
         start, end = (1 << 64) - 1, 0
         for message in self._selected(None):
@@ -243,7 +246,7 @@ class Bag:
         )
 
     def _summary_start(self) -> int:
-        """Offset of the summary section, whose checksum holds; 0 where there is none."""
+        """Offset of the summary section, with a verified checksum; 0 if there is no summary."""
         file = self._file
         footer_offset = file.size - len(MAGIC) - _FOOTER_SIZE
         if footer_offset < len(MAGIC) or file.read(file.size - len(MAGIC), len(MAGIC)) != MAGIC:
@@ -279,6 +282,6 @@ class Bag:
 
 
 def _policy(qos: str, name: str, numbers: dict[str, str]) -> str:
-    """One policy of the first profile in rosbag2's YAML text; older bags write numbers."""
+    """One policy of the first profile in the YAML text of rosbag2; older bags write numbers."""
     found = re.search(rf"\b{name}: *(\w+)", qos)
     return numbers.get(found[1], found[1]) if found else ""

@@ -1,4 +1,4 @@
-"""Bounded reading of the records of an MCAP file: nothing that a file claims is believed before it is checked."""
+"""Bounded reading of the records of an MCAP file. Everything that a file claims is checked before it is used."""
 
 import struct
 import zlib
@@ -20,7 +20,7 @@ from sugiyama_ros.errors import InputError
 MAGIC = b"\x89MCAP0\r\n"
 #: Largest record, and largest chunk after decompression [bytes].
 MAX_RECORD = 64 << 20
-#: Largest description (schema, channel, metadata), and all that are kept of one file [bytes].
+#: Largest description (schema, channel, metadata), and largest sum of all descriptions of a file [bytes].
 MAX_DESCRIPTION = 1 << 20
 _MAX_DESCRIPTIONS = 64 << 20
 
@@ -31,7 +31,7 @@ Parsed = TypeVar("Parsed")
 
 
 class Message(NamedTuple):
-    """One message as it stands in the file; times in [ns]."""
+    """One message as in the file; times in [ns]."""
 
     channel: int
     sequence: int
@@ -55,9 +55,12 @@ class Record:
 
 
 class RecordFile:
-    """An open MCAP file read record by record.
+    """An open MCAP file, read record by record.
 
-    Raises InputError, with the file and the offset, for everything that does not hold.
+    Raises
+    ------
+    InputError
+        With the file and the offset, for everything that is not valid.
     """
 
     def __init__(self, path: Path, stream: BinaryIO) -> None:
@@ -81,7 +84,7 @@ class RecordFile:
         return data
 
     def records(self, offset: int = len(MAGIC)) -> Iterator[Record]:
-        """Records from ``offset`` on, without their bodies, up to the one that ends the file's data."""
+        """Records from ``offset`` on, without their bodies, up to the record that ends the data."""
         while True:
             record = self.record(offset)
             yield record
@@ -104,7 +107,7 @@ class RecordFile:
         return self.read(record.offset + HEAD.size, record.length)
 
     def parse(self, kind: type[Parsed], record: Record, largest: int = MAX_DESCRIPTION) -> Parsed:
-        """A record's body as one of the record classes of the package ``mcap``."""
+        """A record's body as a record class of the package ``mcap``."""
         return parse(kind, self.body(record, largest), f"{self.path}: offset {record.offset}")
 
     def chunk(self, record: Record) -> bytes:
@@ -119,16 +122,16 @@ class RecordFile:
         return Message._make((*_MESSAGE.unpack_from(body), body[_MESSAGE.size :]))
 
     def cut_off(self, offset: int) -> InputError:
-        """What to raise where the file ends too early."""
+        """Error to raise where the file ends too early."""
         return InputError(f"{self.path}: cut off (the record at offset {offset} is incomplete); {self._cure}")
 
     def damaged(self, offset: int, what: str) -> InputError:
-        """What to raise where the file contradicts itself."""
+        """Error to raise where the file contradicts itself."""
         return InputError(f"{self.path}: offset {offset}: {what}; {self._cure}")
 
 
 class Descriptions:
-    """Types and channels that a file describes, the first description of each; bounded in memory."""
+    """Types and channels that a file describes; the first description of each counts. Bounded in memory."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -150,7 +153,7 @@ class Descriptions:
                 self.channels[channel.id] = channel
 
     def count(self, size: int) -> None:
-        """Note that so many bytes are kept; InputError where they become too many."""
+        """Note that ``size`` bytes are kept. Raises InputError for too many bytes."""
         self._size += size
         if self._size > _MAX_DESCRIPTIONS:
             raise InputError(f"{self._path}: more than {_MAX_DESCRIPTIONS} bytes of descriptions; not read")
@@ -161,7 +164,7 @@ class Descriptions:
 
 
 def parse(kind: type[Parsed], body: bytes, where: str) -> Parsed:
-    """Bytes of a record as one of the record classes of the package ``mcap``; InputError where they do not fit."""
+    """Bytes of a record as a record class of the package ``mcap``. Raises InputError if they do not fit."""
     try:
         record: Parsed = kind.read(ReadDataStream(BytesIO(body)))  # type: ignore[attr-defined]
     except (McapError, struct.error, UnicodeDecodeError, OverflowError):
@@ -170,7 +173,7 @@ def parse(kind: type[Parsed], body: bytes, where: str) -> Parsed:
 
 
 def decompress(chunk: Chunk, where: str) -> bytes:
-    """Content of a chunk, with its length and checksum verified; InputError where they do not hold."""
+    """Content of a chunk, with verified length and checksum. Raises InputError if they are wrong."""
     if chunk.uncompressed_size > MAX_RECORD:
         raise InputError(f"{where}: claims {chunk.uncompressed_size} bytes, more than {MAX_RECORD}; not read")
     try:
@@ -187,12 +190,12 @@ def decompress(chunk: Chunk, where: str) -> bytes:
 
 
 def _decompressed(chunk: Chunk) -> bytes | None:
-    """At most as many bytes as the chunk claims, or one more; None where the compression is not known."""
+    """At most as many bytes as the chunk claims, or one more; None if the compression is not known."""
     most = chunk.uncompressed_size
     if chunk.compression == "":
         return chunk.data
     if chunk.compression == "zstd":
-        # The decompressor allocates what the frame itself claims, whatever limit it is given.
+        # The decompressor allocates what the frame claims, whatever its limit.
         claimed = zstandard.frame_content_size(chunk.data)
         if claimed > most:
             raise zstandard.ZstdError(f"frame claims {claimed} bytes")

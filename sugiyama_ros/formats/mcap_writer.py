@@ -1,4 +1,4 @@
-"""MCAP files as rosbag2, Foxglove, Lichtblick and PlotJuggler read them."""
+"""Writer of MCAP files that rosbag2, Foxglove, Lichtblick and PlotJuggler read."""
 
 import errno
 import os
@@ -24,7 +24,7 @@ _INFINITE = "{sec: 9223372036, nsec: 854775807}"
 
 @dataclass(frozen=True)
 class Qos:
-    """Quality of service that a topic was offered with."""
+    """Quality of service that the publishers of a topic offer."""
 
     reliability: str = "reliable"
     durability: str = "volatile"
@@ -46,19 +46,30 @@ class Qos:
         )
 
 
-#: For what is sent once and must reach those who come later.
+#: Offer of a topic whose last message must reach late subscribers.
 LATCHED_TOPIC = Qos(durability="transient_local", depth=1)
 
 
 class BagWriter:
     """Writes serialized messages to an MCAP file; use it in a ``with`` block.
 
-    path: the file, which appears under its name when the block ends without an error. Until then the messages stand in
-    ``FILE.part``: after a crash ``sugiyama recover`` makes a file of it. An error in the block removes it, but what was
-    flushed before a disk failed stays.
-    metadata: what the run is about (parameters, data source, checksum), kept in a record named ``sugiyama``.
+    The file appears under its name when the block ends without an error. Until then the messages are in ``FILE.part``;
+    after a crash, ``sugiyama recover`` makes a file of it. An error in the block removes it, but what was flushed
+    before a disk failed stays.
 
-    Raises OutputError where the file cannot be written, and InputError for a topic or time that cannot be.
+    Parameters
+    ----------
+    path : Path
+        The file.
+    metadata : mapping, optional
+        Parameters, data source and checksum of the run, kept in a record named ``sugiyama``.
+
+    Raises
+    ------
+    OutputError
+        Where the file cannot be written.
+    InputError
+        For a topic or a time that is not valid.
     """
 
     def __init__(self, path: Path, metadata: Mapping[str, str] | None = None) -> None:
@@ -71,7 +82,7 @@ class BagWriter:
         self._kept = False
         self._flushed_s = time.monotonic()
         try:
-            # Not over another writer's file, nor over what a crash left to be recovered.
+            # Never overwrite the file of another writer, or a file that can be recovered after a crash.
             self._stream = self.part.open("xb")
         except FileExistsError:
             raise OutputError(
@@ -96,7 +107,7 @@ class BagWriter:
     def topic(self, name: str, type_name: str, qos: Qos = Qos()) -> int:
         """Announce a topic, such as ``/vehicle_07/innovation``; returns its number for ``write``.
 
-        The same topic announced again has the same number.
+        A topic that is announced twice keeps its number.
         """
         if name in self._topics:
             channel, announced = self._topics[name]
@@ -126,7 +137,7 @@ class BagWriter:
             self.flush()
 
     def flush(self) -> None:
-        """Bring all that was written onto the disk; call it once a second where messages may stay away."""
+        """Write all messages to the disk. Call it once a second if there may be no messages for a while."""
         self._flushed_s = time.monotonic()
         if not self._dirty:
             return
@@ -152,15 +163,15 @@ class BagWriter:
             raise failed from None
 
     def _discard(self) -> None:
-        """Leave nothing behind, except what a failing disk has kept of a long recording."""
-        # A full disk refuses what is still in the buffer; the file is closed all the same.
+        """Remove the file, but keep what was flushed before a disk failed."""
+        # A full disk refuses the rest of the buffer, but the file is closed.
         with suppress(OSError):
             self._stream.close()
         if not self._kept:
             self.part.unlink(missing_ok=True)
 
     def _failed(self, error: OSError) -> OutputError:
-        """The one line about a disk that refuses."""
+        """Error to raise for a disk that refuses."""
         cure = "free some space" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "choose another place"
         kept = f"; what was flushed before is in {self.part} (`sugiyama recover`)" if self._kept else ""
         return OutputError(f"{self.path}: cannot be written: {error.strerror}; {cure}{kept}")
@@ -179,7 +190,7 @@ class BagWriter:
 
 
 def _version() -> str:
-    """Version of this package as it is installed."""
+    """Version of the installed package."""
     try:
         return version("sugiyama_ros")
     except PackageNotFoundError:

@@ -1,4 +1,4 @@
-"""Measured positions in a bag: trajectories as messages on ``road`` and ``measured``, and back."""
+"""Trajectories in a bag: messages on the topics ``road`` and ``measured``, written and read."""
 
 from array import array
 from collections.abc import Iterator
@@ -18,7 +18,7 @@ from sugiyama_ros.trajectories.trajectories import Trajectories
 
 ROAD_TYPE = "sugiyama_msgs/msg/Road"
 MEASURED_TYPE = "sugiyama_msgs/msg/MeasuredPositions"
-#: Frame of the road in message headers.
+#: Frame in the headers of all messages: positions along the road.
 FRAME = "road"
 
 
@@ -28,9 +28,19 @@ def stamp_ns(time_s: float) -> int:
 
 
 def messages(trajectories: Trajectories) -> Iterator[tuple[str, int, bytes]]:
-    """Trajectories as messages: type, stamp [ns] and CDR bytes; one Road, then one MeasuredPositions for each time.
+    """Trajectories as messages: one Road, then one MeasuredPositions for each time.
 
-    A vehicle is in a message while it is on the road. Raises InputError where sugiyama_msgs is not installed.
+    A vehicle is in a message while it is on the road.
+
+    Yields
+    ------
+    tuple
+        Type, stamp [ns] and CDR bytes.
+
+    Raises
+    ------
+    InputError
+        Where sugiyama_msgs is not installed.
     """
     encode = Encoder(ROAD_TYPE, MEASURED_TYPE)
     times = [stamp_ns(time) for time in trajectories.time_s.tolist()]
@@ -67,11 +77,24 @@ def messages(trajectories: Trajectories) -> Iterator[tuple[str, int, bytes]]:
 
 
 def read_measured(path: Path, ring_m: float | None = None) -> Trajectories:
-    """Trajectories out of a bag that has one ``road`` and one ``measured`` topic, in any namespace.
+    """Read trajectories from a bag with one ``road`` and one ``measured`` topic, in any namespace.
 
-    ring_m: must not contradict the bag. Source and checksum are those that the bag tells, or else the bag's own.
+    Parameters
+    ----------
+    path : Path
+        The bag.
+    ring_m : float, optional
+        Circumference [m] of the ring; must agree with the bag.
 
-    Raises InputError where the topics are missing or ambiguous, the road or a length changes, or time goes backward.
+    Returns
+    -------
+    Trajectories
+        With the source and the checksum that the bag states, or else with the name and the checksum of the bag.
+
+    Raises
+    ------
+    InputError
+        Where the topics are missing or ambiguous, the road or a length changes, or time goes backward.
     """
     with Bag(path) as bag:
         topics = {}
@@ -84,14 +107,14 @@ def read_measured(path: Path, ring_m: float | None = None) -> Trajectories:
         try:
             return _collected(bag, topics, ring_m)
         except (AttributeError, TypeError, ValueError):
-            # A bag brings its own definitions: these have other fields, or fields of another kind.
+            # A bag brings its own definitions, which may have other fields.
             raise InputError(
                 f"{path}: `road` or `measured`: not the fields that this version knows; convert the source again"
             ) from None
 
 
 def _collected(bag: Bag, topics: dict[str, str], ring_m: float | None) -> Trajectories:
-    """Trajectories out of the messages on two topics, given by name with their types."""
+    """Trajectories from the messages on two topics, given by name with their types."""
     path = bag.path
     road: Any = None
     columns = _Columns(path)
@@ -117,7 +140,7 @@ def _header(time_ns: int) -> dict[str, Any]:
 
 
 class _Columns:
-    """What the messages on ``measured`` tell, vehicle by vehicle."""
+    """Samples from the messages on ``measured``."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -158,7 +181,7 @@ class _Columns:
         self._position.extend(message.position_m.tolist())
 
     def trajectories(self, road: Any, ring_m: float | None, checksum: str) -> Trajectories:
-        """All of it, on the time base that the road states."""
+        """All samples, on the time base that the road states."""
         if self._first is None or not self._row:
             raise InputError(f"{self._path}: measured: no positions; record some")
         steps, cars = max(self._row) + 1, len(self._number)

@@ -1,4 +1,4 @@
-"""Reader of the ring file of the Mathematical Society of Traffic Flow."""
+"""Reader of the ring experiments of the Mathematical Society of Traffic Flow (MSTF)."""
 
 import re
 from pathlib import Path
@@ -19,12 +19,26 @@ _CIRCUIT = re.compile(r"circuit length is +(\d+(?:\.\d*)?) *m\b")
 
 
 def read_mstf(path: Path, ring_m: float | None = None) -> Trajectories:
-    """Trajectories out of a ``.data`` file: lines of position [m] and time [s], one block for each car.
+    """Read a ``.data`` file: lines of position [m] and time [s], one block for each car.
 
-    ring_m: circumference [m] where the file's head does not say it. Cars are numbered by block from 0. Their lengths
-    are not in the file: those of case 1 are the paper's, others are DEFAULT_LENGTH_M.
+    Cars are numbered by block, from 0. The file has no lengths: the cars of case 1 get the lengths in the reference,
+    other cars get ``DEFAULT_LENGTH_M``.
 
-    Raises InputError, with the line, for what is not such a file.
+    Parameters
+    ----------
+    path : Path
+        The file.
+    ring_m : float, optional
+        Circumference [m] of the ring, where the head of the file does not say it; 0 for an open road.
+
+    Raises
+    ------
+    InputError
+        With the line, for a file that has another form.
+
+    References
+    ----------
+    Dai et al., Table 1 (Vehicle sizes): lengths of the cars of case 1.
     """
     samples = Samples(path)
     said_m = None

@@ -1,4 +1,4 @@
-"""Plain CSV: one line for each sample, with the columns time_s, vehicle, position_m and perhaps length_m."""
+"""Plain CSV: one line for each sample, with the columns time_s, vehicle, position_m and, if known, length_m."""
 
 import csv
 import math
@@ -19,12 +19,22 @@ _VEHICLE = re.compile(r"\d{1,9}")
 
 
 def read_csv(path: Path, ring_m: float | None = None) -> Trajectories:
-    """Trajectories out of a CSV file with a header; other columns are passed over.
+    """Read a CSV file with a header. Other columns are ignored.
 
-    ring_m: circumference [m] of a ring; without it the road is open. An empty position is a missing sample; a vehicle
-    without a length has DEFAULT_LENGTH_M. The times of each vehicle must increase.
+    An empty position is a missing sample. A vehicle without a length gets ``DEFAULT_LENGTH_M``. The times of each
+    vehicle must increase.
 
-    Raises InputError, with the line and the field, for what is not such a file.
+    Parameters
+    ----------
+    path : Path
+        The file.
+    ring_m : float, optional
+        Circumference [m] of the ring; without it the road is open.
+
+    Raises
+    ------
+    InputError
+        With the line and the field, for a file that has another form.
     """
     samples = Samples(path)
     lengths: dict[int, float] = {}
@@ -81,7 +91,7 @@ def write_csv(trajectories: Trajectories, path: Path) -> None:
 
 
 def _columns(path: Path, header: list[str]) -> dict[str, int]:
-    """Where each column stands."""
+    """Index of each column."""
     missing = [name for name in _REQUIRED if name not in header]
     if missing:
         raise InputError(f"{path}:1: no column {', '.join(missing)}; the header must name {', '.join(_REQUIRED)}")
@@ -92,7 +102,7 @@ def _columns(path: Path, header: list[str]) -> dict[str, int]:
 
 
 def _vehicle(text: str, where: str) -> int:
-    """A vehicle's number."""
+    """Number of a vehicle."""
     if not _VEHICLE.fullmatch(text):
         raise InputError(f"{where}: vehicle {text[:40]!r} is not a number from 0 to 999999999; number the vehicles")
     return int(text)

@@ -1,4 +1,4 @@
-"""Reading other people's text files without believing anything in them."""
+"""Reading of text files, with every line and number checked."""
 
 import hashlib
 import math
@@ -12,7 +12,7 @@ _MAX_LINE = 10_000
 
 
 def open_input(path: Path) -> BinaryIO:
-    """A regular file opened for reading; InputError where there is none, or it cannot be read."""
+    """Open a regular file for reading. Raises InputError if it is missing or cannot be read."""
     try:
         if path.exists() and not path.is_file():
             raise InputError(f"{path}: not a regular file; give a file")
@@ -22,7 +22,7 @@ def open_input(path: Path) -> BinaryIO:
 
 
 def lines(path: Path, stream: BinaryIO) -> Iterator[str]:
-    """Lines of a text file without their ends; InputError for one that is too long or not UTF-8."""
+    """Lines of a text file without their ends. Raises InputError for a line that is too long or not UTF-8."""
     number = 0
     while line := stream.readline(_MAX_LINE + 1):
         number += 1
@@ -36,7 +36,7 @@ def lines(path: Path, stream: BinaryIO) -> Iterator[str]:
 
 
 def number(text: str, field: str, where: str) -> float:
-    """A finite number; InputError, naming line and field, for anything else."""
+    """A finite number. Raises InputError, with line and field, for anything else."""
     try:
         value = float(text)
     except ValueError:
@@ -47,7 +47,7 @@ def number(text: str, field: str, where: str) -> float:
 
 
 def sha256(stream: BinaryIO) -> str:
-    """Checksum of a file, which is rewound before and after."""
+    """Checksum of a file; the stream is rewound before and after."""
     digest = hashlib.sha256()
     stream.seek(0)
     while block := stream.read(1 << 20):

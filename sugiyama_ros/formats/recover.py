@@ -1,4 +1,4 @@
-"""Salvaging what is whole of a cut or damaged MCAP file."""
+"""Recovery of the intact messages of a cut or damaged MCAP file."""
 
 import re
 from collections.abc import Iterator
@@ -34,7 +34,7 @@ _OPCODES = {int(opcode) for opcode in Opcode}
 
 @dataclass(frozen=True)
 class Recovered:
-    """What was salvaged: messages, topics, and the bytes of the file that could not be used."""
+    """What was recovered: messages and topics; ``lost_bytes`` of the file could not be used."""
 
     path: Path
     messages: int
@@ -45,10 +45,21 @@ class Recovered:
 
 
 def recover(path: Path, out: Path) -> Recovered:
-    """Write every whole message of ``path`` into a new file ``out``, and verify it by reading it again.
+    """Write every intact message of a file into a new file, and verify the new file by reading it.
 
-    Chunks whose checksum does not hold are left out. Raises InputError where nothing can be salvaged, OutputError where
-    ``out`` cannot be written or does not read back.
+    Chunks with a wrong checksum are left out.
+
+    Parameters
+    ----------
+    path, out : Path
+        Damaged file, and file to write.
+
+    Raises
+    ------
+    InputError
+        Where nothing can be recovered.
+    OutputError
+        Where the new file cannot be written or cannot be read again.
     """
     path, out = Path(path), Path(out)
     if out.exists() and out.samefile(path):
@@ -69,7 +80,7 @@ def recover(path: Path, out: Path) -> Recovered:
 
 
 class _Salvage:
-    """Goes through a damaged file and copies what is whole."""
+    """Reads a damaged file and copies what is intact."""
 
     def __init__(self, file: RecordFile) -> None:
         self._file = file
@@ -80,7 +91,7 @@ class _Salvage:
         self.lost_bytes = 0
 
     def write(self, writer: Writer) -> None:
-        """Copy metadata and messages; descriptions that a damaged chunk has lost are taken from the summary."""
+        """Copy metadata and messages. Descriptions that a damaged chunk has lost come from the summary."""
         profile, library = "ros2", ""
         for record in self._records():
             with suppress(InputError):
@@ -99,7 +110,7 @@ class _Salvage:
         writer.finish()  # type: ignore[no-untyped-call]
 
     def _copy(self, record: Record, writer: Writer) -> None:
-        """Copy what a record holds; raises InputError where it is damaged."""
+        """Copy the content of a record. Raises InputError if it is damaged."""
         if record.opcode == Opcode.METADATA:
             metadata = self._file.parse(Metadata, record)
             writer.add_metadata(metadata.name, metadata.metadata)
@@ -114,7 +125,7 @@ class _Salvage:
                     self._described.add(opcode, content)
 
     def _copy_message(self, message: Message, writer: Writer) -> None:
-        """Copy one message; without the description of its channel it is lost."""
+        """Copy one message; a message without a description of its channel is lost."""
         channel = self._described.channels.get(message.channel)
         schema = self._described.schema(message.channel) if channel else None
         if channel is None or (schema is None and channel.schema_id != 0):
@@ -132,7 +143,7 @@ class _Salvage:
         self.messages += 1
 
     def _records(self) -> Iterator[Record]:
-        """Records of the file; where they stop making sense, on from the next whole chunk."""
+        """Records of the file. Behind a damaged record, go on from the next intact chunk."""
         offset, before = len(MAGIC), len(MAGIC)
         while offset < self._file.size - len(MAGIC):
             try:
@@ -140,7 +151,7 @@ class _Salvage:
                 if record.opcode not in _OPCODES:
                     raise self._file.damaged(offset, "no record")
             except InputError:
-                # The record before may have lied about its length: look from its start.
+                # The length of the record before may be wrong: search from its start.
                 found = self._next_chunk(before + 1)
                 self.lost_bytes += max(0, found - offset)
                 offset = before = found
@@ -151,7 +162,7 @@ class _Salvage:
             offset, before = record.end, offset
 
     def _next_chunk(self, offset: int) -> int:
-        """Where the next compressed chunk starts whose content verifies; the end of the file if there is none."""
+        """Offset of the next intact compressed chunk; the end of the file if there is none."""
         while offset < self._file.size:
             block = self._file.read(offset, min(_BLOCK + _NAME_AT + 8, self._file.size - offset))
             for name in _CHUNK_NAME.finditer(block, _NAME_AT):

@@ -1,4 +1,4 @@
-"""All file formats for trajectories: the built-in ones and those of other packages.
+"""All file formats for trajectories: the built-in formats and the formats of other packages.
 
 A format of another package is a `Format` behind an entry point of the group ``sugiyama_ros.formats``.
 """

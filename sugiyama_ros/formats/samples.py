@@ -1,4 +1,4 @@
-"""From single samples, as files list them, to trajectories on a regular time base."""
+"""Single samples, as files list them, put on a regular time base."""
 
 import math
 from array import array
@@ -10,14 +10,14 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.trajectories import Trajectories, regular_time_base
 
-#: Most samples that are taken in, counting the missing ones: vehicles times time steps.
+#: Largest number of samples, including missing samples: vehicles times time steps.
 MAX_SAMPLES = 20_000_000
 #: ROS counts seconds in 32 bits.
 _MAX_TIME_S = 2.0**31
 
 
 class Samples:
-    """Samples of positions in the order of their file, in 24 bytes each."""
+    """Samples of positions in the order of their file; each takes 24 bytes."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -28,7 +28,7 @@ class Samples:
         self._last: dict[int, float] = {}
 
     def add(self, time_s: float, vehicle: int, position_m: float, where: str) -> None:
-        """Take in one sample; NaN for a position that is missing.
+        """Add one sample; NaN for a position that is missing.
 
         Raises InputError where the vehicle's times do not increase, or there are too many samples.
         """
@@ -54,7 +54,7 @@ class Samples:
         return list(self._columns)
 
     def trajectories(self, length_m: list[float], road: Road, checksum: str) -> Trajectories:
-        """All samples on their common time base; ``length_m`` [m] runs along ``vehicles``.
+        """All samples on their common time base; ``length_m`` [m] is in the order of ``vehicles``.
 
         Raises InputError where there are no samples, or no regular time base.
         """
@@ -86,7 +86,7 @@ class Samples:
 
 
 def agreed_road(path: Path, said_m: float | None, ring_m: float | None) -> Road:
-    """The road by what the file says and by what the caller says; InputError where the two contradict."""
+    """The road, from the file and from the caller. Raises InputError if the two contradict each other."""
     if said_m is not None and ring_m is not None and not math.isclose(said_m, ring_m, rel_tol=1e-9):
         raise InputError(f"{path}: says a ring of {said_m:g} m, but {ring_m:g} m was given; leave out --ring")
     return Road(said_m if said_m is not None else ring_m or 0.0)

@@ -1,4 +1,4 @@
-"""Writing a file beside its place, and giving it its name only when it is complete."""
+"""Writing of files that get their name only when they are complete."""
 
 import os
 from collections.abc import Iterator
@@ -11,7 +11,7 @@ from sugiyama_ros.errors import OutputError
 
 @contextmanager
 def replacing(path: Path, suffix: str = ".part") -> Iterator[BinaryIO]:
-    """A stream into ``FILE`` with a suffix, renamed to ``path`` when the block ends, removed when it fails.
+    """Stream into a file with a suffix, which is renamed to ``path`` when the block ends and removed if it fails.
 
     Raises OutputError where the file cannot be written.
     """
@@ -30,12 +30,12 @@ def replacing(path: Path, suffix: str = ".part") -> Iterator[BinaryIO]:
 
 
 def not_written(path: Path, error: OSError) -> OutputError:
-    """The one line about a place that refuses to be written."""
+    """Error to raise for a place that cannot be written."""
     return OutputError(f"{path}: cannot be written: {error.strerror}; free some space there, or choose another place")
 
 
 def make_directory(path: Path) -> None:
-    """Make a directory if it is not there. Raises OutputError."""
+    """Make a directory if it does not exist. Raises OutputError."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -1,4 +1,4 @@
-"""The critic: a bank of models follows all vehicles; which one predicts best says what the running model misses."""
+"""The critic: a bank of models follows all vehicles. The model that predicts best shows what the others lack."""
 
 from math import nan
 from typing import Any
@@ -26,10 +26,10 @@ _VERDICT_EVERY_NS = 5 * cdr_messages.NS
 
 
 class Critic(PacedNode):
-    """Publishes a verdict every 5 s of the recording; ``~/add_effect`` hands an effect on to all running estimators.
+    """Publishes a verdict every 5 s of the recording. ``~/add_effect`` adds an effect to all running estimators.
 
-    Parameters: those of a driver, from which every model of the bank starts; ``forget_s``. A jump back in time starts
-    the bank anew.
+    A jump back in time starts the bank anew. Parameters of the node: the parameters of a driver, from which every model
+    of the bank starts, and ``forget_s``.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -118,7 +118,7 @@ class Critic(PacedNode):
         self.send(self._to_verdict, message)
 
     def _on_add_effect(self, request: AddEffect.Request, response: AddEffect.Response) -> AddEffect.Response:
-        """Hand on to every estimator that runs; what each says of it stands in its own log."""
+        """Pass the request on to every running estimator. An estimator that refuses it is logged."""
         names = estimators(namespaces(self._chains)) if self._chains else []
         clients = [self.create_client(AddEffect, f"{name}/add_effect") for name in names]
         ready = [client for client in clients if client.service_is_ready() or client.wait_for_service(1.0)]

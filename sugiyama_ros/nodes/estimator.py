@@ -35,8 +35,8 @@ class Estimator(PacedNode):
 
     A sample whose stamp came before, or that comes too late, is left out. A jump in time starts the filter anew.
 
-    Parameters of the node: those of a driver, ``model``, ``save_state``, ``resume`` and ``ask_keeper``. Services:
-    ``~/reset``, ``~/add_effect``, ``~/remove_effect``.
+    Parameters of the node: the parameters of a driver, ``model``, ``save_state``, ``resume`` and ``ask_keeper``.
+    Services: ``~/reset``, ``~/add_effect``, ``~/remove_effect``.
     """
 
     def __init__(self, **options: Any) -> None:

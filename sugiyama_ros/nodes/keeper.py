@@ -1,6 +1,6 @@
-"""Holds what every estimator last said of its driver, for one that is started anew.
+"""Holds what every estimator last published about its driver, for an estimator that starts again.
 
-What a node has latched (transient-local) is gone with the node, so another one has to hold it.
+A latched (transient-local) message is gone when its publisher is gone, so another node has to hold it.
 """
 
 import re
@@ -19,7 +19,7 @@ _PARAMETERS = re.compile(r"(.*/vehicle_\d+)/parameters")
 
 
 class Keeper(PacedNode):
-    """Latches on .../vehicle_07/_kept_parameters what was last published on .../vehicle_07/parameters."""
+    """Latches the last message of each topic ``.../vehicle_07/parameters`` on ``.../vehicle_07/_kept_parameters``."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__("keeper", **options)
@@ -27,11 +27,11 @@ class Keeper(PacedNode):
         self.create_timer(_LOOK_S, self._look, clock=self.steady)
 
     def health(self) -> Health:
-        """Always well; tells of how many drivers it has heard."""
+        """Always OK, with the number of drivers heard."""
         return Health(OK, "keeping", {"drivers": len(self._kept)})
 
     def _look(self) -> None:
-        """Listen to the estimators that have come."""
+        """Subscribe to estimators that are new in the graph."""
         for topic, _ in self.get_topic_names_and_types():
             found = _PARAMETERS.fullmatch(topic)
             if found is not None and topic not in self._kept:

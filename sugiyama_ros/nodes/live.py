@@ -1,4 +1,4 @@
-"""The live page's ears and hands in the graph, and the server that shows the page on this machine."""
+"""The node behind the live page, and the server that shows the page."""
 
 import contextlib
 import logging
@@ -32,14 +32,14 @@ from sugiyama_ros.page.live import KEPT, Log, page
 from sugiyama_ros.page.panels.base import MOVING_S
 from sugiyama_ros.road import Road
 
-#: The address of this machine that no other one reaches.
+#: Address that only this machine reaches.
 LOCAL = "127.0.0.1"
-# Time [s] that the nodes have the processor at a stretch, and from one stretch to the next.
+# Time [s] for which the nodes run at a stretch, and from one stretch to the next.
 _STRETCH_S, _EVERY_S = 0.01, 0.015
 
 
 class View(Node):
-    """Hears everything that the page shows, and calls the services that its buttons stand for."""
+    """Subscribes to everything that the page shows, and calls the services behind its buttons."""
 
     def __init__(self, rate: float) -> None:
         super().__init__("view", start_parameter_services=False)
@@ -79,7 +79,7 @@ class View(Node):
         self.rate = rate
 
     def add(self, name: str) -> None:
-        """Call every estimator's ~/add_effect, with the critic's strength or that at which a search would begin."""
+        """Call every estimator's ~/add_effect, with the critic's strength or else the value where a search begins."""
         if not self.vehicles:
             return
         values = dict(effect(name).starts(self._recording())[0])
@@ -148,7 +148,7 @@ class View(Node):
         self.driver[v].add(time_s, self._speed[v], self._std[v], innovation, math.sqrt(max(variance, 0.0)))
 
     def _sum_up(self) -> None:
-        """The error up to the last sample, now that there is a newer one."""
+        """Log the error up to the last sample, which is complete when a newer sample comes."""
         self._squares.append((self._latest_s, self._sum, self._scored))
         while self._squares[0][0] < self._latest_s - MOVING_S:
             self._squares.popleft()
@@ -171,12 +171,27 @@ def serve(
     port: int = 5006,
     on_ready: Callable[[str], None] = lambda url: None,
 ) -> None:
-    """Show the live page until a signal comes: of a replay of ``source``, or of the graph that runs.
+    """Show the live page until a signal comes.
 
-    host: address on which to listen; on any but that of this machine alone, the page asks for a token, which is in the
-    address that ``on_ready`` is told.
+    Parameters
+    ----------
+    source : Path or None
+        File of trajectories to replay; None shows the graph that runs already.
+    output : Path
+        MCAP file to write during a replay.
+    rate, ring_m, model
+        See `RunSettings`.
+    host, port : str, int
+        Address and port on which to listen. Beyond this machine, the page asks for a token.
+    on_ready : callable
+        Called with the address of the page, which contains the token.
 
-    Raises InputError or OutputError for files, SugiyamaError where the port is taken.
+    Raises
+    ------
+    InputError, OutputError
+        For files that cannot be read or written.
+    SugiyamaError
+        Where the port is taken.
     """
     if source is not None:
         environment.isolate()
@@ -193,32 +208,37 @@ def serve(
         stack.callback(spinner.close)
         if runner is not None:
             stack.callback(runner.stop, spinner)
-        loop = IOLoop.current()
-
-        def stretch() -> None:
-            spinner.until(lambda: False, _STRETCH_S)
-            if runner is not None:
-                runner.check()
-            if asked_to_stop():
-                loop.stop()
-
-        turns = PeriodicCallback(stretch, 1000 * _EVERY_S)
+        turns = _turns(spinner, runner, asked_to_stop)
         server.start()
         stack.callback(server.stop)
         turns.start()
         stack.callback(turns.stop)
         on_ready(url)
-        loop.start()
+        IOLoop.current().start()
+
+
+def _turns(spinner: Spinner, runner: OneProcess | None, asked_to_stop: Callable[[], bool]) -> PeriodicCallback:
+    """Callback that lets the nodes run between the turns of the server, and stops the server after a signal."""
+    loop = IOLoop.current()
+
+    def stretch() -> None:
+        spinner.until(lambda: False, _STRETCH_S)
+        if runner is not None:
+            runner.check()
+        if asked_to_stop():
+            loop.stop()
+
+    return PeriodicCallback(stretch, 1000 * _EVERY_S)
 
 
 def _server(view: View, host: str, port: int) -> tuple[Server, str]:
-    """The server, which listens already, and the address of the page."""
+    """The server, which is already listening, and the address of the page."""
     more: dict[str, Any] = {}
     if host == LOCAL:
         url = f"http://localhost:{port}"
         more["allow_websocket_origin"] = [f"{name}:{port}" for name in ("localhost", LOCAL)]
     else:
-        # by what name a browser reaches this machine is not known; a page of another site has no cookie
+        # the name by which a browser reaches this machine is not known; pages of other sites have no cookie
         logging.getLogger("bokeh.server.util").setLevel(logging.ERROR)
         guard = Guard()
         url = f"http://{socket.gethostname() if host == '0.0.0.0' else host}:{port}/?token={guard.token}"

@@ -18,9 +18,9 @@ _CORNERS = 72
 
 
 def markers(stamp: Time, road: Road, positions: Positions) -> MarkerArray:
-    """A box for each vehicle whose position is known, on a circle as long as the ring, or along the x axis.
+    """Draw a box for each vehicle with a known position: on a circle for a ring, along the x axis for an open road.
 
-    Each message replaces the one before.
+    Each message replaces the message before.
     """
     array = MarkerArray(markers=[_marker(stamp, "", 0, Marker.DELETEALL)])
     if road.is_ring:

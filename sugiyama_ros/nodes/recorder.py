@@ -1,4 +1,4 @@
-"""Recorder: the serialized bytes of all topics, as they come, into one MCAP file."""
+"""Records the serialized bytes of all topics, as they come, in one MCAP file."""
 
 import time
 from collections.abc import Callable
@@ -22,20 +22,21 @@ from sugiyama_ros.nodes.base.spin import run_node
 _POLL_S = 0.2
 # New topics that are subscribed to at one poll.
 _AT_A_TIME = 50
-# Messages that may wait on a topic to which all nodes write, and which nobody paces.
+# Messages that may wait on a topic to which all nodes write without pacing.
 _FROM_ALL = 5000
 _FLUSH_S = 1.0
 #: Silence [s] after which a topic is no longer waited for.
 PATIENCE_S = 10.0
-#: ROS's own topics, which say nothing about the road.
+#: Topics of ROS itself, which say nothing about the road.
 _LEFT_OUT = ("/rosout", "/parameter_events")
 
 
 class Recorder(PacedNode):
     """Records every topic of the graph that is not hidden, with the quality of service that its publishers offer.
 
-    Parameters: ``output``; ``paced_topics``, full names of the topics with one message a step, all of which must have
-    come before a step counts as taken (`measured` alone, if left out); ``metadata``, lines ``key=value`` for the file.
+    A step counts as taken when a message has come on all paced topics. Parameters of the node: ``output``, the file;
+    ``paced_topics``, full names of the topics with one message a step (only ``measured``, if left out); ``metadata``,
+    lines ``key=value`` for the file.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -43,7 +44,7 @@ class Recorder(PacedNode):
         measured = self.shared("measured")
         output = self._declare("output", "", "MCAP file to write")
         paced = self._declare("paced_topics", [measured], "full names of the topics with one message a step")
-        metadata = self._declare("metadata", [""], "lines key=value to be kept in the file")
+        metadata = self._declare("metadata", [""], "lines key=value to keep in the file")
         if not output:
             raise InputError("recorder: no file given; start it with -p output:=FILE.mcap")
         self._bag = BagWriter(Path(output), dict(line.split("=", 1) for line in metadata if line))
@@ -59,7 +60,7 @@ class Recorder(PacedNode):
         self._on_poll()
 
     def health(self) -> Health:
-        """ERROR after a failure or while a topic has fallen out, WARN while one has not appeared."""
+        """ERROR after a failure or if a topic has fallen silent, WARN while a topic has not appeared."""
         values = {"messages": self.received, "topics": len(self._known)}
         if self.failure:
             return Health(ERROR, str(self.failure), values)
@@ -90,7 +91,7 @@ class Recorder(PacedNode):
             for topic, types in self.get_topic_names_and_types()
             if topic not in self._known and topic not in _LEFT_OUT and not topic_or_service_is_hidden(topic)
         ]
-        # a subscription takes some milliseconds, in which messages wait that a queue may not hold
+        # a subscription takes some milliseconds; a queue may not hold the messages that wait meanwhile
         for topic, type_name in new[:_AT_A_TIME]:
             self._subscribe(topic, type_name)
         if not self._unheard:
@@ -101,7 +102,7 @@ class Recorder(PacedNode):
         self.report_if_worse()
 
     def _subscribe(self, topic: str, type_name: str) -> None:
-        """Record a topic from now on, if somebody publishes it."""
+        """Record a topic from now on, if it has a publisher."""
         offered = [p.qos_profile for p in self.get_publishers_info_by_topic(topic)]
         if not offered:
             return
@@ -139,7 +140,7 @@ class Recorder(PacedNode):
             self._complete(stamp)
 
     def _complete(self, stamp: bytes) -> None:
-        """All topics have come up to ``stamp``."""
+        """Note that all topics have come up to ``stamp``."""
         self._waiting_s = 0.0
         if stamp not in self._step:
             return
@@ -151,7 +152,7 @@ class Recorder(PacedNode):
         self.taken(steps, last=not self._levels.waiting)
 
     def _drop_late(self) -> None:
-        """A driver that says nothing more must not hold up the others."""
+        """Wait no longer for topics that have fallen silent, so that they do not hold up the others."""
         late, stamp = self._levels.drop_late()
         self._waiting_s = 0.0
         if late:
@@ -161,7 +162,7 @@ class Recorder(PacedNode):
             self._complete(stamp)
 
     def _guarded(self, action: Callable[[], None]) -> None:
-        """A file that cannot be written ends this node, not the process in the middle of a callback."""
+        """Write to the file. An error ends this node in good order, not the process in the middle of a callback."""
         if self.failure is None:
             try:
                 action()

@@ -16,7 +16,7 @@ from sugiyama_ros.trajectories.trajectories import Trajectories
 
 
 class Recorded:
-    """Trajectories as samples."""
+    """Recorded trajectories as samples."""
 
     def __init__(self, trajectories: Trajectories) -> None:
         t = trajectories
@@ -40,7 +40,7 @@ class Recorded:
 class Replay(Source):
     """Sends a file of trajectories.
 
-    Parameters: ``source``, ``ring``, ``loop`` and those of Source. Service: ``~/seek``.
+    Parameters of the node: ``source``, ``ring``, ``loop`` and the parameters of `Source`. Service: ``~/seek``.
     """
 
     def __init__(self, trajectories: Trajectories | None = None, **options: Any) -> None:
@@ -50,10 +50,10 @@ class Replay(Source):
         self.create_service(Seek, "~/seek", self._on_seek)
 
     def open(self) -> Recorded:
-        """The trajectories given, or those of parameter ``source``."""
+        """The trajectories that were given, or else the file that parameter ``source`` names."""
         for name, default, description in (
             ("source", "", f"file of trajectories: {known_suffixes()}"),
-            ("ring", 0.0, "circumference [m] of the ring, where the file does not tell; 0: as the file says"),
+            ("ring", 0.0, "circumference [m] of the ring, where the file does not say it; 0: as the file says"),
             ("loop", False, "start again at the end"),
         ):
             self.declare_parameter(name, default, ParameterDescriptor(description=description, read_only=True))

@@ -1,4 +1,4 @@
-"""What a recorded run says about its drivers, read back from the finished file."""
+"""Results of a recorded run, read from the finished file."""
 
 import math
 from collections import defaultdict
@@ -13,10 +13,16 @@ from sugiyama_ros.formats.mcap_reader import Bag
 
 @dataclass(frozen=True)
 class DriverResult:
-    """One driver at the end of a run: last parameters, and how well each next position was predicted.
+    """One driver at the end of a run: the last parameters, and how well each next position was predicted.
 
-    v_star [m/s], kappa_v [s], sigma_nu [m], sigma_a [m/s^2]; one_step_rmse_m [m] and nis_mean over the scored samples,
-    NaN if there are none.
+    Attributes
+    ----------
+    vehicle : int
+        Number of the vehicle.
+    v_star, kappa_v, sigma_nu, sigma_a : float
+        Desired speed [m/s], risk premium [s], measurement noise [m] and acceleration noise [m/s^2].
+    one_step_rmse_m, nis_mean : float
+        Root mean square of the innovations [m] and mean of their nis [1], over the scored samples; NaN without any.
     """
 
     vehicle: int
@@ -29,9 +35,19 @@ class DriverResult:
 
 
 def read_run(path: Path) -> tuple[dict[str, int], tuple[DriverResult, ...]]:
-    """Number of messages on each topic of a run's file, and its drivers by number.
+    """Read the file of a run.
 
-    Raises InputError where the file cannot be read.
+    Returns
+    -------
+    counts : dict
+        Number of messages on each topic.
+    drivers : tuple of DriverResult
+        The drivers, in the order of their numbers.
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be read.
     """
     scores: defaultdict[int, list[tuple[float, float]]] = defaultdict(list)
     parameters: dict[int, dict[str, float]] = {}

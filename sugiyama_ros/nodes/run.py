@@ -91,7 +91,7 @@ def run(
 ) -> RunResult:
     """Replay a recording through one estimator for each driver, and record everything in one file.
 
-    SIGINT or SIGTERM ends the run early, in good order. Call this function in the main thread, where signals come.
+    SIGINT or SIGTERM ends the run early, in good order; call this function in the main thread, where signals come.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def run(
     output : Path
         MCAP file to write.
     processes : bool
-        Whether each node has a process of its own. Without it, all nodes share this process.
+        Whether each node has a process of its own.
     on_progress : callable, optional
         Called with the steps that all nodes have taken, and the steps there are.
     **settings
@@ -109,14 +109,12 @@ def run(
     Returns
     -------
     RunResult
-        What was recorded, and how well each driver was predicted.
+        Counts of messages, and the drivers.
 
     Raises
     ------
-    InputError, OutputError
-        For files that cannot be read or written.
     SugiyamaError
-        Where a node has ended or has not started.
+        Where a node has failed; InputError or OutputError for files that cannot be read or written.
     """
     environment.isolate()
     plan = Plan.read(source, output, RunSettings(**settings))

@@ -1,4 +1,4 @@
-"""What an estimator has learnt, kept in a file or by a keeper, so that one that is started later can go on from it."""
+"""What an estimator has learnt, in a file or from a keeper. An estimator that starts later can go on from it."""
 
 import json
 from dataclasses import dataclass
@@ -8,26 +8,26 @@ import numpy as np
 from sugiyama_msgs.msg import DriverParameters
 
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.filters.online import Learnt
+from sugiyama_ros.filters.learnt import Learnt
 from sugiyama_ros.formats.writing import replacing
 from sugiyama_ros.nodes.base.cdr_messages import NS
 
 
 @dataclass(frozen=True, eq=False)
 class Kept:
-    """What was learnt, and the stamp [ns] of the last sample it was learnt from."""
+    """What an estimator has learnt, and the stamp [ns] of the last sample that it used."""
 
     learnt: Learnt
     until_ns: int
 
 
 def file_of(directory: Path, vehicle: int) -> Path:
-    """Where a vehicle's estimator keeps what it has learnt."""
+    """File in which the estimator of a vehicle keeps what it has learnt."""
     return directory / f"vehicle_{vehicle:02}.json"
 
 
 def kept_in(message: DriverParameters) -> Kept:
-    """What an estimator had learnt when it published its parameters."""
+    """What an estimator had learnt when it published a message."""
     places = np.flatnonzero(message.estimated)
     value = np.array(message.value)[places]
     covariance = np.array(message.covariance).reshape(2 * [len(message.value)])[np.ix_(places, places)]
@@ -36,7 +36,7 @@ def kept_in(message: DriverParameters) -> Kept:
 
 
 def write_learnt(path: Path, kept: Kept) -> None:
-    """Keep it. Raises OutputError."""
+    """Write what was learnt into a file. Raises OutputError."""
     learnt = kept.learnt
     document = {
         "names": learnt.names,
@@ -49,7 +49,7 @@ def write_learnt(path: Path, kept: Kept) -> None:
 
 
 def read_learnt(path: Path) -> Kept:
-    """What ``write_learnt`` has kept. Raises InputError."""
+    """Read a file that ``write_learnt`` has written. Raises InputError."""
     try:
         document = json.loads(path.read_text())
         names = tuple(map(str, document["names"]))

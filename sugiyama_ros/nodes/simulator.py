@@ -17,7 +17,7 @@ from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M
 
 
 class Simulated:
-    """A running simulation as samples; it goes forward only."""
+    """A running simulation as samples. It only goes forward."""
 
     start_s = 0.0
     steps = 0
@@ -30,7 +30,7 @@ class Simulated:
         self.collisions = 0
 
     def at(self, step: int) -> Positions:
-        """Sample number ``step``, the present one or the next."""
+        """Sample number ``step``, which is the current sample or the next."""
         s = self._simulator
         if step > s.step_number:
             self.collisions += len(s.step())
@@ -38,9 +38,10 @@ class Simulated:
 
 
 class SimulatorNode(Source):
-    """Sends what a camera would measure of identical simulated drivers that start in a jam, from rest.
+    """Sends the positions that a camera would measure of simulated drivers.
 
-    Parameters: ``vehicles``, ``ring``, ``start_gap``, ``period``, ``seed``, the driver's, and those of Source.
+    The drivers are identical and start from rest, in a jam. Parameters of the node: ``vehicles``, ``ring``,
+    ``start_gap``, ``period``, ``seed``, the parameters of a driver, and the parameters of `Source`.
     """
 
     samples: Simulated
@@ -71,7 +72,7 @@ class SimulatorNode(Source):
         )
 
     def health(self) -> Health:
-        """Also ERROR once vehicles have collided: from then on the model means nothing."""
+        """ERROR once vehicles have collided, because the model is not valid after that; else as `Source`."""
         collisions = self.samples.collisions
         if collisions:
             return Health(ERROR, f"{collisions} collisions", {"step": self.next_step, "collisions": collisions})

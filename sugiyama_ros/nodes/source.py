@@ -25,11 +25,13 @@ _MARKERS_EVERY_S = 0.2
 
 
 class Source(PacedNode):
-    """Publishes samples as `road`, `measured`, `/clock` and `markers`.
+    """Publishes samples as ``road``, ``measured``, ``/clock`` and ``markers``.
 
-    Parameters: ``rate`` (times real time; 0: as fast as the subscribers take it), ``start_paused``, ``wait_for`` (full
-    names of the nodes to wait for). Services: ``~/pause``, ``~/resume``, ``~/step``. At most WINDOW steps are under way
-    to the slowest subscriber that tells his progress; one who is silent for 10 s is dropped.
+    The source is at most WINDOW steps ahead of the slowest subscriber that reports its progress. It no longer waits for
+    a subscriber that is silent for 10 s.
+
+    Parameters of the node: ``rate`` (times real time; 0: as fast as the subscribers take it), ``start_paused``,
+    ``wait_for`` (full names of the nodes to wait for). Services: ``~/pause``, ``~/resume``, ``~/step``.
     """
 
     def __init__(self, name: str, **options: Any) -> None:
@@ -76,11 +78,11 @@ class Source(PacedNode):
         self.announce()
 
     def open(self) -> Samples:
-        """The samples to send, from the node's parameters. Raises InputError where they cannot be had."""
+        """The samples to send, from the node's parameters. Raises InputError if there are none."""
         raise NotImplementedError
 
     def health(self) -> Health:
-        """ERROR while a subscriber is dropped, WARN while one is waited for."""
+        """ERROR while a subscriber is no longer waited for, WARN while a subscriber is missing."""
         values = {"step": self.next_step, "steps": self.samples.steps, "paused": self._paused}
         if self._pace.dropped:
             return Health(ERROR, f"gave up waiting for {', '.join(sorted(self._pace.dropped))}", values)
@@ -94,12 +96,12 @@ class Source(PacedNode):
         super().finish()
 
     def jump(self, step: int) -> None:
-        """Go on from sample number ``step``, as soon as everything sent has been taken."""
+        """Continue from sample number ``step``, as soon as the subscribers have taken everything that was sent."""
         self._jump_to = step
         self._pump()
 
     def _pump(self) -> None:
-        """Send whatever is due and fits into the window."""
+        """Send the steps that are due and fit into the window."""
         if self.next_step == self.samples.steps > 0 and self.loop and self._jump_to is None:
             self._jump_to = 0
         if self._jump_to is not None and self._pace.drained:
@@ -115,7 +117,7 @@ class Source(PacedNode):
         return self._jump_to is None and not at_end and self._pace.may_send
 
     def _is_due(self) -> bool:
-        """Whether the clock allows the next step; counted from where it was started, so that nothing drifts."""
+        """Whether the next step is due. Its time is counted from the first step, so that no error adds up."""
         if self._speed_up == 0.0:
             return True
         now = time.monotonic()
@@ -163,7 +165,7 @@ class Source(PacedNode):
         self._pump()
 
     def _on_tick(self) -> None:
-        # A pause of this process itself, in which it could hear nobody, counts for a moment only.
+        # While this process itself pauses it hears nothing, so a pause counts as a moment only.
         now = time.monotonic()
         self._awake_s += min(now - self._ticked_s, 0.1)
         self._ticked_s = now

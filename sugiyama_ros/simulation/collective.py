@@ -22,8 +22,8 @@ class Collective:
     """Means over the recording; NaN where there is no wave or no return.
 
     mean_speed, least_speed, largest_speed [m/s]: over the vehicles, then averaged over time (the paper's V_avg, V_min,
-    V_max); wave_speed [m/s]: of what followers repeat after their leaders, negative against the traffic;
-    queue_vehicles: mean number slower than QUEUE_SPEED; period_s: between two waves that pass the same driver.
+    V_max); wave_speed [m/s]: negative against the traffic; queue_vehicles: mean number of vehicles slower than
+    QUEUE_SPEED; period_s: time [s] between two waves that pass the same driver.
     """
 
     mean_speed: float
@@ -35,37 +35,46 @@ class Collective:
 
 
 def collective(speed: Array, headway_m: Array, leader: Ints, period_s: float) -> Collective:
-    """Collective measures.
+    """Compute the collective measures of a recording or a simulation.
 
-    speed: (T, N) [m/s], NaN where unknown; headway_m: (T, N) [m] from a vehicle's centre to his leader's, NaN without;
-    leader: (T, N) columns, -1 without; period_s: time [s] between two samples.
+    Parameters
+    ----------
+    speed
+        (T, N) speeds [m/s], NaN where unknown.
+    headway_m
+        (T, N) way [m] from a vehicle's centre to its leader's, NaN without a leader.
+    leader
+        (T, N) columns of the leaders, -1 without a leader.
+    period_s
+        Time between two samples [s].
     """
     known = speed[np.isfinite(speed).any(axis=1)]
     if not len(known):
         return Collective(*(float("nan"),) * 6)
     return Collective(
-        float(np.mean(np.nanmean(known, axis=1))),
-        float(np.mean(np.nanmin(known, axis=1))),
-        float(np.mean(np.nanmax(known, axis=1))),
-        wave_speed(speed, headway_m, leader, period_s),
-        float(np.mean((known < QUEUE_SPEED).sum(axis=1))),
-        wave_period(speed, period_s),
+        mean_speed=float(np.mean(np.nanmean(known, axis=1))),
+        least_speed=float(np.mean(np.nanmin(known, axis=1))),
+        largest_speed=float(np.mean(np.nanmax(known, axis=1))),
+        wave_speed=wave_speed(speed, headway_m, leader, period_s),
+        queue_vehicles=float(np.mean((known < QUEUE_SPEED).sum(axis=1))),
+        period_s=wave_period(speed, period_s),
     )
 
 
 def wave_speed(speed: Array, headway_m: Array, leader: Ints, period_s: float) -> float:
-    """Speed [m/s] of waves: what a driver does was done by his leader a lag ago and a headway ahead.
+    """Speed of waves [m/s]: drivers do what their leaders did a lag ago and a headway ahead.
 
-    The lag is that of the largest correlation of all drivers' speeds with their leaders'; between two samples a
-    parabola through three is used. A wave passes from leader to follower in the lag, in which the follower drives on.
+    The lag is where the correlation of all drivers' speeds with their leaders' speeds is largest; a parabola through
+    three samples gives it between samples. A wave takes the lag to pass from leader to follower, who drives on
+    meanwhile. Arguments as for ``collective``.
     """
     samples = len(speed)
     lags = int(min(_LONGEST_LAG_S / period_s, samples // 4))
     off = _off(speed)
-    his = np.where(leader >= 0, np.take_along_axis(off, np.maximum(leader, 0), axis=1), np.nan)
-    if lags < 2 or not np.isfinite(his).any() or np.nanvar(off) < _LEAST_VARIANCE:
+    ahead = np.where(leader >= 0, np.take_along_axis(off, np.maximum(leader, 0), axis=1), np.nan)
+    if lags < 2 or not np.isfinite(ahead).any() or np.nanvar(off) < _LEAST_VARIANCE:
         return float("nan")
-    shared = np.array([np.nanmean(off[k:] * his[: samples - k]) for k in range(lags + 1)])
+    shared = np.array([np.nanmean(off[k:] * ahead[: samples - k]) for k in range(lags + 1)])
     best = int(np.argmax(shared))
     if best in (0, lags):
         return float("nan")
@@ -94,7 +103,7 @@ def wave_period(speed: Array, period_s: float) -> float:
 
 
 def _off(speed: Array) -> Array:
-    """Speeds minus each driver's mean, (T, N), without samples and drivers of whom nothing is known."""
+    """Speeds minus each driver's mean, (T, N), NaN where unknown."""
     known = np.isfinite(speed)
     mean = np.where(known, speed, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
     return np.asarray(speed - mean)

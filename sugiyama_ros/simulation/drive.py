@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.driver.utility import room_for
+from sugiyama_ros.driver.utility import scratch_for
 from sugiyama_ros.effects.control import carry_out, intend
 from sugiyama_ros.effects.effect import Seen
 from sugiyama_ros.jit import kernel
@@ -96,7 +96,7 @@ def drive(
         (D,) filled for the first D vehicles: the drivers' accelerations, and those of the environment [m/s^2].
     """
     position, speed, leader = traffic.position, traffic.speed, order.leader
-    follower, room = np.full(len(leader), -1), room_for(actions)
+    follower, scratch = np.full(len(leader), -1), scratch_for(actions)
     for i in range(len(leader)):
         if leader[i] >= 0:
             follower[leader[i]] = i
@@ -123,5 +123,5 @@ def drive(
             rear_gap=rear_gap,
             rear_speed=rear_speed,
         )
-        meant, pushed[i] = intend(seen, rows[i], room, setting.period, setting.horizon)
+        meant, pushed[i] = intend(seen, rows[i], scratch, setting.period, setting.horizon)
         out[i] = carry_out(meant, traffic.held[i], rows[i], setting.period)

@@ -41,7 +41,7 @@ def adjusted_rand(a: Ints, b: Ints) -> float:
     return (both - chance) / (0.5 * (rows + columns) - chance)
 
 
-def answer(asked: Asked) -> Answer:
+def _answer(asked: Asked) -> Answer:
     """Ward's clustering of standardised sigma_a, v* and kappa_v; their number is that of the largest silhouette.
 
     Stability: the estimates are drawn anew within their errors and clustered again; agreement with the first.
@@ -85,8 +85,8 @@ def answer(asked: Asked) -> Answer:
 
 
 STUDY = Study(
-    "types",
-    "Are there types of drivers?",
-    "Four broadly meaningful clusters (section 5.2).",
-    answer,
+    name="types",
+    question="Are there types of drivers?",
+    paper="Four broadly meaningful clusters (section 5.2).",
+    answer=_answer,
 )

@@ -20,38 +20,11 @@ from pathlib import Path
 import numpy as np
 
 from sugiyama_ros.diagnosis.diagnosis import diagnose
-from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, defaults
 from sugiyama_ros.effects.discovered_force import COVARIATES
-from sugiyama_ros.effects.registry import switch_on, whole
-from sugiyama_ros.road import Road
-from sugiyama_ros.simulation.simulator import Simulation, Simulator, evenly, platoon, simulate
+from sugiyama_ros.effects.effect import Values
+from sugiyama_ros.studies.hiding import DURATION_S, RING_M, STRENGTHS, hide_all
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
-DRIVERS, RING_M, DURATION_S, LENGTH_M = 22, 230.0, 250.0, 4.33
-Strengths = Mapping[str, float]
-#: Strong and weak form of each effect; places and times are drawn for each recording.
-STRENGTHS: Mapping[str, tuple[Strengths, Strengths]] = {
-    "reaction_delay": ({"delay": 0.18}, {"delay": 0.1}),
-    "actuation_lag": ({"time_constant": 0.4}, {"time_constant": 0.22}),
-    "second_leader": ({"weight": 0.28}, {"weight": 0.09}),
-    "rear_pressure": ({"strength": 1.5, "distance": 2.5}, {"strength": 0.6, "distance": 2.5}),
-    "comfort_limits": ({"limit": 1.05}, {"limit": 1.3}),
-    "limited_power": ({"power": 13.0}, {"power": 17.0}),
-    "limited_braking": ({"limit": 0.8}, {"limit": 1.05}),
-    "drag": ({"c0": 0.3, "c2": 0.004}, {"c0": 0.18, "c2": 0.002}),
-    "road_grade": ({"grade": 0.05, "width": 80.0}, {"grade": 0.02, "width": 80.0}),
-    "slow_patch": ({"reduction": 0.07, "width": 80.0}, {"reduction": 0.03, "width": 80.0}),
-    "perception_threshold": ({"threshold": 1.0}, {"threshold": 0.55}),
-    "speed_dependent_noise": ({"exponent": 0.6}, {"exponent": 0.25}),
-    "preference_drift": ({"std": 0.03, "time_constant": 30.0}, {"std": 0.018, "time_constant": 30.0}),
-    "preference_switch": (
-        {"v_star_change": -0.04, "kappa_v_change": 0.08},
-        {"v_star_change": -0.018, "kappa_v_change": 0.035},
-    ),
-    "outlier_noise": ({"share": 0.006, "factor": 4.0}, {"share": 0.002, "factor": 4.0}),
-    "sensor_eccentricity": ({"cosine": 0.8, "sine": 0.6}, {"cosine": 0.3, "sine": 0.2}),
-    "uneven_noise": ({"cosine": 0.14, "sine": 0.1}, {"cosine": 0.08, "sine": 0.05}),
-}
 NONE, PAIR, FORM = "none", "pair", "form"
 #: Two at once, strong forms both.
 PAIRS = (
@@ -72,7 +45,7 @@ FORMS: Mapping[str, tuple[str, float, float, tuple[float, ...]]] = {
 
 
 @dataclass(frozen=True)
-class Outcome:
+class Judgement:
     """What a diagnosis said of one recording; gains in nats, of what was named first and of the true effect."""
 
     hidden: str
@@ -89,38 +62,7 @@ class Outcome:
     wall_s: float
 
 
-def hide(name: str, values: Strengths, seed: int) -> tuple[Simulation, Strengths]:
-    """A recording with a hidden effect that does not collide, and the effect's values."""
-    run, values_of = hide_all({name: values} if name != NONE else {}, seed)
-    return run, values_of.get(name, {})
-
-
-def hide_all(effects: Mapping[str, Strengths], seed: int) -> tuple[Simulation, dict[str, Strengths]]:
-    """A recording with several hidden effects, and their values. Raises ValueError where cars always collide."""
-    for attempt in range(60):
-        rng = np.random.default_rng([seed, attempt])
-        rows = whole(defaults(DRIVERS))
-        for k in (V_STAR, KAPPA_V):
-            rows[:, k] *= np.exp(0.1 * rng.standard_normal(DRIVERS))
-        drawn = {}
-        for name, values in effects.items():
-            if name in ("road_grade", "slow_patch"):
-                values = {**values, "centre": float(rng.uniform(0.0, RING_M))}
-            if name == "preference_switch":
-                values = {**values, "time": float(rng.uniform(0.3, 0.7) * DURATION_S)}
-            rows = switch_on(rows, name, values)
-            drawn[name] = values
-        length, road = np.full(DRIVERS, LENGTH_M), Road(RING_M)
-        gentle = attempt >= 30
-        start = evenly(length, road) if gentle else platoon(length, 2.0)
-        speed = np.full(DRIVERS, 5.0 if gentle else 0.0)
-        run = simulate(Simulator(rows, length, start, road, rng, speed=speed), DURATION_S)
-        if not run.collisions:
-            return run, drawn
-    raise ValueError(f"{', '.join(effects)}: cars always collide")
-
-
-def judge(hidden: str, strength: str, measured: Trajectories, seed: int, quick: bool) -> Outcome:
+def judge(hidden: str, strength: str, measured: Trajectories, seed: int, quick: bool) -> Judgement:
     """Diagnose one recording; of a form that is not in the catalogue, forces without a name too."""
     d = diagnose(
         measured,
@@ -131,8 +73,8 @@ def judge(hidden: str, strength: str, measured: Trajectories, seed: int, quick: 
         workers=1,
     )
     first = d.named[0] if d.named else None
-    oracle = next((one.gain for one in d.looked if one.candidate.name == hidden), 0.0)
-    return Outcome(
+    oracle = next((one.gain for one in d.scored if one.candidate.name == hidden), 0.0)
+    return Judgement(
         hidden,
         strength,
         seed,
@@ -148,21 +90,21 @@ def judge(hidden: str, strength: str, measured: Trajectories, seed: int, quick: 
     )
 
 
-def _one(job: tuple[str, str, int, bool]) -> Outcome:
+def _one(job: tuple[str, str, int, bool]) -> Judgement:
     hidden, strength, seed, quick = job
-    effects: dict[str, Strengths] = {}
+    effects: dict[str, Values] = {}
     if strength == FORM:
         covariate, low, high, values = FORMS[hidden]
         force = {f"force_{k}": v for k, v in enumerate(values)}
         number = float(1 + COVARIATES.index(covariate))
         effects["discovered_force"] = {"covariate": number, "first": low, "last": high, **force}
     elif hidden != NONE:
-        effects = {name: STRENGTHS[name][strength == "weak"] for name in hidden.split("+")}
+        effects = {name: STRENGTHS[name][-1 if strength == "weak" else 0] for name in hidden.split("+")}
     run, _ = hide_all(effects, seed)
     return judge(hidden, strength, run.measured, seed, quick)
 
 
-def report(outcomes: Sequence[Outcome]) -> str:
+def report(outcomes: Sequence[Judgement]) -> str:
     """Markdown: rates, and for every hidden effect what was named first."""
     lines = [
         "| strength | recordings | first name right | true effect in the set | mean set size | wrong name | none |"

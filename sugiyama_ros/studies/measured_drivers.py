@@ -20,7 +20,7 @@ _VARIANTS: tuple[tuple[str, Formulation, bool], ...] = (
 )
 
 
-def answer(asked: Asked) -> Answer:
+def _answer(asked: Asked) -> Answer:
     """Mean and std over the drivers; the figure shows speeds of three with bands of one sigma."""
     t = asked.measured
     rows: list[Row] = []
@@ -56,8 +56,11 @@ def answer(asked: Asked) -> Answer:
 
 
 STUDY = Study(
-    "measured",
-    "What are the measured drivers like?",
-    "Means 0.263 m, 10.26 m/s, 0.215 s; sigma_a up to five times 0.273 m/s²; v* up to 14 m/s (sections 4.1 and 5.1).",
-    answer,
+    name="measured",
+    question="What are the measured drivers like?",
+    paper=(
+        "Means 0.263 m, 10.26 m/s, 0.215 s; sigma_a up to five times 0.273 m/s²; v* up to 14 m/s"
+        " (sections 4.1 and 5.1)."
+    ),
+    answer=_answer,
 )

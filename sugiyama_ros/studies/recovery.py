@@ -12,18 +12,19 @@ from sugiyama_ros.fit.driver import ESTIMATED, Formulation
 from sugiyama_ros.studies.rings import Ring, alike, run
 from sugiyama_ros.studies.study import Answer, Asked, Row, Study
 
-_DURATION_S = 250.0
+#: Duration [s] of a simulated run.
+DURATION_S = 250.0
 _FORMULATIONS: tuple[Formulation, ...] = ("paper", "causal")
 
 
-def answer(asked: Asked) -> Answer:
+def _answer(asked: Asked) -> Answer:
     """Drivers at the paper's mean, from gaps of 2 m; std and bias of a fit, coverage of 95 % profile intervals."""
     places = [index(name) for name in ESTIMATED]
     truth = alike()[0, places]
     errors: dict[str, list[Array]] = {f: [] for f in _FORMULATIONS}
     intervals: dict[str, list[Array]] = {f: [] for f in _FORMULATIONS}
     for k in range(asked.runs):
-        simulated = run(Ring(alike(), asked.seed + k, jammed=True, duration_s=_DURATION_S))
+        simulated = run(Ring(alike(), asked.seed + k, jammed=True, duration_s=DURATION_S))
         if simulated.collisions:
             continue
         for f in _FORMULATIONS:
@@ -59,8 +60,8 @@ def answer(asked: Asked) -> Answer:
 
 
 STUDY = Study(
-    "recovery",
-    "Are simulated drivers found again?",
-    "No systematic bias; statistical errors 0.01 m, 0.02 m/s², 0.05 m/s, 0.01 s (section 4.3).",
-    answer,
+    name="recovery",
+    question="Are simulated drivers found again?",
+    paper="No systematic bias; statistical errors 0.01 m, 0.02 m/s², 0.05 m/s, 0.01 s (section 4.3).",
+    answer=_answer,
 )

@@ -103,6 +103,35 @@ def estimated(trajectories: Trajectories, factor: float = FACTOR) -> Array:
     return rows
 
 
+def changed(drivers: Array, place: int, value: float | Array, first_only: bool = False) -> Array:
+    """Give one parameter of all drivers, or of the first driver only, another value.
+
+    Parameters
+    ----------
+    drivers : ndarray, shape (N, P)
+        Drivers, which stay as they are.
+    place : int
+        Place of the parameter in a row.
+    value : float or ndarray, shape (N,)
+        New value.
+    first_only : bool
+        Whether only the first driver changes.
+
+    Returns
+    -------
+    ndarray, shape (N, P)
+        Changed drivers.
+    """
+    rows = drivers.copy()
+    rows[: 1 if first_only else None, place] = value
+    return rows
+
+
+def mean_driver(drivers: Array) -> Array:
+    """Make N drivers alike, each with the mean parameters of ``drivers``, shape (N, P)."""
+    return np.tile(drivers.mean(axis=0), (len(drivers), 1))
+
+
 def summed_up(found: Sequence[Outcome]) -> dict[str, float]:
     """Share of runs with a wave and with a collision, and means over the runs without one."""
     whole = [o for o in found if not o.collided]

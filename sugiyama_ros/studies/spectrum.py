@@ -33,7 +33,7 @@ def eigenvalues(trajectories: Trajectories) -> Array:
     return np.array(found)
 
 
-def answer(asked: Asked) -> Answer:
+def _answer(asked: Asked) -> Answer:
     """A simulated jam, simulated free flow, and the measured drivers if there are any."""
     settings = {
         "jam": run(Ring(alike(), asked.seed, jammed=True, duration_s=_DURATION_S)).measured,
@@ -65,8 +65,8 @@ def answer(asked: Asked) -> Answer:
 
 
 STUDY = Study(
-    "spectrum",
-    "How many directions of the parameters does the likelihood hold?",
-    "Only four largest eigenvalues are consistently negative definite (section 4.1).",
-    answer,
+    name="spectrum",
+    question="How many directions of the parameters does the likelihood hold?",
+    paper="Only four largest eigenvalues are consistently negative definite (section 4.1).",
+    answer=_answer,
 )

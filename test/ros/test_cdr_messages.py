@@ -1,4 +1,4 @@
-"""The hand-made bytes are those of rclpy."""
+"""The bytes that are made by hand equal the bytes of rclpy."""
 
 import numpy as np
 import pytest

@@ -16,7 +16,8 @@ from sugiyama_ros.driver.parameters import NAMES, PARAMETERS, population
 from sugiyama_ros.effects.registry import whole
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.extract import chain_behind
-from sugiyama_ros.filters.online import Learnt, OnlineFilter
+from sugiyama_ros.filters.learnt import Learnt
+from sugiyama_ros.filters.online import OnlineFilter
 from sugiyama_ros.fit.driver_types import DriverTypes
 from sugiyama_ros.fit.model_file import write_drivers
 from sugiyama_ros.formats.registry import read_trajectories
@@ -173,14 +174,14 @@ def test_a_position_that_is_no_number_is_missing(stage, pair, wrong: float) -> N
 
 
 def test_a_leader_who_stands_comes_and_goes(stage, pair) -> None:
-    """8 stands for a minute while 7 comes up to him, then is gone, then is there again."""
+    """8 stands for a minute while 7 closes up, then is gone, then is there again."""
     road, estimator = pair
     for k in range(160):
         leader = {} if 120 <= k < 140 else {8: 30.0}
         road.send(k * PERIOD_S, {7: min(5.0 * k * PERIOD_S, 24.0), **leader})
         stage.until(lambda k=k: len(road.states) == k + 1)
     assert estimator.health().level == OK
-    # alone, he would be off with 4 m/s^2 at once
+    # alone, 7 would accelerate with 4 m/s^2 at once
     assert max(abs(i.innovation_m) for i in road.innovations[60:120]) < 0.3
     assert max(abs(i.innovation_m) for i in road.innovations[120:]) < 2.0
     assert all(abs(s.speed) < 4.0 * s.covariance[4] ** 0.5 for s in (*road.states[60:120], *road.states[150:]))
@@ -293,7 +294,7 @@ def test_what_was_learnt_is_forgotten_when_the_user_sets_a_parameter(stage, tmp_
 
 
 def test_a_node_that_was_killed_goes_on_where_it_was(stage, tmp_path: Path) -> None:
-    """Killed after 30 s, it had kept what it knew at 20 s; 10 s later it knows what one knows that was never killed."""
+    """Killed after 30 s, with a file of 20 s; 10 s later it knows as much as an estimator that was never killed."""
     noise = np.random.default_rng(1).normal(0.0, 0.26, (80, 2))
     position = (np.array([0.0, 30.0]) + 5.0 * PERIOD_S * np.arange(80)[:, None] + noise) % 100.0
     road, kept = Road(), [Parameter("save_state", value=str(tmp_path))]
@@ -314,7 +315,7 @@ def test_a_node_that_was_killed_goes_on_where_it_was(stage, tmp_path: Path) -> N
     assert again.kept.learnt.mean.tolist() == saved.learnt.mean.tolist()
     assert saved.until_ns == 20 * cdr_messages.NS
     stage.add(again)
-    # the road is latched, and so are its last samples: the node learns from those that the one before had not kept
+    # the road and the last samples are latched, so the node learns from the samples after its predecessor's last file
     stage.until(lambda: again.health().level == OK)
     drive(again, 60, 80)
     never = OnlineFilter(PERIOD_S, RingRoad(100.0))
@@ -326,7 +327,7 @@ def test_a_node_that_was_killed_goes_on_where_it_was(stage, tmp_path: Path) -> N
 
 
 def test_a_node_that_was_killed_goes_on_from_what_the_keeper_has_heard(stage) -> None:
-    """Killed after 30 s; 10 s later its successor knows what one knows that was never killed."""
+    """Killed after 30 s; 10 s later its successor knows as much as an estimator that was never killed."""
     noise = np.random.default_rng(1).normal(0.0, 0.26, (80, 2))
     position = (np.array([0.0, 30.0]) + 5.0 * PERIOD_S * np.arange(80)[:, None] + noise) % 100.0
     road, keeper = Road(), Keeper()

@@ -1,6 +1,6 @@
 """Another package adds a law, an effect of each stage, a file format and a study, and every command knows them.
 
-All commands run in one process, because its compiled code is of its own: the row of a driver is longer with more effects.
+All commands run in one process, which compiles its own code: a driver's row is longer with more effects.
 """
 
 import json

@@ -75,7 +75,7 @@ def test_other_readers_read_every_message(recorded):
         assert summary is not None
         assert summary.statistics is not None
         assert summary.statistics.message_count == sum(counts.values()) == result["messages_recorded"]
-    # nothing is published where nobody changes his style
+    # nothing is published while no driver changes style
     assert {topic for topic in counts if not topic.endswith("/style_change")} == all_topics()
     store = get_typestore(Stores.EMPTY)
     with AnyReader([output], default_typestore=store) as bag:

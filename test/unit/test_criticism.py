@@ -5,16 +5,16 @@ import os
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import yaml
 
-from sugiyama_ros.diagnosis import screen as screening
 from sugiyama_ros.diagnosis.candidates import named
 from sugiyama_ros.diagnosis.diagnosis import INDIVIDUAL, diagnose
 from sugiyama_ros.diagnosis.errors import errors_of
-from sugiyama_ros.diagnosis.screen import glance
+from sugiyama_ros.diagnosis.screen import FULL, screen
 from sugiyama_ros.diagnosis.verdict import document, sentences
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, defaults
 from sugiyama_ros.effects.registry import switch_on, whole
@@ -98,7 +98,7 @@ def test_a_change_of_mind_is_found_at_its_time(work):
     """Between two starts of the search, and a third as strong as they take it to be."""
     change = {"v_star_change": -0.035, "kappa_v_change": 0.07, "time": 38.0}
     data = prepare(recording("preference_switch", **change).measured)
-    look = glance(data, fit_base(data, INDIVIDUAL, work), *named(data, ["preference_switch"]), work)
+    look = screen(data, fit_base(data, INDIVIDUAL, work), *named(data, ["preference_switch"]), work)
     found = dict(zip(look.candidate.parameters, look.fit.model.rows[0, look.candidate.places], strict=True))
     # Wilks: three parameters gain 7.8 nats by chance in one of 1000 recordings
     assert look.gain > 7.8
@@ -107,11 +107,12 @@ def test_a_change_of_mind_is_found_at_its_time(work):
 
 
 @pytest.mark.parametrize("some", [3, 11])
-def test_a_patch_is_found_where_it_is_by_some_drivers_and_by_all(work, monkeypatch, some):
+def test_a_patch_is_found_where_it_is_by_some_drivers_and_by_all(work, some):
     """Drivers 0, 2, 4 and 6 compare twelve places as all of them do."""
-    monkeypatch.setattr(screening, "_SOME_DRIVERS", some)
     data = prepare(recording("slow_patch", reduction=0.15, centre=50.0, width=30.0).measured)
-    look = glance(data, fit_base(data, INDIVIDUAL, work), *named(data, ["slow_patch"]), work)
+    look = screen(
+        data, fit_base(data, INDIVIDUAL, work), *named(data, ["slow_patch"]), work, replace(FULL, drivers=some)
+    )
     found = dict(zip(look.candidate.parameters, look.fit.model.rows[0, look.candidate.places], strict=True))
     # Wilks: three parameters gain 7.8 nats by chance in one of 1000 recordings
     assert look.gain > 7.8

@@ -36,7 +36,7 @@ from sugiyama_ros.driver.utility import (
     gap_scale,
     mean_action,
     preferences,
-    room_for,
+    scratch_for,
     utilities,
 )
 from sugiyama_ros.errors import InputError
@@ -71,9 +71,9 @@ def literal_mean_action(gap, v, leader_v, p):
 @given(seen, st.floats(-6.0, 4.0))
 def test_utility_is_the_papers(s, a):
     p = defaults()
-    room = room_for(np.array([a]))
-    utilities(*s, preferences(p), room, DT, H)
-    assert room[UTILITY_ROW, 0] == pytest.approx(literal_utility(a, *s, p), rel=1e-12, abs=1e-12)
+    scratch = scratch_for(np.array([a]))
+    utilities(*s, preferences(p), scratch, DT, H)
+    assert scratch[UTILITY_ROW, 0] == pytest.approx(literal_utility(a, *s, p), rel=1e-12, abs=1e-12)
 
 
 @settings(deadline=None)

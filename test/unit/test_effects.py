@@ -261,11 +261,11 @@ def test_an_effect_added_in_mid_run_keeps_what_was_learnt():
     online = OnlineFilter(t.period_s, t.road, drivers()[0])
     for k in range(60):
         online.step(chain.position_m[k], chain.identity[k], chain.length_m[k], 0.0, NOBODY)
-    learnt, state = online.parameters[V_STAR], online._filter.x.copy()
+    learnt, state = online.parameters[V_STAR], online.kalman.x.copy()
     online.change(switch_on(whole(defaults()), "drag", ACTING["drag"]))
     assert active(online.parameters) == ("drag",)
     assert online.parameters[V_STAR] == learnt
-    assert np.array_equal(online._filter.x, state)
+    assert np.array_equal(online.kalman.x, state)
     estimate = online.step(chain.position_m[60], chain.identity[60], chain.length_m[60], 0.0, NOBODY)
     assert np.isfinite(estimate.innovation_m)
 

@@ -52,7 +52,7 @@ def test_extensions_of_other_packages_matter(package, monkeypatch, tmp_path, gro
 
 
 def test_kernels_of_a_changed_file_are_compiled_anew(tmp_path):
-    """A kernel that calls a function in another file must not go on with the old function, wherever the code is kept."""
+    """A kernel that calls a function in another file must not go on with the old function."""
     (tmp_path / "callee.py").write_text("from sugiyama_ros.jit import kernel\n@kernel\ndef f(x):\n    return x + 1.0\n")
     (tmp_path / "caller.py").write_text(
         "from sugiyama_ros import jit\nfrom pathlib import Path\njit._PACKAGE = Path(__file__).parent\n"

@@ -45,11 +45,11 @@ def test_sensitivities_to_the_noises_are_what_differences_say(jam, place, k, veh
         row[place] *= np.exp(side * 1e-4)
         other = OnlineFilter(DT, jam.road, row, adaptation=Adaptation(), learning=None, vehicles=vehicles)
         follow(jam, 3, other, 80)
-        ends.append((other._filter.x.copy(), other._filter.P.copy()))
+        ends.append((other.kalman.x.copy(), other.kalman.P.copy()))
     by_differences = [(a - b) / 2e-4 for a, b in zip(*ends, strict=True)]
     sizes = [np.abs(d[..., :3]).max() for d in by_differences]
-    assert np.abs(online._noises._d_mean[k] - by_differences[0])[:3].max() < tolerance * sizes[0]
-    assert np.abs(online._noises._d_covariance[k] - by_differences[1])[:3, :3].max() < tolerance * sizes[1]
+    assert np.abs(online.kalman.noises.d_mean[k] - by_differences[0])[:3].max() < tolerance * sizes[0]
+    assert np.abs(online.kalman.noises.d_covariance[k] - by_differences[1])[:3, :3].max() < tolerance * sizes[1]
 
 
 def test_the_noises_are_learnt_and_their_errors_hold(jam):

@@ -117,7 +117,7 @@ def test_idm_brakes_inside_another_vehicle_even_if_it_wants_no_gap(gap):
 
 
 def follow(function, p, samples=450):
-    """Positions and speeds of a car and of his leader, who drives, brakes to a stop and starts again; no noise."""
+    """Positions and speeds of a car and its leader, which drives, brakes to a stop and starts again; no noise."""
     time = DT * np.arange(samples)
     leader_speed = np.maximum(5.0 + 4.0 * np.sin(0.11 * time) + 3.0 * np.sin(0.31 * time), 0.0)
     leader = 20.0 + np.concatenate(([0.0], np.cumsum(DT * leader_speed[:-1])))

@@ -10,9 +10,9 @@ from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, defaults
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, platoon, simulate
-from sugiyama_ros.studies import filters, online, recovery
-from sugiyama_ros.studies.all_studies import STUDIES, study
+from sugiyama_ros.studies import filters, followers, online, recovery
 from sugiyama_ros.studies.driver_types import adjusted_rand, silhouette
+from sugiyama_ros.studies.registry import STUDIES, study
 from sugiyama_ros.studies.rings import Ring, alike, outcome
 from sugiyama_ros.studies.study import Asked
 
@@ -28,10 +28,10 @@ def jam():
 @pytest.mark.parametrize("name", STUDIES)
 def test_every_study_answers(name, jam, tmp_path, monkeypatch):
     # runs long enough to tell something take too long here
-    monkeypatch.setattr(recovery, "_DURATION_S", 40.0)
-    monkeypatch.setattr(online, "_DURATION_S", 60.0)
-    monkeypatch.setattr(filters, "_DURATION_S", 20.0)
-    monkeypatch.setattr(filters, "_PARTICLES", 5)
+    monkeypatch.setattr(recovery, "DURATION_S", 40.0)
+    monkeypatch.setattr(online, "DURATION_S", 60.0)
+    monkeypatch.setattr(filters, "DURATION_S", 20.0)
+    monkeypatch.setattr(followers, "PARTICLES", 5)
     with ThreadPoolExecutor(2) as work:
         answer = study(name).answer(Asked(jam, 1, 0, work))
     assert answer.rows
@@ -43,7 +43,7 @@ def test_every_study_answers(name, jam, tmp_path, monkeypatch):
 
 
 def test_an_unknown_study_and_missing_data_are_said_so():
-    with pytest.raises(InputError, match="study 'weather': not known; the studies are recovery"):
+    with pytest.raises(InputError, match="study 'weather': not known; choose among recovery"):
         study("weather")
     with ThreadPoolExecutor(1) as work, pytest.raises(InputError, match="asks for measured drivers"):
         study("types").answer(Asked(None, 1, 0, work))

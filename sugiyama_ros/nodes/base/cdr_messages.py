@@ -1,7 +1,7 @@
-"""The messages that every driver takes or sends all the time, to and from CDR bytes.
+"""The most frequent messages, to and from CDR bytes.
 
-A message object costs 10 to 60 us; with 22 drivers in one process that would be a quarter of the time of a step. This
-reads and writes the same bytes, which a test holds equal to what rclpy makes of the same messages.
+A message object costs 10 to 60 us. With 22 drivers in one process, that would be a quarter of the time of a step. The
+functions here read and write the same bytes as rclpy does; a test compares them.
 """
 
 import struct
@@ -21,7 +21,7 @@ from sugiyama_ros.formats.measured import FRAME
 
 NS = 1_000_000_000
 
-# Encapsulation (CDR, little endian); stamp, frame "road", vehicle; then the fields, which are aligned as they stand.
+# Encapsulation (CDR, little endian); stamp, frame, vehicle; then the fields, which need no further alignment.
 _HEAD = "<4s i I I 5s 3x i"
 _ENCAPSULATION = b"\0\1\0\0"
 _FRAME_BYTES = FRAME.encode() + b"\0"
@@ -31,7 +31,7 @@ _INNOVATION = struct.Struct(_HEAD + "4d ?")
 
 
 class Sample(NamedTuple):
-    """A MeasuredPositions message: lists with one entry a vehicle, and the entry of each vehicle's number."""
+    """A MeasuredPositions message: lists with one entry for each vehicle; ``place`` is the entry of each number."""
 
     stamp_ns: int
     step: int
@@ -41,23 +41,23 @@ class Sample(NamedTuple):
     place: dict[int, int]
 
     def chain(self, vehicle: int, length: int) -> list[int]:
-        """Numbers of ``vehicle``, its leader, the leader's leader and so on, ``length`` in all; -1 for none."""
+        """``length`` numbers: ``vehicle``, its leader, the leader's leader and so on; -1 where there is none."""
         numbers = [vehicle]
         while len(numbers) < length:
             place = self.place.get(numbers[-1])
             leader = -1 if place is None else self.leader[place]
-            # on a ring with few vehicles the chain ends before it bites its own tail
+            # on a ring with few vehicles, the chain ends before it comes back to the first vehicle
             numbers.append(-1 if leader in numbers else leader)
         return numbers
 
     def behind(self, vehicle: int) -> int:
-        """Number of the vehicle whose leader is ``vehicle``, -1 for none."""
+        """Number of the vehicle whose leader is ``vehicle``; -1 if there is none."""
         return next((number for number, place in self.place.items() if self.leader[place] == vehicle), -1)
 
 
 @lru_cache(maxsize=4)
 def measured(raw: bytes) -> Sample:
-    """Decode a MeasuredPositions message; once for all nodes of a process that were handed the same bytes.
+    """Decode a MeasuredPositions message, once for all nodes of a process that get the same bytes.
 
     Raises ValueError where the bytes are in a format other than plain little-endian CDR.
     """
@@ -80,7 +80,7 @@ def time_message(stamp_ns: int) -> Time:
 
 
 def stamp_key(raw: bytes) -> bytes:
-    """The bytes of the stamp in any message that starts with a header or with a stamp."""
+    """Bytes of the stamp in a message that starts with a header or with a stamp."""
     return raw[4:12]
 
 
@@ -108,13 +108,13 @@ def innovation(stamp_ns: int, vehicle: int, estimate: Estimate) -> bytes:
 
 
 def read_state(raw: bytes) -> tuple[float, int, float, float, float]:
-    """Time [s], vehicle, position [m], speed [m/s] and its variance of a VehicleState that an estimator has sent."""
+    """Time [s], vehicle, position [m], speed [m/s] and its variance of a VehicleState from an estimator."""
     _, sec, nanosec, _, _, vehicle, position, speed, _, *rest = _STATE.unpack_from(raw)
     return sec + 1e-9 * nanosec, vehicle, position, speed, rest[4]
 
 
 def read_innovation(raw: bytes) -> tuple[float, int, float, float, bool]:
-    """Time [s], vehicle, innovation [m], its variance and whether it is scored, of an Innovation, as above."""
+    """Time [s], vehicle, innovation [m], its variance and whether it is scored, of an Innovation."""
     _, sec, nanosec, _, _, vehicle, value, variance, _, _, scored = _INNOVATION.unpack_from(raw)
     return sec + 1e-9 * nanosec, vehicle, value, variance, scored
 
@@ -136,13 +136,13 @@ def driver_type(stamp_ns: int, vehicle: int, probability: Array) -> bytes:
 
 
 class Parameters:
-    """DriverParameters messages of one driver: made once, and each time filled with new numbers."""
+    """DriverParameters messages of one driver; the bytes are made once and filled with new numbers each time."""
 
     def __init__(self, vehicle: int, names: Sequence[str], adapted: Sequence[str]) -> None:
         count = len(names)
         message = DriverParameters(vehicle=vehicle, name=names, estimated=[name in adapted for name in names])
         message.header.frame_id = FRAME
-        # the numbers are found again by values that nothing else in the message has
+        # special values, which nothing else in the message has, show where the numbers stand
         message.value, message.covariance = array("d", [_MARK] * count), array("d", [2.0 * _MARK] * count * count)
         message.identified = [False] * count
         self._bytes = bytearray(serialize_message(message))
@@ -152,7 +152,7 @@ class Parameters:
         self._identified_at = self._covariance_at + 8 * count * count + 4
 
     def message(self, stamp_ns: int, value: Array, covariance: Array, identified: Sequence[bool]) -> bytes:
-        """With ``value`` (P,), ``covariance`` (P, P) and ``identified`` (P,)."""
+        """Bytes of a message with ``value`` (P,), ``covariance`` (P, P) and ``identified`` (P,)."""
         struct.pack_into("<iI", self._bytes, 4, *divmod(stamp_ns, NS))
         for at, numbers in ((self._value_at, value), (self._covariance_at, covariance)):
             self._bytes[at : at + numbers.nbytes] = numbers.tobytes()
@@ -174,6 +174,6 @@ def _sequence(raw: bytes, at: int, dtype: str) -> tuple[list[Any], int]:
     size = int(dtype[-1])
     at = 4 + _aligned(at - 4, 4)
     (count,) = struct.unpack_from("<I", raw, at)
-    # An empty sequence takes no room but its count, so nothing is aligned for it.
+    # An empty sequence has only its count, so nothing is aligned for it.
     first = 4 + _aligned(at, size) if count else at + 4
     return np.frombuffer(raw, dtype, count, first).tolist(), first + size * count

@@ -7,7 +7,7 @@ import sys
 
 # Domains whose ports lie outside the range from which Linux takes ephemeral ports.
 _DOMAINS = range(1, 102)
-# Participants for whose ports a domain has room.
+# Participants whose ports fit into a domain.
 _PARTICIPANTS = 120
 
 
@@ -17,7 +17,7 @@ def find_packages() -> None:
 
 
 def isolate() -> None:
-    """Keep this process and its children on this machine and in a domain of their own, unless the user chose."""
+    """Keep this process and its children on this machine, in a domain of their own, unless the user has chosen."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     if "ROS_DOMAIN_ID" not in os.environ:
         domains = random.sample(_DOMAINS, len(_DOMAINS))
@@ -25,9 +25,9 @@ def isolate() -> None:
 
 
 def is_free(domain: int) -> bool:
-    """Whether nobody holds a port that a participant of a domain listens to (DDSI-RTPS, section 9.6.1).
+    """Whether all ports are free on which participants of a domain listen (DDSI-RTPS, section 9.6.1).
 
-    All are asked: of a run that was killed, any process may be the last to notice, and its road would be believed.
+    After a run was killed, any of its processes may live on for a while, and a new run would take its road for its own.
     """
     first = 7410 + 250 * domain
     for port in range(first, first + 2 * _PARTICIPANTS, 2):

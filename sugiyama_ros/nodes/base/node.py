@@ -1,4 +1,4 @@
-"""What all nodes of this package share: counted messages, progress for the pacing, health."""
+"""What all nodes of this package share: they count messages and report their progress and their health."""
 
 import re
 import time
@@ -22,7 +22,7 @@ OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.E
 
 
 class Health(NamedTuple):
-    """How a node is: a level of diagnostic_msgs, one line, and numbers for those who look closer."""
+    """Health of a node: a level of diagnostic_msgs, one line, and numbers that explain it."""
 
     level: bytes
     message: str
@@ -32,8 +32,8 @@ class Health(NamedTuple):
 class PacedNode(Node):
     """A node that counts what it publishes, tells the source how far it has come, and reports its health.
 
-    Subclasses define ``health``. Topics of the road lie in the namespace above that of a vehicle. ``failure`` is set
-    where the node cannot go on.
+    Subclasses define ``health``. A node that cannot go on sets ``failure``. The topics of the road lie in the namespace
+    that contains the namespaces of the vehicles.
     """
 
     def __init__(self, name: str, **options: Any) -> None:
@@ -61,19 +61,19 @@ class PacedNode(Node):
         self.published += 1
 
     def announce(self) -> None:
-        """From now on the source waits for this node."""
+        """Ask the source to wait for this node from now on."""
         if not self._announced:
             self._announced = True
             self._tell()
 
     def taken(self, steps: int, last: bool = False) -> None:
-        """All samples before number ``steps`` have been taken."""
+        """Note that all samples before number ``steps`` have been taken."""
         self.steps = steps
         if last or steps % (WINDOW // 4) == 0:
             self._tell()
 
     def health(self) -> Health:
-        """How this node is now."""
+        """Health of this node now."""
         raise NotImplementedError
 
     def report(self) -> None:
@@ -94,7 +94,7 @@ class PacedNode(Node):
             self.report()
 
     def finish(self) -> None:
-        """Send nothing more, except the last health and how much was sent; wait until that has been received."""
+        """Send the last health and the number of messages, wait until both are received, and send nothing more."""
         for timer in self.timers:
             timer.cancel()
         self.report()
@@ -104,7 +104,7 @@ class PacedNode(Node):
             publisher.wait_for_all_acked(Duration(seconds=max(0.0, deadline - time.monotonic())))
 
     def close(self) -> None:
-        """Let go of what the node holds, after the last message has been carried out."""
+        """Close what the node holds, after its last callback."""
 
     def beat(self) -> None:
         """Report the health, and tell the source how far this node has come, if it is time; called by a timer."""

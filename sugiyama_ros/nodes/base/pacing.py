@@ -1,4 +1,4 @@
-"""Pacing of a source by its slowest subscriber, so that no message is lost at any rate."""
+"""Pacing: a source waits for its slowest subscriber, so that no message is lost at any rate."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -11,11 +11,11 @@ class _Subscriber:
 
 
 class Pace:
-    """How far a source may go: at most ``window`` steps beyond the slowest subscriber that it has heard of.
+    """How far a source may go: at most ``window`` steps beyond the slowest subscriber.
 
-    A subscriber tells how many steps of the recording he has taken, as often as he likes, and again once a second. Who
-    says nothing for ``patience_s`` is dropped; who is heard again joins again. Nothing is sent before each node in
-    ``wait_for`` has been heard.
+    A subscriber reports how many steps of the recording it has taken, at least once a second. A subscriber that is
+    silent for ``patience_s`` is dropped, and joins again with its next report. Nothing is sent before all nodes in
+    ``wait_for`` have reported.
     """
 
     def __init__(self, window: int, patience_s: float, wait_for: Iterable[str] = ()) -> None:
@@ -49,21 +49,21 @@ class Pace:
         self.dropped.discard(name)
         known = self._subscribers.setdefault(name, _Subscriber(self._first, now_s))
         known.heard_s = now_s
-        # Anything else was said before the last restart. A stale number that happens to fit lets the source run at
-        # most one window too far: everybody had taken all there was at the restart.
+        # Any other number is from before the last restart. An old number that happens to fit lets the source run at
+        # most one window too far, because all steps had been taken at the restart.
         if known.steps < steps <= self._next:
             known.steps = steps
         self._update()
 
     def restart(self, step: int) -> None:
-        """The next step to be sent is number ``step``; everything before must have been acknowledged."""
+        """Go on with step number ``step``. Everything sent before must have been acknowledged."""
         self._first = self._next = step
         for subscriber in self._subscribers.values():
             subscriber.steps = step
         self._update()
 
     def drop_silent(self, now_s: float) -> list[str]:
-        """Drop the subscribers not heard of for too long; their names."""
+        """Drop the subscribers that have been silent for too long; returns their names."""
         silent = [n for n, s in self._subscribers.items() if now_s - s.heard_s > self._patience_s]
         for name in silent:
             del self._subscribers[name]
@@ -77,9 +77,9 @@ class Pace:
 
 
 class Levels:
-    """How far a recorder has come that takes many topics: up to the last stamp of which it holds a message on each.
+    """How far a recorder of many topics has come: up to the last stamp for which every topic has brought a message.
 
-    ``reached`` takes constant time a message, whatever the number of topics.
+    ``reached`` takes constant time, whatever the number of topics.
     """
 
     def __init__(self, topics: Iterable[str]) -> None:
@@ -89,11 +89,11 @@ class Levels:
 
     @property
     def waiting(self) -> bool:
-        """Whether some topic has a stamp that another one lacks."""
+        """Whether one topic has a stamp that another topic still lacks."""
         return bool(self._pending)
 
     def reached(self, topic: str, stamp: bytes) -> bool:
-        """A message with ``stamp`` has come on ``topic``; whether it was the last one lacking for this stamp."""
+        """Note a message with ``stamp`` on ``topic``; returns whether all topics now have this stamp."""
         self._last[topic] = stamp
         count = self._pending.get(stamp, 0) + 1
         self._pending[stamp] = count
@@ -103,7 +103,7 @@ class Levels:
         return True
 
     def drop_late(self) -> tuple[list[str], bytes | None]:
-        """Wait no longer for the topics behind all others; their names, and the last stamp that is now complete."""
+        """Wait no longer for topics that are behind; returns their names, and the last stamp that is now complete."""
         late = sorted(t for t in self.topics if self._last.get(t) not in self._pending) if self._pending else []
         self.topics.difference_update(late)
         complete = [stamp for stamp, count in self._pending.items() if count >= len(self.topics)]
@@ -113,7 +113,7 @@ class Levels:
         return late, complete[-1]
 
     def _forget(self, stamp: bytes) -> None:
-        # Stamps come in order on every topic, so what is older and not complete never will be.
+        # Stamps come in order on every topic, so older stamps that lack a message will never be complete.
         for older in list(self._pending):
             del self._pending[older]
             if older == stamp:

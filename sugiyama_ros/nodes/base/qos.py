@@ -1,8 +1,8 @@
 """Quality of service of every topic, and the window of the pacing that it rests on.
 
-The source sends at most WINDOW steps beyond the slowest subscriber (pacing.py). Every publisher and every subscription
-keeps two windows of a topic that carries one message a step (a seek may double what is under way), so that nothing that
-somebody still waits for is ever overwritten.
+The source sends at most WINDOW steps beyond the slowest subscriber (pacing.py). For a topic with one message a step,
+every publisher and every subscription keeps two windows, because a seek may double what is under way. So no message is
+overwritten before its subscribers have taken it.
 """
 
 from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
@@ -13,7 +13,7 @@ DEPTH = 2 * WINDOW
 
 
 def reliable(depth: int, durability: QoSDurabilityPolicy = QoSDurabilityPolicy.TRANSIENT_LOCAL) -> QoSProfile:
-    """Reliable, the last ``depth`` messages kept."""
+    """A reliable profile that keeps the last ``depth`` messages."""
     return QoSProfile(
         history=QoSHistoryPolicy.KEEP_LAST,
         depth=depth,
@@ -22,10 +22,10 @@ def reliable(depth: int, durability: QoSDurabilityPolicy = QoSDurabilityPolicy.T
     )
 
 
-#: Everything that is recorded. Transient local: what is sent before a subscriber is found reaches him all the same.
+#: For every topic that is recorded. Transient local, so that a late subscriber also gets the messages sent before.
 STREAM = reliable(DEPTH)
 #: Latched: the last message only.
 LATCHED = reliable(1)
-#: Progress is cumulative: a sender's last message makes his earlier ones useless, a receiver hears many senders.
+#: Progress counts from the start, so only the last message of a sender matters; a receiver hears many senders.
 PROGRESS_OUT = reliable(1)
 PROGRESS_IN = reliable(1000)

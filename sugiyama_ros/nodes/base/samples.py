@@ -6,8 +6,14 @@ from sugiyama_ros.road import Road
 
 
 class Positions(NamedTuple):
-    """One sample: number, number of the leader (-1 without one), position [m] (NaN if missing) and length [m] of each
-    vehicle that is on the road.
+    """One sample of all vehicles on the road, one entry for each vehicle.
+
+    Attributes
+    ----------
+    vehicle, leader : list of int
+        Number of the vehicle, and number of its leader (-1 without a leader).
+    position_m, length_m : list of float
+        Position [m] (NaN if missing) and length [m].
     """
 
     vehicle: list[int]
@@ -17,7 +23,7 @@ class Positions(NamedTuple):
 
 
 class Samples(Protocol):
-    """What a source sends, sample by sample; ``steps`` is their number, 0 where there is no end."""
+    """What a source sends. ``steps`` is the number of samples, 0 if there is no end."""
 
     road: Road
     period_s: float

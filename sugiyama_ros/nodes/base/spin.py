@@ -22,7 +22,7 @@ try:
 except ImportError:  # older than Jazzy's seventh patch
     EventsExecutor = SingleThreadedExecutor
 
-#: Names the process that started this node, and without which the node has no reason to go on.
+#: Environment variable with the id of the process that started a node; without that process, the node ends.
 RUNNER = "SUGIYAMA_RUNNER"
 _SLICE_S = 0.02
 _QUIET_S = 0.2
@@ -31,7 +31,7 @@ _TAKE_DOWN_S = 3
 
 @contextmanager
 def ros() -> Iterator[Callable[[], bool]]:
-    """rclpy up and down; gives a function that tells whether SIGINT or SIGTERM has come."""
+    """Start rclpy and shut it down; yields a function that says whether SIGINT or SIGTERM has come."""
     asked: list[int] = []
 
     def ask(number: int, _: FrameType | None) -> None:
@@ -50,7 +50,7 @@ def ros() -> Iterator[Callable[[], bool]]:
 
 
 class Spinner:
-    """Executes nodes of one process in turn."""
+    """Executes the nodes of one process in turn."""
 
     def __init__(self, nodes: Iterable[Node]) -> None:
         self._executor: Executor = EventsExecutor()
@@ -58,20 +58,20 @@ class Spinner:
             self._executor.add_node(node)
 
     def slice(self) -> None:
-        """Carry out what there is to do for a moment."""
-        # The executor's spin() hangs in the wheels of rclpy 7.1.6; spin_once() carries out one thing.
+        """Execute callbacks for a moment."""
+        # The executor's spin() hangs in the wheels of rclpy 7.1.6; spin_once() executes one callback.
         end = time.monotonic() + _SLICE_S
         while (left := end - time.monotonic()) > 0.0:
             self._executor.spin_once(timeout_sec=left)
 
     def until(self, done: Callable[[], bool], timeout_s: float) -> None:
-        """Carry out what there is to do until ``done``, or for ``timeout_s`` at most."""
+        """Execute callbacks until ``done``, or for at most ``timeout_s``."""
         end = time.monotonic() + timeout_s
         while not done() and (left := end - time.monotonic()) > 0.0:
             self._executor.spin_once(timeout_sec=min(left, _SLICE_S))
 
     def until_quiet(self, count: Callable[[], int]) -> None:
-        """Carry out everything that is under way: until ``count`` has not changed for a while."""
+        """Execute callbacks until ``count`` has not changed for a while, so that nothing is under way any more."""
         seen, since = count(), time.monotonic()
         while time.monotonic() - since < _QUIET_S:
             self._executor.spin_once(timeout_sec=_SLICE_S)
@@ -79,12 +79,12 @@ class Spinner:
                 seen, since = count(), time.monotonic()
 
     def close(self) -> None:
-        """Let go of the nodes."""
+        """Release the nodes."""
         self._executor.shutdown()
 
 
 def run_node(make: Callable[[], PacedNode]) -> None:
-    """Run one node until a signal comes or it fails; the main function of every node."""
+    """Run one node until a signal comes or the node fails; the main function of every node."""
     runner = int(os.environ.get(RUNNER, os.getppid()))
     try:
         with ros() as asked_to_stop:
@@ -98,8 +98,8 @@ def run_node(make: Callable[[], PacedNode]) -> None:
             node.close()
             if node.failure is not None:
                 raise node.failure
-            # All is done. Where many processes end at the same time, Fast DDS 2.14 sometimes waits forever in taking
-            # its participant down (DomainParticipant::set_listener), with Python locked.
+            # The work is done. Where many processes end at the same time, Fast DDS 2.14 sometimes waits forever while
+            # it takes its participant down (DomainParticipant::set_listener), and holds the lock of Python.
             signal.signal(signal.SIGALRM, signal.SIG_DFL)
             signal.alarm(_TAKE_DOWN_S)
             spinner.close()

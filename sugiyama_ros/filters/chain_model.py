@@ -1,0 +1,97 @@
+"""The drivers of a chain as the online filter models them before it has learnt anything."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.driver.parameters import NAMES, UTILITY, population
+from sugiyama_ros.effects.effect import MEASUREMENT
+from sugiyama_ros.effects.registry import active, effect, place, whole
+from sugiyama_ros.filters.chain import Adaptation, adaptation_of, chain_parameters
+from sugiyama_ros.filters.noise import NOISES
+from sugiyama_ros.filters.state import STATE, Scene, scene_at
+
+
+@dataclass(frozen=True, eq=False)
+class ChainModel:
+    """Parameters, priors and scene of a chain of M vehicles with A adapted parameters; ``chain_model`` makes it.
+
+    row: (WIDTH,) of the driver at the reference period; rows: (M, WIDTH) of all drivers at the period of the samples;
+    places: (A,) of the adapted parameters in UTILITY; prior_mean, prior_var: (A,) of their logarithms; noise_shift:
+    (2,) of the logarithms of NOISES from the reference period to the period of the samples; has_effects: whether a
+    driver behind another vehicle has effects; measured_otherwise: whether an effect of the measurement is on.
+    """
+
+    row: Array
+    rows: Array
+    places: Ints
+    prior_mean: Array
+    prior_var: Array
+    noise_shift: Array
+    scene: Scene
+    has_effects: bool
+    measured_otherwise: bool
+
+    @property
+    def vehicles(self) -> int:
+        """Number M of vehicles."""
+        return len(self.rows)
+
+    @property
+    def adapted(self) -> list[int]:
+        """Places of the adapted parameters in a driver's row."""
+        return [UTILITY[k] for k in self.places]
+
+    @property
+    def adapted_entries(self) -> slice:
+        """Entries of the state that are logarithms of adapted parameters."""
+        return slice(STATE * self.vehicles, STATE * self.vehicles + len(self.places))
+
+
+def chain_model(
+    row: Array, ahead: Array | None, adaptation: Adaptation, vehicles: int, period_s: float, circumference_m: float
+) -> ChainModel:
+    """Return the model of a chain.
+
+    Parameters
+    ----------
+    row
+        The driver's row at the reference period, (WIDTH,).
+    ahead
+        Parameters of the drivers ahead, (P,) or (WIDTH,); the mean of the population if left out. The drivers ahead
+        share all effects with the driver except for effects that are individual.
+    adaptation
+        What is adapted unless the row says otherwise.
+    vehicles
+        Number M of vehicles.
+    period_s
+        Time between two samples [s].
+    circumference_m
+        Length of the ring [m], 0 for an open road.
+
+    Returns
+    -------
+    ChainModel
+        Nothing is learnt yet.
+    """
+    adaptation = adaptation_of(row, adaptation)
+    places, prior_var = adaptation.arrays
+    names = active(row)
+    others = whole(population() if ahead is None else ahead)
+    others[len(NAMES) :] = row[len(NAMES) :]
+    for name in names:
+        if effect(name).individual:
+            others[[place(name, p.name) for p in effect(name).parameters]] = 0.0
+    rows = chain_parameters(row, others, vehicles, period_s)
+    return ChainModel(
+        row=row,
+        rows=rows,
+        places=places,
+        prior_mean=np.log(rows[0, [UTILITY[k] for k in places]]),
+        prior_var=prior_var,
+        noise_shift=np.log(rows[0, NOISES] / row[NOISES]),
+        scene=scene_at(period_s, circumference_m, adaptation.relaxation_s),
+        has_effects=bool(names) and vehicles > 1,
+        measured_otherwise=any(effect(name).stage == MEASUREMENT for name in names),
+    )

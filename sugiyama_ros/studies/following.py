@@ -1,0 +1,57 @@
+"""What an estimator learns of one driver, sample by sample."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.driver.parameters import index
+from sugiyama_ros.filters.extract import chain_behind
+from sugiyama_ros.filters.online import OnlineFilter
+from sugiyama_ros.fit.driver import ESTIMATED
+from sugiyama_ros.trajectories.trajectories import Trajectories
+
+_PLACES = [index(name) for name in ESTIMATED]
+
+
+class Followed(NamedTuple):
+    """What an estimator learns of one driver over T samples.
+
+    Parameters
+    ----------
+    parameters : ndarray, shape (T, 4)
+        The driver's parameters after each sample, in the order of ``ESTIMATED``.
+    log_std : ndarray, shape (T, 4)
+        Std of the logarithms of the parameters.
+    log_likelihood : ndarray, shape (T,)
+        Log-likelihood of each sample; NaN where the sample does not count.
+    changes : list of (float, str)
+        Reported changes of style: time [s] since the first sample, and name of the parameter.
+    """
+
+    parameters: Array
+    log_std: Array
+    log_likelihood: Array
+    changes: list[tuple[float, str]]
+
+
+def followed(job: tuple[Trajectories, int]) -> Followed:
+    """Run the filter of the estimator nodes on all samples of one driver.
+
+    Parameters
+    ----------
+    job : (Trajectories, int)
+        Trajectories, and the column of the driver.
+    """
+    trajectories, driver = job
+    chain = chain_behind(trajectories, driver)
+    online = OnlineFilter(trajectories.period_s, trajectories.road)
+    values, stds, density, told = [], [], [], []
+    for k, sample in enumerate(zip(chain.position_m, chain.identity, chain.length_m, strict=True)):
+        estimate = online.step(*sample, trajectories.start_s + k * trajectories.period_s)
+        values.append(online.parameters[_PLACES])
+        stds.append(np.sqrt(np.diag(online.learnt.covariance)))
+        density.append(estimate.log_likelihood if estimate.scored else np.nan)
+        if online.change_of_style is not None:
+            told.append((k * trajectories.period_s, online.change_of_style[0]))
+    return Followed(np.array(values), np.array(stds), np.array(density), told)

@@ -1,0 +1,39 @@
+"""All studies: the built-in ones, and those of other packages.
+
+A study of another package is a ``Study`` behind an entry point of the group ``sugiyama_ros.studies``.
+"""
+
+from collections.abc import Mapping
+
+from sugiyama_ros import plugins
+from sugiyama_ros.studies.study import Study
+
+#: Group of the entry points by which other packages add studies.
+GROUP = "sugiyama_ros.studies"
+#: Studies by name.
+STUDIES: Mapping[str, Study] = plugins.registered(
+    GROUP,
+    Study,
+    (
+        "recovery",
+        "spectrum",
+        "measured_drivers",
+        "driver_types",
+        "simulated",
+        "robustness",
+        "ablation",
+        "one_driver",
+        "tadaki",
+        "highway",
+        "order",
+        "online",
+        "style_change",
+        "filters",
+    ),
+    "STUDY",
+)
+
+
+def study(name: str) -> Study:
+    """Look up a study. Raises InputError, which lists the names, for an unknown one."""
+    return plugins.find(STUDIES, GROUP, name, "study")
