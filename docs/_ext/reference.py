@@ -44,6 +44,13 @@ def plain(text: str) -> str:
     return re.sub(r"([*_^<>\[\]])", r"\\\1", text)
 
 
+def default_of(parameter: Any) -> str:
+    """Default value of an argument or an option, if it says something to a user."""
+    if parameter.required:
+        return "required"
+    return "" if callable(parameter.default) or parameter.default in _EMPTY else code(str(parameter.default))
+
+
 def commands() -> str:
     """Every command with its arguments and options."""
     group: Any = get_command(commands_app)
@@ -62,7 +69,7 @@ def commands() -> str:
             (
                 code(", ".join(p.opts) if p.param_type_name == "option" else p.name.upper()),
                 plain(p.help or ""),
-                "" if callable(p.default) or p.default in _EMPTY else code(str(p.default)),
+                default_of(p),
             )
             for p in command.params
             if p.name != "help"
