@@ -17,6 +17,7 @@ from typer.main import get_command
 import sugiyama_ros as sg
 from sugiyama_ros.cli import app as commands_app
 from sugiyama_ros.driver.parameters import PARAMETERS, Parameter
+from sugiyama_ros.studies.registry import STUDIES
 
 DOCS = Path(__file__).parents[1]
 ROOT = DOCS.parent
@@ -140,6 +141,13 @@ def extensions(title: str, about: str, found: Iterable[Any]) -> str:
     return "\n".join(parts)
 
 
+def studies() -> str:
+    """Every study, with its question and what the paper says."""
+    rows = ((code(one.name), plain(one.question), plain(one.paper)) for one in STUDIES.values())
+    about = "`sugiyama study NAME` answers one question. {doc}`/studies` has the answers."
+    return f"# Studies\n\n{about}\n\n" + table(("study", "question", "the paper"), rows)
+
+
 def python() -> str:
     """The public Python interface."""
     functions = [name for name in sg.__all__ if inspect.isfunction(getattr(sg, name))]
@@ -198,6 +206,7 @@ def pages(app: Sphinx, config: Config) -> None:
     write("effects.md", extensions("Effects", about, sg.effects.values()))
     about = "Every law is one file in `sugiyama_ros/laws`. {doc}`/howto/law` says how to add one of your own."
     write("laws.md", extensions("Laws", about, sg.laws.values()))
+    write("studies.md", studies())
     write("python.rst", python())
     for notebook in (ROOT / "examples").glob("*.md"):
         # a link that holds in examples has one folder too many here
