@@ -8,7 +8,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .NOTPARALLEL:
-.PHONY: help demo test lint bench
+.PHONY: help demo test lint docs bench
 
 # What another environment that is active in the shell would mix into ours: Python's, and ROS's.
 unexport PYTHONPATH PYTHONHOME VIRTUAL_ENV PIP_USER PIP_TARGET PIP_PREFIX
@@ -22,6 +22,7 @@ help:
 	make demo   set up, then find what the model of a simulated experiment misses
 	make test   set up, then run the tests
 	make lint   set up, then check style and types
+	make docs   set up, then build the documentation: docs/_build/html/index.html
 	make bench  set up, then measure the speed of the calibration
 	The first run sets up .venv and takes some minutes. PYTHON=python3.12 chooses the Python of a new .venv.
 	END
@@ -39,6 +40,10 @@ lint: $(DONE)/package $(DONE)/tools
 	@.venv/bin/ruff check .
 	.venv/bin/ruff format --check .
 	.venv/bin/mypy
+
+# -W: a warning is an error. Notebooks are run again when they have changed, or after `rm -r docs/_build`.
+docs: $(DONE)/package $(DONE)/docs
+	@.venv/bin/python -m sphinx -W --keep-going -b html docs docs/_build/html
 
 # Installs with pip and shows every twentieth package or compiled file. $(call pip,what,arguments)
 define pip
@@ -102,3 +107,7 @@ $(DONE)/package: $(DONE)/messages setup.py setup.cfg package.xml $(wildcard reso
 $(DONE)/tools: $(DONE)/requirements requirements-dev.txt
 	@echo "Installing what tests and lint need: $$(grep -c == requirements-dev.txt) packages, half a minute"
 	$(call pip, tools, -r requirements-dev.txt)
+
+$(DONE)/docs: $(DONE)/requirements requirements-docs.txt
+	@echo "Installing what the documentation needs: $$(grep -c == requirements-docs.txt) packages, half a minute"
+	$(call pip, docs, -r requirements-docs.txt)

@@ -52,7 +52,11 @@ setup(
         "typer>=0.9",
         "zstandard>=0.22",
     ],
-    extras_require={"dask": ["distributed>=2024.8"], "pictures": ["matplotlib>=3.8"]},
+    extras_require={
+        "dask": ["distributed>=2024.8"],
+        "notebook": ["matplotlib>=3.8", "pandas>=2.2"],
+        "pictures": ["matplotlib>=3.8"],
+    },
     zip_safe=False,
     entry_points={
         "console_scripts": [

@@ -1,0 +1,41 @@
+"""Settings of the documentation. ``make docs`` builds it, without network."""
+
+import sys
+from pathlib import Path
+
+from sugiyama_ros import __version__
+
+sys.path.insert(0, str(Path(__file__).parent / "_ext"))
+
+project = "sugiyama_ros"
+author = "sugiyama_ros contributors"
+project_copyright = f"2026, {author}"
+release = version = __version__
+
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "numpydoc", "reference"]
+exclude_patterns = ["_build", "_ext"]
+nitpicky = True
+
+autodoc_typehints = "none"  # numpydoc's sections say the types
+autosummary_generate = False
+numpydoc_show_class_members = False
+
+myst_enable_extensions = ["colon_fence", "deflist"]
+myst_heading_anchors = 3
+nb_execution_mode = "cache"
+nb_execution_cache_path = str(Path(__file__).parent / "_build" / "notebooks")
+nb_execution_timeout = 600
+nb_execution_raise_on_error = True
+nb_merge_streams = True
+
+html_theme = "pydata_sphinx_theme"
+html_title = "sugiyama_ros"
+html_show_sourcelink = False
+html_theme_options = {
+    "logo": {"text": "sugiyama_ros"},
+    "navbar_end": ["theme-switcher"],
+    "footer_start": ["copyright"],
+    "footer_end": [],
+    "show_prev_next": True,
+    "secondary_sidebar_items": ["page-toc"],
+}

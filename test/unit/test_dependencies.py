@@ -1,0 +1,93 @@
+"""What the package depends on is said in several files, for pip and for rosdep; here they are held equal."""
+
+import ast
+import re
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+ROOT = Path(__file__).parents[2]
+#: Keys of rosdep that are not python3-NAME.
+KEYS = {
+    "bokeh": "python3-bokeh-pip",
+    "filterpy": "python3-filterpy-pip",
+    "pyyaml": "python3-yaml",
+    "rosbags": "python3-rosbags-pip",
+}
+#: rosdep's python.yaml has no key for these; docs/ros.md says to install them by pip.
+WITHOUT_KEY = {"lz4", "mcap", "zstandard"}
+PYTHONS = ("3.10", "3.11", "3.12", "3.13")
+PINS = ("requirements.txt", "requirements-dev.txt", "requirements-docs.txt")
+
+
+def declared(keyword: str) -> ast.expr:
+    """Value of a keyword of setup() in setup.py."""
+    for node in ast.walk(ast.parse((ROOT / "setup.py").read_text())):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "setup":
+            return next(one.value for one in node.keywords if one.arg == keyword)
+    raise AssertionError("setup.py calls no setup()")
+
+
+def required() -> list[Requirement]:
+    return [Requirement(text) for text in ast.literal_eval(declared("install_requires"))]
+
+
+def extras() -> dict[str, list[Requirement]]:
+    return {
+        name: [Requirement(t) for t in texts] for name, texts in ast.literal_eval(declared("extras_require")).items()
+    }
+
+
+def pins(python: str, *files: str) -> dict[str, str]:
+    """Pinned version of each package for a version of Python; a package is pinned once, or alike in several files."""
+    found: dict[str, str] = {}
+    for file in files:
+        for line in (ROOT / file).read_text().splitlines():
+            if not line or line.startswith("#"):
+                continue
+            one = Requirement(line.partition(" #")[0])
+            if one.marker is not None and not one.marker.evaluate({"python_version": python}):
+                continue
+            (pin,) = one.specifier
+            assert pin.operator == "==", line
+            assert found.setdefault(canonicalize_name(one.name), pin.version) == pin.version, line
+    return found
+
+
+@pytest.mark.parametrize("python", PYTHONS)
+def test_every_requirement_is_pinned(python: str) -> None:
+    pinned = pins(python, "requirements.txt")
+    wanted = required() + extras()["notebook"] + extras()["pictures"]
+    missing = {r.name for r in wanted if not r.specifier.contains(pinned.get(canonicalize_name(r.name), ""))}
+    assert not missing
+
+
+@pytest.mark.parametrize("python", PYTHONS)
+def test_all_files_pin_alike(python: str) -> None:
+    assert pins(python, *PINS)
+
+
+def test_every_requirement_has_a_key_of_rosdep() -> None:
+    root = ElementTree.parse(ROOT / "package.xml").getroot()
+    keys = {element.text for element in root.iter("exec_depend")}
+    named = {canonicalize_name(r.name) for r in required()}
+    assert {key for key in keys if key and key.startswith("python3-")} == {
+        KEYS.get(name, f"python3-{name}") for name in named - WITHOUT_KEY
+    }
+    assert named >= WITHOUT_KEY
+    text = (ROOT / "docs" / "ros.md").read_text()
+    assert f"pip install {' '.join(sorted(WITHOUT_KEY))} " in text
+
+
+def test_the_hook_before_commits_runs_the_pinned_ruff() -> None:
+    revision = re.search(r"rev: v(\S+)", (ROOT / ".pre-commit-config.yaml").read_text())
+    assert revision is not None
+    assert revision[1] == pins(PYTHONS[0], "requirements-dev.txt")["ruff"]
+
+
+def test_the_citation_has_the_version_of_the_package() -> None:
+    version = ElementTree.parse(ROOT / "package.xml").findtext("version")
+    assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text()
