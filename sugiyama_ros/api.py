@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +23,7 @@ from sugiyama_ros.formats.frames import from_frame
 from sugiyama_ros.formats.registry import read_trajectories
 from sugiyama_ros.page import recording
 from sugiyama_ros.page.recording import Recording
-from sugiyama_ros.progress import OnStage, stages
+from sugiyama_ros.progress import stages
 from sugiyama_ros.simulation.experiment import Experiment, carry_out
 from sugiyama_ros.simulation.simulator import Simulation
 from sugiyama_ros.trajectories.trajectories import Trajectories
@@ -132,7 +132,6 @@ def calibrate(
     profile: bool = False,
     classes: int = 0,
     seed: int = 0,
-    progress: bool = True,
 ) -> Calibration:
     """Estimate every driver's parameters by maximum likelihood.
 
@@ -154,8 +153,6 @@ def calibrate(
         Number of classes of drivers who share all parameters; 0 for parameters of each driver.
     seed : int
         Seed of all random numbers.
-    progress : bool
-        Whether a bar is shown, on a terminal or in a notebook.
 
     Returns
     -------
@@ -171,21 +168,19 @@ def calibrate(
     --------
     >>> import sugiyama_ros as sg
     >>> recording = sg.simulate(vehicles=4, ring_m=45.0, duration_s=60.0, seed=1).measured
-    >>> found = sg.calibrate(recording, "paper", ["v_star", "kappa_v"], progress=False)
+    >>> found = sg.calibrate(recording, "paper", ["v_star", "kappa_v"])
     >>> found.to_frame().shape
     (4, 12)
     """
     settings = Settings(formulation, tuple(parameters), regularise and formulation == "paper", profile, 0, seed)
     if effects and formulation == "paper":
         raise InputError("effects: the paper's formulation knows none; use the causal formulation")
-    with _bar(progress) as advance, workers(len(trajectories.vehicle)) as work:
+    with stages() as advance, workers(len(trajectories.vehicle)) as work:
         if effects or (regularise and formulation == "causal"):
             return pooled(trajectories, settings, list(effects), work)
         if classes:
             return in_classes(trajectories, settings, classes, work)
-        return each_driver(
-            trajectories, settings, work=work, on_progress=lambda done, total: advance("calibrating", done, total)
-        )
+        return each_driver(trajectories, settings, work=work, on_progress=partial(advance, "calibrating"))
 
 
 def compare(
@@ -194,7 +189,6 @@ def compare(
     model: str | Path | None = None,
     *,
     seed: int = 0,
-    progress: bool = True,
 ) -> Comparison:
     """Compare the model with measurements and with other laws, on samples that no fit has seen.
 
@@ -208,8 +202,6 @@ def compare(
         Model file that is compared as it is, without a fit.
     seed : int
         Seed of all random numbers.
-    progress : bool
-        Whether a bar is shown, on a terminal or in a notebook.
 
     Returns
     -------
@@ -225,12 +217,12 @@ def compare(
     --------
     >>> import sugiyama_ros as sg
     >>> recording = sg.simulate(vehicles=4, ring_m=45.0, duration_s=60.0, seed=1).measured
-    >>> compared = sg.compare(recording, progress=False)
+    >>> compared = sg.compare(recording)
     >>> compared.models[0].name
     'base'
     """
     given = read_model(Path(model)) if model is not None else None
-    with _bar(progress) as advance:
+    with stages() as advance:
         return comparison.compare(
             trajectories, effects, given, seed=seed, workers=os.cpu_count() or 1, on_progress=advance
         )
@@ -242,7 +234,6 @@ def diagnose(
     quick: bool = False,
     add: str | None = None,
     seed: int = 0,
-    progress: bool = True,
 ) -> Diagnosis:
     """Find out which physical effect the model lacks.
 
@@ -256,8 +247,6 @@ def diagnose(
         ``"auto"`` adds effects until nothing more is supported; else at most three are added.
     seed : int
         Seed of all random numbers.
-    progress : bool
-        Whether a bar is shown, on a terminal or in a notebook.
 
     Returns
     -------
@@ -273,12 +262,12 @@ def diagnose(
     --------
     >>> import sugiyama_ros as sg
     >>> recording = sg.simulate(vehicles=4, ring_m=45.0, duration_s=60.0, seed=1).measured
-    >>> sg.diagnose(recording, quick=True, progress=False)
+    >>> sg.diagnose(recording, quick=True)
     <Diagnosis: nothing that is missing can be detected in these data>
     """
     if add not in (None, "auto"):
         raise InputError(f"add: {add!r} is not known; give 'auto' or None")
-    with _bar(progress) as advance:
+    with stages() as advance:
         return diagnosis.diagnose(
             trajectories,
             seed=seed,
@@ -316,7 +305,3 @@ def read_recording(path: str | Path) -> Recording:
     False
     """
     return recording.read_recording(Path(path))
-
-
-def _bar(wanted: bool) -> AbstractContextManager[OnStage]:
-    return stages() if wanted else nullcontext(lambda what, done, total: None)

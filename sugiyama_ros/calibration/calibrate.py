@@ -15,7 +15,7 @@ from sugiyama_ros.calibration.result import Calibration, Settings
 from sugiyama_ros.diagnosis.candidates import named
 from sugiyama_ros.diagnosis.screen import with_candidate
 from sugiyama_ros.driver.parameters import NAMES, index
-from sugiyama_ros.effects.registry import ENTRIES, whole
+from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.bounds import upper_bounds
 from sugiyama_ros.fit.checkpoint import Checkpoint
@@ -82,7 +82,7 @@ def each_driver(
     return Calibration(
         trajectories=trajectories,
         settings=settings,
-        rows=whole(np.array([fit.parameters for fit in fits])),
+        rows=ROW.with_effects(np.array([fit.parameters for fit in fits])),
         std=tuple({name: float(fit.std[index(name)]) for name in estimated} for fit in fits),
         identified=tuple({name: fit.identified(name) for name in estimated} for fit in fits),
         interval=np.array([fit.interval for fit in fits]),
@@ -161,7 +161,7 @@ def in_classes(trajectories: Trajectories, settings: Settings, count: int, work:
     return Calibration(
         trajectories=trajectories,
         settings=settings,
-        rows=whole(rows),
+        rows=ROW.with_effects(rows),
         std=tuple(dict(zip(estimated, one.tolist(), strict=True)) for one in std[:, places]),
         identified=tuple(dict.fromkeys(estimated, True) for _ in likeliest),
         interval=quadratic(rows, std),
@@ -198,7 +198,7 @@ def pooled(trajectories: Trajectories, settings: Settings, effects: Sequence[str
     for candidate in chosen:
         fitted = with_candidate(data, fitted, candidate, work)
     own, shared = stds_of(fitted)
-    names = [ENTRIES[k] for k in fitted.model.individual]
+    names = [ROW.entries[k] for k in fitted.model.individual]
     prior = np.array(fitted.model.prior_std)
     # where the prior stays as wide as it was, the data say nothing
     known = [

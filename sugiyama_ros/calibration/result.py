@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import PARAMETERS, index
-from sugiyama_ros.effects.registry import ENTRIES
+from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.classes import Classes
 from sugiyama_ros.fit.driver import ESTIMATED, Formulation
 from sugiyama_ros.fit.driver_types import DriverTypes
@@ -240,7 +240,7 @@ class Calibration(Result):
         found: dict[str, dict[str, dict[str, float]]] = {}
         for entry, std in self.shared_std.items():
             effect, _, parameter = entry.rpartition(".")
-            value = float(self.rows[0, ENTRIES.index(entry)])
+            value = float(self.rows[0, ROW.entries.index(entry)])
             found.setdefault(effect or "constants", {})[parameter] = {"value": value, "std": std}
         return found
 

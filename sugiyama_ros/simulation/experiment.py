@@ -8,7 +8,7 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Road
-from sugiyama_ros.simulation.simulator import Simulation, Simulator, platoon, simulate
+from sugiyama_ros.simulation.simulator import Clock, Simulation, Simulator, platoon, simulate
 from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M
 
 
@@ -76,5 +76,6 @@ def carry_out(experiment: Experiment, rows: Array) -> Simulation:
             f"ring of {experiment.ring_m:g} m: {vehicles} vehicles with gaps of {experiment.gap_m:g} m need"
             f" {needed_m:.0f} m; give a larger ring, smaller gaps or fewer vehicles"
         )
-    simulator = Simulator(rows, length_m, start_m, road, rng, period_s=experiment.period_s, horizon=experiment.horizon)
+    clock = Clock(experiment.period_s, horizon=experiment.horizon)
+    simulator = Simulator(rows, length_m, start_m, road, rng, clock=clock)
     return simulate(simulator, experiment.duration_s)

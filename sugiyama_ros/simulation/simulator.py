@@ -15,6 +15,7 @@ import numpy as np
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.advance import advance
 from sugiyama_ros.driver.parameters import (
+    REFERENCE_PERIOD_S,
     RHO,
     SIGMA_A,
     SIGMA_NU,
@@ -116,6 +117,22 @@ class Simulation(Result):
             super().save(path)
 
 
+@dataclass(frozen=True)
+class Clock:
+    """Times of a simulation: between two samples [s], of the first sample [s], and the periods of look-ahead.
+
+    ``horizon`` follows the paper where it is None.
+    """
+
+    period_s: float = REFERENCE_PERIOD_S
+    start_s: float = 0.0
+    horizon: int | None = None
+
+
+#: Samples as in the Sugiyama experiment, from time 0.
+REFERENCE_CLOCK = Clock()
+
+
 class Simulator:
     """Many drivers, one behind the other: vehicle i follows vehicle i + 1.
 
@@ -135,9 +152,7 @@ class Simulator:
         rng: np.random.Generator,
         *,
         speed: Array | None = None,
-        period_s: float = 1.0 / 3.0,
-        horizon: int | None = None,
-        start_s: float = 0.0,
+        clock: Clock = REFERENCE_CLOCK,
     ) -> None:
         check(parameters)
         vehicles = len(length_m)
@@ -146,10 +161,10 @@ class Simulator:
                 f"simulation: {len(parameters)} drivers, {vehicles} lengths, {len(position_m)} positions; give one each"
             )
         self.road = road
-        self.period_s = period_s
-        self.horizon = horizon_at(period_s) if horizon is None else horizon
+        self.period_s = clock.period_s
+        self.horizon = horizon_at(clock.period_s) if clock.horizon is None else clock.horizon
         self.drivers = ROW.with_effects(parameters)
-        self.parameters = at_period(self.drivers, period_s)
+        self.parameters = at_period(self.drivers, clock.period_s)
         self.length_m = length_m.astype(np.float64)
         self.leader: Ints = np.arange(1, vehicles + 1)
         self.leader[-1] = 0 if road.is_ring and vehicles > 1 else -1
@@ -161,7 +176,7 @@ class Simulator:
         self.held: Array = np.zeros(vehicles)
         self.acceleration: Array = np.zeros(vehicles)
         self.step_number = 0
-        self.start_s = start_s
+        self.start_s = clock.start_s
         self._rng = rng
         self._rng_of_effects = rng.spawn(1)[0]
         self._mood: dict[str, Array] = {}

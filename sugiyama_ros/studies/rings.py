@@ -12,7 +12,7 @@ from sugiyama_ros.driver.parameters import SIGMA_A, defaults
 from sugiyama_ros.fit.driver import SearchOptions, calibrate
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.collective import Collective, collective
-from sugiyama_ros.simulation.simulator import Simulation, Simulator, evenly, platoon, simulate
+from sugiyama_ros.simulation.simulator import Clock, Simulation, Simulator, evenly, platoon, simulate
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 #: The ring and the cars of the experiment, the duration of a run, and its last part, which is evaluated; SI units.
@@ -80,7 +80,7 @@ def run(ring: Ring) -> Simulation:
     length, road = np.full(cars, ring.length_m), Road(ring.ring_m)
     start = platoon(length, JAM_GAP_M) if ring.jammed else evenly(length, road)
     rng = np.random.default_rng(ring.seed)
-    return simulate(Simulator(ring.drivers, length, start, road, rng, period_s=ring.period_s), ring.duration_s)
+    return simulate(Simulator(ring.drivers, length, start, road, rng, clock=Clock(ring.period_s)), ring.duration_s)
 
 
 def jams(spread: Mapping[int, float], runs: int, seed: int, duration_s: float) -> Iterator[tuple[Array, Trajectories]]:
