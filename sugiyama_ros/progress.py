@@ -1,8 +1,25 @@
-"""How long work reports its progress: functions that a caller hands in."""
+"""How long work reports its progress: functions that a caller hands in, and bars that show it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 #: Called with how much is done, and how much there is in all.
 OnProgress = Callable[[int, int], None]
 #: Called with the name of the stage, how much of it is done, and how much there is in all.
 OnStage = Callable[[str, int, int], None]
+
+
+@contextmanager
+def stages() -> Iterator[OnStage]:
+    """Show a bar for work in several stages, on a terminal or in a notebook; show nothing in a pipe."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+
+    console = Console(stderr=True)
+    if not (console.is_terminal or console.is_jupyter):
+        yield lambda what, done, total: None
+        return
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task("starting", total=None)
+        yield lambda what, done, total: bar.update(task, description=what, completed=done, total=total)

@@ -1,13 +1,19 @@
 """Who carries out work that falls into independent parts: threads, processes here, or a Dask cluster elsewhere."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import get_context
+from typing import TypeVar
 
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.progress import OnStage
 
+# Items that are under way at the same time, all on the same workers.
+_AT_ONCE = 3
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
 # From so many parts on processes, which do not wait for each other's Python, are worth their start.
 _MANY = 500
 
@@ -43,3 +49,15 @@ def _cluster(scheduler: str) -> Iterator[Executor]:
     with client:
         # a worker that dies is replaced by another one: the parts are pure functions of what is sent with them
         yield client.get_executor(pure=False, retries=3)
+
+
+def at_once(
+    function: Callable[[_Item], _Result], items: Sequence[_Item], what: str, on_progress: OnStage
+) -> list[_Result]:
+    """Results of a function for all items; while one item waits for its filters, another uses the processors."""
+    results = []
+    with ThreadPoolExecutor(_AT_ONCE) as pool:
+        for k, result in enumerate(pool.map(function, items)):
+            on_progress(what, k + 1, len(items))
+            results.append(result)
+    return results

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.calibration.result import Calibrated, Settings
+from sugiyama_ros.calibration.result import Calibration, Settings
 from sugiyama_ros.diagnosis.candidates import named
 from sugiyama_ros.diagnosis.screen import with_candidate
 from sugiyama_ros.driver.parameters import NAMES, index
-from sugiyama_ros.effects.registry import ENTRIES, whole
+from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.bounds import upper_bounds
 from sugiyama_ros.fit.checkpoint import Checkpoint
@@ -36,7 +36,7 @@ def each_driver(
     work: Executor | None = None,
     kept: Path | None = None,
     on_progress: OnProgress = lambda done, total: None,
-) -> Calibrated:
+) -> Calibration:
     """Calibrate the drivers one by one.
 
     The causal formulation calibrates twice: the second time, the drivers ahead have the parameters that were found the
@@ -79,10 +79,10 @@ def each_driver(
             found = latest
     fits = [found[v] for v in trajectories.vehicle.tolist()]
     estimated = settings.estimated
-    return Calibrated(
+    return Calibration(
         trajectories=trajectories,
         settings=settings,
-        rows=whole(np.array([fit.parameters for fit in fits])),
+        rows=ROW.with_effects(np.array([fit.parameters for fit in fits])),
         std=tuple({name: float(fit.std[index(name)]) for name in estimated} for fit in fits),
         identified=tuple({name: fit.identified(name) for name in estimated} for fit in fits),
         interval=np.array([fit.interval for fit in fits]),
@@ -125,7 +125,7 @@ def _one_pass(
     )
 
 
-def in_classes(trajectories: Trajectories, settings: Settings, count: int, work: Executor) -> Calibrated:
+def in_classes(trajectories: Trajectories, settings: Settings, count: int, work: Executor) -> Calibration:
     """Calibrate classes of drivers who share all parameters; each driver gets the parameters of the likeliest class.
 
     Parameters
@@ -158,10 +158,10 @@ def in_classes(trajectories: Trajectories, settings: Settings, count: int, work:
     found = find_classes(jobs, count, samples, settings.seed, work)
     likeliest = found.probability.argmax(axis=1)
     rows, std = found.rows[likeliest], found.std[likeliest]
-    return Calibrated(
+    return Calibration(
         trajectories=trajectories,
         settings=settings,
-        rows=whole(rows),
+        rows=ROW.with_effects(rows),
         std=tuple(dict(zip(estimated, one.tolist(), strict=True)) for one in std[:, places]),
         identified=tuple(dict.fromkeys(estimated, True) for _ in likeliest),
         interval=quadratic(rows, std),
@@ -171,7 +171,7 @@ def in_classes(trajectories: Trajectories, settings: Settings, count: int, work:
     )
 
 
-def pooled(trajectories: Trajectories, settings: Settings, effects: Sequence[str], work: Executor) -> Calibrated:
+def pooled(trajectories: Trajectories, settings: Settings, effects: Sequence[str], work: Executor) -> Calibration:
     """Calibrate all drivers together, as draws of one population (partial pooling), by the causal formulation.
 
     The distribution of the parameters over the drivers is estimated from the drivers themselves (empirical Bayes).
@@ -198,7 +198,7 @@ def pooled(trajectories: Trajectories, settings: Settings, effects: Sequence[str
     for candidate in chosen:
         fitted = with_candidate(data, fitted, candidate, work)
     own, shared = stds_of(fitted)
-    names = [ENTRIES[k] for k in fitted.model.individual]
+    names = [ROW.entries[k] for k in fitted.model.individual]
     prior = np.array(fitted.model.prior_std)
     # where the prior stays as wide as it was, the data say nothing
     known = [
@@ -206,7 +206,7 @@ def pooled(trajectories: Trajectories, settings: Settings, effects: Sequence[str
         for s in fitted.slopes
     ]
     stds = np.array([[s.get(name, 0.0) for name in NAMES] for s in own])
-    return Calibrated(
+    return Calibration(
         trajectories=trajectories,
         settings=settings,
         rows=fitted.model.rows,

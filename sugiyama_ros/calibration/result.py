@@ -3,17 +3,22 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.driver.parameters import index
-from sugiyama_ros.effects.registry import ENTRIES
+from sugiyama_ros.driver.parameters import PARAMETERS, index
+from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.classes import Classes
 from sugiyama_ros.fit.driver import ESTIMATED, Formulation
 from sugiyama_ros.fit.driver_types import DriverTypes
 from sugiyama_ros.fit.model_file import write_drivers
+from sugiyama_ros.plots import BLUE
+from sugiyama_ros.results import Result
 from sugiyama_ros.tables import TextTable
 from sugiyama_ros.trajectories.trajectories import Trajectories
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -44,8 +49,8 @@ class Settings:
     seed: int = 0
 
 
-@dataclass(frozen=True, eq=False)
-class Calibrated:
+@dataclass(frozen=True, eq=False, repr=False)
+class Calibration(Result):
     """Calibrated drivers, N of them, in the order of the vehicles.
 
     Parameters
@@ -92,6 +97,67 @@ class Calibrated:
         if self.classes is not None:
             types = DriverTypes(self.classes.share, self.classes.rows)
         write_drivers(path, self.trajectories, self.rows, self.std, self.shared_std, total, types)
+
+    def headline(self) -> str:
+        """Say how many drivers were calibrated, and how well the data hold their parameters."""
+        drivers, names = len(self.rows), self.settings.estimated
+        held = ", ".join(f"{name} of {sum(one[name] for one in self.identified)}" for name in names)
+        kind = f"{self.settings.formulation} formulation"
+        return f"{drivers} drivers, {kind}, log-likelihood {self.log_likelihood.sum():.1f}; identified: {held}"
+
+    def records(self) -> list[dict[str, Any]]:
+        """List the drivers: each parameter, its std, the ends of its 95 % interval, and whether it is identified."""
+        return [
+            {
+                "vehicle": d["vehicle"],
+                **{
+                    column: value
+                    for name in self.settings.estimated
+                    for column, value in (
+                        (name, d[name]),
+                        (f"{name}_std", d["std"][name]),
+                        (f"{name}_low", d["interval"][name][0]),
+                        (f"{name}_high", d["interval"][name][1]),
+                        (f"{name}_identified", d["identified"][name]),
+                    )
+                },
+                "log_likelihood": d["log_likelihood"],
+            }
+            for d in self._drivers()
+        ]
+
+    def draw(self, figure: "Figure") -> None:
+        """Draw each estimated parameter of each driver with its std; open circles are not identified."""
+        names = self.settings.estimated
+        rows = self._drivers()
+        for axes, name in zip(figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0], names, strict=True):
+            for k, d in enumerate(rows):
+                held = d["identified"][name]
+                spread = d["std"][name] if held else None
+                axes.errorbar(k, d[name], yerr=spread, fmt="o", color=BLUE, mfc=BLUE if held else "none", ms=4)
+            axes.set(ylabel=f"{name} [{PARAMETERS[index(name)].unit}]")
+        axes.set_xticks(range(len(rows)), [str(d["vehicle"]) for d in rows])
+        axes.set(xlabel="vehicle")
+
+    def save(self, path: str | Path) -> None:
+        """Write the calibration to a file.
+
+        Parameters
+        ----------
+        path : str or Path
+            ``.yaml`` for a model file; ``.json`` and ``.csv`` for the figures, ``.png`` and ``.pdf`` for the picture.
+
+        Raises
+        ------
+        InputError
+            For another suffix.
+        OutputError
+            If the file cannot be written.
+        """
+        if Path(path).suffix in (".yaml", ".yml"):
+            self.write(Path(path))
+        else:
+            super().save(path)
 
     def document(self, wall_s: float) -> dict[str, Any]:
         """All results in plain types, in SI units, for ``--json``.
@@ -174,7 +240,7 @@ class Calibrated:
         found: dict[str, dict[str, dict[str, float]]] = {}
         for entry, std in self.shared_std.items():
             effect, _, parameter = entry.rpartition(".")
-            value = float(self.rows[0, ENTRIES.index(entry)])
+            value = float(self.rows[0, ROW.entries.index(entry)])
             found.setdefault(effect or "constants", {})[parameter] = {"value": value, "std": std}
         return found
 

@@ -14,7 +14,7 @@ from sugiyama_ros.cli.output import print_json, print_line, print_table, progres
 from sugiyama_ros.errors import InputError
 
 if TYPE_CHECKING:
-    from sugiyama_ros.calibration.result import Calibrated
+    from sugiyama_ros.calibration.result import Calibration
     from sugiyama_ros.trajectories.trajectories import Trajectories
 
 
@@ -123,7 +123,7 @@ def _calibrated(
     work: Executor,
     kept: Path | None,
     advance: Callable[[int, int], None],
-) -> "Calibrated":
+) -> "Calibration":
     """Drivers calibrated together, in classes, or one by one."""
     from sugiyama_ros.calibration.calibrate import each_driver, in_classes, pooled
     from sugiyama_ros.calibration.result import Settings
@@ -143,7 +143,7 @@ def _calibrated(
     return each_driver(trajectories, settings, work=work, kept=kept, on_progress=advance)
 
 
-def _print(found: "Calibrated", output: Path | None) -> None:
+def _print(found: "Calibration", output: Path | None) -> None:
     for line in found.class_sentences():
         print_line(line)
     print_table(found.table())

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sugiyama_ros.cli.options import Json, Recording, Ring, Seed
-from sugiyama_ros.cli.output import print_json, print_line, print_note, stages
+from sugiyama_ros.cli.output import print_json, print_line, print_note
 from sugiyama_ros.cli.run import RunOptions, print_run, replay
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.progress import stages
 
 if TYPE_CHECKING:
     from sugiyama_ros.diagnosis.diagnosis import Diagnosis

@@ -7,8 +7,9 @@ from typing import Annotated
 import typer
 
 from sugiyama_ros.cli.options import Json, ModelFile, Ring, Seed, Source, check_model_name, names
-from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table, stages
+from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.progress import stages
 
 
 def diagnose(
@@ -77,7 +78,6 @@ def compare(
     The comparison uses samples that no fit has seen.
     """
     from sugiyama_ros.diagnosis import tables
-    from sugiyama_ros.diagnosis.compare import collective_of
     from sugiyama_ros.diagnosis.compare import compare as compare_models
     from sugiyama_ros.diagnosis.comparison_document import document
     from sugiyama_ros.fit.model_file import read_model
@@ -89,11 +89,10 @@ def compare(
         compared = compare_models(
             trajectories, names(effects), given, seed=seed, workers=os.cpu_count() or 1, on_progress=advance
         )
-    measured = collective_of(trajectories)
     if as_json:
-        print_json(document(compared, trajectories, measured, seed))
+        print_json(document(compared))
         return
-    print_table(tables.held_out_errors(compared))
-    print_table(tables.details(compared))
-    print_table(tables.collective(measured, compared))
-    print_line(f"white innovations have an autocorrelation within ± {compared[0].band:.3f}")
+    print_table(tables.held_out_errors(compared.models))
+    print_table(tables.details(compared.models))
+    print_table(tables.collective(compared.measured, compared.models))
+    print_line(f"white innovations have an autocorrelation within ± {compared.models[0].band:.3f}")

@@ -1,11 +1,9 @@
 """What the commands print: text, tables and JSON on stdout; notes and progress on stderr."""
 
 import json
-import math
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 from rich.box import HEAVY_HEAD
@@ -14,6 +12,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from sugiyama_ros.results import plain
 from sugiyama_ros.tables import TextTable
 
 # Columns of a table that is printed to a pipe, or on a narrower terminal: other programs want unbroken lines.
@@ -57,21 +56,7 @@ def tell(document: Any, text: str, as_json: bool) -> None:
 
 def to_json(document: Any, indent: int | None = None) -> str:
     """A document as JSON; NaN and infinite numbers become null."""
-    return json.dumps(_plain(document), indent=indent, allow_nan=False)
-
-
-def _plain(value: Any) -> Any:
-    """The value in types that JSON knows: no NaN, no infinity, no numpy, no paths."""
-    if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
-    if isinstance(value, Path):
-        return str(value)
-    if hasattr(value, "item"):
-        # a number of numpy
-        value = value.item()
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    return json.dumps(plain(document), indent=indent, allow_nan=False)
 
 
 @contextmanager
@@ -84,15 +69,3 @@ def progress(what: str) -> Iterator[Callable[[int, int], None]]:
     with Progress(*columns, console=_err, transient=True) as bar:
         task = bar.add_task(what, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
-
-
-@contextmanager
-def stages() -> Iterator[Callable[[str, int, int], None]]:
-    """Show a bar for work in several stages on a terminal; show nothing in a pipe."""
-    if not _err.is_terminal:
-        yield lambda what, done, total: None
-        return
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
-    with Progress(*columns, console=_err, transient=True) as bar:
-        task = bar.add_task("starting", total=None)
-        yield lambda what, done, total: bar.update(task, description=what, completed=done, total=total)

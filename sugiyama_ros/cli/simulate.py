@@ -87,27 +87,18 @@ def simulate(options: SimulateOptions) -> None:
 
 def _simulated(options: SimulateOptions) -> "Simulation":
     """Simulate from rest."""
-    import numpy as np
+    from sugiyama_ros.simulation.experiment import Experiment, carry_out
 
-    from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
-    from sugiyama_ros.road import Road
-    from sugiyama_ros.simulation.simulator import Simulator, platoon, simulate
-    from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M
-
-    vehicles = options.vehicles
-    rng, parameters = np.random.default_rng(options.seed), _rows(options)
-    if options.spread > 0.0:
-        for k in (V_STAR, KAPPA_V):
-            parameters[:, k] *= np.exp(options.spread * rng.standard_normal(vehicles))
-    length_m = np.full(vehicles, DEFAULT_LENGTH_M)
-    start_m, road = platoon(length_m, options.gap), Road(options.ring)
-    needed_m = float(start_m[-1] + length_m[-1])
-    if road.is_ring and needed_m > options.ring:
-        raise InputError(
-            f"--ring {options.ring:g}: {vehicles} vehicles with gaps of {options.gap:g} m need {needed_m:.0f} m"
-        )
-    simulator = Simulator(parameters, length_m, start_m, road, rng, period_s=options.period, horizon=options.horizon)
-    return simulate(simulator, options.duration)
+    experiment = Experiment(
+        ring_m=options.ring,
+        duration_s=options.duration,
+        gap_m=options.gap,
+        period_s=options.period,
+        horizon=options.horizon,
+        spread=options.spread,
+        seed=options.seed,
+    )
+    return carry_out(experiment, _rows(options))
 
 
 def _rows(options: SimulateOptions) -> "Array":
@@ -115,10 +106,10 @@ def _rows(options: SimulateOptions) -> "Array":
     import numpy as np
 
     from sugiyama_ros.driver.parameters import defaults, index
-    from sugiyama_ros.effects.registry import switch_on, whole
+    from sugiyama_ros.effects.registry import ROW, switch_on
     from sugiyama_ros.fit.model_file import read_model
 
-    rows = whole(defaults(options.vehicles))
+    rows = ROW.with_effects(defaults(options.vehicles))
     if options.model is not None:
         rows = read_model(options.model).rows_of(np.arange(options.vehicles))
     for text in options.parameter or ():

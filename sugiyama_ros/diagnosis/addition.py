@@ -7,7 +7,7 @@ import numpy as np
 
 from sugiyama_ros.diagnosis.candidates import Candidate, Kind
 from sugiyama_ros.diagnosis.errors import HeldOutErrors
-from sugiyama_ros.effects.registry import DECLARED, EFFECTS
+from sugiyama_ros.effects.registry import EFFECTS, ROW
 from sugiyama_ros.fit.cross_validation import Gain
 from sugiyama_ros.fit.joint import JointFit
 
@@ -47,4 +47,4 @@ def parameters_of(fitted: JointFit, candidate: Candidate) -> dict[str, float]:
     """Values of a candidate's parameters by name; the median driver's where every driver has a value."""
     places = sorted({*candidate.places, *candidate.starts[0]})
     rows = np.median(fitted.model.rows[:, places], axis=0)
-    return {DECLARED[k].name: float(v) for k, v in zip(places, rows, strict=True)}
+    return {ROW.declared[k].name: float(v) for k, v in zip(places, rows, strict=True)}

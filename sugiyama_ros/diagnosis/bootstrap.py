@@ -8,7 +8,7 @@ import numpy as np
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import Recorded, prepare
-from sugiyama_ros.simulation.simulator import Simulator
+from sugiyama_ros.simulation.simulator import Clock, Simulator
 
 
 def resample(data: Recorded, model: Model, states: Array, rng: np.random.Generator) -> Recorded:
@@ -83,8 +83,7 @@ def _start(
         road,
         rng,
         speed=np.maximum(speed[order], 0.0),
-        period_s=t.period_s,
-        start_s=t.start_s + k * t.period_s,
+        clock=Clock(t.period_s, t.start_s + k * t.period_s),
     )
     return simulator, order
 

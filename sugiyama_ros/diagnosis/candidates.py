@@ -8,7 +8,7 @@ import numpy as np
 
 from sugiyama_ros.driver.parameters import index
 from sugiyama_ros.effects.effect import MEASUREMENT, Recording
-from sugiyama_ros.effects.registry import DECLARED, EFFECTS, PLACES, place
+from sugiyama_ros.effects.registry import EFFECTS, ROW, index_of
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.population import LARGEST_STD
@@ -38,7 +38,7 @@ class Candidate:
     @property
     def parameters(self) -> tuple[str, ...]:
         """Names of its parameters."""
-        return tuple(DECLARED[k].name for k in self.places)
+        return tuple(ROW.declared[k].name for k in self.places)
 
 
 @dataclass(frozen=True)
@@ -78,14 +78,14 @@ def candidates(recording: Recording, drivers: int) -> tuple[Candidate, ...]:
         starts = e.starts(recording)
         if not starts or drivers <= e.reach:
             continue
-        strengths = tuple(place(e.name, name) for name in e.switches)
-        has_signs = not e.individual and all(DECLARED[k].lower < 0.0 for k in strengths)
+        strengths = tuple(index_of(e.name, name) for name in e.switches)
+        has_signs = not e.individual and all(ROW.declared[k].lower < 0.0 for k in strengths)
         found.append(
             Candidate(
                 name=e.name,
                 kind="measurement" if e.stage == MEASUREMENT else "effect",
-                places=tuple(range(PLACES[e.name].start, PLACES[e.name].stop)),
-                starts=tuple({place(e.name, p): v for p, v in values.items()} for values in starts),
+                places=tuple(range(ROW.places[e.name].start, ROW.places[e.name].stop)),
+                starts=tuple({index_of(e.name, p): v for p, v in values.items()} for values in starts),
                 individual=e.individual,
                 summary=e.summary,
                 strengths=strengths if has_signs else (),

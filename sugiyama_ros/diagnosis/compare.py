@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -10,7 +11,6 @@ from sugiyama_ros.diagnosis.bootstrap import resample, seeds
 from sugiyama_ros.diagnosis.candidates import Candidate, named
 from sugiyama_ros.diagnosis.diagnosis import INDIVIDUAL
 from sugiyama_ros.diagnosis.errors import HeldOutErrors, errors_of
-from sugiyama_ros.diagnosis.progress import OnProgress
 from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter
 from sugiyama_ros.diagnosis.screen import with_candidate
 from sugiyama_ros.filters.extract import chain_behind, track
@@ -22,8 +22,14 @@ from sugiyama_ros.fit.population import fit_base
 from sugiyama_ros.fit.recording import FOLDS, Recorded, prepare
 from sugiyama_ros.fit.score import filtered_states
 from sugiyama_ros.laws.registry import RIVALS
+from sugiyama_ros.plots import bars
+from sugiyama_ros.progress import OnStage
+from sugiyama_ros.results import Result
 from sugiyama_ros.simulation.collective import Collective, collective
 from sugiyama_ros.trajectories.trajectories import Trajectories
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _LAGS = 10
 # Simulations of a whole recording for the collective measures.
@@ -49,6 +55,59 @@ class Compared:
     collective: dict[str, tuple[float, float]]
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class Comparison(Result):
+    """Models on the same held-out samples.
+
+    Parameters
+    ----------
+    models : tuple of Compared
+        The base model first, the floor last.
+    trajectories : Trajectories
+        The recording that the models were compared on.
+    measured : Collective
+        Collective measures of the recording.
+    seed : int
+        Seed of the simulations.
+    """
+
+    models: tuple[Compared, ...]
+    trajectories: Trajectories
+    measured: Collective
+    seed: int
+
+    def headline(self) -> str:
+        """Say which model predicts best, and how much better than the base model."""
+        others = [one for one in self.models if one.gain is not None]
+        best = max(others, key=lambda one: one.gain.nats if one.gain else 0.0)
+        if best.gain is None or best.gain.nats <= best.gain.se:
+            return f"{len(self.models)} models; none predicts held-out samples clearly better than the base model"
+        gain = f"{best.gain.nats:.0f} ± {best.gain.se:.0f} nats"
+        return f"{len(self.models)} models; {best.name} predicts held-out samples {gain} better than the base model"
+
+    def records(self) -> list[dict[str, Any]]:
+        """List the models: held-out errors, gain over the base model [nats] and mean NIS."""
+        return [
+            {
+                "model": one.name,
+                **one.errors.summary(),
+                "heldout_gain_nats": one.gain.nats if one.gain else None,
+                "heldout_gain_se": one.gain.se if one.gain else None,
+                "nis_mean": one.nis_mean,
+            }
+            for one in self.models
+        ]
+
+    def draw(self, figure: "Figure") -> None:
+        """Draw the errors of free runs after 10 s, and the gains over the base model."""
+        left, right = figure.subplots(1, 2)
+        errors = [one.errors.summary()["free_run_10s_m"] for one in self.models]
+        bars(left, [one.name for one in self.models], errors, [0.0] * len(errors), "error after 10 s [m]")
+        gains = [(one.name, one.gain) for one in self.models if one.gain is not None]
+        names, values = [name for name, _ in gains], [gain.nats for _, gain in gains]
+        bars(right, names, values, [gain.se for _, gain in gains], "held-out gain [nats]")
+
+
 def compare(
     trajectories: Trajectories,
     effects: Sequence[str] = (),
@@ -56,8 +115,8 @@ def compare(
     *,
     seed: int = 0,
     workers: int = 4,
-    on_progress: OnProgress = lambda what, done, total: None,
-) -> list[Compared]:
+    on_progress: OnStage = lambda what, done, total: None,
+) -> "Comparison":
     """Compare the base model, with and without effects, a model from a file, the rivals, and the floor.
 
     The floor is the base model on data that it simulated itself: no model can be expected to do better.
@@ -86,7 +145,7 @@ def compare(
         data = prepare(trajectories)
         chosen = named(data, effects)
         steps = 2 + sum(1 + has_parameters(law) for law in RIVALS) + len(effects) + (model is not None)
-        comparison = _Comparison(data, seed, steps, work, on_progress)
+        comparison = _Models(data, seed, steps, work, on_progress)
         comparison.begin("base")
         base = fit_base(data, INDIVIDUAL, work)
         comparison.add_fitted("base", base)
@@ -96,17 +155,15 @@ def compare(
         for law in RIVALS:
             comparison.add_rival(law)
         comparison.begin("floor")
-        found = [*comparison.found, _floor(data, base, seed, work)]
+        found = (*comparison.found, _floor(data, base, seed, work))
         on_progress("done", steps, steps)
-    return found
+    return Comparison(found, trajectories, collective_of(trajectories), seed)
 
 
-class _Comparison:
+class _Models:
     """Models that were compared so far, the base model first; ``steps``: number of models to come."""
 
-    def __init__(
-        self, data: Recorded, seed: int, steps: int, work: ThreadPoolExecutor, on_progress: OnProgress
-    ) -> None:
+    def __init__(self, data: Recorded, seed: int, steps: int, work: ThreadPoolExecutor, on_progress: OnStage) -> None:
         self._data, self._seed, self._steps, self._work, self._on_progress = data, seed, steps, work, on_progress
         self._done = 0
         self.found: list[Compared] = []

@@ -1,29 +1,19 @@
 """A comparison of models as a document (for ``--json``)."""
 
-from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from sugiyama_ros.diagnosis.compare import Compared
-from sugiyama_ros.simulation.collective import Collective
+from sugiyama_ros.diagnosis.compare import Compared, Comparison
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 
-def document(
-    compared: Sequence[Compared], trajectories: Trajectories, measured: Collective, seed: int
-) -> dict[str, Any]:
+def document(comparison: Comparison) -> dict[str, Any]:
     """All results of a comparison in plain types, in SI units.
 
     Parameters
     ----------
-    compared
+    comparison : Comparison
         The models.
-    trajectories
-        The recording that the models were compared on.
-    measured
-        Collective measures of the recording.
-    seed
-        Seed of the random numbers.
 
     Returns
     -------
@@ -31,9 +21,9 @@ def document(
         ``models``, ``measured`` and ``seed``.
     """
     return {
-        "models": [_model(one, trajectories) for one in compared],
-        "measured": asdict(measured),
-        "seed": seed,
+        "models": [_model(one, comparison.trajectories) for one in comparison.models],
+        "measured": asdict(comparison.measured),
+        "seed": comparison.seed,
     }
 
 

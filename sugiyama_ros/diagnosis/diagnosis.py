@@ -4,30 +4,39 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from sugiyama_ros.diagnosis.addition import Addition
 from sugiyama_ros.diagnosis.candidacy import Candidacy
 from sugiyama_ros.diagnosis.discover import Discovery
 from sugiyama_ros.diagnosis.errors import HeldOutErrors, errors_of
+from sugiyama_ros.diagnosis.free_runs import HORIZONS_S
 from sugiyama_ros.diagnosis.locate import Located, locate
-from sugiyama_ros.diagnosis.progress import OnProgress
 from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter
 from sugiyama_ros.diagnosis.screen import Screened
 from sugiyama_ros.diagnosis.search import LEVEL, Search
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR
 from sugiyama_ros.fit.cross_validation import Gain, without_folds
 from sugiyama_ros.fit.joint import JointFit
+from sugiyama_ros.fit.model_file import write_model
 from sugiyama_ros.fit.population import fit_base
 from sugiyama_ros.fit.recording import Recorded, prepare
 from sugiyama_ros.laws.registry import RIVALS
+from sugiyama_ros.plots import bars
+from sugiyama_ros.progress import OnStage
+from sugiyama_ros.results import Result
 from sugiyama_ros.trajectories.trajectories import Trajectories
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 #: Each driver's own parameters.
 INDIVIDUAL = (SIGMA_NU, SIGMA_A, V_STAR, KAPPA_V)
 
 
-@dataclass(frozen=True, eq=False)
-class Diagnosis:
+@dataclass(frozen=True, eq=False, repr=False)
+class Diagnosis(Result):
     """Verdict on a recording.
 
     base, final: the fitted model without and with what was added; named: what was added; scored: candidates of the
@@ -55,6 +64,64 @@ class Diagnosis:
     seed: int
     wall_s: float
 
+    def headline(self) -> str:
+        """Say what was added to the model, and how much better it predicts."""
+        if not self.named:
+            return "nothing that is missing can be detected in these data"
+        parts = [f"{n.name} (+{n.heldout.nats:.0f} ± {n.heldout.se:.0f} nats held out)" for n in self.named]
+        return "missing from the model: " + ", ".join(parts)
+
+    def records(self) -> list[dict[str, Any]]:
+        """List the candidates of the first round, the best one first: gains [nats], p-values, whether it was added."""
+        added = {n.name for n in self.named}
+        found = [one for one in self.scored if one.candidate.name in self.heldout]
+        return [
+            {
+                "name": one.candidate.name,
+                "kind": one.candidate.kind,
+                "added": one.candidate.name in added,
+                "heldout_gain_nats": self.heldout[one.candidate.name].nats,
+                "heldout_gain_se": self.heldout[one.candidate.name].se,
+                "gain_nats": one.gain,
+                "p_value": one.p_value,
+            }
+            for one in sorted(found, key=lambda one: -self.heldout[one.candidate.name].nats)
+        ]
+
+    def draw(self, figure: "Figure") -> None:
+        """Draw the held-out gains of the candidates, and the errors of free runs before and after."""
+        left, right = figure.subplots(1, 2)
+        best = self.records()[:12]
+        names, gains = [r["name"] for r in best], [r["heldout_gain_nats"] for r in best]
+        bars(left, names, gains, [r["heldout_gain_se"] for r in best], "held-out gain [nats]")
+        for label, errors in (("before", self.before), ("after", self.after)):
+            summary = errors.summary()
+            values = [0.0, *(summary[f"free_run_{h:g}s_m"] for h in HORIZONS_S)]
+            right.plot([0.0, *HORIZONS_S], values, "o-", label=label)
+        right.set(xlabel="time ahead [s]", ylabel="error of free runs [m]", ylim=(0.0, None))
+        right.legend()
+
+    def save(self, path: str | Path) -> None:
+        """Write the diagnosis to a file.
+
+        Parameters
+        ----------
+        path : str or Path
+            ``.yaml`` for a model file with what was added; ``.json`` and ``.csv`` for the candidates, ``.png`` and
+            ``.pdf`` for the picture.
+
+        Raises
+        ------
+        InputError
+            For another suffix.
+        OutputError
+            If the file cannot be written.
+        """
+        if Path(path).suffix in (".yaml", ".yml"):
+            write_model(Path(path), self.data, self.final)
+        else:
+            super().save(path)
+
 
 def diagnose(
     trajectories: Trajectories,
@@ -65,7 +132,7 @@ def diagnose(
     verdict_only: bool = False,
     add_forces: bool = False,
     workers: int = 4,
-    on_progress: OnProgress = lambda what, done, total: None,
+    on_progress: OnStage = lambda what, done, total: None,
 ) -> Diagnosis:
     """Find what is missing from the model.
 

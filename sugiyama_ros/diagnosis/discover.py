@@ -10,12 +10,12 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.candidates import Candidate
 from sugiyama_ros.diagnosis.screen import Screened, screen
 from sugiyama_ros.effects.discovered_force import COVARIATES, KNOTS
-from sugiyama_ros.effects.registry import place
+from sugiyama_ros.effects.registry import index_of
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.score import filtered_states
 
-_FIRST = place("discovered_force", "covariate")
+_FIRST = index_of("discovered_force", "covariate")
 _FORCES = tuple(range(_FIRST + 3, _FIRST + 3 + KNOTS))
 # Gains over chance run higher than half a chi-squared variable, because the filter is an approximation: measured on
 # effect-free simulations, up to this factor.

@@ -11,7 +11,7 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import SIGMA_A, SIGMA_NU
-from sugiyama_ros.effects.registry import DECLARED, LAW, LAW_PLACES
+from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.least_squares import Following, fit_gaps
 from sugiyama_ros.fit.model import Model
@@ -26,18 +26,18 @@ _FEWEST = 50
 
 def in_filter(data: Recorded, law: str, work: Executor) -> JointFit:
     """A rival with its parameters and noises fitted for every driver in the causal filter."""
-    places = LAW_PLACES[law]
+    places = ROW.law_places[law]
     model = start_model(data.drivers, (SIGMA_NU, SIGMA_A, *range(places.start, places.stop)))
     for rows in (model.rows, model.ahead):
-        rows[:, LAW] = number_of(law)
-        rows[:, places] = [DECLARED[k].default for k in range(places.start, places.stop)]
+        rows[:, ROW.law] = number_of(law)
+        rows[:, places] = [ROW.declared[k].default for k in range(places.start, places.stop)]
     return fit_base(data, model.individual, work, model)
 
 
 def by_gaps(data: Recorded, law: str, fitted: JointFit, work: Executor) -> tuple[Model, ...]:
     """For every fold, the rival fitted by least squares to the gaps outside the fold; noises as in ``fitted``."""
     states = filtered_states(data, fitted.model, work)
-    places = LAW_PLACES[law]
+    places = ROW.law_places[law]
     jobs = [(data, law, states, i, fitted.model.rows[i, places]) for i in range(data.drivers)]
     found = np.stack(list(work.map(_fit_driver, jobs)))
     models = []

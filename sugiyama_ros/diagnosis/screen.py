@@ -12,7 +12,7 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.candidates import Candidate, added
-from sugiyama_ros.effects.registry import DECLARED
+from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.effects.sensing import is_contaminated
 from sugiyama_ros.filters.measurement import weigh_samples
 from sugiyama_ros.fit.joint import JointFit, maximise, objective, solve
@@ -240,7 +240,7 @@ def _strongest(
     best = int(np.argmax([step.predicted_gain for step in steps]))
     scale = float(steps[best].shared[-1])
     return {
-        k: float(np.clip(scale * v, DECLARED[k].lower, DECLARED[k].upper)) if k in candidate.strengths else v
+        k: float(np.clip(scale * v, ROW.declared[k].lower, ROW.declared[k].upper)) if k in candidate.strengths else v
         for k, v in candidate.starts[best].items()
     }
 

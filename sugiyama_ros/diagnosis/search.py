@@ -23,12 +23,13 @@ from sugiyama_ros.diagnosis.candidacy import (
 from sugiyama_ros.diagnosis.candidates import Candidate, candidates, recording_of
 from sugiyama_ros.diagnosis.discover import Discovery, discover
 from sugiyama_ros.diagnosis.errors import HeldOutErrors, errors_of
-from sugiyama_ros.diagnosis.progress import OnProgress, at_once
 from sugiyama_ros.diagnosis.screen import FULL, QUICK, Screened, closer, forecast, refine, screen, screen_again
 from sugiyama_ros.fit.cross_validation import Gain, gain, held_out_nearly, sum_error, without_folds
 from sugiyama_ros.fit.joint import JointFit, maximise, objective, start_fit, warm_start
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import filtered_states
+from sugiyama_ros.progress import OnStage
+from sugiyama_ros.workers import at_once
 
 #: Level of significance, after Bonferroni's correction.
 LEVEL = 0.05
@@ -62,7 +63,7 @@ class Search:
         seed: int,
         work: ThreadPoolExecutor,
         *,
-        on_progress: OnProgress,
+        on_progress: OnStage,
     ) -> None:
         self.data, self.base, self.quick, self.seed = data, base, quick, seed
         self._work, self._on_progress = work, on_progress

@@ -8,7 +8,7 @@ import numpy as np
 from sugiyama_ros.diagnosis.addition import Addition, parameters_of
 from sugiyama_ros.diagnosis.diagnosis import Diagnosis
 from sugiyama_ros.diagnosis.locate import Bin, Located
-from sugiyama_ros.effects.registry import DECLARED, EFFECTS, effect
+from sugiyama_ros.effects.registry import EFFECTS, ROW, effect
 
 # Bins that are told of in words.
 _WORST = 3
@@ -130,7 +130,7 @@ def sentences(d: Diagnosis) -> list[str]:
         lines = []
     for n in d.named:
         units = {p.name: p.unit for p in EFFECTS[n.name].parameters} if n.name in EFFECTS else {}
-        units |= {p.name: p.unit for p in DECLARED if p.name in n.parameters and p.name not in units}
+        units |= {p.name: p.unit for p in ROW.declared if p.name in n.parameters and p.name not in units}
         values = ", ".join(f"{k} {v:.3g} {units.get(k, '')}".rstrip() for k, v in n.parameters.items())
         lines.append(
             f"{n.name} ({values}): held-out gain {n.heldout.nats:.0f} ± {n.heldout.se:.0f} nats, p {n.p_value:.1g};"

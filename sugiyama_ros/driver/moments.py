@@ -4,6 +4,8 @@ The same formulas as in ``utility``, which takes one moment at a time. Here what
 them, so that the loops run over the moments and compilers make vector instructions of them.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from sugiyama_ros.arrays import Array
@@ -24,6 +26,24 @@ from sugiyama_ros.jit import kernel
 #: Moments that are taken together; what is kept of them stays in the processor's near memory.
 BLOCK = 128
 _V_STAR, _KAPPA_V, _KAPPA_1, _KAPPA_C, _KAPPA_D, _OMEGA_2, _RATIONALITY = range(len(UTILITY))
+
+
+class Considered(NamedTuple):
+    """What is kept of every action (K) at every moment of a block (B), arrays of shape (K, B).
+
+    ratio: gap over scale; per_metre: reciprocal of the scale [1/m]; tau: periods ahead where the ratio is smallest;
+    reward, risk: of the utility; utility; weight: relative to the best action's.
+    """
+
+    ratio: Array
+    per_metre: Array
+    tau: Array
+    reward: Array
+    risk: Array
+    utility: Array
+    weight: Array
+
+
 # Weight of an action that cannot change a mean, relative to the best one's.
 _NO_CHANCE = 1e-20
 
@@ -115,13 +135,7 @@ def _add_partials(
     leader_speed: Array,
     v_star: float,
     period: float,
-    ratio: Array,
-    per_metre: Array,
-    tau: Array,
-    reward: Array,
-    risk: Array,
-    utility: Array,
-    weight: Array,
+    considered: Considered,
     mean: Array,
     wanted: Array,
     out: Array,
@@ -130,6 +144,7 @@ def _add_partials(
 
     A loop of its own for each parameter that is wanted (7,): the others stay 0.
     """
+    ratio, per_metre, tau, reward, risk, utility, weight = considered
     out[:] = 0.0
     off_mean = np.empty(len(speed))
     for k in range(len(actions)):
@@ -218,8 +233,8 @@ def mean_actions(
         _closest(actions, near, own, leader, driver, period, periods_ahead, smallest, scale, tau)
         _add_up(actions, own, driver, period, smallest, scale, reward, risk, utility, best)
         _weigh(actions, utility, best, rationality, weight, partition, average)
-        kept = (smallest, scale, tau, reward, risk, utility, weight)
-        _add_partials(actions, own, leader, v_star, period, *kept, average, wanted, sums)
+        considered = Considered(smallest, scale, tau, reward, risk, utility, weight)
+        _add_partials(actions, own, leader, v_star, period, considered, average, wanted, sums)
         for t in range(taken):
             mean[first + t] = average[t]
             for j in range(len(UTILITY)):

@@ -114,14 +114,3 @@ def switch_on(rows: Array, name: str, values: Values) -> Array:
             )
         changed[..., k] = value
     return changed
-
-
-WIDTH, LAW, PLACES, LAW_PLACES, ENTRIES, DECLARED = (
-    ROW.width,
-    ROW.law,
-    ROW.places,
-    ROW.law_places,
-    ROW.entries,
-    ROW.declared,
-)
-place, whole = index_of, ROW.with_effects

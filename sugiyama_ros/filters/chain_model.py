@@ -7,7 +7,7 @@ import numpy as np
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import NAMES, UTILITY, population
 from sugiyama_ros.effects.effect import MEASUREMENT
-from sugiyama_ros.effects.registry import active, effect, place, whole
+from sugiyama_ros.effects.registry import ROW, active, effect, index_of
 from sugiyama_ros.filters.chain import Adaptation, adaptation_of, chain_parameters
 from sugiyama_ros.filters.noise import NOISES
 from sugiyama_ros.filters.state import STATE, Scene, scene_at
@@ -78,11 +78,11 @@ def chain_model(
     adaptation = adaptation_of(row, adaptation)
     places, prior_var = adaptation.arrays
     names = active(row)
-    others = whole(population() if ahead is None else ahead)
+    others = ROW.with_effects(population() if ahead is None else ahead)
     others[len(NAMES) :] = row[len(NAMES) :]
     for name in names:
         if effect(name).individual:
-            others[[place(name, p.name) for p in effect(name).parameters]] = 0.0
+            others[[index_of(name, p.name) for p in effect(name).parameters]] = 0.0
     rows = chain_parameters(row, others, vehicles, period_s)
     return ChainModel(
         row=row,

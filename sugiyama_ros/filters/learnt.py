@@ -7,7 +7,7 @@ from scipy.linalg import block_diag
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import NAMES
-from sugiyama_ros.effects.registry import WIDTH
+from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.filters.kalman import ChainKalman
 from sugiyama_ros.filters.noise import NOISES
 
@@ -40,7 +40,7 @@ def known_parameters(kalman: ChainKalman) -> Array:
 
 def parameter_covariance(kalman: ChainKalman) -> Array:
     """Return the covariance (WIDTH, WIDTH) of ``known_parameters``; zero for parameters that are not adapted."""
-    covariance, parameters = np.zeros((WIDTH, WIDTH)), known_parameters(kalman)
+    covariance, parameters = np.zeros((ROW.width, ROW.width)), known_parameters(kalman)
     places, entries = kalman.model.adapted, kalman.model.adapted_entries
     covariance[np.ix_(places, places)] = kalman.P[entries, entries]
     if kalman.noises is not None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import NAMES, check, population
-from sugiyama_ros.effects.registry import whole
+from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.effects.sensing import is_contaminated
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.causal import SETTLING
@@ -117,7 +117,7 @@ class OnlineFilter:
         self.period_s = period_s
         self.vehicles = vehicles
         self._ahead, self._adaptation, self._learning = ahead, adaptation, learning
-        self._model = self._model_of(whole(parameters))
+        self._model = self._model_of(ROW.with_effects(parameters))
         self._reads = np.eye(3, self._model.adapted_entries.stop)
         self.reset()
 
@@ -150,7 +150,7 @@ class OnlineFilter:
         InputError
             If an effect needs a parameter adapted that is not.
         """
-        row = whole(self._model.row[: len(NAMES)])
+        row = ROW.with_effects(self._model.row[: len(NAMES)])
         row[len(NAMES) :] = parameters[len(NAMES) :]
         model = self._model_of(row)
         if not np.array_equal(model.places, self._model.places):

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import OMEGA_2
-from sugiyama_ros.effects.registry import DECLARED
+from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.scoring import LONGEST, limited
 
 # Coordinates: +1 log p, -1 log -p, 0 p itself.
-_SIGN = np.array([1.0 if p.lower >= 0.0 else 0.0 for p in DECLARED])
+_SIGN = np.array([1.0 if p.lower >= 0.0 else 0.0 for p in ROW.declared])
 _SIGN[OMEGA_2] = -1.0
 
 
@@ -101,17 +101,17 @@ def reach(data: Recorded, places: Sequence[int]) -> Array:
     """Longest step (K,) of linear coordinates: a part of the declared range, of the recording or of the road."""
     t = data.trajectories
     road = t.road.circumference_m or float(np.nanmax(t.position_m) - np.nanmin(t.position_m))
-    longest = np.array([0.2 * (DECLARED[k].upper - DECLARED[k].lower) for k in places])
+    longest = np.array([0.2 * (ROW.declared[k].upper - ROW.declared[k].lower) for k in places])
     for j, k in enumerate(places):
-        if DECLARED[k].axis == "time":
+        if ROW.declared[k].axis == "time":
             longest[j] = 0.05 * t.duration_s
-        elif DECLARED[k].axis == "place":
+        elif ROW.declared[k].axis == "place":
             longest[j] = 0.1 * road
     return longest
 
 
 def _within(values: Array, places: Sequence[int], upper: Array) -> Array:
     """Parameters (..., K) clipped to their bounds; those searched in logarithms keep away from zero."""
-    lower = np.array([max(DECLARED[k].lower, 1e-3) if _SIGN[k] > 0.0 else DECLARED[k].lower for k in places])
+    lower = np.array([max(ROW.declared[k].lower, 1e-3) if _SIGN[k] > 0.0 else ROW.declared[k].lower for k in places])
     highest = np.array([min(upper[k], -1e-3) if _SIGN[k] < 0.0 else upper[k] for k in places])
     return np.clip(values, lower, highest)

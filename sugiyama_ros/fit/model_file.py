@@ -11,7 +11,7 @@ import yaml
 
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import COUNT, NAMES, check
-from sugiyama_ros.effects.registry import ENTRIES, WIDTH, active, effect, place, switch_on
+from sugiyama_ros.effects.registry import ROW, active, effect, index_of, switch_on
 from sugiyama_ros.errors import InputError, OutputError
 from sugiyama_ros.fit.driver_types import DriverTypes
 from sugiyama_ros.fit.joint import JointFit
@@ -70,7 +70,8 @@ def write_drivers(
             "parameters": {name: float(v) for name, v in zip(NAMES, row, strict=False)},
             "std": dict(std),
             "effects": {
-                name: {p.name: float(row[place(name, p.name)]) for p in effect(name).parameters} for name in active(row)
+                name: {p.name: float(row[index_of(name, p.name)]) for p in effect(name).parameters}
+                for name in active(row)
             },
         }
     document = {
@@ -114,7 +115,7 @@ def read_model(path: Path) -> ModelFile:
     rows, vehicles = [], []
     for vehicle, about in drivers.items():
         where = f"{path}: drivers: {vehicle}"
-        row: Array = np.zeros(WIDTH)
+        row: Array = np.zeros(ROW.width)
         try:
             row[:COUNT] = [float(about["parameters"][name]) for name in NAMES]
             for name, values in about.get("effects", {}).items():
@@ -179,7 +180,7 @@ def stds_of(fitted: JointFit) -> tuple[list[dict[str, float]], dict[str, float]]
         # from a coordinate to the parameter itself: d p = p d log p
         scale = np.where(coordinate(row[places], places) == row[places], 1.0, np.abs(row[places]))
         found.append((np.sqrt(np.maximum(variances, 0.0)) * scale).tolist())
-    names = [ENTRIES[k] for k in places]
+    names = [ROW.entries[k] for k in places]
     return [dict(zip(names[:own], std[:own], strict=True)) for std in found], dict(
         zip(names[own:], found[0][own:], strict=True)
     )

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from sugiyama_ros.driver.parameters import NAMES, population
-from sugiyama_ros.effects.registry import whole
+from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.driver import calibrate
 from sugiyama_ros.fit.joint import JointFit, at_model, maximise, mixed, objectives, renewed, start_fit, warm_start
@@ -28,7 +28,7 @@ _FAR_AWAY = 3.5
 
 def start_model(drivers: int, individual: Sequence[int]) -> Model:
     """The model without effects in which every driver is the population's mean."""
-    rows = np.tile(whole(population()), (drivers, 1))
+    rows = np.tile(ROW.with_effects(population()), (drivers, 1))
     return Model(rows, tuple(individual), (), (PRIOR_STD,) * len(individual), rows.copy())
 
 

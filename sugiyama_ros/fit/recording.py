@@ -6,7 +6,7 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import COUNT, RHO
-from sugiyama_ros.effects.registry import DECLARED
+from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.chain import CHAIN, Chain
 from sugiyama_ros.filters.extract import chain_behind
@@ -72,7 +72,7 @@ def prepare(trajectories: Trajectories, segment: Ints | None = None) -> Recorded
             if len(known):
                 values, counts = np.unique(known, return_counts=True)
                 ahead[i, m - 1] = column[int(values[np.argmax(counts)])]
-    upper = np.array([p.upper for p in DECLARED])
+    upper = np.array([p.upper for p in ROW.declared])
     upper[:COUNT] = upper_bounds(trajectories)
     upper[RHO] = 0.99
     unbroken = np.zeros(samples, np.int64) if segment is None else segment

@@ -8,7 +8,7 @@ from rclpy.node import Node
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import PARAMETERS, population
-from sugiyama_ros.effects.registry import whole
+from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.driver_types import DriverTypes
 from sugiyama_ros.fit.model_file import read_model
 
@@ -46,7 +46,7 @@ def declare_model(node: Node, vehicle: int) -> tuple[Array, DriverTypes | None]:
     """
     file = declare_path(node, "model", "model file (YAML) with drivers and effects")
     if file is None:
-        return whole(population()), None
+        return ROW.with_effects(population()), None
     model = read_model(file)
     return model.rows_of(np.array([vehicle]))[0], model.types
 

@@ -5,7 +5,7 @@ from sugiyama_msgs.msg import DriverParameters, DriverType, Innovation, StyleCha
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import NAMES
-from sugiyama_ros.effects.registry import ENTRIES, PLACES, active
+from sugiyama_ros.effects.registry import ROW, active
 from sugiyama_ros.filters.online import Estimate, OnlineFilter
 from sugiyama_ros.fit.driver_types import DriverTypes
 from sugiyama_ros.nodes.base import cdr_messages
@@ -44,9 +44,9 @@ class DriverTopics:
 
     def choose_parameters(self, effects: Array, filter_: OnlineFilter) -> None:
         """From now on, publish the driver's parameters and the parameters of the effects that act in a row (WIDTH,)."""
-        of_effects = [k for name in active(effects) for k in range(PLACES[name].start, PLACES[name].stop)]
+        of_effects = [k for name in active(effects) for k in range(ROW.places[name].start, ROW.places[name].stop)]
         self._shown = [*range(len(NAMES)), *of_effects]
-        names = [ENTRIES[k] for k in self._shown]
+        names = [ROW.entries[k] for k in self._shown]
         self._message = cdr_messages.Parameters(self._vehicle, names, filter_.adapted)
 
     def restart(self) -> None:
@@ -71,7 +71,7 @@ class DriverTopics:
         value, covariance = filter_.parameters[shown], filter_.parameter_covariance[np.ix_(shown, shown)]
         identified = filter_.identified
         self.not_identified = [name for name in filter_.adapted if name not in identified]
-        known = [ENTRIES[k] in identified for k in shown]
+        known = [ROW.entries[k] in identified for k in shown]
         self._node.send(self._to_parameters, self._message.message(stamp_ns, value, covariance, known))
         if self._types is not None:
             probability = self._types.probabilities(filter_.learnt, filter_.prior)

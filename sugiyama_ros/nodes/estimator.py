@@ -12,7 +12,7 @@ from sugiyama_msgs.srv import AddEffect, RemoveEffect
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import NAMES
-from sugiyama_ros.effects.registry import PLACES, active, effect, switch_on
+from sugiyama_ros.effects.registry import ROW, active, effect, switch_on
 from sugiyama_ros.errors import InputError, SugiyamaError
 from sugiyama_ros.filters.online import Estimate, OnlineFilter, warm_up
 from sugiyama_ros.nodes.base.cdr_messages import NS, Sample, measured
@@ -155,7 +155,7 @@ class Estimator(PacedNode):
     ) -> RemoveEffect.Response:
         if request.effect in active(self._effects):
             without = self._effects.copy()
-            without[PLACES[request.effect]] = 0.0
+            without[ROW.places[request.effect]] = 0.0
             self._take_effects(without)
             response.success = True
         else:

@@ -12,7 +12,7 @@ from sugiyama_ros.nodes.base.spin import run_node
 from sugiyama_ros.nodes.driver_parameters import declare_driver
 from sugiyama_ros.nodes.source import Source
 from sugiyama_ros.road import Road
-from sugiyama_ros.simulation.simulator import Simulator, platoon
+from sugiyama_ros.simulation.simulator import Clock, Simulator, platoon
 from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M
 
 
@@ -67,7 +67,7 @@ class SimulatorNode(Source):
                 platoon(length_m, gap_m),
                 Road(ring_m),
                 np.random.default_rng(seed),
-                period_s=period_s,
+                clock=Clock(period_s),
             )
         )
 

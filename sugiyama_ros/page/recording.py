@@ -4,7 +4,7 @@ import json
 from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,7 +12,12 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.registry import read_trajectories
+from sugiyama_ros.plots import space_time
+from sugiyama_ros.results import Result
 from sugiyama_ros.trajectories.trajectories import Trajectories
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _FIELDS = {
     "state": ("speed", "acceleration", "mean_action", "gap_m", "approach_rate"),
@@ -22,8 +27,8 @@ _FIELDS = {
 _ASKED = {"verdict", "candidates", "smallest_detectable", "errors", "drivers"}
 
 
-@dataclass(frozen=True, eq=False)
-class Recording:
+@dataclass(frozen=True, eq=False, repr=False)
+class Recording(Result):
     """A recorded run: T samples of N vehicles, and K verdicts of the critic.
 
     Attributes
@@ -46,6 +51,31 @@ class Recording:
     series: dict[str, Array]
     verdict_s: Array
     weights: dict[str, Array]
+
+    def headline(self) -> str:
+        """Say what was recorded, and how large the one-step errors are."""
+        if not self.has_estimates:
+            return f"{self.trajectories.headline()}; no estimates"
+        error = float(np.sqrt(np.mean(np.square(self.error_by_driver))))
+        return f"{self.trajectories.headline()}; one-step error {error:.3f} m"
+
+    def records(self) -> list[dict[str, Any]]:
+        """List all samples of all vehicles: the measured position [m] and what was published; SI units."""
+        t = self.trajectories
+        return [
+            {
+                "time_s": time,
+                "vehicle": vehicle,
+                "position_m": float(t.position_m[k, i]),
+                **{name: float(values[k, i]) for name, values in self.series.items()},
+            }
+            for k, time in enumerate(self.time_s.tolist())
+            for i, vehicle in enumerate(t.vehicle.tolist())
+        ]
+
+    def draw(self, figure: "Figure") -> None:
+        """Draw the measured positions over time, coloured by the estimated speed."""
+        space_time(figure, self.time_s, self.trajectories.position_m, self.series["speed"])
 
     @property
     def has_estimates(self) -> bool:

@@ -7,12 +7,15 @@ run as it is.
 """
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.advance import advance
 from sugiyama_ros.driver.parameters import (
+    REFERENCE_PERIOD_S,
     RHO,
     SIGMA_A,
     SIGMA_NU,
@@ -28,9 +31,16 @@ from sugiyama_ros.effects.control import noise_factor
 from sugiyama_ros.effects.registry import EFFECTS, ROW
 from sugiyama_ros.effects.sensing import displacements, noise_std_factors, spoil
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.formats.convert import write_trajectories
+from sugiyama_ros.formats.plain_csv import write_csv
+from sugiyama_ros.plots import space_time
+from sugiyama_ros.results import Result
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.drive import Order, Setting, Traffic, drive, see
 from sugiyama_ros.trajectories.trajectories import Trajectories
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _WANDERING = tuple(e for e in EFFECTS.values() if e.wanders)
 
@@ -44,8 +54,8 @@ class Collision:
     leader: int
 
 
-@dataclass(frozen=True, eq=False)
-class Simulation:
+@dataclass(frozen=True, eq=False, repr=False)
+class Simulation(Result):
     """A simulated run: what a camera would have measured, the truth, and what went wrong.
 
     speed, acceleration, position_m: (T, N), SI, the truth (position wrapped on a ring); parameters: (N, WIDTH) of the
@@ -58,6 +68,69 @@ class Simulation:
     speed: Array
     acceleration: Array
     collisions: tuple[Collision, ...]
+
+    def headline(self) -> str:
+        """Say what was simulated, how fast they drove, and whether they collided."""
+        collisions = f"; {len(self.collisions)} collisions" if self.collisions else ""
+        return f"{self.measured.headline()}; mean speed {self.speed.mean():.2f} m/s{collisions}"
+
+    def records(self) -> list[dict[str, Any]]:
+        """List all samples: what was measured, and the true position, speed and acceleration; SI units."""
+        t = self.measured
+        return [
+            {
+                "time_s": time,
+                "vehicle": vehicle,
+                "position_m": float(t.position_m[k, i]),
+                "true_position_m": float(self.position_m[k, i]),
+                "true_speed": float(self.speed[k, i]),
+                "true_acceleration": float(self.acceleration[k, i]),
+            }
+            for k, time in enumerate(t.time_s.tolist())
+            for i, vehicle in enumerate(t.vehicle.tolist())
+        ]
+
+    def draw(self, figure: "Figure") -> None:
+        """Draw the true positions over time, coloured by speed."""
+        space_time(figure, self.measured.time_s, self.position_m, self.speed)
+
+    def save(self, path: str | Path) -> None:
+        """Write the simulation to a file.
+
+        Parameters
+        ----------
+        path : str or Path
+            ``.mcap`` and ``.csv`` have what a camera would have measured, ``.json`` all records, ``.png`` and ``.pdf``
+            the picture.
+
+        Raises
+        ------
+        InputError
+            For another suffix.
+        OutputError
+            If the file cannot be written.
+        """
+        writers = {".mcap": write_trajectories, ".csv": write_csv}
+        if Path(path).suffix in writers:
+            writers[Path(path).suffix](self.measured, Path(path))
+        else:
+            super().save(path)
+
+
+@dataclass(frozen=True)
+class Clock:
+    """Times of a simulation: between two samples [s], of the first sample [s], and the periods of look-ahead.
+
+    ``horizon`` follows the paper where it is None.
+    """
+
+    period_s: float = REFERENCE_PERIOD_S
+    start_s: float = 0.0
+    horizon: int | None = None
+
+
+#: Samples as in the Sugiyama experiment, from time 0.
+REFERENCE_CLOCK = Clock()
 
 
 class Simulator:
@@ -79,9 +152,7 @@ class Simulator:
         rng: np.random.Generator,
         *,
         speed: Array | None = None,
-        period_s: float = 1.0 / 3.0,
-        horizon: int | None = None,
-        start_s: float = 0.0,
+        clock: Clock = REFERENCE_CLOCK,
     ) -> None:
         check(parameters)
         vehicles = len(length_m)
@@ -90,10 +161,10 @@ class Simulator:
                 f"simulation: {len(parameters)} drivers, {vehicles} lengths, {len(position_m)} positions; give one each"
             )
         self.road = road
-        self.period_s = period_s
-        self.horizon = horizon_at(period_s) if horizon is None else horizon
+        self.period_s = clock.period_s
+        self.horizon = horizon_at(clock.period_s) if clock.horizon is None else clock.horizon
         self.drivers = ROW.with_effects(parameters)
-        self.parameters = at_period(self.drivers, period_s)
+        self.parameters = at_period(self.drivers, clock.period_s)
         self.length_m = length_m.astype(np.float64)
         self.leader: Ints = np.arange(1, vehicles + 1)
         self.leader[-1] = 0 if road.is_ring and vehicles > 1 else -1
@@ -105,7 +176,7 @@ class Simulator:
         self.held: Array = np.zeros(vehicles)
         self.acceleration: Array = np.zeros(vehicles)
         self.step_number = 0
-        self.start_s = start_s
+        self.start_s = clock.start_s
         self._rng = rng
         self._rng_of_effects = rng.spawn(1)[0]
         self._mood: dict[str, Array] = {}

@@ -19,7 +19,18 @@ _DRIVERS, _RING_M, _DURATION_S, _ROUNDS = 10, 105.0, 150.0, 5
 
 
 def measure(without: str) -> dict[str, float]:
-    """CPU time of one filter pass over all drivers, and wall time on two threads [s]; the least of some rounds."""
+    """Measure the time of one filter pass over all drivers.
+
+    Parameters
+    ----------
+    without : str
+        Compiler option that is switched off; an empty string for none.
+
+    Returns
+    -------
+    dict
+        CPU time on one thread and wall time on two threads [s]: the shortest of several rounds.
+    """
     jit.OPTIONS.discard(without)
     from concurrent.futures import ThreadPoolExecutor
 

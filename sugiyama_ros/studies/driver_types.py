@@ -15,7 +15,24 @@ _PLACES, _MOST, _DRAWS = [SIGMA_A, V_STAR, KAPPA_V], 6, 200
 
 
 def silhouette(points: Array, label: Ints) -> float:
-    """Mean silhouette (Rousseeuw 1987) of a clustering of points (N, K)."""
+    """Measure how well points belong to their clusters.
+
+    Parameters
+    ----------
+    points : ndarray, shape (N, K)
+        Points.
+    label : ndarray of int, shape (N,)
+        Cluster of each point.
+
+    Returns
+    -------
+    float
+        Mean silhouette, from -1 to 1; 1 for clusters that are far apart.
+
+    References
+    ----------
+    Rousseeuw, J. Comput. Appl. Math. 20 (1987) 53.
+    """
     distance = squareform(pdist(points))
     widths = []
     for i, own in enumerate(label):
@@ -30,7 +47,22 @@ def silhouette(points: Array, label: Ints) -> float:
 
 
 def adjusted_rand(a: Ints, b: Ints) -> float:
-    """Agreement of two clusterings beyond chance (Hubert and Arabie 1985): 1 for the same, 0 for chance."""
+    """Measure how well two clusterings of the same points agree.
+
+    Parameters
+    ----------
+    a, b : ndarray of int, shape (N,)
+        Cluster of each point.
+
+    Returns
+    -------
+    float
+        Adjusted Rand index: 1 for equal clusterings, 0 on average for random ones.
+
+    References
+    ----------
+    Hubert and Arabie, J. Classification 2 (1985) 193.
+    """
     table = np.array([[np.sum((a == x) & (b == y)) for y in np.unique(b)] for x in np.unique(a)])
 
     def pairs(n: Array | Ints) -> float:
@@ -42,9 +74,10 @@ def adjusted_rand(a: Ints, b: Ints) -> float:
 
 
 def _answer(asked: Asked) -> Answer:
-    """Ward's clustering of standardised sigma_a, v* and kappa_v; their number is that of the largest silhouette.
+    """Cluster the drivers by standardised sigma_a, v* and kappa_v (Ward's method).
 
-    Stability: the estimates are drawn anew within their errors and clustered again; agreement with the first.
+    The number of clusters with the largest silhouette is the best one. To see how stable the clusters are, estimates
+    are drawn within their errors and clustered again; the table has the agreement with the first clustering.
     """
     fits = [fit for fit in calibrate(asked.measured, "paper") if fit.identified("v_star")]
     values = np.array([fit.parameters[_PLACES] for fit in fits])

@@ -46,12 +46,12 @@ def followed(job: tuple[Trajectories, int]) -> Followed:
     trajectories, driver = job
     chain = chain_behind(trajectories, driver)
     online = OnlineFilter(trajectories.period_s, trajectories.road)
-    values, stds, density, told = [], [], [], []
+    parameters, log_std, log_likelihood, reported = [], [], [], []
     for k, sample in enumerate(zip(chain.position_m, chain.identity, chain.length_m, strict=True)):
         estimate = online.step(*sample, trajectories.start_s + k * trajectories.period_s)
-        values.append(online.parameters[_PLACES])
-        stds.append(np.sqrt(np.diag(online.learnt.covariance)))
-        density.append(estimate.log_likelihood if estimate.scored else np.nan)
+        parameters.append(online.parameters[_PLACES])
+        log_std.append(np.sqrt(np.diag(online.learnt.covariance)))
+        log_likelihood.append(estimate.log_likelihood if estimate.scored else np.nan)
         if online.change_of_style is not None:
-            told.append((k * trajectories.period_s, online.change_of_style[0]))
-    return Followed(np.array(values), np.array(stds), np.array(density), told)
+            reported.append((k * trajectories.period_s, online.change_of_style[0]))
+    return Followed(np.array(parameters), np.array(log_std), np.array(log_likelihood), reported)

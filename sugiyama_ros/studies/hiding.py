@@ -12,7 +12,7 @@ import numpy as np
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, defaults
 from sugiyama_ros.effects.effect import Values
-from sugiyama_ros.effects.registry import EFFECTS, effect, switch_on, whole
+from sugiyama_ros.effects.registry import EFFECTS, ROW, effect, switch_on
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulation, Simulator, evenly, platoon, simulate
 
@@ -75,7 +75,7 @@ def hide_all(effects: Mapping[str, Values], seed: int) -> tuple[Simulation, dict
     """
     for attempt in range(_ATTEMPTS):
         rng = np.random.default_rng([seed, attempt])
-        rows = whole(defaults(DRIVERS))
+        rows = ROW.with_effects(defaults(DRIVERS))
         for k in (V_STAR, KAPPA_V):
             rows[:, k] *= np.exp(0.1 * rng.standard_normal(DRIVERS))
         drawn = {}

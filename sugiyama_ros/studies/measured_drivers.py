@@ -1,4 +1,4 @@
-"""The measured drivers: their parameters in both formulations, and what the filter makes of them."""
+"""What are the parameters of the measured drivers, in both formulations?"""
 
 from typing import Any
 
@@ -21,7 +21,10 @@ _VARIANTS: tuple[tuple[str, Formulation, bool], ...] = (
 
 
 def _answer(asked: Asked) -> Answer:
-    """Mean and std over the drivers; the figure shows speeds of three with bands of one sigma."""
+    """Fit the measured drivers. The table has the mean and the std over the drivers.
+
+    The figure shows the filtered speeds of three drivers with bands of one standard deviation.
+    """
     t = asked.measured
     rows: list[Row] = []
     for name, formulation, is_regularised in _VARIANTS:

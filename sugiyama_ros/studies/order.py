@@ -18,17 +18,18 @@ def _answer(asked: Asked) -> Answer:
     seeds = [asked.seed + k for k in range(asked.runs)]
     rings = [Ring(drivers[one], seed, jammed=True) for one in orders for seed in seeds]
     swings = np.array(list(asked.work.map(_swing, rings))).reshape(len(orders), len(seeds))
-    whole = np.isfinite(swings)
-    by_order = np.where(whole, swings, 0.0).sum(axis=1) / np.where(whole.any(axis=1), whole.sum(axis=1), np.nan)
-    rest = by_order[1:][np.isfinite(by_order[1:])]
+    complete = np.isfinite(swings)
+    runs = complete.sum(axis=1)
+    by_order = np.where(complete, swings, 0.0).sum(axis=1) / np.where(runs > 0, runs, np.nan)
+    shuffled = by_order[1:][np.isfinite(by_order[1:])]
     rows = (
-        {"order": "as measured", "swing of the mean speed [m/s]": float(by_order[0]), "runs": int(whole[0].sum())},
+        {"order": "as measured", "swing of the mean speed [m/s]": float(by_order[0]), "runs": int(runs[0])},
         {
-            "order": f"shuffled, {len(rest)} ways",
-            "swing of the mean speed [m/s]": float(rest.mean()) if len(rest) else float("nan"),
-            "std over orders": float(rest.std(ddof=1)) if len(rest) > 1 else float("nan"),
-            "orders that swing more": int((rest > by_order[0]).sum()),
-            "runs": int(whole[1:].sum()),
+            "order": f"shuffled, {len(shuffled)} ways",
+            "swing of the mean speed [m/s]": float(shuffled.mean()) if len(shuffled) else float("nan"),
+            "std over orders": float(shuffled.std(ddof=1)) if len(shuffled) > 1 else float("nan"),
+            "orders that swing more": int((shuffled > by_order[0]).sum()),
+            "runs": int(runs[1:].sum()),
         },
     )
 

@@ -1,4 +1,4 @@
-"""Are simulated drivers found again, and do the errors hold?"""
+"""Are the parameters of simulated drivers found again, and are the stated errors right?"""
 
 from typing import Any
 
@@ -18,7 +18,10 @@ _FORMULATIONS: tuple[Formulation, ...] = ("paper", "causal")
 
 
 def _answer(asked: Asked) -> Answer:
-    """Drivers at the paper's mean, from gaps of 2 m; std and bias of a fit, coverage of 95 % profile intervals."""
+    """Simulate drivers with the paper's mean parameters from gaps of 2 m, and fit them.
+
+    The table has the bias and the std of a fit, and the share of 95 % profile intervals that contain the truth.
+    """
     places = [index(name) for name in ESTIMATED]
     truth = alike()[0, places]
     errors: dict[str, list[Array]] = {f: [] for f in _FORMULATIONS}

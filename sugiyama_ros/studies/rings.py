@@ -1,4 +1,4 @@
-"""Many simulated rings at once, each summed up by what its whole road does at the end."""
+"""Simulated rings, and what happens on the whole road in the last part of a run."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
@@ -12,22 +12,36 @@ from sugiyama_ros.driver.parameters import SIGMA_A, defaults
 from sugiyama_ros.fit.driver import SearchOptions, calibrate
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.collective import Collective, collective
-from sugiyama_ros.simulation.simulator import Simulation, Simulator, evenly, platoon, simulate
+from sugiyama_ros.simulation.simulator import Clock, Simulation, Simulator, evenly, platoon, simulate
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
-#: The ring and the cars of the experiment, duration of a run and its last part, which is summed up; SI units.
+#: The ring and the cars of the experiment, the duration of a run, and its last part, which is evaluated; SI units.
 RING_M, CARS, LENGTH_M, DURATION_S, LAST_S = 230.0, 22, 4.33, 500.0, 150.0
-#: Gap [m] of a start out of a jam.
+#: Gap [m] between cars that start out of a jam.
 JAM_GAP_M = 2.0
-#: Factor of sigma_a in simulations with estimated drivers: the paper's (section 6), and one with which few collide.
+#: Factors of sigma_a in simulations with estimated drivers: in the paper (section 6), and with only a few collisions.
 PAPERS_FACTOR, FACTOR = 0.5, 0.25
-# A road has a wave where, in the mean over time, the slowest vehicle is slower than this part of the fastest's speed.
+# A road has a wave if the slowest vehicle, in the mean over time, has less than this part of the speed of the fastest.
 _SLOW = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class Ring:
-    """One run: drivers (N, P), how they start, and with what seed; jammed: from a platoon, else from equal gaps."""
+    """One run on a ring.
+
+    Parameters
+    ----------
+    drivers : ndarray, shape (N, P)
+        Parameters of the drivers.
+    seed : int
+        Seed of the random generator.
+    jammed : bool
+        Whether the cars start as a platoon; otherwise they start with equal gaps.
+    ring_m, length_m : float
+        Circumference of the ring and length of a car [m].
+    period_s, duration_s : float
+        Time between two samples, and duration of the run [s].
+    """
 
     drivers: Array
     seed: int
@@ -40,7 +54,19 @@ class Ring:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run came to: collective measures of its last part, whether there is a wave, and collisions."""
+    """What happens in the last part of a run.
+
+    Parameters
+    ----------
+    road : Collective
+        Collective measures of all vehicles.
+    wave : bool
+        Whether there is a wave, and no collision.
+    collided : bool
+        Whether cars collide.
+    flow_per_h : float
+        Vehicles that pass a point in an hour [1/h].
+    """
 
     road: Collective
     wave: bool
@@ -49,18 +75,34 @@ class Outcome:
 
 
 def run(ring: Ring) -> Simulation:
-    """Simulate one ring, from rest."""
+    """Simulate one ring. The cars start from rest."""
     cars = len(ring.drivers)
     length, road = np.full(cars, ring.length_m), Road(ring.ring_m)
     start = platoon(length, JAM_GAP_M) if ring.jammed else evenly(length, road)
     rng = np.random.default_rng(ring.seed)
-    return simulate(Simulator(ring.drivers, length, start, road, rng, period_s=ring.period_s), ring.duration_s)
+    return simulate(Simulator(ring.drivers, length, start, road, rng, clock=Clock(ring.period_s)), ring.duration_s)
 
 
 def jams(spread: Mapping[int, float], runs: int, seed: int, duration_s: float) -> Iterator[tuple[Array, Trajectories]]:
-    """Drivers (N, P) who differ, and what is measured of them out of a jam; a run in which cars collide is left out.
+    """Simulate drivers who differ from each other, out of a jam.
 
-    spread: std of the logarithm over the drivers, by parameter.
+    Parameters
+    ----------
+    spread : mapping of int to float
+        Std of the logarithm over the drivers, by the place of the parameter in a row.
+    runs : int
+        Number of runs.
+    seed : int
+        Seed of the first run.
+    duration_s : float
+        Duration of a run [s].
+
+    Yields
+    ------
+    drivers : ndarray, shape (N, P)
+        Parameters of the drivers.
+    measured : Trajectories
+        What is measured. A run in which cars collide is left out.
     """
     for k in range(runs):
         rng = np.random.default_rng([seed, k])
@@ -73,7 +115,7 @@ def jams(spread: Mapping[int, float], runs: int, seed: int, duration_s: float) -
 
 
 def outcome(ring: Ring) -> Outcome:
-    """Simulate one ring and sum it up."""
+    """Simulate one ring and evaluate the last part of the run."""
     s = run(ring)
     last = max(2, round(LAST_S / ring.period_s))
     speed, position = s.speed[-last:], s.position_m[-last:]
@@ -86,17 +128,30 @@ def outcome(ring: Ring) -> Outcome:
 
 
 def outcomes(rings: Sequence[Ring], work: Executor) -> list[Outcome]:
-    """Outcomes of all, in order."""
+    """Simulate rings with workers; the outcomes are in the order of the rings."""
     return list(work.map(outcome, rings))
 
 
 def alike(cars: int = CARS) -> Array:
-    """Drivers (N, P) at the paper's mean parameters."""
+    """Make drivers, shape (N, P), who all have the paper's mean parameters."""
     return defaults(cars)
 
 
 def estimated(trajectories: Trajectories, factor: float = FACTOR) -> Array:
-    """Drivers (N, P) as the paper finds them, regularised, with part of the acceleration noise (sections 4.4 and 6)."""
+    """Estimate drivers for simulations as the paper does (sections 4.4 and 6).
+
+    Parameters
+    ----------
+    trajectories : Trajectories
+        Measured drivers.
+    factor : float
+        Factor of the acceleration noise.
+
+    Returns
+    -------
+    ndarray, shape (N, P)
+        Regularised estimates.
+    """
     fits = calibrate(trajectories, "paper", options=SearchOptions(is_regularised=True))
     rows = np.array([fit.parameters for fit in fits])
     rows[:, SIGMA_A] *= factor
@@ -133,8 +188,19 @@ def mean_driver(drivers: Array) -> Array:
 
 
 def summed_up(found: Sequence[Outcome]) -> dict[str, float]:
-    """Share of runs with a wave and with a collision, and means over the runs without one."""
-    whole = [o for o in found if not o.collided]
+    """Count runs with a wave and with a collision, and average the runs without a collision.
+
+    Parameters
+    ----------
+    found : sequence of Outcome
+        Outcomes of the runs.
+
+    Returns
+    -------
+    dict
+        Numbers by the heading of their column.
+    """
+    complete = [o for o in found if not o.collided]
 
     def mean(values: list[float]) -> float:
         finite = [v for v in values if np.isfinite(v)]
@@ -143,18 +209,18 @@ def summed_up(found: Sequence[Outcome]) -> dict[str, float]:
     return {
         "runs": len(found),
         "with a wave": sum(o.wave for o in found),
-        "collided": len(found) - len(whole),
-        "mean speed [m/s]": mean([o.road.mean_speed for o in whole]),
-        "least [m/s]": mean([o.road.least_speed for o in whole]),
-        "largest [m/s]": mean([o.road.largest_speed for o in whole]),
-        "wave speed [m/s]": mean([o.road.wave_speed for o in whole]),
-        "queue [cars]": mean([o.road.queue_vehicles for o in whole]),
-        "flow [1/h]": mean([o.flow_per_h for o in whole]),
+        "collided": len(found) - len(complete),
+        "mean speed [m/s]": mean([o.road.mean_speed for o in complete]),
+        "least [m/s]": mean([o.road.least_speed for o in complete]),
+        "largest [m/s]": mean([o.road.largest_speed for o in complete]),
+        "wave speed [m/s]": mean([o.road.wave_speed for o in complete]),
+        "queue [cars]": mean([o.road.queue_vehicles for o in complete]),
+        "flow [1/h]": mean([o.flow_per_h for o in complete]),
     }
 
 
 def space_time(axes: Any, simulation: Simulation) -> None:
-    """Draw trajectories, coloured by speed."""
+    """Draw position over time, coloured by speed, into matplotlib's ``axes``."""
     s = simulation
     time = np.arange(len(s.position_m)) * s.measured.period_s
     for i in range(s.position_m.shape[1]):

@@ -1,4 +1,4 @@
-"""How many directions of the parameters does a likelihood hold?"""
+"""How many directions of the parameter space does the likelihood determine?"""
 
 from typing import Any
 
@@ -17,7 +17,18 @@ _PLACES = [k for k in range(COUNT) if k != RATIONALITY]
 
 
 def eigenvalues(trajectories: Trajectories) -> Array:
-    """Eigenvalues (N, 11), ascending, of the Hessian in logarithms, at every driver's fit."""
+    """Find the eigenvalues of the Hessian of the log-likelihood at every driver's fit.
+
+    Parameters
+    ----------
+    trajectories : Trajectories
+        Drivers, simulated or measured.
+
+    Returns
+    -------
+    ndarray, shape (N, 11)
+        Eigenvalues in ascending order; the parameters are logarithms.
+    """
     found = []
     for driver, fit in enumerate(calibrate(trajectories, "paper")):
         perceived, p = paper.perceive(trajectories, driver), fit.parameters
@@ -34,7 +45,7 @@ def eigenvalues(trajectories: Trajectories) -> Array:
 
 
 def _answer(asked: Asked) -> Answer:
-    """A simulated jam, simulated free flow, and the measured drivers if there are any."""
+    """Compare a simulated jam, simulated free flow, and the measured drivers if there are any."""
     settings = {
         "jam": run(Ring(alike(), asked.seed, jammed=True, duration_s=_DURATION_S)).measured,
         "free flow": run(Ring(alike(), asked.seed, ring_m=_FREE_RING_M, duration_s=_DURATION_S)).measured,

@@ -1,4 +1,4 @@
-"""What a study is: a question, a way to answer it, and an answer as a table and a figure."""
+"""What a study is: a question, and a way to answer it with a table and a figure."""
 
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
@@ -8,13 +8,25 @@ from typing import Any
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
-#: Names of columns, and rows of values.
+#: A row of a table: values by the heading of the column.
 Row = Mapping[str, Any]
 
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """What a study may use: measured trajectories if there are any, a number of runs, a seed, and workers."""
+    """What a study may use.
+
+    Parameters
+    ----------
+    trajectories : Trajectories or None
+        Measured drivers, if there are any.
+    runs : int
+        Number of simulated runs of each case.
+    seed : int
+        Seed of the first run; the other runs have the seeds that follow.
+    work : Executor
+        Workers.
+    """
 
     trajectories: Trajectories | None
     runs: int
@@ -23,15 +35,23 @@ class Asked:
 
     @property
     def measured(self) -> Trajectories:
-        """The trajectories. Raises InputError where none were given."""
+        """The measured drivers. Raises InputError if there are none."""
         if self.trajectories is None:
-            raise InputError("study: asks for measured drivers; give a FILE of trajectories")
+            raise InputError("study: needs measured drivers; give a FILE of trajectories")
         return self.trajectories
 
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """Rows of a table, and what draws the figure into matplotlib's Figure."""
+    """Answer of a study.
+
+    Parameters
+    ----------
+    rows : tuple of mapping
+        Rows of the table: values by the heading of the column.
+    draw : callable
+        Draws the figure into a ``matplotlib.figure.Figure``.
+    """
 
     rows: tuple[Row, ...]
     draw: Callable[[Any], None]
@@ -39,7 +59,19 @@ class Answer:
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """A question of the paper, what the paper says about it, and how it is answered here."""
+    """A question of the paper, and how it is answered here.
+
+    Parameters
+    ----------
+    name : str
+        Name in commands.
+    question : str
+        The question.
+    paper : str
+        What the paper says about the question.
+    answer : callable
+        ``Asked`` -> ``Answer``.
+    """
 
     name: str
     question: str

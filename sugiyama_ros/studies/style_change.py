@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sugiyama_ros.arrays import Mask
-from sugiyama_ros.effects.registry import switch_on, whole
+from sugiyama_ros.effects.registry import ROW, switch_on
 from sugiyama_ros.simulation.simulator import Simulation
 from sugiyama_ros.studies.following import followed
 from sugiyama_ros.studies.rings import CARS, Ring, alike, run
@@ -51,7 +51,7 @@ def _answer(asked: Asked) -> Answer:
         for ring_m, count in counts.items():
             of = np.minimum(count.delays, 100.0)
             axes.hist(of, bins=np.arange(0.0, 101.0, 2.5), alpha=0.6, label=f"{ring_m:g} m")
-        axes.set(xlabel="time until the change is told [s]; 100: not at all", ylabel="drivers")
+        axes.set(xlabel="time until the change is reported [s]; 100: not at all", ylabel="drivers")
         axes.legend()
 
     return Answer(tuple(rows), draw)
@@ -60,17 +60,18 @@ def _answer(asked: Asked) -> Answer:
 def _count(asked: Asked, ring_m: float) -> _Count:
     """Count the changes of style that the estimators report in all runs on one ring."""
     delays: list[float] = []
-    others, hours = 0, 0.0
-    for same, switched in _pairs(asked, ring_m):
+    false_alarms, hours = 0, 0.0
+    for unchanged, switched in _pairs(asked, ring_m):
         t = switched.measured
-        slowed = _slowed(same, switched)
+        is_slowed = _slowed(unchanged, switched)
         for i, one in enumerate(asked.work.map(followed, [(t, i) for i in range(CARS)])):
-            told = one.changes
-            if slowed[i]:
-                delays.append(next((s for s, name in told if s >= _SWITCH_S and name == "v_star"), np.inf) - _SWITCH_S)
-            others += sum(not _SLOWED[i] or s < _SWITCH_S for s, _ in told)
+            if is_slowed[i]:
+                delays.append(
+                    next((s for s, name in one.changes if s >= _SWITCH_S and name == "v_star"), np.inf) - _SWITCH_S
+                )
+            false_alarms += sum(not _SLOWED[i] or s < _SWITCH_S for s, _ in one.changes)
             hours += (t.duration_s if not _SLOWED[i] else _SWITCH_S) / 3600.0
-    return _Count(delays, others, hours)
+    return _Count(delays, false_alarms, hours)
 
 
 def _pairs(asked: Asked, ring_m: float) -> Iterator[tuple[Simulation, Simulation]]:
@@ -82,22 +83,22 @@ def _pairs(asked: Asked, ring_m: float) -> Iterator[tuple[Simulation, Simulation
         pairs = []
         for factor in (1.0, _FACTOR):
             change = {"v_star_change": float(np.log(factor)), "kappa_v_change": 1e-9, "time": _SWITCH_S}
-            drivers = whole(alike())
+            drivers = ROW.with_effects(alike())
             drivers[_SLOWED] = switch_on(drivers, "preference_switch", change)[_SLOWED]
             pairs.append(
                 run(Ring(drivers, asked.seed + k, jammed=ring_m == _RINGS_M[0], duration_s=200.0, ring_m=ring_m))
             )
-        same, switched = pairs
-        if not same.collisions and not switched.collisions:
-            yield same, switched
+        unchanged, switched = pairs
+        if not unchanged.collisions and not switched.collisions:
+            yield unchanged, switched
 
 
-def _slowed(same: Simulation, switched: Simulation) -> Mask:
+def _slowed(unchanged: Simulation, switched: Simulation) -> Mask:
     """Which drivers (N,) the change slows down: a driver in a queue could not have driven faster without the change."""
     period_s = switched.measured.period_s
     after = slice(round(_SWITCH_S / period_s), round((_SWITCH_S + _SOON_S) / period_s))
-    room = np.mean(same.speed[after] - switched.speed[after], axis=0) > _LEAST_LOSS
-    return np.asarray(_SLOWED & room)
+    loses_speed = np.mean(unchanged.speed[after] - switched.speed[after], axis=0) > _LEAST_LOSS
+    return np.asarray(_SLOWED & loses_speed)
 
 
 STUDY = Study(

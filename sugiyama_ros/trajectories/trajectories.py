@@ -3,20 +3,26 @@
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.plots import space_time
+from sugiyama_ros.results import Result
 from sugiyama_ros.road import Road
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 #: Length [m] of a vehicle whose file does not tell: the mean of the paper's Table 1.
 DEFAULT_LENGTH_M = 4.33
 
 
-@dataclass(frozen=True, eq=False)
-class Trajectories:
+@dataclass(frozen=True, eq=False, repr=False)
+class Trajectories(Result):
     """Positions of N vehicles at T regular times.
 
     position_m: (T, N) [m], of the vehicles' centres, wrapped on a ring; NaN where a sample is missing.
@@ -49,6 +55,33 @@ class Trajectories:
             raise InputError(f"{self.source or 'trajectories'}: a vehicle's number occurs twice")
         if not (np.all(np.isfinite(self.length_m)) and np.all(self.length_m >= 0.0)):
             raise InputError(f"{self.source or 'trajectories'}: a vehicle's length is negative or not a number")
+
+    def headline(self) -> str:
+        """Say how many vehicles there are, for how long, and on what road."""
+        road = f"a ring of {self.road.circumference_m:g} m" if self.road.is_ring else "an open road"
+        vehicles, samples = len(self.vehicle), len(self.position_m)
+        return (
+            f"{vehicles} vehicles on {road}, {samples} samples of {self.period_s:.4g} s, from {self.source or 'memory'}"
+        )
+
+    def records(self) -> list[dict[str, Any]]:
+        """List all samples: time_s [s], vehicle, position_m [m] and length_m [m]."""
+        samples, columns = np.nonzero(np.isfinite(self.position_m))
+        return [
+            {"time_s": time, "vehicle": vehicle, "position_m": position, "length_m": length}
+            for time, vehicle, position, length in zip(
+                self.time_s[samples].tolist(),
+                self.vehicle[columns].tolist(),
+                self.position_m[samples, columns].tolist(),
+                self.length_m[columns].tolist(),
+                strict=True,
+            )
+        ]
+
+    def draw(self, figure: "Figure") -> None:
+        """Draw positions over time, coloured by speed."""
+        moved = np.diff(self.road.unwrap(self.position_m), axis=0, append=np.nan)
+        space_time(figure, self.time_s, self.position_m, moved / self.period_s)
 
     @property
     def time_s(self) -> Array:

@@ -10,7 +10,7 @@ from sugiyama_msgs.msg import DriverParameters, Innovation, Verdict
 from sugiyama_msgs.srv import AddEffect, RemoveEffect, Seek
 
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, V_STAR, defaults, population
-from sugiyama_ros.effects.registry import switch_on, whole
+from sugiyama_ros.effects.registry import ROW, switch_on
 from sugiyama_ros.filters.causal import filter_chain
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.online import ADAPT
@@ -34,7 +34,7 @@ def delayed():
     p = defaults(DRIVERS)
     p[:, V_STAR] *= np.exp(0.05 * rng.standard_normal(DRIVERS))
     p[:, KAPPA_V] = OWN["kappa_v"]
-    rows = switch_on(whole(p), "reaction_delay", {"delay": DELAY_S})
+    rows = switch_on(ROW.with_effects(p), "reaction_delay", {"delay": DELAY_S})
     length, road = np.full(DRIVERS, 4.33), Road(RING_M)
     run = simulate(Simulator(rows, length, evenly(length, road), road, rng, speed=np.full(DRIVERS, 6.0)), 150.0)
     assert not run.collisions
@@ -80,7 +80,7 @@ def batch_rmse(measured, row) -> float:
 
 def ahead(row):
     """The estimators know nothing of the drivers ahead but the effects that all share."""
-    other = whole(population())
+    other = ROW.with_effects(population())
     other[len(population()) :] = row[len(population()) :]
     return other
 
@@ -111,7 +111,7 @@ def test_a_hidden_delay_is_named_added_and_the_error_falls(stage, delayed, tmp_p
     stage.until(lambda: ears.pass_done(samples), 100.0)
     after = ears.rmse()
 
-    row = whole(population())
+    row = ROW.with_effects(population())
     row[SIGMA_A], row[KAPPA_V] = OWN["sigma_a"], OWN["kappa_v"]
     expected = [batch_rmse(delayed, r) for r in (row, switch_on(row, "reaction_delay", {"delay": DELAY_S}))]
     # the estimators learn the noises too, which the batch takes as given: that moves an error by 0.001

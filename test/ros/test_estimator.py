@@ -13,7 +13,7 @@ from sugiyama_msgs.msg import DriverParameters, DriverType, Innovation, Measured
 from sugiyama_msgs.msg import Road as RoadMessage
 
 from sugiyama_ros.driver.parameters import NAMES, PARAMETERS, population
-from sugiyama_ros.effects.registry import whole
+from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.learnt import Learnt
@@ -259,7 +259,7 @@ def test_it_tells_the_type_of_the_driver(stage, ring_csv: Path, tmp_path: Path) 
     kinds = np.array([population(), population()])
     kinds[1, NAMES.index("v_star")] *= 1.2
     types = DriverTypes(np.array([0.75, 0.25]), kinds)
-    write_drivers(file, trajectories, whole(np.tile(population(), (4, 1))), [{}] * 4, {}, 0.0, types)
+    write_drivers(file, trajectories, ROW.with_effects(np.tile(population(), (4, 1))), [{}] * 4, {}, 0.0, types)
     road, told = Road(), []
     estimator = Estimator(namespace="/vehicle_07", parameter_overrides=[Parameter("model", value=str(file))])
     road.create_subscription(DriverType, "vehicle_07/driver_type", told.append, STREAM)

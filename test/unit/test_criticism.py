@@ -17,7 +17,7 @@ from sugiyama_ros.diagnosis.errors import errors_of
 from sugiyama_ros.diagnosis.screen import FULL, screen
 from sugiyama_ros.diagnosis.verdict import document, sentences
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, defaults
-from sugiyama_ros.effects.registry import switch_on, whole
+from sugiyama_ros.effects.registry import ROW, switch_on
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.cross_validation import held_out, held_out_nearly, without_folds
 from sugiyama_ros.fit.joint import fit, objective
@@ -34,7 +34,7 @@ CARS, RING_M, LENGTH_M = 7, 77.0, 4.33
 
 def recording(effect: str = "", duration_s: float = 100.0, seed: int = 1, **values: float):
     rng = np.random.default_rng(seed)
-    rows = whole(defaults(CARS))
+    rows = ROW.with_effects(defaults(CARS))
     for k in (V_STAR, KAPPA_V):
         rows[:, k] *= np.exp(0.1 * rng.standard_normal(CARS))
     if effect:

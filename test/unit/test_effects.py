@@ -12,19 +12,7 @@ from scipy.stats import norm
 from sugiyama_ros.driver.parameters import COUNT, KAPPA_V, SIGMA_NU, V_STAR, defaults
 from sugiyama_ros.effects import perception_threshold
 from sugiyama_ros.effects.effect import STAGES, Recording
-from sugiyama_ros.effects.registry import (
-    DECLARED,
-    EFFECTS,
-    ENTRIES,
-    LAW,
-    PLACES,
-    WIDTH,
-    active,
-    effect,
-    place,
-    switch_on,
-    whole,
-)
+from sugiyama_ros.effects.registry import EFFECTS, ROW, active, effect, index_of, switch_on
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.causal import filter_chain, log_likelihood
 from sugiyama_ros.filters.extract import chain_behind
@@ -93,8 +81,8 @@ def online_steps(t, driver, row, ahead=None, adaptation=ADAPT):
 
 def test_the_catalogue_is_tested_whole():
     assert set(ACTING) == set(NAMES_OF_EFFECTS)
-    assert len(ENTRIES) == len(DECLARED) == WIDTH
-    assert len(set(ENTRIES)) == WIDTH
+    assert len(ROW.entries) == len(ROW.declared) == ROW.width
+    assert len(set(ROW.entries)) == ROW.width
 
 
 @pytest.mark.parametrize("name", NAMES_OF_EFFECTS)
@@ -111,18 +99,18 @@ def test_an_effect_is_declared(name):
     assert set(e.switches) <= {p.name for p in e.parameters}
     for start in e.starts(Recording(0.0, 100.0, 230.0, 0.0, 230.0)):
         assert set(start) == {p.name for p in e.parameters}
-        switch_on(np.zeros(WIDTH), name, start)
+        switch_on(np.zeros(ROW.width), name, start)
 
 
 @pytest.mark.parametrize("name", NAMES_OF_EFFECTS)
 def test_at_zero_strength_the_model_is_the_base_model(name):
     """Bit for bit, whatever the other parameters of the effect are."""
-    weak = whole(drivers())
+    weak = ROW.with_effects(drivers())
     for parameter, value in ACTING[name].items():
         if parameter not in effect(name).switches:
-            weak[:, place(name, parameter)] = value
+            weak[:, index_of(name, parameter)] = value
     if name == "discovered_force":
-        weak[:, place(name, "covariate")] = 0.0
+        weak[:, index_of(name, "covariate")] = 0.0
     base, same = recording(drivers()), recording(weak)
     assert np.array_equal(base.position_m, same.position_m)
     assert np.array_equal(base.measured.position_m, same.measured.position_m)
@@ -138,7 +126,7 @@ def test_at_zero_strength_the_model_is_the_base_model(name):
 
 @pytest.mark.parametrize("name", NAMES_OF_EFFECTS)
 def test_an_effect_acts_and_leaves_the_noise_alone(name):
-    base, changed = recording(drivers()), recording(switch_on(whole(drivers()), name, ACTING[name]))
+    base, changed = recording(drivers()), recording(switch_on(ROW.with_effects(drivers()), name, ACTING[name]))
     if name == "gap_offset":
         assert not np.array_equal(base.position_m, changed.position_m)
     else:
@@ -150,11 +138,10 @@ def test_an_effect_acts_and_leaves_the_noise_alone(name):
 
 @pytest.mark.parametrize("name", NAMES_OF_EFFECTS)
 def test_the_online_filter_is_the_batch_filter(name):
-    row = switch_on(whole(drivers()[0]), name, ACTING[name])
-    t = recording(switch_on(whole(drivers()), name, ACTING[name]), duration_s=40.0).measured
+    row = switch_on(ROW.with_effects(drivers()[0]), name, ACTING[name])
+    t = recording(switch_on(ROW.with_effects(drivers()), name, ACTING[name]), duration_s=40.0).measured
     online, steps = online_steps(t, 2, row)
-    ahead = whole(defaults())
-    ahead = online._rows_at_start[1]
+    ahead = online.kalman.model.rows[1]
     chain = chain_behind(t, 2)
     batch = filter_chain(chain, row, ADAPT, ahead)
     for field in ("innovation_m", "innovation_var"):
@@ -171,7 +158,7 @@ def test_the_true_effect_predicts_better(name):
     base = drivers()
     # noise that keeps the drivers busy
     base[:, 1] = 0.8
-    rows = switch_on(whole(base), name, ACTING[name])
+    rows = switch_on(ROW.with_effects(base), name, ACTING[name])
     t = recording(rows, seed=3, duration_s=120.0).measured
     gain = 0.0
     for i in range(DRIVERS):
@@ -196,11 +183,11 @@ def test_without_noise_the_filter_follows_the_simulator(name):
     """
     quiet = drivers()
     quiet[:, [SIGMA_NU, 1, 10, 11]] = 1e-4
-    rows = switch_on(whole(quiet), name, ACTING[name])
+    rows = switch_on(ROW.with_effects(quiet), name, ACTING[name])
     t = recording(rows, duration_s=60.0).measured
     with_effect, without = (
         [filter_chain(chain_behind(t, i), r, ahead=r).innovation_m[20:] for i in range(DRIVERS)]
-        for r in (rows[0], whole(quiet)[0])
+        for r in (rows[0], ROW.with_effects(quiet)[0])
     )
     ours, theirs = (float(np.sqrt(np.nanmean(np.square(e)))) for e in (with_effect, without))
     if name in ("speed_dependent_noise",):
@@ -226,7 +213,7 @@ def test_what_a_threshold_lets_through_of_an_uncertain_change(wanted, std, thres
 
 
 def test_any_set_of_effects_combines():
-    rows = whole(drivers())
+    rows = ROW.with_effects(drivers())
     for name, values in ACTING.items():
         gentle = {
             k: v * (0.3 if k in effect(name).switches and k not in ("covariate", "limit", "power") else 1.0)
@@ -237,14 +224,14 @@ def test_any_set_of_effects_combines():
     t = recording(rows, duration_s=40.0).measured
     assert np.isfinite(t.position_m).all()
     online, steps = online_steps(t, 1, rows[1])
-    batch = filter_chain(chain_behind(t, 1), rows[1], ADAPT, online._rows_at_start[1])
+    batch = filter_chain(chain_behind(t, 1), rows[1], ADAPT, online.kalman.model.rows[1])
     assert np.isfinite(batch.mean).all()
     assert [s.innovation_m for s in steps] == pytest.approx(batch.innovation_m, abs=1e-8, nan_ok=True)
 
 
 @pytest.mark.parametrize("name", NAMES_OF_EFFECTS)
 def test_noises_are_learnt_beside_every_effect(name):
-    rows = switch_on(whole(drivers()), name, ACTING[name])
+    rows = switch_on(ROW.with_effects(drivers()), name, ACTING[name])
     t = recording(rows).measured
     chain, online = chain_behind(t, 1), OnlineFilter(t.period_s, t.road, rows[1])
     for k in range(len(chain.position_m)):
@@ -256,13 +243,13 @@ def test_noises_are_learnt_beside_every_effect(name):
 
 
 def test_an_effect_added_in_mid_run_keeps_what_was_learnt():
-    t = recording(switch_on(whole(drivers()), "drag", ACTING["drag"])).measured
+    t = recording(switch_on(ROW.with_effects(drivers()), "drag", ACTING["drag"])).measured
     chain = chain_behind(t, 0)
     online = OnlineFilter(t.period_s, t.road, drivers()[0])
     for k in range(60):
         online.step(chain.position_m[k], chain.identity[k], chain.length_m[k], 0.0, NOBODY)
     learnt, state = online.parameters[V_STAR], online.kalman.x.copy()
-    online.change(switch_on(whole(defaults()), "drag", ACTING["drag"]))
+    online.change(switch_on(ROW.with_effects(defaults()), "drag", ACTING["drag"]))
     assert active(online.parameters) == ("drag",)
     assert online.parameters[V_STAR] == learnt
     assert np.array_equal(online.kalman.x, state)
@@ -271,16 +258,16 @@ def test_an_effect_added_in_mid_run_keeps_what_was_learnt():
 
 
 def test_bad_values_are_refused_in_one_line():
-    row = np.zeros(WIDTH)
+    row = np.zeros(ROW.width)
     with pytest.raises(InputError, match="effect 'drug': not known; the effects are reaction_delay"):
         effect("drug")
     with pytest.raises(InputError, match="effect drag: has no parameter 'c3'; it has c0, c2"):
         switch_on(row, "drag", {"c3": 1.0})
     with pytest.raises(InputError, match="effect reaction_delay: delay = 9 s is out of bounds; give 0 to 2"):
         switch_on(row, "reaction_delay", {"delay": 9.0})
-    assert row[LAW] == 0.0
-    assert whole(defaults())[:COUNT] == pytest.approx(defaults())
-    assert PLACES["drag"].stop - PLACES["drag"].start == 2
+    assert row[ROW.law] == 0.0
+    assert ROW.with_effects(defaults())[:COUNT] == pytest.approx(defaults())
+    assert ROW.places["drag"].stop - ROW.places["drag"].start == 2
 
 
 USERS = """
@@ -305,7 +292,7 @@ from sugiyama_ros.effects.registry import effect, switch_on, whole
 from sugiyama_ros.driver.parameters import defaults
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, simulate
-p = switch_on(whole(defaults(1)), "syrup", {"k": 1.0})
+p = switch_on(ROW.with_effects(defaults(1)), "syrup", {"k": 1.0})
 s = Simulator(p, np.array([4.0]), np.array([0.0]), Road(), np.random.default_rng(0))
 print(simulate(s, 60.0).speed[-1, 0])
 """

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, defaults, population
-from sugiyama_ros.effects.registry import switch_on, whole
+from sugiyama_ros.effects.registry import ROW, switch_on
 from sugiyama_ros.filters.chain import Adaptation
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.noise import Learning
@@ -81,7 +81,7 @@ def test_one_gross_error_does_not_become_the_noise(jam):
 
 def changing(factor, ring_m, seed):
     """A recording of 200 s in which every third driver's desired speed is multiplied at 100 s; and who that is."""
-    rows = whole(defaults(22))
+    rows = ROW.with_effects(defaults(22))
     who = np.arange(22) % 3 == 0
     switched = switch_on(rows, "preference_switch", {"v_star_change": np.log(factor), "time": 100.0})
     rows[who] = switched[who]
@@ -162,7 +162,7 @@ def test_an_effect_of_the_measurement_leaves_the_allowance_for_outliers(jam):
     chain = chain_behind(jam, 3)
     position = chain.position_m[:60].copy()
     position[50, 0] += 2.0
-    row = switch_on(whole(population()), "sensor_eccentricity", {"cosine": 1e-9})
+    row = switch_on(ROW.with_effects(population()), "sensor_eccentricity", {"cosine": 1e-9})
     densities = []
     for online in (OnlineFilter(DT, jam.road), OnlineFilter(DT, jam.road, row)):
         steps = zip(position, chain.identity, chain.length_m, strict=False)

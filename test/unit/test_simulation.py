@@ -10,7 +10,7 @@ from sugiyama_ros.filters.chain import CHAIN
 from sugiyama_ros.filters.linearisation import linearise
 from sugiyama_ros.filters.state import MOVING, STATE, scene_at, workspace_for
 from sugiyama_ros.road import Road
-from sugiyama_ros.simulation.simulator import Simulator, evenly, platoon, simulate
+from sugiyama_ros.simulation.simulator import Clock, Simulator, evenly, platoon, simulate
 
 NOISES = [SIGMA_NU, SIGMA_A, SIGMA_X, SIGMA_V]
 
@@ -154,7 +154,7 @@ def test_a_shorter_period_gives_the_same_traffic():
     """Section 5.4: at 0.2 s, h = 6 and rho^(2/3), simulated results are almost independent of the period."""
     length = np.full(22, 4.33)
     start = platoon(length, 2.0)
-    s = Simulator(defaults(22), length, start, Road(230.0), np.random.default_rng(0), period_s=0.2)
+    s = Simulator(defaults(22), length, start, Road(230.0), np.random.default_rng(0), clock=Clock(0.2))
     run = simulate(s, 250.0)
     assert s.horizon == 6
     assert run.collisions == ()

@@ -45,7 +45,7 @@ def test_every_study_answers(name, jam, tmp_path, monkeypatch):
 def test_an_unknown_study_and_missing_data_are_said_so():
     with pytest.raises(InputError, match="study 'weather': not known; choose among recovery"):
         study("weather")
-    with ThreadPoolExecutor(1) as work, pytest.raises(InputError, match="asks for measured drivers"):
+    with ThreadPoolExecutor(1) as work, pytest.raises(InputError, match="needs measured drivers"):
         study("types").answer(Asked(None, 1, 0, work))
 
 

@@ -1,0 +1,38 @@
+"""Pictures that several results share, drawn into figures of matplotlib."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+#: Colours that people with any colour vision tell apart (Okabe and Ito).
+BLUE, ORANGE, GREEN, GREY = "#0072b2", "#e69f00", "#009e73", "#7f7f7f"
+
+
+def space_time(figure: "Figure", time_s: Array, position_m: Array, speed: Array) -> None:
+    """Draw trajectories in space and time, coloured by speed.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+        Empty figure.
+    time_s : ndarray, shape (T,)
+        Times [s].
+    position_m, speed : ndarray, shape (T, N)
+        Positions [m], wrapped on a ring, and speeds [m/s]; NaN where unknown.
+    """
+    axes = figure.subplots()
+    time = np.broadcast_to(time_s[:, None], position_m.shape)
+    dots = axes.scatter(time, position_m, c=speed, s=1.5, cmap="cividis", linewidths=0, rasterized=True)
+    figure.colorbar(dots, ax=axes, label="speed [m/s]")
+    axes.set(xlabel="time [s]", ylabel="position [m]")
+
+
+def bars(axes: Any, names: list[str], values: list[float], errors: list[float], label: str) -> None:
+    """Draw horizontal bars with whiskers, the first one on top."""
+    axes.barh(names[::-1], values[::-1], xerr=errors[::-1], color=BLUE, ecolor=GREY)
+    axes.set(xlabel=label)

@@ -1,0 +1,81 @@
+"""A simulated experiment: vehicles start from rest, one behind the other, on a ring or an open road."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.road import Road
+from sugiyama_ros.simulation.simulator import Clock, Simulation, Simulator, platoon, simulate
+from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What is simulated, and how.
+
+    Parameters
+    ----------
+    ring_m : float
+        Circumference [m] of the ring; 0 for an open road.
+    duration_s : float
+        Duration [s].
+    gap_m : float
+        Gap [m] between the vehicles at the start.
+    period_s : float
+        Time [s] between two samples.
+    horizon : int, optional
+        Periods that a driver looks ahead; as in the paper if left out.
+    spread : float
+        Relative standard deviation of the desired speed and of the risk premium over the drivers.
+    seed : int
+        Seed of all random numbers.
+    """
+
+    ring_m: float = 230.0
+    duration_s: float = 250.0
+    gap_m: float = 2.0
+    period_s: float = 1.0 / 3.0
+    horizon: int | None = None
+    spread: float = 0.0
+    seed: int = 0
+
+
+def carry_out(experiment: Experiment, rows: Array) -> Simulation:
+    """Simulate drivers.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        What is simulated.
+    rows : ndarray, shape (N, width)
+        Rows of the drivers at the reference period; they stay as they are.
+
+    Returns
+    -------
+    Simulation
+        What a camera would have measured, and the truth.
+
+    Raises
+    ------
+    InputError
+        Where the vehicles do not fit on the ring.
+    """
+    vehicles, rows = len(rows), rows.copy()
+    rng = np.random.default_rng(experiment.seed)
+    if experiment.spread > 0.0:
+        for k in (V_STAR, KAPPA_V):
+            rows[:, k] *= np.exp(experiment.spread * rng.standard_normal(vehicles))
+    length_m = np.full(vehicles, DEFAULT_LENGTH_M)
+    start_m, road = platoon(length_m, experiment.gap_m), Road(experiment.ring_m)
+    needed_m = float(start_m[-1] + length_m[-1])
+    if road.is_ring and needed_m > experiment.ring_m:
+        raise InputError(
+            f"ring of {experiment.ring_m:g} m: {vehicles} vehicles with gaps of {experiment.gap_m:g} m need"
+            f" {needed_m:.0f} m; give a larger ring, smaller gaps or fewer vehicles"
+        )
+    clock = Clock(experiment.period_s, horizon=experiment.horizon)
+    simulator = Simulator(rows, length_m, start_m, road, rng, clock=clock)
+    return simulate(simulator, experiment.duration_s)
