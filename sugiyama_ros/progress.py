@@ -1,7 +1,9 @@
 """How long work reports its progress: functions that a caller hands in, and bars that show it."""
 
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 
 #: Called with how much is done, and how much there is in all.
 OnProgress = Callable[[int, int], None]
@@ -16,6 +18,11 @@ def stages() -> Iterator[OnStage]:
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 
     console = Console(stderr=True)
+    if console.is_jupyter and find_spec("ipywidgets") is None:
+        # rich's bar needs widgets there: one line for each stage instead
+        told: set[str] = set()
+        yield lambda what, done, total: None if what in told else (told.add(what), print(what, file=sys.stderr))[0]
+        return
     if not (console.is_terminal or console.is_jupyter):
         yield lambda what, done, total: None
         return
