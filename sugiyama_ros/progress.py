@@ -19,9 +19,8 @@ def stages() -> Iterator[OnStage]:
 
     console = Console(stderr=True)
     if console.is_jupyter and find_spec("ipywidgets") is None:
-        # rich's bar needs widgets there: one line for each stage instead
-        told: set[str] = set()
-        yield lambda what, done, total: None if what in told else (told.add(what), print(what, file=sys.stderr))[0]
+        # rich's bar needs widgets there
+        yield _lines()
         return
     if not (console.is_terminal or console.is_jupyter):
         yield lambda what, done, total: None
@@ -30,3 +29,15 @@ def stages() -> Iterator[OnStage]:
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task("starting", total=None)
         yield lambda what, done, total: bar.update(task, description=what, completed=done, total=total)
+
+
+def _lines() -> OnStage:
+    """Print one line for each stage."""
+    told: set[str] = set()
+
+    def tell(what: str, done: int, total: int) -> None:
+        if what not in told:
+            told.add(what)
+            print(what, file=sys.stderr)
+
+    return tell
