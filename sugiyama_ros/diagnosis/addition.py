@@ -1,4 +1,4 @@
-"""An effect that a diagnosis has added to the model, and what to record to tell it from others."""
+"""An effect that a diagnosis has added to the model, and advice on what to record to tell it from other effects."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -14,10 +14,28 @@ from sugiyama_ros.fit.joint import JointFit
 
 @dataclass(frozen=True, eq=False)
 class Addition:
-    """An effect that was added, with everything that a verdict says about it.
+    """An effect that a diagnosis has added to the model, with everything that the verdict says about it.
 
-    parameters: values by name; indistinguishable: names of candidates that explain the data as well; advice: what to
-    record to tell them apart; heldout: gain over the model before; before, after: held-out errors; fit: the new model.
+    Parameters
+    ----------
+    name : str
+        Name of the candidate.
+    kind : {"effect", "measurement", "constants"}
+        What the candidate changes.
+    parameters : dict of str to float
+        Fitted values by name.
+    indistinguishable : tuple of str
+        Names of candidates that explain the data as well.
+    advice : tuple of str
+        What to record to tell the candidates apart.
+    p_value : float
+        Probability that chance alone gives such a gain, corrected for the number of candidates.
+    heldout : Gain
+        Held-out gain over the model without the addition.
+    before, after : HeldOutErrors
+        Held-out errors without and with the addition.
+    fit : JointFit
+        The model with the addition.
     """
 
     name: str
@@ -33,7 +51,20 @@ class Addition:
 
 
 def advice_for(name: str, others: Iterable[str]) -> tuple[str, ...]:
-    """What to record to tell an effect from others that explain the data as well."""
+    """Return what to record to tell an effect from others that explain the data as well.
+
+    Parameters
+    ----------
+    name : str
+        Name of the effect.
+    others : iterable of str
+        Names of the other effects.
+
+    Returns
+    -------
+    tuple of str
+        One piece of advice for each pair of effects that declares some.
+    """
     about = {name, *others}
     return tuple(
         text
@@ -44,7 +75,7 @@ def advice_for(name: str, others: Iterable[str]) -> tuple[str, ...]:
 
 
 def parameters_of(fitted: JointFit, candidate: Candidate) -> dict[str, float]:
-    """Values of a candidate's parameters by name; the median driver's where every driver has a value."""
+    """Return the values of a candidate's parameters by name; the median over the drivers for individual parameters."""
     places = sorted({*candidate.places, *candidate.starts[0]})
     rows = np.median(fitted.model.rows[:, places], axis=0)
     return {ROW.declared[k].name: float(v) for k, v in zip(places, rows, strict=True)}

@@ -1,4 +1,4 @@
-"""Recordings simulated by the fitted model: the parametric bootstrap, which says what chance alone does."""
+"""Parametric bootstrap: recordings simulated from the fitted model, which show what chance alone gives."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,19 +12,27 @@ from sugiyama_ros.simulation.simulator import Clock, Simulator
 
 
 def resample(data: Recorded, model: Model, states: Array, rng: np.random.Generator) -> Recorded:
-    """Simulate a recording with the same road, vehicles and times, from the state in which the recording begins.
+    """Simulate a recording with the road, the vehicles and the times of a given recording.
 
-    Vehicles without a leader drive as they were recorded. After a collision, or where vehicles come, go or change their
-    order, the simulation starts anew from the recorded state, and the recording counts as broken there.
+    The simulation starts from the first state of the recording. Vehicles without a leader move as recorded. After a
+    collision, or where vehicles enter, leave or change their order, the simulation restarts from the recorded state,
+    and the new recording has a break there.
 
     Parameters
     ----------
-    data, model
-        The recording and the model fitted to it.
-    states
-        (T, N, 4) filtered states, as ``fit.score.filtered_states`` gives them.
-    rng
+    data : Recorded
+        The recording.
+    model : Model
+        The model fitted to the recording.
+    states : ndarray, shape (T, N, 4)
+        Filtered states, as ``fit.score.filtered_states`` returns them.
+    rng : numpy.random.Generator
         Generator of all noises.
+
+    Returns
+    -------
+    Recorded
+        The simulated recording.
     """
     t = data.trajectories
     position, speed = states[:, :, 0], states[:, :, 1]
@@ -45,14 +53,14 @@ def resample(data: Recorded, model: Model, states: Array, rng: np.random.Generat
             simulator, order = _start(data, model, k, position[k], speed[k], known[k] & t.present[k], rng)
         if simulator is not None:
             measured[k, order] = simulator.measure()
-    # where nothing could be simulated, what was recorded stands
+    # keep the recorded positions of samples that could not be simulated
     empty = np.all(np.isnan(measured), axis=1)
     measured[empty] = t.position_m[empty]
     return prepare(replace(t, position_m=measured, source="simulated from the fitted model"), segment)
 
 
 def _lead(simulator: Simulator, order: Ints, position: Array, speed: Array) -> None:
-    """Put vehicles without a leader where they were recorded."""
+    """Move vehicles without a leader to their recorded states."""
     for place in np.flatnonzero(simulator.leader < 0):
         simulator.position_m[place], simulator.speed[place] = position[order[place]], speed[order[place]]
 
@@ -60,7 +68,9 @@ def _lead(simulator: Simulator, order: Ints, position: Array, speed: Array) -> N
 def _start(
     data: Recorded, model: Model, k: int, position: Array, speed: Array, there: Array, rng: np.random.Generator
 ) -> tuple[Simulator | None, Ints]:
-    """A simulator from the recorded state of sample k, None if too little is known, and the columns of its vehicles."""
+    """A simulator that starts from the recorded state of sample k, or None if too little is known; columns of its
+    vehicles.
+    """
     t = data.trajectories
     columns = np.flatnonzero(there)
     if len(columns) < max(1, int(0.5 * t.present[k].sum())):
@@ -70,7 +80,7 @@ def _start(
     order = columns[np.argsort(at, kind="stable")]
     at = road.wrap(position[order])
     length = t.length_m[order]
-    # filtered gaps below a hand's breadth are measurement noise: nobody drives inside another
+    # filtered gaps below 0.3 m are measurement noise: vehicles cannot overlap
     behind = at.copy()
     for j in range(len(order) - 2, -1, -1):
         behind[j] = min(behind[j], behind[j + 1] - 0.5 * (length[j] + length[j + 1]) - 0.3)
@@ -89,5 +99,5 @@ def _start(
 
 
 def seeds(seed: int, runs: int) -> Sequence[np.random.Generator]:
-    """A generator for each run."""
+    """Return one random generator for each run."""
     return [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(runs)]

@@ -1,4 +1,4 @@
-"""What was found about a candidate, judged against what chance gives on recordings in which nothing is missing."""
+"""Judgement of candidates: their gains, compared with the gains that chance gives where nothing is missing."""
 
 import math
 from collections.abc import Sequence
@@ -12,21 +12,34 @@ from sugiyama_ros.diagnosis.screen import Screened
 from sugiyama_ros.effects.registry import effect
 from sugiyama_ros.fit.joint import JointFit
 
-#: A gain is not believed below this [nats], whatever the p-value.
+#: A smaller gain [nats] does not count as support, whatever its p-value.
 LEAST_GAIN = 5.0
-# Least spread of simulated gains [nats].
+# Smallest spread of simulated gains [nats].
 _LEAST_SPREAD = 1.5
-# Prior weight of the common spread in the spread of one candidate, as a number of simulated recordings.
+# Weight of the common spread in the spread of one candidate, as a number of simulated recordings.
 _COMMON = 4
 
 
 @dataclass(frozen=True, eq=False)
 class Candidacy:
-    """What was found about one candidate in one round; gains in nats.
+    """Result for one candidate in one round of the search.
 
-    look: the quick look; fit: the model with the candidate; gain: over the model without it; expected, spread: mean and
-    spread of the gain by chance; p_value: corrected for the number of candidates; p_alone: not corrected; refined:
-    whether ``fit`` is a full fit.
+    Parameters
+    ----------
+    look : Screened
+        The rough fit.
+    fit : JointFit
+        The model with the candidate.
+    gain : float
+        Gain over the model without the candidate [nats].
+    expected, spread : float
+        Mean and standard deviation of the gain by chance [nats].
+    p_value : float
+        Probability of such a gain by chance, corrected for the number of candidates.
+    p_alone : float
+        The probability without the correction.
+    refined : bool
+        Whether ``fit`` is a full fit.
     """
 
     look: Screened
@@ -45,7 +58,7 @@ class Candidacy:
 
     @property
     def score(self) -> float:
-        """Gain above what chance gives."""
+        """Gain minus the mean gain by chance [nats]."""
         return self.gain - self.expected
 
 
@@ -53,26 +66,43 @@ class Candidacy:
 class NullGains:
     """Gains of candidates on simulated recordings in which nothing is missing.
 
-    gains: of each candidate [nats], one per recording; scale: std of half a chi-squared variable with as many degrees
-    of freedom as the candidate has parameters.
+    Parameters
+    ----------
+    gains : dict of str to list of float
+        Gains of each candidate [nats], one for each simulated recording.
+    scale : dict of str to float
+        Standard deviation of half a chi-squared variable with as many degrees of freedom as the candidate has
+        parameters.
     """
 
     gains: dict[str, list[float]]
     scale: dict[str, float]
 
     def judge(self, look: Screened, rivals: int) -> Candidacy:
-        """Judge a look at a candidate.
+        """Compare the gain of a candidate with gains by chance.
 
-        The p-value is Student's t over the simulated gains, whose spread is partly shared among candidates. ``rivals``:
-        number of candidates, for Bonferroni's correction.
+        The p-value comes from Student's t distribution over the simulated gains. The candidates partly share the spread
+        of the gains.
+
+        Parameters
+        ----------
+        look : Screened
+            The rough fit of the candidate.
+        rivals : int
+            Number of candidates, for Bonferroni's correction.
+
+        Returns
+        -------
+        Candidacy
+            The candidate with its p-values, not fitted in full yet.
         """
         candidate = look.candidate
         gains = np.maximum(self.gains.get(candidate.name, [0.0]), 0.0)
         spreads = [
             float(np.std(np.maximum(g, 0.0), ddof=1)) / self.scale[name] for name, g in self.gains.items() if len(g) > 1
         ]
-        # chi-squared variables of K parameters spread by sqrt(2 / K) of their mean, whatever the filter scales them by;
-        # in 40 simulated recordings the gains of one parameter spread by no more than the gains of two
+        # the std of a chi-squared variable of K parameters is sqrt(2 / K) of its mean, however the filter scales it;
+        # in 40 simulated recordings the gains of one parameter spread no more than the gains of two parameters
         freedom = parameters_added(candidate, len(look.fit.model.rows))
         least = max(_LEAST_SPREAD, float(gains.mean()) * math.sqrt(2.0 / max(freedom, 2)))
         common = max(float(np.median(spreads)) * math.sqrt(0.5 * freedom) if spreads else 0.0, least)
@@ -97,36 +127,49 @@ class NullGains:
 
     @property
     def needed(self) -> float:
-        """A gain [nats] that is usually believed."""
+        """A gain [nats] that usually counts as support."""
         highest = [
             float(np.mean(np.maximum(g, 0.0)) + 4.0 * max(float(np.std(g)), _LEAST_SPREAD)) for g in self.gains.values()
         ]
         return max(LEAST_GAIN, float(np.median(highest)) if highest else 0.0)
 
 
-#: Chance before anything was simulated.
+#: Gains by chance before any simulation.
 UNKNOWN = NullGains({}, {})
 
 
 def parameters_added(candidate: Candidate, drivers: int) -> int:
-    """Number of parameters that a candidate adds."""
+    """Return the number of parameters that a candidate adds."""
     return len(candidate.places) * (drivers if candidate.individual else 1)
 
 
 def chance_scale(candidate: Candidate, drivers: int) -> float:
-    """Std of the gain by chance, after Wilks: of half a chi-squared variable."""
+    """Return the std of the gain by chance [nats], half a chi-squared variable (Wilks)."""
     return math.sqrt(0.5 * parameters_added(candidate, drivers))
 
 
 def smallest_detectable(looks: Sequence[Screened], null: NullGains) -> dict[str, float]:
-    """Strength of each effect from which these data would usually have shown it: value of its first parameter."""
+    """Return the strength from which each effect would usually have shown in these data.
+
+    Parameters
+    ----------
+    looks : sequence of Screened
+        Rough fits of the candidates.
+    null : NullGains
+        Gains by chance.
+
+    Returns
+    -------
+    dict of str to float
+        Value of the first parameter of each effect, by the name of the effect.
+    """
     found = {}
     for look in looks:
         if look.candidate.kind == "constants" or look.loss <= 0.0 or not look.candidate.starts[0]:
             continue
         start = look.loss_at[look.candidate.places[0]]
         scaled = start * float(np.sqrt(null.needed / look.loss))
-        # a limit is the stronger the smaller it is
+        # a smaller limit is a stronger effect
         if effect(look.candidate.name).is_limit:
             scaled = start * start / scaled
         found[look.candidate.name] = scaled

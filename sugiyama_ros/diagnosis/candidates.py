@@ -1,4 +1,4 @@
-"""What may be missing from the model: freed constants, faults of the measurement, and every physical effect."""
+"""Candidates for what is missing from the model: freed constants, faults of the measurement, and physical effects."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -19,11 +19,26 @@ Kind = Literal["effect", "measurement", "constants"]
 
 @dataclass(frozen=True)
 class Candidate:
-    """Something that may be added to a model.
+    """Something that the search can add to a model.
 
-    places: entries of the rows that are freed; starts: where their search begins, values by place; individual: whether
-    every driver has their own values; strengths: places to whose values the change of the samples is proportional, to
-    first order.
+    Parameters
+    ----------
+    name : str
+        Name of the effect or of the group of constants.
+    kind : {"effect", "measurement", "constants"}
+        What the candidate changes.
+    places : tuple of int
+        Entries of the rows that become free.
+    starts : tuple of dict of int to float
+        Starts of the search: values by place.
+    individual : bool
+        Whether every driver has individual values.
+    summary : str
+        Explanation in one line.
+    strengths : tuple of int
+        Places of parameters to which the change of the samples is proportional, to first order.
+    is_noise : bool
+        Whether the candidate changes only noises.
     """
 
     name: str
@@ -37,13 +52,25 @@ class Candidate:
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """Names of its parameters."""
+        """Names of the parameters."""
         return tuple(ROW.declared[k].name for k in self.places)
 
 
 @dataclass(frozen=True)
 class Constants:
-    """Constants that are freed together; individual: for each driver; is_noise: whether they change no mean motion."""
+    """Constants that become free together.
+
+    Parameters
+    ----------
+    name : str
+        Name of the group.
+    parameters : tuple of str
+        Names of the constants.
+    individual : bool
+        Whether every driver has individual values.
+    is_noise : bool
+        Whether the constants change only noises and not the mean motion.
+    """
 
     name: str
     parameters: tuple[str, ...]
@@ -51,7 +78,7 @@ class Constants:
     is_noise: bool = False
 
 
-#: Constants that the paper fixes, freed together where they act together.
+# Constants that the paper fixes, in groups that act together.
 _CONSTANTS = (
     Constants("response_constants", ("kappa_c", "kappa_d", "kappa_1")),
     Constants("noise_constants", ("rho", "sigma_x", "sigma_v"), is_noise=True),
@@ -61,7 +88,20 @@ _CONSTANTS = (
 
 
 def candidates(recording: Recording, drivers: int) -> tuple[Candidate, ...]:
-    """All candidates that make sense for a recording with this number of drivers."""
+    """Return all candidates that make sense for a recording.
+
+    Parameters
+    ----------
+    recording : Recording
+        What the search may know about the recording.
+    drivers : int
+        Number of drivers.
+
+    Returns
+    -------
+    tuple of Candidate
+        The constants first, then the effects.
+    """
     found = [
         Candidate(
             name=c.name,
@@ -96,23 +136,56 @@ def candidates(recording: Recording, drivers: int) -> tuple[Candidate, ...]:
 
 
 def named(data: Recorded, names: Sequence[str]) -> list[Candidate]:
-    """The candidates of these names. Raises InputError for an unknown name."""
+    """Return the candidates with these names.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    names : sequence of str
+        Names of effects or groups of constants.
+
+    Returns
+    -------
+    list of Candidate
+        In the order of the names.
+
+    Raises
+    ------
+    InputError
+        For an unknown name.
+    """
     possible = {c.name: c for c in candidates(recording_of(data), data.drivers)}
     for name in names:
         if name not in possible:
-            raise InputError(f"effect {name!r}: not among what can be added here: {', '.join(possible)}")
+            raise InputError(f"effect {name!r}: cannot be added here; choose among {', '.join(possible)}")
     return [possible[name] for name in names]
 
 
 def recording_of(data: Recorded) -> Recording:
-    """What a search may know about a recording."""
+    """Return what a search may know about a recording."""
     t = data.trajectories
     first, last = float(np.nanmin(t.position_m)), float(np.nanmax(t.position_m))
     return Recording(t.start_s, t.start_s + t.duration_s, t.road.circumference_m, first, last)
 
 
 def added(model: Model, candidate: Candidate, start: dict[int, float]) -> Model:
-    """The model with the candidate's entries freed, at a start of the search (values by place)."""
+    """Return the model with the entries of a candidate freed.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    candidate : Candidate
+        What becomes free.
+    start : dict of int to float
+        Start of the search: values by place.
+
+    Returns
+    -------
+    Model
+        The model at the start, with the candidate among its parameters.
+    """
     rows = model.rows.copy()
     for k, v in start.items():
         rows[:, k] = v

@@ -1,4 +1,4 @@
-"""The model beside others on the same held-out samples, with paired standard errors, and beside its own floor."""
+"""Comparison of models on the same held-out samples, with paired standard errors and the floor of the base model."""
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -31,18 +31,32 @@ from sugiyama_ros.trajectories.trajectories import Trajectories
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+# Number of lags of the autocorrelation.
 _LAGS = 10
-# Simulations of a whole recording for the collective measures.
+# Number of simulations of a whole recording, for the collective measures.
 _SIMULATIONS = 3
 
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """One model's held-out errors, its gain over the base model, and how its innovations look.
+    """One model in a comparison.
 
-    nis_mean, nis_std_error: mean of y^2/S and its standard error; the mean is 1 for a model that knows its own
-    uncertainty; autocorrelation: of the normalised innovations at lags 1 to 10, which stays within ``band`` for white
-    innovations at the 95 % level; collective: measures of the whole road, mean and std over simulations of the model.
+    Parameters
+    ----------
+    name : str
+        Name of the model.
+    errors : HeldOutErrors
+        Held-out errors.
+    gain : Gain or None
+        Held-out gain over the base model.
+    nis_mean, nis_std_error : float
+        Mean of y^2/S and its standard error. The mean is 1 for a model that knows its own uncertainty.
+    autocorrelation : tuple of float
+        Autocorrelation of the normalised innovations at lags 1 to 10.
+    band : float
+        95 % of the autocorrelations of white innovations are smaller than this in size.
+    collective : dict of str to (float, float)
+        Mean and standard deviation of measures of the whole road, over simulations of the model.
     """
 
     name: str
@@ -117,24 +131,29 @@ def compare(
     workers: int = 4,
     on_progress: OnStage = lambda what, done, total: None,
 ) -> "Comparison":
-    """Compare the base model, with and without effects, a model from a file, the rivals, and the floor.
+    """Compare models: the base model with and without effects, a model from a file, the rivals, and the floor.
 
-    The floor is the base model on data that it simulated itself: no model can be expected to do better.
+    The floor is the base model on data that it simulated itself. No model can be expected to do better.
 
     Parameters
     ----------
-    trajectories
+    trajectories : Trajectories
         The recording.
-    effects
-        Names of effects that are added to the base model.
-    model
-        A model that is compared as it is, without a fit.
-    seed
+    effects : sequence of str
+        Names of effects to add to the base model.
+    model : ModelFile, optional
+        A model to compare without a fit.
+    seed : int
         Seed of the simulations.
-    workers
+    workers : int
         Number of threads.
-    on_progress
-        Called with what is being done, and the steps done and to do.
+    on_progress : callable
+        Called with the name of the stage, the number of steps done, and the number of all steps.
+
+    Returns
+    -------
+    Comparison
+        The models on the same held-out samples.
 
     Raises
     ------
@@ -161,7 +180,7 @@ def compare(
 
 
 class _Models:
-    """Models that were compared so far, the base model first; ``steps``: number of models to come."""
+    """Models compared so far, the base model first; ``steps``: number of models in all, for the progress."""
 
     def __init__(self, data: Recorded, seed: int, steps: int, work: ThreadPoolExecutor, on_progress: OnStage) -> None:
         self._data, self._seed, self._steps, self._work, self._on_progress = data, seed, steps, work, on_progress
@@ -169,12 +188,12 @@ class _Models:
         self.found: list[Compared] = []
 
     def begin(self, what: str) -> None:
-        """Say what is being done now."""
+        """Report the start of a step."""
         self._on_progress(what, self._done, self._steps)
         self._done += 1
 
     def add_fitted(self, name: str, fitted: JointFit) -> None:
-        """Add a fitted model, which is searched for again without each fold."""
+        """Add a fitted model, with a new search for each fold that is left out."""
         models = without_folds(self._data, fitted, self._work, searched=True)
         self._add(name, models, fitted.model)
 
@@ -188,14 +207,14 @@ class _Models:
             self.add_fitted("base + " + " + ".join(candidate.name for candidate in chosen), current)
 
     def add_file(self, model: ModelFile) -> None:
-        """Add a model from a file as it is."""
+        """Add a model from a file without a fit."""
         self.begin("model file")
         rows = model.rows_of(self._data.trajectories.vehicle)
         given = Model(rows, (), (), (), rows)
         self._add(f"file: {', '.join(model.effects) or 'base'}", [given] * FOLDS, given)
 
     def add_rival(self, law: str) -> None:
-        """Add a rival, calibrated in the filter and, if it has parameters, by least squares on gaps."""
+        """Add a rival, fitted in the filter and, if it has parameters, also by least squares on gaps."""
         self.begin(law)
         fitted = in_filter(self._data, law, self._work)
         self.add_fitted(law, fitted)
@@ -212,7 +231,7 @@ class _Models:
 
 
 def collective_of(trajectories: Trajectories) -> Collective:
-    """Collective measures of trajectories, with speeds from a filter that knows no driver model."""
+    """Return collective measures of trajectories; the speeds come from a filter without a driver model."""
     t = trajectories
     tracks = [track(chain_behind(t, i, vehicles=1)) for i in range(len(t.vehicle))]
     position, speed = (np.stack([one[:, k] for one in tracks], axis=1) for k in range(2))
@@ -225,7 +244,7 @@ def collective_of(trajectories: Trajectories) -> Collective:
 def _simulated_collective(
     data: Recorded, model: Model, seed: int, work: ThreadPoolExecutor
 ) -> dict[str, tuple[float, float]]:
-    """Mean and std over simulations of the whole recording by a model."""
+    """Mean and standard deviation of the collective measures, over simulations of the whole recording."""
     states = filtered_states(data, model, work)
     runs = [resample(data, model, states, rng).trajectories for rng in seeds(seed, _SIMULATIONS)]
     found = [asdict(one) for one in work.map(collective_of, runs)]

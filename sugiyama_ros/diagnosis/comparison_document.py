@@ -8,7 +8,7 @@ from sugiyama_ros.trajectories.trajectories import Trajectories
 
 
 def document(comparison: Comparison) -> dict[str, Any]:
-    """All results of a comparison in plain types, in SI units.
+    """Return all results of a comparison in plain types, in SI units.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A diagnosis: what is missing from the model, where it fails, and what it is worth beside others."""
+"""A diagnosis: what is missing from the model, where the model fails, and how it compares with other laws."""
 
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -31,19 +31,44 @@ from sugiyama_ros.trajectories.trajectories import Trajectories
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-#: Each driver's own parameters.
+#: Places of the individual parameters of each driver.
 INDIVIDUAL = (SIGMA_NU, SIGMA_A, V_STAR, KAPPA_V)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Diagnosis(Result):
-    """Verdict on a recording.
+    """The diagnosis of a recording.
 
-    base, final: the fitted model without and with what was added; named: what was added; scored: candidates of the
-    first round, best first; heldout: their held-out gains by name; discovered: forces without a name; before, after:
-    held-out errors of the two models; where_before, where_after: where they fail; smallest: strength of each effect
-    from which it would have shown; rivals: errors of other laws by name; bootstrap_runs: recordings simulated per
-    round.
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    base, final : JointFit
+        The fitted model without and with the additions.
+    named : tuple of Addition
+        The additions, in order.
+    scored : tuple of Candidacy
+        Candidates of the first round, the best one first.
+    heldout : dict of str to Gain
+        Held-out gains of these candidates, by name.
+    discovered : tuple of Discovery
+        Forces without a name.
+    before, after : HeldOutErrors
+        Held-out errors of ``base`` and of ``final``.
+    where_before, where_after : Located
+        Where ``base`` and ``final`` fail.
+    smallest : dict of str to float
+        Strength from which each effect would usually have shown, by name.
+    rivals : dict of str to dict
+        Held-out errors of other laws, by name.
+    bootstrap_runs : int
+        Number of simulated recordings in each round.
+    quick : bool
+        Whether the diagnosis took shortcuts.
+    seed : int
+        Seed of the simulated recordings.
+    wall_s : float
+        Time that the diagnosis took [s].
     """
 
     data: Recorded
@@ -65,14 +90,14 @@ class Diagnosis(Result):
     wall_s: float
 
     def headline(self) -> str:
-        """Say what was added to the model, and how much better it predicts."""
+        """Say what was added to the model, and how much better the model predicts with it."""
         if not self.named:
             return "nothing that is missing can be detected in these data"
         parts = [f"{n.name} (+{n.heldout.nats:.0f} ± {n.heldout.se:.0f} nats held out)" for n in self.named]
         return "missing from the model: " + ", ".join(parts)
 
     def records(self) -> list[dict[str, Any]]:
-        """List the candidates of the first round, the best one first: gains [nats], p-values, whether it was added."""
+        """List the candidates of the first round, the best one first: gains [nats], p-value, whether it was added."""
         added = {n.name for n in self.named}
         found = [one for one in self.scored if one.candidate.name in self.heldout]
         return [
@@ -138,22 +163,27 @@ def diagnose(
 
     Parameters
     ----------
-    trajectories
+    trajectories : Trajectories
         The recording.
-    seed
+    seed : int
         Seed of the simulated recordings.
-    quick
-        Whether to spend less time: fewer simulations, no search for each fold, no forces without a name.
-    most
-        Number of effects that are added at most.
-    verdict_only
+    quick : bool
+        Whether to take shortcuts: fewer simulations, no search for each fold, no forces without a name.
+    most : int
+        Maximum number of effects to add.
+    verdict_only : bool
         Whether to leave out the rivals and the forces without a name.
-    add_forces
+    add_forces : bool
         Whether to add the best force without a name at the end.
-    workers
+    workers : int
         Number of threads.
-    on_progress
-        Called with what is being done, and the steps done and to do.
+    on_progress : callable
+        Called with the name of the stage, the number of steps done, and the number of all steps.
+
+    Returns
+    -------
+    Diagnosis
+        The verdict with everything that it rests on.
 
     Raises
     ------
@@ -164,7 +194,7 @@ def diagnose(
     with ThreadPoolExecutor(workers) as work, ThreadPoolExecutor(len(RIVALS)) as aside:
         on_progress("fitting the base model", 0, 1)
         data = prepare(trajectories)
-        # beside the search, which cannot always use all workers
+        # runs beside the search, which cannot always use all workers
         rival = partial(_rival, data, work, quick)
         others = aside.map(rival, [] if verdict_only else RIVALS)
         base = fit_base(data, INDIVIDUAL, work)
@@ -172,7 +202,7 @@ def diagnose(
         forces = _grow(search, most, with_forces=not (quick or verdict_only), add_forces=add_forces)
         on_progress("rival models", 0, 1)
         rivals = {name: errors for found in others for name, errors in found.items()}
-        on_progress("where it fails", 0, 1)
+        on_progress("finding where the model fails", 0, 1)
         return _summed_up(search, forces, rivals, work, began)
 
 
@@ -183,7 +213,7 @@ def _summed_up(
     work: ThreadPoolExecutor,
     began: float,
 ) -> Diagnosis:
-    """The diagnosis at the end of a search that began at a time of the monotonic clock [s]."""
+    """The diagnosis at the end of a search; ``began``: start on the monotonic clock [s]."""
     compared = ((search.base, search.before), (search.current, search.errors))
     where_before, where_after = (locate(search.data, one.model, e.samples, work) for one, e in compared)
     return Diagnosis(
@@ -208,7 +238,7 @@ def _summed_up(
 
 
 def _grow(search: Search, most: int, *, with_forces: bool, add_forces: bool) -> list[Discovery]:
-    """Add what is supported to the model, and return the forces without a name that are left, if asked for."""
+    """Add supported candidates to the model; return the remaining forces without a name, if asked for."""
     forces: list[tuple[Discovery, Screened]] = []
     is_growing = True
     while is_growing:
@@ -217,13 +247,13 @@ def _grow(search: Search, most: int, *, with_forces: bool, add_forces: bool) -> 
         if forces or not with_forces:
             break
         forces = [one for one in search.discover() if one[0].p_value < LEVEL]
-        # with a force, something may be supported that was not
+        # a new force may make other candidates supported
         is_growing = add_forces and search.add_force(forces)
     return [force for force, _ in forces]
 
 
 def _rival(data: Recorded, work: ThreadPoolExecutor, quick: bool, law: str) -> dict[str, dict[str, float]]:
-    """Errors of a rival calibrated in the filter and, unless ``quick``, of the rival fitted to gaps."""
+    """Errors of a rival fitted in the filter and, unless ``quick``, of the rival fitted to gaps."""
     fitted = in_filter(data, law, work)
     found = {law: errors_of(data, without_folds(data, fitted, work, searched=not quick), work).summary()}
     if not quick and has_parameters(law):

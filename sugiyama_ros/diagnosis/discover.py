@@ -17,17 +17,33 @@ from sugiyama_ros.fit.score import filtered_states
 
 _FIRST = index_of("discovered_force", "covariate")
 _FORCES = tuple(range(_FIRST + 3, _FIRST + 3 + KNOTS))
-# Gains over chance run higher than half a chi-squared variable, because the filter is an approximation: measured on
-# effect-free simulations, up to this factor.
+# Gains by chance are larger than half a chi-squared variable, because the filter is an approximation. This is the
+# largest factor in simulations without effects.
 _INFLATION = 2.0
-# Quantiles of a covariate between which its knots lie.
+# The knots lie between these quantiles of a covariate.
 _INNER = (0.02, 0.98)
 _FROM_DATA = {"gap": 0, "speed": 1, "approach_rate": 2, "rear_gap": 3, "second_gap": 4}
 
 
 @dataclass(frozen=True)
 class Discovery:
-    """A force [m/s^2] over one covariate, given at knots; strength: largest minus smallest."""
+    """A force over one covariate, given at knots.
+
+    Parameters
+    ----------
+    covariate : str
+        Name of the covariate.
+    strength : float
+        Largest force minus smallest force [m/s^2].
+    p_value : float
+        Probability of such a gain by chance, corrected for the number of covariates.
+    gain_nats : float
+        Gain over the model without the force [nats].
+    knots : tuple of float
+        Values of the covariate, SI units.
+    force : tuple of float
+        Force at each knot [m/s^2].
+    """
 
     covariate: str
     strength: float
@@ -38,7 +54,22 @@ class Discovery:
 
 
 def discover(data: Recorded, fitted: JointFit, work: Executor) -> list[tuple[Discovery, Screened]]:
-    """Every covariate's curve, best supported first; p-values are corrected for their number (Bonferroni)."""
+    """Fit a force over each covariate.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    fitted : JointFit
+        The model without the force.
+    work : Executor
+        Runs the filters.
+
+    Returns
+    -------
+    list of (Discovery, Screened)
+        The forces with their rough fits, the best supported one first. Bonferroni's correction applies to the p-values.
+    """
     seen = covariates_of(data, filtered_states(data, fitted.model, work))
     found = []
     for number, covariate in enumerate(COVARIATES, 1):
@@ -76,7 +107,20 @@ def discover(data: Recorded, fitted: JointFit, work: Executor) -> list[tuple[Dis
 
 
 def covariates_of(data: Recorded, state: Array) -> tuple[Array, ...]:
-    """Gaps, speeds, approach rates, gaps behind and gaps ahead of the leader, (T, N) each, of filtered states."""
+    """Return the covariates of filtered states.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    state : ndarray, shape (T, N, 4)
+        Filtered states.
+
+    Returns
+    -------
+    tuple of ndarray, shape (T, N)
+        Gap [m], speed [m/s], approach rate [m/s], gap behind [m] and gap of the leader [m]; NaN where unknown.
+    """
     t = data.trajectories
     x, v = t.road.wrap(state[:, :, 0]), state[:, :, 1]
     leader = t.leader

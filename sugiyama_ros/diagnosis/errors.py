@@ -1,4 +1,4 @@
-"""How far a model is off, on samples that it has not been fitted to."""
+"""Errors of a model on held-out samples."""
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
@@ -12,22 +12,30 @@ from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.score import PointwiseDensity, follow
 
-# Share by which a free run's error may be larger than before without counting as worse: two starts differ by more.
+# The error of a free run may grow by this share without counting as worse: two starts differ by more.
 _TOLERANCE = 0.05
-# Speed [m/s] from which a time gap means something.
+# Smallest speed [m/s] at which a time gap is meaningful.
 _MOVING = 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class HeldOutErrors:
-    """Held-out samples and free runs of a model, each predicted by the model fitted without its fold."""
+    """Held-out predictions of a model; the model for each sample was fitted without the fold of the sample.
+
+    Parameters
+    ----------
+    samples : PointwiseDensity
+        One-step predictions.
+    runs : FreeRuns
+        Free runs.
+    """
 
     samples: PointwiseDensity
     runs: FreeRuns
 
     @property
     def loglik_per_sample(self) -> float:
-        """Natural logarithm, per car and sample, without the 2 pi term."""
+        """Mean log-likelihood of a sample [nats], without the 2 pi term."""
         return self.samples.total / max(int(np.isfinite(self.samples.log_likelihood).sum()), 1)
 
     @property
@@ -36,15 +44,15 @@ class HeldOutErrors:
         return rmse(self.samples.innovation_m)
 
     def by_driver(self) -> list[tuple[float, float]]:
-        """Log-likelihood [nats] and single-car 10-s error [m] of every driver."""
+        """Return the log-likelihood [nats] and the single-car error after 10 s [m] of every driver."""
         totals = np.nansum(self.samples.log_likelihood, axis=1)
         return [(float(total), rmse(self.runs.single[:, -1, i])) for i, total in enumerate(totals)]
 
     def no_worse_than(self, other: "HeldOutErrors") -> bool:
-        """Whether the free runs are not worse by more than 5 % and two paired standard errors over starts.
+        """Whether the free runs are at most 5 % worse, or worse by at most two paired standard errors over starts.
 
-        All horizons, coupled and single, count together, each relative to the other model's mean square error. A single
-        horizon may be luck, because a free run has no noise, and a jam without noise depends on small things.
+        All horizons count together, coupled and single, each relative to the mean square error of the other model. A
+        single horizon may be luck: a free run has no noise, and a jam without noise depends on small details.
         """
         pairs = ((self.runs.coupled, other.runs.coupled), (self.runs.single, other.runs.single))
         by_horizon = []
@@ -60,7 +68,7 @@ class HeldOutErrors:
         return not mean > max(2.0 * se, (1.0 + _TOLERANCE) ** 2 - 1.0)
 
     def summary(self) -> dict[str, float]:
-        """All figures by name."""
+        """Return the main errors by name."""
         coupled, single = (
             [rmse(e[:, k]) for k in range(len(HORIZONS_S))] for e in (self.runs.coupled, self.runs.single)
         )
@@ -72,10 +80,11 @@ class HeldOutErrors:
         }
 
     def details(self) -> dict[str, float]:
-        """Errors of speed, gap and time gap by name: rmse, rmse over the measured mean, and NRMSE fit [%] of the gap.
+        """Return errors of speed, gap and time gap by name: rmse, rmse over the measured mean gap, and fit [%] of the
+        gap.
 
         The time gap [s] counts where the car drives faster than 1 m/s. The fit is 100 (1 - rmse / std of the measured
-        gaps): 100 for a perfect model, and 0 for a model that knows only the mean gap.
+        gaps): it is 100 for a perfect model, and 0 for a model that knows only the mean gap.
         """
         found: dict[str, float] = {}
         r = self.runs
@@ -102,7 +111,22 @@ class HeldOutErrors:
 
 
 def errors_of(data: Recorded, models: Sequence[Model], work: Executor) -> HeldOutErrors:
-    """Errors of the models fitted without each fold, from ``cross_validation.without_folds``."""
+    """Return the held-out errors of a model.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    models : sequence of Model
+        The model fitted without each fold, from ``cross_validation.without_folds``.
+    work : Executor
+        Runs the filters.
+
+    Returns
+    -------
+    HeldOutErrors
+        Errors over all folds.
+    """
     followed = [follow(data, model, work) for model in models]
     samples = of_folds(data, [samples for samples, _ in followed])
     return HeldOutErrors(samples, free_runs(data, models, [states for _, states in followed], work))

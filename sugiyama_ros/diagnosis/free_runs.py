@@ -1,6 +1,7 @@
-"""Free runs from filtered states, compared with what was measured.
+"""Free runs from filtered states, compared with the measurements.
 
-Coupled: all vehicles drive by the model. Single: one vehicle drives behind its leader as the leader was recorded.
+In a coupled run all vehicles follow the model. In a single run one vehicle follows the model behind its recorded
+leader.
 """
 
 from collections.abc import Sequence
@@ -19,18 +20,30 @@ from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.simulation.drive import Order, Setting
 from sugiyama_ros.simulation.free_run import run_coupled, run_single
 
-#: Times ahead [s] at which free runs are compared with the measurements, and time [s] between two starts.
+#: Times after the start [s] at which free runs are compared with the measurements.
 HORIZONS_S = (2.0, 5.0, 10.0)
+# Time between two starts [s].
 _EVERY_S = 2.5
 
 
 @dataclass(frozen=True, eq=False)
 class FreeRuns:
-    """Errors of free runs, model minus measurement, (S, H, N) at HORIZONS_S; start: (S,) samples.
+    """Errors of free runs, model minus measurement, for S starts, H horizons and N vehicles.
 
-    coupled, single: of positions [m]; in a single run, the error of the gap is the error of the position with the other
-    sign. coupled_speed, single_speed: of speeds [m/s], against the filtered speeds; coupled_gap: of gaps [m]. gap,
-    speed: measured gap [m] and filtered speed [m/s] there, NaN without a leader.
+    Parameters
+    ----------
+    coupled, single : ndarray, shape (S, H, N)
+        Errors of positions [m]. In a single run, the error of the gap is the negative error of the position.
+    coupled_speed, single_speed : ndarray, shape (S, H, N)
+        Errors of speeds [m/s] against the filtered speeds.
+    coupled_gap : ndarray, shape (S, H, N)
+        Errors of gaps [m].
+    gap : ndarray, shape (S, H, N)
+        Measured gaps [m], NaN without a leader.
+    speed : ndarray, shape (S, H, N)
+        Filtered speeds [m/s].
+    start : ndarray of int, shape (S,)
+        Samples at which the runs start.
     """
 
     coupled: Array
@@ -44,18 +57,23 @@ class FreeRuns:
 
 
 def free_runs(data: Recorded, models: Sequence[Model], states: Sequence[Array], work: Executor) -> FreeRuns:
-    """Free runs that start every 2.5 s, each by the model fitted without the fold in which it starts.
+    """Start a free run every 2.5 s, with the model that was fitted without the fold of the start.
 
     Parameters
     ----------
-    data
+    data : Recorded
         The recording.
-    models
-        For every fold, the model fitted without it.
-    states
-        (T, N, 4) filtered states by each of the models, as ``filtered_states`` gives them.
-    work
-        Executor that carries out the runs.
+    models : sequence of Model
+        For every fold, the model fitted without the fold.
+    states : sequence of ndarray, shape (T, N, 4)
+        Filtered states of each of the models, as ``filtered_states`` returns them.
+    work : Executor
+        Carries out the runs.
+
+    Returns
+    -------
+    FreeRuns
+        Errors at the horizons.
     """
     t = data.trajectories
     steps = np.array([max(1, round(h / t.period_s)) for h in HORIZONS_S])
@@ -80,7 +98,7 @@ def free_runs(data: Recorded, models: Sequence[Model], states: Sequence[Array], 
 
 
 def _from_start(job: tuple[Recorded, Array, Array, int, Ints]) -> tuple[Array, ...]:
-    """The fields of FreeRuns from one sample on, (H, N) each."""
+    """Fields of FreeRuns for the run that starts at one sample, (H, N) each."""
     data, rows, state, k, steps = job
     t, ring = data.trajectories, data.trajectories.road.circumference_m
     leader = np.where(np.isfinite(state[k, t.leader[k], 0]), t.leader[k], -1)
@@ -120,11 +138,11 @@ def _drive_on(data: Recorded, rows: Array, recorded: Array, k: int, leader: Ints
 
 
 def _as_measured(position: Array, rows: Array, ring: float) -> Array:
-    """Where positions (H, N) [m] are measured, which effects may displace."""
+    """Measured positions for true positions (H, N) [m]; effects may displace the measurement."""
     return np.asarray(position + np.array([displacements(at, ring, rows) for at in position]))
 
 
 def rmse(errors: Array) -> float:
-    """Root of the mean square of all finite errors; NaN if there are none."""
+    """Return the root mean square of all finite errors; NaN if there are none."""
     known = errors[np.isfinite(errors)]
     return float(np.sqrt(np.mean(np.square(known)))) if len(known) else float("nan")

@@ -1,8 +1,9 @@
-"""Where a model fails: bins of covariates in which innovations are not centred, or wider than the model says.
+"""Where a model fails: bins of covariates in which innovations have a bias, or a spread that the model does not
+predict.
 
-The innovations of a model that misses nothing depend on nothing that was known before. So in any bin of any covariate,
-their mean over their predicted std is a standard normal variable over the root of their number. Bins are flagged at a
-false-discovery rate of 5 % over all bins together (Benjamini and Hochberg 1995).
+If nothing is missing from a model, its innovations do not depend on anything that was known before. In any bin of any
+covariate, the mean of the normalised innovations is then a normal variable with a variance of one over their number.
+Bins are flagged at a false-discovery rate of 5 % over all bins together (Benjamini and Hochberg 1995).
 """
 
 from concurrent.futures import Executor
@@ -20,19 +21,35 @@ from sugiyama_ros.fit.score import PointwiseDensity, filtered_states
 
 #: False-discovery rate of the flags.
 RATE = 0.05
-# Bins of a covariate, and fewest samples in one.
+# Number of bins of a covariate, and smallest number of samples in a bin.
 _BINS, _FEWEST = 10, 30
-# Acceleration [m/s^2] from which a driver accelerates or brakes, and speed [m/s] below which a driver stands.
+# A driver accelerates or brakes beyond this acceleration [m/s^2], and stands below this speed [m/s].
 _CHANGING, _STANDING = 0.3, 0.5
 _REGIMES = ("standing", "braking", "accelerating", "following")
 
 
 @dataclass(frozen=True)
 class Bin:
-    """Innovations while a covariate is in [low, high), SI; ``label`` where it is a driver or a regime.
+    """Innovations while a covariate is in [low, high), SI units.
 
-    bias: mean of the innovations over their predicted stds; nis: mean of their squares, 1 for a model that knows its
-    own uncertainty; p_value: of so large a bias by chance; flagged: at the false-discovery rate RATE.
+    Parameters
+    ----------
+    covariate : str
+        Name of the covariate.
+    label : str
+        Name of the driver or the regime; empty for other covariates.
+    low, high : float
+        Ends of the bin.
+    samples : int
+        Number of samples in the bin.
+    bias : float
+        Mean of the normalised innovations.
+    nis : float
+        Mean of their squares; 1 for a model that knows its own uncertainty.
+    p_value : float
+        Probability of such a bias by chance.
+    flagged : bool
+        Whether the bias counts as a failure, at the false-discovery rate RATE.
     """
 
     covariate: str
@@ -48,7 +65,17 @@ class Bin:
 
 @dataclass(frozen=True, eq=False)
 class Map:
-    """Bias over two covariates, (A, B), NaN where there are too few samples; edges (A + 1,) and (B + 1,), SI."""
+    """Bias over two covariates, in A by B bins.
+
+    Parameters
+    ----------
+    first, second : str
+        Names of the covariates.
+    first_edges, second_edges : ndarray, shape (A + 1,) and (B + 1,)
+        Edges of the bins, SI units.
+    bias : ndarray, shape (A, B)
+        Mean of the normalised innovations; NaN where there are too few samples.
+    """
 
     first: str
     second: str
@@ -59,28 +86,43 @@ class Map:
 
 @dataclass(frozen=True, eq=False)
 class Located:
-    """All bins, and maps over speed and gap, and over place and time."""
+    """All bins and all maps of a model.
+
+    Parameters
+    ----------
+    bins : tuple of Bin
+        Bins of all covariates, drivers and regimes.
+    maps : tuple of Map
+        Maps over speed and gap, and over place and time.
+    """
 
     bins: tuple[Bin, ...]
     maps: tuple[Map, ...]
 
     @property
     def flagged(self) -> list[Bin]:
-        """Bins that cannot be chance, worst first."""
+        """Bins in which the model fails, the smallest p-value first."""
         return sorted((b for b in self.bins if b.flagged), key=lambda b: b.p_value)
 
 
 def locate(data: Recorded, model: Model, samples: PointwiseDensity, work: Executor) -> Located:
-    """Find where the samples of a model differ from what it says.
+    """Find where the samples differ from what a model predicts.
 
     Parameters
     ----------
-    data, model
-        The recording and the model.
-    samples
-        Samples of the model, best held out.
-    work
-        Executor that runs the filters.
+    data : Recorded
+        The recording.
+    model : Model
+        The model.
+    samples : PointwiseDensity
+        Predictions of the model, preferably held out.
+    work : Executor
+        Runs the filters.
+
+    Returns
+    -------
+    Located
+        Bins and maps.
     """
     states = filtered_states(data, model, work)
     normal = samples.innovation_m / np.sqrt(samples.innovation_var)
@@ -111,7 +153,7 @@ def _covariates(data: Recorded, states: Array) -> dict[str, Array]:
 
 
 def _regime(model: Model, states: Array) -> Array:
-    """Number of the regime in _REGIMES plus a half, (T, N); NaN where nothing is known."""
+    """Number of the regime in _REGIMES plus a half, (T, N); NaN where unknown."""
     acceleration = states[:, :, 3] + model.rows[:, RHO] * states[:, :, 2]
     regime = np.select(
         [states[:, :, 1] < _STANDING, acceleration < -_CHANGING, acceleration > _CHANGING], [0.5, 1.5, 2.5], 3.5

@@ -1,7 +1,7 @@
-"""Other car-following models on the same data, calibrated in both ways that are in use.
+"""Other car-following laws on the same data, calibrated in two ways.
 
-In the causal filter, like the driver model; and by least squares on the gap of one car that is simulated behind its
-leader as recorded (Treiber and Kesting, Traffic Flow Dynamics, chapter 17).
+The first way is a fit in the causal filter, like the fit of the driver model. The second way is least squares on the
+gap of one simulated car behind its recorded leader (Treiber and Kesting, Traffic Flow Dynamics, chapter 17).
 """
 
 from concurrent.futures import Executor
@@ -20,12 +20,27 @@ from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import filtered_states
 from sugiyama_ros.laws.registry import LAWS, number_of
 
-# Samples below which the gaps of a driver are not fitted.
+# The gaps of a driver are fitted only if there are more samples than this.
 _FEWEST = 50
 
 
 def in_filter(data: Recorded, law: str, work: Executor) -> JointFit:
-    """A rival with its parameters and noises fitted for every driver in the causal filter."""
+    """Fit the parameters and the noises of a rival law for every driver in the causal filter.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    law : str
+        Name of the law.
+    work : Executor
+        Runs the filters.
+
+    Returns
+    -------
+    JointFit
+        The fitted law.
+    """
     places = ROW.law_places[law]
     model = start_model(data.drivers, (SIGMA_NU, SIGMA_A, *range(places.start, places.stop)))
     for rows in (model.rows, model.ahead):
@@ -35,7 +50,24 @@ def in_filter(data: Recorded, law: str, work: Executor) -> JointFit:
 
 
 def by_gaps(data: Recorded, law: str, fitted: JointFit, work: Executor) -> tuple[Model, ...]:
-    """For every fold, the rival fitted by least squares to the gaps outside the fold; noises as in ``fitted``."""
+    """Fit a rival law by least squares to the gaps outside each fold.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    law : str
+        Name of the law.
+    fitted : JointFit
+        The law fitted in the filter, for the noises and the starts.
+    work : Executor
+        Carries out the fits.
+
+    Returns
+    -------
+    tuple of Model
+        One model for each fold, fitted without the fold.
+    """
     states = filtered_states(data, fitted.model, work)
     places = ROW.law_places[law]
     jobs = [(data, law, states, i, fitted.model.rows[i, places]) for i in range(data.drivers)]
@@ -49,7 +81,7 @@ def by_gaps(data: Recorded, law: str, fitted: JointFit, work: Executor) -> tuple
 
 
 def _fit_driver(job: tuple[Recorded, str, Array, int, Array]) -> Array:
-    """Parameters (F, K) of one driver, fitted without each fold; as they were if too little is left."""
+    """Parameters (F, K) of one driver, fitted without each fold; the start where too few samples remain."""
     data, law, states, i, start = job
     t = data.trajectories
     leader, samples = t.leader[:, i], np.arange(len(data.fold))
@@ -65,7 +97,7 @@ def _fit_driver(job: tuple[Recorded, str, Array, int, Array]) -> Array:
         period_s=t.period_s,
         source=f"{t.source}: vehicle {t.vehicle[i]}",
     )
-    # a run starts anew with every block, because one sample is left out there
+    # the simulated car restarts with every block, because the first sample of a block is left out
     inside = np.diff(data.block, prepend=-1) == 0
     known = np.isfinite(following.states).all(axis=1) & inside
     one = LAWS[law]
@@ -77,5 +109,5 @@ def _fit_driver(job: tuple[Recorded, str, Array, int, Array]) -> Array:
 
 
 def has_parameters(name: str) -> bool:
-    """Whether a law has anything to calibrate but noises."""
+    """Return whether a law has parameters besides the noises."""
     return bool(LAWS[name].parameters)

@@ -1,7 +1,7 @@
-"""A quick look at every candidate, the same for all: a few Newton steps from the fitted model.
+"""Screening: a rough fit of every candidate, by a few Newton steps from the fitted model.
 
-The look is taken at the data and at data simulated from the model without the candidate (``bootstrap``), so that its
-approximations cancel.
+The search screens candidates on the data and on data simulated from the model without the candidate (``bootstrap``).
+The approximations are the same in both cases, so they cancel.
 """
 
 from collections.abc import Sequence
@@ -21,19 +21,28 @@ from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import PointwiseDensity, evaluate
 from sugiyama_ros.fit.slopes import Derivatives, Slopes, density_slope, difference_steps, sums
 
-# Steps of a closer look at most, and the log-likelihood [nats] that a further step must be predicted to gain.
+# Maximum number of steps of a closer look, and smallest predicted gain [nats] of a further step.
 _CLOSER, _LEAST_PREDICTED = 4, 0.4
-# A candidate whose gain is predicted to be less than this [nats] is not screened any closer.
+# A candidate with a smaller predicted gain [nats] gets no closer look.
 _HOPELESS = 1.0
 
 
 @dataclass(frozen=True)
 class Effort:
-    """How far a search goes, at most.
+    """Limits of a search.
 
-    runs: simulated recordings; looks: steps of a first look; shortlist, later: candidates that are fitted in full in
-    the first round and in later rounds; steps, renewals: steps of a full fit, and how often it computes derivatives
-    anew; drivers: starts of a search are compared on this many drivers, or up to twice as many.
+    Parameters
+    ----------
+    runs : int
+        Number of simulated recordings.
+    looks : int
+        Steps of a first look.
+    shortlist, later : int
+        Number of candidates that get a full fit, in the first round and in later rounds.
+    steps, renewals : int
+        Steps of a full fit, and how often it computes derivatives again.
+    drivers : int
+        Starts of a search are compared on this many drivers, or up to twice as many.
     """
 
     runs: int
@@ -45,7 +54,7 @@ class Effort:
     drivers: int = 11
 
 
-#: Effort of a diagnosis. Constants that make up for much of what is missing need many steps.
+#: Effort of a diagnosis. Constants that compensate for a missing effect need many steps.
 FULL = Effort(runs=6, looks=6, shortlist=8, later=8, steps=20, renewals=6)
 #: Effort of a quick diagnosis.
 QUICK = Effort(runs=2, looks=2, shortlist=4, later=2, steps=8, renewals=1)
@@ -53,12 +62,23 @@ QUICK = Effort(runs=2, looks=2, shortlist=4, later=2, steps=8, renewals=1)
 
 @dataclass(frozen=True, eq=False)
 class Screened:
-    """A candidate added to a model, roughly fitted.
+    """A rough fit of a model with one more candidate.
 
-    fit: the model with the candidate; gain: rise of the log posterior [nats] over the model without it, in sample;
-    predicted_gain: what the next step may add to the gain; loss: fall of the log posterior [nats] at the start
-    ``loss_at`` of the search, once the other parameters have given way. An effect as strong as at that start would have
-    gained as much if it existed.
+    Parameters
+    ----------
+    candidate : Candidate
+        The candidate.
+    fit : JointFit
+        The model with the candidate.
+    gain : float
+        Rise of the log posterior [nats] over the model without the candidate, in sample.
+    predicted_gain : float
+        Further gain [nats] that the next step may add.
+    loss : float
+        Fall of the log posterior [nats] at the start ``loss_at``, after the other parameters have responded. An effect
+        of this strength would have gained as much if it existed.
+    loss_at : dict of int to float
+        A start of the search: values by place.
     """
 
     candidate: Candidate
@@ -70,26 +90,31 @@ class Screened:
 
 
 def screen(data: Recorded, base: JointFit, candidate: Candidate, work: Executor, effort: Effort = FULL) -> Screened:
-    """Add a candidate to a fitted model by a few steps from the best of its starts.
+    """Add a candidate to a fitted model, by a few steps from the best of its starts.
 
     Parameters
     ----------
-    data
+    data : Recorded
         The recording.
-    base
+    base : JointFit
         The fitted model without the candidate.
-    candidate
-        What is added.
-    work
-        Executor that runs the filters.
-    effort
-        How far the look goes.
+    candidate : Candidate
+        What to add.
+    work : Executor
+        Runs the filters.
+    effort : Effort
+        Limits of the search.
+
+    Returns
+    -------
+    Screened
+        The rough fit.
     """
     model, at, loss, loss_at = _best_start(data, base, candidate, work, effort.drivers)
     known = {*base.model.individual, *base.model.shared}
     new = {}
     if len(candidate.strengths) == 1:
-        # from nothing to the start, what it changes is proportional to its strength
+        # between zero and the start, the change of the samples is proportional to the strength
         new = {k: _differences(base.samples, at, float(model.rows[0, k]), model.rows) for k in candidate.strengths}
     for k in (*model.individual, *model.shared):
         if k not in known and k not in new:
@@ -104,7 +129,7 @@ def _best_start(
 ) -> tuple[Model, PointwiseDensity, float, dict[int, float]]:
     """The start with the largest predicted likelihood, the samples there, and loss and loss_at as in ``Screened``.
 
-    drivers: the starts are compared on this many drivers, or up to twice as many.
+    drivers: number of drivers on whom the starts are compared, or up to twice as many.
     """
     is_only = len(candidate.starts) == 1
     some = range(0, data.drivers, 1 if is_only else max(1, data.drivers // drivers))
@@ -130,7 +155,7 @@ def _best_start(
 def screen_again(
     data: Recorded, base: JointFit, before: JointFit, look: Screened, work: Executor, effort: Effort
 ) -> Screened:
-    """Look again at a candidate, from where an earlier look ended that was taken when the model was ``before``."""
+    """Screen a candidate again from the end of an earlier look, which was taken with the model ``before``."""
     model = _carried_over(before, look, base)
     at = evaluate(data, model, work)
     again = replace(look, fit=JointFit(model, at, _joined(data, base, model, at, _columns(look.fit))))
@@ -138,7 +163,7 @@ def screen_again(
 
 
 def _first_steps(data: Recorded, base: JointFit, look: Screened, work: Executor, effort: Effort) -> Screened:
-    """Take the first few steps of a look, if the predicted gain is worth it."""
+    """Take the first steps of a look, if the predicted gain is large enough."""
     everywhere = range(FOLDS)
     gain = objective(look.fit.slopes, look.fit.model, everywhere) - objective(base.slopes, base.model, everywhere)
     predicted_gain = solve(look.fit.slopes, look.fit.model, everywhere, 1e-3).predicted_gain
@@ -147,12 +172,12 @@ def _first_steps(data: Recorded, base: JointFit, look: Screened, work: Executor,
 
 
 def closer(data: Recorded, look: Screened, work: Executor) -> Screened:
-    """Take a few more steps of a look, if the predicted gain is worth it."""
+    """Take a few more steps of a look, if the predicted gain is large enough."""
     return _further(data, look, work, _CLOSER) if look.gain + look.predicted_gain > _HOPELESS else look
 
 
 def _further(data: Recorded, look: Screened, work: Executor, steps: int) -> Screened:
-    """Take more steps of a look, with the derivatives as they were."""
+    """Take more steps of a look, without new derivatives."""
     fitted = maximise(data, look.fit, work, iterations=steps, enough=_LEAST_PREDICTED, renewals=0)
     everywhere = range(FOLDS)
     rise = objective(fitted.slopes, fitted.model, everywhere) - objective(look.fit.slopes, look.fit.model, everywhere)
@@ -161,7 +186,7 @@ def _further(data: Recorded, look: Screened, work: Executor, steps: int) -> Scre
 
 
 def refine(data: Recorded, look: Screened, work: Executor, effort: Effort = FULL) -> JointFit:
-    """Fit a candidate in full, from where a look ended."""
+    """Fit a model with a candidate in full, from the end of a look."""
     return maximise(data, look.fit, work, iterations=effort.steps, renewals=effort.renewals, fresh=False)
 
 
@@ -171,7 +196,7 @@ def with_candidate(data: Recorded, base: JointFit, candidate: Candidate, work: E
 
 
 def _carried_over(before: JointFit, look: Screened, current: JointFit) -> Model:
-    """The current model with a candidate as an earlier look left it; the other parameters give way as they did then."""
+    """The current model with a candidate from an earlier look, and with the response of the other parameters then."""
     candidate = look.candidate
     model = added(current.model, candidate, candidate.starts[0])
     rows = model.rows.copy()
@@ -183,9 +208,25 @@ def _carried_over(before: JointFit, look: Screened, current: JointFit) -> Model:
 
 
 def forecast(data: Recorded, before: JointFit, look: Screened, current: JointFit) -> float:
-    """Gain [nats] over ``current`` predicted from a look that was taken when the model was ``before``.
+    """Predict the gain of a candidate over the current model from an earlier look, without running a filter.
 
-    The change of every sample is taken to be the same now, so no filter is run.
+    The prediction assumes that the candidate changes every sample by the same amount as in the earlier look.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    before : JointFit
+        The model at the time of the look.
+    look : Screened
+        The earlier look.
+    current : JointFit
+        The current model.
+
+    Returns
+    -------
+    float
+        Predicted gain [nats].
     """
     candidate = look.candidate
     model = added(current.model, candidate, {})
@@ -206,9 +247,9 @@ def forecast(data: Recorded, before: JointFit, look: Screened, current: JointFit
 
 
 def _predicted(base: JointFit, model: Model, samples: PointwiseDensity) -> float:
-    """Log-likelihood [nats] once the parameters of the base model have given way to the candidate, to first order.
+    """Log-likelihood [nats] after the parameters of the base model have responded to the candidate, to first order.
 
-    Half of their predicted gain counts, because it is too large at a start that is far off.
+    Half of their predicted gain counts, because the prediction is too large at a distant start.
     """
     own, total = len(base.model.individual), samples.total
     prior = np.diag(1.0 / np.array(base.model.prior_std) ** 2)
@@ -227,10 +268,10 @@ def _strongest(
     candidate: Candidate,
     tried: Sequence[tuple[float, Model, PointwiseDensity]],
 ) -> dict[int, float]:
-    """The start with the largest predicted gain after its strengths were scaled to fit the samples; values by place.
+    """The start with the largest predicted gain after scaling its strengths to fit the samples; values by place.
 
-    The change of every sample at a start is taken as a derivative, so no filter is run. here: samples of the base
-    model, of the drivers on whom the starts were tried; tried: predicted likelihood, model and samples of each.
+    The changes of the samples at a start serve as derivatives, so no filter runs. here: samples of the base model, for
+    the drivers on whom the starts were tried; tried: predicted likelihood, model and samples of each start.
     """
     steps, (ray, *_) = [], candidate.strengths
     model = replace(base.model, shared=(*base.model.shared, ray))
@@ -248,7 +289,7 @@ def _strongest(
 def _joined(
     data: Recorded, base: JointFit, model: Model, at: PointwiseDensity, new: dict[int, list[tuple[Array, Array, Array]]]
 ) -> tuple[Slopes, ...]:
-    """Slopes at a model near ``base``, with the derivatives of ``base`` and ``new`` ones by the other parameters."""
+    """Slopes at a model near ``base``: derivatives of ``base``, and ``new`` derivatives by the other parameters."""
     known, places = [*base.model.individual, *base.model.shared], (*model.individual, *model.shared)
     joined = []
     for i, (s, row) in enumerate(zip(base.slopes, model.rows, strict=True)):
@@ -260,7 +301,7 @@ def _joined(
 
 
 def _columns(fitted: JointFit) -> dict[int, list[tuple[Array, Array, Array]]]:
-    """Derivatives of every driver's samples by each parameter of a fit, as ``_column`` gives them."""
+    """Derivatives of every driver's samples by each parameter of a fit, as ``_column`` returns them."""
     places, derivatives = (*fitted.model.individual, *fitted.model.shared), [s.derivatives for s in fitted.slopes]
     return {k: [(d.innovation[j], d.variance[j], d.density[j]) for d in derivatives] for j, k in enumerate(places)}
 
@@ -268,7 +309,7 @@ def _columns(fitted: JointFit) -> dict[int, list[tuple[Array, Array, Array]]]:
 def _column(
     data: Recorded, model: Model, at: PointwiseDensity, place: int, work: Executor
 ) -> list[tuple[Array, Array, Array]]:
-    """Derivatives of every driver's samples by one parameter, as ``Slopes`` keeps them, (T,) each."""
+    """Derivatives of every driver's samples by one parameter, as in ``Slopes``, (T,) each."""
     coordinates = coordinate(model.rows[:, [place]], [place])
     step = float(difference_steps(data, [place])[0])
     rows = model.rows.copy()
@@ -279,7 +320,7 @@ def _column(
 def _differences(
     at: PointwiseDensity, there: PointwiseDensity, step: float, rows: Array
 ) -> list[tuple[Array, Array, Array]]:
-    """Difference quotients of every driver's samples, as ``Slopes`` keeps them, (T,) each; rows: (N, WIDTH)."""
+    """Difference quotients of every driver's samples, as in ``Slopes``, (T,) each; rows: (N, WIDTH)."""
     found = []
     for i, row in enumerate(rows):
         y, variance = at.innovation_m[i], at.innovation_var[i]

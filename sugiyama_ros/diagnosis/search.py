@@ -1,7 +1,7 @@
-"""The search for what is missing, in rounds: screen every candidate, add the best that holds, and screen again.
+"""The search for what is missing, in rounds: screen every candidate, add the best supported one, and screen again.
 
-Every candidate is screened in the same way on the data and on data simulated from the current model (``bootstrap``). So
-a p-value says how often chance, refitting and the filter's approximations give as much.
+Every candidate is screened in the same way on the data and on data simulated from the current model (``bootstrap``). A
+p-value therefore says how often chance, the fit and the approximations of the filter give such a gain.
 """
 
 from collections.abc import Sequence
@@ -33,26 +33,54 @@ from sugiyama_ros.workers import at_once
 
 #: Level of significance, after Bonferroni's correction.
 LEVEL = 0.05
-# Share of the best gain above which a candidate is fitted in full.
+# A candidate with more than this share of the best gain is fitted in full.
 _SHARE = 0.3
-# Share of the best gain above which a candidate may be a rival that cannot be told apart.
+# A candidate with more than this share of the best gain may be indistinguishable from the best one.
 _RIVAL = 0.5
-# Candidates that are screened again after the first round.
+# Number of candidates that are screened again after the first round.
 _LATER_LOOKS = 8
-# Standard errors by which one candidate is clearly worse than another (5 %), and the least difference [nats].
+# One candidate is clearly worse than another by this many standard errors (5 %), and at least this difference [nats].
 _CLEARLY, _LEAST_DIFFERENCE = 1.645, 3.0
-# A gain of so many nats is not checked against simulations.
+# A gain above this [nats] is not checked against simulations.
 _OBVIOUS = 60.0
-# Steps of a search that begins at the truth.
+# Number of steps of a search that starts at the truth.
 _FEW_STEPS = 4
 
 
 class Search:
-    """A model that grows from ``base`` by what the data support.
+    """A model that grows from a base model by what the data support.
 
-    before: held-out errors of ``base``; current, errors: the current model and its held-out errors; named: what was
-    added. Results of the first round: scored, best first; heldout: the candidates' held-out gains; smallest: strengths
-    from which they would have shown.
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    base : JointFit
+        The fitted model without additions.
+    quick : bool
+        Whether to take shortcuts.
+    seed : int
+        Seed of the simulated recordings.
+    work : ThreadPoolExecutor
+        Runs the filters.
+    on_progress : callable
+        Called with the name of the stage, the number of steps done, and the number of all steps.
+
+    Attributes
+    ----------
+    before : HeldOutErrors
+        Held-out errors of ``base``.
+    current, errors : JointFit, HeldOutErrors
+        The current model and its held-out errors.
+    named : list of Addition
+        The additions, in order.
+    scored : list of Candidacy
+        Candidates of the first round, the best one first.
+    heldout : dict of str to Gain
+        Held-out gains of these candidates, by name.
+    smallest : dict of str to float
+        Strength from which each effect would usually have shown, by name.
+    effort : Effort
+        Limits of the search.
     """
 
     def __init__(
@@ -78,10 +106,15 @@ class Search:
         self.smallest: dict[str, float] = {}
 
     def add_effect(self) -> bool:
-        """One round: add the candidate with the best support, if any has support.
+        """Carry out one round: add the best supported candidate, if any is supported.
 
-        If others cannot be told apart from it, the candidate that predicts held-out samples best is added; a quick
-        search does not compare them.
+        If the data cannot tell candidates apart, the round adds the candidate that predicts held-out samples best. A
+        quick search does not compare them.
+
+        Returns
+        -------
+        bool
+            Whether a candidate was added.
         """
         scored = self._look_at_all()
         supported = [one for one in scored if one.refined and one.p_value <= LEVEL and one.gain >= LEAST_GAIN]
@@ -97,21 +130,21 @@ class Search:
         return self._take(max(grown, key=lambda one: one.heldout.nats, default=None))
 
     def discover(self) -> list[tuple[Discovery, Screened]]:
-        """Forces without a name that the current model lacks, best supported first."""
+        """Return forces without a name that the current model lacks, the best supported one first."""
         self._on_progress("forces without a name", 0, 1)
         return discover(self.data, self.current, self._work)
 
     def add_force(self, forces: Sequence[tuple[Discovery, Screened]]) -> bool:
-        """Add the first force that holds, if any does."""
+        """Add the first force that predicts better, and return whether there is one."""
         for force, look in forces:
             one = self._grow(look.candidate, refine(self.data, look, self._work), force.p_value)
-            # a curve that is flexible where there are few data may predict a step well, and go astray in a free run
+            # a curve is flexible where data are few: it may predict one step well and fail in a free run
             if one is not None and one.after.no_worse_than(one.before):
                 return self._take(one)
         return False
 
     def _look_at_all(self) -> list[Candidacy]:
-        """Screen the candidates that are worth it, best first; the most promising are fitted in full."""
+        """Screen the candidates, and fit the most promising ones in full; the best candidate first."""
         is_first = not self._seen
         chosen: Sequence[Candidate] = self._possible if is_first else self._worth_a_look()
         title = f"round {len(self.named) + 1}"
@@ -121,7 +154,7 @@ class Search:
         for k, look in zip(promising, again, strict=True):
             looks[k] = look
         self._seen |= {look.candidate.name: (self.current, look) for look in looks}
-        # neither what nobody would believe nor what nobody would doubt
+        # simulate only where the result is open: not for hopeless gains, and not for obvious ones
         doubtful = [k for k in promising if self._judge(looks[k]).p_value <= LEVEL and not _obvious(looks[k])]
         if is_first and not doubtful:
             doubtful = promising[:1]
@@ -146,7 +179,7 @@ class Search:
         return {one.candidate.name: gain(self.data, held_out_nearly(self.data, one.fit), now) for one in scored}
 
     def _predicts_more(self, one: Candidacy, now: HeldOutErrors) -> bool:
-        """Whether held-out samples support a candidate, too; now: errors of the current model."""
+        """Whether held-out samples support a candidate, too; ``now``: errors of the current model."""
         predicted = self._nearly(one.fit)
         won = gain(self.data, predicted.samples, now.samples)
         return won.nats > -won.se and (one.candidate.is_noise or predicted.no_worse_than(now))
@@ -154,8 +187,8 @@ class Search:
     def _indistinguishable(self, best: Candidacy, scored: Sequence[Candidacy]) -> tuple[str, ...]:
         """Names of the candidates that do not predict held-out samples clearly worse than the best candidate.
 
-        Vuong's test of models that are not nested (Econometrica 57 (1989) 307), one-sided, paired over drivers. It is
-        known by then that something is missing, so a rival's own p-value needs no correction.
+        This is Vuong's test of models that are not nested (Econometrica 57 (1989) 307), one-sided, paired over drivers.
+        It is known at this point that something is missing, so the p-value of a rival needs no correction.
         """
         by_best = held_out_nearly(self.data, best.fit)
         names = []
@@ -173,7 +206,9 @@ class Search:
     def _grow(
         self, candidate: Candidate, fitted: JointFit, p_value: float, rivals: tuple[str, ...] = ()
     ) -> Addition | None:
-        """The model with a candidate added, fitted in full, if its held-out gain is above its error over drivers."""
+        """The model with a candidate, fitted in full; None if its held-out gain is below its standard error over
+        drivers.
+        """
         data, work, before = self.data, self._work, self.errors
         model = replace(fitted.model, ahead=fitted.model.rows)
         grown = warm_start(data, fitted, model, work, renewals=0 if self.quick else self.effort.renewals)
@@ -195,7 +230,7 @@ class Search:
         )
 
     def _take(self, one: Addition | None) -> bool:
-        """Make a grown model the current one; False if there is none."""
+        """Make an extended model the current one; return False if there is none."""
         if one is None:
             return False
         self.current, self.errors = one.fit, one.after
@@ -207,9 +242,9 @@ class Search:
         return (null or UNKNOWN).judge(look, len(self._possible))
 
     def _shortlist(self, looks: Sequence[Screened]) -> list[int]:
-        """Numbers of the looks to fit in full: the largest gains, and noises, whose best values may lie far away.
+        """Numbers of the looks to follow: the largest gains, and noises, whose best values may be far from the start.
 
-        In later rounds: the looks that gain most above chance.
+        In later rounds: the looks with the largest gains above chance.
         """
         if self._seen:
             return sorted(range(len(looks)), key=lambda k: -self._judge(looks[k]).score)[: self.effort.later]
@@ -222,12 +257,12 @@ class Search:
         return chosen
 
     def _worth_a_look(self) -> list[Candidate]:
-        """The candidates with the largest predicted gains over the current model, from what was seen of them before."""
+        """The candidates with the largest predicted gains over the current model, from earlier looks."""
         order = sorted(self._possible, key=lambda c: -forecast(self.data, *self._seen[c.name], self.current))
         return order[:_LATER_LOOKS]
 
     def _look(self, candidate: Candidate) -> Screened:
-        """Look at a candidate from where an earlier look has ended, or from the start if this leads nowhere."""
+        """Screen a candidate from the end of an earlier look, or from the start if the earlier look leads nowhere."""
         before = self._seen.get(candidate.name)
         if before and before[1].gain > 0.0:
             again = screen_again(self.data, self.current, *before, self._work, self.effort)
@@ -239,12 +274,12 @@ class Search:
         return closer(self.data, look, self._work)
 
     def _in_full(self, one: Candidacy) -> Candidacy:
-        """Fit a candidate in full; what chance gives still comes from quick looks."""
+        """Fit a candidate in full; the gain by chance still comes from rough fits."""
         refined = refine(self.data, one.look, self._work, self.effort)
         return replace(one, fit=refined, gain=max(one.gain, _rise(self.current, refined)), refined=True)
 
     def _simulate(self, chosen: Sequence[Candidate]) -> NullGains:
-        """Gains of candidates on recordings that the current model has simulated."""
+        """Gains of candidates on recordings that the current model simulates."""
         data, current, work = self.data, self.current, self._work
         states = filtered_states(data, current.model, work)
 
@@ -258,7 +293,7 @@ class Search:
         gains = at_once(
             one_run,
             seeds(self.seed + len(self.named), self.effort.runs),
-            "simulating the model without it",
+            "simulating the current model",
             self._on_progress,
         )
         by_candidate = zip(chosen, zip(*gains, strict=True), strict=True)
@@ -272,5 +307,5 @@ def _rise(current: JointFit, fitted: JointFit) -> float:
 
 
 def _obvious(look: Screened) -> bool:
-    """Whether no simulation could gain as much; a parameter for each driver may gain much by chance."""
+    """Whether no simulation could gain as much; never for individual parameters, which may gain much by chance."""
     return look.gain >= _OBVIOUS and not look.candidate.individual

@@ -1,4 +1,4 @@
-"""The tables of a diagnosis and of a comparison."""
+"""Tables of a diagnosis and of a comparison."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -20,9 +20,9 @@ _ERRORS = (
     "10 s",
     "nats per sample",
 )
-# Errors that are small enough for a third decimal place.
+# Errors that get a third decimal place.
 _SMALL = ("one_step_rmse_m", "loglik_per_sample")
-# Heading of each further error, and the name of the figure.
+# Heading and name of each further error.
 _DETAILS = {
     "gap [m]": "gap_m",
     "of mean gap [%]": "gap_relative",
@@ -34,7 +34,7 @@ _COLLECTIVE = ("mean speed [m/s]", "least", "largest", "wave speed [m/s]", "queu
 
 
 def steps(diagnosis: Diagnosis) -> TextTable:
-    """Held-out errors of the base model, after each effect that was added, and of other models."""
+    """Return the held-out errors of the base model, after each addition, and of other laws."""
     models = [("base model", diagnosis.before.summary())]
     models += [(f"+ {added.name}", added.after.summary()) for added in diagnosis.named]
     models += list(diagnosis.rivals.items())
@@ -43,7 +43,7 @@ def steps(diagnosis: Diagnosis) -> TextTable:
 
 
 def by_driver(drivers: Sequence[Mapping[str, Any]]) -> TextTable:
-    """What the added effects gain for each driver; ``drivers`` as in the document of the diagnosis."""
+    """Return the gain of the additions for each driver; ``drivers`` as in the document of the diagnosis."""
     headings = ("vehicle", "held-out gain [nats]", "single car 10 s [m]", "after")
     rows = tuple(
         (
@@ -58,7 +58,7 @@ def by_driver(drivers: Sequence[Mapping[str, Any]]) -> TextTable:
 
 
 def held_out_errors(compared: Sequence[Compared]) -> TextTable:
-    """Held-out errors of each model, its gain over the base model, and how its innovations look."""
+    """Return the held-out errors of each model, its gain over the base model, and statistics of its innovations."""
     rows = []
     for one in compared:
         gain = f"{one.gain.nats:.0f} ± {one.gain.se:.0f}" if one.gain else ""
@@ -69,7 +69,7 @@ def held_out_errors(compared: Sequence[Compared]) -> TextTable:
 
 
 def details(compared: Sequence[Compared]) -> TextTable:
-    """Errors of gap, speed and time gap after 10 s, in free runs of all cars and of a single car."""
+    """Return errors of gap, speed and time gap after 10 s, in free runs of all cars and of a single car."""
     rows = []
     for one in compared:
         figures = one.errors.details()
@@ -84,14 +84,14 @@ def details(compared: Sequence[Compared]) -> TextTable:
 
 
 def collective(measured: Collective, compared: Sequence[Compared]) -> TextTable:
-    """Collective measures: measured, and in simulations of each model, with their std over simulations."""
+    """Return collective measures of the recording and of simulations of each model, with standard deviations."""
     rows = [("measured", *(f"{v:.2f}" for v in asdict(measured).values()))]
     rows += [
         (one.name, *(f"{mean:.2f} ± {std:.2f}" for mean, std in one.collective.values()))
         for one in compared
         if one.collective
     ]
-    return TextTable("Collective measures: measured, and of simulations", ("", *_COLLECTIVE), tuple(rows), left=1)
+    return TextTable("Collective measures: recorded and simulated", ("", *_COLLECTIVE), tuple(rows), left=1)
 
 
 def _error_cells(summary: Mapping[str, float]) -> list[str]:

@@ -10,12 +10,12 @@ from sugiyama_ros.diagnosis.diagnosis import Diagnosis
 from sugiyama_ros.diagnosis.locate import Bin, Located
 from sugiyama_ros.effects.registry import EFFECTS, ROW, effect
 
-# Bins that are told of in words.
+# Maximum number of bins that the sentences mention.
 _WORST = 3
 
 
 def document(d: Diagnosis) -> dict[str, Any]:
-    """Everything that is known, in plain types; SI units."""
+    """Return everything that a diagnosis has found, in plain types and SI units."""
     return {
         "verdict": {
             "effects": [_named(n) for n in d.named],
@@ -80,7 +80,7 @@ def _named(n: Addition) -> dict[str, Any]:
 
 
 def _where(located: Located) -> dict[str, Any]:
-    """All bins, those in which the model fails (worst first), and maps of the bias."""
+    """All bins, the bins in which the model fails (the smallest p-value first), and maps of the bias."""
     return {
         "bins": [asdict(b) for b in located.bins],
         "flagged": [asdict(b) for b in located.flagged],
@@ -98,7 +98,7 @@ def _where(located: Located) -> dict[str, Any]:
 
 
 def _drivers(d: Diagnosis) -> list[dict[str, Any]]:
-    """Per driver: held-out gain of all that was added, and single-car errors before and after."""
+    """Held-out gain of the additions and single-car errors before and after, for each driver."""
     before, after = d.before.by_driver(), d.after.by_driver()
     return [
         {
@@ -117,7 +117,7 @@ def _told(b: Bin) -> str:
 
 
 def sentences(d: Diagnosis) -> list[str]:
-    """The verdict in words."""
+    """Return the verdict in words, one line for each finding."""
     if not d.named:
         lines = ["Nothing that is missing can be detected in these data."]
         shown = [
@@ -125,7 +125,7 @@ def sentences(d: Diagnosis) -> list[str]:
             for name in d.smallest
             for p in [effect(name).parameters[0]]
         ]
-        lines.append("They would usually have shown: " + ", ".join(shown) + "." if shown else "")
+        lines.append("Effects of this strength would usually have shown: " + ", ".join(shown) + "." if shown else "")
     else:
         lines = []
     for n in d.named:
@@ -139,7 +139,7 @@ def sentences(d: Diagnosis) -> list[str]:
         if n.indistinguishable:
             advice = f" To tell them apart: {'; '.join(n.advice)}." if n.advice else ""
             lines.append(f"  Cannot be told apart from: {', '.join(n.indistinguishable)}.{advice}")
-    for located, of in ((d.where_before, "The base model"), (d.where_after, "The model with what was added")):
+    for located, of in ((d.where_before, "The base model"), (d.where_after, "The model with the additions")):
         if located is d.where_after and not d.named:
             continue
         worst = "; ".join(_told(b) for b in located.flagged[:_WORST])

@@ -1,4 +1,4 @@
-"""Where the search for one driver's parameters may go, and the logarithms in which it goes there."""
+"""Bounds of the search for one driver's parameters, and the logarithms that the search changes."""
 
 from dataclasses import dataclass
 
@@ -9,15 +9,26 @@ from sugiyama_ros.driver.parameters import PARAMETERS, V_STAR
 from sugiyama_ros.filters import paper
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
-# A desired speed [m/s] above this is not searched for, unless the data show at least half of it: below about half the
-# desired speed the reward phi1 turns convex, and data of slow driving do not hold v* (Sugiyama's vehicle 21).
+# Largest desired speed [m/s] of the search, unless the data show at least half of it. Below about half the desired
+# speed the reward phi1 turns convex, so data of slow driving do not determine v* (Sugiyama's vehicle 21).
 _FASTEST = 30.0
-# No parameter is searched for below this, in its own unit.
+# Smallest size of a parameter in the search, in the parameter's own unit.
 _SMALLEST = 1e-3
 
 
 def upper_bounds(trajectories: Trajectories) -> Array:
-    """Upper bounds (P,) of the search; the bound of v* follows the speeds in the data."""
+    """Return the upper bounds of the search; the bound of v* follows the speeds in the data.
+
+    Parameters
+    ----------
+    trajectories : Trajectories
+        The recording.
+
+    Returns
+    -------
+    ndarray, shape (P,)
+        Upper bound of each parameter, in its own unit.
+    """
     upper = np.array([p.upper for p in PARAMETERS])
     speed = paper.smoothed_speed(trajectories.road.unwrap(trajectories.position_m), 2, trajectories.period_s)
     upper[V_STAR] = min(upper[V_STAR], max(_FASTEST, 2.0 * float(np.nanquantile(speed, 0.99))))
@@ -26,9 +37,18 @@ def upper_bounds(trajectories: Trajectories) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class LogSpace:
-    """Logarithms x (K,) of the sizes of the parameters at ``places``; the signs stay as they are.
+    """Coordinates of the search: logarithms of the sizes of K parameters. The signs stay as they are.
 
-    start: (P,) parameters, of which those elsewhere are kept; sign: (K,); smallest, largest: (K,) bounds of x.
+    Parameters
+    ----------
+    start : ndarray, shape (P,)
+        Parameters at the start. Those that are not in ``places`` stay constant.
+    places : ndarray of int, shape (K,)
+        Places of the parameters in the search.
+    sign : ndarray, shape (K,)
+        Sign of each parameter in the search.
+    smallest, largest : ndarray, shape (K,)
+        Bounds of the coordinates.
     """
 
     start: Array
@@ -39,24 +59,56 @@ class LogSpace:
 
     @property
     def x(self) -> Array:
-        """Where the search starts, within the bounds."""
+        """Coordinates (K,) of the start, within the bounds."""
         return np.asarray(np.clip(np.log(np.abs(self.start[self.places])), self.smallest, self.largest))
 
     def parameters(self, x: Array) -> Array:
-        """Parameters (P,) at x."""
+        """Return all parameters (P,) at the coordinates x (K,)."""
         moved = self.start.copy()
         moved[self.places] = self.sign * np.exp(x)
         return moved
 
     def derivatives(self, parameters: Array, gradient: Array, information: Array) -> tuple[Array, Array]:
-        """Gradient (K,) and information (K, K) by x, from those by all parameters, (P,) and (P, P)."""
+        """Convert derivatives by the parameters to derivatives by the coordinates.
+
+        Parameters
+        ----------
+        parameters : ndarray, shape (P,)
+            Parameters at which the derivatives hold.
+        gradient : ndarray, shape (P,)
+            Gradient by the parameters.
+        information : ndarray, shape (P, P)
+            Information by the parameters.
+
+        Returns
+        -------
+        gradient : ndarray, shape (K,)
+            Gradient by the coordinates.
+        information : ndarray, shape (K, K)
+            Information by the coordinates.
+        """
         scale = parameters[self.places]
         block = information[np.ix_(self.places, self.places)]
         return gradient[self.places] * scale, block * np.outer(scale, scale)
 
 
 def log_space(start: Array, places: Ints, upper: Array) -> LogSpace:
-    """The logarithms searched from ``start`` (P,), up to ``upper`` (P,)."""
+    """Return the coordinates of a search.
+
+    Parameters
+    ----------
+    start : ndarray, shape (P,)
+        Parameters at the start.
+    places : ndarray of int, shape (K,)
+        Places of the parameters in the search.
+    upper : ndarray, shape (P,)
+        Upper bounds; the declared bounds hold too.
+
+    Returns
+    -------
+    LogSpace
+        The coordinates with their bounds.
+    """
     sign = np.sign(start[places])
     low, high = (np.array([getattr(PARAMETERS[k], side) for k in places]) for side in ("lower", "upper"))
     high = np.minimum(high, upper[places])

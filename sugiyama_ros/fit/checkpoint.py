@@ -1,4 +1,4 @@
-"""Fits kept on disk while a long calibration runs, so that a calibration that was cut off goes on where it stopped."""
+"""Fits kept on disk during a long calibration, so that an interrupted calibration can continue."""
 
 import json
 from collections.abc import Callable, Iterator
@@ -12,10 +12,22 @@ from sugiyama_ros.fit.driver import Fit
 
 
 class Checkpoint:
-    """A file with one JSON document per line: what is calibrated, then every fit with the name of its pass.
+    """A file with one JSON document per line: a description of the calibration, then every fit with the name of its
+    pass.
 
-    about: what must be equal for the fits to be used again. The checkpoint is a context manager. The caller removes the
-    file once the fits are saved elsewhere.
+    The checkpoint is a context manager. The caller removes the file once the fits are saved elsewhere.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    about : dict
+        Description of the calibration. The fits in the file are used again only if the file has the same description.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written.
     """
 
     def __init__(self, path: Path, about: dict[str, Any]) -> None:
@@ -27,7 +39,7 @@ class Checkpoint:
     def __enter__(self) -> "Checkpoint":
         length = self._read()
         try:
-            # an unfinished last line, and all of another calibration, are written over
+            # overwrite an unfinished last line, or the whole file if it belongs to another calibration
             self._stream = self.path.open("r+" if length else "w")
             self._stream.seek(length)
             self._stream.truncate()
@@ -42,7 +54,25 @@ class Checkpoint:
             self._stream.close()
 
     def resume(self, name: str, fits: Callable[..., Iterator[Fit]]) -> Iterator[Fit]:
-        """Fits of a pass: first those on disk, then the others from ``fits(skip=vehicles)``, which are written too."""
+        """Yield the fits of a pass: first the fits on disk, then the new fits, which are also written to disk.
+
+        Parameters
+        ----------
+        name : str
+            Name of the pass.
+        fits : callable
+            Called as ``fits(skip=vehicles)``; yields the fits of all other vehicles.
+
+        Yields
+        ------
+        Fit
+            One fit for each vehicle.
+
+        Raises
+        ------
+        OutputError
+            If the file cannot be written.
+        """
         kept = self._fits.get(name, {})
         yield from kept.values()
         for fit in fits(skip=kept.keys()):

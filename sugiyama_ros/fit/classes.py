@@ -1,7 +1,8 @@
-"""Classes of drivers who share their parameters: for recordings that are too short to fit every driver alone.
+"""Classes of drivers who share their parameters, for recordings that are too short to fit each driver alone.
 
-A mixture (latent classes) by the EM algorithm (Dempster, Laird and Rubin, J. R. Stat. Soc. B 39 (1977) 1), with a step
-of Fisher scoring for each maximisation. The class of a driver is known up to a probability.
+The classes are a mixture model (latent classes), fitted by the EM algorithm (Dempster, Laird and Rubin, J. R. Stat.
+Soc. B 39 (1977) 1). Each maximisation is one step of Fisher scoring. The class of each driver is known with a
+probability.
 """
 
 from collections.abc import Sequence
@@ -18,21 +19,32 @@ from sugiyama_ros.fit.bounds import LogSpace, log_space
 from sugiyama_ros.fit.driver import Fit, Job, carry_out
 from sugiyama_ros.fit.scoring import damped_step, limited
 
-# Steps at most; a rise of the log-likelihood [nats] that is not worth another one; longest step of a logarithm.
+# Maximum number of steps; the search ends when a step gains less than this [nats]; longest step of a logarithm.
 _STEPS, _ENOUGH, _LONGEST = 60, 0.05, 0.3
-# Ridge of the information, so that a class without drivers has a step.
+# Ridge that is added to the information, so that the step is defined for a class without drivers.
 _RIDGE = 1e-6
-# Ways to divide the single fits that are tried; how far off a single fit may lie, in standard deviations over drivers.
+# Number of starts. Fits of single drivers are clipped to this distance from the median, in stds over the drivers.
 _STARTS, _FAR = 4, 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class Classes:
-    """K classes of N drivers.
+    """K classes of N drivers, the largest class first.
 
-    rows: (K, P) parameters of each class; std: (K, P), as if every driver's class were known; share: (K,) of the
-    drivers; probability: (N, K) that a driver belongs to a class; log_likelihood: (N,); bic: Bayesian information
-    criterion.
+    Parameters
+    ----------
+    rows : ndarray, shape (K, P)
+        Parameters of each class.
+    std : ndarray, shape (K, P)
+        Standard deviations of the parameters, as if the class of every driver were known.
+    share : ndarray, shape (K,)
+        Share of the drivers in each class.
+    probability : ndarray, shape (N, K)
+        Probability that a driver belongs to a class.
+    log_likelihood : ndarray, shape (N,)
+        Log-likelihood of each driver under the mixture [nats].
+    bic : float
+        Bayesian information criterion.
     """
 
     rows: Array
@@ -48,18 +60,18 @@ def find_classes(jobs: Sequence[Job], count: int, samples: int, seed: int, work:
 
     Parameters
     ----------
-    jobs
+    jobs : sequence of Job
         Data and search of every driver.
-    count
+    count : int
         Number of classes.
-    samples
+    samples : int
         Number of samples of all drivers, for the information criterion.
-    seed
-        Seed of the divisions from which the search starts.
-    work
-        Executor that carries out the jobs.
+    seed : int
+        Seed of the random divisions at the start.
+    work : Executor
+        Carries out the jobs.
     """
-    # each driver's own parameters give the start
+    # the search starts from the fits of the single drivers
     fits, places = list(work.map(carry_out, jobs)), jobs[0].places
     space = log_space(fits[0].parameters, places, jobs[0].upper)
     rows = max(
@@ -102,7 +114,7 @@ def find_classes(jobs: Sequence[Job], count: int, samples: int, seed: int, work:
 
 
 def _expected(scores: Sequence[Sequence[Scored]], probability: Array) -> tuple[list[Array], list[Array]]:
-    """Gradient (P,) and information (P, P) of each class, drivers weighted by their probability to belong to it."""
+    """Gradient (P,) and information (P, P) of each class; the probability of the class weights each driver."""
     pairs, classes = list(zip(probability, scores, strict=True)), range(probability.shape[1])
     gradient = [np.asarray(sum(r[k] * s[k].gradient for r, s in pairs)) for k in classes]
     return gradient, [np.asarray(sum(r[k] * s[k].information for r, s in pairs)) for k in classes]
@@ -137,7 +149,7 @@ def _posterior(scores: Sequence[Sequence[Scored]], share: Array) -> tuple[Array,
 
 
 def _divided(fits: Sequence[Fit], job: Job, count: int, seed: int) -> Array:
-    """Parameters (K, P) of the classes at the start: centres of groups of single fits."""
+    """Parameters (K, P) of the classes at the start: centres of clusters of the fits of single drivers."""
     points = np.log(np.abs([fit.parameters[job.places] for fit in fits]))
     middle, spread = np.median(points, axis=0), np.maximum(np.std(points, axis=0), 1e-6)
     clipped = np.clip((points - middle) / spread, -_FAR, _FAR)

@@ -1,4 +1,4 @@
-"""What a model predicts of samples that it was not fitted to, and the gain of one model over another."""
+"""Predictions of held-out samples, which the model was not fitted to, and the gain of one model over another."""
 
 import math
 from collections.abc import Sequence
@@ -14,24 +14,32 @@ from sugiyama_ros.fit.model import Model, coordinate, moved
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import PointwiseDensity, evaluate, unknown
 
-# Steps from the fit to all folds to that without one.
+# Steps of the search from the fit to all folds to the fit without one fold.
 _STEPS_WITHOUT = 4
-# What held-out samples may differ from fitted ones where the filter is not run anew: innovations by this many of their
-# standard deviations, variances by this factor. Derivatives do not know where a change ends.
+# Limits of the change from fitted to held-out samples where the filter does not run again: innovations change by at
+# most this many of their standard deviations, variances by at most this factor. Derivatives alone set no limit.
 _MOST_OFF, _MOST_WIDER = 1.0, 2.0
 
 
 def without_folds(data: Recorded, fitted: JointFit, work: Executor, *, searched: bool) -> tuple[Model, ...]:
-    """For every fold, the model fitted to the other folds.
+    """Return a model for every fold, fitted to the other folds.
 
     Parameters
     ----------
-    data, fitted
-        The recording and the model fitted to all folds.
-    work
-        Executor that runs the filters.
-    searched
-        Whether each model is searched for; else it is one step away from ``fitted`` (infinitesimal jackknife).
+    data : Recorded
+        The recording.
+    fitted : JointFit
+        The model fitted to all folds.
+    work : Executor
+        Runs the filters.
+    searched : bool
+        Whether to search for each model. Otherwise each model is one step away from ``fitted`` (infinitesimal
+        jackknife).
+
+    Returns
+    -------
+    tuple of Model
+        One model for each fold.
     """
     models = []
     for f in range(FOLDS):
@@ -46,8 +54,8 @@ def without_folds(data: Recorded, fitted: JointFit, work: Executor, *, searched:
 def _without(data: Recorded, fitted: JointFit, fold: int) -> Model:
     """The model fitted to all folds but one, by the infinitesimal jackknife (Giordano et al. 2019).
 
-    It is one step with the information of all folds in proportion: the other folds alone may say next to nothing about
-    a parameter, and the step would have no end.
+    The step uses the information of all folds, scaled to the number of folds that remain. The remaining folds alone may
+    say almost nothing about a parameter, and the step would then have no limit.
     """
     others = [k for k in range(FOLDS) if k != fold]
     step = solve(fitted.slopes, fitted.model, others, 1e-6, curvature=range(FOLDS))
@@ -55,12 +63,40 @@ def _without(data: Recorded, fitted: JointFit, fold: int) -> Model:
 
 
 def held_out(data: Recorded, models: Sequence[Model], work: Executor) -> PointwiseDensity:
-    """Samples of every fold as predicted by the model fitted without the fold (see ``without_folds``)."""
+    """Predict the samples of every fold with the model that was fitted without the fold.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    models : sequence of Model
+        One model for each fold, from ``without_folds``.
+    work : Executor
+        Runs the filters.
+
+    Returns
+    -------
+    PointwiseDensity
+        Predictions of all samples.
+    """
     return of_folds(data, [evaluate(data, model, work) for model in models])
 
 
 def of_folds(data: Recorded, by_model: Sequence[PointwiseDensity]) -> PointwiseDensity:
-    """Samples put together: for every fold those of the model with the fold's number."""
+    """Combine predictions: take the samples of each fold from the model with the number of the fold.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    by_model : sequence of PointwiseDensity
+        Predictions of all samples by the model of each fold.
+
+    Returns
+    -------
+    PointwiseDensity
+        Predictions of all samples.
+    """
     known = unknown(data.drivers, len(data.fold))
     for f, samples in enumerate(by_model):
         mask = data.fold == f
@@ -71,9 +107,21 @@ def of_folds(data: Recorded, by_model: Sequence[PointwiseDensity]) -> PointwiseD
 
 
 def held_out_nearly(data: Recorded, fitted: JointFit) -> PointwiseDensity:
-    """Held-out samples from the samples' derivatives, without running the filter.
+    """Approximate the held-out predictions from the derivatives of the samples, without running the filter.
 
-    Approximates ``held_out`` of the models of ``without_folds(searched=False)``.
+    The result approximates ``held_out`` with the models from ``without_folds(searched=False)``.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    fitted : JointFit
+        The model fitted to all folds.
+
+    Returns
+    -------
+    PointwiseDensity
+        Predictions of all samples.
     """
     places = [*fitted.model.individual, *fitted.model.shared]
     at = coordinate(fitted.model.rows[:, places], places)
@@ -94,9 +142,16 @@ def held_out_nearly(data: Recorded, fitted: JointFit) -> PointwiseDensity:
 
 @dataclass(frozen=True)
 class Gain:
-    """Held-out log-likelihood of one model minus another's [nats].
+    """Held-out log-likelihood of one model minus the held-out log-likelihood of another model.
 
-    nats: sum over all samples; se: its standard error; drivers: sums over each driver's samples, N.
+    Parameters
+    ----------
+    nats : float
+        Sum over all samples [nats].
+    se : float
+        Standard error of the sum [nats].
+    drivers : tuple of float
+        Sum over the samples of each driver [nats].
     """
 
     nats: float
@@ -105,9 +160,19 @@ class Gain:
 
 
 def gain(data: Recorded, better: PointwiseDensity, than: PointwiseDensity) -> Gain:
-    """Gain over the samples of another model, paired.
+    """Return the gain of one model over another, paired sample by sample.
 
-    Its standard error is the larger of two, by the jackknife over blocks of time and over drivers.
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    better, than : PointwiseDensity
+        Predictions of both models.
+
+    Returns
+    -------
+    Gain
+        The standard error is the larger of two: a jackknife over blocks of time, and a jackknife over drivers.
     """
     difference = better.log_likelihood - than.log_likelihood
     by_driver = np.nansum(difference, axis=1)
@@ -116,6 +181,6 @@ def gain(data: Recorded, better: PointwiseDensity, than: PointwiseDensity) -> Ga
 
 
 def sum_error(parts: ArrayLike) -> float:
-    """Standard error of the sum of exchangeable parts (N,), by the jackknife."""
+    """Return the standard error of the sum of exchangeable parts (N,), by the jackknife."""
     x = np.asarray(parts)
     return math.sqrt(len(x) * float(np.var(x, ddof=1))) if len(x) > 1 else 0.0

@@ -1,6 +1,6 @@
-"""Maximum-likelihood calibration of many drivers, each alone (section 5 of the paper).
+"""Maximum-likelihood calibration of many drivers, each driver alone (section 5 of the paper).
 
-Nothing of one driver depends on another, so any executor will do: threads, processes, or the workers of a Dask cluster.
+Drivers do not depend on each other, so any executor can run the fits: threads, processes or a Dask cluster.
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -26,26 +26,26 @@ from sugiyama_ros.trajectories.trajectories import Trajectories
 Formulation = Literal["paper", "causal"]
 #: The parameters that the paper estimates; section 4.1.
 ESTIMATED = ("sigma_nu", "sigma_a", "v_star", "kappa_v")
-# Acceleration noise [m/s^2] to start from: larger than what is found, so that the search comes from the smooth side.
-# The paper's likelihood has further maxima in kappa_v, within 0.4 of the maximum that is found from here.
+# Acceleration noise [m/s^2] at the start. It is larger than usual estimates, because the likelihood is smoother there.
+# The paper's likelihood has further maxima in kappa_v, within 0.4 of the maximum that this start leads to.
 _START_SIGMA_A = 1.0
-# A search ends when a step is predicted to gain less than this; the causal likelihood is rough at a small scale.
+# A search ends when a step has a predicted gain below this [nats]; the causal likelihood is rough at small scales.
 _ENOUGH, _ENOUGH_CAUSAL = 1e-4, 0.02
-# Std of a logarithm from which on a parameter does not count as identified.
+# A parameter does not count as identified if the std of its logarithm is larger than this.
 _VAGUE = 0.5
-# Jobs that are handed to an executor at a time, so that memory stays bounded however many drivers there are.
+# Number of jobs that an executor gets at a time, to limit the memory.
 _BATCH = 512
-#: Score at parameters (P,), given the information (P, P) at parameters near by, if there is any yet.
+#: Returns the score at parameters (P,), given the information (P, P) at nearby parameters, or None.
 Score = Callable[[Array, Array | None], Scored]
 
 
 @dataclass(frozen=True)
 class SearchOptions:
-    """What a calibration of drivers does besides the plain search.
+    """Options of a calibration of drivers.
 
-    is_regularised: whether the paper's regularisation is added; profiled: whether intervals come from the profile
-    likelihood; hops: of scipy's basinhopping before the search, with ``seed``; with_errors: whether the errors of the
-    causal formulation are needed, which take as long as a search.
+    is_regularised: whether to add the paper's regularisation; profiled: whether intervals come from the profile
+    likelihood; hops: number of hops of scipy's basinhopping before the search; seed: seed of the hops; with_errors:
+    whether to compute the standard errors of the causal formulation, which takes as long as a search.
     """
 
     is_regularised: bool = False
@@ -55,7 +55,7 @@ class SearchOptions:
     with_errors: bool = True
 
 
-#: The search and nothing else.
+#: The search without further options.
 PLAIN = SearchOptions()
 
 
@@ -63,10 +63,20 @@ PLAIN = SearchOptions()
 class Fit:
     """Maximum-likelihood estimate of one driver.
 
-    vehicle: number; parameters: (P,); log_likelihood: at the maximum, without the 2 pi term and the regularisation;
-    std: (P,) from the expected information, 0 for what was given and infinite for what lies on a bound; at_bound: names
-    of the parameters that lie on a bound, which the data do not hold; interval: (P, 2) ends of the 95 % intervals, 0 or
-    infinite where the data set none.
+    Parameters
+    ----------
+    vehicle : int
+        Number of the vehicle.
+    parameters : ndarray, shape (P,)
+        Estimated parameters.
+    log_likelihood : float
+        Log-likelihood at the maximum [nats], without the 2 pi term and the regularisation.
+    std : ndarray, shape (P,)
+        Standard deviations; 0 for a parameter that was given, infinite for a parameter on a bound.
+    at_bound : tuple of str
+        Names of the parameters on a bound, which the data do not determine.
+    interval : ndarray, shape (P, 2)
+        Ends of the 95 % intervals; 0 or infinite where the data set no end.
     """
 
     vehicle: int
@@ -77,7 +87,7 @@ class Fit:
     interval: Array
 
     def identified(self, name: str) -> bool:
-        """Whether the data hold a parameter: it lies on no bound, and is known to half of its value."""
+        """Whether the data determine a parameter: it is not on a bound, and its std is less than half of its value."""
         k = index(name)
         return name not in self.at_bound and bool(self.std[k] < _VAGUE * abs(self.parameters[k]))
 
@@ -85,20 +95,20 @@ class Fit:
 def fit_driver(
     score: Score, vehicle: int, space: LogSpace, enough: float = _ENOUGH, careful: Score | None = None
 ) -> Fit:
-    """Maximise one driver's likelihood.
+    """Maximise the likelihood of one driver.
 
     Parameters
     ----------
-    score
-        The likelihood with its gradient and information.
-    vehicle
+    score : callable
+        Returns the log-likelihood with its gradient and information.
+    vehicle : int
         Number of the driver's vehicle.
-    space
-        Parameters that are searched for, their start and their bounds.
-    enough
-        The search ends when a step is predicted to gain less than this.
-    careful
-        A better score, from which the errors are taken at the maximum.
+    space : LogSpace
+        Parameters in the search, their start and their bounds.
+    enough : float
+        The search ends when the predicted gain of a step is less than this [nats].
+    careful : callable, optional
+        A more accurate score, for the standard errors at the maximum.
     """
 
     def at(x: Array, near: Point | None) -> Point:
@@ -129,8 +139,9 @@ def fit_driver(
 def _stds(scored: Scored, places: Ints) -> Array:
     """Standard deviations of the parameters at ``places`` at a maximum.
 
-    They come from the expected information, or from the sandwich estimate (Huber 1967) where the samples' gradients
-    scatter by more than the information says. The sandwich also holds for a likelihood that is an approximation.
+    They come from the expected information, or from the sandwich estimate (Huber 1967) if it is larger: if the
+    gradients of the samples scatter more than the information says. The sandwich also holds for an approximate
+    likelihood.
     """
     block = np.ix_(places, places)
     covariance = np.linalg.pinv(scored.information[block], hermitian=True)
@@ -142,10 +153,11 @@ def _stds(scored: Scored, places: Ints) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """One driver's data and the search for their parameters.
+    """Data of one driver, and the search for the driver's parameters.
 
-    vehicle: number; start, upper: (P,); places: (K,) of the parameters that are searched for; options: what else is
-    done; perceived: data of the paper's formulation, or chain and ahead: data of the causal formulation.
+    vehicle: number; start, upper: start and upper bounds (P,); places: places (K,) of the parameters in the search;
+    options: options of the calibration; perceived: data of the paper's formulation; chain, ahead: data of the causal
+    formulation.
     """
 
     vehicle: int
@@ -159,30 +171,30 @@ class Job:
 
     @property
     def space(self) -> LogSpace:
-        """Logarithms in which the search goes."""
+        """Coordinates of the search."""
         return log_space(self.start, self.places, self.upper)
 
     def score(self, parameters: Array, information: Array | None, central: bool = False) -> Scored:
-        """Score of the formulation, without regularisation; arguments as for ``causal_score``."""
+        """Return the score of the formulation without regularisation; arguments as for ``causal_score``."""
         if self.perceived is not None:
             return paper.score(self.perceived, parameters, self.places)
         assert self.chain is not None
         return causal_score(self.chain, self.ahead, self.places, parameters, information, central)
 
     def objective(self, parameters: Array, information: Array | None) -> Scored:
-        """Score of what is maximised."""
+        """Return the score that the search maximises; arguments as for ``causal_score``."""
         scored = self.score(parameters, information)
         return regularised(scored, parameters) if self.options.is_regularised else scored
 
     def careful(self, parameters: Array, _: Array | None) -> Scored:
-        """Score from central differences, with steps from an information that was computed here."""
-        # what the search knows of the information may come from a jump, which would make the next steps short, too
+        """Return the score from central differences, whose steps follow from a newly computed information."""
+        # the information of the search may come from a jump of the likelihood, which would make these steps too short
         rough = self.score(parameters, None, central=True)
         return self.score(parameters, rough.information, central=True)
 
 
 def carry_out(job: Job) -> Fit:
-    """Search for one driver's parameters, with everything that the options ask for."""
+    """Search for one driver's parameters, with the options of the job."""
     options = job.options
     if options.hops:
         job = replace(job, start=_hop(job))
@@ -217,7 +229,7 @@ def _hop(job: Job) -> Array:
 
 
 def _profile(job: Job, found: Fit) -> Array:
-    """Ends (P, 2) of the intervals of the parameters that were searched for, from the profile of their likelihood."""
+    """Ends (P, 2) of the intervals; the parameters of the search get intervals from the profile likelihood."""
     interval = found.interval.copy()
     space = log_space(found.parameters, job.places, job.upper)
     for k, low, high in zip(job.places.tolist(), space.smallest.tolist(), space.largest.tolist(), strict=True):
@@ -229,7 +241,7 @@ def _profile(job: Job, found: Fit) -> Array:
 
 
 def _fall(job: Job, found: Fit, place: int, sign: float) -> Callable[[float], float]:
-    """Square root of twice the profile's fall, at a distance from the maximum in the logarithm of a parameter."""
+    """Square root of twice the fall of the profile, at a distance from the maximum in the logarithm of a parameter."""
     held, last = replace(job, places=job.places[job.places != place]), found.parameters.copy()
 
     def fall(distance: float) -> float:
@@ -256,30 +268,31 @@ def calibrate(
 
     Parameters
     ----------
-    trajectories
+    trajectories : Trajectories
         The recording.
-    formulation
-        Likelihood: "paper" or "causal".
-    estimated
-        Names of the parameters that are searched for.
-    options
-        What is done besides the plain search.
-    starts
-        Parameters (P,) by vehicle: where the search starts, and what the drivers ahead are taken to have. If left out,
-        it starts at the paper's mean with a larger acceleration noise.
-    skip
-        Vehicles that are left out.
-    work
-        Executor that carries out the searches; if left out, they are carried out in turn.
+    formulation : {"causal", "paper"}
+        Likelihood.
+    estimated : sequence of str
+        Names of the parameters in the search.
+    options : SearchOptions
+        Further options.
+    starts : mapping of int to ndarray, shape (P,), optional
+        Parameters by vehicle, for the start and for the drivers ahead. The default start is the paper's mean with a
+        larger acceleration noise.
+    skip : collection of int
+        Vehicles to leave out.
+    work : Executor, optional
+        Carries out the searches; without it, they run one after the other.
 
     Yields
     ------
-    The fits in the order of the vehicles.
+    Fit
+        One for each driver, in the order of the vehicles.
 
     Raises
     ------
     InputError
-        For an unknown parameter, or data that the formulation cannot take.
+        For an unknown parameter, or data that the formulation cannot use.
     """
     places, upper, known = np.array([index(name) for name in estimated]), upper_bounds(trajectories), starts or {}
 
@@ -301,22 +314,22 @@ def job_of(
     upper: Array,
     known: Mapping[int, Array],
 ) -> Job:
-    """The plain search for the parameters of one driver.
+    """Return the plain search for the parameters of one driver.
 
     Parameters
     ----------
-    trajectories
+    trajectories : Trajectories
         The recording.
-    driver
+    driver : int
         Column of the driver.
-    formulation
-        Likelihood: "paper" or "causal".
-    places
-        (K,) places of the parameters that are searched for.
-    upper
-        (P,) upper bounds.
-    known
-        Parameters (P,) by vehicle, as ``starts`` of ``calibrate``.
+    formulation : {"causal", "paper"}
+        Likelihood.
+    places : ndarray of int, shape (K,)
+        Places of the parameters in the search.
+    upper : ndarray, shape (P,)
+        Upper bounds.
+    known : mapping of int to ndarray, shape (P,)
+        Parameters by vehicle, as ``starts`` of ``calibrate``.
     """
     begin = defaults()
     begin[SIGMA_A] = _START_SIGMA_A
@@ -330,6 +343,6 @@ def job_of(
 
 
 def _most(identity: Ints) -> int:
-    """Number of the vehicle that is there in most samples, or -1."""
+    """Number of the vehicle that is present in most samples, or -1."""
     values, counts = np.unique(identity[identity >= 0], return_counts=True)
     return int(values[np.argmax(counts)]) if len(values) else -1

@@ -8,7 +8,8 @@ from sugiyama_ros.filters import causal
 from sugiyama_ros.filters.chain import Chain
 from sugiyama_ros.filters.paper import Scored
 
-# Difference quotients of the causal filter: part of a parameter's std, bounds of the step in a logarithm, first one.
+# Steps of the difference quotients of the causal filter: as part of a parameter's std; shortest, longest and first step
+# of a logarithm.
 _PART_OF_STD, _SHORTEST_STEP, _LONGEST_STEP, _FIRST_STEP = 0.5, 5e-3, 0.05, 0.03
 #: The paper's regularisation, Eq. Regularized_SSM_Likelihood: centre and weight of v* [m/s] and kappa_v [s].
 REGULARISATION = ((V_STAR, 11.0, 50.0), (KAPPA_V, 0.5, 500.0))
@@ -22,21 +23,27 @@ def causal_score(
     information: Array | None,
     central: bool = False,
 ) -> Scored:
-    """Score by difference quotients of innovations and variances in the logarithms of the parameters.
+    """Return the score from difference quotients of innovations and variances, by the logarithms of the parameters.
 
     Parameters
     ----------
-    chain, ahead
-        The driver's data, and the parameters of the drivers ahead (M - 1, P).
-    places
-        (K,) places of the parameters that are searched for.
-    parameters
-        (P,) parameters of the driver.
-    information
-        (P, P) information at parameters near by, which sets the steps; None if not known.
-    central
-        Whether differences go to both sides. This takes twice the time, but a jump of the rough likelihood does less
-        harm.
+    chain : Chain
+        Data of the driver and of the vehicles ahead.
+    ahead : ndarray, shape (M - 1, P), or None
+        Parameters of the drivers ahead.
+    places : ndarray of int, shape (K,)
+        Places of the parameters in the search.
+    parameters : ndarray, shape (P,)
+        Parameters of the driver.
+    information : ndarray, shape (P, P), or None
+        Information at nearby parameters, which sets the steps; None if it is not known.
+    central : bool
+        Whether to take central differences. They take twice the time, but suffer less from jumps of the likelihood.
+
+    Returns
+    -------
+    Scored
+        Log-likelihood, gradient, information and scatter.
     """
     y, variance, density = causal.predict_samples(chain, parameters, ahead)
     steps = np.full(len(places), _FIRST_STEP)
@@ -68,7 +75,20 @@ def causal_score(
 
 
 def regularised(scored: Scored, parameters: Array) -> Scored:
-    """The score of the regularised likelihood, Eq. Regularized_SSM_Likelihood, at parameters (P,)."""
+    """Add the paper's regularisation, Eq. Regularized_SSM_Likelihood, to a score.
+
+    Parameters
+    ----------
+    scored : Scored
+        Score without regularisation.
+    parameters : ndarray, shape (P,)
+        Parameters at which the score holds.
+
+    Returns
+    -------
+    Scored
+        Score of the regularised likelihood.
+    """
     value, gradient, information = scored.log_likelihood, scored.gradient.copy(), scored.information.copy()
     for k, centre, weight in REGULARISATION:
         off = parameters[k] - centre

@@ -1,4 +1,4 @@
-"""What type of driver somebody is, among classes that are known: told from what has been learnt of him so far."""
+"""The type of a driver: probabilities of known classes, given what a filter has learnt of the driver so far."""
 
 from dataclasses import dataclass
 
@@ -12,21 +12,42 @@ from sugiyama_ros.filters.learnt import Learnt
 
 @dataclass(frozen=True, eq=False)
 class DriverTypes:
-    """Classes of drivers (``estimation.classes``): share (K,) of all drivers, and parameters (K, P)."""
+    """Classes of drivers, as ``fit.classes`` finds them.
+
+    Parameters
+    ----------
+    share : ndarray, shape (K,)
+        Share of all drivers in each class.
+    rows : ndarray, shape (K, P)
+        Parameters of each class.
+    """
 
     share: Array
     rows: Array
 
     def probabilities(self, learnt: Learnt, prior: Learnt) -> Array:
-        """That a driver is of each class, (K,), from what is learnt of him since nothing but the prior was known.
+        """Return the probability of each class for one driver.
 
-        Both are normal distributions of logarithms, so their ratio is what the samples say of a class's parameters.
+        Both arguments are normal distributions of logarithms. Their ratio is the likelihood that the samples give to
+        the parameters of a class.
+
+        Parameters
+        ----------
+        learnt : Learnt
+            What the filter knows of the driver now.
+        prior : Learnt
+            What the filter knew of the driver before the first sample.
+
+        Returns
+        -------
+        ndarray, shape (K,)
+            Probabilities of the classes.
         """
         logs = np.log(self.rows[:, [index(name) for name in learnt.names]])
         return np.asarray(softmax(np.log(self.share) + _log_density(logs, learnt) - _log_density(logs, prior)))
 
 
 def _log_density(logs: Array, learnt: Learnt) -> Array:
-    """Log-density at points (K, A), but for what is the same for all."""
+    """Log-density (K,) at points (K, A), without the terms that are equal for all points."""
     off = logs - learnt.mean
     return np.asarray(-0.5 * np.sum(off * np.linalg.solve(learnt.covariance, off.T).T, axis=1))

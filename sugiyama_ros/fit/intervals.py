@@ -1,4 +1,4 @@
-"""95 % intervals of a parameter: of a likelihood that is quadratic in its logarithm, or of the profile likelihood."""
+"""95 % intervals of a parameter, from a quadratic log-likelihood or from the profile likelihood."""
 
 import math
 from collections.abc import Callable
@@ -7,18 +7,28 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array
 
-#: Standard deviations of a normal distribution within which 95 % lie.
+#: A normal variable lies within this many standard deviations of its mean with a probability of 95 %.
 SIGMAS = 1.96
-# Values that are tried for one end, and how well the fall must be met, in standard deviations.
+# Maximum number of trial values for one end, and tolerance of the fall, in standard deviations.
 _TRIES, _CLOSE = 20, 0.05
-# How many times further than the last one the next value may be, and must be; the first one at most, in logarithms.
+# Largest and smallest ratio of the next distance to the last distance; largest guess of a logarithm's std.
 _FURTHER, _FURTHER_AT_LEAST, _FIRST = 2.5, 1.3, 0.5
 
 
 def quadratic(parameters: Array, std: Array) -> Array:
-    """Ends (..., 2) of intervals of positive or negative parameters (...) with stds (...), quadratic in the logarithms.
+    """Return 95 % intervals from a log-likelihood that is quadratic in the logarithms of the parameters.
 
-    An infinite std leaves 0 and infinity, a std of 0 the parameter itself.
+    Parameters
+    ----------
+    parameters : ndarray, shape (...)
+        Parameters, positive or negative.
+    std : ndarray, shape (...)
+        Standard deviations of the parameters.
+
+    Returns
+    -------
+    ndarray, shape (..., 2)
+        Ends of the intervals. For an infinite std they are 0 and infinity; for a std of 0, both are the parameter.
     """
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         far = np.exp(SIGMAS * std / np.abs(parameters))
@@ -27,10 +37,27 @@ def quadratic(parameters: Array, std: Array) -> Array:
 
 
 def end_of_profile(fall: Callable[[float], float], guess: float, furthest: float) -> float:
-    """Distance from the maximum at which the profile likelihood has fallen by 1.96^2 / 2; infinite beyond ``furthest``.
+    """Return the distance from the maximum at which the profile log-likelihood has fallen by 1.96^2 / 2.
 
-    fall: square root of twice the fall at a distance; guess: a standard deviation. By Wilks (Ann. Math. Stat. 9 (1938)
-    60), the values within are a 95 % interval, whatever the scale on which the distance is measured.
+    The values within this distance are a 95 % interval, on any scale of the distance.
+
+    Parameters
+    ----------
+    fall : callable
+        Returns the square root of twice the fall at a distance.
+    guess : float
+        A standard deviation, in the unit of the distance.
+    furthest : float
+        Largest distance.
+
+    Returns
+    -------
+    float
+        The distance, infinite if it is beyond ``furthest``.
+
+    References
+    ----------
+    S. S. Wilks, Ann. Math. Stat. 9 (1938) 60.
     """
     near, low = 0.0, 0.0
     far, high = math.inf, math.inf

@@ -1,7 +1,9 @@
-"""Maximum likelihood for many drivers at once: some parameters each driver's own, others the same for all.
+"""Maximum likelihood for many drivers at once: each driver has individual parameters, and all drivers share others.
 
-Damped Fisher scoring (``fit.scoring``): what belongs to one driver is independent of what belongs to another but for
-the shared parameters, so the system to solve is an arrow.
+The search is damped Fisher scoring (``fit.scoring``). Only the shared parameters connect the drivers, so the matrix of
+the linear system has the shape of an arrow. The derivatives of the samples take most of the time. The search keeps them
+from step to step. It computes them again at the end, and where a step gains less than half of its predicted gain.
+Without shared parameters each driver moves independently and stops on reaching the maximum.
 """
 
 from collections.abc import Sequence
@@ -18,17 +20,27 @@ from sugiyama_ros.fit.score import PointwiseDensity, predict_drivers
 from sugiyama_ros.fit.scoring import Damping, damped, damped_step
 from sugiyama_ros.fit.slopes import Slopes, informed_steps, slopes, slopes_of, sums
 
-# A search ends when a step is predicted to gain less log-likelihood [nats] than this. The likelihood of a recording is
-# rough by about 1 from step to step of the difference quotients.
+# A search ends when the predicted gain of a step is less than this [nats]. The log-likelihood of a recording is rough:
+# it varies irregularly by about 1 over one step of the difference quotients.
 _ENOUGH = 0.5
 _DAMPING = Damping(least=1e-6, least_after_failure=0.1, most=1e4)
-# Steps of a search at most, and times at most that it takes the derivatives anew.
+# Maximum number of steps of a search, and maximum number of times that it computes the derivatives again.
 _STEPS, _RENEWALS = 12, 5
 
 
 @dataclass(frozen=True, eq=False)
 class JointFit:
-    """A model of all drivers with its samples and slopes, at a maximum or on the way to one."""
+    """A model of all drivers, with its predictions of the samples and its slopes.
+
+    Parameters
+    ----------
+    model : Model
+        The model, at a maximum or on the way to one.
+    samples : PointwiseDensity
+        Predictions of all samples.
+    slopes : tuple of Slopes
+        Score and information of each driver.
+    """
 
     model: Model
     samples: PointwiseDensity
@@ -36,12 +48,12 @@ class JointFit:
 
     @property
     def log_likelihood(self) -> float:
-        """Log-likelihood of all samples."""
+        """Log-likelihood of all samples [nats]."""
         return self.samples.total
 
 
 def start_fit(data: Recorded, model: Model, work: Executor) -> JointFit:
-    """The beginning of a search from ``model``: its samples and slopes."""
+    """Return the start of a search from ``model``: the model with its samples and slopes."""
     start, samples = slopes(data, model, work)
     return JointFit(model, samples, tuple(start))
 
@@ -52,7 +64,26 @@ def fit(data: Recorded, model: Model, work: Executor, *, iterations: int = _STEP
 
 
 def warm_start(data: Recorded, near: JointFit, model: Model, work: Executor, *, renewals: int = _RENEWALS) -> JointFit:
-    """Maximise the likelihood from ``model``, with the derivatives of the fit ``near`` until they are poor."""
+    """Maximise the likelihood from ``model``, and reuse the derivatives of a nearby fit.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    near : JointFit
+        A nearby fit. Its derivatives are used until they predict poorly.
+    model : Model
+        Where the search starts.
+    work : Executor
+        Runs the filters.
+    renewals : int
+        Maximum number of times that derivatives are computed again.
+
+    Returns
+    -------
+    JointFit
+        The best fit found.
+    """
     start = at_model(data, near, model, work, np.ones(data.drivers, np.bool_))
     return maximise(data, start, work, renewals=renewals, fresh=False)
 
@@ -68,27 +99,26 @@ def maximise(
     renewals: int = _RENEWALS,
     fresh: bool = True,
 ) -> JointFit:
-    """Maximise the log posterior from a model whose slopes are known.
-
-    The derivatives of the samples take most of the time. They are kept from step to step, and computed anew at the end
-    and where a step gains less than half of what was predicted. Without shared parameters each driver rests on arrival.
+    """Maximise the log posterior from a fit whose slopes are known, and return the best fit found.
 
     Parameters
     ----------
-    data, start
-        The recording and where the search starts.
-    work
-        Executor that runs the filters.
-    folds
+    data : Recorded
+        The recording.
+    start : JointFit
+        Where the search starts.
+    work : Executor
+        Runs the filters.
+    folds : sequence of int
         Folds whose samples count.
-    iterations
-        Steps at most.
-    enough
-        The search ends when a step is predicted to gain less than this [nats].
-    renewals
-        How often derivatives are computed anew, at most.
-    fresh
-        Whether the derivatives of ``start`` belong to its model, and not to a model near by.
+    iterations : int
+        Maximum number of steps.
+    enough : float
+        The search ends when the predicted gain of a step is less than this [nats].
+    renewals : int
+        Maximum number of times that derivatives are computed again.
+    fresh : bool
+        Whether the derivatives of ``start`` belong to its own model, and not to a nearby model.
     """
     here = start
     damping: Array = np.full(data.drivers, _DAMPING.start)
@@ -120,15 +150,15 @@ def maximise(
 
 
 def _next_step(here: JointFit, folds: Sequence[int], damping: Array, enough: float) -> tuple[Step, NDArray[np.bool_]]:
-    """The next step, and the drivers (N,) that it moves: those with enough to gain, or all together."""
+    """The next step, and the drivers (N,) that it moves: those with enough predicted gain, or all drivers together."""
     step = solve(here.slopes, here.model, folds, damping)
     return step, bool(here.model.shared) | (step.predicted_gains > enough / len(here.slopes))
 
 
 def _risen(here: JointFit, there: JointFit, step: Step, folds: Sequence[int]) -> tuple[Array, Array]:
-    """Rise of each driver's objective from one model to another, and the rise that was predicted; (N,) each.
+    """Rise of each driver's objective from one model to another, and the predicted rise; (N,) each.
 
-    With shared parameters the drivers rise and fall together, so each has the mean.
+    With shared parameters the drivers rise and fall together, so each driver gets the mean.
     """
     rise = objectives(there.slopes, there.model, folds) - objectives(here.slopes, here.model, folds)
     if not here.model.shared:
@@ -143,20 +173,25 @@ def solve(
     damping: float | Array,
     curvature: Sequence[int] | None = None,
 ) -> Step:
-    """Damped Newton step of a model; the prior counts in proportion to the folds.
+    """Return the damped Newton step of a model; the prior counts in proportion to the number of folds.
 
     Parameters
     ----------
-    all_slopes
+    all_slopes : sequence of Slopes
         Slopes of each driver at the model.
-    model
+    model : Model
         The model.
-    folds
+    folds : sequence of int
         Folds whose samples count.
-    damping
-        One number, or one for each driver (N,).
-    curvature
-        Folds that the information is taken from, if not ``folds``.
+    damping : float or ndarray, shape (N,)
+        Damping of all drivers or of each driver.
+    curvature : sequence of int, optional
+        Folds whose information counts; ``folds`` by default.
+
+    Returns
+    -------
+    Step
+        The step with its predicted gains.
     """
     curved, own = list(folds if curvature is None else curvature), len(model.individual)
     of_driver: Array = np.broadcast_to(damping, len(all_slopes))
@@ -166,7 +201,7 @@ def solve(
     g_own, h_own, cross = g[:, :own] - share * model.away / std, h[:, :own, :own], h[:, :own, own:]
     h_own = h_own + len(curved) / FOLDS * np.diag(1.0 / std**2)
     inverse = np.linalg.inv(damped(h_own, of_driver))
-    # what the individual parameters give way by, for each shared one
+    # response of the individual parameters to a change of each shared parameter
     gives_way = inverse @ cross
     reduced = (h[:, own:, own:] - cross.transpose(0, 2, 1) @ gives_way).sum(axis=0)
     rest = g[:, own:].sum(axis=0) - np.einsum("nis,ni->s", gives_way, g_own)
@@ -177,7 +212,26 @@ def solve(
 
 
 def at_model(data: Recorded, here: JointFit, model: Model, work: Executor, who: NDArray[np.bool_]) -> JointFit:
-    """Move the drivers in ``who`` (N,) to another model near by, with the derivatives as they were."""
+    """Return the fit with some drivers moved to a nearby model; the derivatives stay as they are.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    here : JointFit
+        The fit.
+    model : Model
+        The nearby model.
+    work : Executor
+        Runs the filters.
+    who : ndarray of bool, shape (N,)
+        Drivers to move.
+
+    Returns
+    -------
+    JointFit
+        The fit with new samples for these drivers.
+    """
     numbers = np.flatnonzero(who)
     rows, slopes_, samples = here.model.rows.copy(), list(here.slopes), here.samples.copy()
     rows[who] = model.rows[who]
@@ -188,7 +242,7 @@ def at_model(data: Recorded, here: JointFit, model: Model, work: Executor, who: 
 
 
 def renewed(data: Recorded, here: JointFit, work: Executor, who: NDArray[np.bool_]) -> JointFit:
-    """The fit with the derivatives of the drivers in ``who`` (N,) computed anew."""
+    """Return the fit with the derivatives of the drivers in ``who`` (N,) computed again."""
     numbers, slopes_ = np.flatnonzero(who), list(here.slopes)
     steps = informed_steps(data, here.model, here.slopes)
     for i, s in zip(numbers, slopes_of(data, here.model, here.samples, steps, work, numbers), strict=True):
@@ -197,7 +251,7 @@ def renewed(data: Recorded, here: JointFit, work: Executor, who: NDArray[np.bool
 
 
 def mixed(here: JointFit, there: JointFit, better: NDArray[np.bool_]) -> JointFit:
-    """The fit ``there`` for the drivers in ``better`` (N,), and ``here`` for the others."""
+    """Return the fit ``there`` for the drivers in ``better`` (N,), and the fit ``here`` for the other drivers."""
     rows, slopes_, samples = here.model.rows.copy(), list(here.slopes), here.samples.copy()
     rows[better] = there.model.rows[better]
     for i in np.flatnonzero(better):
@@ -207,11 +261,11 @@ def mixed(here: JointFit, there: JointFit, better: NDArray[np.bool_]) -> JointFi
 
 
 def objectives(all_slopes: Sequence[Slopes], model: Model, folds: Sequence[int]) -> Array:
-    """Log-likelihood of each driver's samples in ``folds`` plus the log prior in proportion, (N,)."""
+    """Return the log posterior of each driver (N,) [nats]: samples in ``folds``, and the prior in proportion."""
     likelihood = np.array([s.log_likelihood for s in all_slopes])[:, list(folds)].sum(axis=1)
     return np.asarray(likelihood - 0.5 * len(folds) / FOLDS * np.square(model.away).sum(axis=1))
 
 
 def objective(all_slopes: Sequence[Slopes], model: Model, folds: Sequence[int]) -> float:
-    """Log-likelihood of all samples in ``folds`` plus the log prior in proportion."""
+    """Return the log posterior of all drivers [nats]: samples in ``folds``, and the prior in proportion to them."""
     return float(objectives(all_slopes, model, folds).sum())

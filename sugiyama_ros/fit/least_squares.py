@@ -1,6 +1,7 @@
-"""Classic calibration of the rival laws: one car drives behind its measured leader, least squares on its gaps.
+"""Classic calibration of the rival laws: one car drives behind its measured leader, and least squares fit its gaps.
 
-Treiber and Kesting, Traffic Flow Dynamics, on calibration: the global approach, with absolute errors of gaps.
+This is the global approach with absolute errors of gaps of Treiber and Kesting, Traffic Flow Dynamics, chapter on
+calibration.
 """
 
 from dataclasses import dataclass
@@ -19,23 +20,35 @@ from sugiyama_ros.jit import kernel
 from sugiyama_ros.laws.law import Law
 from sugiyama_ros.laws.registry import number_of
 
-# Starts compared at first, each parameter from its default over the factor to its default times the factor.
+# Number of starts to compare. Each parameter lies between its default divided and multiplied by the factor.
 _LOOKED_AT, _FACTOR = 64, 4.0
-# The sum of squares has many minima: a few steps from the best starts say which are worth following to the end.
+# The sum of squares has many minima. The search takes a few steps from the best starts and follows the best of them.
 _FEW, _TRIED, _FOLLOWED = 10, 8, 2
-# Step of the difference quotients relative to a default: near the root of the rounding error of a run.
+# Step of the difference quotients relative to the default: about the square root of the rounding error of a run.
 _STEP = 1e-7
-# A search has ended when the sum of squares or the parameters change by less than this share, or after so many runs.
+# A search ends when the sum of squares or the parameters change by less than this share, or after so many runs.
 _ENOUGH, _MOST = 1e-6, 60
 
 
 @dataclass(frozen=True, eq=False)
 class Following:
-    """One driver behind the leader, smoothed: positions of the centres [m] and speeds [m/s], (T,) each.
+    """Smoothed motion of one driver behind a leader.
 
-    Positions are continuous, so the leader's minus the driver's is the way between them; NaN where unknown.
-    half_lengths_m: half of the two vehicles' lengths together [m]; period_s: between two samples [s]; source: names the
-    driver in an error.
+    Positions are continuous: they do not wrap, so the difference of two positions is the distance between them. Unknown
+    samples are NaN.
+
+    Parameters
+    ----------
+    position_m, speed : ndarray, shape (T,)
+        Position of the driver's centre [m] and speed [m/s].
+    leader_position_m, leader_speed : ndarray, shape (T,)
+        Position of the leader's centre [m] and speed [m/s].
+    half_lengths_m : float
+        Half of the sum of both vehicles' lengths [m].
+    period_s : float
+        Time between two samples [s].
+    source : str
+        Name of the driver in error messages.
 
     Raises
     ------
@@ -54,7 +67,7 @@ class Following:
     def __post_init__(self) -> None:
         shapes = {a.shape for a in (self.position_m, self.speed, self.leader_position_m, self.leader_speed)}
         if len(shapes) > 1 or self.position_m.ndim != 1:
-            raise InputError(f"{self.source}: positions and speeds differ in length; give (T,) of each")
+            raise InputError(f"{self.source}: positions and speeds differ in length; give T samples of each")
 
     @cached_property
     def states(self) -> Array:
@@ -64,7 +77,15 @@ class Following:
 
 @dataclass(frozen=True, eq=False)
 class GapFit:
-    """Parameters (n,) of a law, in the law's order, and the rmse [m] of the gaps that they were fitted to."""
+    """A law fitted to the gaps of one driver.
+
+    Parameters
+    ----------
+    parameters : ndarray, shape (n,)
+        Parameters in the order of the law.
+    rmse_m : float
+        Root mean square error of the fitted gaps [m].
+    """
 
     parameters: Array
     rmse_m: float
@@ -72,7 +93,9 @@ class GapFit:
 
 @kernel
 def _run(rows: Array, states: Array, half_lengths: float, period: float, driven: Mask, out: Array) -> None:
-    """Errors of the gaps [m] into ``out`` (K, T), for drivers' rows (K, WIDTH); entries not driven to stay."""
+    """Fill ``out`` (K, T) with the errors of the gaps [m] for rows (K, WIDTH); entries without an error stay as they
+    are.
+    """
     for k in range(len(rows)):
         x, v = 0.0, 0.0
         for t in range(len(states)):
@@ -90,25 +113,27 @@ def _run(rows: Array, states: Array, half_lengths: float, period: float, driven:
 
 
 def gap_errors(law: Law, parameters: Array, following: Following, chosen: Mask) -> Array:
-    """Errors of the gaps [m] in a simulation of one car, simulated minus measured.
+    """Return the errors of the gaps in a simulation of one car, simulated minus measured.
 
-    The car starts from its measured state wherever ``chosen`` begins after a break or a missing sample, so a sample
-    left out between two blocks of time starts it anew. Euler's rule as in the simulation; speeds stay at or above 0.
+    The car starts from its measured state at the first sample of each unbroken run of chosen samples. A sample that is
+    left out between two blocks of time therefore restarts the car. The integration is Euler's rule as in the
+    simulation; speeds stay at or above 0.
 
     Parameters
     ----------
-    law
+    law : Law
         The law.
-    parameters
-        (..., n) parameters in the law's order.
-    following
+    parameters : ndarray, shape (..., n)
+        Parameters in the order of the law.
+    following : Following
         The driver and the leader.
-    chosen
-        (T,) samples that are driven to.
+    chosen : ndarray of bool, shape (T,)
+        Samples to simulate.
 
     Returns
     -------
-    Errors (..., T); NaN where a car starts, and where not chosen.
+    ndarray, shape (..., T)
+        Errors [m]; NaN where the car starts and where a sample is not chosen.
     """
     values = parameters.reshape(-1, parameters.shape[-1])
     rows = np.zeros((len(values), ROW.width))
@@ -121,18 +146,23 @@ def gap_errors(law: Law, parameters: Array, following: Following, chosen: Mask) 
 
 
 def fit_gaps(law: Law, following: Following, chosen: Mask, start: Array | None = None) -> GapFit:
-    """Fit a law's parameters by least squares of ``gap_errors``, within their bounds.
+    """Fit the parameters of a law by least squares of ``gap_errors``, within their bounds.
 
     Parameters
     ----------
-    law
+    law : Law
         The law.
-    following
+    following : Following
         The driver and the leader.
-    chosen
-        (T,) samples that count.
-    start
-        (n,) parameters at which the search starts; if left out, it starts at the best of many.
+    chosen : ndarray of bool, shape (T,)
+        Samples that count.
+    start : ndarray, shape (n,), optional
+        Parameters at the start of the search. By default the search tries many starts.
+
+    Returns
+    -------
+    GapFit
+        The best fit found.
 
     Raises
     ------
@@ -143,7 +173,8 @@ def fit_gaps(law: Law, following: Following, chosen: Mask, start: Array | None =
     scored = np.isfinite(gap_errors(law, default, following, chosen))
     if scored.sum() <= len(default):
         raise InputError(
-            f"{following.source}: {scored.sum()} samples cannot hold {len(default)} parameters of {law.name}; give more"
+            f"{following.source}: {scored.sum()} samples cannot determine {len(default)} parameters of {law.name};"
+            " give more"
         )
 
     def errors(rows: Array) -> Array:

@@ -1,6 +1,6 @@
-"""A model of all drivers at once, the coordinates in which its parameters are searched, and steps within bounds.
+"""A model of all drivers at once, the coordinates of its parameters in a search, and steps within bounds.
 
-Parameters are searched in logarithms where they have a sign.
+The coordinate of a parameter with a fixed sign is the logarithm of its size.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.scoring import LONGEST, limited
 
-# Coordinates: +1 log p, -1 log -p, 0 p itself.
+# Coordinate of each parameter p: log(p) for +1, log(-p) for -1, p itself for 0.
 _SIGN = np.array([1.0 if p.lower >= 0.0 else 0.0 for p in ROW.declared])
 _SIGN[OMEGA_2] = -1.0
 
@@ -24,9 +24,18 @@ _SIGN[OMEGA_2] = -1.0
 class Model:
     """A model of all drivers.
 
-    rows: (N, WIDTH) parameters; individual, shared: places in the rows that are fitted, for each driver alone and for
-    all drivers together; prior_std: spread of the individual parameters over the drivers, in their coordinates; ahead:
-    (N, WIDTH) parameters that drivers are taken to have as leaders of others (shared entries follow ``rows``).
+    Parameters
+    ----------
+    rows : ndarray, shape (N, WIDTH)
+        Parameters of each driver.
+    individual : tuple of int
+        Places in the rows that are fitted for each driver alone.
+    shared : tuple of int
+        Places in the rows that are fitted for all drivers together.
+    prior_std : tuple of float
+        Standard deviation of each individual parameter over the drivers, in the parameter's coordinate.
+    ahead : ndarray, shape (N, WIDTH)
+        Parameters of each driver as the leader of another driver. Shared entries follow ``rows``.
     """
 
     rows: Array
@@ -37,17 +46,25 @@ class Model:
 
     @property
     def away(self) -> Array:
-        """How far each driver is from the median driver, in prior stds of each individual coordinate, (N, I)."""
+        """Distance of each driver from the median driver, in prior stds of each individual coordinate, (N, I)."""
         own = coordinate(self.rows[:, list(self.individual)], self.individual)
         return np.asarray((own - np.median(own, axis=0)) / np.array(self.prior_std))
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """A step of the search: changes of the individual coordinates (N, I) and of the shared ones (S,).
+    """A step of the search.
 
-    predicted_gains: (N,) rise of the log posterior [nats] predicted for the individual changes; predicted_gain: for the
-    whole step.
+    Parameters
+    ----------
+    individual : ndarray, shape (N, I)
+        Changes of the individual coordinates.
+    shared : ndarray, shape (S,)
+        Changes of the shared coordinates.
+    predicted_gains : ndarray, shape (N,)
+        Predicted rise of the log posterior [nats] from the individual changes of each driver.
+    predicted_gain : float
+        Predicted rise of the log posterior [nats] from the whole step.
     """
 
     individual: Array
@@ -57,7 +74,22 @@ class Step:
 
 
 def leaders(data: Recorded, model: Model, driver: int) -> Array:
-    """Parameters (M - 1, WIDTH) of the vehicles ahead of a driver; the median driver's if nobody is known there."""
+    """Return the parameters of the vehicles ahead of a driver.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    model : Model
+        The model.
+    driver : int
+        Number of the driver.
+
+    Returns
+    -------
+    ndarray, shape (M - 1, WIDTH)
+        Rows of the vehicles ahead; the row of the median driver for an unknown vehicle.
+    """
     ahead = data.ahead[driver]
     rows: Array = model.ahead[ahead]
     if ahead.min() < 0:
@@ -67,25 +99,25 @@ def leaders(data: Recorded, model: Model, driver: int) -> Array:
 
 
 def coordinate(values: Array, places: Sequence[int]) -> Array:
-    """Coordinates of parameters (..., K) at ``places``: logarithms where they have a sign."""
+    """Return the coordinates of parameters (..., K) at ``places``: logarithms for parameters with a fixed sign."""
     sign = _SIGN[list(places)]
     logarithm = np.log(np.maximum(np.where(sign == 0.0, 1.0, sign * values), 1e-12))
     return np.where(sign == 0.0, values, logarithm)
 
 
 def value(coordinates: Array, places: Sequence[int]) -> Array:
-    """Parameters (..., K) at ``places`` from their coordinates."""
+    """Return the parameters (..., K) at ``places`` from their coordinates."""
     sign = _SIGN[list(places)]
     return np.where(sign == 0.0, coordinates, sign * np.exp(np.where(sign == 0.0, 0.0, coordinates)))
 
 
 def is_linear(places: Sequence[int]) -> NDArray[np.bool_]:
-    """Whether the coordinate of each parameter at ``places`` is the parameter itself, not a logarithm; (K,)."""
+    """Return whether the coordinate of each parameter at ``places`` is the parameter itself, not a logarithm; (K,)."""
     return np.asarray(_SIGN[list(places)] == 0.0)
 
 
 def moved(data: Recorded, model: Model, step: Step, share: float = 1.0) -> Model:
-    """The model after a step, or a ``share`` of it, within the bounds of the search."""
+    """Return the model after a step, or after a ``share`` of the step, within the bounds of the search."""
     rows = model.rows.copy()
     own, shared = list(model.individual), list(model.shared)
     for places, change in ((own, step.individual), (shared, np.tile(step.shared, (len(rows), 1)))):
@@ -98,7 +130,20 @@ def moved(data: Recorded, model: Model, step: Step, share: float = 1.0) -> Model
 
 
 def reach(data: Recorded, places: Sequence[int]) -> Array:
-    """Longest step (K,) of linear coordinates: a part of the declared range, of the recording or of the road."""
+    """Return the longest step of linear coordinates: a part of the declared range, of the recording or of the road.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    places : sequence of int
+        Places of K parameters.
+
+    Returns
+    -------
+    ndarray, shape (K,)
+        Longest step of each parameter, in its own unit.
+    """
     t = data.trajectories
     road = t.road.circumference_m or float(np.nanmax(t.position_m) - np.nanmin(t.position_m))
     longest = np.array([0.2 * (ROW.declared[k].upper - ROW.declared[k].lower) for k in places])
@@ -111,7 +156,7 @@ def reach(data: Recorded, places: Sequence[int]) -> Array:
 
 
 def _within(values: Array, places: Sequence[int], upper: Array) -> Array:
-    """Parameters (..., K) clipped to their bounds; those searched in logarithms keep away from zero."""
+    """Parameters (..., K) clipped to their bounds; parameters with a logarithmic coordinate stay away from zero."""
     lower = np.array([max(ROW.declared[k].lower, 1e-3) if _SIGN[k] > 0.0 else ROW.declared[k].lower for k in places])
     highest = np.array([min(upper[k], -1e-3) if _SIGN[k] < 0.0 else upper[k] for k in places])
     return np.clip(values, lower, highest)

@@ -1,4 +1,6 @@
-"""A fitted model as a YAML file: what acts, every driver's parameters, how well they are known, and from what data."""
+"""A fitted model as a YAML file: active effects, parameters of every driver, standard deviations, and origin of the
+data.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,18 +22,31 @@ from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 _FORMAT = 1
-# libyaml where it is there: ten times faster
+# libyaml, if it is installed, is ten times faster
 _DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-# A model of so many drivers has a file of a few megabytes.
+# Upper limit of the size; the file of a large model has a few megabytes.
 _LARGEST_BYTES = 50_000_000
 
 
 @dataclass(frozen=True, eq=False)
 class ModelFile:
-    """vehicle: (N,) numbers; rows: (N, WIDTH); effects: names of those that act; sha256 of the data fitted.
+    """The contents of a model file.
 
-    types: the classes that drivers were divided into, if they were.
+    Parameters
+    ----------
+    vehicle : ndarray of int, shape (N,)
+        Numbers of the vehicles.
+    rows : ndarray, shape (N, WIDTH)
+        Row of each driver.
+    effects : tuple of str
+        Names of the active effects.
+    source : str
+        Name of the fitted data.
+    sha256 : str
+        Checksum of the fitted data.
+    types : DriverTypes, optional
+        Classes of drivers, if the drivers were divided into classes.
     """
 
     vehicle: Ints
@@ -42,14 +57,31 @@ class ModelFile:
     types: DriverTypes | None = None
 
     def rows_of(self, vehicles: Ints) -> Array:
-        """Rows (N, WIDTH) of these vehicles; the median driver's for a vehicle that is not in the file."""
+        """Return the rows (N, WIDTH) of some vehicles; the row of the median driver for a vehicle that is not in the
+        file.
+        """
         typical = np.median(self.rows, axis=0)
         known = {int(v): k for k, v in enumerate(self.vehicle)}
         return np.array([self.rows[known[int(v)]] if int(v) in known else typical for v in vehicles])
 
 
 def write_model(path: Path, data: Recorded, fitted: JointFit) -> None:
-    """Write a fitted model. Raises OutputError."""
+    """Write a fitted model to a file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    data : Recorded
+        The recording.
+    fitted : JointFit
+        The model fitted to the recording.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written.
+    """
     own, shared = stds_of(fitted)
     write_drivers(path, data.trajectories, fitted.model.rows, own, shared, fitted.log_likelihood)
 
@@ -63,7 +95,28 @@ def write_drivers(
     log_likelihood: float,
     types: DriverTypes | None = None,
 ) -> None:
-    """Write drivers' rows (N, WIDTH), how well they are known, and their types as a model file. Raises OutputError."""
+    """Write the parameters of drivers as a model file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    trajectories : Trajectories
+        The fitted recording.
+    rows : ndarray, shape (N, WIDTH)
+        Row of each driver.
+    own_std, shared_std : sequence of mapping and mapping, of str to float
+        Standard deviations by name: of the individual parameters of each driver, and of the shared parameters.
+    log_likelihood : float
+        Log-likelihood of the fit [nats].
+    types : DriverTypes, optional
+        Classes of the drivers.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written.
+    """
     drivers = {}
     for vehicle, row, std in zip(trajectories.vehicle.tolist(), rows, own_std, strict=True):
         drivers[vehicle] = {
@@ -96,7 +149,13 @@ def write_drivers(
 
 
 def read_model(path: Path) -> ModelFile:
-    """Read a model file. Raises InputError, which names the field."""
+    """Read a model file.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or invalid; the message names the field.
+    """
     try:
         if path.stat().st_size > _LARGEST_BYTES:
             raise InputError(f"{path}: larger than {_LARGEST_BYTES // 1_000_000} MB; is it a model file?")
@@ -111,7 +170,7 @@ def read_model(path: Path) -> ModelFile:
         )
     drivers = document.get("drivers")
     if not isinstance(drivers, dict) or not drivers:
-        raise InputError(f"{path}: drivers: none there")
+        raise InputError(f"{path}: drivers: the file has none")
     rows, vehicles = [], []
     for vehicle, about in drivers.items():
         where = f"{path}: drivers: {vehicle}"
@@ -143,7 +202,7 @@ def read_model(path: Path) -> ModelFile:
 
 
 def _types(path: Path, classes: Any) -> DriverTypes:
-    """The classes of a model file. Raises InputError."""
+    """Return the classes in a model file. Raises InputError."""
     try:
         share = np.array([float(one["share"]) for one in classes])
         rows = np.array([[float(one["parameters"][name]) for name in NAMES] for one in classes])
@@ -159,7 +218,20 @@ def _types(path: Path, classes: Any) -> DriverTypes:
 
 
 def stds_of(fitted: JointFit) -> tuple[list[dict[str, float]], dict[str, float]]:
-    """Standard deviations by name, from the information: of every driver's own parameters, and of the shared ones."""
+    """Return standard deviations from the information of a fit.
+
+    Parameters
+    ----------
+    fitted : JointFit
+        The fit.
+
+    Returns
+    -------
+    own : list of dict of str to float
+        Standard deviations of the individual parameters of each driver, by name.
+    shared : dict of str to float
+        Standard deviations of the shared parameters, by name.
+    """
     model = fitted.model
     own = len(model.individual)
     prior = np.diag(1.0 / np.array(model.prior_std) ** 2)

@@ -1,7 +1,8 @@
-"""Drivers as draws of one population: the base model, the spread of the drivers as a prior, and second chances.
+"""Drivers as draws from one population: the base model, the prior from the spread of the drivers, and second searches.
 
-Each driver's own parameters are held to the median driver's by a normal prior whose std is the spread over the drivers,
-each fitted alone (empirical Bayes), so a parameter that one driver's data do not hold stays near the others'.
+A normal prior pulls the individual parameters of each driver towards the median driver. Its std is the spread over the
+drivers, each fitted alone (empirical Bayes). A parameter that the data of one driver do not determine therefore stays
+near the values of the other drivers.
 """
 
 from collections.abc import Sequence
@@ -18,33 +19,53 @@ from sugiyama_ros.fit.joint import JointFit, at_model, maximise, mixed, objectiv
 from sugiyama_ros.fit.model import Model, coordinate
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 
-#: Std over the drivers, in a parameter's coordinate (a logarithm for most), before it is known; and least and largest.
+#: Prior std of a parameter's coordinate (a logarithm for most): before the spread is known; smallest; largest.
 PRIOR_STD, LEAST_STD, LARGEST_STD = 1.0, 0.05, 1.0
-# Log-likelihood [nats] below which the first search ends, because others follow.
+# The first search ends when the predicted gain of a step is less than this [nats], because other searches follow.
 _NEARLY = 20.0
-# Prior stds from the median driver beyond which a driver is fitted again.
+# A driver further than this from the median driver, in prior stds, is fitted again.
 _FAR_AWAY = 3.5
 
 
 def start_model(drivers: int, individual: Sequence[int]) -> Model:
-    """The model without effects in which every driver is the population's mean."""
+    """Return the model without effects in which every driver is the mean of the population.
+
+    Parameters
+    ----------
+    drivers : int
+        Number of drivers N.
+    individual : sequence of int
+        Places of the parameters that are fitted for each driver.
+
+    Returns
+    -------
+    Model
+        The model at the start of a search.
+    """
     rows = np.tile(ROW.with_effects(population()), (drivers, 1))
     return Model(rows, tuple(individual), (), (PRIOR_STD,) * len(individual), rows.copy())
 
 
 def fit_base(data: Recorded, individual: Sequence[int], work: Executor, start: Model | None = None) -> JointFit:
-    """Fit every driver alone, then all drivers as draws of one population, with the drivers ahead as they were found.
+    """Fit every driver alone, then all drivers as draws from one population.
+
+    The second fit uses the first fit's parameters for the drivers ahead.
 
     Parameters
     ----------
-    data
+    data : Recorded
         The recording.
-    individual
+    individual : sequence of int
         Places of the parameters that are fitted for each driver.
-    work
-        Executor that runs the filters.
-    start
-        Where the search starts. If left out, it starts where the paper's likelihood, which is cheap, has its maximum.
+    work : Executor
+        Runs the filters.
+    start : Model, optional
+        Where the search starts. By default it starts at the maximum of the paper's likelihood, which is cheap.
+
+    Returns
+    -------
+    JointFit
+        The fitted base model.
     """
     first = start or start_model(data.drivers, individual)
     near = _by_paper(data, first, work) if start is None else None
@@ -54,9 +75,9 @@ def fit_base(data: Recorded, individual: Sequence[int], work: Executor, start: M
 
 
 def _second_chance(data: Recorded, found: JointFit, work: Executor) -> JointFit:
-    """Search again from the median driver for drivers who are unlike all others, and keep the better of both.
+    """Search again from the median driver for drivers who are unlike all others, and keep the better of both fits.
 
-    The likelihood of a driver has several maxima, and a search may have ended in a poor one far away.
+    The likelihood of a driver has several maxima, and the first search may have ended in a poor, distant maximum.
     """
     far = np.abs(found.model.away).max(axis=1) > _FAR_AWAY
     if not far.any():
@@ -72,9 +93,10 @@ def _second_chance(data: Recorded, found: JointFit, work: Executor) -> JointFit:
 
 
 def _by_paper(data: Recorded, model: Model, work: Executor) -> Model | None:
-    """The model with drivers as the paper's formulation finds them; None if it cannot take the recording.
+    """The model fitted with the paper's formulation; None if the formulation cannot use the recording.
 
-    A parameter that a driver's data do not hold is set to the median over the drivers whose data do, if there are any.
+    A parameter that the data of a driver do not determine becomes the median over the drivers whose data determine it,
+    if there are any.
     """
     names = [NAMES[k] for k in model.individual]
     try:
@@ -90,10 +112,10 @@ def _by_paper(data: Recorded, model: Model, work: Executor) -> Model | None:
 
 
 def as_population(model: Model) -> Model:
-    """The model with the drivers' spread as the prior, and the drivers ahead as they were found."""
+    """Return the model with the spread of its drivers as the prior, and with its own rows for the drivers ahead."""
     own = coordinate(model.rows[:, list(model.individual)], model.individual)
     spread = 1.4826 * np.median(np.abs(own - np.median(own, axis=0)), axis=0)
-    # a few drivers say little about the spread
+    # a small number of drivers determines the spread poorly
     known = len(own) / (len(own) + 3.0)
     std = np.clip(known * spread + (1.0 - known) * 0.3, LEAST_STD, LARGEST_STD)
     return replace(model, prior_std=tuple(std.tolist()), ahead=model.rows)

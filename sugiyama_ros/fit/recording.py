@@ -1,4 +1,4 @@
-"""Trajectories made ready for a fit: the chain of vehicles behind each driver, and blocks of time to hold out."""
+"""Trajectories prepared for a fit: the chain of vehicles ahead of each driver, and blocks of time to hold out."""
 
 from dataclasses import dataclass
 
@@ -13,17 +13,30 @@ from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.fit.bounds import upper_bounds
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
-#: Length [s] of the blocks that are held out in turn, and number of folds among which they are dealt out.
+#: Length [s] of the blocks of time that are held out, and number of folds that the blocks are assigned to in turn.
 BLOCK_S, FOLDS = 25.0, 5
 
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """Trajectories made ready for the filter.
+    """Trajectories prepared for the filter, N vehicles at T samples.
 
-    chains: of N drivers, each with the vehicles ahead; ahead: (N, M - 1) columns of the vehicles that are ahead in most
-    samples, or -1; block: (T,) number of the block of time; fold: (T,) in which the block is held out; segment: (T,)
-    number of the unbroken part of the recording; upper: (WIDTH,) bounds of the search.
+    Parameters
+    ----------
+    trajectories : Trajectories
+        The recording.
+    chains : tuple of Chain
+        Each driver with the vehicles ahead.
+    ahead : ndarray of int, shape (N, M - 1)
+        Columns of the vehicles that are ahead in most samples; -1 for none.
+    block : ndarray of int, shape (T,)
+        Number of the block of time.
+    fold : ndarray of int, shape (T,)
+        Number of the fold in which the block is held out.
+    segment : ndarray of int, shape (T,)
+        Number of the unbroken part of the recording.
+    upper : ndarray, shape (WIDTH,)
+        Upper bounds of the search.
     """
 
     trajectories: Trajectories
@@ -41,19 +54,24 @@ class Recorded:
 
 
 def prepare(trajectories: Trajectories, segment: Ints | None = None) -> Recorded:
-    """Make trajectories ready for a fit.
+    """Prepare trajectories for a fit.
 
     Parameters
     ----------
-    trajectories
+    trajectories : Trajectories
         N vehicles at T samples.
-    segment
-        (T,) numbers; where the number changes, the recording is broken and every filter starts anew.
+    segment : ndarray of int, shape (T,), optional
+        Number of the unbroken part of the recording. Every filter restarts where the number changes.
+
+    Returns
+    -------
+    Recorded
+        The prepared recording.
 
     Raises
     ------
     InputError
-        If there are too few samples to hold any out.
+        If the recording is too short to hold out samples.
     """
     samples, drivers = trajectories.position_m.shape
     duration = trajectories.period_s * samples

@@ -1,4 +1,4 @@
-"""What a model says of every sample: innovations, their variances, log-likelihoods and filtered states."""
+"""Predictions of a model for every sample: innovations, their variances, log-likelihoods and filtered states."""
 
 from collections.abc import Iterable, Sequence
 from concurrent.futures import Executor
@@ -15,7 +15,15 @@ from sugiyama_ros.fit.recording import Recorded
 
 
 class DriverDensity(NamedTuple):
-    """Innovation [m], its variance [m^2] and log-likelihood of every sample of one driver, (T,) each."""
+    """Predictions of the samples of one driver.
+
+    Parameters
+    ----------
+    innovation_m, innovation_var : ndarray, shape (T,)
+        Innovation [m] and its variance [m^2].
+    log_likelihood : ndarray, shape (T,)
+        Log-likelihood of each sample [nats]; NaN if the sample does not count.
+    """
 
     innovation_m: Array
     innovation_var: Array
@@ -24,7 +32,15 @@ class DriverDensity(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PointwiseDensity:
-    """Innovation [m], its variance [m^2] and log-likelihood of all samples, (N, T) each; NaN if not scored."""
+    """Predictions of all samples of all drivers.
+
+    Parameters
+    ----------
+    innovation_m, innovation_var : ndarray, shape (N, T)
+        Innovation [m] and its variance [m^2].
+    log_likelihood : ndarray, shape (N, T)
+        Log-likelihood of each sample [nats]; NaN if the sample does not count.
+    """
 
     innovation_m: Array
     innovation_var: Array
@@ -32,22 +48,22 @@ class PointwiseDensity:
 
     @property
     def total(self) -> float:
-        """Log-likelihood of all samples together."""
+        """Log-likelihood of all samples together [nats]."""
         return float(np.nansum(self.log_likelihood))
 
     def copy(self) -> "PointwiseDensity":
-        """A copy that shares no arrays."""
+        """Return a copy that shares no arrays."""
         return PointwiseDensity(self.innovation_m.copy(), self.innovation_var.copy(), self.log_likelihood.copy())
 
     def only(self, who: Sequence[int]) -> "PointwiseDensity":
-        """The samples of some drivers, and NaN for the others."""
+        """Return the samples of some drivers, and NaN for the other drivers."""
         some = unknown(*self.log_likelihood.shape)
         for i in who:
             some.put(i, self.of(i))
         return some
 
     def of(self, driver: int) -> DriverDensity:
-        """The samples of one driver."""
+        """Return the samples of one driver."""
         return DriverDensity(self.innovation_m[driver], self.innovation_var[driver], self.log_likelihood[driver])
 
     def put(self, driver: int, samples: DriverDensity) -> None:
@@ -56,36 +72,48 @@ class PointwiseDensity:
 
 
 def unknown(drivers: int, samples: int) -> PointwiseDensity:
-    """Samples of which nothing is known yet: NaN everywhere."""
+    """Return samples without any predictions yet: NaN everywhere."""
     return PointwiseDensity(*(np.full((drivers, samples), np.nan) for _ in range(3)))
 
 
 def predict_driver(chain: Chain, row: Array, ahead: Array) -> DriverDensity:
-    """What the filter says of one driver's samples.
+    """Predict the samples of one driver.
 
     Parameters
     ----------
-    chain
+    chain : Chain
         The driver and the vehicles ahead.
-    row
-        (WIDTH,) parameters of the driver.
-    ahead
-        (M - 1, WIDTH) parameters of the drivers ahead.
+    row : ndarray, shape (WIDTH,)
+        Parameters of the driver.
+    ahead : ndarray, shape (M - 1, WIDTH)
+        Parameters of the drivers ahead.
+
+    Returns
+    -------
+    DriverDensity
+        Predictions of T samples.
     """
     return DriverDensity(*causal.predict_samples(chain, row, ahead))
 
 
 def evaluate(data: Recorded, model: Model, work: Executor, who: Sequence[int] | None = None) -> PointwiseDensity:
-    """What the model says of every sample.
+    """Predict every sample.
 
     Parameters
     ----------
-    data, model
-        The recording and the model.
-    work
-        Executor that runs the filters.
-    who
-        Numbers of the drivers whose samples are wanted; the others get NaN. All drivers if left out.
+    data : Recorded
+        The recording.
+    model : Model
+        The model.
+    work : Executor
+        Runs the filters.
+    who : sequence of int, optional
+        Numbers of the drivers to predict; all drivers by default.
+
+    Returns
+    -------
+    PointwiseDensity
+        Predictions of all samples; NaN for drivers who are not in ``who``.
     """
     chosen = range(data.drivers) if who is None else who
     samples = unknown(data.drivers, len(data.fold))
@@ -95,7 +123,7 @@ def evaluate(data: Recorded, model: Model, work: Executor, who: Sequence[int] | 
 
 
 def predict_drivers(data: Recorded, model: Model, who: Iterable[int], work: Executor) -> list[DriverDensity]:
-    """What the model says of the samples of drivers ``who``, in that order."""
+    """Predict the samples of the drivers in ``who``; returns one result for each, in this order."""
     jobs = [(data.chains[i], model.rows[i], leaders(data, model, i)) for i in who]
     return list(work.map(_predict_driver, jobs))
 
@@ -105,12 +133,44 @@ def _predict_driver(job: tuple[Chain, Array, Array]) -> DriverDensity:
 
 
 def filtered_states(data: Recorded, model: Model, work: Executor) -> Array:
-    """Filtered position [m], speed [m/s], noise and held acceleration [m/s^2] of all drivers, (T, N, 4), or NaN."""
+    """Return the filtered states of all drivers.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    model : Model
+        The model.
+    work : Executor
+        Runs the filters.
+
+    Returns
+    -------
+    ndarray, shape (T, N, 4)
+        Position [m], speed [m/s], noise [m/s^2] and held acceleration [m/s^2]; NaN where unknown.
+    """
     return follow(data, model, work)[1]
 
 
 def follow(data: Recorded, model: Model, work: Executor) -> tuple[PointwiseDensity, Array]:
-    """What the model says of every sample, and the filtered states as ``filtered_states`` gives them."""
+    """Predict every sample, and filter the states.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    model : Model
+        The model.
+    work : Executor
+        Runs the filters.
+
+    Returns
+    -------
+    samples : PointwiseDensity
+        Predictions of all samples.
+    states : ndarray, shape (T, N, 4)
+        Filtered states, as ``filtered_states`` returns them.
+    """
     jobs = [(data.chains[i], model.rows[i], leaders(data, model, i)) for i in range(data.drivers)]
     outputs = list(work.map(_follow_driver, jobs))
     y, variance, density = (np.array([o[k] for o in outputs]) for k in range(3))

@@ -1,8 +1,9 @@
 """Damped Fisher scoring: the one optimiser of all fits.
 
-The expected information of innovations y with variance S is sum(dy dy' / S + dS dS' / 2 S^2), which is positive, so
-Newton's step with it climbs. Levenberg and Marquardt's damping shortens a step that does not. ``search`` serves a
-single driver; ``fit.joint`` and ``fit.classes`` take the same step under the same rules for many.
+The expected information of innovations y with variance S is sum(dy dy' / S + dS dS' / 2 S^2). It is positive, so
+Newton's step with this information points uphill. The damping of Levenberg and Marquardt shortens a step that does not
+gain. ``search`` fits a single driver; ``fit.joint`` and ``fit.classes`` take the same step with the same rules for many
+drivers.
 
 References
 ----------
@@ -18,18 +19,26 @@ import numpy as np
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.fit.bounds import LogSpace
 
-#: Longest step in a logarithm.
+#: Longest step of a logarithm.
 LONGEST = 0.7
-# Steps of a search at most.
+# Maximum number of steps of a search.
 _STEPS = 60
 
 
 @dataclass(frozen=True)
 class Damping:
-    """How the damping of a search changes: ten times less after a success, ten times more after a failure.
+    """How the damping of a search changes: it is divided by ten after a success and multiplied by ten after a failure.
 
-    start: where it begins; least: lowest value after a success; least_after_failure: lowest value after a failure;
-    most: the search ends beyond this value.
+    Parameters
+    ----------
+    least : float
+        Smallest value after a success.
+    least_after_failure : float
+        Smallest value after a failure.
+    most : float
+        The search ends beyond this value.
+    start : float
+        Value at the start.
     """
 
     least: float
@@ -38,18 +47,31 @@ class Damping:
     start: float = 1e-3
 
     def updated(self, damping: Any, better: Any, worse: Any) -> Any:
-        """The damping (...) after a step that was better, worse, or neither (not tried), (...) each."""
+        """Return the damping after a step.
+
+        Parameters
+        ----------
+        damping : float or ndarray, shape (...)
+            Damping before the step.
+        better, worse : bool or ndarray of bool, shape (...)
+            Whether the step gained or failed; neither if no step was tried.
+
+        Returns
+        -------
+        ndarray, shape (...)
+            Damping after the step.
+        """
         eased = np.maximum(damping / 10.0, self.least)
         raised = np.maximum(10.0 * damping, self.least_after_failure)
         return np.where(better, eased, np.where(worse, raised, damping))
 
 
-#: Of the search for a single driver's parameters.
+# Damping of the search for the parameters of a single driver.
 _ALONE = Damping(least=1e-9, least_after_failure=1e-2, most=1e8)
 
 
 def damped(information: Array, relative: Any, absolute: float = 0.0) -> Array:
-    """Information (..., K, K) with a ridge: its diagonal times ``relative`` (...), plus ``absolute``."""
+    """Return information (..., K, K) with a ridge: its diagonal times ``relative`` (...), plus ``absolute``."""
     diagonal = np.arange(information.shape[-1])
     ridge = np.zeros_like(information)
     size = np.abs(information[..., diagonal, diagonal])
@@ -58,19 +80,30 @@ def damped(information: Array, relative: Any, absolute: float = 0.0) -> Array:
 
 
 def damped_step(information: Array, gradient: Array, relative: float, absolute: float) -> Array:
-    """Newton's step (K,) from a gradient (K,) with damped information (K, K)."""
+    """Return Newton's step (K,) from a gradient (K,) with damped information (K, K)."""
     return np.asarray(np.linalg.solve(damped(information, relative, absolute), gradient), np.float64)
 
 
 def limited(change: Array, longest: Any) -> Array:
-    """A step (...) of which no entry is longer than ``longest``."""
+    """Return a step (...) with every entry limited to plus or minus ``longest``."""
     return np.asarray(np.clip(change, -longest, longest))
 
 
 class Point(NamedTuple):
-    """Where a search stands: coordinates x (K,), the value there, its gradient (K,) and information (K, K) by x.
+    """A point of a search.
 
-    scored: what the caller wants to keep of the point.
+    Parameters
+    ----------
+    x : ndarray, shape (K,)
+        Coordinates.
+    value : float
+        Value of the function.
+    gradient : ndarray, shape (K,)
+        Gradient by the coordinates.
+    information : ndarray, shape (K, K)
+        Information by the coordinates.
+    scored : object
+        What the caller wants to keep with the point.
     """
 
     x: Array
@@ -81,20 +114,21 @@ class Point(NamedTuple):
 
 
 def search(at: Callable[[Array, Point | None], Point], space: LogSpace, enough: float) -> Point:
-    """Maximise a function of one driver's parameters.
+    """Maximise a function of the parameters of one driver.
 
     Parameters
     ----------
-    at
-        The point at coordinates (K,), given a point near by if there is one.
-    space
+    at : callable
+        Returns the point at coordinates (K,), given a nearby point or None.
+    space : LogSpace
         Coordinates, their start and their bounds.
-    enough
-        The search ends when a step is predicted to gain less than this.
+    enough : float
+        The search ends when the predicted gain of a step is less than this.
 
     Returns
     -------
-    The best point found.
+    Point
+        The best point found.
     """
     here, damping = at(space.x, None), _ALONE.start
     for _ in range(_STEPS):

@@ -1,7 +1,8 @@
-"""Derivatives of the likelihood: score and expected information of every driver by difference quotients of the filter.
+"""Derivatives of the likelihood: score and expected information of every driver, from difference quotients of the
+filter.
 
-The causal likelihood is a sum over samples of log-densities of innovations y with variance S, so its expected
-information is sum(dy dy' / S + dS dS' / 2 S^2).
+The causal log-likelihood is a sum over samples of log-densities of innovations y with variance S. Its expected
+information is therefore sum(dy dy' / S + dS dS' / 2 S^2).
 """
 
 import math
@@ -21,17 +22,21 @@ from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import DriverDensity, PointwiseDensity, evaluate, predict_driver
 from sugiyama_ros.jit import kernel
 
-# Step of the difference quotients in a logarithm, and as part of the longest step of the search in a linear coordinate;
-# once the information is known, as part of a parameter's std, and the longest in a logarithm. The likelihood is smooth
-# at these scales only: close to contact the filter amplifies any smaller change without end.
+# Step of the difference quotients: first in a logarithm, or as part of the longest search step in a linear coordinate;
+# then, with known information, as part of a parameter's std, and its upper limit in a logarithm. The likelihood is
+# smooth only at these scales: close to contact the filter amplifies smaller changes without limit.
 _STEP, _PART_OF_STD, _LONGEST_STEP = 0.01, 0.5, 0.05
 
 
 class Derivatives(NamedTuple):
-    """Derivatives of one driver's samples by K parameters, (K, T) each.
+    """Derivatives of the samples of one driver by K parameters.
 
-    innovation, variance: of the innovation [m] and of its variance [m^2]; density: the part of the derivative of the
-    log-likelihood that does not come through these two. It is zero unless there are outliers.
+    Parameters
+    ----------
+    innovation, variance : ndarray, shape (K, T)
+        Derivatives of the innovation [m] and of its variance [m^2].
+    density : ndarray, shape (K, T)
+        Derivative of the log-likelihood [nats] at fixed innovation and variance. It is zero without outliers.
     """
 
     innovation: Array
@@ -41,9 +46,18 @@ class Derivatives(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Slopes:
-    """One driver's score and information in each fold, individual parameters first, then the shared ones.
+    """Score and information of one driver in each of F folds, by K parameters: individual ones first, then shared ones.
 
-    score: (F, K); information: (F, K, K); log_likelihood: (F,); derivatives: of the samples, from which all follow.
+    Parameters
+    ----------
+    score : ndarray, shape (F, K)
+        Gradient of the log-likelihood.
+    information : ndarray, shape (F, K, K)
+        Expected information.
+    log_likelihood : ndarray, shape (F,)
+        Log-likelihood [nats].
+    derivatives : Derivatives
+        Derivatives of the samples, from which score and information follow.
     """
 
     score: Array
@@ -53,19 +67,26 @@ class Slopes:
 
 
 def sums(samples: DriverDensity, derivatives: Derivatives, row: Array, fold: Ints) -> Slopes:
-    """Score and information of one driver, summed over the samples of each fold.
+    """Sum the score and the information of one driver over the samples of each fold.
 
-    With outliers an innovation counts as much as the slope of its density says, and the information comes from products
-    of the slopes.
+    With outliers, the slope of its density weights each innovation, and the information is the sum of products of
+    slopes.
 
     Parameters
     ----------
-    samples, derivatives
-        Of the driver.
-    row
-        (WIDTH,) parameters of the driver.
-    fold
-        (T,) number of each sample's fold.
+    samples : DriverDensity
+        Predictions of the driver's samples.
+    derivatives : Derivatives
+        Derivatives of the driver's samples.
+    row : ndarray, shape (WIDTH,)
+        Parameters of the driver.
+    fold : ndarray of int, shape (T,)
+        Number of each sample's fold.
+
+    Returns
+    -------
+    Slopes
+        Sums for each fold.
     """
     count = len(derivatives.innovation)
     score, information, total = np.zeros((FOLDS, count)), np.zeros((FOLDS, count, count)), np.zeros(FOLDS)
@@ -83,7 +104,7 @@ def _add_up(
     information: Array,
     total: Array,
 ) -> None:
-    """Score (F, K), information (F, K, K) and log-likelihood (F,) of every fold, from scored samples."""
+    """Add up score (F, K), information (F, K, K) and log-likelihood (F,) of every fold, over the samples that count."""
     y, variance, density = samples
     dy, dvar, direct = derivatives
     robust, places = is_contaminated(row), len(dy)
@@ -107,16 +128,21 @@ def _add_up(
 
 @kernel
 def density_slope(y: Array, variance: Array, dy: Array, dvar: Array, row: Array) -> Array:
-    """Derivatives (K, T) of the log-likelihoods that come through innovations and variances.
+    """Return the derivatives of the log-likelihoods through the innovations and the variances.
 
     Parameters
     ----------
-    y, variance
-        (T,) innovations [m] and their variances [m^2].
-    dy, dvar
-        (K, T) their derivatives.
-    row
-        (WIDTH,) parameters of the driver.
+    y, variance : ndarray, shape (T,)
+        Innovations [m] and their variances [m^2].
+    dy, dvar : ndarray, shape (K, T)
+        Derivatives of the innovations and of their variances.
+    row : ndarray, shape (WIDTH,)
+        Parameters of the driver.
+
+    Returns
+    -------
+    ndarray, shape (K, T)
+        Derivatives of the log-likelihood of each sample.
     """
     slope = np.empty_like(dy)
     weight, density = np.ones_like(y), np.empty_like(y)
@@ -167,16 +193,25 @@ def _slopes_of_job(
 def slopes(
     data: Recorded, model: Model, work: Executor, known: Sequence[Slopes] | None = None
 ) -> tuple[list[Slopes], PointwiseDensity]:
-    """Slopes of all drivers at a model, and the samples there.
+    """Return the slopes of all drivers at a model, and the predictions of the samples.
 
     Parameters
     ----------
-    data, model
-        The recording and the model.
-    work
-        Executor that runs the filters.
-    known
-        Slopes at a model near by, whose information sets the steps of the difference quotients.
+    data : Recorded
+        The recording.
+    model : Model
+        The model.
+    work : Executor
+        Runs the filters.
+    known : sequence of Slopes, optional
+        Slopes at a nearby model, whose information sets the steps of the difference quotients.
+
+    Returns
+    -------
+    slopes : list of Slopes
+        Slopes of each driver.
+    samples : PointwiseDensity
+        Predictions of all samples.
     """
     if known is None:
         steps = np.tile(difference_steps(data, [*model.individual, *model.shared]), (data.drivers, 1))
@@ -194,9 +229,27 @@ def slopes_of(
     work: Executor,
     who: Iterable[int] | None = None,
 ) -> list[Slopes]:
-    """Slopes of all drivers, or of drivers ``who``, whose samples are known.
+    """Return the slopes of drivers whose predictions are known.
 
-    steps: (N, K) of the difference quotients, in coordinates.
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    model : Model
+        The model.
+    samples : PointwiseDensity
+        Predictions of the model.
+    steps : ndarray, shape (N, K)
+        Steps of the difference quotients, in coordinates.
+    work : Executor
+        Runs the filters.
+    who : iterable of int, optional
+        Numbers of the drivers; all drivers by default.
+
+    Returns
+    -------
+    list of Slopes
+        Slopes of each of these drivers.
     """
     about = model.individual, model.shared, data.fold
     chosen = range(data.drivers) if who is None else who
@@ -205,7 +258,24 @@ def slopes_of(
 
 
 def informed_steps(data: Recorded, model: Model, all_slopes: Sequence[Slopes]) -> Array:
-    """Steps of difference quotients, (N, K), from the information; for a shared parameter from that of all drivers."""
+    """Return the steps of difference quotients that the information suggests.
+
+    The steps of a shared parameter follow from the information of all drivers together.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    model : Model
+        The model.
+    all_slopes : sequence of Slopes
+        Slopes of each driver at the model.
+
+    Returns
+    -------
+    ndarray, shape (N, K)
+        Steps in coordinates.
+    """
     places, own = [*model.individual, *model.shared], len(model.individual)
     information = np.array([np.diag(s.information.sum(axis=0)) for s in all_slopes])
     information[:, :own] += 1.0 / np.square(np.array(model.prior_std))
@@ -216,5 +286,5 @@ def informed_steps(data: Recorded, model: Model, all_slopes: Sequence[Slopes]) -
 
 
 def difference_steps(data: Recorded, places: Sequence[int]) -> Array:
-    """Steps of difference quotients, (K,), where nothing is known of the information yet."""
+    """Return the steps (K,) of difference quotients at ``places``, for use before the information is known."""
     return np.where(is_linear(places), _STEP * reach(data, places), _STEP)

@@ -134,7 +134,7 @@ def test_parameters_stay_within_their_bounds_where_the_data_say_nothing(law, fun
 
 def test_too_little_data_is_said_in_one_line():
     f = following(follow(idm, TRUTH["idm"]))
-    with pytest.raises(InputError, match=r"^vehicle 7: 5 samples cannot hold 5 parameters of idm; give more$"):
+    with pytest.raises(InputError, match=r"^vehicle 7: 5 samples cannot determine 5 parameters of idm; give more$"):
         fit_gaps(LAWS[0], f, np.arange(450) < 6)
     with pytest.raises(InputError, match="vehicle 7: positions and speeds differ in length"):
         following((f.position_m[:-1], f.speed, f.leader_position_m, f.leader_speed))
