@@ -38,13 +38,13 @@ class Learning:
     outliers: tuple[float, float] = (0.03, 2.6)
 
 
-# Squared normalised innovation beyond which a sample teaches no more: a gross error is not the noise.
-_LARGEST = 16.0
-# Step of a logarithm at most, at one sample.
-_STEP = 0.1
-_NU, _A = 0, 1
-# Place of the driver's own acceleration noise in the state.
-_OWN_NOISE = 2
+#: Squared normalised innovation beyond which a sample teaches no more: a gross error is not the noise.
+LARGEST = 16.0
+#: Step of a logarithm at most, at one sample.
+STEP = 0.1
+NU, A = 0, 1
+#: Place of the driver's own acceleration noise in the state.
+OWN_NOISE = 2
 
 
 @kernel
@@ -53,7 +53,7 @@ def _predict(jacobian: Array, noise: Array, d_mean: Array, d_covariance: Array) 
     for k in range(2):
         d_mean[k] = jacobian @ d_mean[k]
         d_covariance[k] = jacobian @ d_covariance[k] @ jacobian.T
-    d_covariance[_A, _OWN_NOISE, _OWN_NOISE] += 2.0 * noise[_OWN_NOISE, _OWN_NOISE]
+    d_covariance[A, OWN_NOISE, OWN_NOISE] += 2.0 * noise[OWN_NOISE, OWN_NOISE]
 
 
 @kernel
@@ -69,7 +69,7 @@ def _update(
     weighted = weight @ y
     own = np.ascontiguousarray(gain[:, 0])
     for k in range(2):
-        d_noise = 2.0 * own_noise_var if k == _NU else 0.0
+        d_noise = 2.0 * own_noise_var if k == NU else 0.0
         moved = d_mean[k] + d_covariance[k] @ (measures.T @ weighted)
         d_mean[k] = rest @ moved - own * (d_noise * weighted[0])
         d_covariance[k] = rest @ d_covariance[k] @ rest.T + d_noise * np.outer(own, own)
@@ -118,20 +118,20 @@ def _learn(
     """Update each model with a sample of innovation y, by the score and the expected information of the logarithms."""
     slopes, shifts = np.empty(2), np.empty(2)
     for k in range(2):
-        slopes[k] = factor * factor * d_covariance[k, 0, 0] + (2.0 * noise_var if k == _NU else 0.0)
+        slopes[k] = factor * factor * d_covariance[k, 0, 0] + (2.0 * noise_var if k == NU else 0.0)
         shifts[k] = -factor * d_mean[k, 0]
     density = np.empty(len(weight))
     for j in range(len(weight)):
         off = mean[j] - centre
         own_y = y + shifts @ off
         own_var = variance * math.exp(slopes @ off / variance)
-        scale = min(own_y * own_y / own_var, _LARGEST)
+        scale = min(own_y * own_y / own_var, LARGEST)
         density[j] = -0.5 * (math.log(own_var) + scale)
         bounded = math.copysign(math.sqrt(scale * own_var), own_y)
         score = -0.5 * slopes / variance * (1.0 - scale) - bounded / own_var * shifts
         information = 0.5 * np.outer(slopes, slopes) / variance**2 + np.outer(shifts, shifts) / own_var
         covariance[j] = np.linalg.inv(np.linalg.inv(covariance[j]) + information)
-        mean[j] += np.clip(covariance[j] @ score, -_STEP, _STEP)
+        mean[j] += np.clip(covariance[j] @ score, -STEP, STEP)
     weight *= np.exp(density - density.max())
     weight /= weight.sum()
 
@@ -215,9 +215,9 @@ class NoiseLearner:
     def start(self, covariance: Array) -> None:
         """Begin with the filter, which has just begun to follow the driver with this covariance."""
         self.d_mean[:], self.d_covariance[:] = 0.0, 0.0
-        own = slice(0, _OWN_NOISE)
-        self.d_covariance[_NU, own, own] = 2.0 * covariance[own, own]
-        self.d_covariance[_A, _OWN_NOISE, _OWN_NOISE] = 2.0 * covariance[_OWN_NOISE, _OWN_NOISE]
+        own = slice(0, OWN_NOISE)
+        self.d_covariance[NU, own, own] = 2.0 * covariance[own, own]
+        self.d_covariance[A, OWN_NOISE, OWN_NOISE] = 2.0 * covariance[OWN_NOISE, OWN_NOISE]
 
     def forget(self, m: int) -> None:
         """Vehicle m of the chain is another one now."""

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from functools import cache
+from typing import Literal
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.chain import CHAIN, NOT_ADAPTED, Adaptation
 from sugiyama_ros.filters.chain_model import ChainModel, chain_model
+from sugiyama_ros.filters.compiled import CompiledKalman
 from sugiyama_ros.filters.engine import NO_REAR, Engine
 from sugiyama_ros.filters.engine import Estimate as Estimate
 from sugiyama_ros.filters.learnt import (
@@ -24,7 +26,6 @@ from sugiyama_ros.filters.learnt import (
     recall,
 )
 from sugiyama_ros.filters.noise import Learning
-from sugiyama_ros.filters.readable import ReadableKalman
 from sugiyama_ros.road import Road
 
 #: Adaptation of the estimator nodes: desired speed and risk premium. The prior stds are about the stds over the drivers
@@ -56,6 +57,8 @@ class OnlineFilter:
         How the driver's noises are learnt, None if they are not.
     vehicles
         Number M of vehicles in the chain.
+    engine
+        "compiled", or "filterpy" for the same estimates by code that is slower, and meant to be read.
 
     Attributes
     ----------
@@ -79,12 +82,14 @@ class OnlineFilter:
         adaptation: Adaptation = ADAPT,
         learning: Learning | None = LEARN,
         vehicles: int = CHAIN,
+        engine: Literal["compiled", "filterpy"] = "compiled",
     ) -> None:
         parameters = population() if parameters is None else parameters
         check(parameters)
         self.road = road
         self.period_s = period_s
         self.vehicles = vehicles
+        self.engine = engine
         self._ahead, self._adaptation, self._learning = ahead, adaptation, learning
         self._model = self._model_of(ROW.with_effects(parameters))
         self.reset()
@@ -95,9 +100,17 @@ class OnlineFilter:
 
     def reset(self) -> None:
         """Forget all samples and everything learnt."""
-        self.kalman: Engine = ReadableKalman(self._model, self.road, self._learning)
+        self.kalman = self._engine_of(self._model)
         self._behind = self._follower() if self._model.has_effects else None
         self.prior = self.learnt
+
+    def _engine_of(self, model: ChainModel) -> Engine:
+        if self.engine == "compiled":
+            return CompiledKalman(model, self.road, self._learning)
+        # filterpy takes long to import
+        from sugiyama_ros.filters.readable import ReadableKalman
+
+        return ReadableKalman(model, self.road, self._learning)
 
     def change(self, parameters: Array) -> None:
         """Go on with other effects and keep all that was learnt.
@@ -126,7 +139,9 @@ class OnlineFilter:
 
     def _follower(self) -> "OnlineFilter":
         """Return a filter of the vehicle behind, of which nothing is learnt."""
-        return OnlineFilter(self.period_s, self.road, adaptation=NOT_ADAPTED, learning=None, vehicles=1)
+        return OnlineFilter(
+            self.period_s, self.road, adaptation=NOT_ADAPTED, learning=None, vehicles=1, engine=self.engine
+        )
 
     @property
     def change_of_style(self) -> tuple[str, float] | None:
