@@ -17,7 +17,6 @@ import numpy as np
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import SIGMA_A, SIGMA_NU
 from sugiyama_ros.filters.state import STATE
-from sugiyama_ros.jit import kernel
 
 #: The noises that are learnt, as places in a driver's row.
 NOISES = [SIGMA_NU, SIGMA_A]
@@ -47,7 +46,6 @@ NU, A = 0, 1
 OWN_NOISE = 2
 
 
-@kernel
 def _predict(jacobian: Array, noise: Array, d_mean: Array, d_covariance: Array) -> None:
     """Sensitivities after F x and F P F' + Q; d Q / d log sigma_a is twice the variance of the shock."""
     for k in range(2):
@@ -56,7 +54,6 @@ def _predict(jacobian: Array, noise: Array, d_mean: Array, d_covariance: Array) 
     d_covariance[A, OWN_NOISE, OWN_NOISE] += 2.0 * noise[OWN_NOISE, OWN_NOISE]
 
 
-@kernel
 def _update(
     measures: Array, gain: Array, weight: Array, y: Array, own_noise_var: float, d_mean: Array, d_covariance: Array
 ) -> None:
@@ -75,7 +72,6 @@ def _update(
         d_covariance[k] = rest @ d_covariance[k] @ rest.T + d_noise * np.outer(own, own)
 
 
-@kernel
 def _mix(weight: Array, stay: float, mean: Array, covariance: Array) -> None:
     """Mix the models before a period: a driver who follows a model now may have followed another one before."""
     models = len(weight)
@@ -90,7 +86,6 @@ def _mix(weight: Array, stay: float, mean: Array, covariance: Array) -> None:
         mean[j], covariance[j] = _moments(came_from[:, j] / weight[j], was, spread)
 
 
-@kernel
 def _moments(weight: Array, mean: Array, covariance: Array) -> tuple[Array, Array]:
     """Mean (2,) and covariance (2, 2) of a mixture."""
     centre, around = np.zeros(2), np.zeros((2, 2))
@@ -102,7 +97,6 @@ def _moments(weight: Array, mean: Array, covariance: Array) -> tuple[Array, Arra
     return centre, around
 
 
-@kernel
 def _learn(
     y: float,
     variance: float,
