@@ -89,7 +89,7 @@ class Comparison(Result):
         """List the models: held-out errors, gain over the base model [nats] and mean NIS."""
         return [
             {
-                "model": one.name,
+                "name": one.name,
                 **one.errors.summary(),
                 "heldout_gain_nats": one.gain.nats if one.gain else None,
                 "heldout_gain_se": one.gain.se if one.gain else None,

@@ -2,6 +2,7 @@
 
 import math
 
+from sugiyama_ros.driver.advance import advance
 from sugiyama_ros.driver.parameters import RHO, SIGMA_A, SIGMA_V, SIGMA_X
 from sugiyama_ros.effects.control import noise_factor
 from sugiyama_ros.filters.expectation import expected_action
@@ -53,7 +54,6 @@ def linearise(
         if known[m] != MOVING:
             continue
         jacobian[x, v] = jacobian[v, n] = period
-        next_mean[x] = mean[x] + period * mean[v]
         noise[x, x], noise[v, v] = parameters[m, SIGMA_X] ** 2, parameters[m, SIGMA_V] ** 2
         if m == vehicles - 1:
             action, rho, shock_std = 0.0, scene.last_rho, scene.last_shock_std
@@ -72,7 +72,7 @@ def linearise(
                 own_action = expected.held
             rho = parameters[m, RHO]
             shock_std = parameters[m, SIGMA_A] * noise_factor(mean[v], parameters[m])
-        next_mean[v] = mean[v] + period * (action + mean[n])
+        next_mean[x], next_mean[v] = advance(mean[x], mean[v], action + mean[n], period)
         next_mean[n] = rho * mean[n]
         jacobian[n, n] = rho
         noise[n, n] = shock_std**2

@@ -8,18 +8,17 @@ from pathlib import Path
 
 from sugiyama_ros import plugins
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.formats import measured, mstf, plain_csv
 from sugiyama_ros.formats.format import HEAD_BYTES, Format
 from sugiyama_ros.formats.reading import open_input
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 #: Group of entry points by which other packages add formats.
 GROUP = "sugiyama_ros.formats"
-#: A bag is recognised by its content, whatever its suffix, so it comes first.
-BUILT_IN: tuple[Format, ...] = (
-    measured.FORMAT,
-    mstf.FORMAT,
-    plain_csv.FORMAT,
+#: Modules of the built-in formats. A bag is recognised by its content, whatever its suffix, so it comes first.
+BUILT_IN = (
+    "measured",
+    "mstf",
+    "plain_csv",
 )
 
 
@@ -30,8 +29,8 @@ def formats() -> tuple[Format, ...]:
     The formats of other packages come first. So one of them can take files with a suffix that a built-in format has,
     too.
     """
-    others = plugins.load(GROUP, Format).values()
-    return (*(other for other in others if isinstance(other, Format)), *BUILT_IN)
+    found = tuple(plugins.registered(GROUP, Format, BUILT_IN, "FORMAT").values())
+    return (*found[len(BUILT_IN) :], *found[: len(BUILT_IN)])
 
 
 def known_suffixes() -> str:

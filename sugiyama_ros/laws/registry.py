@@ -19,6 +19,10 @@ LAWS: Mapping[str, Law] = plugins.registered(
         "idm",
         "fvdm",
         "constant_speed",
+        "gipps",
+        "ovm",
+        "newell",
+        "helly",
     ),
     "LAW",
 )

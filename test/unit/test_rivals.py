@@ -1,119 +1,22 @@
-"""The rival laws against their closed forms, and their calibration against runs whose parameters are known."""
+"""The calibration of laws by least squares on gaps, against runs whose parameters are known."""
 
 import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.least_squares import Following, fit_gaps, gap_errors
-from sugiyama_ros.laws.fvdm import fvdm
 from sugiyama_ros.laws.idm import idm
-from sugiyama_ros.laws.registry import LAWS
+from sugiyama_ros.laws.registry import law
 
-FUNCTIONS = (idm, fvdm)
-IDM, FVDM = (np.array([p.default for p in law.parameters]) for law in LAWS[:2])
+LAWS = (law("idm"), law("fvdm"))
+IDM = np.array([p.default for p in law("idm").parameters])
 DT, HALF_LENGTHS = 1.0 / 3.0, 4.33
-speeds = st.floats(0.0, 12.0)
-
 
 BOTH = pytest.mark.parametrize(
-    ("law", "function"), list(zip(LAWS[:2], FUNCTIONS, strict=True)), ids=lambda one: getattr(one, "name", "")
+    ("law", "function"), [(one, one.function) for one in LAWS], ids=lambda one: getattr(one, "name", "")
 )
-
-
-def rows(law):
-    """Parameters anywhere within their bounds."""
-    return st.tuples(*(st.floats(p.lower, p.upper) for p in law.parameters)).map(np.array)
-
-
-# --- the laws --------------------------------------------------------------------------------------------------------
-
-
-def test_a_law_declares_its_parameters_in_the_order_of_its_function():
-    assert [[p.name for p in law.parameters] for law in LAWS[:2]] == [
-        ["v0", "T", "s0", "a", "b"],
-        ["kappa", "lambda", "V1", "V2", "C1", "C2"],
-    ]
-    for p in (p for law in LAWS for p in law.parameters):
-        assert p.lower < p.default < p.upper
-        assert "Phys. Rev. E" in p.description
-
-
-@settings(deadline=None)  # the first call compiles
-@given(st.floats(0.0, 9.9))
-def test_idm_rests_in_its_equilibrium_gap(speed):
-    """Treiber, Hennecke and Helbing (2000): s_e = (s0 + v T) / sqrt(1 - (v / v0)^4)."""
-    v0, T, s0, _, _ = IDM
-    gap = (s0 + speed * T) / math.sqrt(1.0 - (speed / v0) ** 4)
-    assert idm(gap, speed, speed, IDM) == pytest.approx(0.0, abs=1e-12)
-
-
-def test_idm_is_its_formula():
-    v0, T, s0, a, b = IDM
-    wanted = s0 + 7.0 * T + 7.0 * (7.0 - 5.0) / (2.0 * math.sqrt(a * b))
-    assert idm(12.0, 7.0, 5.0, IDM) == pytest.approx(a * (1.0 - (7.0 / v0) ** 4 - (wanted / 12.0) ** 2), abs=1e-12)
-    assert idm(math.inf, 7.0, 0.0, IDM) == pytest.approx(a * (1.0 - (7.0 / v0) ** 4), abs=1e-12)
-
-
-@settings(deadline=None)  # the first call compiles
-@given(st.floats(0.0, 60.0))
-def test_fvdm_rests_at_its_optimal_velocity(gap):
-    _, _, V1, V2, C1, C2 = FVDM
-    speed = V1 + V2 * math.tanh(C1 * gap - C2)
-    assert fvdm(gap, speed, speed, FVDM) == pytest.approx(0.0, abs=1e-12)
-    assert fvdm(gap, speed, speed - 0.7, FVDM) == pytest.approx(-0.7 * FVDM[1], abs=1e-12)
-
-
-def test_fvdm_without_a_leader_goes_to_its_highest_optimal_velocity():
-    kappa, _, V1, V2, _, _ = FVDM
-    assert fvdm(math.inf, 8.0, 0.0, FVDM) == pytest.approx(kappa * (V1 + V2 - 8.0), abs=1e-12)
-
-
-@pytest.mark.parametrize("function", FUNCTIONS)
-@settings(deadline=None)  # the first call compiles
-@given(gap=st.floats(-5.0, 100.0), speed=speeds, leader_speed=speeds, by=st.floats(0.01, 5.0), data=st.data())
-def test_more_room_never_slows_and_a_faster_leader_never_does(function, gap, speed, leader_speed, by, data):
-    p = data.draw(rows(LAWS[FUNCTIONS.index(function)]))
-    here = function(gap, speed, leader_speed, p) - 1e-12
-    assert function(gap + by, speed, leader_speed, p) >= here
-    assert function(gap, speed, leader_speed + by, p) >= here
-
-
-@pytest.mark.parametrize("function", FUNCTIONS)
-@settings(deadline=None)  # the first call compiles
-@given(gap=st.floats(-5.0, 100.0), speed=speeds, share=st.floats(0.0, 2.0), by=st.floats(0.01, 5.0), data=st.data())
-def test_whoever_drives_faster_accelerates_less(function, gap, speed, share, by, data):
-    """For the IDM up to a leader of twice the speed, beyond which its wanted gap may shrink with the speed."""
-    p = data.draw(rows(LAWS[FUNCTIONS.index(function)]))
-    leader_speed = share * speed
-    assert function(gap, speed + by, leader_speed, p) <= function(gap, speed, leader_speed, p) + 1e-12
-
-
-@pytest.mark.parametrize("function", FUNCTIONS)
-@settings(deadline=None)  # the first call compiles
-@given(
-    gap=st.floats(-1e300, 1e300) | st.sampled_from([math.inf, -math.inf, 0.0, 5e-324]),
-    speed=st.floats(-1e150, 1e150),
-    leader_speed=st.floats(-1e150, 1e150),
-    data=st.data(),
-)
-def test_every_acceleration_is_one_that_a_driver_can_choose(function, gap, speed, leader_speed, data):
-    p = data.draw(rows(LAWS[FUNCTIONS.index(function)]))
-    assert ACTIONS[0] <= function(gap, speed, leader_speed, p) <= ACTIONS[-1]
-
-
-@pytest.mark.parametrize("gap", [0.0, -0.01, -5.0, -math.inf])
-def test_idm_brakes_inside_another_vehicle_even_if_it_wants_no_gap(gap):
-    p = IDM.copy()
-    p[2] = 0.0
-    assert idm(gap, 0.0, 0.0, p) == ACTIONS[0]
-
-
-# --- their calibration -----------------------------------------------------------------------------------------------
 
 
 def follow(function, p, samples=450):
