@@ -62,20 +62,7 @@ def backward_penalty(speed: float) -> float:
 
 @kernel
 def desired_speed_reward(speed: float, v_star: float, kappa_1: float) -> float:
-    """Compute phi1, the reward of driving forward near the desired speed; first equation of section 3.2.1.
-
-    Parameters
-    ----------
-    speed, v_star : float
-        Speed and desired speed [m/s].
-    kappa_1 : float
-        Width of the reward over the desired speed.
-
-    Returns
-    -------
-    float
-        ``forward_reward`` minus ``backward_penalty``.
-    """
+    """Compute phi1: the reward of driving forward near the desired speed; first equation of section 3.2.1."""
     return forward_reward(speed, v_star, kappa_1) - backward_penalty(speed)
 
 
