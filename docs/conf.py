@@ -27,6 +27,7 @@ nb_execution_cache_path = str(Path(__file__).parent / "_build" / "notebooks")
 nb_execution_timeout = 600
 nb_execution_raise_on_error = True
 nb_merge_streams = True
+nb_output_stderr = "remove"  # bars of progress
 
 html_theme = "pydata_sphinx_theme"
 html_title = "sugiyama_ros"

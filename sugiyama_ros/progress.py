@@ -1,7 +1,9 @@
 """How long work reports its progress: functions that a caller hands in, and bars that show it."""
 
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 
 #: Called with how much is done, and how much there is in all.
 OnProgress = Callable[[int, int], None]
@@ -16,6 +18,10 @@ def stages() -> Iterator[OnStage]:
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 
     console = Console(stderr=True)
+    if console.is_jupyter and find_spec("ipywidgets") is None:
+        # rich's bar needs widgets there
+        yield _lines()
+        return
     if not (console.is_terminal or console.is_jupyter):
         yield lambda what, done, total: None
         return
@@ -23,3 +29,15 @@ def stages() -> Iterator[OnStage]:
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task("starting", total=None)
         yield lambda what, done, total: bar.update(task, description=what, completed=done, total=total)
+
+
+def _lines() -> OnStage:
+    """Print one line for each stage."""
+    told: set[str] = set()
+
+    def tell(what: str, done: int, total: int) -> None:
+        if what not in told:
+            told.add(what)
+            print(what, file=sys.stderr)
+
+    return tell

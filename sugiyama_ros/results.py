@@ -66,9 +66,9 @@ class Result:
             If matplotlib is not installed.
         """
         needs("matplotlib", "plot()", "notebook")
-        from matplotlib.figure import Figure
+        from sugiyama_ros.picture import Picture
 
-        figure = Figure(figsize=(9.0, 5.0), layout="constrained")
+        figure = Picture(figsize=(9.0, 5.0), layout="constrained")
         self.draw(figure)
         return figure
 

@@ -153,7 +153,7 @@ def python() -> str:
     functions = [name for name in sg.__all__ if inspect.isfunction(getattr(sg, name))]
     results = {}
     for name in functions:
-        kind = inspect.signature(getattr(sg, name), eval_str=True).return_annotation
+        kind = inspect.signature(getattr(sg, name)).return_annotation
         if inspect.isclass(kind) and kind.__module__.startswith("sugiyama_ros"):
             results[f"{kind.__module__}.{kind.__qualname__}"] = kind
     lines = [

@@ -12,6 +12,7 @@ ORDER = (
     "jit",
     "progress",
     "plugins",
+    "picture",
     "results",
     "plots",
     "tables",
@@ -34,7 +35,7 @@ ORDER = (
     "cli",
 )
 #: Single files that no reader needs to know about.
-SMALL = {"progress", "plugins", "results", "plots", "tables"}
+SMALL = {"progress", "plugins", "picture", "results", "plots", "tables"}
 #: Rooms that know nothing of drivers, whatever the order allows.
 ALONE = {
     "page": {"arrays", "formats", "plots", "progress", "results", "road", "tables", "trajectories"},

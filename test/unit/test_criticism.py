@@ -26,6 +26,7 @@ from sugiyama_ros.fit.population import fit_base, start_model
 from sugiyama_ros.fit.recording import FOLDS, prepare
 from sugiyama_ros.fit.score import evaluate
 from sugiyama_ros.fit.slopes import slopes
+from sugiyama_ros.laws.registry import RIVALS
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, platoon, simulate
 
@@ -251,16 +252,10 @@ def test_diagnose_and_compare_on_the_command_line(hidden, tmp_path):
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     names = [m["name"] for m in found["models"]]
-    assert names == [
-        "base",
-        "file: slow_patch",
-        "idm",
-        "idm_least_squares",
-        "fvdm",
-        "fvdm_least_squares",
-        "constant_speed",
-        "floor",
+    rivals = [
+        name for law in RIVALS for name in (law, f"{law}_least_squares") if name != "constant_speed_least_squares"
     ]
+    assert names == ["base", "file: slow_patch", *rivals, "floor"]
     scores = {m["name"]: m["loglik_per_sample"] for m in found["models"]}
     assert scores["file: slow_patch"] > scores["base"] > scores["constant_speed"]
     assert found["measured"]["mean_speed"] > 0.0

@@ -138,5 +138,5 @@ def test_large_lists_of_messages_are_not_decoded() -> None:
     decode = decoder("a/msg/A", f"B[] b{SEPARATOR}MSG: a/B\nuint8 x\n")
     assert decode is not None
     assert len(decode(b"\0\1\0\0\3\0\0\0abc").b) == 3
-    with pytest.raises(ValueError, match="more than the 262144"):
+    with pytest.raises(ValueError, match="more than the limit of 262144"):
         decode(b"\0\1\0\0" + bytes(1 << 20))

@@ -8,7 +8,7 @@ from sugiyama_ros.driver.utility import ACTIONS, mean_action
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.chain import CHAIN
 from sugiyama_ros.filters.linearisation import linearise
-from sugiyama_ros.filters.state import MOVING, STATE, scene_at, workspace_for
+from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Linearised, Moment, State, scene_at, workspace_for
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Clock, Simulator, evenly, platoon, simulate
 
@@ -99,10 +99,13 @@ def test_without_noise_the_filters_prediction_is_the_simulation():
         known = np.full(CHAIN, MOVING)
         rows = np.stack([s.parameters[0]] * CHAIN)
         linearise(
-            mean, np.zeros((size, size)), known, s.length_m[chain], np.full(3, np.nan), rows, none, nothing, nothing,
-            workspace_for(ACTIONS, CHAIN, 0), 0.0, scene,
-            next_mean, jacobian, noise,
-        )  # fmt: skip
+            State(mean, np.zeros((size, size)), known),
+            Drivers(rows, none, nothing, nothing),
+            Moment(s.length_m[chain], np.full(3, np.nan), 0.0),
+            scene,
+            workspace_for(ACTIONS, CHAIN, 0),
+            Linearised(next_mean, jacobian, noise),
+        )
         s.step()
         assert next_mean[[0, 4]] == pytest.approx(s.position_m[chain[:2]] + [0.0, 230.0], abs=1e-9)
         assert next_mean[[1, 5]] == pytest.approx(s.speed[chain[:2]], abs=1e-9)

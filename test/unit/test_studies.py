@@ -12,6 +12,9 @@ from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, platoon, simulate
 from sugiyama_ros.studies import filters, followers, online, recovery
 from sugiyama_ros.studies.driver_types import adjusted_rand, silhouette
+from sugiyama_ros.studies.hiding import DURATION_S, RING_M, STRENGTHS, hide, hide_all
+from sugiyama_ros.studies.judgement import FORM, FORMS, NONE, PAIR, PAIRS, Judgement
+from sugiyama_ros.studies.judgement_report import report
 from sugiyama_ros.studies.registry import STUDIES, study
 from sugiyama_ros.studies.rings import Ring, alike, outcome
 from sugiyama_ros.studies.study import Asked
@@ -67,3 +70,44 @@ def test_agreement_of_clusterings():
     assert adjusted_rand(a, np.array([1, 1, 2, 2, 3, 3])) == pytest.approx((2 - 1.2) / (4.5 - 1.2))
     points = np.array([[0.0], [0.1], [10.0], [10.1]])
     assert silhouette(points, np.array([1, 1, 2, 2])) == pytest.approx(0.99, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("name", "parameter", "low", "high"),
+    [("slow_patch", "centre", 0.0, RING_M), ("preference_switch", "time", 0.3 * DURATION_S, 0.7 * DURATION_S)],
+)
+def test_a_hidden_effect_acts_at_a_place_or_a_time_that_is_drawn(name, parameter, low, high):
+    strong = STRENGTHS[name][0]
+    run, values = hide(name, strong, 3)
+    again, _ = hide(name, strong, 3)
+    without, nothing = hide_all({}, 3)
+    assert not run.collisions
+    assert not nothing
+    assert values == {**strong, parameter: values[parameter]}
+    assert low <= values[parameter] <= high
+    np.testing.assert_array_equal(run.measured.position_m, again.measured.position_m)
+    assert not np.array_equal(run.position_m, without.position_m)
+
+
+def judgement(hidden, strength, first, named=(), indistinguishable=(), discovered=()):
+    return Judgement(hidden, strength, 0, first, named, indistinguishable, 0.01, 30.0, 50.0, 40.0, discovered, 1.0)
+
+
+def test_the_report_counts_right_and_wrong_answers():
+    pair, form = PAIRS[0], "tiring"
+    text = report(
+        [
+            judgement("drag", "strong", "drag", ("drag",)),
+            judgement("drag", "strong", "slow_patch", ("slow_patch",), ("drag",)),
+            judgement("drag", "strong", "slow_patch", ("slow_patch",)),
+            judgement("drag", "strong", NONE),
+            judgement("+".join(pair), PAIR, pair[1], pair),
+            judgement(form, FORM, NONE, discovered=(FORMS[form][0],)),
+            judgement(NONE, NONE, "drag", ("drag",)),
+        ]
+    )
+    assert "| strong | 4 | 1 | 2 | 1.33 | 1 | 1 |" in text
+    assert "both are found in 1 of 1" in text
+    assert "right covariate in 1 of 1" in text
+    assert "1 false alarms in 1" in text
+    assert "| drag | strong | 50 | drag (1), none (1), slow_patch (2) |" in text
