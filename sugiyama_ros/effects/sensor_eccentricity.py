@@ -10,7 +10,7 @@ from sugiyama_ros.jit import kernel
 
 @kernel
 def displacement(position: float, circumference: float, p: Array) -> tuple[float, float]:
-    """Measured minus true position [m] at a true one, and its derivative; one wave around the ring."""
+    """Compute the measured minus the true position [m] and its derivative: one wave around the ring."""
     if circumference == 0.0:
         return 0.0, 0.0
     turn = 2.0 * math.pi / circumference

@@ -1,4 +1,4 @@
-"""The camera measures worse on one side of the ring."""
+"""The camera measures less accurately on one side of the ring."""
 
 import math
 
@@ -10,7 +10,7 @@ from sugiyama_ros.jit import kernel
 
 @kernel
 def factor(position: float, circumference: float, p: Array) -> float:
-    """Of the std of the measurement noise at a position [m]: its logarithm is one wave around the ring."""
+    """Compute the factor of the std of the measurement noise; its logarithm is one wave around the ring."""
     if circumference == 0.0:
         return 1.0
     angle = 2.0 * math.pi * position / circumference
@@ -30,7 +30,7 @@ EFFECT = Effect(
     source="the image scale and the light of one camera for the whole ring, to first order",
     parameters=(
         Parameter("cosine", "a_c", "1", 0.0, -2.0, 2.0, "logarithm of the factor of the noise's std at position 0"),
-        Parameter("sine", "a_s", "1", 0.0, -2.0, 2.0, "the same a quarter of the ring further on"),
+        Parameter("sine", "a_s", "1", 0.0, -2.0, 2.0, "logarithm of the factor a quarter of the ring further on"),
     ),
     starts=_starts,
     strengths=("cosine", "sine"),
