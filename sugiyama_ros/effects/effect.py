@@ -73,7 +73,7 @@ def with_view(seen: Seen, gap: float, speed: float, leader_speed: float) -> Seen
     )
 
 
-class Recording(NamedTuple):
+class RecordingExtent(NamedTuple):
     """What a search for an effect may know about a recording.
 
     Parameters
@@ -133,7 +133,7 @@ class Contamination:
     sample: Callable[..., Any]
 
 
-def _no_starts(_: Recording) -> tuple[Values, ...]:
+def _no_starts(_: RecordingExtent) -> tuple[Values, ...]:
     """Search for nothing."""
     return ()
 
@@ -179,7 +179,7 @@ class Effect:
         Names of the driver's parameters whose logarithms wander at random (Ornstein-Uhlenbeck). The first two
         parameters of the effect are then the std of the logarithm and the correlation time [s].
     starts : callable
-        Recording -> sets of values at which a search for the parameters begins. Without sets there is no search.
+        RecordingExtent -> sets of values at which a search for the parameters begins. Without sets there is no search.
     strengths : tuple of str
         Names of the parameters that switch the effect on if they are not 0; if left out, the first parameter.
     individual : bool
@@ -214,7 +214,7 @@ class Effect:
     measurement_noise_factor: Callable[..., float] | None = None
     contamination: Contamination | None = None
     wanders: tuple[str, ...] = ()
-    starts: Callable[[Recording], tuple[Values, ...]] = _no_starts
+    starts: Callable[[RecordingExtent], tuple[Values, ...]] = _no_starts
     strengths: tuple[str, ...] = ()
     individual: bool = False
     is_noise: bool = False
@@ -231,7 +231,7 @@ class Effect:
         return self.strengths or (self.parameters[0].name,)
 
 
-def at(*values: Values) -> Callable[[Recording], tuple[Values, ...]]:
+def at(*values: Values) -> Callable[[RecordingExtent], tuple[Values, ...]]:
     """Make starts of a search that do not depend on the recording.
 
     Parameters
@@ -242,6 +242,6 @@ def at(*values: Values) -> Callable[[Recording], tuple[Values, ...]]:
     Returns
     -------
     callable
-        Recording -> starts, for ``Effect.starts``.
+        RecordingExtent -> starts, for ``Effect.starts``.
     """
     return lambda _: values

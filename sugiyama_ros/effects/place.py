@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 
 from sugiyama_ros.driver.parameters import Parameter
-from sugiyama_ros.effects.effect import Recording, Seen, Values
+from sugiyama_ros.effects.effect import RecordingExtent, Seen, Values
 from sugiyama_ros.jit import kernel
 
 #: Parameters of the part of the road.
@@ -40,7 +40,7 @@ def bump(seen: Seen, centre: float, width: float) -> float:
     return 0.5 + 0.5 * math.cos(2.0 * math.pi * off / width)
 
 
-def around(strength: Values) -> Callable[[Recording], tuple[Values, ...]]:
+def around(strength: Values) -> Callable[[RecordingExtent], tuple[Values, ...]]:
     """Make the starts of a search at places all along the road.
 
     Parameters
@@ -51,10 +51,10 @@ def around(strength: Values) -> Callable[[Recording], tuple[Values, ...]]:
     Returns
     -------
     callable
-        Recording -> starts, for ``Effect.starts``.
+        RecordingExtent -> starts, for ``Effect.starts``.
     """
 
-    def starts(recording: Recording) -> tuple[Values, ...]:
+    def starts(recording: RecordingExtent) -> tuple[Values, ...]:
         first = 0.0 if recording.circumference_m else recording.first_m
         extent = recording.circumference_m or recording.last_m - recording.first_m
         return tuple(

@@ -4,7 +4,7 @@ import math
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
-from sugiyama_ros.effects.effect import PREFERENCE, Effect, Recording, Seen, Values
+from sugiyama_ros.effects.effect import PREFERENCE, Effect, RecordingExtent, Seen, Values
 from sugiyama_ros.jit import kernel
 
 #: Time [s] that the switch takes. The switch is smooth, so that an optimiser can search for its moment.
@@ -19,7 +19,7 @@ def prefer(v_star: float, kappa_v: float, seen: Seen, p: Array) -> tuple[float, 
     return v_star * math.exp(p[0] * share), kappa_v * math.exp(p[1] * share)
 
 
-def _starts(recording: Recording) -> tuple[Values, ...]:
+def _starts(recording: RecordingExtent) -> tuple[Values, ...]:
     length = recording.end_s - recording.start_s
     return tuple(
         {"v_star_change": -0.05, "kappa_v_change": 0.05, "time": recording.start_s + (k + 1) / (_TIMES + 1) * length}

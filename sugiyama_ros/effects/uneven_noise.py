@@ -4,7 +4,7 @@ import math
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
-from sugiyama_ros.effects.effect import MEASUREMENT, Effect, Recording, Values
+from sugiyama_ros.effects.effect import MEASUREMENT, Effect, RecordingExtent, Values
 from sugiyama_ros.jit import kernel
 
 
@@ -17,7 +17,7 @@ def factor(position: float, circumference: float, p: Array) -> float:
     return math.exp(p[0] * math.cos(angle) + p[1] * math.sin(angle))
 
 
-def _starts(recording: Recording) -> tuple[Values, ...]:
+def _starts(recording: RecordingExtent) -> tuple[Values, ...]:
     waves = ({"cosine": 0.15, "sine": 0.0}, {"cosine": 0.0, "sine": 0.15})
     return waves if recording.circumference_m else ()
 

@@ -15,7 +15,7 @@ from sugiyama_ros.nodes.base import cdr_messages
 from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode
 from sugiyama_ros.nodes.base.pacing import Pace
 from sugiyama_ros.nodes.base.qos import LATCHED, PROGRESS_IN, STREAM, WINDOW
-from sugiyama_ros.nodes.base.samples import Samples
+from sugiyama_ros.nodes.base.samples import PositionSamples
 from sugiyama_ros.nodes.markers import markers
 
 _TICK_S = 0.005
@@ -77,7 +77,7 @@ class Source(PacedNode):
         self._send_road()
         self.announce()
 
-    def open(self) -> Samples:
+    def open(self) -> PositionSamples:
         """The samples to send, from the node's parameters. Raises InputError if there are none."""
         raise NotImplementedError
 

@@ -6,7 +6,7 @@ from scipy.stats import norm
 
 from sugiyama_ros.driver.parameters import COUNT, KAPPA_V, SIGMA_NU, V_STAR, defaults
 from sugiyama_ros.effects import perception_threshold
-from sugiyama_ros.effects.effect import STAGES, Recording
+from sugiyama_ros.effects.effect import STAGES, RecordingExtent
 from sugiyama_ros.effects.registry import EFFECTS, ROW, active, effect, index_of, switch_on
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.causal import filter_chain, log_likelihood
@@ -93,7 +93,7 @@ def test_an_effect_is_declared(name):
         assert p.unit
         assert p.description
     assert set(e.switches) <= {p.name for p in e.parameters}
-    for start in e.starts(Recording(0.0, 100.0, 230.0, 0.0, 230.0)):
+    for start in e.starts(RecordingExtent(0.0, 100.0, 230.0, 0.0, 230.0)):
         assert set(start) == {p.name for p in e.parameters}
         switch_on(np.zeros(ROW.width), name, start)
 

@@ -22,7 +22,7 @@ class Positions(NamedTuple):
     length_m: list[float]
 
 
-class Samples(Protocol):
+class PositionSamples(Protocol):
     """What a source sends. ``steps`` is the number of samples, 0 if there is no end."""
 
     road: Road
