@@ -83,7 +83,7 @@ def values(estimator: Estimator) -> dict[str, object]:
     return dict(estimator.health().values)
 
 
-def test_it_says_what_the_filter_says(stage, ring_csv: Path) -> None:
+def test_the_node_publishes_the_filters_results(stage, ring_csv: Path) -> None:
     trajectories = read_trajectories(ring_csv, 100.0)
     chain = chain_behind(trajectories, 2)
     filter_ = OnlineFilter(trajectories.period_s, trajectories.road)
@@ -131,7 +131,7 @@ def test_a_missing_position_is_predicted_over(stage, pair) -> None:
     assert estimator.health().level == OK
 
 
-def test_stamps_tell_how_much_time_has_passed(stage, pair) -> None:
+def test_stamps_say_how_much_time_has_passed(stage, pair) -> None:
     road, estimator = pair
     road.drive(0, 20)
     road.drive(23, 24)
@@ -173,7 +173,7 @@ def test_a_position_that_is_no_number_is_missing(stage, pair, wrong: float) -> N
     assert estimator.health().level == OK
 
 
-def test_a_leader_who_stands_comes_and_goes(stage, pair) -> None:
+def test_a_standing_leader_disappears_and_returns(stage, pair) -> None:
     """8 stands for a minute while 7 closes up, then is gone, then is there again."""
     road, estimator = pair
     for k in range(160):
@@ -225,7 +225,9 @@ def test_parameters_are_published_once_a_second_of_the_data(stage, pair) -> None
     assert len(message.covariance) == len(NAMES) ** 2
 
 
-def test_a_failure_is_told_once_and_the_stream_goes_on(stage, pair, monkeypatch: pytest.MonkeyPatch, capfd) -> None:
+def test_a_failure_is_reported_once_and_the_stream_continues(
+    stage, pair, monkeypatch: pytest.MonkeyPatch, capfd
+) -> None:
     road, _ = pair
 
     def fail(*_: object) -> None:
@@ -242,7 +244,7 @@ def test_a_failure_is_told_once_and_the_stream_goes_on(stage, pair, monkeypatch:
     assert capfd.readouterr().err.count("no way") == 1
 
 
-def test_it_starts_from_the_nodes_parameters(stage) -> None:
+def test_the_filter_starts_from_the_nodes_parameters(stage) -> None:
     road = Road()
     estimator = Estimator(namespace="/vehicle_07", parameter_overrides=[Parameter("v_star", value=15.0)])
     stage.add(road, estimator)
@@ -254,7 +256,7 @@ def test_it_starts_from_the_nodes_parameters(stage) -> None:
     assert known["sigma_a"] == dict(zip(NAMES, population().tolist(), strict=True))["sigma_a"]
 
 
-def test_it_tells_the_type_of_the_driver(stage, ring_csv: Path, tmp_path: Path) -> None:
+def test_the_type_of_the_driver_is_published(stage, ring_csv: Path, tmp_path: Path) -> None:
     trajectories, file = read_trajectories(ring_csv, 100.0), tmp_path / "types.yaml"
     kinds = np.array([population(), population()])
     kinds[1, NAMES.index("v_star")] *= 1.2
@@ -293,7 +295,7 @@ def test_what_was_learnt_is_forgotten_when_the_user_sets_a_parameter(stage, tmp_
     assert not any(road.parameters[1].identified)
 
 
-def test_a_node_that_was_killed_goes_on_where_it_was(stage, tmp_path: Path) -> None:
+def test_a_killed_node_continues_from_its_file(stage, tmp_path: Path) -> None:
     """Killed after 30 s, with a file of 20 s; 10 s later it knows as much as an estimator that was never killed."""
     noise = np.random.default_rng(1).normal(0.0, 0.26, (80, 2))
     position = (np.array([0.0, 30.0]) + 5.0 * PERIOD_S * np.arange(80)[:, None] + noise) % 100.0
@@ -326,7 +328,7 @@ def test_a_node_that_was_killed_goes_on_where_it_was(stage, tmp_path: Path) -> N
     assert np.all(np.abs(off) < np.sqrt(np.diag(never.learnt.covariance)))
 
 
-def test_a_node_that_was_killed_goes_on_from_what_the_keeper_has_heard(stage) -> None:
+def test_a_killed_node_continues_from_the_keeper(stage) -> None:
     """Killed after 30 s; 10 s later its successor knows as much as an estimator that was never killed."""
     noise = np.random.default_rng(1).normal(0.0, 0.26, (80, 2))
     position = (np.array([0.0, 30.0]) + 5.0 * PERIOD_S * np.arange(80)[:, None] + noise) % 100.0

@@ -51,7 +51,7 @@ def test_nothing_is_lost_at_full_speed(ring_csv: Path, tmp_path: Path, processes
     assert sorted(p.name for p in tmp_path.iterdir()) == ["out.mcap", "ring.csv"]
 
 
-def test_what_is_recorded_is_what_was_read(ring_csv: Path, tmp_path: Path) -> None:
+def test_the_recorded_positions_equal_the_positions_read(ring_csv: Path, tmp_path: Path) -> None:
     run(ring_csv, tmp_path / "out.mcap", ring_m=100.0)
     original, back = read_trajectories(ring_csv, 100.0), read_trajectories(tmp_path / "out.mcap")
     assert back.position_m == pytest.approx(original.position_m, abs=1e-9)
@@ -66,7 +66,7 @@ def test_a_recording_can_be_run_again(ring_csv: Path, tmp_path: Path) -> None:
     assert again.drivers == first.drivers
 
 
-def test_a_run_goes_on_from_what_another_has_learnt(ring_csv: Path, tmp_path: Path) -> None:
+def test_a_run_continues_from_the_saved_state_of_another(ring_csv: Path, tmp_path: Path) -> None:
     def parameters(path: Path, which: int) -> dict[str, float]:
         with Bag(path) as bag:
             message = [m.message for m in bag.messages(["/vehicle_02/parameters"])][which]
@@ -85,7 +85,7 @@ def test_a_run_goes_on_from_what_another_has_learnt(ring_csv: Path, tmp_path: Pa
         run(ring_csv, tmp_path / "third.mcap", ring_m=100.0, resume=tmp_path / "nowhere")
 
 
-def test_a_slow_driver_loses_nothing(ring_csv: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_slow_estimator_loses_nothing(ring_csv: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     follow = Follower.follow
 
     def slowly(self: Follower, *arguments: object) -> object:
@@ -97,7 +97,9 @@ def test_a_slow_driver_loses_nothing(ring_csv: Path, tmp_path: Path, monkeypatch
     assert_nothing_lost(run(ring_csv, tmp_path / "out.mcap", ring_m=100.0), tmp_path / "out.mcap")
 
 
-def test_a_driver_that_stops_is_left_behind(ring_csv: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_estimator_that_stops_is_left_behind(
+    ring_csv: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(source, "PATIENCE_S", 1.0)
     monkeypatch.setattr(recorder, "PATIENCE_S", 1.0)
     monkeypatch.setattr(runners, "STOP_S", 1.0)
@@ -148,7 +150,7 @@ def kill_when_running(output: Path, wanted: str) -> threading.Thread:
 
 
 @pytest.mark.parametrize("wanted", ["vehicle_02", "nodes.replay"])
-def test_a_dead_process_ends_the_run_in_one_line(ring_csv: Path, tmp_path: Path, wanted: str) -> None:
+def test_a_killed_process_ends_the_run_with_one_line(ring_csv: Path, tmp_path: Path, wanted: str) -> None:
     output = tmp_path / "out.mcap"
     killer = kill_when_running(output, wanted)
     name = "/vehicle_02/estimator" if wanted == "vehicle_02" else "/replay"
@@ -161,7 +163,7 @@ def test_a_dead_process_ends_the_run_in_one_line(ring_csv: Path, tmp_path: Path,
         assert bag.info().messages > 0
 
 
-def test_a_dead_recorder_leaves_what_it_had(ring_csv: Path, tmp_path: Path) -> None:
+def test_a_killed_recorder_leaves_what_it_had_written(ring_csv: Path, tmp_path: Path) -> None:
     output = tmp_path / "out.mcap"
     kill_when_running(output, "nodes.recorder")
     with pytest.raises(SugiyamaError, match=r"^/recorder: ended with code -9"):

@@ -209,7 +209,7 @@ def test_the_version_is_the_packages(sugiyama):
     assert sugiyama("--version") == (0, f"sugiyama {version('sugiyama_ros')}\n", "")
 
 
-def test_help_tells_of_every_command_in_a_whole_sentence(sugiyama):
+def test_help_describes_every_command_in_a_full_sentence(sugiyama):
     code, out, err = sugiyama("--help")
     assert (code, err) == (0, "")
     told = out.split("Commands:\n")[1].splitlines()

@@ -87,7 +87,7 @@ def test_other_readers_read_every_message(recorded):
 
 
 @measured
-def test_recorded_innovations_are_those_of_the_filter(recorded):
+def test_recorded_innovations_equal_the_filters_innovations(recorded):
     output, _ = recorded
     case1 = read_trajectories(CASE1)
     with Bag(output) as bag:
@@ -160,7 +160,7 @@ def recorder_of(runner: int) -> int:
     raise AssertionError("no recorder")
 
 
-def test_demo_names_what_was_hidden_and_the_published_error_falls(tmp_path):
+def test_demo_finds_the_hidden_effect_and_the_published_error_falls(tmp_path):
     command = [*SUGIYAMA, "demo", "--hidden", "slow_patch", "--json"]
     done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=True)
     said = json.loads(done.stdout)

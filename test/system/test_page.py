@@ -185,7 +185,7 @@ def test_the_live_page_streams_and_its_buttons_call_the_services(recorded, tmp_p
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
-def test_adding_the_effect_that_is_there_lowers_the_error_that_the_page_shows(tmp_path):
+def test_adding_the_true_effect_lowers_the_error_on_the_page(tmp_path):
     # cars of limited power, measured so well that the one-step error is the model's; it is .110 m, and .100 with them
     settings = ("--effect", "limited_power:power=10", "--set", "sigma_nu=0.03", "--set", "sigma_a=0.15")
     command = [SUGIYAMA, "simulate", "-o", tmp_path / "sim.mcap", "--duration", "160", *settings]
@@ -264,7 +264,7 @@ def test_layouts_for_other_programs_name_what_is_recorded(recorded):
 @pytest.mark.parametrize(
     ("text", "words"), [("{", "is not JSON"), ("[]", "is no diagnosis"), ("{}", "is no diagnosis")]
 )
-def test_a_diagnosis_that_is_none_is_said_so(tmp_path: Path, text, words):
+def test_a_file_that_is_no_diagnosis_is_one_clear_line(tmp_path: Path, text, words):
     (tmp_path / "d.json").write_text(text)
     with pytest.raises(InputError, match=words):
         read_diagnosis(tmp_path / "d.json")

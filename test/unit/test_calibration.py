@@ -89,7 +89,7 @@ def test_regularisation_is_the_papers(jam):
     assert np.mean([f.parameters[KAPPA_V] for f in fits]) > np.mean([f.parameters[KAPPA_V] for f in free]) + 0.02
 
 
-def test_a_calibration_that_was_cut_off_goes_on(jam, tmp_path, monkeypatch):
+def test_a_calibration_that_was_cut_off_continues(jam, tmp_path, monkeypatch):
     whole = each_driver(jam, Settings("paper"))
     kept = tmp_path / "fits"
     carried_out = []
@@ -161,7 +161,7 @@ def test_an_interval_ends_where_the_profile_has_fallen_by_half_of_1_96_squared(s
     assert end_of_profile(lambda x: min(shape(x), 1.9), 0.1, 5.0) == np.inf
 
 
-def test_profile_intervals_are_those_of_another_search(jam):
+def test_profile_intervals_equal_the_intervals_of_another_search(jam):
     """The paper's likelihood, maximised over the others by scipy at the ends of the intervals."""
     fit = next(calibrate(jam, "paper", options=SearchOptions(profiled=True)))
     perceived = paper.perceive(jam, 0)

@@ -45,7 +45,7 @@ def test_missing_samples_and_drivers_do_not_matter():
     assert found.period_s == pytest.approx(whole.period_s, abs=2.0 * PERIOD_S)
 
 
-def test_queue_counts_those_who_stand():
+def test_queue_counts_the_standing_drivers():
     speed = np.full((50, 4), 8.0)
     speed[:, :3] = 0.5
     found = collective(speed, np.full((50, 4), 10.0), np.full((50, 4), -1), PERIOD_S)

@@ -149,7 +149,7 @@ def test_many_moments_are_as_many_single_ones():
     assert mean == pytest.approx([mean_action(*s, p, ACTIONS, DT, H) for s in seen], abs=1e-12)
 
 
-def test_each_derivative_is_the_same_whichever_others_are_wanted():
+def test_each_derivative_is_independent_of_the_other_derivatives_asked_for():
     seen, p = [(2.0, 3.0, 1.0), (10.0, 8.0, 9.0), (0.5, 6.0, 2.0)], defaults()
     mean, partials = at_moments(seen, p)
     for j, k in enumerate(UTILITY):
@@ -193,7 +193,7 @@ def test_parameters_are_declared_once_and_in_bounds():
     }  # fmt: skip
 
 
-def test_bad_parameters_are_named():
+def test_errors_name_the_bad_parameter():
     p = defaults()
     p[KAPPA_V] = -1.0
     with pytest.raises(InputError, match="kappa_v: -1 s is out of bounds"):

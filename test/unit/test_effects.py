@@ -74,7 +74,7 @@ def online_steps(t, driver, row, ahead=None, adaptation=ADAPT):
     ]
 
 
-def test_the_catalogue_is_tested_whole():
+def test_every_effect_of_the_catalogue_is_tested():
     assert set(ACTING) == set(NAMES_OF_EFFECTS)
     assert len(ROW.entries) == len(ROW.declared) == ROW.width
     assert len(set(ROW.entries)) == ROW.width
@@ -194,7 +194,7 @@ def test_without_noise_the_filter_follows_the_simulator(name):
 
 @pytest.mark.parametrize("threshold", [0.02, 0.5, 4.0])
 @pytest.mark.parametrize(("wanted", "std"), [(0.0, 0.4), (0.6, 0.3), (-1.5, 1.0), (0.501, 1e-4)])
-def test_what_a_threshold_lets_through_of_an_uncertain_change(wanted, std, threshold):
+def test_a_threshold_and_an_uncertain_change_match_numerical_sums(wanted, std, threshold):
     """Mean, regression and the variance left, beside sums over the normal distribution in 200,000 equal parts."""
     p = np.array([threshold])
     want = norm.ppf((np.arange(200_000) + 0.5) / 200_000, wanted, std)

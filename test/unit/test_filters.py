@@ -255,7 +255,7 @@ def test_the_papers_gradient_is_the_slope(jam):
         assert gradient[k] == pytest.approx(slope, rel=1e-4, abs=1e-4)
 
 
-def test_smoothing_is_section_2_3():
+def test_smoothing_is_the_smoothing_of_section_2_3():
     z = np.array([0.0, 0.0, 4.0, 0.0, 0.0, 0.0, 0.0])
     assert paper.smooth(z, 1)[1:-1] == pytest.approx([1.0, 2.0, 1.0, 0.0, 0.0])
     assert np.isnan(paper.smooth(z, 2)[[0, 1, -2, -1]]).all()
@@ -263,7 +263,7 @@ def test_smoothing_is_section_2_3():
     assert paper.smoothed_speed(line, 2, DT)[2:7] == pytest.approx(3.0)
 
 
-def test_the_papers_formulation_says_what_it_cannot_take(with_holes):
+def test_the_papers_formulation_refuses_missing_and_too_few_samples(with_holes):
     with pytest.raises(InputError, match="a sample is missing"):
         paper.perceive(with_holes, 0)
     short = Trajectories(np.zeros((7, 1)), np.ones(1), np.zeros(1, int), Road(), DT)

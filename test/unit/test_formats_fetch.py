@@ -131,7 +131,7 @@ def test_an_unknown_name_and_a_bad_place(tmp_path: Path) -> None:
         fetch.fetch("sugiyama2008", tmp_path / "file")
 
 
-def test_the_licence_is_told() -> None:
+def test_the_licence_is_stated() -> None:
     licence = catalogue.CATALOGUE["sugiyama2008"].licence
     for term in ("research", "non-commercial", "New J. Phys. 10 (2008) 033001", ["11", "(2009)", "083025"][0]):
         assert term in licence

@@ -115,7 +115,7 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
     assert [m.message for m in raw] == [innovation(Encoder(INNOVATION), k) for k in range(0, 5001, 2)]
 
 
-def test_chunks_are_small_and_unneeded_ones_are_passed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_chunks_are_small_and_unneeded_chunks_are_skipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "a.mcap"
     with BagWriter(path) as bag:
         for name in ("/a", "/b"):
@@ -343,7 +343,7 @@ def test_empty_and_random_files(tmp_path: Path) -> None:
     assert "cut off" in refused(path)
 
 
-def test_every_cut_is_told(tmp_path: Path) -> None:
+def test_every_cut_is_reported(tmp_path: Path) -> None:
     whole = bag_of(tmp_path / "a.mcap", 300).read_bytes()
     path = tmp_path / "cut.mcap"
     for length in [*range(8, 200, 7), len(whole) // 2, *range(len(whole) - 60, len(whole))]:
@@ -351,7 +351,7 @@ def test_every_cut_is_told(tmp_path: Path) -> None:
         assert "cut off" in refused(path, read_all)
 
 
-def test_every_flipped_byte_is_told_or_harmless(tmp_path: Path) -> None:
+def test_every_flipped_byte_is_reported_or_harmless(tmp_path: Path) -> None:
     whole = bag_of(tmp_path / "a.mcap", 50).read_bytes()
     path = tmp_path / "flipped.mcap"
     told = []
@@ -460,7 +460,7 @@ def test_hostile_files_take_bounded_memory(tmp_path: Path) -> None:
     assert done.stdout == "all refused\n", done.stderr
 
 
-def test_an_index_that_lies_is_told_or_harmless(tmp_path: Path) -> None:
+def test_a_wrong_index_is_reported_or_harmless(tmp_path: Path) -> None:
     index = ChunkIndex(10, GIGABYTE, "zstd", 10, 0, 0, {1: GIGABYTE}, 0, 10)
     counts = Statistics(0, 1, {1: GIGABYTE}, GIGABYTE, GIGABYTE, 0, 0, 0, 1)
     body = mcap(SCHEMA, CHANNEL, Message(1, 0, b"\0\1\0\0\5\0\0\0", 0, 0), DataEnd(0), tail=b"")
@@ -534,7 +534,7 @@ def test_recover_leaves_out_what_is_damaged(tmp_path: Path) -> None:
     assert read_all(tmp_path / "c.mcap") == done.messages
 
 
-def test_recover_of_a_whole_file_loses_nothing(tmp_path: Path) -> None:
+def test_recover_of_an_intact_file_loses_nothing(tmp_path: Path) -> None:
     done = recover(bag_of(tmp_path / "a.mcap", 100), tmp_path / "b.mcap")
     assert (done.messages, done.lost_bytes, done.start_ns, done.end_ns) == (100, 0, 0, 99_000_000)
 

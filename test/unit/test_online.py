@@ -34,7 +34,7 @@ def follow(t, driver, online, samples=None):
 
 
 @pytest.mark.parametrize(("place", "k", "vehicles", "tolerance"), [(SIGMA_NU, 0, 1, 1e-6), (SIGMA_A, 1, 3, 0.3)])
-def test_sensitivities_to_the_noises_are_what_differences_say(jam, place, k, vehicles, tolerance):
+def test_sensitivities_to_the_noises_equal_difference_quotients(jam, place, k, vehicles, tolerance):
     """Exact where the model is linear; of a chain within a third, since its F depends on the covariance too."""
     fixed = Learning((1e-9, 1e-9))
     online = OnlineFilter(DT, jam.road, defaults(), adaptation=Adaptation(), learning=fixed, vehicles=vehicles)
@@ -101,7 +101,7 @@ def changes(t, driver):
     return found, online
 
 
-def test_a_driver_who_wants_to_go_slower_is_noticed_and_followed():
+def test_a_fall_of_the_desired_speed_is_noticed_and_followed():
     """On a road where all drive about as fast as they like: 8 of 8 within 10 s with this seed; 67 of 68 over others."""
     t, who = changing(0.85, 400.0, 3)
     assert len(who) == 8
@@ -119,13 +119,13 @@ def test_a_driver_who_wants_to_go_slower_is_noticed_and_followed():
     assert soon >= 7
 
 
-def test_who_does_not_change_is_left_alone():
+def test_drivers_who_do_not_change_raise_few_alarms():
     """One false alarm in two hours of a driver is allowed: of 22 drivers in 200 s 0.6, so more than 4 are too many."""
     t, _ = changing(1.0, 400.0, 5)
     assert sum(len(changes(t, driver)[0]) for driver in range(22)) <= 4
 
 
-def test_a_filter_that_is_started_again_goes_on_from_what_was_learnt(jam):
+def test_a_restarted_filter_continues_from_what_was_learnt(jam):
     """After 75 of 150 s the process dies; 15 s after the restart it knows what one that was never interrupted knows."""
     chain = chain_behind(jam, 7)
     samples = list(zip(chain.position_m, chain.identity, chain.length_m, strict=True))
@@ -143,7 +143,7 @@ def test_a_filter_that_is_started_again_goes_on_from_what_was_learnt(jam):
     assert np.sqrt(np.diag(again.learnt.covariance)) == pytest.approx(std, rel=0.2)
 
 
-def test_what_the_samples_do_not_tell_is_said(jam):
+def test_parameters_are_identified_once_the_samples_determine_them(jam):
     """Of the first seconds nothing; in the end of nearly all drivers everything, but for v* of who is never free."""
     identified = []
     for driver in range(22):
@@ -171,7 +171,7 @@ def test_an_effect_of_the_measurement_leaves_the_allowance_for_outliers(jam):
     assert min(densities[0][40:]) == densities[0][50] < -3.0
 
 
-def test_the_type_of_a_driver_is_told(jam):
+def test_the_probability_of_a_drivers_type_is_right(jam):
     """Of two types that share the jam, one with half as much again of risk premium; noises are the same."""
     rows = np.array([defaults(), defaults()])
     rows[:, KAPPA_V] = 0.21, 0.32

@@ -112,7 +112,7 @@ def test_many_rows_at_once_are_each_alone():
     assert np.array_equal(both, alone, equal_nan=True)
 
 
-def test_nobody_drives_backward():
+def test_no_driver_drives_backward():
     """Behind a leader who stands, 3 m ahead of bumpers, a driver from 1 m/s stops and stays."""
     still = np.zeros(60)
     speed = np.full(60, 1.0)
@@ -132,7 +132,7 @@ def test_parameters_stay_within_their_bounds_where_the_data_say_nothing(law, fun
     assert all(p.lower <= q <= p.upper for p, q in zip(law.parameters, found.parameters, strict=True))
 
 
-def test_too_little_data_is_said_in_one_line():
+def test_too_little_data_is_one_clear_line():
     f = following(follow(idm, TRUTH["idm"]))
     with pytest.raises(InputError, match=r"^vehicle 7: 5 samples cannot determine 5 parameters of idm; give more$"):
         fit_gaps(LAWS[0], f, np.arange(450) < 6)

@@ -45,7 +45,7 @@ def test_every_study_answers(name, jam, tmp_path, monkeypatch):
     assert sum(len(axes.lines) + len(axes.collections) + len(axes.patches) for axes in figure.axes) > 0
 
 
-def test_an_unknown_study_and_missing_data_are_said_so():
+def test_an_unknown_study_and_missing_data_are_one_clear_line():
     with pytest.raises(InputError, match="study 'weather': not known; choose among recovery"):
         study("weather")
     with ThreadPoolExecutor(1) as work, pytest.raises(InputError, match="needs measured drivers"):
