@@ -1,4 +1,4 @@
-"""The bytes that are made by hand equal the bytes of rclpy."""
+"""The bytes of this package's encoders equal the bytes of rclpy."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from sugiyama_ros.nodes.base import cdr_messages
 
 
 def an_estimate(seed: int) -> Estimate:
-    """Any numbers."""
+    """An estimate with arbitrary numbers."""
     rng = np.random.default_rng(seed)
     n = iter(rng.normal(size=20).tolist())
     return Estimate(

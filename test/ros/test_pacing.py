@@ -6,7 +6,7 @@ from sugiyama_ros.nodes.base.pacing import Levels, Pace
 
 
 def send_all(pace: Pace) -> int:
-    """Send as much as is allowed; how much that was."""
+    """Send as many steps as allowed, and return their number."""
     count = 0
     while pace.may_send and count < 1000:
         pace.sent()
@@ -73,10 +73,10 @@ def test_a_restart_forgets_earlier_reports() -> None:
     pace.heard("/a", 8, 0.0)
     assert pace.drained
     pace.restart(2)
-    pace.heard("/a", 8, 0.1)  # a repetition of what was said before the restart
+    pace.heard("/a", 8, 0.1)  # a repetition of a report from before the restart
     assert pace.acknowledged == 2
     assert send_all(pace) == 8
-    # Step 10 has been sent, so 8 can be told now, wrongly: at most one window too far.
+    # Step 10 has been sent, so an old report of 8 is taken for a new one: at most one window too far.
     pace.heard("/a", 8, 0.2)
     assert send_all(pace) <= 8
 

@@ -1,4 +1,4 @@
-"""The main job as a whole: nothing is lost, and nothing hangs."""
+"""The main job from end to end: nothing is lost, and nothing hangs."""
 
 import os
 import signal
@@ -112,7 +112,7 @@ def test_an_estimator_that_stops_is_left_behind(
     monkeypatch.setattr(PacedNode, "beat", lambda self: None if is_stuck(self) else beat(self))
     result = run(ring_csv, tmp_path / "out.mcap", ring_m=100.0)
     assert result.steps == 200
-    # State and innovation of this driver in 150 steps, and nothing of the others.
+    # State and innovation of this driver in 150 steps; nothing of the other drivers is missing.
     assert result.messages_lost == 300
     with Bag(tmp_path / "out.mcap") as bag:
         counts = {topic.name: topic.count for topic in bag.info().topics}
@@ -219,7 +219,7 @@ def test_namespaces_have_as_many_digits_as_needed() -> None:
 
 
 def test_a_run_that_is_refused_leaves_no_road_behind(ring_csv, tmp_path):
-    """Its road would be believed by the next run of the same process, in the same domain."""
+    """The next run of this process is in the same DDS domain and would take the road for its own."""
     with pytest.raises(OutputError):
         run(ring_csv, tmp_path / "nowhere/refused.mcap")
     kept = tmp_path / "kept.mcap"

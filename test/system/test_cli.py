@@ -1,4 +1,4 @@
-"""The command line as a user meets it: what goes wrong is one line and exit code 2, what goes right is one document."""
+"""The command line as a user sees it: an error is one line and exit code 2, a result is one document."""
 
 import json
 import os
@@ -21,7 +21,7 @@ GOOD = "time_s,vehicle,position_m\n" + "".join(f"{0.5 * t},{v},{20 * v + 4 * t}\
 def sugiyama(monkeypatch, capfd):
     """Run a command in this process: exit code, stdout, stderr."""
 
-    # a run chooses a ROS domain for its process; the next one chooses anew
+    # a run chooses a ROS domain for its process; the next run chooses anew
     for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_DOMAIN_ID"):
         monkeypatch.setenv(name, "")
         monkeypatch.delenv(name)
@@ -99,7 +99,7 @@ def test_bad_bags(sugiyama, here, kind, command):
     more = {"echo": ["/measured"], "convert": ["out.mcap"], "run": ["-o", "out.mcap"]}.get(command, [])
     result = sugiyama(command, "bad.mcap", *more)
     if (kind, command) in {("cut", "recover"), ("cut", "info")}:
-        # what is whole of a cut file can be told and saved
+        # the intact part of a cut file can be described and saved
         assert result[0] in (0, 2)
     else:
         one_line(result, "bad.mcap")
@@ -147,7 +147,7 @@ def test_a_refused_output_leaves_what_was_there(sugiyama, here):
 
 
 def test_a_full_disk_is_one_line(sugiyama, here):
-    """On a file system of 64 kB; where mounting is not allowed there is nothing to test."""
+    """The file system has 64 kB. The test is skipped where mounting is not allowed."""
     small = here / "small"
     small.mkdir()
     mounted = subprocess.run(

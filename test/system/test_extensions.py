@@ -121,7 +121,7 @@ grid = mine:FORMAT
 made_up = mine:STUDY
 """
 STAGES = ("nearsighted", "hurried", "gentle", "weak", "half", "syrup", "displaced")
-#: Runs commands one after the other: reads argument lists from standard input, prints exit code and output of each.
+#: Program that runs commands in turn: it reads lists of arguments from standard input, and prints codes and outputs.
 COMMANDS = """
 import contextlib, io, json, sys
 from sugiyama_ros.cli import main
@@ -139,7 +139,7 @@ for arguments in json.load(sys.stdin):
 
 @pytest.fixture(scope="module")
 def answers(tmp_path_factory):
-    """What each command said, by a short name."""
+    """Exit code and output of each command, by a short name."""
     folder: Path = tmp_path_factory.mktemp("extensions")
     about = folder / "mine-1.0.dist-info"
     about.mkdir()
@@ -192,7 +192,7 @@ def document(answer):
 @pytest.mark.parametrize("name", STAGES)
 def test_an_effect_of_each_stage_is_simulated(answers, name):
     base, with_it = document(answers["simulate"]), document(answers[f"simulate {name}"])
-    if name == "displaced":  # acts on what is measured, not on the drivers
+    if name == "displaced":  # this effect acts on the measurement, not on the drivers
         assert with_it["second_half"] == base["second_half"]
     else:
         assert with_it["second_half"] != base["second_half"]

@@ -1,4 +1,4 @@
-"""Compiled code is not used any more once a file that it was made of has changed; importing changes nothing."""
+"""Code is compiled anew once a file that it was made of has changed. Importing changes nothing."""
 
 import importlib
 import os
@@ -69,7 +69,7 @@ def test_kernels_of_a_changed_file_are_compiled_anew(tmp_path):
     assert run() == "10.0"
 
 
-LEAN = """
+IMPORT = """
 import os, sys
 from pathlib import Path
 before = dict(os.environ)
@@ -82,6 +82,6 @@ assert sugiyama_ros.__version__
 
 
 def test_importing_the_package_changes_nothing_and_loads_little(tmp_path):
-    done = subprocess.run([sys.executable, "-c", LEAN], cwd=tmp_path, capture_output=True, text=True, check=False)
+    done = subprocess.run([sys.executable, "-c", IMPORT], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert not list(tmp_path.iterdir())
