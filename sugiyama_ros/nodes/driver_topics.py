@@ -32,7 +32,7 @@ class DriverTopics:
         self._node = node
         self._vehicle = vehicle
         self._types = types
-        #: Names of the parameters that the samples so far do not tell.
+        #: Names of the parameters that the samples so far do not determine.
         self.not_identified: list[str] = []
         self._stamp_ns: int | None = None
         self._to_state = node.create_publisher(VehicleState, "state", STREAM)

@@ -35,7 +35,7 @@ class RunResult:
     wall_s : float
         Time [s] from the start of the nodes to the closed file.
     real_time_factor : float
-        Duration of the recording, divided by the time from the first sample sent to the last one taken [1].
+        Duration of the recording, divided by the time from the first sample sent to the last sample taken [1].
     output : Path
         The file.
     interrupted : bool
@@ -57,7 +57,7 @@ class RunResult:
 
 
 class _Monitor(Node):
-    """Hears how far every node has come, and how much it has published."""
+    """Receives how far every node has come, and how much it has published."""
 
     def __init__(self) -> None:
         super().__init__("monitor", start_parameter_services=False)
@@ -154,7 +154,7 @@ def _result(plan: Plan, monitor: _Monitor, wall_s: float, interrupted: bool) -> 
     counts, drivers = read_run(plan.output)
     published = sum(message.published for message in monitor.last.values())
     recorded = sum(counts.values())
-    # What an estimator missed was never published either: the topics of its driver are short of messages.
+    # For a sample that an estimator missed, it published nothing: its topics then have too few messages.
     short = sum(monitor.steps - counts.get(topic, 0) for topic in plan.step_topics)
     return RunResult(
         steps=monitor.steps,

@@ -42,7 +42,7 @@ class OneProcess:
             if plan.settings.critic:
                 self.nodes.append(Critic())
             self._followers = self.nodes[1:]
-            # Last, so that it finds the topics of all the others at once.
+            # The recorder comes last, so that it finds the topics of all other nodes at once.
             self._recorder = Recorder(parameter_overrides=_overrides(plan.recorder))
             self.nodes.append(self._recorder)
         except SugiyamaError:
