@@ -15,7 +15,7 @@ from mcap.writer import CompressionType, Writer
 from sugiyama_ros.errors import InputError, OutputError
 from sugiyama_ros.formats.definitions import full_text, type_hash
 
-#: Chunks are closed at this size [bytes]; small ones bound what a crash can lose.
+#: Chunks are closed at this size [bytes]; small chunks limit what a crash can lose.
 _CHUNK_SIZE = 256 << 10
 #: Longest wall time [s] for which written messages may stay in memory.
 _FLUSH_S = 1.0
@@ -46,7 +46,7 @@ class Qos:
         )
 
 
-#: Offer of a topic whose last message must reach late subscribers.
+#: Quality of service of a topic whose last message must reach late subscribers.
 LATCHED_TOPIC = Qos(durability="transient_local", depth=1)
 
 
@@ -54,8 +54,8 @@ class BagWriter:
     """Writes serialized messages to an MCAP file; use it in a ``with`` block.
 
     The file appears under its name when the block ends without an error. Until then the messages are in ``FILE.part``;
-    after a crash, ``sugiyama recover`` makes a file of it. An error in the block removes it, but what was flushed
-    before a disk failed stays.
+    after a crash, ``sugiyama recover`` makes a complete file from it. An error in the block removes this
+    file. If the disk fails, the messages that were flushed before stay.
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ class BagWriter:
             raise failed from None
 
     def _discard(self) -> None:
-        """Remove the file, but keep what was flushed before a disk failed."""
+        """Remove the unfinished file, but keep what was flushed before a disk failed."""
         # A full disk refuses the rest of the buffer, but the file is closed.
         with suppress(OSError):
             self._stream.close()
@@ -171,7 +171,7 @@ class BagWriter:
             self.part.unlink(missing_ok=True)
 
     def _failed(self, error: OSError) -> OutputError:
-        """Error to raise for a disk that refuses."""
+        """Error to raise where the disk refuses to write."""
         cure = "free some space" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "choose another place"
         kept = f"; what was flushed before is in {self.part} (`sugiyama recover`)" if self._kept else ""
         return OutputError(f"{self.path}: cannot be written: {error.strerror}; {cure}{kept}")
