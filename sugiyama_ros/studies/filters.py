@@ -127,6 +127,6 @@ def _answer(asked: Asked) -> Answer:
 STUDY = Study(
     name="filters",
     question="Which filter learns a driver's preferences best while they drive?",
-    paper="Its outlook: inference while people drive is left to later work.",
+    paper="Inference while people drive is left to later work (outlook).",
     answer=_answer,
 )
