@@ -124,7 +124,7 @@ def test_bad_bags(sugiyama, here, kind, command):
         (("simulate", "-o", "out.csv", "--set", "speed=3"), ("speed", "v_star")),
         (("simulate", "-o", "out.csv", "--set", "v_star=-3"), ("v_star", "bounds")),
         (("simulate", "-o", "out.csv", "--set", "v_star=nan"), ("v_star", "bounds")),
-        (("simulate", "-o", "out.csv", "--ring", "50"), ("--ring 50", "22 vehicles")),
+        (("simulate", "-o", "out.csv", "--ring", "50"), ("ring of 50 m", "22 vehicles")),
         (("simulate", "-o", "nowhere/out.csv"), ("nowhere",)),
         (("fetch", "sugiyama1999"), ("sugiyama1999", "sugiyama2008")),
         (("info", "missing.mcap"), ("missing.mcap",)),
