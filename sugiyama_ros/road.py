@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sugiyama_ros.arrays import Array as Array
-from sugiyama_ros.arrays import Ints as Ints
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
 
 
