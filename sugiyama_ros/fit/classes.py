@@ -18,6 +18,7 @@ from sugiyama_ros.filters.paper import Scored
 from sugiyama_ros.fit.bounds import LogSpace, log_space
 from sugiyama_ros.fit.driver import Fit, Job, carry_out
 from sugiyama_ros.fit.scoring import damped_step, limited
+from sugiyama_ros.fit.standard_errors import untouched
 
 # Maximum number of steps; the search ends when a step gains less than this [nats]; longest step of a logarithm.
 _STEPS, _ENOUGH, _LONGEST = 60, 0.05, 0.3
@@ -99,7 +100,8 @@ def find_classes(jobs: Sequence[Job], count: int, samples: int, seed: int, work:
     std = np.zeros_like(rows)
     for k, information_of_class in enumerate(_expected(scores, probability)[1]):
         held = information_of_class[np.ix_(places, places)]
-        std[k, places] = np.sqrt(np.maximum(np.diag(np.linalg.pinv(held, hermitian=True)), 0.0))
+        found = np.sqrt(np.maximum(np.diag(np.linalg.pinv(held, hermitian=True)), 0.0))
+        std[k, places] = np.where(untouched(held, rows[k, places]), np.inf, found)
     order = np.argsort(-share)
     free = count * len(places) + count - 1
     bic = -2.0 * float(value.sum()) + free * float(np.log(samples))
