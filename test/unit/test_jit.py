@@ -14,7 +14,7 @@ from sugiyama_ros import jit
 def package(tmp_path, monkeypatch):
     (tmp_path / "driver").mkdir()
     (tmp_path / "driver/utility.py").write_text("a = 1\n")
-    monkeypatch.setattr(jit, "_PACKAGE", tmp_path)
+    monkeypatch.setattr(jit, "PACKAGE", tmp_path)
     yield tmp_path
     jit.state.cache_clear()
 
@@ -55,7 +55,7 @@ def test_kernels_of_a_changed_file_are_compiled_anew(tmp_path):
     """A kernel that calls a function in another file must not go on with the old function."""
     (tmp_path / "callee.py").write_text("from sugiyama_ros.jit import kernel\n@kernel\ndef f(x):\n    return x + 1.0\n")
     (tmp_path / "caller.py").write_text(
-        "from sugiyama_ros import jit\nfrom pathlib import Path\njit._PACKAGE = Path(__file__).parent\n"
+        "from sugiyama_ros import jit\nfrom pathlib import Path\njit.PACKAGE = Path(__file__).parent\n"
         "jit.MADE_OF = ('*.py',)\nfrom callee import f\n@jit.kernel\ndef g(x):\n    return f(x)\nprint(g(1.0))\n"
     )
     environment = os.environ | {"PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "compiled")}
