@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.optimize import basinhopping
 
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import NAMES, SIGMA_A, defaults, index, population
@@ -210,6 +209,9 @@ def carry_out(job: Job) -> Fit:
 
 def _hop(job: Job) -> Array:
     """Parameters (P,) of the best of many local searches (Wales and Doye, J. Phys. Chem. A 101 (1997) 5111)."""
+    # Imported here: scipy.optimize takes longer to load than all drivers take to fit, and few fits hop.
+    from scipy.optimize import basinhopping
+
     space = job.space
 
     def at(x: Array) -> tuple[float, Array]:
