@@ -9,6 +9,7 @@ PACKAGE = Path(__file__).parents[2] / "sugiyama_ros"
 #: Every room may import those above it, and errors.
 ORDER = (
     "arrays",
+    "entry_points",
     "jit",
     "progress",
     "plugins",
@@ -35,7 +36,7 @@ ORDER = (
     "cli",
 )
 #: Single files that no reader needs to know about.
-SMALL = {"progress", "plugins", "picture", "results", "plots", "tables"}
+SMALL = {"entry_points", "progress", "plugins", "picture", "results", "plots", "tables"}
 #: Rooms that know nothing of drivers, whatever the order allows.
 ALONE = {
     "page": {"arrays", "formats", "plots", "progress", "results", "road", "tables", "trajectories"},
