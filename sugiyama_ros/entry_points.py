@@ -2,6 +2,7 @@
 
 from functools import cache
 from importlib import metadata
+from typing import Any
 
 
 def entry_points(group: str) -> tuple[metadata.EntryPoint, ...]:
@@ -23,7 +24,7 @@ def entry_points(group: str) -> tuple[metadata.EntryPoint, ...]:
 
 
 @cache
-def _installed() -> metadata.EntryPoints:
+def _installed() -> Any:  # of another class in Python 3.10
     return metadata.entry_points()
 
 

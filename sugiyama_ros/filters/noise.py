@@ -189,7 +189,8 @@ def _learn_one(sample: _Sample, centre: Array, mean: Array, covariance: Array) -
     covariance[0, 0], covariance[0, 1], covariance[1, 0], covariance[1, 1] = nu_nu, nu_a, nu_a, a_a
     mean[0] += min(max(nu_nu * score_nu + nu_a * score_a, -_STEP), _STEP)
     mean[1] += min(max(nu_a * score_nu + a_a * score_a, -_STEP), _STEP)
-    return -0.5 * (math.log(own_var) + scale)
+    density: float = -0.5 * (math.log(own_var) + scale)
+    return density
 
 
 @kernel
@@ -285,7 +286,9 @@ class NoiseLearner:
 
     def update(self, kalman: Any, measures: Array, own_noise_var: float) -> None:
         """After the filter's update; own_noise_var: of the first measured position, 0 if it is not the driver's."""
-        _update(measures, kalman.K, kalman.SI, kalman.y, own_noise_var, self.d_mean, self.d_covariance)
+        # one layout, so that one version of the function is compiled
+        weight = np.ascontiguousarray(kalman.SI)
+        _update(measures, kalman.K, weight, kalman.y, own_noise_var, self.d_mean, self.d_covariance)
 
     def start(self, covariance: Array) -> None:
         """Begin with the filter, which has just begun to follow the driver with this covariance."""

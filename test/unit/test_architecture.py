@@ -34,6 +34,7 @@ ORDER = (
     "api",
     "nodes",
     "cli",
+    "compile",
 )
 #: Single files that no reader needs to know about.
 SMALL = {"entry_points", "progress", "plugins", "picture", "results", "plots", "tables"}
