@@ -13,12 +13,13 @@ import contextlib
 import hashlib
 from collections.abc import Callable
 from functools import cache
-from importlib.metadata import entry_points
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar, overload
 
 from numba import njit
+
+from sugiyama_ros.entry_points import entry_points
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 PACKAGE = Path(__file__).parent
@@ -100,7 +101,7 @@ def state() -> str:
     stats = [(path, path.stat()) for pattern in MADE_OF for path in sorted(PACKAGE.glob(pattern))]
     found: list[object] = [(str(path.relative_to(PACKAGE)), s.st_mtime_ns, s.st_size) for path, s in stats]
     for group in GROUPS:
-        for point in sorted(entry_points(group=group), key=lambda point: point.name):
+        for point in entry_points(group):
             found.append((group, point.name, point.value, _stat_of(point.module)))
     found.append(sorted(OPTIONS))
     return hashlib.sha256(repr(found).encode()).hexdigest()

@@ -12,8 +12,6 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.calibration.result import Calibration, Settings
-from sugiyama_ros.diagnosis.candidates import named
-from sugiyama_ros.diagnosis.screen import with_candidate
 from sugiyama_ros.driver.parameters import NAMES, index
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
@@ -22,9 +20,6 @@ from sugiyama_ros.fit.checkpoint import Checkpoint
 from sugiyama_ros.fit.classes import find_classes
 from sugiyama_ros.fit.driver import Fit, SearchOptions, calibrate, job_of
 from sugiyama_ros.fit.intervals import quadratic
-from sugiyama_ros.fit.model_file import stds_of
-from sugiyama_ros.fit.population import fit_base
-from sugiyama_ros.fit.recording import prepare
 from sugiyama_ros.progress import OnProgress
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
@@ -202,6 +197,13 @@ def pooled(trajectories: Trajectories, settings: Settings, effects: Sequence[str
     InputError
         For an unknown effect, or a recording that is too short.
     """
+    # Imported here: drivers who are calibrated alone need no search for effects, which takes long to load.
+    from sugiyama_ros.diagnosis.candidates import named
+    from sugiyama_ros.diagnosis.screen import with_candidate
+    from sugiyama_ros.fit.model_file import stds_of
+    from sugiyama_ros.fit.population import fit_base
+    from sugiyama_ros.fit.recording import prepare
+
     data = prepare(trajectories)
     chosen = named(data, effects)
     fitted = fit_base(data, [index(name) for name in settings.estimated], work)

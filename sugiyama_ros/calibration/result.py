@@ -11,7 +11,6 @@ from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.classes import Classes
 from sugiyama_ros.fit.driver import ESTIMATED, Formulation
 from sugiyama_ros.fit.driver_types import DriverTypes
-from sugiyama_ros.fit.model_file import write_drivers
 from sugiyama_ros.plots import BLUE
 from sugiyama_ros.results import Result
 from sugiyama_ros.tables import TextTable
@@ -98,6 +97,9 @@ class Calibration(Result):
         OutputError
             If the file cannot be written.
         """
+        # Imported here: a calibration that is only printed starts sooner without the code of joint fits.
+        from sugiyama_ros.fit.model_file import write_drivers
+
         total, types = float(self.log_likelihood.sum()), None
         if self.classes is not None:
             types = DriverTypes(self.classes.share, self.classes.rows)

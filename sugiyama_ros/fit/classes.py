@@ -10,8 +10,6 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.cluster.vq import kmeans2
-from scipy.special import logsumexp
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.filters.paper import Scored
@@ -145,6 +143,9 @@ def _score(task: tuple[Job, Array, Sequence[Array] | None]) -> list[Scored]:
 
 def _posterior(scores: Sequence[Sequence[Scored]], share: Array) -> tuple[Array, Array]:
     """Log-likelihood (N,) of the mixture, and probabilities (N, K) of the classes."""
+    # Imported here, and kmeans2 below too: only a search for classes needs scipy, which takes long to load.
+    from scipy.special import logsumexp
+
     joint = np.array([[s.log_likelihood for s in one] for one in scores]) + np.log(share)
     value = logsumexp(joint, axis=1)
     return value, np.exp(joint - value[:, None])
@@ -152,6 +153,8 @@ def _posterior(scores: Sequence[Sequence[Scored]], share: Array) -> tuple[Array,
 
 def _divided(fits: Sequence[Fit], job: Job, count: int, seed: int) -> Array:
     """Parameters (K, P) of the classes at the start: centres of clusters of the fits of single drivers."""
+    from scipy.cluster.vq import kmeans2
+
     points = np.log(np.abs([fit.parameters[job.places] for fit in fits]))
     middle, spread = np.median(points, axis=0), np.maximum(np.std(points, axis=0), 1e-6)
     clipped = np.clip((points - middle) / spread, -_FAR, _FAR)

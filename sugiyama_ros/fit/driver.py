@@ -9,13 +9,11 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.optimize import basinhopping
 
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import NAMES, SIGMA_A, defaults, index, population
 from sugiyama_ros.filters import paper
 from sugiyama_ros.filters.chain import CHAIN, Chain
-from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.paper import Scored
 from sugiyama_ros.fit.bounds import LogSpace, log_space, upper_bounds
 from sugiyama_ros.fit.driver_score import causal_score, regularised
@@ -197,6 +195,8 @@ def carry_out(job: Job) -> Fit:
 
 def _hop(job: Job) -> Array:
     """Parameters (P,) of the best of many local searches (Wales and Doye, J. Phys. Chem. A 101 (1997) 5111)."""
+    from scipy.optimize import basinhopping  # here, because it loads slowly and few fits hop
+
     space = job.space
 
     def at(x: Array) -> tuple[float, Array]:
@@ -324,6 +324,8 @@ def job_of(
     one = Job(vehicle, known.get(vehicle, begin), places, upper)
     if formulation == "paper":
         return replace(one, perceived=paper.perceive(trajectories, driver))
+    from sugiyama_ros.filters.extract import chain_behind  # here, because the paper's formulation starts without it
+
     chain = chain_behind(trajectories, driver)
     ahead = [known.get(_most(chain.identity[:, m]), population()) for m in range(1, CHAIN)]
     return replace(one, chain=chain, ahead=np.array(ahead))

@@ -9,6 +9,7 @@ from rclpy.node import Node
 from sugiyama_msgs.msg import Progress
 
 from sugiyama_ros.errors import SugiyamaError
+from sugiyama_ros.filters.online import warm_up
 from sugiyama_ros.nodes.base import environment
 from sugiyama_ros.nodes.base.qos import PROGRESS_IN
 from sugiyama_ros.nodes.base.spin import Spinner, ros
@@ -17,7 +18,8 @@ from sugiyama_ros.nodes.results import DriverResult, read_run
 from sugiyama_ros.nodes.runners import OneProcess, Processes
 from sugiyama_ros.progress import OnProgress
 
-_START_S = 60.0
+#: Time [s] in which every node must be heard of, once all code is compiled.
+START_S = 60.0
 
 
 @dataclass(frozen=True)
@@ -118,6 +120,9 @@ def run(
     """
     environment.isolate()
     plan = Plan.read(source, output, RunSettings(**settings))
+    # Now, so that compiling, which may take a minute after an installation, does not count as time that a node is not
+    # heard of, and so that the processes of estimators find compiled code and do not all compile at once.
+    warm_up()
     began = time.monotonic()
     with ros() as asked_to_stop:
         monitor = _Monitor()
@@ -145,8 +150,8 @@ def run(
 def _check_started(plan: Plan, monitor: _Monitor, began_s: float) -> None:
     """Raise SugiyamaError where a node has not been heard of for too long."""
     missing = {REPLAY, RECORDER, *plan.followers} - set(monitor.last)
-    if missing and time.monotonic() - began_s > _START_S:
-        raise SugiyamaError(f"{min(missing)}: not heard of after {_START_S:.0f} s; is the machine overloaded?")
+    if missing and time.monotonic() - began_s > START_S:
+        raise SugiyamaError(f"{min(missing)}: not heard of after {START_S:.0f} s; is the machine overloaded?")
 
 
 def _result(plan: Plan, monitor: _Monitor, wall_s: float, interrupted: bool) -> RunResult:

@@ -13,7 +13,6 @@ from typing import Any
 from rclpy.parameter import Parameter
 
 from sugiyama_ros.errors import SugiyamaError
-from sugiyama_ros.filters.online import warm_up
 from sugiyama_ros.nodes.base.node import PacedNode
 from sugiyama_ros.nodes.base.spin import RUNNER, Spinner
 from sugiyama_ros.nodes.critic import Critic
@@ -78,8 +77,6 @@ class Processes:
         self.nodes: list[PacedNode] = []
         self._logs = Path(tempfile.mkdtemp(prefix="sugiyama-"))
         self._stopped = False
-        # so that the estimators find compiled code and do not all compile at once
-        warm_up()
         self._children: dict[str, subprocess.Popen[bytes]] = {}
         self._start(RECORDER, "recorder", plan.recorder)
         for name in plan.estimators:

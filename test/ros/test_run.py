@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -49,6 +50,26 @@ def test_nothing_is_lost_at_full_speed(ring_csv: Path, tmp_path: Path, processes
     assert told == sorted(told)
     assert told[-1][1] == 200
     assert sorted(p.name for p in tmp_path.iterdir()) == ["out.mcap", "ring.csv"]
+
+
+def test_compiling_does_not_count_as_time_that_a_node_is_not_heard_of(
+    ring_csv: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The clock of the main job jumps while the code is compiled, by more than nodes get to be heard of."""
+    main_job = sys.modules[run.__module__]
+    passed = [0.0]
+    compile_now = main_job.warm_up
+
+    def compile_slowly() -> None:
+        compile_now()
+        passed[0] += 10.0 * main_job.START_S
+
+    monkeypatch.setattr(main_job, "time", SimpleNamespace(monotonic=lambda: time.monotonic() + passed[0]))
+    monkeypatch.setattr(main_job, "warm_up", compile_slowly)
+    result = run(ring_csv, tmp_path / "out.mcap", ring_m=100.0)
+    assert_nothing_lost(result, tmp_path / "out.mcap")
+    assert passed[0] > main_job.START_S
+    assert result.wall_s < passed[0]
 
 
 def test_the_recorded_positions_equal_the_positions_read(ring_csv: Path, tmp_path: Path) -> None:

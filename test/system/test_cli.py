@@ -53,6 +53,28 @@ def one_line(result, *words):
     assert all(word in err for word in words), err
 
 
+LOADED = """
+import sys
+from sugiyama_ros import cli
+try:
+    cli.main()
+except SystemExit as end:
+    assert not end.code, end.code
+loaded = {name.partition(".")[0] for name in sys.modules}
+assert not loaded & {"numba", "scipy", "filterpy", "rclpy"}, loaded
+"""
+
+
+@pytest.mark.parametrize(
+    "arguments", [["--help"], ["--version"], ["info", "good.mcap"], ["echo", "good.mcap", "/road"]]
+)
+def test_short_commands_load_no_compiled_code(sugiyama, here, arguments):
+    assert sugiyama("convert", "good.csv", "good.mcap")[0] == 0
+    done = subprocess.run([sys.executable, "-c", LOADED, *arguments], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout
+
+
 BAD_CSV = {
     "empty": ("", ("bad.csv", "empty")),
     "header only": ("time_s,vehicle,position_m\n", ("bad.csv",)),

@@ -8,6 +8,7 @@ import sys
 import pytest
 
 from sugiyama_ros import jit
+from sugiyama_ros.entry_points import search_again
 
 
 @pytest.fixture
@@ -16,10 +17,12 @@ def package(tmp_path, monkeypatch):
     (tmp_path / "driver/utility.py").write_text("a = 1\n")
     monkeypatch.setattr(jit, "PACKAGE", tmp_path)
     yield tmp_path
+    search_again()
     jit.state.cache_clear()
 
 
 def state():
+    search_again()
     jit.state.cache_clear()
     return jit.state()
 
