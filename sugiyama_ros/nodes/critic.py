@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 from rcl_interfaces.msg import ParameterDescriptor
-from sugiyama_msgs.msg import Verdict
 from sugiyama_msgs.msg import Road as RoadMessage
+from sugiyama_msgs.msg import Verdict
 from sugiyama_msgs.srv import AddEffect
 
 from sugiyama_ros.driver.parameters import NAMES, population
