@@ -131,9 +131,9 @@ class RecordWriter:
         start, packed = self._stream.tell(), _bytes([chunk])
         indexes = {number: _message_index(number, index) for number, index in self._index.items()}
         offsets, at = {}, start + len(packed)
-        for number, index in indexes.items():
+        for number, record in indexes.items():
             offsets[number] = at
-            at += len(index)
+            at += len(record)
         self._stream.write(packed + b"".join(indexes.values()))
         self._chunks.append(
             ChunkIndex(
@@ -180,7 +180,7 @@ def _bytes(records: Iterable[Any]) -> bytes:
     builder = RecordBuilder()
     for record in records:
         record.write(builder)
-    return builder.end()
+    return bytes(builder.end())  # type: ignore[no-untyped-call]
 
 
 def _message_index(channel: int, index: list[int]) -> bytes:
