@@ -131,6 +131,21 @@ class Trajectories(Result):
                 leader[first:last, on_road] = _leaders(filled[first:last][:, on_road], on_road, self.road)
         return leader
 
+    @cached_property
+    def follower(self) -> Ints:
+        """(T, N): index of the vehicle whose leader is the vehicle of this column, -1 where there is none.
+
+        The first of several vehicles with the same leader counts. The table is made once for all drivers.
+        """
+        vehicles = self.leader.shape[1]
+        follower = np.empty(self.leader.shape, dtype=np.int64)
+        for behind, leader, present in zip(follower, self.leader, self.present, strict=True):
+            followers = np.flatnonzero((leader >= 0) & present)
+            first = np.full(vehicles, vehicles)
+            np.minimum.at(first, leader[followers], followers)
+            behind[:] = np.where(first < vehicles, first, -1)
+        return follower
+
     @property
     def _filled(self) -> Array:
         """Continuous positions [m], with straight lines in place of missing samples; shape (T, N)."""
