@@ -20,8 +20,8 @@ ONSET_S, WATCHED_S = 2.0, 30.0
 BETWEEN_FALSE_S = 7200.0
 #: Prior standard deviation of a jump of a logarithm.
 JUMP_STD = 0.15
-# Normalised innovation beyond which a sample tells no more: one gross error is no change of style.
-_LARGEST = 3.5
+#: Normalised innovation beyond which a sample tells no more: one gross error is no change of style.
+LARGEST = 3.5
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class StyleAlarm:
 
     def observe(self, innovation: float, variance: float) -> None:
         """Take in the driver's own innovation [m] and its variance, before the filter is updated with it."""
-        bound = _LARGEST * math.sqrt(variance)
+        bound = LARGEST * math.sqrt(variance)
         signature = self._signature[0]
         self._known += signature * signature / variance
         self._seen += signature * (min(max(innovation, -bound), bound) / variance)

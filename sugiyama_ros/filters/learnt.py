@@ -8,7 +8,7 @@ from scipy.linalg import block_diag
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import NAMES
 from sugiyama_ros.effects.registry import ROW
-from sugiyama_ros.filters.kalman import ChainKalman
+from sugiyama_ros.filters.engine import Engine
 from sugiyama_ros.filters.noise import NOISES
 
 
@@ -21,13 +21,13 @@ class Learnt:
     covariance: Array
 
 
-def adapted_names(kalman: ChainKalman) -> tuple[str, ...]:
+def adapted_names(kalman: Engine) -> tuple[str, ...]:
     """Return the names of the parameters that are adapted, noises first."""
     noises = NOISES if kalman.learning is not None else ()
     return tuple(NAMES[k] for k in (*noises, *kalman.model.adapted))
 
 
-def known_parameters(kalman: ChainKalman) -> Array:
+def known_parameters(kalman: Engine) -> Array:
     """Return the driver's row (WIDTH,) as known now, at the reference period."""
     model = kalman.model
     known = model.row.copy()
@@ -38,7 +38,7 @@ def known_parameters(kalman: ChainKalman) -> Array:
     return known
 
 
-def parameter_covariance(kalman: ChainKalman) -> Array:
+def parameter_covariance(kalman: Engine) -> Array:
     """Return the covariance (WIDTH, WIDTH) of ``known_parameters``; zero for parameters that are not adapted."""
     covariance, parameters = np.zeros((ROW.width, ROW.width)), known_parameters(kalman)
     places, entries = kalman.model.adapted, kalman.model.adapted_entries
@@ -48,7 +48,7 @@ def parameter_covariance(kalman: ChainKalman) -> Array:
     return covariance * np.outer(parameters, parameters)
 
 
-def learnt_of(kalman: ChainKalman) -> Learnt:
+def learnt_of(kalman: Engine) -> Learnt:
     """Return all that is known of the driver's adapted parameters."""
     entries = kalman.model.adapted_entries
     parts = [(kalman.x[entries], kalman.P[entries, entries])]
@@ -58,7 +58,7 @@ def learnt_of(kalman: ChainKalman) -> Learnt:
     return Learnt(adapted_names(kalman), np.concatenate(means), block_diag(*covariances))
 
 
-def identified_names(kalman: ChainKalman) -> tuple[str, ...]:
+def identified_names(kalman: Engine) -> tuple[str, ...]:
     """Return the adapted parameters whose standard deviation is less than half of the prior's."""
     now = np.sqrt(np.diag(learnt_of(kalman).covariance))
     noise_std = kalman.learning.prior_std if kalman.learning else ()
@@ -66,7 +66,7 @@ def identified_names(kalman: ChainKalman) -> tuple[str, ...]:
     return tuple(name for name, a, b in zip(adapted_names(kalman), now, before, strict=True) if a < 0.5 * b)
 
 
-def recall(kalman: ChainKalman, learnt: Learnt) -> None:
+def recall(kalman: Engine, learnt: Learnt) -> None:
     """Go on from what was learnt before.
 
     Parameters

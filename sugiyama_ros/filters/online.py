@@ -2,20 +2,20 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
+from typing import Literal
 
 import numpy as np
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import NAMES, check, population
 from sugiyama_ros.effects.registry import ROW
-from sugiyama_ros.effects.sensing import is_contaminated
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.filters.causal import SETTLING
 from sugiyama_ros.filters.chain import CHAIN, NOT_ADAPTED, Adaptation
 from sugiyama_ros.filters.chain_model import ChainModel, chain_model
-from sugiyama_ros.filters.kalman import ChainKalman
+from sugiyama_ros.filters.compiled import CompiledKalman
+from sugiyama_ros.filters.engine import NO_REAR, Engine
+from sugiyama_ros.filters.engine import Estimate as Estimate
 from sugiyama_ros.filters.learnt import (
     Learnt,
     adapted_names,
@@ -26,7 +26,6 @@ from sugiyama_ros.filters.learnt import (
     recall,
 )
 from sugiyama_ros.filters.noise import Learning
-from sugiyama_ros.filters.state import MOVING, STATE, Moment
 from sugiyama_ros.road import Road
 
 #: Adaptation of the estimator nodes: desired speed and risk premium. The prior stds are about the stds over the drivers
@@ -36,33 +35,6 @@ ADAPT = Adaptation(names=("v_star", "kappa_v"), prior_std=(0.1, 0.4), relaxation
 LEARN = Learning()
 #: No vehicle behind.
 NOBODY = (math.nan, -1, 0.0)
-_NO_REAR = np.full(3, np.nan)
-# Squared normalised innovation of a gross error, which the filter does not take in; but not more of them in a row.
-_GROSS, _MOST_REFUSED = 36.0, 3
-
-
-@dataclass(frozen=True, slots=True)
-class Estimate:
-    """What is known of a driver after the update with one sample.
-
-    position_m (wrapped on a ring), speed [m/s], acceleration [m/s^2] and their covariance (3, 3); mean_action [m/s^2];
-    gap_m (infinite without a leader) and approach_rate [m/s]; innovation_m, nis and log_likelihood (no 2 pi term) of
-    the sample, NaN where it is missing or nothing was predicted; innovation_var [m^2]; scored: whether it counts. Where
-    noises are learnt, the log-likelihood allows for outliers (``Learning.outliers``).
-    """
-
-    position_m: float
-    speed: float
-    acceleration: float
-    covariance: Array
-    mean_action: float
-    gap_m: float
-    approach_rate: float
-    innovation_m: float
-    innovation_var: float
-    nis: float
-    log_likelihood: float
-    scored: bool
 
 
 class OnlineFilter:
@@ -85,15 +57,15 @@ class OnlineFilter:
         How the driver's noises are learnt, None if they are not.
     vehicles
         Number M of vehicles in the chain.
+    engine
+        "compiled", or "filterpy" for the same estimates by code that is slower, and meant to be read.
 
     Attributes
     ----------
     prior
         What was known of the driver before the first sample.
-    change_of_style
-        Name of the parameter that has jumped at the latest sample, and its factor; None if none has.
     kalman
-        The Kalman filter itself.
+        The engine: the Kalman filter itself and what learns from its steps.
 
     Raises
     ------
@@ -110,15 +82,16 @@ class OnlineFilter:
         adaptation: Adaptation = ADAPT,
         learning: Learning | None = LEARN,
         vehicles: int = CHAIN,
+        engine: Literal["compiled", "filterpy"] = "compiled",
     ) -> None:
         parameters = population() if parameters is None else parameters
         check(parameters)
         self.road = road
         self.period_s = period_s
         self.vehicles = vehicles
+        self.engine = engine
         self._ahead, self._adaptation, self._learning = ahead, adaptation, learning
         self._model = self._model_of(ROW.with_effects(parameters))
-        self._reads = np.eye(3, self._model.adapted_entries.stop)
         self.reset()
 
     def _model_of(self, row: Array) -> ChainModel:
@@ -127,15 +100,17 @@ class OnlineFilter:
 
     def reset(self) -> None:
         """Forget all samples and everything learnt."""
-        self.kalman = ChainKalman(self._model, self.road, self._learning)
+        self.kalman = self._engine_of(self._model)
         self._behind = self._follower() if self._model.has_effects else None
-        self._identity: list[int] = [-1] * self.vehicles
-        self._waited = [0] * self.vehicles
-        self._refused = [0] * self.vehicles
-        self._settled = 0
-        self._started = False
-        self.change_of_style: tuple[str, float] | None = None
         self.prior = self.learnt
+
+    def _engine_of(self, model: ChainModel) -> Engine:
+        if self.engine == "compiled":
+            return CompiledKalman(model, self.road, self._learning)
+        # filterpy takes long to import
+        from sugiyama_ros.filters.readable import ReadableKalman
+
+        return ReadableKalman(model, self.road, self._learning)
 
     def change(self, parameters: Array) -> None:
         """Go on with other effects and keep all that was learnt.
@@ -164,7 +139,14 @@ class OnlineFilter:
 
     def _follower(self) -> "OnlineFilter":
         """Return a filter of the vehicle behind, of which nothing is learnt."""
-        return OnlineFilter(self.period_s, self.road, adaptation=NOT_ADAPTED, learning=None, vehicles=1)
+        return OnlineFilter(
+            self.period_s, self.road, adaptation=NOT_ADAPTED, learning=None, vehicles=1, engine=self.engine
+        )
+
+    @property
+    def change_of_style(self) -> tuple[str, float] | None:
+        """Name of the parameter that has jumped at the latest sample, and its factor; None if none has."""
+        return self.kalman.change_of_style
 
     @property
     def parameters(self) -> Array:
@@ -228,84 +210,18 @@ class OnlineFilter:
         Estimate
             After the update.
         """
-        self.change_of_style = None
-        if self._started:
-            self.kalman.go_on()
-        self._started = True
-        self._settled = 1 if identity[0] != self._identity[0] else self._settled + 1
-        for m in range(self.vehicles):
-            self._waited[m] += 1
-            if identity[m] < 0 or identity[m] != self._identity[m]:
-                self.kalman.forget(m)
-                self._identity[m] = int(identity[m])
-        scores = self._take_in(position_m)
-        lengths = np.array(length_m)
-        mean_action = self.kalman.linearise(Moment(lengths, self._rear(behind, time_s), time_s))
-        return self._estimate(*scores, mean_action, 0.5 * float(lengths[:2].sum()))
+        rear = NO_REAR if self._behind is None else self._rear(self._behind, behind, time_s)
+        return self.kalman.step(position_m, identity, length_m, rear, time_s)
 
-    def _take_in(self, position_m: Sequence[float]) -> tuple[float, float, float]:
-        """Update with a sample; returns the own innovation [m], its variance [m^2] and its log-likelihood."""
-        kalman, known = self.kalman, self.kalman.known.tolist()
-        sampled = [m for m in range(self.vehicles) if self._identity[m] >= 0 and not math.isnan(position_m[m])]
-        moving = [m for m in sampled if known[m] == MOVING]
-        innovations = {m: kalman.innovation(m, position_m[m]) for m in moving}
-        innovation, variance, density = math.nan, math.nan, math.nan
-        if 0 in innovations:
-            innovation, variance = innovations[0]
-            density = kalman.learn(innovation, variance)
-        elif known[0] == MOVING:
-            variance = kalman.innovation(0, math.nan)[1]
-        accepted = [m for m in moving if self._is_accepted(m, *innovations[m])]
-        kalman.take_in(np.array([position_m[m] for m in accepted]), np.array(accepted))
-        if 0 in innovations:
-            self.change_of_style = kalman.check_style()
-        for m in sampled:
-            if known[m] != MOVING:
-                kalman.start(m, position_m[m], self._waited[m] * self.period_s)
-                self._waited[m] = 0
-        return innovation, variance, density
-
-    def _rear(self, behind: tuple[float, int, float], time_s: float) -> Array:
-        """Return position [m], speed [m/s] and length [m] of the vehicle behind, NaN where it is not known."""
-        if self._behind is None:
-            return _NO_REAR
+    def _rear(
+        self, filter_: "OnlineFilter", behind: tuple[float, int, float], time_s: float
+    ) -> tuple[float, float, float]:
+        """Return position [m], speed [m/s] and length [m] of the vehicle behind; ``NO_REAR`` while it is not known."""
         position, number, length = behind
-        estimate = self._behind.step([position], [number], [length], time_s)
+        estimate = filter_.step([position], [number], [length], time_s)
         if math.isnan(estimate.innovation_var):
-            return _NO_REAR
-        return np.array([estimate.position_m, estimate.speed, length])
-
-    def _is_accepted(self, m: int, innovation: float, variance: float) -> bool:
-        """Whether the filter takes in a sample: not a gross error, unless so many come that the filter is wrong."""
-        gross = innovation * innovation > _GROSS * variance and not is_contaminated(self.kalman.rows[m])
-        self._refused[m] = self._refused[m] + 1 if gross else 0
-        return not 0 < self._refused[m] <= _MOST_REFUSED
-
-    def _estimate(
-        self, innovation: float, variance: float, density: float, mean_action: float, half_lengths_m: float
-    ) -> Estimate:
-        kalman = self.kalman
-        x, next_speed = kalman.x, kalman.next_mean[1]
-        # the next speed is v + dt a, so the acceleration is (v' - v) / dt, and so is its row of derivatives
-        reads = self._reads
-        reads[2] = kalman.F[1] / self.period_s
-        reads[2, 1] -= 1.0 / self.period_s
-        led = self.vehicles > 1 and kalman.known[1] == MOVING
-        nis = innovation * innovation / variance
-        return Estimate(
-            position_m=float(x[0]) % self.road.circumference_m if self.road.is_ring else float(x[0]),
-            speed=float(x[1]),
-            acceleration=float(next_speed - x[1]) / self.period_s,
-            covariance=reads @ kalman.P @ reads.T,
-            mean_action=mean_action,
-            gap_m=float(x[STATE] - x[0]) - half_lengths_m if led else math.inf,
-            approach_rate=float(x[1] - x[STATE + 1]) if led else 0.0,
-            innovation_m=innovation,
-            innovation_var=variance,
-            nis=nis,
-            log_likelihood=density,
-            scored=not math.isnan(innovation) and self._settled > SETTLING,
-        )
+            return NO_REAR
+        return estimate.position_m, estimate.speed, length
 
 
 @cache

@@ -1,12 +1,12 @@
 """The topics on which an estimator publishes what it knows about its driver."""
 
-import numpy as np
 from sugiyama_msgs.msg import DriverParameters, DriverType, Innovation, StyleChange, VehicleState
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import NAMES
 from sugiyama_ros.effects.registry import ROW, active
 from sugiyama_ros.filters.online import Estimate, OnlineFilter
+from sugiyama_ros.filters.shown import ShownParameters
 from sugiyama_ros.fit.driver_types import DriverTypes
 from sugiyama_ros.nodes.base import cdr_messages
 from sugiyama_ros.nodes.base.node import PacedNode
@@ -34,6 +34,7 @@ class DriverTopics:
         self._types = types
         #: Names of the parameters that the samples so far do not determine.
         self.not_identified: list[str] = []
+        self._shown: ShownParameters | None = None
         self._stamp_ns: int | None = None
         self._to_state = node.create_publisher(VehicleState, "state", STREAM)
         self._to_innovation = node.create_publisher(Innovation, "innovation", STREAM)
@@ -45,8 +46,9 @@ class DriverTopics:
     def choose_parameters(self, effects: Array, filter_: OnlineFilter) -> None:
         """From now on, publish the driver's parameters and the parameters of the effects that act in a row (WIDTH,)."""
         of_effects = [k for name in active(effects) for k in range(ROW.places[name].start, ROW.places[name].stop)]
-        self._shown = [*range(len(NAMES)), *of_effects]
-        names = [ROW.entries[k] for k in self._shown]
+        shown = [*range(len(NAMES)), *of_effects]
+        self._shown = ShownParameters(filter_, shown)
+        names = [ROW.entries[k] for k in shown]
         self._message = cdr_messages.Parameters(self._vehicle, names, filter_.adapted)
 
     def restart(self) -> None:
@@ -64,15 +66,14 @@ class DriverTopics:
     def publish_parameters(self, stamp_ns: int, filter_: OnlineFilter, is_last: bool) -> bool:
         """Publish the parameters once a second of the recording's time, and with the last sample; whether it did."""
         is_due = self._stamp_ns is None or stamp_ns - self._stamp_ns >= _PARAMETERS_EVERY_NS
-        if not is_due and not is_last:
+        shown = self._shown
+        if shown is None or not (is_due or is_last):
             return False
         self._stamp_ns = stamp_ns
-        shown = self._shown
-        value, covariance = filter_.parameters[shown], filter_.parameter_covariance[np.ix_(shown, shown)]
-        identified = filter_.identified
-        self.not_identified = [name for name in filter_.adapted if name not in identified]
-        known = [ROW.entries[k] in identified for k in shown]
-        self._node.send(self._to_parameters, self._message.message(stamp_ns, value, covariance, known))
+        shown.read()
+        self.not_identified = shown.not_identified
+        message = self._message.message(stamp_ns, shown.value, shown.covariance, shown.identified)
+        self._node.send(self._to_parameters, message)
         if self._types is not None:
             probability = self._types.probabilities(filter_.learnt, filter_.prior)
             self._node.send(self._to_type, cdr_messages.driver_type(stamp_ns, self._vehicle, probability))

@@ -131,7 +131,7 @@ def test_a_chain_ends_where_there_is_no_leader_or_it_comes_back() -> None:
 def test_parameters_are_written(stamp_ns: int, count: int) -> None:
     rng = np.random.default_rng(3)
     value, covariance = rng.normal(size=count), rng.normal(size=(count, count))
-    identified = [k % 3 == 0 for k in range(count)]
+    identified = np.arange(count) % 3 == 0
     names = [f"a_name_{k}" for k in range(count)]
     writer = cdr_messages.Parameters(7, names, names[2:4])
     for _ in range(2):
@@ -139,6 +139,6 @@ def test_parameters_are_written(stamp_ns: int, count: int) -> None:
     assert message.header.stamp.sec * cdr_messages.NS + message.header.stamp.nanosec == stamp_ns
     assert (message.header.frame_id, message.vehicle, message.name) == ("road", 7, names)
     assert message.estimated == [k in (2, 3) for k in range(count)]
-    assert message.identified == identified
+    assert message.identified == identified.tolist()
     assert message.value.tolist() == value.tolist()
     assert message.covariance.tolist() == covariance.ravel().tolist()

@@ -15,7 +15,7 @@ from builtin_interfaces.msg import Time
 from rclpy.serialization import serialize_message
 from sugiyama_msgs.msg import DriverParameters, DriverType, StyleChange
 
-from sugiyama_ros.arrays import Array
+from sugiyama_ros.arrays import Array, Mask
 from sugiyama_ros.filters.online import Estimate
 from sugiyama_ros.formats.measured import FRAME
 from sugiyama_ros.nodes.base.samples import Positions
@@ -173,12 +173,12 @@ class Parameters:
         # after the covariance comes the number of the last field's entries, a byte each
         self._identified_at = self._covariance_at + 8 * count * count + 4
 
-    def message(self, stamp_ns: int, value: Array, covariance: Array, identified: Sequence[bool]) -> bytes:
+    def message(self, stamp_ns: int, value: Array, covariance: Array, identified: Mask) -> bytes:
         """Bytes of a message with ``value`` (P,), ``covariance`` (P, P) and ``identified`` (P,)."""
         struct.pack_into("<iI", self._bytes, 4, *divmod(stamp_ns, NS))
-        for at, numbers in ((self._value_at, value), (self._covariance_at, covariance)):
+        filled = (self._value_at, value), (self._covariance_at, covariance), (self._identified_at, identified)
+        for at, numbers in filled:
             self._bytes[at : at + numbers.nbytes] = numbers.tobytes()
-        self._bytes[self._identified_at : self._identified_at + len(identified)] = bytes(identified)
         return bytes(self._bytes)
 
 

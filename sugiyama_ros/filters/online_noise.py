@@ -1,0 +1,198 @@
+"""The driver's noises in the compiled online filter: what ``noise`` does, without new arrays.
+
+``noise`` explains the method and gives its sources.
+"""
+
+import math
+
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.driver.parameters import SIGMA_A, SIGMA_NU
+from sugiyama_ros.filters.noise import LARGEST, NU, OWN_NOISE, STEP, A
+from sugiyama_ros.filters.online_state import Noises, Scratch, Sparse
+from sugiyama_ros.filters.state import STATE, Linearised
+from sugiyama_ros.filters.transform import move, transform
+from sugiyama_ros.jit import kernel
+
+
+@kernel(allocates=False)
+def predict_noises(noises: Noises, linearised: Linearised, sparse: Sparse, scratch: Scratch) -> None:
+    """Go on by one period, and forget a little."""
+    for k in range(2):
+        move(noises.d_mean[k], linearised.jacobian, sparse, scratch.shared)
+        transform(noises.d_covariance[k], linearised.jacobian, sparse, scratch.half)
+    noises.d_covariance[A, OWN_NOISE, OWN_NOISE] += 2.0 * linearised.noise[OWN_NOISE, OWN_NOISE]
+    _mix(noises)
+    for j in range(len(noises.weight)):
+        for a in range(2):
+            kept = noises.kept[j, a]
+            noises.means[j, a] = noises.prior_mean[a] + kept * (noises.means[j, a] - noises.prior_mean[a])
+            for b in range(2):
+                both = kept * noises.kept[j, b]
+                prior = noises.prior_var[a] if a == b else 0.0
+                noises.covariances[j, a, b] = both * noises.covariances[j, a, b] + (1.0 - both) * prior
+    _moments(noises.weight, noises.means, noises.covariances, noises.mean, noises.covariance)
+
+
+@kernel(allocates=False)
+def _mix(noises: Noises) -> None:
+    """Mix the models before a period: a driver who follows a model now may have followed another one before."""
+    weight, share = noises.weight, noises.share
+    models = len(weight)
+    if models == 1:
+        return
+    stay = noises.stay[0]
+    changes = (1.0 - stay) / (models - 1)
+    for j in range(models):
+        for a in range(2):
+            noises.were[j, a] = noises.means[j, a]
+            for b in range(2):
+                noises.spread[j, a, b] = noises.covariances[j, a, b]
+    # the probabilities add up to 1
+    for j in range(models):
+        after = stay * weight[j] + changes * (1.0 - weight[j])
+        for i in range(models):
+            share[i] = (stay if i == j else changes) * weight[i] / after
+        _moments(share, noises.were, noises.spread, noises.means[j], noises.covariances[j])
+    for j in range(models):
+        weight[j] = stay * weight[j] + changes * (1.0 - weight[j])
+
+
+@kernel(allocates=False)
+def _moments(weight: Array, means: Array, covariances: Array, mean: Array, covariance: Array) -> None:
+    """Fill in the mean (2,) and the covariance (2, 2) of a mixture."""
+    for a in range(2):
+        mean[a] = 0.0
+        for j in range(len(weight)):
+            mean[a] += weight[j] * means[j, a]
+    for a in range(2):
+        for b in range(2):
+            covariance[a, b] = 0.0
+            for j in range(len(weight)):
+                off = (means[j, a] - mean[a]) * (means[j, b] - mean[b])
+                covariance[a, b] += weight[j] * (covariances[j, a, b] + off)
+
+
+@kernel(allocates=False)
+def learn_noises(noises: Noises, y: float, variance: float, noise_var: float, factor: float) -> None:
+    """Take in the driver's own innovation, before the filter is updated with it.
+
+    Parameters
+    ----------
+    noises
+        Changed in place.
+    y, variance
+        Innovation [m] and its variance [m^2].
+    noise_var
+        Variance [m^2] of the measurement noise.
+    factor
+        Slope of the measured position by the true position.
+    """
+    weight, density = noises.weight, noises.share
+    slope_nu = factor * factor * noises.d_covariance[NU, 0, 0] + 2.0 * noise_var
+    slope_a = factor * factor * noises.d_covariance[A, 0, 0]
+    shift_nu, shift_a = -factor * noises.d_mean[NU, 0], -factor * noises.d_mean[A, 0]
+    best = -math.inf
+    for j in range(len(weight)):
+        mean, covariance = noises.means[j], noises.covariances[j]
+        off_nu, off_a = mean[NU] - noises.mean[NU], mean[A] - noises.mean[A]
+        own_y = y + shift_nu * off_nu + shift_a * off_a
+        own_var = variance * math.exp((slope_nu * off_nu + slope_a * off_a) / variance)
+        scale = min(own_y * own_y / own_var, LARGEST)
+        density[j] = -0.5 * (math.log(own_var) + scale)
+        best = max(best, density[j])
+        bounded = math.copysign(math.sqrt(scale * own_var), own_y) / own_var
+        score_nu = -0.5 * slope_nu / variance * (1.0 - scale) - bounded * shift_nu
+        score_a = -0.5 * slope_a / variance * (1.0 - scale) - bounded * shift_a
+        squared, half = variance * variance, 0.5
+        _inform(
+            covariance,
+            half * slope_nu * slope_nu / squared + shift_nu * shift_nu / own_var,
+            half * slope_nu * slope_a / squared + shift_nu * shift_a / own_var,
+            half * slope_a * slope_a / squared + shift_a * shift_a / own_var,
+        )
+        for a in range(2):
+            step = covariance[a, NU] * score_nu + covariance[a, A] * score_a
+            mean[a] += min(max(step, -STEP), STEP)
+    total = 0.0
+    for j in range(len(weight)):
+        weight[j] *= math.exp(density[j] - best)
+        total += weight[j]
+    for j in range(len(weight)):
+        weight[j] /= total
+    _moments(weight, noises.means, noises.covariances, noises.mean, noises.covariance)
+
+
+@kernel(allocates=False)
+def _inform(covariance: Array, first: float, both: float, second: float) -> None:
+    """Add information, a symmetric matrix (2, 2), to what is known with a covariance (2, 2)."""
+    known = covariance[0, 0] * covariance[1, 1] - covariance[0, 1] * covariance[1, 0]
+    first += covariance[1, 1] / known
+    second += covariance[0, 0] / known
+    both -= covariance[0, 1] / known
+    certain = first * second - both * both
+    covariance[0, 0], covariance[1, 1] = second / certain, first / certain
+    covariance[0, 1] = covariance[1, 0] = -both / certain
+
+
+@kernel(allocates=False)
+def update_noises(
+    noises: Noises, measured: int, gain: Array, factor: float, weighted: float, own_noise_var: float, shared: Array
+) -> None:
+    """Change the derivatives after the filter's update with one position.
+
+    Parameters
+    ----------
+    noises
+        Changed in place.
+    measured
+        Entry of the state that was measured.
+    gain
+        Kalman gain K, (N,).
+    factor
+        Entry of H.
+    weighted
+        Innovation times what it counts [1/m].
+    own_noise_var
+        Variance [m^2] of the measurement noise if it is the driver's own position, else 0.
+    shared
+        (N,), overwritten.
+    """
+    size = len(gain)
+    for k in range(2):
+        d_noise = 2.0 * own_noise_var if k == NU else 0.0
+        mean, covariance = noises.d_mean[k], noises.d_covariance[k]
+        for i in range(size):
+            shared[i] = factor * covariance[i, measured]
+        moved = factor * (mean[measured] + shared[measured] * weighted) + d_noise * weighted
+        both = factor * shared[measured] + d_noise
+        for i in range(size):
+            mean[i] += shared[i] * weighted - gain[i] * moved
+            for j in range(size):
+                covariance[i, j] += both * (gain[i] * gain[j]) - (gain[i] * shared[j] + shared[i] * gain[j])
+
+
+@kernel(allocates=False)
+def start_noises(noises: Noises, covariance: Array) -> None:
+    """Begin with the filter, which has just begun to follow the driver with this covariance (N, N) of the state."""
+    noises.d_mean[:] = 0.0
+    noises.d_covariance[:] = 0.0
+    for i in range(OWN_NOISE):
+        for j in range(OWN_NOISE):
+            noises.d_covariance[NU, i, j] = 2.0 * covariance[i, j]
+    noises.d_covariance[A, OWN_NOISE, OWN_NOISE] = 2.0 * covariance[OWN_NOISE, OWN_NOISE]
+
+
+@kernel(allocates=False)
+def forget_noises(noises: Noises, m: int) -> None:
+    """Vehicle m of the chain is another one now."""
+    for k in range(STATE * m, STATE * (m + 1)):
+        for d in range(2):
+            noises.d_mean[d, k] = 0.0
+            noises.d_covariance[d, k, :] = 0.0
+            noises.d_covariance[d, :, k] = 0.0
+
+
+@kernel(allocates=False)
+def put_noises(noises: Noises, row: Array) -> None:
+    """Put the noises as they are known now into the driver's row (WIDTH,)."""
+    row[SIGMA_NU], row[SIGMA_A] = math.exp(noises.mean[NU]), math.exp(noises.mean[A])

@@ -1,0 +1,69 @@
+"""What an online filter knows of the parameters that are shown, in arrays that are made once."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array, Mask
+from sugiyama_ros.driver.parameters import NAMES
+from sugiyama_ros.filters.noise import NOISES
+from sugiyama_ros.filters.online import OnlineFilter
+
+
+class ShownParameters:
+    """Some of a driver's parameters, as an online filter knows them.
+
+    The values are those of ``OnlineFilter.parameters``, ``parameter_covariance`` and ``identified``, for less work.
+
+    Parameters
+    ----------
+    filter_
+        The driver's filter. After its ``change``, the parameters have to be chosen anew.
+    shown
+        Places (S,) in the driver's row; all adapted parameters are among them.
+
+    Attributes
+    ----------
+    value
+        Parameters at the reference period, (S,) [SI].
+    covariance
+        Covariance (S, S) of ``value``; zero for parameters that are not adapted.
+    identified
+        Whether the standard deviation is less than half of the prior's, (S,).
+    """
+
+    def __init__(self, filter_: OnlineFilter, shown: Sequence[int]) -> None:
+        self._filter, kalman = filter_, filter_.kalman
+        model, shown = kalman.model, list(shown)
+        noises = NOISES if kalman.learning is not None else []
+        places = [*noises, *model.adapted]
+        self._places, self._names = np.array(places, np.int64), [NAMES[k] for k in places]
+        at = [shown.index(k) for k in places]
+        self._at, self._block = np.array(at, np.int64), np.ix_(at, at)
+        self._scale = np.ones(len(places))
+        self._scale[: len(noises)] = model.row[noises] / model.rows[0, noises]
+        noise_std = kalman.learning.prior_std if kalman.learning is not None else ()
+        self._bound = 0.25 * np.concatenate([np.square(noise_std), model.prior_var])
+        self._entries = model.adapted_entries
+        self._of_noises, self._of_state = slice(0, len(noises)), slice(len(noises), len(places))
+        self._logs = np.zeros((len(places), len(places)))
+        self.value: Array = model.row[shown]
+        self.covariance: Array = np.zeros((len(shown), len(shown)))
+        self.identified: Mask = np.zeros(len(shown), np.bool_)
+        self.read()
+
+    def read(self) -> None:
+        """Fill the arrays with what the filter knows now."""
+        kalman, logs = self._filter.kalman, self._logs
+        logs[self._of_state, self._of_state] = kalman.P[self._entries, self._entries]
+        if kalman.noises is not None:
+            logs[self._of_noises, self._of_noises] = kalman.noises.covariance
+        value = kalman.rows[0, self._places] * self._scale
+        self.value[self._at] = value
+        self.covariance[self._block] = logs * value * value[:, None]
+        self.identified[self._at] = logs.diagonal() < self._bound
+
+    @property
+    def not_identified(self) -> list[str]:
+        """Names of the adapted parameters that the samples so far do not tell."""
+        return [name for name, k in zip(self._names, self._at.tolist(), strict=True) if not self.identified[k]]
