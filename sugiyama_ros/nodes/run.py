@@ -120,9 +120,7 @@ def run(
     """
     environment.isolate()
     plan = Plan.read(source, output, RunSettings(**settings))
-    # Now, so that compiling, which may take a minute after an installation, does not count as time that a node is not
-    # heard of, and so that the processes of estimators find compiled code and do not all compile at once.
-    warm_up()
+    warm_up()  # first, so that compiling does not count as time that a node is not heard of
     began = time.monotonic()
     with ros() as asked_to_stop:
         monitor = _Monitor()
