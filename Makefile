@@ -27,13 +27,13 @@ help:
 	The first run sets up .venv and takes some minutes. PYTHON=python3.12 chooses the Python of a new .venv.
 	END
 
-demo: $(DONE)/package
+demo: $(DONE)/compiled
 	@.venv/bin/sugiyama demo
 
-test: $(DONE)/package $(DONE)/tools
+test: $(DONE)/compiled $(DONE)/tools
 	@.venv/bin/python -m pytest
 
-bench: $(DONE)/package $(DONE)/tools
+bench: $(DONE)/compiled $(DONE)/tools
 	@.venv/bin/python -m sugiyama_ros.studies.speed --many 10000
 
 lint: $(DONE)/package $(DONE)/tools
@@ -103,6 +103,12 @@ $(DONE)/messages: $(DONE)/requirements $(wildcard msg_defs/* msg_defs/*/*)
 $(DONE)/package: $(DONE)/messages setup.py setup.cfg package.xml $(wildcard resource/* launch launch/*.py config config/*.yaml)
 	@echo "Installing sugiyama_ros: some seconds"
 	$(call pip, package, --no-deps --no-build-isolation --editable .)
+
+# Once, and not again whenever a file is edited: what has changed is compiled when it is called.
+$(DONE)/compiled: $(DONE)/package
+	@echo "Compiling the model and the filters: a minute"
+	.venv/bin/python -m sugiyama_ros.compile
+	touch $@
 
 $(DONE)/tools: $(DONE)/requirements requirements-dev.txt
 	@echo "Installing what tests and lint need: $$(grep -c == requirements-dev.txt) packages, half a minute"

@@ -32,6 +32,7 @@ nb_output_stderr = "remove"  # bars of progress
 html_theme = "pydata_sphinx_theme"
 html_title = "sugiyama_ros"
 html_show_sourcelink = False
+html_sidebars: dict[str, list[str]] = {"**": []}
 html_theme_options = {
     "logo": {"text": "sugiyama_ros"},
     "navbar_end": ["theme-switcher"],

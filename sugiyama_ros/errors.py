@@ -1,17 +1,17 @@
 """Errors that a user can cause and cure.
 
-The text of each is one line: where it happened (file, line or field), what is wrong, and the cure. The command line
-prints it and exits with code 2; nothing else may end there in a traceback.
+The text of an error is one line. It says where the error happened (file, line or field), what is wrong, and how to cure
+it. The command line prints the text and exits with code 2. The user never sees a traceback for such an error.
 """
 
 
 class SugiyamaError(Exception):
-    """Base of all errors that a user can cause."""
+    """Base class of all errors that a user can cause."""
 
 
 class InputError(SugiyamaError):
-    """Something that was given cannot be used as it is: a file, a line of it, an option."""
+    """An input cannot be used: a file, a line of a file, an option or an argument."""
 
 
 class OutputError(SugiyamaError):
-    """Something cannot be written where it was asked for."""
+    """An output cannot be written to the place that the user asked for."""

@@ -13,15 +13,16 @@ import contextlib
 import hashlib
 from collections.abc import Callable
 from functools import cache
-from importlib.metadata import entry_points
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar, overload
 
 from numba import njit
 
+from sugiyama_ros.entry_points import entry_points
+
 _Function = TypeVar("_Function", bound=Callable[..., Any])
-_PACKAGE = Path(__file__).parent
+PACKAGE = Path(__file__).parent
 _ROOMS = ("driver", "laws", "effects", "simulation", "filters", "fit", "diagnosis")
 #: Files that compiled code is made of.
 MADE_OF = ("jit.py", "arrays.py", *(f"{room}/*.py" for room in _ROOMS))
@@ -97,10 +98,10 @@ def _kept(compiled: Any, cached: bool) -> Any:
 @cache
 def state() -> str:
     """Identify the files that compiled code is made of, by their times and sizes."""
-    stats = [(path, path.stat()) for pattern in MADE_OF for path in sorted(_PACKAGE.glob(pattern))]
-    found: list[object] = [(str(path.relative_to(_PACKAGE)), s.st_mtime_ns, s.st_size) for path, s in stats]
+    stats = [(path, path.stat()) for pattern in MADE_OF for path in sorted(PACKAGE.glob(pattern))]
+    found: list[object] = [(str(path.relative_to(PACKAGE)), s.st_mtime_ns, s.st_size) for path, s in stats]
     for group in GROUPS:
-        for point in sorted(entry_points(group=group), key=lambda point: point.name):
+        for point in entry_points(group):
             found.append((group, point.name, point.value, _stat_of(point.module)))
     found.append(sorted(OPTIONS))
     return hashlib.sha256(repr(found).encode()).hexdigest()

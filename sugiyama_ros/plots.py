@@ -1,4 +1,4 @@
-"""Pictures that several results share, drawn into figures of matplotlib."""
+"""Drawings that several results share, for figures of matplotlib."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -33,6 +33,18 @@ def space_time(figure: "Figure", time_s: Array, position_m: Array, speed: Array)
 
 
 def bars(axes: Any, names: list[str], values: list[float], errors: list[float], label: str) -> None:
-    """Draw horizontal bars with whiskers, the first one on top."""
+    """Draw horizontal bars with error bars, the first bar on top.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+        Empty axes.
+    names : list of str
+        Name of each bar.
+    values, errors : list of float
+        Length of each bar, and half the length of its error bar, in the unit of the axis.
+    label : str
+        Label of the horizontal axis.
+    """
     axes.barh(names[::-1], values[::-1], xerr=errors[::-1], color=BLUE, ecolor=GREY)
     axes.set(xlabel=label)

@@ -7,10 +7,10 @@ offers it through an entry point, for example ``[project.entry-points."sugiyama_
 
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
-from importlib.metadata import entry_points
 from types import ModuleType
 from typing import Any, Protocol, TypeVar
 
+from sugiyama_ros.entry_points import entry_points
 from sugiyama_ros.errors import InputError
 
 #: Why an extension could not be loaded, by group and name of its entry point.
@@ -78,7 +78,7 @@ def load(group: str, kind: type[_Kind]) -> dict[str, _Kind]:
         Extensions by the name of their entry point, sorted by this name.
     """
     found: dict[str, _Kind] = {}
-    for point in sorted(entry_points(group=group), key=lambda point: point.name):
+    for point in entry_points(group):
         try:
             one = point.load()
         except (Exception, SystemExit) as error:

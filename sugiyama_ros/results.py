@@ -125,7 +125,7 @@ class Result:
 
 
 # Rows of a table in a notebook, at most.
-_SHOWN = 25
+_SHOWN = 15
 
 
 def _cell(value: Any) -> str:

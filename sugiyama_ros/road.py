@@ -4,16 +4,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sugiyama_ros.arrays import Array as Array
-from sugiyama_ros.arrays import Ints as Ints
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
 
 
 @dataclass(frozen=True)
 class Road:
-    """A ring road, or an open road where ``circumference_m`` is 0.
+    """A ring road or an open road.
 
-    Raises InputError if the circumference is negative or not finite.
+    Parameters
+    ----------
+    circumference_m : float
+        Length [m] once around the ring; 0 for an open road.
+
+    Raises
+    ------
+    InputError
+        If the circumference is negative or not finite.
     """
 
     circumference_m: float = 0.0
@@ -26,32 +33,75 @@ class Road:
 
     @property
     def is_ring(self) -> bool:
-        """Whether positions repeat after one circumference."""
+        """Whether the road is a ring, so that positions repeat after one circumference."""
         return self.circumference_m > 0.0
 
     def wrap(self, position_m: Array) -> Array:
-        """Positions [m] brought into [0, circumference); unchanged on an open road."""
+        """Bring positions into one turn of the ring.
+
+        Parameters
+        ----------
+        position_m : ndarray, any shape
+            Positions [m].
+
+        Returns
+        -------
+        ndarray, shape of ``position_m``
+            Positions [m] from 0 to below the circumference. On an open road, the positions as they are.
+        """
         if not self.is_ring:
             return position_m
         wrapped = np.mod(position_m, self.circumference_m)
-        # a tiny negative number is rounded up to the circumference itself
+        # np.mod rounds a tiny negative number up to the circumference itself
         return np.where(wrapped >= self.circumference_m, 0.0, wrapped)
 
     def difference(self, ahead_m: Array, behind_m: Array) -> Array:
-        """Signed shortest way [m] from ``behind_m`` to ``ahead_m``, within half a circumference."""
+        """Compute the signed distance from one position to another, the shorter way around a ring.
+
+        Parameters
+        ----------
+        ahead_m, behind_m : ndarray, shapes that broadcast
+            Positions [m].
+
+        Returns
+        -------
+        ndarray
+            Distance [m] from ``behind_m`` to ``ahead_m``; on a ring at most half a circumference in size.
+        """
         way = ahead_m - behind_m
         if not self.is_ring:
             return way
         return way - self.circumference_m * np.round(way / self.circumference_m)
 
     def space_headway(self, leader_m: Array, own_m: Array) -> Array:
-        """Way forward [m] from one's own centre to the leader's, in [0, circumference) on a ring."""
+        """Compute the distance forward from a vehicle's centre to the centre of its leader.
+
+        Parameters
+        ----------
+        leader_m, own_m : ndarray, shapes that broadcast
+            Positions [m] of the leader and of the vehicle itself.
+
+        Returns
+        -------
+        ndarray
+            Space headway [m]; on a ring from 0 to below the circumference.
+        """
         return self.wrap(leader_m - own_m)
 
     def unwrap(self, position_m: Array) -> Array:
-        """Positions [m] of shape (T, ...) made continuous along the first axis; NaN stays NaN.
+        """Make positions continuous in time, so that they keep growing from turn to turn.
 
-        Between two known samples the vehicle is taken to have moved less than half a circumference.
+        Between two known samples, a vehicle is assumed to move less than half a circumference.
+
+        Parameters
+        ----------
+        position_m : ndarray, shape (T, ...)
+            Positions [m] at T samples; NaN where unknown.
+
+        Returns
+        -------
+        ndarray, shape (T, ...)
+            Continuous positions [m]; NaN stays NaN. On an open road, the positions as they are.
         """
         if not self.is_ring:
             return position_m

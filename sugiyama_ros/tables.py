@@ -1,4 +1,4 @@
-"""Tables of text: results say what stands in a table, and the command line prints it."""
+"""Tables of text. A result fills a table, and the command line prints the table."""
 
 from dataclasses import dataclass
 
@@ -9,14 +9,15 @@ class TextTable:
 
     Parameters
     ----------
-    title
-        Title above the table; empty for none.
-    headings
+    title : str
+        Title above the table; empty for no title.
+    headings : tuple of str
         Heading of each column.
-    rows
-        Cells of each row, one for each heading.
-    left
-        Number of columns, from the left, that are aligned to the left; the others are aligned to the right.
+    rows : tuple of tuple of str
+        Cells of each row, one cell for each heading.
+    left : int
+        Number of columns that are aligned to the left, counted from the left. The other columns are aligned to the
+        right.
     """
 
     title: str

@@ -1,4 +1,4 @@
-"""Who carries out work that falls into independent parts: threads, processes here, or a Dask cluster elsewhere."""
+"""Executors for work in independent parts: threads or processes of this machine, or a Dask cluster."""
 
 import os
 from collections.abc import Callable, Iterator, Sequence
@@ -10,19 +10,34 @@ from typing import TypeVar
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.progress import OnStage
 
-# Items that are under way at the same time, all on the same workers.
+# Number of items that are under way at the same time. They share the same workers.
 _AT_ONCE = 3
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
-# From so many parts on processes, which do not wait for each other's Python, are worth their start.
+# From this number of parts on, processes are worth the time to start them: threads wait for each other's Python code.
 _MANY = 500
 
 
 @contextmanager
 def workers(parts: int, scheduler: str | None = None) -> Iterator[Executor]:
-    """An executor for ``parts`` parts of work: of this machine, or of the Dask cluster at ``scheduler``.
+    """Open an executor for work in independent parts, and close it at the end of the ``with`` block.
 
-    Raises InputError where Dask is not installed or the scheduler does not answer.
+    Parameters
+    ----------
+    parts : int
+        Number of parts. Few parts run on threads, many parts on processes.
+    scheduler : str, optional
+        Address of the scheduler of a Dask cluster; this machine does the work if left out.
+
+    Yields
+    ------
+    concurrent.futures.Executor
+        Executor on all processors of this machine, or on the cluster.
+
+    Raises
+    ------
+    InputError
+        If Dask is not installed, or if the scheduler does not answer.
     """
     if scheduler is not None:
         with _cluster(scheduler) as executor:
@@ -38,6 +53,7 @@ def workers(parts: int, scheduler: str | None = None) -> Iterator[Executor]:
 
 @contextmanager
 def _cluster(scheduler: str) -> Iterator[Executor]:
+    """Open an executor on the Dask cluster at ``scheduler``."""
     try:
         from distributed import Client
     except ImportError:
@@ -47,14 +63,33 @@ def _cluster(scheduler: str) -> Iterator[Executor]:
     except (OSError, ValueError) as error:
         raise InputError(f"--scheduler {scheduler}: {str(error).splitlines()[0]}; is it running?") from None
     with client:
-        # a worker that dies is replaced by another one: the parts are pure functions of what is sent with them
+        # another worker can repeat the work of a worker that dies: a part depends only on the data sent with it
         yield client.get_executor(pure=False, retries=3)
 
 
 def at_once(
     function: Callable[[_Item], _Result], items: Sequence[_Item], what: str, on_progress: OnStage
 ) -> list[_Result]:
-    """Results of a function for all items; while one item waits for its filters, another uses the processors."""
+    """Call a function for several items at the same time.
+
+    While one item waits for its filters, another item uses the processors.
+
+    Parameters
+    ----------
+    function : callable
+        Called with one item.
+    items : sequence
+        The items.
+    what : str
+        Name of the work, for ``on_progress``.
+    on_progress : callable
+        Called after each item with the name of the work, the number of finished items and the number of all items.
+
+    Returns
+    -------
+    list
+        Results in the order of the items.
+    """
     results = []
     with ThreadPoolExecutor(_AT_ONCE) as pool:
         for k, result in enumerate(pool.map(function, items)):

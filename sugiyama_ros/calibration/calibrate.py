@@ -1,4 +1,4 @@
-"""Calibration as a user asks for it: each driver alone, all drivers as one population, or classes of drivers."""
+"""The three kinds of calibration: each driver alone, all drivers as one population, or classes of drivers."""
 
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -12,8 +12,6 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.calibration.result import Calibration, Settings
-from sugiyama_ros.diagnosis.candidates import named
-from sugiyama_ros.diagnosis.screen import with_candidate
 from sugiyama_ros.driver.parameters import NAMES, index
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
@@ -22,9 +20,6 @@ from sugiyama_ros.fit.checkpoint import Checkpoint
 from sugiyama_ros.fit.classes import find_classes
 from sugiyama_ros.fit.driver import Fit, SearchOptions, calibrate, job_of
 from sugiyama_ros.fit.intervals import quadratic
-from sugiyama_ros.fit.model_file import stds_of
-from sugiyama_ros.fit.population import fit_base
-from sugiyama_ros.fit.recording import prepare
 from sugiyama_ros.progress import OnProgress
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
@@ -39,21 +34,21 @@ def each_driver(
 ) -> Calibration:
     """Calibrate the drivers one by one.
 
-    The causal formulation calibrates twice: the second time, the drivers ahead have the parameters that were found the
-    first time.
+    The causal formulation makes two passes. The second pass gives the drivers ahead the
+    parameters that the first pass found.
 
     Parameters
     ----------
-    trajectories
-        The recording.
-    settings
+    trajectories : Trajectories
+        The recording of N drivers.
+    settings : Settings
         What to estimate, and how to search.
-    work
-        Executor that carries out the searches; without one, they are carried out in turn.
-    kept
-        File that keeps the fits while the calibration runs, so that a calibration that was stopped can go on.
-    on_progress
-        Called after each fit.
+    work : Executor, optional
+        Runs the searches; without an executor, the searches run one after the other.
+    kept : Path, optional
+        File that keeps the fits, so that a stopped calibration can continue.
+    on_progress : callable
+        Called after each fit with the number of finished fits and the number of all fits.
 
     Raises
     ------
@@ -92,7 +87,7 @@ def each_driver(
 
 
 def _about(trajectories: Trajectories, settings: Settings) -> dict[str, Any]:
-    """What must be the same for kept fits to be used again."""
+    """Describe the calibration; fits that were kept for another description are not used."""
     return {
         "sha256": trajectories.sha256,
         "ring_m": trajectories.road.circumference_m,
@@ -107,7 +102,7 @@ def _about(trajectories: Trajectories, settings: Settings) -> dict[str, Any]:
 def _one_pass(
     trajectories: Trajectories, settings: Settings, starts: Mapping[int, Array], is_last: bool, work: Executor | None
 ) -> Callable[..., Iterator[Fit]]:
-    """The fits of all drivers, from ``starts``, as a function; only the last pass needs errors and intervals."""
+    """Make a function that fits all drivers from ``starts``. Only the last pass computes errors and intervals."""
     return partial(
         calibrate,
         trajectories,
@@ -126,18 +121,23 @@ def _one_pass(
 
 
 def in_classes(trajectories: Trajectories, settings: Settings, count: int, work: Executor) -> Calibration:
-    """Calibrate classes of drivers who share all parameters; each driver gets the parameters of the likeliest class.
+    """Calibrate classes of drivers. The drivers of a class share all parameters.
 
     Parameters
     ----------
-    trajectories
-        The recording.
-    settings
-        Formulation, parameters to estimate, and seed; the other settings are for drivers who are calibrated alone.
-    count
+    trajectories : Trajectories
+        The recording of N drivers.
+    settings : Settings
+        Formulation, parameters to estimate, and seed. The other settings do not change the fit.
+    count : int
         Number of classes.
-    work
-        Executor that carries out the searches.
+    work : Executor
+        Runs the searches.
+
+    Returns
+    -------
+    Calibration
+        The drivers, each with the parameters of the most probable class, and the classes.
 
     Raises
     ------
@@ -172,26 +172,38 @@ def in_classes(trajectories: Trajectories, settings: Settings, count: int, work:
 
 
 def pooled(trajectories: Trajectories, settings: Settings, effects: Sequence[str], work: Executor) -> Calibration:
-    """Calibrate all drivers together, as draws of one population (partial pooling), by the causal formulation.
+    """Calibrate all drivers together, as draws from one population (partial pooling), with the causal formulation.
 
-    The distribution of the parameters over the drivers is estimated from the drivers themselves (empirical Bayes).
+    The distribution of the parameters over the population is estimated from the same drivers (empirical Bayes).
 
     Parameters
     ----------
-    trajectories
-        The recording.
-    settings
-        Parameters to estimate; the other settings are for drivers who are calibrated alone.
-    effects
-        Names of the effects to fit together with the parameters.
-    work
-        Executor that carries out the searches.
+    trajectories : Trajectories
+        The recording of N drivers.
+    settings : Settings
+        Parameters to estimate. The other settings do not change the fit.
+    effects : sequence of str
+        Names of the effects that are fitted together with the parameters.
+    work : Executor
+        Runs the searches.
+
+    Returns
+    -------
+    Calibration
+        The drivers, with the effects in their rows.
 
     Raises
     ------
     InputError
         For an unknown effect, or a recording that is too short.
     """
+    # Imported here: drivers who are calibrated alone need no search for effects, which takes long to load.
+    from sugiyama_ros.diagnosis.candidates import named
+    from sugiyama_ros.diagnosis.screen import with_candidate
+    from sugiyama_ros.fit.model_file import stds_of
+    from sugiyama_ros.fit.population import fit_base
+    from sugiyama_ros.fit.recording import prepare
+
     data = prepare(trajectories)
     chosen = named(data, effects)
     fitted = fit_base(data, [index(name) for name in settings.estimated], work)
@@ -200,7 +212,7 @@ def pooled(trajectories: Trajectories, settings: Settings, effects: Sequence[str
     own, shared = stds_of(fitted)
     names = [ROW.entries[k] for k in fitted.model.individual]
     prior = np.array(fitted.model.prior_std)
-    # where the prior stays as wide as it was, the data say nothing
+    # a parameter is identified if the data hold more than three times the prior's information
     known = [
         np.array([s.information.sum(axis=0)[k, k] for k in range(len(names))]) > 3.0 / np.square(prior)
         for s in fitted.slopes

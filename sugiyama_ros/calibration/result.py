@@ -1,4 +1,4 @@
-"""What a calibration was asked for, and what it found: as a document, as a table and as a model file."""
+"""The settings and the result of a calibration. The result becomes a document, a table or a model file."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,7 +11,6 @@ from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.classes import Classes
 from sugiyama_ros.fit.driver import ESTIMATED, Formulation
 from sugiyama_ros.fit.driver_types import DriverTypes
-from sugiyama_ros.fit.model_file import write_drivers
 from sugiyama_ros.plots import BLUE
 from sugiyama_ros.results import Result
 from sugiyama_ros.tables import TextTable
@@ -27,17 +26,17 @@ class Settings:
 
     Parameters
     ----------
-    formulation
-        ``"paper"``: perceived states are smoothed; ``"causal"``: they are filtered.
-    estimated
+    formulation : {"causal", "paper"}
+        ``"paper"`` smooths the states that the drivers perceive. ``"causal"`` filters them.
+    estimated : tuple of str
         Names of the parameters to estimate.
-    is_regularised
+    is_regularised : bool
         Whether the paper's penalty is added to the likelihood of each driver.
-    profiled
+    profiled : bool
         Whether the intervals come from the profile likelihood.
-    hops
-        Hops of basinhopping before the search.
-    seed
+    hops : int
+        Number of basin-hopping steps before the search.
+    seed : int
         Seed of the random numbers.
     """
 
@@ -51,28 +50,28 @@ class Settings:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Calibration(Result):
-    """Calibrated drivers, N of them, in the order of the vehicles.
+    """N calibrated drivers, in the order of the vehicles.
 
     Parameters
     ----------
-    trajectories
+    trajectories : Trajectories
         The recording.
-    settings
-        What was asked for.
-    rows : (N, WIDTH)
-        Parameters of each driver, in the units that they are declared with.
-    std
-        Standard deviations of each driver's parameters, by name.
-    identified
-        Whether the data determine each driver's parameters, by name.
-    interval : (N, P, 2)
-        Ends of the 95 % intervals of the base model's parameters.
-    log_likelihood : (N,)
+    settings : Settings
+        What was estimated, and how.
+    rows : ndarray, shape (N, width)
+        Row of each driver, at the reference period and in the declared units.
+    std : tuple of dict of str to float
+        Standard deviations of each driver's estimated parameters, by name, in the declared units.
+    identified : tuple of dict of str to bool
+        Whether the data determine each driver's estimated parameters, by name.
+    interval : ndarray, shape (N, P, 2)
+        Ends of the 95 % intervals of the parameters of ``driver.parameters``.
+    log_likelihood : ndarray, shape (N,)
         Log-likelihood of each driver [nats], without the 2 pi term.
-    shared_std
-        Standard deviations of the parameters that all drivers have in common, by name.
-    classes
-        The classes of drivers, if the drivers were divided into classes.
+    shared_std : mapping of str to float
+        Standard deviations of the parameters that all drivers share, by name.
+    classes : Classes, optional
+        Classes of drivers, if the drivers were divided into classes.
     """
 
     trajectories: Trajectories
@@ -88,25 +87,37 @@ class Calibration(Result):
     def write(self, path: Path) -> None:
         """Write a model file.
 
+        Parameters
+        ----------
+        path : Path
+            The file, in YAML.
+
         Raises
         ------
         OutputError
             If the file cannot be written.
         """
+        # Imported here: a calibration that is only printed starts sooner without the code of joint fits.
+        from sugiyama_ros.fit.model_file import write_drivers
+
         total, types = float(self.log_likelihood.sum()), None
         if self.classes is not None:
             types = DriverTypes(self.classes.share, self.classes.rows)
         write_drivers(path, self.trajectories, self.rows, self.std, self.shared_std, total, types)
 
     def headline(self) -> str:
-        """Say how many drivers were calibrated, and how well the data hold their parameters."""
+        """Say how many drivers were calibrated, and for how many of them each parameter is identified."""
         drivers, names = len(self.rows), self.settings.estimated
         held = ", ".join(f"{name} of {sum(one[name] for one in self.identified)}" for name in names)
         kind = f"{self.settings.formulation} formulation"
         return f"{drivers} drivers, {kind}, log-likelihood {self.log_likelihood.sum():.1f}; identified: {held}"
 
     def records(self) -> list[dict[str, Any]]:
-        """List the drivers: each parameter, its std, the ends of its 95 % interval, and whether it is identified."""
+        """List the drivers.
+
+        Each record has the number of the vehicle and the log-likelihood. For each estimated parameter it has the value,
+        the standard deviation, the ends of the 95 % interval, and whether the parameter is identified.
+        """
         return [
             {
                 "vehicle": d["vehicle"],
@@ -127,7 +138,10 @@ class Calibration(Result):
         ]
 
     def draw(self, figure: "Figure") -> None:
-        """Draw each estimated parameter of each driver with its std; open circles are not identified."""
+        """Draw each estimated parameter of each driver with its standard deviation.
+
+        A parameter that is not identified is an open circle.
+        """
         names = self.settings.estimated
         rows = self._drivers()
         for axes, name in zip(figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0], names, strict=True):
@@ -145,12 +159,12 @@ class Calibration(Result):
         Parameters
         ----------
         path : str or Path
-            ``.yaml`` for a model file; ``.json`` and ``.csv`` for the figures, ``.png`` and ``.pdf`` for the picture.
+            ``.yaml`` for a model file, ``.json`` and ``.csv`` for the records, ``.png`` and ``.pdf`` for the picture.
 
         Raises
         ------
         InputError
-            For another suffix.
+            For any other suffix.
         OutputError
             If the file cannot be written.
         """
@@ -160,18 +174,18 @@ class Calibration(Result):
             super().save(path)
 
     def document(self, wall_s: float) -> dict[str, Any]:
-        """All results in plain types, in SI units, for ``--json``.
+        """Collect all results in plain types and SI units, for ``--json``.
 
         Parameters
         ----------
-        wall_s
+        wall_s : float
             Time [s] that the calibration took.
 
         Returns
         -------
         dict
-            ``formulation``, ``drivers``, ``effects``, ``log_likelihood`` and ``wall_s``; with classes also ``classes``
-            and ``bic``.
+            ``formulation``, ``drivers``, ``effects``, ``log_likelihood`` and ``wall_s``. With classes of drivers, also
+            ``classes`` and ``bic``.
         """
         drivers = self._drivers()
         found: dict[str, Any] = {
@@ -188,7 +202,7 @@ class Calibration(Result):
         return found
 
     def table(self) -> TextTable:
-        """Parameters of each driver with their uncertainty, and the means over the drivers."""
+        """Make a table of each driver's parameters with their uncertainty, and of the means over the drivers."""
         names, profiled, rows = self.settings.estimated, self.settings.profiled, []
         for d in self._drivers():
             cells = []
@@ -202,7 +216,10 @@ class Calibration(Result):
         return TextTable(title, ("vehicle", *names, "log-likelihood"), tuple(rows))
 
     def class_sentences(self) -> list[str]:
-        """Share and parameters of each class, and the information criterion; nothing without classes."""
+        """Say the share and the parameters of each class, and the information criterion.
+
+        The list is empty if the drivers were not divided into classes.
+        """
         if self.classes is None:
             return []
         names, lines = self.settings.estimated, []
@@ -210,16 +227,17 @@ class Calibration(Result):
             values = ", ".join(f"{n} {one[n]:.3f} ± {one['std'][n]:.3f}" for n in names)
             lines.append(f"class {number}: {one['share']:.0%} of the drivers, {values}")
         bic = f"Bayesian information criterion {self.classes.bic:.1f}"
-        return [*lines, f"{bic}: the number of classes with the smallest is best"]
+        return [*lines, f"{bic}: the best number of classes has the smallest criterion"]
 
     def shared_sentences(self) -> list[str]:
-        """Values of the parameters that all drivers have in common, one line for each effect."""
+        """Say the values of the parameters that all drivers share, one line for each effect."""
         return [
             f"{name}: " + ", ".join(f"{p} {v['value']:.4g} ± {v['std']:.2g}" for p, v in values.items())
             for name, values in self._shared().items()
         ]
 
     def _drivers(self) -> list[dict[str, Any]]:
+        """Collect the results of each driver in plain types."""
         names = self.settings.estimated
         places = [index(name) for name in names]
         columns = (self.trajectories.vehicle, self.rows, self.log_likelihood, self.std, self.interval, self.identified)
@@ -236,7 +254,10 @@ class Calibration(Result):
         ]
 
     def _shared(self) -> dict[str, dict[str, dict[str, float]]]:
-        """Value and std of each shared parameter, by effect and parameter; ``constants`` are the model's own."""
+        """Value and std of each shared parameter, by effect and parameter.
+
+        The shared parameters of ``driver.parameters`` stand under ``constants``.
+        """
         found: dict[str, dict[str, dict[str, float]]] = {}
         for entry, std in self.shared_std.items():
             effect, _, parameter = entry.rpartition(".")
@@ -246,7 +267,7 @@ class Calibration(Result):
 
 
 def _classes_of(classes: Classes, names: Sequence[str]) -> list[dict[str, Any]]:
-    """Share of the drivers, parameters and their std, for each class."""
+    """Collect the share of the drivers, the parameters and their std, for each class."""
     places = [index(name) for name in names]
     return [
         {

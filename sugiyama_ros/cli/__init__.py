@@ -6,7 +6,6 @@ line and exit code 2. Each command imports what it needs when it runs, so that `
 
 import os
 import sys
-from importlib import metadata
 from typing import Annotated
 
 import typer
@@ -37,6 +36,8 @@ for command in (
 
 def _print_version(wanted: bool) -> None:
     if wanted:
+        from importlib import metadata
+
         print(f"sugiyama {metadata.version('sugiyama_ros')}")
         raise typer.Exit
 

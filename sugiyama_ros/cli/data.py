@@ -104,7 +104,7 @@ def _lines(about: "BagInfo") -> list[tuple[str, str]]:
 
 
 def _moment(ns: int) -> str:
-    # stamps of a recording are times of day, stamps of converted data count the seconds from its start
+    # stamps of a recording are times of day; stamps of converted data count the seconds from the start
     return f"{ns / 1e9:.9f} ({datetime.fromtimestamp(ns / 1e9, tz=timezone.utc):%Y-%m-%d %H:%M:%S} UTC)"
 
 

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from sugiyama_ros.driver.parameters import index
-from sugiyama_ros.effects.effect import MEASUREMENT, Recording
+from sugiyama_ros.effects.effect import MEASUREMENT, RecordingExtent
 from sugiyama_ros.effects.registry import EFFECTS, ROW, index_of
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.model import Model
@@ -87,12 +87,12 @@ _CONSTANTS = (
 )
 
 
-def candidates(recording: Recording, drivers: int) -> tuple[Candidate, ...]:
+def candidates(recording: RecordingExtent, drivers: int) -> tuple[Candidate, ...]:
     """Return all candidates that make sense for a recording.
 
     Parameters
     ----------
-    recording : Recording
+    recording : RecordingExtent
         What the search may know about the recording.
     drivers : int
         Number of drivers.
@@ -162,11 +162,11 @@ def named(data: Recorded, names: Sequence[str]) -> list[Candidate]:
     return [possible[name] for name in names]
 
 
-def recording_of(data: Recorded) -> Recording:
+def recording_of(data: Recorded) -> RecordingExtent:
     """Return what a search may know about a recording."""
     t = data.trajectories
     first, last = float(np.nanmin(t.position_m)), float(np.nanmax(t.position_m))
-    return Recording(t.start_s, t.start_s + t.duration_s, t.road.circumference_m, first, last)
+    return RecordingExtent(t.start_s, t.start_s + t.duration_s, t.road.circumference_m, first, last)
 
 
 def added(model: Model, candidate: Candidate, start: dict[int, float]) -> Model:

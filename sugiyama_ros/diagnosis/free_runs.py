@@ -139,6 +139,8 @@ def _drive_on(data: Recorded, rows: Array, recorded: Array, k: int, leader: Ints
 
 def _as_measured(position: Array, rows: Array, ring: float) -> Array:
     """Measured positions for true positions (H, N) [m]; effects may displace the measurement."""
+    # one layout, so that one version of the function is compiled
+    position = np.ascontiguousarray(position)
     return np.asarray(position + np.array([displacements(at, ring, rows) for at in position]))
 
 

@@ -1,4 +1,4 @@
-"""One step in time of a vehicle: Euler's rule, as in the paper's state-space model (Eq. ssm_form)."""
+"""One step of a vehicle in time: Euler's rule, as in the paper's state-space model (Eq. ssm_form)."""
 
 from typing import Any
 
@@ -11,13 +11,14 @@ def advance(position: Any, speed: Any, acceleration: Any, period: float) -> tupl
 
     Parameters
     ----------
-    position, speed, acceleration
-        Numbers, or arrays of one shape, in m, m/s and m/s^2 at the beginning of the period.
-    period
+    position, speed, acceleration : float or ndarray
+        Position [m], speed [m/s] and acceleration [m/s^2] at the beginning of the period; all of one shape.
+    period : float
         Length of the period [s].
 
     Returns
     -------
-    Position [m] and speed [m/s] at the end of the period.
+    position, speed : float or ndarray
+        Position [m] and speed [m/s] at the end of the period.
     """
     return position + period * speed, speed + period * acceleration

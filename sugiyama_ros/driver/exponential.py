@@ -1,4 +1,7 @@
-"""exp in a form that compilers make vector instructions of where it stands in a loop; libm's takes one at a time."""
+"""The exponential function, written so that compilers turn a loop of calls into vector instructions.
+
+The function in libm takes one number at a time.
+"""
 
 from typing import Any
 
@@ -7,19 +10,19 @@ from numba.extending import intrinsic
 
 from sugiyama_ros.jit import kernel
 
-#: Arguments below this count as this: exp(-600) is far below anything that is added to it here.
+#: Smallest argument; smaller arguments count as this one. exp(-600) is far below anything that is added to it here.
 LOWEST = -600.0
-# Adding it rounds a float64 to a whole number, which then stands in the last bits.
+# Adding this constant rounds a float64 to a whole number, and leaves the whole number in the last bits.
 _ROUNDING = 6755399441055744.0
 _PER_LN_2 = 1.4426950408889634
-# ln 2 in two parts, the first with few enough bits that its product with a whole number is exact (Cody and Waite 1980).
+# ln 2 in two parts. The first part has so few bits that its product with a whole number is exact (Cody and Waite 1980).
 _LN_2, _REST = 0.6931471803691238, 1.9082149292705877e-10
 _BIAS, _MANTISSA_BITS = 1023, 52
 
 
 @intrinsic
 def _bits(_: Any, x: Any) -> Any:
-    """The bits of a float64 as an integer."""
+    """Read the bits of a float64 as an integer."""
     return types.int64(types.float64), lambda context, builder, _, values: builder.bitcast(
         values[0], context.get_value_type(types.int64)
     )
@@ -27,7 +30,7 @@ def _bits(_: Any, x: Any) -> Any:
 
 @intrinsic
 def _of_bits(_: Any, bits: Any) -> Any:
-    """The float64 of these bits."""
+    """Read the bits of an integer as a float64."""
     return types.float64(types.int64), lambda context, builder, _, values: builder.bitcast(
         values[0], context.get_value_type(types.float64)
     )
@@ -35,23 +38,39 @@ def _of_bits(_: Any, bits: Any) -> Any:
 
 @intrinsic
 def _fma(_: Any, x: Any, y: Any, z: Any) -> Any:
-    """x y + z, rounded once."""
+    """Compute x y + z with one rounding."""
     number = types.float64
     return number(number, number, number), lambda context, builder, _, values: builder.fma(*values)
 
 
 @kernel
 def _horner(r: float, above: float, coefficient: float) -> float:
-    # an intrinsic is called without its first argument, which is numba's
+    """One step of Horner's rule: r times the polynomial so far, plus the next coefficient."""
+    # numba supplies the first argument of an intrinsic
     sum_: float = _fma(r, above, coefficient)  # type: ignore[call-arg]
     return sum_
 
 
 @kernel(vectorised=True)
 def exponential(x: float) -> float:
-    """exp(x) for x <= 700, as if x were LOWEST below; relative error below 1e-14.
+    """Compute exp(x) with a relative error below 1e-14.
 
-    x = k ln 2 + r; the polynomial is Taylor's of exp(r), |r| < 0.35; 2^k is put together from its bits.
+    The argument is split into x = k ln 2 + r with |r| < 0.35. A Taylor polynomial gives exp(r), and the bits of k give
+    2^k.
+
+    Parameters
+    ----------
+    x : float
+        At most 700. Numbers below ``LOWEST`` count as ``LOWEST``.
+
+    Returns
+    -------
+    float
+        exp(x).
+
+    References
+    ----------
+    Cody and Waite, Software Manual for the Elementary Functions (1980).
     """
     bounded = x if x > LOWEST else LOWEST
     rounded = bounded * _PER_LN_2 + _ROUNDING

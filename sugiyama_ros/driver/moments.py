@@ -1,7 +1,7 @@
 """The mean action at many moments at once, and its derivatives: most of the work of the paper's likelihood.
 
-The same formulas as in ``utility``, which takes one moment at a time. Here what a driver perceives is given for all of
-them, so that the loops run over the moments and compilers make vector instructions of them.
+The formulas are the formulas of ``utility``, which takes one moment at a time. Here the loops run over the moments, so
+that compilers turn them into vector instructions.
 """
 
 from typing import NamedTuple
@@ -23,16 +23,28 @@ from sugiyama_ros.driver.utility import (
 )
 from sugiyama_ros.jit import kernel
 
-#: Moments that are taken together; what is kept of them stays in the processor's near memory.
+#: Number of moments in a block. The arrays of a block fit into the processor's cache.
 BLOCK = 128
 _V_STAR, _KAPPA_V, _KAPPA_1, _KAPPA_C, _KAPPA_D, _OMEGA_2, _RATIONALITY = range(len(UTILITY))
 
 
 class Considered(NamedTuple):
-    """What is kept of every action (K) at every moment of a block (B), arrays of shape (K, B).
+    """Every action at every moment of a block, for the derivatives.
 
-    ratio: gap over scale; per_metre: reciprocal of the scale [1/m]; tau: periods ahead where the ratio is smallest;
-    reward, risk: of the utility; utility; weight: relative to the best action's.
+    Parameters
+    ----------
+    ratio : ndarray, shape (K, B)
+        Smallest ratio of gap to gap scale in the look-ahead, for K actions at B moments.
+    per_metre : ndarray, shape (K, B)
+        Reciprocal of the gap scale [1/m].
+    tau : ndarray, shape (K, B)
+        Periods ahead at which the ratio is smallest.
+    reward, risk : ndarray, shape (K, B)
+        First term of phi1, and phi2.
+    utility : ndarray, shape (K, B)
+        Effective utility.
+    weight : ndarray, shape (K, B)
+        Boltzmann weight relative to the weight of the best action.
     """
 
     ratio: Array
@@ -44,7 +56,7 @@ class Considered(NamedTuple):
     weight: Array
 
 
-# Weight of an action that cannot change a mean, relative to the best one's.
+# An action with less weight than this, relative to the weight of the best action, cannot change a mean.
 _NO_CHANCE = 1e-20
 
 
@@ -61,7 +73,7 @@ def _closest(
     scale: Array,
     tau: Array,
 ) -> None:
-    """Gap [m], scale [m] and period of the look-ahead where their ratio is smallest, (K, B) each; section 3.2.2."""
+    """Find the smallest ratio of gap [m] to scale [m] in the look-ahead, and its period, (K, B) each; section 3.2.2."""
     for k in range(len(actions)):
         for t in range(len(gap)):
             near, wide = gap_and_scale(actions[k], 1, gap[t], speed[t], leader_speed[t], driver, period)
@@ -90,9 +102,9 @@ def _add_up(
     utility: Array,
     best: Array,
 ) -> None:
-    """Eq. EffectiveUtilityTilde: phi1's first term, phi2, the utility, (K, B) each, and the best action's, (B,).
+    """Compute reward, risk and utility, (K, B) each, and the largest utility, (B,); Eq. EffectiveUtilityTilde.
 
-    ratio, scale: (K, B), come as the gap and the scale, and leave as the gap over the scale and the scale's reciprocal.
+    ``ratio`` and ``scale``, (K, B), hold the gap and its scale at first, then their ratio and the scale's reciprocal.
     """
     v_star, _, kappa_1, _, _, omega_2, _ = driver
     slowest = np.min(speed)
@@ -116,7 +128,7 @@ def _add_up(
 def _weigh(
     actions: Array, utility: Array, best: Array, rationality: float, weight: Array, partition: Array, mean: Array
 ) -> None:
-    """Boltzmann weights relative to the best action's, (K, B), their sums and the mean actions, (B,)."""
+    """Compute Boltzmann weights relative to the best action, (K, B), their sums and the mean actions, (B,) each."""
     partition[:], mean[:] = 0.0, 0.0
     for k in range(len(actions)):
         for t in range(len(best)):
@@ -140,9 +152,9 @@ def _add_partials(
     wanted: Array,
     out: Array,
 ) -> None:
-    """Covariances of actions and utilities' derivatives into ``out`` (7, B), but for the factors of ``_factors``.
+    """Add up the covariances of the action and the utility's derivatives into ``out`` (7, B), without ``_factors``.
 
-    A loop of its own for each parameter that is wanted (7,): the others stay 0.
+    Every wanted parameter has its own loop. The rows of the other parameters stay 0.
     """
     ratio, per_metre, tau, reward, risk, utility, weight = considered
     out[:] = 0.0
@@ -187,7 +199,7 @@ def _add_partials(
 
 @kernel
 def _factors(driver: Preferences) -> Array:
-    """What the sums of ``_add_partials`` are to be multiplied by, (7,); all but the last with the rationality."""
+    """Factors (7,) of the sums of ``_add_partials``. All but the last contain the rationality."""
     v_star, _, kappa_1, _, _, omega_2, rationality = driver
     factors = np.full(len(UTILITY), rationality)
     factors[_V_STAR] *= 2.0 / (kappa_1 * kappa_1 * v_star**3)
@@ -211,12 +223,28 @@ def mean_actions(
     mean: Array,
     partials: Array,
 ) -> None:
-    """Mean actions [m/s^2] into ``mean`` (T,), and their derivatives by the utility's parameters into (T, 7).
+    """Compute mean actions and their derivatives by the utility's parameters.
 
-    gap [m] (infinite without a leader), speed, leader_speed: (T,); parameters: (P,) at this period; actions: (K,);
-    periods_ahead: those of the look-ahead, 1 to h, as a tuple, so that compilers unroll its loop; wanted: (7,), whether
-    a derivative is asked for, the others are 0.
     The derivative of a Boltzmann mean is a covariance: d mean(a) = lambda cov(a, d utility).
+
+    Parameters
+    ----------
+    gap, speed, leader_speed : ndarray, shape (T,)
+        Gap [m], infinite without a leader, speed [m/s] and leader's speed [m/s] at T moments.
+    parameters : ndarray, shape (P,)
+        Parameters of the driver at this period.
+    actions : ndarray, shape (K,)
+        Accelerations [m/s^2] that the driver considers.
+    period : float
+        Length of a period [s].
+    periods_ahead : tuple of int
+        Periods of the look-ahead, 1 to h; a tuple, so that compilers unroll the loop over it.
+    wanted : ndarray, shape (7,)
+        Whether each derivative is computed; the other derivatives are 0.
+    mean : ndarray, shape (T,)
+        Filled with the mean actions [m/s^2].
+    partials : ndarray, shape (T, 7)
+        Filled with the derivatives of the mean actions by the parameters in ``UTILITY``.
     """
     driver, shape = preferences(parameters), (len(actions), BLOCK)
     v_star, rationality, factors = driver[0], driver[-1], _factors(driver)
@@ -227,7 +255,7 @@ def mean_actions(
     for first in range(0, len(gap), BLOCK):
         taken = min(BLOCK, len(gap) - first)
         for t in range(BLOCK):
-            # the last block is filled up with its last moment
+            # copies of the last moment fill up the last block
             at = first + min(t, taken - 1)
             near[t], own[t], leader[t] = min(gap[at], FAR), speed[at], leader_speed[at]
         _closest(actions, near, own, leader, driver, period, periods_ahead, smallest, scale, tau)

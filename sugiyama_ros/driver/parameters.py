@@ -1,7 +1,8 @@
-"""The parameters of one driver, declared once.
+"""The parameters of a driver, declared once.
 
 The optimiser, the ROS parameter descriptors, the YAML files, the command line and the reports read this declaration.
-A driver's parameters are a float64 vector of shape (P,), many drivers' an array of shape (N, P), in this order.
+The parameters of one driver are a float64 vector of shape (P,), in the declared order. The parameters of N drivers are
+an array of shape (N, P).
 """
 
 import math
@@ -17,9 +18,22 @@ from sugiyama_ros.errors import InputError
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter: its name in code and messages, symbol in the paper, unit, default, bounds, meaning and source.
+    """The declaration of one parameter.
 
-    ``axis`` says that the value is a time of the recording ("time") or a position on the road ("place").
+    Parameters
+    ----------
+    name : str
+        Name in code, files and messages.
+    symbol : str
+        Symbol in the source.
+    unit : str
+        SI unit; ``"1"`` for a number without a unit.
+    default, lower, upper : float
+        Default value and bounds, in this unit.
+    description : str
+        Meaning, and source where the source is not obvious.
+    axis : {"", "time", "place"}
+        ``"time"`` if the value is a time of the recording, ``"place"`` if it is a position on the road.
     """
 
     name: str
@@ -35,7 +49,7 @@ class Parameter:
 _MEAN = "Eq. SimulatedModelParameters"
 _FIXED = "section 5, fixed for all drivers"
 
-#: Names follow the paper's symbols; bounds are those within which the model makes sense.
+#: Declared parameters. The names follow the paper's symbols. The model makes sense within the bounds.
 PARAMETERS: tuple[Parameter, ...] = (
     Parameter("sigma_nu", "σ_ν", "m", 0.263, 0.0, 10.0, f"std of the measurement noise; {_MEAN}"),
     Parameter("sigma_a", "σ_a", "m/s^2", 0.273, 0.0, 10.0, f"std of the acceleration noise in one period; {_MEAN}"),
@@ -53,31 +67,48 @@ PARAMETERS: tuple[Parameter, ...] = (
 NAMES: tuple[str, ...] = tuple(p.name for p in PARAMETERS)
 COUNT = len(PARAMETERS)
 
-# Places in the vector, for compiled code, which cannot look a name up.
+# Indices in the vector. Compiled code uses them, because it cannot look up a name.
 SIGMA_NU, SIGMA_A, V_STAR, KAPPA_V, KAPPA_1, KAPPA_C, KAPPA_D, OMEGA_2, RATIONALITY, RHO, SIGMA_X, SIGMA_V = range(
     COUNT
 )
 
-#: The utility's parameters; the mean action depends on these alone.
+#: Indices of the utility's parameters. The mean action depends on these parameters alone.
 UTILITY: tuple[int, ...] = (V_STAR, KAPPA_V, KAPPA_1, KAPPA_C, KAPPA_D, OMEGA_2, RATIONALITY)
 
-#: Time [s] between samples for which the defaults hold (Sugiyama experiment).
+#: Time [s] between two samples for which the defaults hold (Sugiyama experiment).
 REFERENCE_PERIOD_S = 1.0 / 3.0
 #: Periods that a driver looks ahead, at the reference period; section 3.1.
 REFERENCE_HORIZON = 4
 
 
 def defaults(drivers: int | None = None) -> Array:
-    """The paper's parameters, of shape (P,), or (drivers, P) for several identical drivers."""
+    """Return the paper's parameters.
+
+    Parameters
+    ----------
+    drivers : int, optional
+        Number of identical drivers.
+
+    Returns
+    -------
+    ndarray, shape (P,) or (drivers, P)
+        Parameters of one driver, or of all drivers if ``drivers`` is given.
+    """
     row = np.array([p.default for p in PARAMETERS])
     return row if drivers is None else np.tile(row, (drivers, 1))
 
 
 def population() -> Array:
-    """Parameters (P,) of a driver of whom nothing is known yet.
+    """Return the parameters of a driver about whom nothing is known yet.
 
-    The paper's, but with the acceleration noise that its likelihood finds on the measured experiment (the mean over the
-    22 drivers, fitted here); the paper's own value is reduced for its simulations (section 4.1).
+    These are the paper's parameters except for the acceleration noise. The paper reduces the noise for its simulations
+    (section 4.1). Here the noise is the mean over the 22 drivers of the measured experiment, fitted with the paper's
+    likelihood.
+
+    Returns
+    -------
+    ndarray, shape (P,)
+        Parameters at the reference period.
     """
     known = defaults()
     known[SIGMA_A] = 0.68
@@ -85,14 +116,31 @@ def population() -> Array:
 
 
 def index(name: str) -> int:
-    """Place of a parameter in the vector. Raises InputError, which lists the names, for an unknown one."""
+    """Return the index of a parameter in the vector.
+
+    Raises
+    ------
+    InputError
+        For an unknown name. The message lists the names.
+    """
     if name not in NAMES:
         raise InputError(f"parameter {name!r}: not known; the parameters are {', '.join(NAMES)}")
     return NAMES.index(name)
 
 
 def check(parameters: NDArray[np.float64]) -> None:
-    """Raises InputError if any entry of ``parameters`` (..., P) lies outside its declared bounds."""
+    """Check that all parameters lie within their declared bounds.
+
+    Parameters
+    ----------
+    parameters : ndarray, shape (..., P)
+        Parameters of one or more drivers; entries after the first P are not checked.
+
+    Raises
+    ------
+    InputError
+        If an entry lies outside its bounds, or is NaN.
+    """
     for k, p in enumerate(PARAMETERS):
         values = np.ravel(parameters[..., k])
         outside = values[~((values >= p.lower) & (values <= p.upper))]
@@ -103,19 +151,42 @@ def check(parameters: NDArray[np.float64]) -> None:
 
 
 def horizon_at(period_s: float) -> int:
-    """Periods that a driver looks ahead when a period lasts ``period_s`` [s].
+    """Return the number of periods that a driver looks ahead.
 
-    The look-ahead time stays what it is at the reference period, rounded down (paper, section 5.4: 6 at 0.2 s).
+    The look-ahead time is the same at every period, rounded down to whole periods (paper, section 5.4: 6 at 0.2 s).
+
+    Parameters
+    ----------
+    period_s : float
+        Time [s] between two samples.
+
+    Returns
+    -------
+    int
+        Periods of look-ahead, at least 1.
     """
     return max(1, int(REFERENCE_HORIZON * REFERENCE_PERIOD_S / period_s + 1e-6))
 
 
 def at_period(parameters: Array, period_s: float) -> Array:
-    """Parameters (..., P) declared for the reference period, rescaled to ``period_s`` [s].
+    """Rescale parameters from the reference period to another period.
 
-    rho goes to rho^(4 / h), so that the noise's correlation over the look-ahead stays (paper, section 5.4: rho^(2/3)
-    at 0.2 s). The paper is silent on the noises: here the acceleration noise keeps its stationary variance, and the
-    position and speed noises their variance per second.
+    With h periods of look-ahead, rho becomes rho^(4 / h): the correlation of the noise over the look-ahead stays the
+    same (paper, section 5.4: rho^(2/3) at 0.2 s). The paper does not say how to rescale the noises. Here the
+    acceleration noise keeps its stationary variance. The position noise and the speed noise keep their variances per
+    second.
+
+    Parameters
+    ----------
+    parameters : ndarray, shape (..., P)
+        Parameters at the reference period, or rows with effects; they stay as they are.
+    period_s : float
+        Time [s] between two samples.
+
+    Returns
+    -------
+    ndarray, shape of ``parameters``
+        Parameters at ``period_s``.
     """
     scaled = parameters.copy()
     rho = parameters[..., RHO]
@@ -127,9 +198,21 @@ def at_period(parameters: Array, period_s: float) -> Array:
 
 
 def jacobian_at_reference(parameters: Array, scaled: Array, period_s: float) -> Array:
-    """Derivatives (P, P) of ``scaled``, which is ``at_period(parameters, period_s)``, by ``parameters`` (P,).
+    """Compute the derivatives of ``at_period``.
 
-    Column by row.
+    Parameters
+    ----------
+    parameters : ndarray, shape (P,)
+        Parameters at the reference period.
+    scaled : ndarray, shape (P,)
+        Parameters at ``period_s``: ``at_period(parameters, period_s)``.
+    period_s : float
+        Time [s] between two samples.
+
+    Returns
+    -------
+    ndarray, shape (P, P)
+        Derivative of the scaled parameter of the column by the reference parameter of the row.
     """
     rho, sigma_a, there = float(parameters[RHO]), float(parameters[SIGMA_A]), float(scaled[RHO])
     ratio = REFERENCE_HORIZON / horizon_at(period_s)

@@ -1,8 +1,8 @@
-"""A driver's row: all numbers that the compiled code may need of one driver, in one float64 vector.
+"""A driver's row: all numbers that the compiled code may need for one driver, in one float64 vector.
 
-A row holds the parameters of ``driver.parameters``, then the number of the law by which the driver chooses their
-acceleration, then the parameters of every law, then the parameters of every effect. An effect whose strengths are 0
-does nothing.
+A row begins with the parameters of ``driver.parameters``. The number of the law follows, by which the driver chooses
+their acceleration. Then come the parameters of every law and the parameters of every effect. An effect whose strengths
+are 0 does nothing.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,17 +21,14 @@ class RowLayout:
 
     Parameters
     ----------
-    laws, effects : mapping of str to sequence of Parameter
-        Declared parameters by the name of the law or effect, in the order of the row.
-
-    Attributes
-    ----------
     law : int
-        Index of the number of the law.
-    law_places, places : mapping of str to slice
-        Where the parameters of a law, or of an effect, stand.
+        Index of the entry that holds the number of the law.
+    law_places : mapping of str to slice
+        Entries of each law's parameters, by the name of the law.
+    places : mapping of str to slice
+        Entries of each effect's parameters, by the name of the effect.
     entries : tuple of str
-        Name of every entry; those of laws and effects as in ``drag.c0``.
+        Name of every entry. The parameters of laws and effects have names like ``drag.c0``.
     declared : tuple of Parameter
         Declaration of every entry.
     """
@@ -44,7 +41,18 @@ class RowLayout:
 
     @classmethod
     def of(cls, laws: Mapping[str, Sequence[Parameter]], effects: Mapping[str, Sequence[Parameter]]) -> "RowLayout":
-        """Lay out a row for these laws and effects."""
+        """Lay out a row for laws and effects.
+
+        Parameters
+        ----------
+        laws, effects : mapping of str to sequence of Parameter
+            Declared parameters of each law and of each effect, by name, in the order of the row.
+
+        Returns
+        -------
+        RowLayout
+            The layout.
+        """
         declared = [*PARAMETERS, Parameter("law", "", "1", 0.0, 0.0, float(len(laws)), "number of the law")]
         entries = [p.name for p in declared]
 
@@ -61,11 +69,17 @@ class RowLayout:
 
     @property
     def width(self) -> int:
-        """Number of entries of a row."""
+        """Number of entries in a row."""
         return len(self.entries)
 
     def index_of(self, effect: str, parameter: str) -> int:
-        """Find a parameter of an effect. Raises InputError, which lists the parameters, for an unknown one."""
+        """Return the index of an effect's parameter in a row.
+
+        Raises
+        ------
+        InputError
+            If the effect has no such parameter. The message lists the parameters.
+        """
         places = self.places[effect]
         names = [p.name for p in self.declared[places]]
         if parameter not in names:
@@ -73,7 +87,18 @@ class RowLayout:
         return int(places.start) + names.index(parameter)
 
     def with_effects(self, parameters: Array) -> Array:
-        """Rows of shape (..., width) from parameters of shape (..., P) or whole rows; a copy."""
+        """Make rows from parameters, with every effect switched off.
+
+        Parameters
+        ----------
+        parameters : ndarray, shape (..., P) or (..., width)
+            Parameters of drivers, or rows, which keep their effects.
+
+        Returns
+        -------
+        ndarray, shape (..., width)
+            Rows; a copy.
+        """
         row = np.zeros((*parameters.shape[:-1], self.width))
         row[..., : parameters.shape[-1]] = parameters
         return row

@@ -1,8 +1,8 @@
-"""What a driver wants: the utility of holding an acceleration, its anticipation, and the Boltzmann mean action.
+"""What a driver wants: the anticipated utility of holding an acceleration, and the Boltzmann mean action.
 
-Sections 3.1, 3.2 and 3.4.1 of the paper. A driver sees (gap [m], speed [m/s], leader_speed [m/s]); without a leader the
-gap is infinite. All functions are pure and compiled; a driver's parameters are a vector ordered as in
-``driver.parameters`` and already rescaled to ``period`` [s].
+Sections 3.1, 3.2 and 3.4.1 of the paper. A driver sees the gap [m], their own speed [m/s] and the leader's speed [m/s].
+The gap is infinite without a leader. All functions are compiled. The parameters of a driver are a vector in the order
+of ``driver.parameters``, rescaled to the period.
 """
 
 from typing import TypeAlias
@@ -25,20 +25,21 @@ from sugiyama_ros.jit import kernel
 #: The paper's grid of candidate accelerations [m/s^2]; section 3.4.1.
 ACTIONS: Array = np.linspace(-6.0, 4.0, 41, dtype=np.float64)
 
-#: The utility's parameters as scalars, in the order of ``parameters.UTILITY``.
+#: The parameters of the utility as scalars, in the order of ``parameters.UTILITY``.
 Preferences: TypeAlias = tuple[float, float, float, float, float, float, float]
 
-# exp(-10 (v + 0.25)) overflows for speeds that nobody drives backward; its exponent is capped here.
+# exp(-10 (v + 0.25)) overflows at backward speeds that no car reaches, so its exponent is at most this.
 _EXPONENT_CAP = 600.0
-# Utility of an action that is none.
+# Utility of an entry that only fills up a row and must never be chosen.
 _NEVER = -1e300
-# Rows of the scratch array in which actions are considered; two of them are used twice.
+# Rows of the scratch array in which a driver considers the actions. Two rows have two uses.
 UTILITY_ROW, GRID_ROW, _HANDICAP, _GAP, _SCALE = range(5)
 _WEIGHT, _WEIGHTED = _GAP, _SCALE
-# Rows are a multiple of this long, and summed in as many lanes: several elements per vector instruction, in an order
-# that is written down. No compiler may choose one (no fastmath): each time that it compiles, it would round otherwise.
+# The length of a row is a multiple of this number, and a row is summed in this number of lanes. A vector instruction
+# then adds several entries, in a fixed order. With fastmath, compilers would choose the order, and the rounding would
+# differ from one compilation to the next.
 _LANES = 16
-#: Gap [m] that stands for an infinite one, of a driver without a leader: no risk, and all numbers stay finite.
+#: Gap [m] of a driver without a leader, in place of an infinite gap: no risk, and all numbers stay finite.
 FAR = 1e9
 #: Speed [m/s] above which driving backward costs less than 1e-20.
 FORWARD = 4.35
@@ -46,35 +47,48 @@ FORWARD = 4.35
 
 @kernel(vectorised=True)
 def forward_reward(speed: float, v_star: float, kappa_1: float) -> float:
-    """First term of phi1: what a speed near the desired one is worth."""
-    # the reciprocal is that of all actions
+    """Compute the first term of phi1: the reward, from 0 to 1, of a speed [m/s] near the desired speed [m/s]."""
+    # all actions share the reciprocal, so compilers compute it once
     off = (speed - v_star) * (1.0 / (kappa_1 * v_star))
     return exponential(-off * off)
 
 
 @kernel(vectorised=True)
 def backward_penalty(speed: float) -> float:
-    """Second term of phi1: what driving backward costs."""
+    """Compute the second term of phi1: the cost of driving backward at a speed [m/s]."""
     exponent = -10.0 * (speed + 0.25)
     return exponential(exponent if exponent < _EXPONENT_CAP else _EXPONENT_CAP)
 
 
 @kernel
 def desired_speed_reward(speed: float, v_star: float, kappa_1: float) -> float:
-    """phi1: reward of driving forward near the desired speed; first equation of section 3.2.1."""
+    """Compute phi1: the reward of driving forward near the desired speed; first equation of section 3.2.1."""
     return forward_reward(speed, v_star, kappa_1) - backward_penalty(speed)
 
 
 @kernel(vectorised=True)
 def gap_scale(speed: float, leader_speed: float, kappa_c: float, kappa_v: float, kappa_d: float) -> float:
-    """sigma [m]: the gap within which a driver feels at risk; text below Eq. PairwiseCollisionPenalty."""
+    """Compute sigma, the gap within which a driver feels at risk; text below Eq. PairwiseCollisionPenalty.
+
+    Parameters
+    ----------
+    speed, leader_speed : float
+        Speeds of the driver and of the leader [m/s].
+    kappa_c, kappa_v, kappa_d : float
+        Gap scale at standstill [m], per speed [s] and per closing speed [s].
+
+    Returns
+    -------
+    float
+        Gap scale [m].
+    """
     closing = speed - leader_speed
     return kappa_c + kappa_v * abs(speed) + kappa_d * (closing if closing > 0.0 else 0.0)
 
 
 @kernel(vectorised=True)
 def collision_penalty(ratio: float) -> float:
-    """phi2: subjective risk at a gap of ``ratio`` scales; 1 at contact; Eq. PairwiseCollisionPenalty."""
+    """Compute phi2, the risk at a ratio of gap to scale, 1 at contact; Eq. PairwiseCollisionPenalty."""
     inside = ratio if ratio > 0.0 else 0.0
     return exponential(-inside * (inside + 2.0))
 
@@ -83,9 +97,25 @@ def collision_penalty(ratio: float) -> float:
 def anticipate(
     action: float, tau: int, gap: float, speed: float, leader_speed: float, period: float
 ) -> tuple[float, float]:
-    """Gap [m] and speed [m/s] expected ``tau`` periods ahead if ``action`` is held and the leader keeps his speed.
+    """Predict the gap and the speed if the driver holds an action and the leader keeps their speed.
 
     Euler's rule as in Eq. ssm_form: x_{t+1} = x_t + dt v_t, v_{t+1} = v_t + dt a.
+
+    Parameters
+    ----------
+    action : float
+        Acceleration [m/s^2] that the driver holds.
+    tau : int
+        Number of periods ahead.
+    gap, speed, leader_speed : float
+        Gap [m] and speeds [m/s] now.
+    period : float
+        Length of a period [s].
+
+    Returns
+    -------
+    gap, speed : float
+        Gap [m] and speed [m/s] after ``tau`` periods.
     """
     gap_ahead = gap + period * tau * (leader_speed - speed) - period * period * action * (0.5 * tau * (tau - 1))
     return gap_ahead, speed + tau * period * action
@@ -93,7 +123,7 @@ def anticipate(
 
 @kernel
 def preferences(parameters: Array) -> Preferences:
-    """The utility's parameters out of all (P,), as scalars, which compiled code keeps in registers."""
+    """Take the parameters of the utility out of all parameters (P,), as scalars that fit into registers."""
     return (
         parameters[V_STAR],
         parameters[KAPPA_V],
@@ -109,7 +139,7 @@ def preferences(parameters: Array) -> Preferences:
 def gap_and_scale(
     action: float, tau: int, gap: float, speed: float, leader_speed: float, driver: Preferences, period: float
 ) -> tuple[float, float]:
-    """Gap [m] expected ``tau`` periods ahead, and sigma [m] there."""
+    """Predict the gap [m] and its scale sigma [m] ``tau`` periods ahead; arguments as for ``anticipate``."""
     _, kappa_v, _, kappa_c, kappa_d, _, _ = driver
     gap_ahead, speed_ahead = anticipate(action, tau, gap, speed, leader_speed, period)
     return gap_ahead, gap_scale(speed_ahead, leader_speed, kappa_c, kappa_v, kappa_d)
@@ -117,10 +147,24 @@ def gap_and_scale(
 
 @kernel(vectorised=True)
 def reward_and_risk(next_speed: float, gap: float, scale: float, driver: Preferences) -> float:
-    """Eq. EffectiveUtilityTilde but for the second term of phi1: g1 of the first and omega2 times g2 of phi2.
+    """Compute the effective utility without the cost of driving backward; Eq. EffectiveUtilityTilde.
 
-    F falls with its argument, so g2, the largest penalty of the look-ahead (section 3.2.2), is that of the smallest gap
-    over scale, which are these.
+    The penalty F falls as its argument grows. So the largest penalty in the look-ahead, g2 of section 3.2.2, is the
+    penalty at the smallest ratio of gap to scale.
+
+    Parameters
+    ----------
+    next_speed : float
+        Speed [m/s] after one period.
+    gap, scale : float
+        Gap [m] and its scale [m] where their ratio is smallest in the look-ahead.
+    driver : Preferences
+        Parameters of the utility.
+
+    Returns
+    -------
+    float
+        g1 of the first term of phi1, plus omega2 times g2 of phi2.
     """
     v_star, _, kappa_1, _, _, omega_2, _ = driver
     return forward_reward(next_speed, v_star, kappa_1) + omega_2 * collision_penalty(gap / scale)
@@ -130,7 +174,7 @@ def reward_and_risk(next_speed: float, gap: float, scale: float, driver: Prefere
 def _smallest_gaps(
     gap: float, speed: float, leader_speed: float, driver: Preferences, scratch: Array, period: float, horizon: int
 ) -> None:
-    """Gap [m] and scale [m] where their ratio is smallest in the look-ahead, for each action."""
+    """Find the gap [m] and the scale [m] with the smallest ratio in the look-ahead, for each action."""
     for k in range(scratch.shape[1]):
         scratch[_GAP, k], scratch[_SCALE, k] = gap_and_scale(
             scratch[GRID_ROW, k], 1, gap, speed, leader_speed, driver, period
@@ -145,6 +189,7 @@ def _smallest_gaps(
 
 @kernel(vectorised=True)
 def _add_up(speed: float, driver: Preferences, scratch: Array, period: float) -> None:
+    """Compute the utility of each action without the cost of driving backward."""
     for k in range(scratch.shape[1]):
         scratch[UTILITY_ROW, k] = reward_and_risk(
             speed + period * scratch[GRID_ROW, k], scratch[_GAP, k], scratch[_SCALE, k], driver
@@ -153,7 +198,7 @@ def _add_up(speed: float, driver: Preferences, scratch: Array, period: float) ->
 
 @kernel(vectorised=True)
 def _take_off_backward(speed: float, scratch: Array, period: float) -> None:
-    """g1 of phi1's second term."""
+    """Subtract the cost of driving backward: g1 of phi1's second term."""
     for k in range(scratch.shape[1]):
         scratch[UTILITY_ROW, k] -= backward_penalty(speed + period * scratch[GRID_ROW, k])
 
@@ -162,11 +207,24 @@ def _take_off_backward(speed: float, scratch: Array, period: float) -> None:
 def utilities(
     gap: float, speed: float, leader_speed: float, driver: Preferences, scratch: Array, period: float, horizon: int
 ) -> None:
-    """Effective utility of holding each action in a scratch array, into its UTILITY_ROW; Eq. EffectiveUtilityTilde.
+    """Compute the effective utility of holding each action; Eq. EffectiveUtilityTilde.
 
-    Every loop runs over the actions and is a function of its own, because compilers make vector instructions of that.
-    Each takes the scratch array, not rows of it, and the functions in between are always inlined: otherwise references
-    to arrays would be counted.
+    Every loop over the actions stands in its own function, so that compilers turn it into vector instructions. The
+    functions take the whole scratch array, and their caller is inlined; otherwise compiled code would count references
+    to arrays.
+
+    Parameters
+    ----------
+    gap, speed, leader_speed : float
+        Gap [m], infinite without a leader, speed [m/s] and leader's speed [m/s].
+    driver : Preferences
+        Parameters of the utility.
+    scratch : ndarray, shape (5, at least K)
+        Made by ``scratch_for``. UTILITY_ROW is filled with the utilities.
+    period : float
+        Length of a period [s].
+    horizon : int
+        Periods of look-ahead.
     """
     _smallest_gaps(min(gap, FAR), speed, leader_speed, driver, scratch, period, horizon)
     _add_up(speed, driver, scratch, period)
@@ -176,7 +234,7 @@ def utilities(
 
 @kernel(vectorised=True)
 def _best(scratch: Array) -> float:
-    """The largest utility."""
+    """Find the largest utility."""
     for k in range(_LANES):
         scratch[_WEIGHT, k] = scratch[UTILITY_ROW, k]
     for start in range(_LANES, scratch.shape[1], _LANES):
@@ -191,7 +249,7 @@ def _best(scratch: Array) -> float:
 
 @kernel(vectorised=True)
 def _sum(scratch: Array, row: int) -> float:
-    """Sum of a row of the scratch array, which is overwritten."""
+    """Sum up a row of the scratch array, and overwrite it."""
     for start in range(_LANES, scratch.shape[1], _LANES):
         for lane in range(_LANES):
             scratch[row, lane] += scratch[row, start + lane]
@@ -205,7 +263,20 @@ def _sum(scratch: Array, row: int) -> float:
 
 @kernel(vectorised=True, inline=True)
 def boltzmann_mean(scratch: Array, rationality: float) -> float:
-    """Boltzmann mean of the actions."""
+    """Compute the Boltzmann mean of the actions.
+
+    Parameters
+    ----------
+    scratch : ndarray, shape (5, at least K)
+        Filled by ``utilities``.
+    rationality : float
+        lambda of the paper; the larger, the closer the mean is to the best action.
+
+    Returns
+    -------
+    float
+        Mean action [m/s^2].
+    """
     best = _best(scratch)
     for k in range(scratch.shape[1]):
         scratch[_WEIGHT, k] = exponential(rationality * (scratch[UTILITY_ROW, k] + scratch[_HANDICAP, k] - best))
@@ -216,9 +287,18 @@ def boltzmann_mean(scratch: Array, rationality: float) -> float:
 
 @kernel
 def scratch_for(actions: Array) -> Array:
-    """Return the scratch array (5, at least K) in which a driver considers the actions (K,), moment after moment.
+    """Make the array in which a driver considers the actions, moment after moment.
 
-    Rows: utilities, actions, what an action that only fills the row up is worth less, and two of scratch.
+    Parameters
+    ----------
+    actions : ndarray, shape (K,)
+        Accelerations [m/s^2] that the driver considers.
+
+    Returns
+    -------
+    ndarray, shape (5, at least K)
+        Rows: utilities; actions; 0 for an action, and a very low utility for an entry that only fills up the row; two
+        rows for intermediate results.
     """
     count = len(actions)
     scratch = np.zeros((5, -(-count // _LANES) * _LANES))
@@ -232,7 +312,7 @@ def scratch_for(actions: Array) -> Array:
 def considered_action(
     gap: float, speed: float, leader_speed: float, parameters: Array, scratch: Array, period: float, horizon: int
 ) -> float:
-    """``mean_action`` over the actions in an array of ``scratch_for``, which may be used again and again."""
+    """Compute ``mean_action`` in an array made by ``scratch_for``, which can be used again and again."""
     driver = preferences(parameters)
     utilities(gap, speed, leader_speed, driver, scratch, period, horizon)
     return boltzmann_mean(scratch, driver[-1])
@@ -242,8 +322,24 @@ def considered_action(
 def mean_action(
     gap: float, speed: float, leader_speed: float, parameters: Array, actions: Array, period: float, horizon: int
 ) -> float:
-    """Boltzmann mean [m/s^2] of the action over the grid ``actions`` (K,); Eqs. MeanAction to PartitionFunction.
+    """Compute the Boltzmann mean of the actions; Eqs. MeanAction to PartitionFunction.
 
-    parameters: (P,); horizon: periods of look-ahead.
+    Parameters
+    ----------
+    gap, speed, leader_speed : float
+        Gap [m], infinite without a leader, speed [m/s] and leader's speed [m/s].
+    parameters : ndarray, shape (P,)
+        Parameters of the driver at this period.
+    actions : ndarray, shape (K,)
+        Accelerations [m/s^2] that the driver considers.
+    period : float
+        Length of a period [s].
+    horizon : int
+        Periods of look-ahead.
+
+    Returns
+    -------
+    float
+        Mean action [m/s^2].
     """
     return considered_action(gap, speed, leader_speed, parameters, scratch_for(actions), period, horizon)

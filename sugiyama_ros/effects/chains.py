@@ -1,7 +1,8 @@
-"""Compiled chains: the hooks of all effects, called one after the other.
+"""Compiled chains, which call the hooks of all effects one after another.
 
-Each builder takes the chain so far and one effect. A link of a chain does nothing where the effect's strengths are 0.
-A chain is made once, from ``EFFECTS``; compiled code then calls it like any other function.
+A ``then_...`` function takes the chain so far and one effect, and returns the chain with the effect as a new link. A
+link does nothing if the effect's strengths are 0. Each chain is built once, from ``EFFECTS``. Compiled code then calls
+the chain like any other function.
 """
 
 from collections.abc import Callable, Iterable
@@ -18,25 +19,40 @@ Hook: TypeAlias = Callable[..., Any]
 
 
 def chain(start: Hook, link: Callable[[Hook, Effect], Hook], effects: Iterable[Effect]) -> Hook:
-    """Make a chain of a hook of these effects."""
+    """Build a chain.
+
+    Parameters
+    ----------
+    start : callable
+        Compiled function that does nothing; the chain without effects.
+    link : callable
+        (chain so far, effect) -> chain with the effect.
+    effects : iterable of Effect
+        Effects in the order of the chain.
+
+    Returns
+    -------
+    callable
+        Compiled function.
+    """
     for effect in effects:
         start = link(start, effect)
     return start
 
 
 def having(hook: str, *stages: str) -> tuple[Effect, ...]:
-    """Effects that have a hook, of some stages if any are given."""
+    """Find the effects that declare a hook, such as ``"memory"``; only effects of these stages, if any are given."""
     return tuple(e for e in EFFECTS.values() if getattr(e, hook) is not None and (not stages or e.stage in stages))
 
 
 def switches(effects: Iterable[Effect]) -> Ints:
-    """Places in a row of everything that switches one of these effects on."""
+    """Find the entries of a row that switch one of these effects on; indices, shape (K,)."""
     return np.array([ROW.index_of(e.name, name) for e in effects for name in e.switches], dtype=np.int64)
 
 
 @kernel(allocates=False)
 def any_of(places: Ints, row: Array) -> bool:
-    """Whether an effect is on; a driver without effects need not go through all of them."""
+    """Whether an entry of a row at one of these indices is not 0, so that a chain without active links is skipped."""
     for k in places:  # noqa: SIM110 (numba has no any())
         if row[k] != 0.0:
             return True
@@ -44,19 +60,19 @@ def any_of(places: Ints, row: Array) -> bool:
 
 
 def _places(effect: Effect) -> tuple[int, int, int, int]:
-    """First and last entry in a row, and the places of the first and the last switch."""
+    """Find the slice of an effect's parameters in a row, and the indices of the first and the last switch."""
     at = [ROW.index_of(effect.name, name) for name in effect.switches]
     return ROW.places[effect.name].start, ROW.places[effect.name].stop, at[0], at[-1]
 
 
 @kernel(cached=False)
 def nothing_perceived(seen: Seen, row: Array) -> Seen:
-    """What is seen is perceived as it is."""
+    """Perceive everything as it is."""
     return seen
 
 
 def then_perceive(before: Hook, effect: Effect) -> Hook:
-    """Perceive the gap and the speeds."""
+    """Add an effect that changes how the driver perceives the gap and the speeds."""
     first, last, switch, other = _places(effect)
     perceive: Any = effect.function
 
@@ -73,12 +89,12 @@ def then_perceive(before: Hook, effect: Effect) -> Hook:
 
 @kernel(cached=False)
 def nothing_preferred(v_star: float, kappa_v: float, seen: Seen, row: Array) -> tuple[float, float]:
-    """Preferences stay as they are."""
+    """Leave the preferences as they are."""
     return v_star, kappa_v
 
 
 def then_prefer(before: Hook, effect: Effect) -> Hook:
-    """Change the desired speed and the risk premium."""
+    """Add an effect that changes the desired speed and the risk premium."""
     first, last, switch, other = _places(effect)
     prefer: Any = effect.function
 
@@ -95,12 +111,12 @@ def then_prefer(before: Hook, effect: Effect) -> Hook:
 
 @kernel(cached=False)
 def nothing_valued(seen: Seen, action: float, period: float, horizon: int, row: Array) -> float:
-    """Nothing is added to the utility."""
+    """Add nothing to the utility."""
     return 0.0
 
 
 def then_value(before: Hook, effect: Effect) -> Hook:
-    """Add a component to the utility of an action."""
+    """Add an effect with a component of the utility."""
     first, last, switch, other = _places(effect)
     component: Any = effect.function
 
@@ -116,12 +132,12 @@ def then_value(before: Hook, effect: Effect) -> Hook:
 
 @kernel(cached=False)
 def nothing_actuated(acceleration: float, seen: Seen, row: Array) -> float:
-    """The car does what is meant."""
+    """Leave the intended acceleration as it is."""
     return acceleration
 
 
 def then_actuate(before: Hook, effect: Effect) -> Hook:
-    """Change the acceleration that is meant."""
+    """Add an effect that changes the intended acceleration."""
     first, last, switch, other = _places(effect)
     actuate: Any = effect.function
 
@@ -137,12 +153,12 @@ def then_actuate(before: Hook, effect: Effect) -> Hook:
 
 @kernel(cached=False)
 def nothing_pushes(seen: Seen, row: Array) -> float:
-    """The environment adds nothing."""
+    """Return the acceleration 0 [m/s^2] of an environment without effects."""
     return 0.0
 
 
 def then_push(before: Hook, effect: Effect) -> Hook:
-    """Add an acceleration of the environment."""
+    """Add an effect of the environment that accelerates or brakes the car."""
     first, last, switch, other = _places(effect)
     push: Any = effect.function
 
@@ -158,12 +174,12 @@ def then_push(before: Hook, effect: Effect) -> Hook:
 
 @kernel(cached=False)
 def all_changed(wanted: float, period: float, row: Array) -> float:
-    """A wanted change is carried out at once."""
+    """Carry out all of a wanted change at once."""
     return wanted
 
 
 def then_change(before: Hook, effect: Effect) -> Hook:
-    """Carry out a wanted change of the acceleration."""
+    """Add an effect that limits how much of a wanted change is carried out."""
     first, last, switch, other = _places(effect)
     change: Any = effect.memory.change if effect.memory else None
 
@@ -179,12 +195,12 @@ def then_change(before: Hook, effect: Effect) -> Hook:
 
 @kernel(cached=False)
 def all_expected(wanted: float, variance: float, period: float, row: Array) -> tuple[float, float, float]:
-    """Moments of a wanted change that is carried out at once."""
+    """Return the moments of a wanted change that is carried out at once."""
     return wanted, 1.0, 0.0
 
 
 def then_expect(before: Hook, effect: Effect) -> Hook:
-    """Moments of a change that is carried out, as a normal distribution from link to link."""
+    """Add an effect with memory to the moments; between two links the change counts as normally distributed."""
     first, last, switch, other = _places(effect)
     expect: Any = effect.memory.expected_change if effect.memory else None
 
@@ -202,12 +218,12 @@ def then_expect(before: Hook, effect: Effect) -> Hook:
 
 @kernel(cached=False)
 def no_factor(at: float, row: Array) -> float:
-    """The noise is the driver's own."""
+    """Leave the std of the acceleration noise as it is."""
     return 1.0
 
 
 def then_factor(before: Hook, effect: Effect) -> Hook:
-    """Multiply the std of the acceleration noise."""
+    """Add an effect that multiplies the std of the acceleration noise by a factor."""
     first, last, switch, other = _places(effect)
     factor_of: Any = effect.noise_factor
 
@@ -223,12 +239,12 @@ def then_factor(before: Hook, effect: Effect) -> Hook:
 
 @kernel(cached=False)
 def no_displacement(position: float, circumference: float, row: Array) -> tuple[float, float]:
-    """Positions are measured where they are."""
+    """Displace no measured position."""
     return 0.0, 0.0
 
 
 def then_displace(before: Hook, effect: Effect) -> Hook:
-    """Displace a measured position."""
+    """Add an effect that displaces measured positions."""
     first, last, switch, other = _places(effect)
     displacement: Any = effect.displacement
 
@@ -245,12 +261,12 @@ def then_displace(before: Hook, effect: Effect) -> Hook:
 
 @kernel(cached=False)
 def no_measurement_factor(position: float, circumference: float, row: Array) -> float:
-    """The measurement noise is the same everywhere."""
+    """Leave the std of the measurement noise as it is."""
     return 1.0
 
 
 def then_measurement_factor(before: Hook, effect: Effect) -> Hook:
-    """Multiply the std of the measurement noise."""
+    """Add an effect that multiplies the std of the measurement noise by a factor."""
     first, last, switch, other = _places(effect)
     factor_of: Any = effect.measurement_noise_factor
 
@@ -266,12 +282,12 @@ def then_measurement_factor(before: Hook, effect: Effect) -> Hook:
 
 @kernel(cached=False)
 def never_bad(innovation: float, variance: float, noise_var: float, row: Array) -> tuple[float, float, float]:
-    """No measurement is worse than the others; never called where no contamination is on."""
+    """Treat every measurement as good; nothing calls this function if no contamination acts."""
     return 0.0, variance, 0.0
 
 
 def then_weigh(before: Hook, effect: Effect) -> Hook:
-    """Weigh a measurement; the last effect of this kind that is on decides."""
+    """Add an effect that weighs measurements; the last effect that acts decides."""
     first, last, switch, other = _places(effect)
     weigh: Any = effect.contamination.weigh if effect.contamination else None
 

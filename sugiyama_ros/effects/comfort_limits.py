@@ -1,4 +1,4 @@
-"""Accelerating and braking are softened alike."""
+"""The driver limits acceleration and braking softly and equally."""
 
 import math
 
@@ -10,7 +10,7 @@ from sugiyama_ros.jit import kernel
 
 @kernel
 def actuate(acceleration: float, seen: Seen, p: Array) -> float:
-    """A tanh(a / A): one smooth saturation."""
+    """Compute A tanh(a / A) [m/s^2], a smooth saturation."""
     return float(p[0]) * math.tanh(acceleration / p[0])
 
 
@@ -20,7 +20,9 @@ EFFECT = Effect(
     title="soft limits of acceleration",
     summary="a smooth saturation of acceleration and braking alike",
     source="Treiber and Kesting, Traffic Flow Dynamics (2013), section 11.3",
-    parameters=(Parameter("limit", "A", "m/s^2", 0.0, 0.1, 50.0, "acceleration never reached; 0 for no limit"),),
+    parameters=(
+        Parameter("limit", "A", "m/s^2", 0.0, 0.1, 50.0, "limit of the acceleration, never reached; 0 for no limit"),
+    ),
     starts=at({"limit": 1.5}, {"limit": 3.0}, {"limit": 6.0}),
     function=actuate,
     is_limit=True,

@@ -9,7 +9,7 @@ from sugiyama_ros.jit import kernel
 def contaminated_normal(
     innovation: float, variance: float, noise_var: float, share: float, factor: float
 ) -> tuple[float, float, float]:
-    """Weigh a sample whose measurement noise has ``factor`` times the std in a ``share`` of all samples.
+    """Weigh a sample from a mixture of good and bad measurements.
 
     Parameters
     ----------
@@ -20,12 +20,13 @@ def contaminated_normal(
     noise_var : float
         Variance [m^2] of the noise of a good measurement.
     share, factor : float
-        Share of the bad measurements, and the std of their noise over the std of the good ones.
+        Share of bad measurements among all measurements, and std of their noise over the std of the good noise.
 
     Returns
     -------
     probability, wide, density : float
-        Probability that the sample is bad, the variance [m^2] of its innovation then, and its log-likelihood.
+        Probability that the sample is bad, variance [m^2] of the innovation of a bad sample, and log-likelihood of the
+        sample.
 
     References
     ----------

@@ -1,4 +1,4 @@
-"""What a driver does, with all effects: from what is there to see to the acceleration of the car. Compiled."""
+"""What a driver does, with all effects: from what the driver can see to the acceleration of the car. Compiled."""
 
 import math
 
@@ -17,7 +17,7 @@ _LAW = ROW.law
 _PERCEIVE, _PREFER = having("function", PERCEPTION, MEASUREMENT), having("function", PREFERENCE)
 _VALUE, _ACTUATE, _PUSH = (having("function", stage) for stage in (UTILITY, ACTUATION, ENVIRONMENT))
 _REMEMBER, _NOISE = having("memory"), having("noise_factor")
-# compiled code freezes globals: these are the finished chains
+# compiled code takes globals as constants, so the chains are complete before the functions below are compiled
 _perceived = chain(chains.nothing_perceived, chains.then_perceive, _PERCEIVE)
 _preferred = chain(chains.nothing_preferred, chains.then_prefer, _PREFER)
 _valued = chain(chains.nothing_valued, chains.then_value, _VALUE)
@@ -33,10 +33,12 @@ _FEELING = switches(e for e in _PERCEIVE if e.sees_accelerations)
 
 @kernel(cached=False)
 def _no_law(gap: float, speed: float, leader_speed: float, row: Array) -> float:
+    """Return NaN for a number that no law has."""
     return math.nan
 
 
 def _then_law(before: Hook, number: float, name: str, law: LawFunction) -> Hook:
+    """Add a law to the chain of laws."""
     first, last = ROW.law_places[name].start, ROW.law_places[name].stop
 
     @kernel(cached=False)
@@ -57,9 +59,19 @@ _acceleration = _by_law
 
 @kernel(allocates=False)
 def law_acceleration(gap: float, speed: float, leader_speed: float, row: Array) -> float:
-    """Acceleration [m/s^2] by the law of a driver's row (WIDTH,), if that is not adaptiveSeek.
+    """Compute the acceleration by the law of a driver's row; not for adaptiveSeek, which needs a scratch array.
 
-    The gap [m] is infinite without a leader; speeds are in m/s. NaN for a number that no law has.
+    Parameters
+    ----------
+    gap, speed, leader_speed : float
+        Gap [m], infinite without a leader, speed [m/s] and leader's speed [m/s].
+    row : ndarray, shape (width,)
+        Row of the driver.
+
+    Returns
+    -------
+    float
+        Acceleration [m/s^2]; NaN if no law has the number in the row.
     """
     acceleration: float = _acceleration(gap, speed, leader_speed, row)
     return acceleration
@@ -67,7 +79,7 @@ def law_acceleration(gap: float, speed: float, leader_speed: float, row: Array) 
 
 @kernel(allocates=False)
 def noise_factor(speed: float, row: Array) -> float:
-    """Factor of the std of the acceleration noise at a speed [m/s]."""
+    """Compute the factor of the std of the acceleration noise at a speed [m/s], for a row (width,)."""
     if any_of(_NOISY, row):
         factor: float = _factor(speed, row)
         return factor
@@ -76,10 +88,25 @@ def noise_factor(speed: float, row: Array) -> float:
 
 @kernel(allocates=False)
 def intend(seen: Seen, row: Array, scratch: Array, period: float, horizon: int) -> tuple[float, float]:
-    """Tell what the driver means the car to do, and what the environment adds; both [m/s^2].
+    """Compute the acceleration that the driver intends, and the acceleration that the environment adds.
 
-    The row (WIDTH,) is that of the period; it is changed on the way and restored. ``scratch`` is made by
-    ``scratch_for`` the actions that the driver considers.
+    Parameters
+    ----------
+    seen : Seen
+        What the driver can see.
+    row : ndarray, shape (width,)
+        Row of the driver at this period; changed during the call and restored.
+    scratch : ndarray, shape (5, at least K)
+        Made by ``scratch_for`` from the K actions that the driver considers.
+    period : float
+        Length of the period [s].
+    horizon : int
+        Periods of look-ahead.
+
+    Returns
+    -------
+    meant, pushed : float
+        Acceleration [m/s^2] that the driver intends, and acceleration [m/s^2] that the environment adds.
     """
     perceived = _perceived(seen, row) if any_of(_PERCEIVING, row) else seen
     v_star, kappa_v = row[V_STAR], row[KAPPA_V]
@@ -103,7 +130,22 @@ def intend(seen: Seen, row: Array, scratch: Array, period: float, horizon: int) 
 
 @kernel(allocates=False)
 def carry_out(meant: float, held: float, row: Array, period: float) -> float:
-    """Acceleration [m/s^2] that the driver makes the car do, after ``held`` in the last period."""
+    """Compute the acceleration that the driver makes the car do.
+
+    Parameters
+    ----------
+    meant, held : float
+        Intended acceleration [m/s^2], and ``carry_out`` [m/s^2] of the last period.
+    row : ndarray, shape (width,)
+        Row of the driver at this period.
+    period : float
+        Length of the period [s].
+
+    Returns
+    -------
+    float
+        Acceleration [m/s^2].
+    """
     if not any_of(_REMEMBERING, row):
         return meant
     return float(held + _changed(meant - held, period, row))
@@ -111,9 +153,22 @@ def carry_out(meant: float, held: float, row: Array, period: float) -> float:
 
 @kernel(allocates=False)
 def expect_change(wanted: float, variance: float, row: Array, period: float) -> tuple[float, float, float]:
-    """Moments of what is carried out of a wanted change of the acceleration that is known as a normal distribution.
+    """Compute the moments of the change of the acceleration that the driver carries out.
 
-    Returns the mean [m/s^2], the regression on the wanted change, and the variance that the regression leaves.
+    Parameters
+    ----------
+    wanted, variance : float
+        Mean [m/s^2] and variance [m^2/s^4] of the wanted change, which has a normal distribution.
+    row : ndarray, shape (width,)
+        Row of the driver at this period.
+    period : float
+        Length of the period [s].
+
+    Returns
+    -------
+    mean, slope, variance_left : float
+        Mean [m/s^2] of the change that is carried out, its regression on the wanted change, and the variance [m^2/s^4]
+        that the regression leaves.
     """
     mean, slope, left = _expected(wanted, variance, period, row)
     return mean, slope, left
@@ -121,11 +176,11 @@ def expect_change(wanted: float, variance: float, row: Array, period: float) -> 
 
 @kernel(allocates=False)
 def remembers(row: Array) -> bool:
-    """Whether what is carried out depends on what was in the last period."""
+    """Whether the acceleration depends on the acceleration of the last period, for a row (width,)."""
     return any_of(_REMEMBERING, row)
 
 
 @kernel(allocates=False)
 def feels_accelerations(row: Array) -> bool:
-    """Whether what the driver does depends on accelerations that are not known exactly."""
+    """Whether the driver reacts to accelerations, which a filter does not know exactly, for a row (width,)."""
     return any_of(_FEELING, row)

@@ -1,4 +1,4 @@
-"""A missing force that nobody has named: a curve over one covariate, learnt from the data."""
+"""A missing force without a known cause: a curve over one covariate, learnt from the data."""
 
 import math
 
@@ -7,16 +7,17 @@ from sugiyama_ros.driver.parameters import Parameter
 from sugiyama_ros.effects.effect import ENVIRONMENT, Effect, Seen
 from sugiyama_ros.jit import kernel
 
-#: What the force may depend on; its number in this order, from 1, is the effect's first parameter.
+#: What the force may depend on. The first parameter of the effect is a number in this order, counted from 1.
 COVARIATES = ("gap", "speed", "approach_rate", "place", "time", "leader_acceleration", "rear_gap", "second_gap")
 KNOTS = 8
 
 
 @kernel
 def push(seen: Seen, p: Array) -> float:
-    """Straight lines between KNOTS values ``p[3:]`` [m/s^2], evenly spaced from ``p[1]`` to ``p[2]``; flat beyond.
+    """Compute the force [m/s^2]: straight lines between the values ``p[3:]`` at knots from ``p[1]`` to ``p[2]``.
 
-    Over the place on a ring the curve is periodic: the last knot is followed by the first.
+    The knots are evenly spaced, and the curve is flat outside them. Over the place on a ring the curve is periodic: the
+    first knot follows the last knot.
     """
     covariate = p[0]
     if covariate == 1.0:
@@ -53,7 +54,7 @@ EFFECT = Effect(
     summary="a force learnt from the data as a curve over one covariate",
     source="Kristensen, Madsen and Jørgensen, Automatica 40 (2004) 225",
     parameters=(
-        Parameter("covariate", "", "1", 0.0, 1.0, float(len(COVARIATES)), f"what it depends on ({_NUMBERS})"),
+        Parameter("covariate", "", "1", 0.0, 1.0, float(len(COVARIATES)), f"what the force depends on ({_NUMBERS})"),
         Parameter("first", "", "1", 0.0, -1e12, 1e12, "covariate at the first knot"),
         Parameter("last", "", "1", 0.0, -1e12, 1e12, "covariate at the last knot"),
         *(Parameter(f"force_{k}", f"f_{k}", "m/s^2", 0.0, -10.0, 10.0, f"force at knot {k}") for k in range(KNOTS)),

@@ -1,4 +1,4 @@
-"""Rolling resistance and air drag that the driver does not make up for."""
+"""Rolling resistance and air drag for which the driver does not compensate."""
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
@@ -8,7 +8,7 @@ from sugiyama_ros.jit import kernel
 
 @kernel
 def push(seen: Seen, p: Array) -> float:
-    """-c0 - c2 v^2; the constant part fades at walking pace, because resistance pushes nobody backward."""
+    """Compute -c0 - c2 v^2 [m/s^2]; c0 fades at walking pace, because resistance pushes no car backward."""
     moving = min(max(seen.speed, 0.0), 1.0)
     return float(-p[0] * moving - p[1] * seen.speed * abs(seen.speed))
 

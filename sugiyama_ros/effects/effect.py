@@ -1,7 +1,7 @@
 """What a physical effect is: a name, a stage at which it acts, parameters, and compiled functions.
 
-A driver's row of parameters continues, behind those of ``driver.parameters``, with the parameters of every effect in
-the registry. All of them are 0 for an effect that is not there, and the model then is the base model bit for bit.
+A driver's row holds the parameters of every effect in the registry. The parameters of an effect that does not act are
+0. If no effect acts, every number equals the number of the base model to the last bit.
 """
 
 from collections.abc import Callable, Mapping
@@ -23,10 +23,21 @@ STAGES = (PERCEPTION, PREFERENCE, UTILITY, ACTUATION, ENVIRONMENT, MEASUREMENT)
 
 
 class Seen(NamedTuple):
-    """What there is for a driver to see, and for effects to depend on, at one moment; SI units.
+    """What a driver can see at one moment, and what effects can depend on.
 
-    The gap is infinite without a leader; second_gap is the gap between the leader and the leader's leader; rear_gap is
-    the gap between the follower and the driver. Accelerations are those of the last period.
+    Parameters
+    ----------
+    gap, speed, leader_speed : float
+        Gap [m], infinite without a leader, speed [m/s] and leader's speed [m/s].
+    position, time, circumference : float
+        Position [m] on the road, time [s] of the recording, and circumference [m] of the ring; 0 for an open road.
+    acceleration, leader_acceleration : float
+        Accelerations [m/s^2] of the car and of its leader in the last period.
+    second_gap, second_speed : float
+        Gap [m] between the leader and the second vehicle ahead, infinite without a second vehicle, and speed [m/s] of
+        the second vehicle.
+    rear_gap, rear_speed : float
+        Gap [m] between the follower and the car, infinite without a follower, and speed [m/s] of the follower.
     """
 
     gap: float
@@ -45,7 +56,7 @@ class Seen(NamedTuple):
 
 @kernel
 def with_view(seen: Seen, gap: float, speed: float, leader_speed: float) -> Seen:
-    """Replace the gap [m], the speed and the leader's speed [m/s] of what is seen; the rest stays."""
+    """Replace the gap [m], the speed [m/s] and the leader's speed [m/s]; the other fields stay."""
     return Seen(
         gap=gap,
         speed=speed,
@@ -62,8 +73,18 @@ def with_view(seen: Seen, gap: float, speed: float, leader_speed: float) -> Seen
     )
 
 
-class Recording(NamedTuple):
-    """What a search for an effect may know of a recording: times [s], ring [m] (0: open road), extent of the road."""
+class RecordingExtent(NamedTuple):
+    """What a search for an effect may know about a recording.
+
+    Parameters
+    ----------
+    start_s, end_s : float
+        Times [s] of the first and the last sample.
+    circumference_m : float
+        Circumference [m] of the ring; 0 for an open road.
+    first_m, last_m : float
+        Smallest and largest position [m].
+    """
 
     start_s: float
     end_s: float
@@ -78,16 +99,16 @@ Values = Mapping[str, float]
 
 @dataclass(frozen=True, eq=False)
 class Memory:
-    """How an effect carries out a wanted change of the acceleration, from one period to the next.
+    """How much of a wanted change of the acceleration is carried out from one period to the next.
 
     Parameters
     ----------
     change : callable
-        Compiled, (wanted, period, p) -> change [m/s^2] that is carried out.
+        Compiled, (wanted [m/s^2], period [s], p) -> change [m/s^2] that is carried out.
     expected_change : callable
-        Compiled, (wanted, variance, period, p) -> (mean, slope, variance_left): of a wanted change that is known as a
-        normal distribution, the mean of the change that is carried out, its regression on the wanted change, and the
-        variance that the regression leaves.
+        Compiled, (wanted, variance, period, p) -> (mean, slope, variance_left). The wanted change has a normal
+        distribution with mean ``wanted``. The results are the mean of the change that is carried out, its regression on
+        the wanted change, and the variance that the regression leaves.
     """
 
     change: Callable[..., float]
@@ -102,22 +123,24 @@ class Contamination:
     ----------
     weigh : callable
         Compiled, (innovation, variance, noise_var, p) -> (probability, wide, density): the probability that the sample
-        is one of the bad ones, the variance of its innovation then, and the log-likelihood of the mixture.
+        is bad, the variance [m^2] of the innovation of a bad sample, and the log-likelihood of the sample.
     sample : callable
-        (noise, values, rng) -> noise (N,) [m]; draws which measurements are bad. ``values`` has shape (N, K).
+        (noise, values, rng) -> noise. Draws which measurements are bad, and returns the noise (N,) [m] with them.
+        ``values`` holds the effect's parameters, shape (N, K).
     """
 
     weigh: Callable[..., tuple[float, float, float]]
     sample: Callable[..., Any]
 
 
-def _no_starts(_: Recording) -> tuple[Values, ...]:
+def _no_starts(_: RecordingExtent) -> tuple[Values, ...]:
+    """Search for nothing."""
     return ()
 
 
 @dataclass(frozen=True, eq=False)
 class Effect:
-    """A named physical mechanism; everything that others need to know about it is declared here.
+    """A named physical mechanism, with everything that the rest of the package needs to know about it.
 
     Parameters
     ----------
@@ -130,51 +153,52 @@ class Effect:
     summary : str
         What the effect is, in one line.
     source : str
-        Where the effect is known from.
+        Publication that describes the effect.
     parameters : tuple of Parameter
-        Declared as those of drivers are, with 0 as default.
+        Declared parameters, each with 0 as default.
     function : callable, optional
-        Compiled with ``numba.njit``. By stage, with ``seen`` a `Seen` and ``p`` the effect's own parameters:
+        Compiled with ``numba.njit``. ``seen`` is a `Seen`, and ``p`` holds the effect's parameters. By stage:
 
         - perception, measurement: (seen, p) -> gap, speed, leader_speed as the driver perceives them;
         - preference: (v_star, kappa_v, seen, p) -> v_star, kappa_v;
-        - utility: (seen, action, period, horizon, p) -> what is added to the utility of holding the action [m/s^2];
-        - actuation: (acceleration, seen, p) -> acceleration [m/s^2] that comes of the one that was meant;
-        - environment: (seen, p) -> acceleration [m/s^2] that is added to the driver's own.
+        - utility: (seen, action, period, horizon, p) -> term that is added to the utility of holding the action;
+        - actuation: (acceleration, seen, p) -> acceleration [m/s^2] in place of the intended acceleration;
+        - environment: (seen, p) -> acceleration [m/s^2] that is added to the acceleration by the driver.
     memory : Memory, optional
-        How a wanted change of the acceleration is carried out.
+        How much of a wanted change of the acceleration is carried out.
     noise_factor : callable, optional
         Compiled, (speed, p) -> factor of the std of the acceleration noise.
     displacement : callable, optional
-        Compiled, (position, circumference, p) -> (offset, slope): measured minus true position [m], and its derivative.
+        Compiled, (position, circumference, p) -> (offset, slope): measured minus true position [m], and the derivative
+        of this difference.
     measurement_noise_factor : callable, optional
         Compiled, (position, circumference, p) -> factor of the std of the measurement noise.
     contamination : Contamination, optional
-        Which measurements are worse than others. At most one effect of this kind acts at a time.
+        How some measurements are worse than others. At most one effect with a contamination acts at a time.
     wanders : tuple of str
-        Names of the driver's parameters whose logarithms wander at random (Ornstein-Uhlenbeck); the first two
-        parameters of the effect are the std of the logarithm and the correlation time [s].
+        Names of the driver's parameters whose logarithms wander at random (Ornstein-Uhlenbeck). The first two
+        parameters of the effect are then the std of the logarithm and the correlation time [s].
     starts : callable
-        Recording -> values from which a search for the parameters begins; nothing is searched for without any.
+        RecordingExtent -> sets of values at which a search for the parameters begins. Without sets there is no search.
     strengths : tuple of str
-        Names of the parameters that switch the effect on by not being 0; the first parameter if left out.
+        Names of the parameters that switch the effect on if they are not 0; if left out, the first parameter.
     individual : bool
-        Whether each driver has values of their own.
+        Whether each driver has their own values.
     is_noise : bool
-        Whether the effect changes no mean motion, so that a free run, which has no noise, cannot speak against it.
+        Whether the effect leaves the mean motion as it is. A free run has no noise, so it cannot judge such an effect.
     is_limit : bool
-        Whether the effect is the stronger, the smaller its first parameter is.
+        Whether a smaller first parameter makes the effect stronger.
     reach : int
-        How many vehicles ahead the driver looks.
+        Number of vehicles ahead that the driver looks at.
     sees_accelerations : bool
-        Whether the function needs the accelerations as they are distributed, not only their means.
+        Whether the function depends on accelerations, so that a filter must know their distribution.
     bank : mapping of str to float, optional
-        Values with which the live critic follows the drivers.
+        Values at which the live diagnosis runs a filter with the effect; left out if the effect takes no part.
     benchmark : tuple of mapping
-        Strong and weak values with which the benchmark of the diagnosis hides the effect. A place or a time that is
-        left out is drawn at random.
+        Strong and weak values with which the benchmark of the diagnosis hides the effect. If a place or a time is left
+        out, the benchmark draws it at random.
     advice : mapping of str to str
-        What to record to tell the effect from another one, by the name of the other effect.
+        What to record to tell the effect from another effect, by the name of the other effect.
     """
 
     name: str
@@ -190,7 +214,7 @@ class Effect:
     measurement_noise_factor: Callable[..., float] | None = None
     contamination: Contamination | None = None
     wanders: tuple[str, ...] = ()
-    starts: Callable[[Recording], tuple[Values, ...]] = _no_starts
+    starts: Callable[[RecordingExtent], tuple[Values, ...]] = _no_starts
     strengths: tuple[str, ...] = ()
     individual: bool = False
     is_noise: bool = False
@@ -203,10 +227,21 @@ class Effect:
 
     @property
     def switches(self) -> tuple[str, ...]:
-        """Names of the parameters that switch the effect on by not being 0."""
+        """Names of the parameters that switch the effect on if they are not 0."""
         return self.strengths or (self.parameters[0].name,)
 
 
-def at(*values: Values) -> Callable[[Recording], tuple[Values, ...]]:
-    """Starts of a search that do not depend on the recording."""
+def at(*values: Values) -> Callable[[RecordingExtent], tuple[Values, ...]]:
+    """Make starts of a search that do not depend on the recording.
+
+    Parameters
+    ----------
+    *values : mapping of str to float
+        Sets of values of the parameters, by name.
+
+    Returns
+    -------
+    callable
+        RecordingExtent -> starts, for ``Effect.starts``.
+    """
     return lambda _: values

@@ -1,4 +1,4 @@
-"""Something pushes or stops one car for a moment."""
+"""Something outside pushes or brakes one car for a moment."""
 
 import math
 
@@ -10,7 +10,7 @@ from sugiyama_ros.jit import kernel
 
 @kernel
 def push(seen: Seen, p: Array) -> float:
-    """A Gaussian pulse in time: ``p[0]`` at its height, at ``p[1]``, of std ``p[2]``."""
+    """Compute a Gaussian pulse [m/s^2] in time, with height ``p[0]``, centre ``p[1]`` [s] and std ``p[2]`` [s]."""
     off = (seen.time - p[1]) / p[2]
     return p[0] * math.exp(-0.5 * off * off) if abs(off) < 6.0 else 0.0
 
@@ -22,9 +22,9 @@ EFFECT = Effect(
     summary="one car is pushed or braked by something else at one moment",
     source="as the perturbations of Tadaki et al., New J. Phys. 15 (2013) 103034",
     parameters=(
-        Parameter("strength", "f", "m/s^2", 0.0, -20.0, 20.0, "acceleration at the height of the push"),
-        Parameter("time", "t_0", "s", 0.0, -1e12, 1e12, "time of the recording at which it is strongest", "time"),
-        Parameter("duration", "d", "s", 0.0, 0.1, 60.0, "std in time"),
+        Parameter("strength", "f", "m/s^2", 0.0, -20.0, 20.0, "acceleration at the peak of the push"),
+        Parameter("time", "t_0", "s", 0.0, -1e12, 1e12, "time of the recording at which the push is strongest", "time"),
+        Parameter("duration", "d", "s", 0.0, 0.1, 60.0, "duration of the push, as a std in time"),
     ),
     function=push,
     individual=True,

@@ -1,4 +1,4 @@
-"""The measured gap is off by a constant: a marker off the car's centre, or a wrong length."""
+"""The measured gap has a constant error: the marker is off the car's centre, or the length is wrong."""
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
@@ -8,7 +8,7 @@ from sugiyama_ros.jit import kernel
 
 @kernel
 def perceive(seen: Seen, p: Array) -> tuple[float, float, float]:
-    """What the driver sees is the true gap, ``p[0]`` more than the one that follows from the measurements."""
+    """Compute the true gap, which the driver sees: the measured gap plus ``p[0]`` [m]."""
     return seen.gap + p[0], seen.speed, seen.leader_speed
 
 

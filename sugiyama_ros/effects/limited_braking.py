@@ -1,4 +1,4 @@
-"""Drivers, or brakes, give no more than a certain deceleration."""
+"""Drivers or brakes limit the deceleration."""
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
@@ -8,7 +8,7 @@ from sugiyama_ros.jit import kernel
 
 @kernel
 def actuate(acceleration: float, seen: Seen, p: Array) -> float:
-    """At least -B."""
+    """Keep the acceleration [m/s^2] at or above -B."""
     return max(acceleration, -float(p[0]))
 
 

@@ -8,7 +8,7 @@ from sugiyama_ros.jit import kernel
 
 @kernel
 def actuate(acceleration: float, seen: Seen, p: Array) -> float:
-    """At most the power over the speed; below 0.1 m/s the speed counts as that."""
+    """Keep the acceleration [m/s^2] at or below P / v; speeds below 0.1 m/s count as 0.1 m/s."""
     return min(acceleration, float(p[0]) / max(seen.speed, 0.1))
 
 

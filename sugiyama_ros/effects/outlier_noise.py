@@ -1,4 +1,4 @@
-"""Now and then a measurement is far off."""
+"""A few measurements are far off."""
 
 import numpy as np
 
@@ -11,12 +11,12 @@ from sugiyama_ros.jit import kernel
 
 @kernel
 def weigh(innovation: float, variance: float, noise_var: float, p: Array) -> tuple[float, float, float]:
-    """Probability that a sample is an outlier, the variance of its innovation then, and its log-likelihood."""
+    """Compute the probability of an outlier, the variance of an outlier's innovation, and the log-likelihood."""
     return contaminated_normal(innovation, variance, noise_var, p[0], p[1])
 
 
 def sample(noise: Array, values: Array, rng: np.random.Generator) -> Array:
-    """Multiply the noise (N,) [m] of some samples by the factor of the outliers."""
+    """Draw which samples are outliers, and multiply their noise [m] by the factor; noise: (N,), values: (N, 2)."""
     share, factor = values.T
     return np.where(rng.random(len(noise)) < share, factor * noise, noise)
 
@@ -29,7 +29,7 @@ EFFECT = Effect(
     source="Tukey, in Contributions to Probability and Statistics (1960) 448",
     parameters=(
         Parameter("share", "ε", "1", 0.0, 0.0, 0.6, "share of outliers"),
-        Parameter("factor", "k", "1", 0.0, 1.2, 50.0, "their std over that of the other measurements"),
+        Parameter("factor", "k", "1", 0.0, 1.2, 50.0, "std of an outlier over the std of the other measurements"),
     ),
     starts=at({"share": 0.05, "factor": 3.0}, {"share": 0.005, "factor": 5.0}),
     contamination=Contamination(weigh, sample),

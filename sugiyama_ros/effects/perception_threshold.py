@@ -1,4 +1,4 @@
-"""Drivers hold their acceleration until they would have to change it by enough: action points."""
+"""Drivers hold their acceleration until the wanted change exceeds a threshold: action points."""
 
 import math
 
@@ -10,15 +10,34 @@ from sugiyama_ros.jit import kernel
 
 @kernel
 def change(wanted: float, period: float, p: Array) -> float:
-    """Change [m/s^2] that is carried out: nothing below the threshold."""
+    """Compute the change [m/s^2] that the driver carries out: 0 below the threshold."""
     return 0.0 if abs(wanted) < p[0] else wanted
 
 
 @kernel
 def expected_change(wanted: float, variance: float, period: float, p: Array) -> tuple[float, float, float]:
-    """Moments of the change that is carried out, of a wanted change that is known as a normal distribution.
+    """Compute the moments of the change that the driver carries out, for a normally distributed wanted change.
 
-    Statistical linearisation (Gelb, Applied Optimal Estimation (1974), section 6.2); exact in these three moments.
+    Statistical linearisation, exact in the three moments that are returned.
+
+    Parameters
+    ----------
+    wanted, variance : float
+        Mean [m/s^2] and variance [m^2/s^4] of the wanted change.
+    period : float
+        Length of the period [s]; not used.
+    p : ndarray, shape (1,)
+        Threshold [m/s^2].
+
+    Returns
+    -------
+    mean, slope, variance_left : float
+        Mean [m/s^2] of the change that is carried out, its regression on the wanted change, and the variance [m^2/s^4]
+        that the regression leaves.
+
+    References
+    ----------
+    Gelb, Applied Optimal Estimation (1974), section 6.2.
     """
     std = math.sqrt(variance)
     low, high = (-p[0] - wanted) / std, (p[0] - wanted) / std
@@ -32,7 +51,7 @@ def expected_change(wanted: float, variance: float, period: float, p: Array) -> 
         + variance * (below + low * at_low - high * at_high)
     )
     mean, square = wanted - held_mean, wanted * wanted + variance - held_square
-    # what is carried out is either nothing or what is wanted, so its product with the latter is its own square
+    # the change carried out is either 0 or the wanted change, so its product with the wanted change is its own square
     slope = (square - mean * wanted) / variance
     return mean, slope, max(square - mean * mean - slope * slope * variance, 0.0)
 

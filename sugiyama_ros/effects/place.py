@@ -1,24 +1,37 @@
-"""A part of the road: what road_grade and slow_patch have in common."""
+"""A part of the road, for effects that act at a place."""
 
 import math
 from collections.abc import Callable
 
 from sugiyama_ros.driver.parameters import Parameter
-from sugiyama_ros.effects.effect import Recording, Seen, Values
+from sugiyama_ros.effects.effect import RecordingExtent, Seen, Values
 from sugiyama_ros.jit import kernel
 
-#: Where the part of the road is.
+#: Parameters of the part of the road.
 PLACE = (
-    Parameter("centre", "x_c", "m", 0.0, -1e6, 1e6, "position of its middle", "place"),
-    Parameter("width", "w", "m", 0.0, 1.0, 1e5, "length of road from end to end"),
+    Parameter("centre", "x_c", "m", 0.0, -1e6, 1e6, "position of the middle of the part of the road", "place"),
+    Parameter("width", "w", "m", 0.0, 1.0, 1e5, "length of the part of the road"),
 )
-#: Places at which a search begins, and the widths it begins with as shares of the road.
+# Number of centres, and widths as shares of the road, at which a search begins.
 _CENTRES, _WIDTHS = 12, (0.35,)
 
 
 @kernel
 def bump(seen: Seen, centre: float, width: float) -> float:
-    """Raised cosine: 1 in the middle, falling smoothly to 0 half a width away."""
+    """Compute a raised cosine: 1 in the middle, and smoothly down to 0 at half a width from the middle.
+
+    Parameters
+    ----------
+    seen : Seen
+        Where the vehicle is.
+    centre, width : float
+        Middle and length [m] of the part of the road.
+
+    Returns
+    -------
+    float
+        From 0 to 1.
+    """
     off = seen.position - centre
     if seen.circumference > 0.0:
         off -= seen.circumference * math.floor(off / seen.circumference + 0.5)
@@ -27,10 +40,21 @@ def bump(seen: Seen, centre: float, width: float) -> float:
     return 0.5 + 0.5 * math.cos(2.0 * math.pi * off / width)
 
 
-def around(strength: Values) -> Callable[[Recording], tuple[Values, ...]]:
-    """Starts of a search at places all along the road."""
+def around(strength: Values) -> Callable[[RecordingExtent], tuple[Values, ...]]:
+    """Make the starts of a search at places all along the road.
 
-    def starts(recording: Recording) -> tuple[Values, ...]:
+    Parameters
+    ----------
+    strength : mapping of str to float
+        Values of the other parameters of the effect.
+
+    Returns
+    -------
+    callable
+        RecordingExtent -> starts, for ``Effect.starts``.
+    """
+
+    def starts(recording: RecordingExtent) -> tuple[Values, ...]:
         first = 0.0 if recording.circumference_m else recording.first_m
         extent = recording.circumference_m or recording.last_m - recording.first_m
         return tuple(

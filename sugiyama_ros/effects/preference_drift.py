@@ -1,4 +1,4 @@
-"""Drivers change their minds slowly and at random."""
+"""Drivers' preferences change slowly and at random."""
 
 from sugiyama_ros.driver.parameters import Parameter
 from sugiyama_ros.effects.effect import PREFERENCE, Effect, at

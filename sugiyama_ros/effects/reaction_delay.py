@@ -1,4 +1,4 @@
-"""Drivers act on what was there some time ago."""
+"""Drivers react to what they saw some time ago."""
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
@@ -8,7 +8,7 @@ from sugiyama_ros.jit import kernel
 
 @kernel
 def perceive(seen: Seen, p: Array) -> tuple[float, float, float]:
-    """The gap and the speeds, ``p[0]`` seconds ago, to first order in the delay."""
+    """Estimate the gap [m] and the speeds [m/s] ``p[0]`` seconds ago, to first order in the delay."""
     delay = p[0]
     return (
         seen.gap - delay * (seen.leader_speed - seen.speed),

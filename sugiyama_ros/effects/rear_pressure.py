@@ -10,7 +10,7 @@ from sugiyama_ros.jit import kernel
 
 @kernel
 def actuate(acceleration: float, seen: Seen, p: Array) -> float:
-    """The acceleration meant, plus a push that falls exponentially with the gap behind."""
+    """Add to the intended acceleration [m/s^2] a push that falls exponentially with the gap behind."""
     if math.isinf(seen.rear_gap):
         return acceleration
     return acceleration + float(p[0]) * math.exp(-max(seen.rear_gap, 0.0) / p[1])
@@ -24,7 +24,7 @@ EFFECT = Effect(
     source="Nakayama, Sugiyama and Hasebe, Phys. Rev. E 65 (2001) 016112 (backward looking)",
     parameters=(
         Parameter("strength", "f_r", "m/s^2", 0.0, -10.0, 20.0, "push at contact"),
-        Parameter("distance", "d_r", "m", 0.0, 0.3, 100.0, "gap in which it falls by a factor e"),
+        Parameter("distance", "d_r", "m", 0.0, 0.3, 100.0, "gap over which the push falls by a factor e"),
     ),
     starts=at({"strength": 0.3, "distance": 2.0}, {"strength": 0.3, "distance": 6.0}),
     function=actuate,

@@ -1,6 +1,6 @@
-"""All physical effects: the built-in ones, and those of other packages; and where they stand in a driver's row.
+"""All physical effects, built-in or from other packages, and where their parameters stand in a driver's row.
 
-An effect of another package is an ``Effect`` behind an entry point of the group ``sugiyama_ros.effects``.
+Another package adds an effect with an entry point of the group ``sugiyama_ros.effects`` that points to an ``Effect``.
 """
 
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ from sugiyama_ros.laws.registry import LAWS
 
 #: Group of the entry points by which other packages add effects.
 GROUP = "sugiyama_ros.effects"
-#: Effects by name. Within a stage they act in this order.
+#: Effects by name. Effects of one stage act in this order.
 EFFECTS: Mapping[str, Effect] = {
     name: effect
     for name, effect in plugins.registered(
@@ -56,22 +56,49 @@ ROW = RowLayout.of(
 
 
 def effect(name: str) -> Effect:
-    """Look up an effect. Raises InputError, which lists the names, for an unknown one."""
+    """Look up an effect.
+
+    Parameters
+    ----------
+    name : str
+        Name of the effect.
+
+    Returns
+    -------
+    Effect
+        The effect.
+
+    Raises
+    ------
+    InputError
+        For an unknown name. The message lists the names.
+    """
     return plugins.find(EFFECTS, GROUP, name, "effect")
 
 
 def index_of(effect_name: str, parameter: str) -> int:
-    """Find a parameter of an effect in a driver's row. Raises InputError for an unknown one."""
+    """Return the index of an effect's parameter in a driver's row.
+
+    Raises
+    ------
+    InputError
+        For an unknown effect or parameter. The message lists the names.
+    """
     return ROW.index_of(effect(effect_name).name, parameter)
 
 
 def active(rows: Array) -> tuple[str, ...]:
-    """Names of the effects that act on any of the drivers.
+    """Find the effects that act on at least one driver.
 
     Parameters
     ----------
-    rows : ndarray, shape (..., width)
-        Rows of drivers; rows without effects, of shape (..., P), give no names.
+    rows : ndarray, shape (..., width) or (..., P)
+        Rows of drivers, or parameters without effects.
+
+    Returns
+    -------
+    tuple of str
+        Names of the effects; empty for parameters without effects.
     """
     if rows.shape[-1] < ROW.width:
         return ()
@@ -81,32 +108,32 @@ def active(rows: Array) -> tuple[str, ...]:
 
 
 def switch_on(rows: Array, name: str, values: Values) -> Array:
-    """Give an effect its values.
+    """Switch an effect on for all drivers.
 
     Parameters
     ----------
     rows : ndarray, shape (..., width)
-        Rows of drivers, which stay as they are.
+        Rows of the drivers; they stay as they are.
     name : str
         Name of the effect.
     values : mapping of str to float
-        Values of its parameters.
+        Values of the effect's parameters, by name.
 
     Returns
     -------
     ndarray, shape (..., width)
-        Changed rows.
+        Rows with the effect.
 
     Raises
     ------
     InputError
-        For an unknown name, or a value out of the declared bounds.
+        For an unknown name, or a value outside the declared bounds.
     """
     changed = rows.copy()
     for parameter, value in values.items():
         k = index_of(name, parameter)
         declared = ROW.declared[k]
-        # 0 is always allowed: the effect is not there
+        # 0 is always allowed, because it switches the effect off
         if value != 0.0 and not declared.lower <= value <= declared.upper:
             raise InputError(
                 f"effect {name}: {parameter} = {value:g} {declared.unit} is out of bounds; give {declared.lower:g} to"

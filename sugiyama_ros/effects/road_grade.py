@@ -6,12 +6,13 @@ from sugiyama_ros.effects.effect import ENVIRONMENT, Effect, Seen
 from sugiyama_ros.effects.place import PLACE, around, bump
 from sugiyama_ros.jit import kernel
 
+#: Acceleration of gravity [m/s^2].
 GRAVITY = 9.81
 
 
 @kernel
 def push(seen: Seen, p: Array) -> float:
-    """-g times the slope, which rises and falls smoothly."""
+    """Compute -g times the slope [m/s^2]; the slope rises and falls smoothly along the road."""
     return float(-GRAVITY * p[0] * bump(seen, p[1], p[2]))
 
 

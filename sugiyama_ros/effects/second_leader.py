@@ -10,7 +10,10 @@ from sugiyama_ros.jit import kernel
 
 @kernel
 def perceive(seen: Seen, p: Array) -> tuple[float, float, float]:
-    """Gap and leader's speed as weighted means over the two vehicles ahead; half of both gaps for the second."""
+    """Compute the gap and the leader's speed as weighted means over the two vehicles ahead.
+
+    The gap to the second vehicle counts as half the sum of both gaps.
+    """
     if math.isinf(seen.second_gap):
         return seen.gap, seen.speed, seen.leader_speed
     weight = p[0]

@@ -4,13 +4,13 @@ import math
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
-from sugiyama_ros.effects.effect import MEASUREMENT, Effect, Recording, Values
+from sugiyama_ros.effects.effect import MEASUREMENT, Effect, RecordingExtent, Values
 from sugiyama_ros.jit import kernel
 
 
 @kernel
 def displacement(position: float, circumference: float, p: Array) -> tuple[float, float]:
-    """Measured minus true position [m] at a true one, and its derivative; one wave around the ring."""
+    """Compute the measured minus the true position [m] and its derivative: one wave around the ring."""
     if circumference == 0.0:
         return 0.0, 0.0
     turn = 2.0 * math.pi / circumference
@@ -18,7 +18,7 @@ def displacement(position: float, circumference: float, p: Array) -> tuple[float
     return p[0] * cosine + p[1] * sine, turn * (p[1] * cosine - p[0] * sine)
 
 
-def _starts(recording: Recording) -> tuple[Values, ...]:
+def _starts(recording: RecordingExtent) -> tuple[Values, ...]:
     return ({"cosine": 0.1, "sine": 0.1},) if recording.circumference_m else ()
 
 

@@ -1,4 +1,4 @@
-"""On part of the road everybody wants to drive slower (or faster)."""
+"""All drivers want to drive slower (or faster) on part of the road."""
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
@@ -9,7 +9,7 @@ from sugiyama_ros.jit import kernel
 
 @kernel
 def prefer(v_star: float, kappa_v: float, seen: Seen, p: Array) -> tuple[float, float]:
-    """The desired speed, less a share that is largest in the middle of the patch."""
+    """Reduce the desired speed [m/s] by a share that is largest in the middle of the patch."""
     return v_star * max(1.0 - p[0] * bump(seen, p[1], p[2]), 0.05), kappa_v
 
 
@@ -26,5 +26,5 @@ EFFECT = Effect(
     starts=around({"reduction": 0.1}),
     function=prefer,
     benchmark=({"reduction": 0.07, "width": 80.0}, {"reduction": 0.03, "width": 80.0}),
-    advice={"road_grade": "survey the road, or record standing starts on all of it"},
+    advice={"road_grade": "survey the road, or record standing starts all along the road"},
 )

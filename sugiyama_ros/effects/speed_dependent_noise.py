@@ -7,13 +7,13 @@ from sugiyama_ros.driver.parameters import Parameter
 from sugiyama_ros.effects.effect import ACTUATION, Effect, at
 from sugiyama_ros.jit import kernel
 
-#: Speed [m/s] at which the noise is the driver's sigma_a.
+#: Speed [m/s] at which the std of the noise is the driver's sigma_a.
 REFERENCE_SPEED = 5.0
 
 
 @kernel
 def noise_factor(speed: float, p: Array) -> float:
-    """Factor of the acceleration noise's std at a speed [m/s]."""
+    """Compute the factor of the std of the acceleration noise at a speed [m/s]."""
     return math.exp(p[0] * (min(max(speed, 0.0), 8.0 * REFERENCE_SPEED) / REFERENCE_SPEED - 1.0))
 
 

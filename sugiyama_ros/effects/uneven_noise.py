@@ -1,23 +1,23 @@
-"""The camera measures worse on one side of the ring."""
+"""The camera measures less accurately on one side of the ring."""
 
 import math
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
-from sugiyama_ros.effects.effect import MEASUREMENT, Effect, Recording, Values
+from sugiyama_ros.effects.effect import MEASUREMENT, Effect, RecordingExtent, Values
 from sugiyama_ros.jit import kernel
 
 
 @kernel
 def factor(position: float, circumference: float, p: Array) -> float:
-    """Of the std of the measurement noise at a position [m]: its logarithm is one wave around the ring."""
+    """Compute the factor of the std of the measurement noise; its logarithm is one wave around the ring."""
     if circumference == 0.0:
         return 1.0
     angle = 2.0 * math.pi * position / circumference
     return math.exp(p[0] * math.cos(angle) + p[1] * math.sin(angle))
 
 
-def _starts(recording: Recording) -> tuple[Values, ...]:
+def _starts(recording: RecordingExtent) -> tuple[Values, ...]:
     waves = ({"cosine": 0.15, "sine": 0.0}, {"cosine": 0.0, "sine": 0.15})
     return waves if recording.circumference_m else ()
 
@@ -30,7 +30,7 @@ EFFECT = Effect(
     source="the image scale and the light of one camera for the whole ring, to first order",
     parameters=(
         Parameter("cosine", "a_c", "1", 0.0, -2.0, 2.0, "logarithm of the factor of the noise's std at position 0"),
-        Parameter("sine", "a_s", "1", 0.0, -2.0, 2.0, "the same a quarter of the ring further on"),
+        Parameter("sine", "a_s", "1", 0.0, -2.0, 2.0, "logarithm of the factor a quarter of the ring further on"),
     ),
     starts=_starts,
     strengths=("cosine", "sine"),

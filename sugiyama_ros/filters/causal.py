@@ -78,39 +78,46 @@ class Trace(NamedTuple):
 
 
 @kernel(allocates=False)
-def _predict(covariance: Array, jacobian: Array, noise: Array, half: Array) -> None:
-    """F P F' + Q in place; most of F is 0.
+def _predict(covariance: Array, jacobian: Array, noise: Array, half: Array, filled: Ints) -> None:
+    """F P F' + Q in place, of which one triangle is worked out: the covariance stays symmetric.
 
-    half: (size + 1, size), overwritten, with (F P)' so that all rows run on, and below it one row of F P.
+    half: (size, size), overwritten with (F P)'; filled: (size, size + 1), overwritten with the places of each row of F
+    that are not 0, and their number in the last column.
     """
     size = len(covariance)
     for i in range(size):
-        for j in range(size):
-            half[size, j] = 0.0
+        count = 0
         for k in range(size):
-            factor = jacobian[i, k]
-            if factor != 0.0:
-                for j in range(size):
-                    half[size, j] += factor * covariance[k, j]
-        for j in range(size):
-            half[j, i] = half[size, j]
+            if jacobian[i, k] != 0.0:
+                filled[i, count] = k
+                count += 1
+        filled[i, size] = count
     for i in range(size):
         for j in range(size):
-            covariance[i, j] = noise[i, j]
-        for k in range(size):
+            half[i, j] = 0.0
+        for c in range(filled[i, size]):
+            k = filled[i, c]
             factor = jacobian[i, k]
-            if factor != 0.0:
-                for j in range(size):
-                    covariance[i, j] += factor * half[k, j]
+            for j in range(size):
+                half[i, j] += factor * covariance[k, j]
+    for i in range(size):
+        for j in range(i + 1):
+            entry = noise[i, j]
+            for c in range(filled[j, size]):
+                k = filled[j, c]
+                entry += jacobian[j, k] * half[i, k]
+            covariance[i, j] = entry
+            covariance[j, i] = entry
 
 
 @kernel(allocates=False)
 def _update(state: State, gain: Array, y: float, step: float, shrink: float) -> None:
     """Take in an innovation; gain: (4 M + A,), P H'; step, shrink: as ``robust`` returns them."""
+    mean, covariance = state.mean, state.covariance
     for i in range(len(gain)):
-        state.mean[i] += gain[i] * step * y
+        mean[i] += gain[i] * step * y
         for j in range(len(gain)):
-            state.covariance[i, j] -= gain[i] * gain[j] * shrink
+            covariance[i, j] -= gain[i] * gain[j] * shrink
 
 
 @kernel
@@ -153,7 +160,8 @@ def run(
     workspace = workspace_for(actions, vehicles, len(adapted))
     mean, covariance, known = np.zeros(size), np.zeros((size, size)), np.zeros(vehicles, np.int64)
     next_mean, gain = np.zeros(size), np.zeros(size)
-    jacobian, noise, half = np.zeros((size, size)), np.zeros((size, size)), np.zeros((size + 1, size))
+    jacobian, noise, half = np.zeros((size, size)), np.zeros((size, size)), np.zeros((size, size))
+    filled = np.zeros((size, size + 1), np.int64)
     state, linearised = State(mean, covariance, known), Linearised(next_mean, jacobian, noise)
     for k in range(len(adapted)):
         mean[STATE * vehicles + k] = drivers.prior_mean[k]
@@ -164,7 +172,7 @@ def run(
     for t in range(samples):
         if t > 0:
             mean[:] = next_mean
-            _predict(covariance, jacobian, noise, half)
+            _predict(covariance, jacobian, noise, half, filled)
         predicted.innovation[t], predicted.innovation_var[t], predicted.log_likelihood[t] = np.nan, np.nan, np.nan
         settled += 1
         for m in range(vehicles):

@@ -39,9 +39,7 @@ def chain_behind(trajectories: Trajectories, driver: int, vehicles: int = CHAIN,
         column = np.where(np.any([column == before for before in columns], axis=0), -1, column)
         columns.append(column)
     chain = _of_columns(trajectories, np.stack(columns, axis=1), segment)
-    follows = (trajectories.leader == driver) & trajectories.present
-    behind = np.where(follows.any(axis=1), follows.argmax(axis=1), -1)
-    return replace(chain, rear=track(_of_columns(trajectories, behind[:, None], segment)))
+    return replace(chain, rear=track(_of_columns(trajectories, trajectories.follower[:, driver, None], segment)))
 
 
 def _of_columns(trajectories: Trajectories, columns: Ints, segment: Ints | None) -> Chain:

@@ -97,39 +97,6 @@ def _moments(weight: Array, mean: Array, covariance: Array) -> tuple[Array, Arra
     return centre, around
 
 
-def _learn(
-    y: float,
-    variance: float,
-    noise_var: float,
-    factor: float,
-    d_mean: Array,
-    d_covariance: Array,
-    centre: Array,
-    weight: Array,
-    mean: Array,
-    covariance: Array,
-) -> None:
-    """Update each model with a sample of innovation y, by the score and the expected information of the logarithms."""
-    slopes, shifts = np.empty(2), np.empty(2)
-    for k in range(2):
-        slopes[k] = factor * factor * d_covariance[k, 0, 0] + (2.0 * noise_var if k == NU else 0.0)
-        shifts[k] = -factor * d_mean[k, 0]
-    density = np.empty(len(weight))
-    for j in range(len(weight)):
-        off = mean[j] - centre
-        own_y = y + shifts @ off
-        own_var = variance * math.exp(slopes @ off / variance)
-        scale = min(own_y * own_y / own_var, LARGEST)
-        density[j] = -0.5 * (math.log(own_var) + scale)
-        bounded = math.copysign(math.sqrt(scale * own_var), own_y)
-        score = -0.5 * slopes / variance * (1.0 - scale) - bounded / own_var * shifts
-        information = 0.5 * np.outer(slopes, slopes) / variance**2 + np.outer(shifts, shifts) / own_var
-        covariance[j] = np.linalg.inv(np.linalg.inv(covariance[j]) + information)
-        mean[j] += np.clip(covariance[j] @ score, -STEP, STEP)
-    weight *= np.exp(density - density.max())
-    weight /= weight.sum()
-
-
 class NoiseLearner:
     """Learns the logarithms of a driver's noises from the steps of a Kalman filter.
 
@@ -187,19 +154,28 @@ class NoiseLearner:
         self.mean, self.covariance = _moments(self.weight, self._means, self._covariances)
 
     def learn(self, y: float, variance: float, noise_var: float, factor: float) -> None:
-        """Take in the driver's own innovation [m] and its variance, before the filter is updated with it."""
-        _learn(
-            y,
-            variance,
-            noise_var,
-            factor,
-            self.d_mean,
-            self.d_covariance,
-            self.mean,
-            self.weight,
-            self._means,
-            self._covariances,
-        )
+        """Take in the driver's own innovation [m] and its variance, before the filter is updated with it.
+
+        Each model moves by the score and the expected information of the logarithms.
+        """
+        slopes, shifts = np.empty(2), np.empty(2)
+        for k in range(2):
+            slopes[k] = factor * factor * self.d_covariance[k, 0, 0] + (2.0 * noise_var if k == NU else 0.0)
+            shifts[k] = -factor * self.d_mean[k, 0]
+        density = np.empty(len(self.weight))
+        for j in range(len(self.weight)):
+            off = self._means[j] - self.mean
+            own_y = y + shifts @ off
+            own_var = variance * math.exp(slopes @ off / variance)
+            scale = min(own_y * own_y / own_var, LARGEST)
+            density[j] = -0.5 * (math.log(own_var) + scale)
+            bounded = math.copysign(math.sqrt(scale * own_var), own_y)
+            score = -0.5 * slopes / variance * (1.0 - scale) - bounded / own_var * shifts
+            information = 0.5 * np.outer(slopes, slopes) / variance**2 + np.outer(shifts, shifts) / own_var
+            self._covariances[j] = np.linalg.inv(np.linalg.inv(self._covariances[j]) + information)
+            self._means[j] += np.clip(self._covariances[j] @ score, -STEP, STEP)
+        self.weight *= np.exp(density - density.max())
+        self.weight /= self.weight.sum()
         self.mean, self.covariance = _moments(self.weight, self._means, self._covariances)
 
     def update(self, kalman: Any, measures: Array, own_noise_var: float) -> None:

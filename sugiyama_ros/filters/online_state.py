@@ -46,7 +46,7 @@ class Sizes(NamedTuple):
     columns: int
 
 
-class Sample(NamedTuple):
+class ChainSample(NamedTuple):
     """What the filter takes in: position and length (M,) [m], identity (M,), rear (3,), and time (1,) [s]."""
 
     position: Array
@@ -142,7 +142,7 @@ class Online(NamedTuple):
     scene: (6,) of ``Scene``; result: ``RESULTS`` entries and a covariance.
     """
 
-    sample: Sample
+    sample: ChainSample
     result: Array
     book: Book
     state: State
@@ -257,7 +257,7 @@ def online_arrays(memory: Array, layout: Ints) -> Online:
     at, to = memory, layout
     vector, matrix, integers = _vector, _matrix, _integers
     return Online(
-        Sample(vector(at, to, 0), integers(at, to, 1), vector(at, to, 2), vector(at, to, 3), vector(at, to, 4)),
+        ChainSample(vector(at, to, 0), integers(at, to, 1), vector(at, to, 2), vector(at, to, 3), vector(at, to, 4)),
         vector(at, to, 5),
         Book(integers(at, to, 6), integers(at, to, 7), integers(at, to, 8), integers(at, to, 9), integers(at, to, 10)),
         State(vector(at, to, 11), matrix(at, to, 12), integers(at, to, 13)),

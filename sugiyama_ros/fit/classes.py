@@ -10,14 +10,13 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.cluster.vq import kmeans2
-from scipy.special import logsumexp
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.filters.paper import Scored
 from sugiyama_ros.fit.bounds import LogSpace, log_space
 from sugiyama_ros.fit.driver import Fit, Job, carry_out
 from sugiyama_ros.fit.scoring import damped_step, limited
+from sugiyama_ros.fit.standard_errors import untouched
 
 # Maximum number of steps; the search ends when a step gains less than this [nats]; longest step of a logarithm.
 _STEPS, _ENOUGH, _LONGEST = 60, 0.05, 0.3
@@ -99,7 +98,8 @@ def find_classes(jobs: Sequence[Job], count: int, samples: int, seed: int, work:
     std = np.zeros_like(rows)
     for k, information_of_class in enumerate(_expected(scores, probability)[1]):
         held = information_of_class[np.ix_(places, places)]
-        std[k, places] = np.sqrt(np.maximum(np.diag(np.linalg.pinv(held, hermitian=True)), 0.0))
+        found = np.sqrt(np.maximum(np.diag(np.linalg.pinv(held, hermitian=True)), 0.0))
+        std[k, places] = np.where(untouched(held, rows[k, places]), np.inf, found)
     order = np.argsort(-share)
     free = count * len(places) + count - 1
     bic = -2.0 * float(value.sum()) + free * float(np.log(samples))
@@ -143,6 +143,9 @@ def _score(task: tuple[Job, Array, Sequence[Array] | None]) -> list[Scored]:
 
 def _posterior(scores: Sequence[Sequence[Scored]], share: Array) -> tuple[Array, Array]:
     """Log-likelihood (N,) of the mixture, and probabilities (N, K) of the classes."""
+    # Imported here, and kmeans2 below too: only a search for classes needs scipy, which takes long to load.
+    from scipy.special import logsumexp
+
     joint = np.array([[s.log_likelihood for s in one] for one in scores]) + np.log(share)
     value = logsumexp(joint, axis=1)
     return value, np.exp(joint - value[:, None])
@@ -150,6 +153,8 @@ def _posterior(scores: Sequence[Sequence[Scored]], share: Array) -> tuple[Array,
 
 def _divided(fits: Sequence[Fit], job: Job, count: int, seed: int) -> Array:
     """Parameters (K, P) of the classes at the start: centres of clusters of the fits of single drivers."""
+    from scipy.cluster.vq import kmeans2
+
     points = np.log(np.abs([fit.parameters[job.places] for fit in fits]))
     middle, spread = np.median(points, axis=0), np.maximum(np.std(points, axis=0), 1e-6)
     clipped = np.clip((points - middle) / spread, -_FAR, _FAR)

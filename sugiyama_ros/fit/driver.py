@@ -9,18 +9,17 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.optimize import basinhopping
 
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import NAMES, SIGMA_A, defaults, index, population
 from sugiyama_ros.filters import paper
 from sugiyama_ros.filters.chain import CHAIN, Chain
-from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.paper import Scored
 from sugiyama_ros.fit.bounds import LogSpace, log_space, upper_bounds
 from sugiyama_ros.fit.driver_score import causal_score, regularised
 from sugiyama_ros.fit.intervals import end_of_profile, quadratic
 from sugiyama_ros.fit.scoring import Point, search
+from sugiyama_ros.fit.standard_errors import stds
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 Formulation = Literal["paper", "causal"]
@@ -72,7 +71,8 @@ class Fit:
     log_likelihood : float
         Log-likelihood at the maximum [nats], without the 2 pi term and the regularisation.
     std : ndarray, shape (P,)
-        Standard deviations; 0 for a parameter that was given, infinite for a parameter on a bound.
+        Standard deviations; 0 for a parameter that was given, infinite for a parameter on a bound or one that
+        the data say nothing about.
     at_bound : tuple of str
         Names of the parameters on a bound, which the data do not determine.
     interval : ndarray, shape (P, 2)
@@ -125,7 +125,7 @@ def fit_driver(
     std[space.places] = np.inf
     if len(inside):
         scored = found.scored if careful is None else careful(parameters, found.scored.information)
-        std[inside] = _stds(scored, inside)
+        std[inside] = stds(scored, parameters, inside)
     return Fit(
         vehicle=vehicle,
         parameters=parameters,
@@ -134,21 +134,6 @@ def fit_driver(
         at_bound=tuple(NAMES[k] for k, b in zip(space.places, bound, strict=True) if b),
         interval=quadratic(parameters, std),
     )
-
-
-def _stds(scored: Scored, places: Ints) -> Array:
-    """Standard deviations of the parameters at ``places`` at a maximum.
-
-    They come from the expected information, or from the sandwich estimate (Huber 1967) if it is larger: if the
-    gradients of the samples scatter more than the information says. The sandwich also holds for an approximate
-    likelihood.
-    """
-    block = np.ix_(places, places)
-    covariance = np.linalg.pinv(scored.information[block], hermitian=True)
-    variance = np.diag(covariance)
-    if scored.scatter is not None:
-        variance = np.maximum(variance, np.diag(covariance @ scored.scatter[block] @ covariance))
-    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,6 +195,8 @@ def carry_out(job: Job) -> Fit:
 
 def _hop(job: Job) -> Array:
     """Parameters (P,) of the best of many local searches (Wales and Doye, J. Phys. Chem. A 101 (1997) 5111)."""
+    from scipy.optimize import basinhopping  # here, because it loads slowly and few fits hop
+
     space = job.space
 
     def at(x: Array) -> tuple[float, Array]:
@@ -337,6 +324,8 @@ def job_of(
     one = Job(vehicle, known.get(vehicle, begin), places, upper)
     if formulation == "paper":
         return replace(one, perceived=paper.perceive(trajectories, driver))
+    from sugiyama_ros.filters.extract import chain_behind  # here, because the paper's formulation starts without it
+
     chain = chain_behind(trajectories, driver)
     ahead = [known.get(_most(chain.identity[:, m]), population()) for m in range(1, CHAIN)]
     return replace(one, chain=chain, ahead=np.array(ahead))

@@ -4,7 +4,6 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import COUNT, KAPPA_V, V_STAR
-from sugiyama_ros.filters import causal
 from sugiyama_ros.filters.chain import Chain
 from sugiyama_ros.filters.paper import Scored
 
@@ -45,6 +44,9 @@ def causal_score(
     Scored
         Log-likelihood, gradient, information and scatter.
     """
+    # Imported here: the paper's formulation does not need the causal filter, which takes long to load.
+    from sugiyama_ros.filters import causal
+
     y, variance, density = causal.predict_samples(chain, parameters, ahead)
     steps = np.full(len(places), _FIRST_STEP)
     if information is not None:

@@ -1,13 +1,16 @@
 """The type of a driver: probabilities of known classes, given what a filter has learnt of the driver so far."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.special import softmax
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import index
-from sugiyama_ros.filters.learnt import Learnt
+
+if TYPE_CHECKING:
+    # The online filter is not needed to keep or write the classes, and takes long to load.
+    from sugiyama_ros.filters.learnt import Learnt
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +28,7 @@ class DriverTypes:
     share: Array
     rows: Array
 
-    def probabilities(self, learnt: Learnt, prior: Learnt) -> Array:
+    def probabilities(self, learnt: "Learnt", prior: "Learnt") -> Array:
         """Return the probability of each class for one driver.
 
         Both arguments are normal distributions of logarithms. Their ratio is the likelihood that the samples give to
@@ -43,11 +46,14 @@ class DriverTypes:
         ndarray, shape (K,)
             Probabilities of the classes.
         """
+        # Imported here: commands that only read or write classes start sooner without scipy.
+        from scipy.special import softmax
+
         logs = np.log(self.rows[:, [index(name) for name in learnt.names]])
         return np.asarray(softmax(np.log(self.share) + _log_density(logs, learnt) - _log_density(logs, prior)))
 
 
-def _log_density(logs: Array, learnt: Learnt) -> Array:
+def _log_density(logs: Array, learnt: "Learnt") -> Array:
     """Log-density (K,) at points (K, A), without the terms that are equal for all points."""
     off = logs - learnt.mean
     return np.asarray(-0.5 * np.sum(off * np.linalg.solve(learnt.covariance, off.T).T, axis=1))

@@ -86,7 +86,8 @@ def prepare(trajectories: Trajectories, segment: Ints | None = None) -> Recorded
     ahead = np.full((drivers, CHAIN - 1), -1)
     for i in range(drivers):
         for m in range(1, CHAIN):
-            known = trajectories.vehicle[_columns(trajectories, i, m)[_columns(trajectories, i, m) >= 0]]
+            columns = _columns(trajectories, i, m)
+            known = trajectories.vehicle[columns[columns >= 0]]
             if len(known):
                 values, counts = np.unique(known, return_counts=True)
                 ahead[i, m - 1] = column[int(values[np.argmax(counts)])]

@@ -4,6 +4,7 @@ import dataclasses
 import math
 import struct
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -21,14 +22,19 @@ from sugiyama_ros.formats.definitions import full_text
 _MAX_TEXT = 1 << 16
 _MAX_DEPTH = 8
 _MAX_UNROLLED = 1000
+# Definitions that are kept compiled. A file has one channel for each topic, but few types.
+_KEPT = 64
 #: Largest message [bytes] that is decoded if it holds lists of messages or texts, each a Python object.
 _MAX_COMPOUND = 1 << 18
 
 Decoder = Callable[[bytes], Any]
 
 
+@lru_cache(maxsize=_KEPT)
 def decoder(type_name: str, text: str) -> Decoder | None:
     """Make a function that decodes a message.
+
+    The function is made once for each definition, because rosbags compiles Python code for it.
 
     Parameters
     ----------

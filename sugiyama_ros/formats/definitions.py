@@ -19,7 +19,7 @@ _PRIMITIVE = {"bool", "byte", "char", "float32", "float64", "string", "wstring"}
 
 @cache
 def full_text(type_name: str) -> str:
-    """Definition of a message and of all types in it, as MCAP's schema encoding ``ros2msg`` asks for.
+    """Definition of a message and of all types in it, in MCAP's schema encoding ``ros2msg``.
 
     Parameters
     ----------

@@ -35,7 +35,7 @@ class Fetched:
 def fetch(name: str, directory: Path, url: str | None = None, on_progress: OnProgress | None = None) -> Fetched:
     """Download a data set of the catalogue into a directory, verify and unpack it, and convert it to a bag.
 
-    The caller asks for consent to the licence. A file that failed is never left under its name.
+    The caller asks the user to accept the licence. A file that is incomplete or wrong is never left under its name.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def fetch(name: str, directory: Path, url: str | None = None, on_progress: OnPro
 
 
 def _downloaded(url: str, data_set: DataSet, on_progress: OnProgress | None) -> Iterator[bytes]:
-    """Blocks of the file at an address; at most the size that the catalogue states."""
+    """Blocks of the file at an address, at most as many bytes as the catalogue states."""
     if not url.startswith(("http://", "https://")):
         raise InputError(f"{url}: not a web address; it must start with https:// or http://")
     received, until = 0, time.monotonic() + _LONGEST_S

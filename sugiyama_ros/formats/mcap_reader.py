@@ -93,7 +93,7 @@ class Bag:
             self._opened = opened.pop_all()
 
     def info(self) -> BagInfo:
-        """What is in the bag: from its summary, or from all its messages if it has no summary."""
+        """Content of the bag: from its summary, or from all its messages if it has no summary."""
         statistics: Statistics | None = None
         metadata: dict[str, dict[str, str]] = {}
         compression: set[str] = set()
@@ -151,7 +151,7 @@ class Bag:
             yield found
 
     def raw_messages(self, topics: Collection[str] | None = None) -> Iterator[BagMessage]:
-        """Messages as bytes; else like ``messages``."""
+        """Messages with their content as bytes; otherwise the same as ``messages``."""
         return map(self._named, self._selected(topics))
 
     def _named(self, message: Message) -> BagMessage:

@@ -25,7 +25,8 @@ MAX_DESCRIPTION = 1 << 20
 _MAX_DESCRIPTIONS = 64 << 20
 
 HEAD = struct.Struct("<BQ")
-_MESSAGE = struct.Struct("<HIQQ")
+#: Head of a message: channel, sequence, time of recording and of publishing [ns].
+MESSAGE = struct.Struct("<HIQQ")
 
 Parsed = TypeVar("Parsed")
 
@@ -117,9 +118,9 @@ class RecordFile:
     def message(self, record: Record) -> Message:
         """A message outside of any chunk."""
         body = self.body(record)
-        if len(body) < _MESSAGE.size:
+        if len(body) < MESSAGE.size:
             raise self.damaged(record.offset, "a message without its head")
-        return Message._make((*_MESSAGE.unpack_from(body), body[_MESSAGE.size :]))
+        return Message._make((*MESSAGE.unpack_from(body), body[MESSAGE.size :]))
 
     def cut_off(self, offset: int) -> InputError:
         """Error to raise where the file ends too early."""
@@ -219,11 +220,11 @@ def content_records(content: bytes, where: str) -> Iterator[tuple[int, Any]]:
         if position > len(content):
             raise InputError(f"{where}: a record inside does not end within the chunk; the file is damaged")
         if opcode == Opcode.MESSAGE:
-            if length < _MESSAGE.size:
+            if length < MESSAGE.size:
                 raise InputError(f"{where}: a message without its head; the file is damaged")
             yield (
                 opcode,
-                Message._make((*_MESSAGE.unpack_from(content, start), content[start + _MESSAGE.size : position])),
+                Message._make((*MESSAGE.unpack_from(content, start), content[start + MESSAGE.size : position])),
             )
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             if length > MAX_DESCRIPTION:

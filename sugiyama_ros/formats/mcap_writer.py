@@ -10,12 +10,11 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import TracebackType
 
-from mcap.writer import CompressionType, Writer
-
 from sugiyama_ros.errors import InputError, OutputError
 from sugiyama_ros.formats.definitions import full_text, type_hash
+from sugiyama_ros.formats.mcap_record_writer import RecordWriter
 
-#: Chunks are closed at this size [bytes]; small ones bound what a crash can lose.
+#: Chunks are closed at this size [bytes]; small chunks limit what a crash can lose.
 _CHUNK_SIZE = 256 << 10
 #: Longest wall time [s] for which written messages may stay in memory.
 _FLUSH_S = 1.0
@@ -46,7 +45,7 @@ class Qos:
         )
 
 
-#: Offer of a topic whose last message must reach late subscribers.
+#: Quality of service of a topic whose last message must reach late subscribers.
 LATCHED_TOPIC = Qos(durability="transient_local", depth=1)
 
 
@@ -54,8 +53,8 @@ class BagWriter:
     """Writes serialized messages to an MCAP file; use it in a ``with`` block.
 
     The file appears under its name when the block ends without an error. Until then the messages are in ``FILE.part``;
-    after a crash, ``sugiyama recover`` makes a file of it. An error in the block removes it, but what was flushed
-    before a disk failed stays.
+    after a crash, ``sugiyama recover`` makes a complete file from it. An error in the block removes this
+    file. If the disk fails, the messages that were flushed before stay.
 
     Parameters
     ----------
@@ -90,11 +89,10 @@ class BagWriter:
             ) from None
         except OSError as error:
             raise self._failed(error) from None
-        self._writer = Writer(self._stream, chunk_size=_CHUNK_SIZE, compression=CompressionType.ZSTD)
         release = _version()
+        about = {"version": release, **(metadata or {})}
         try:
-            self._writer.start(profile="ros2", library=f"sugiyama_ros {release}")
-            self._writer.add_metadata("sugiyama", {"version": release, **(metadata or {})})
+            self._writer = RecordWriter(self._stream, _CHUNK_SIZE, f"sugiyama_ros {release}", about)
         except OSError as error:
             self._discard()
             raise self._failed(error) from None
@@ -115,10 +113,9 @@ class BagWriter:
                 raise InputError(f"{name}: announced as {announced} before, now as {type_name}; use two names")
             return channel
         if type_name not in self._schemas:
-            text = full_text(type_name)
-            self._schemas[type_name] = self._writer.register_schema(type_name, "ros2msg", text.encode())
+            self._schemas[type_name] = self._writer.schema(type_name, full_text(type_name))
         about = {"offered_qos_profiles": qos.yaml, "topic_type_hash": type_hash(type_name)}
-        number = self._writer.register_channel(name, "cdr", self._schemas[type_name], about)
+        number = self._writer.channel(name, self._schemas[type_name], about)
         self._counts += [0] * (number + 1 - len(self._counts))
         self._topics[name] = (number, type_name)
         return number
@@ -128,7 +125,7 @@ class BagWriter:
         if log_time_ns < 0 or publish_time_ns < 0:
             raise InputError(f"{self.path}: MCAP has no times before 0; shift the times of the source")
         try:
-            self._writer.add_message(channel, log_time_ns, data, publish_time_ns, self._counts[channel])
+            self._writer.message(channel, self._counts[channel], (log_time_ns, publish_time_ns), data)
         except OSError as error:
             raise self._failed(error) from None
         self._counts[channel] += 1
@@ -142,7 +139,7 @@ class BagWriter:
         if not self._dirty:
             return
         try:
-            self._writer.flush()  # type: ignore[no-untyped-call]
+            self._writer.flush()
             os.fsync(self._stream.fileno())
         except OSError as error:
             raise self._failed(error) from None
@@ -152,7 +149,7 @@ class BagWriter:
     def close(self) -> None:
         """Finish the file and give it its name."""
         try:
-            self._writer.finish()  # type: ignore[no-untyped-call]
+            self._writer.finish()
             self._stream.flush()
             os.fsync(self._stream.fileno())
             self._stream.close()
@@ -163,7 +160,7 @@ class BagWriter:
             raise failed from None
 
     def _discard(self) -> None:
-        """Remove the file, but keep what was flushed before a disk failed."""
+        """Remove the unfinished file, but keep what was flushed before a disk failed."""
         # A full disk refuses the rest of the buffer, but the file is closed.
         with suppress(OSError):
             self._stream.close()
@@ -171,7 +168,7 @@ class BagWriter:
             self.part.unlink(missing_ok=True)
 
     def _failed(self, error: OSError) -> OutputError:
-        """Error to raise for a disk that refuses."""
+        """Error to raise where the disk refuses to write."""
         cure = "free some space" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "choose another place"
         kept = f"; what was flushed before is in {self.part} (`sugiyama recover`)" if self._kept else ""
         return OutputError(f"{self.path}: cannot be written: {error.strerror}; {cure}{kept}")

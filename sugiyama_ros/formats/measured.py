@@ -3,18 +3,19 @@
 from array import array
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.formats.cdr import Encoder
 from sugiyama_ros.formats.format import Format
-from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.mcap_records import MAGIC
 from sugiyama_ros.formats.reading import open_input, sha256
 from sugiyama_ros.formats.samples import MAX_SAMPLES, agreed_road
 from sugiyama_ros.trajectories.trajectories import Trajectories
+
+if TYPE_CHECKING:
+    from sugiyama_ros.formats.mcap_reader import Bag
 
 ROAD_TYPE = "sugiyama_msgs/msg/Road"
 MEASURED_TYPE = "sugiyama_msgs/msg/MeasuredPositions"
@@ -42,6 +43,9 @@ def messages(trajectories: Trajectories) -> Iterator[tuple[str, int, bytes]]:
     InputError
         Where sugiyama_msgs is not installed.
     """
+    # Imported here, and the reader below too: a file of text needs no messages, whose code takes long to load.
+    from sugiyama_ros.formats.cdr import Encoder
+
     encode = Encoder(ROAD_TYPE, MEASURED_TYPE)
     times = [stamp_ns(time) for time in trajectories.time_s.tolist()]
     yield (
@@ -96,6 +100,8 @@ def read_measured(path: Path, ring_m: float | None = None) -> Trajectories:
     InputError
         Where the topics are missing or ambiguous, the road or a length changes, or time goes backward.
     """
+    from sugiyama_ros.formats.mcap_reader import Bag
+
     with Bag(path) as bag:
         topics = {}
         for name, kind in (("road", ROAD_TYPE), ("measured", MEASURED_TYPE)):
@@ -113,7 +119,7 @@ def read_measured(path: Path, ring_m: float | None = None) -> Trajectories:
             ) from None
 
 
-def _collected(bag: Bag, topics: dict[str, str], ring_m: float | None) -> Trajectories:
+def _collected(bag: "Bag", topics: dict[str, str], ring_m: float | None) -> Trajectories:
     """Trajectories from the messages on two topics, given by name with their types."""
     path = bag.path
     road: Any = None

@@ -34,7 +34,7 @@ _OPCODES = {int(opcode) for opcode in Opcode}
 
 @dataclass(frozen=True)
 class Recovered:
-    """What was recovered: messages and topics; ``lost_bytes`` of the file could not be used."""
+    """Result of a recovery: numbers of messages and topics, and bytes of the file that could not be used."""
 
     path: Path
     messages: int

@@ -26,8 +26,7 @@ BUILT_IN = (
 def formats() -> tuple[Format, ...]:
     """All formats, in the order in which they are asked whether they recognise a file.
 
-    The formats of other packages come first. So one of them can take files with a suffix that a built-in format has,
-    too.
+    The formats of other packages come first, so that they can also take files with a suffix of a built-in format.
     """
     found = tuple(plugins.registered(GROUP, Format, BUILT_IN, "FORMAT").values())
     return (*found[len(BUILT_IN) :], *found[: len(BUILT_IN)])

@@ -1,4 +1,4 @@
-"""adaptiveSeek, the driver model of the paper: the law that all others are compared with."""
+"""adaptiveSeek, the driver model of the paper. All other laws are compared with it."""
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import PARAMETERS, REFERENCE_HORIZON, REFERENCE_PERIOD_S
@@ -9,14 +9,14 @@ from sugiyama_ros.laws.law import Law
 
 @kernel
 def adaptive_seek(gap: float, speed: float, leader_speed: float, p: Array) -> float:
-    """Mean action [m/s^2] of a driver with the parameters p (P,) of ``driver.parameters``, at the reference period."""
+    """Compute the mean action [m/s^2] at the reference period, p = the parameters (P,) of ``driver.parameters``."""
     return mean_action(gap, speed, leader_speed, p, ACTIONS, REFERENCE_PERIOD_S, REFERENCE_HORIZON)
 
 
 LAW = Law(
     name="adaptive_seek",
     title="adaptiveSeek",
-    summary="the Boltzmann mean of the actions, by a utility of speed and risk that the driver anticipates",
+    summary="the Boltzmann mean of the actions, for an anticipated utility of speed and risk",
     source="Dai, Shen, Wang, Huang and Filev, Calibration of Human Driving Behavior and Preference (the paper)",
     parameters=PARAMETERS,
     function=adaptive_seek,

@@ -1,4 +1,4 @@
-"""Constant speed: what every model must predict better than."""
+"""Constant speed: every useful model predicts better than this law."""
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.jit import kernel
@@ -7,15 +7,15 @@ from sugiyama_ros.laws.law import Law
 
 @kernel
 def constant_speed(gap: float, speed: float, leader_speed: float, p: Array) -> float:
-    """Acceleration 0, whatever there is to see."""
+    """Return the acceleration 0 [m/s^2]."""
     return 0.0
 
 
 LAW = Law(
     name="constant_speed",
     title="constant speed",
-    summary="no acceleration but noise",
-    source="the plainest reference there is",
+    summary="no acceleration except noise",
+    source="the simplest possible reference",
     parameters=(),
     function=constant_speed,
 )

@@ -12,9 +12,9 @@ _SOURCE = "Jiang, Wu and Zhu, Phys. Rev. E 64 (2001) 017101"
 
 @kernel
 def fvdm(gap: float, speed: float, leader_speed: float, p: Array) -> float:
-    """Acceleration [m/s^2] of the full velocity difference model, p = kappa, lambda, V1, V2, C1, C2.
+    """Compute the acceleration [m/s^2] of the full velocity difference model, p = kappa, lambda, V1, V2, C1, C2.
 
-    The optimal velocity is Helbing and Tilch's, which the model's paper uses.
+    The optimal velocity is the function of Helbing and Tilch, as in the model's paper.
     """
     if gap == math.inf:
         return bounded(p[0] * (p[2] + p[3] - speed))

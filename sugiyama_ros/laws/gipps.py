@@ -12,10 +12,10 @@ _SOURCE = "Gipps, Transp. Res. B 15 (1981) 105"
 
 @kernel
 def gipps(gap: float, speed: float, leader_speed: float, p: Array) -> float:
-    """Acceleration [m/s^2] of Gipps' law, p = v0, a, b, b_leader, tau, s0.
+    """Compute the acceleration [m/s^2] of Gipps' law, p = v0, a, b, b_leader, tau, s0.
 
-    The law gives the speed after the reaction time tau; the acceleration is the change of speed over tau. The driver
-    chooses the smaller one of two speeds: the speed of a free driver, and the speed from which they can still stop
+    The law gives the speed after the reaction time tau. The acceleration is the change of speed over tau. The driver
+    chooses the smaller of two speeds: the speed of a free driver, and the speed from which the driver can still stop
     behind a leader who brakes with b_leader.
     """
     own = max(speed, 0.0)

@@ -12,10 +12,10 @@ _SOURCE = "Helly, Simulation of bottlenecks in single-lane traffic flow (1959)"
 
 @kernel
 def helly(gap: float, speed: float, leader_speed: float, p: Array) -> float:
-    """Acceleration [m/s^2] of Helly's law, p = c_v, c_s, d, T.
+    """Compute the acceleration [m/s^2] of Helly's law, p = c_v, c_s, d, T.
 
-    Linear in the relative speed and in the difference between the gap and the wanted gap d + T v. The law says nothing
-    of a driver without a leader: such a driver keeps their speed.
+    The acceleration is linear in the relative speed and in the difference between the gap and the wanted gap d + T v.
+    The law says nothing about a driver without a leader; here such a driver keeps their speed.
     """
     if gap == math.inf:
         return 0.0

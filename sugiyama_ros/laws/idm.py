@@ -12,10 +12,10 @@ _SOURCE = "Treiber, Hennecke and Helbing, Phys. Rev. E 62 (2000) 1805"
 
 @kernel
 def idm(gap: float, speed: float, leader_speed: float, p: Array) -> float:
-    """Acceleration [m/s^2] of the intelligent driver model, p = v0, T, s0, a, b.
+    """Compute the acceleration [m/s^2] of the intelligent driver model, p = v0, T, s0, a, b.
 
-    From contact on, the driver brakes as hard as possible. The dynamic part of the wanted gap stays at or above 0, so
-    that a much faster leader does not slow the driver down.
+    At contact the driver brakes as hard as possible. The dynamic part of the wanted gap is never below 0, so that a
+    much faster leader does not slow the driver down.
     """
     if gap <= 0.0:
         return hardest_braking()

@@ -1,4 +1,4 @@
-"""What a car-following law is: a name, declared parameters, and one pure function of what the driver sees."""
+"""What a car-following law is: a name, declared parameters, and a pure function of what the driver sees."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -29,8 +29,9 @@ class Law:
     parameters : tuple of Parameter
         Declared parameters, in the order in which the function takes them.
     function : callable
-        Compiled with ``numba.njit``: (gap, speed, leader_speed, p) -> acceleration [m/s^2]. The gap [m] is infinite
-        without a leader. The function is pure and finite everywhere; ``bounded`` helps.
+        Compiled with ``numba.njit``: (gap [m], speed [m/s], leader_speed [m/s], p) -> acceleration [m/s^2]. The gap is
+        infinite without a leader, and ``p`` holds the law's parameters, shape (K,). The function must be pure, and
+        finite everywhere; ``bounded`` helps.
     """
 
     name: str
@@ -43,11 +44,11 @@ class Law:
 
 @kernel
 def bounded(acceleration: float) -> float:
-    """Keep an acceleration [m/s^2] within the actions that the drivers of the paper choose from."""
+    """Keep an acceleration [m/s^2] within the range of actions that the paper's drivers choose from."""
     return min(max(acceleration, _HARDEST), _STRONGEST)
 
 
 @kernel
 def hardest_braking() -> float:
-    """Return the hardest braking [m/s^2] that a driver chooses."""
+    """Return the hardest braking [m/s^2], a negative number, that the paper's drivers choose from."""
     return _HARDEST

@@ -12,10 +12,10 @@ _SOURCE = "Newell, Transp. Res. B 36 (2002) 195"
 
 @kernel
 def newell(gap: float, speed: float, leader_speed: float, p: Array) -> float:
-    """Acceleration [m/s^2] of Newell's law, p = v0, tau, d, T.
+    """Compute the acceleration [m/s^2] of Newell's law, p = v0, tau, d, T.
 
-    A driver repeats the leader's trajectory a time tau later and a distance d behind, which is a speed of
-    (gap - d) / tau, at most v0. The speed relaxes to it in the time T; the source has no such time.
+    A driver repeats the leader's trajectory a time tau later and a distance d behind. So the driver wants the speed
+    (gap - d) / tau, at most v0. The speed relaxes to the wanted speed in the time T. The source has no relaxation time.
     """
     wanted = p[0] if gap == math.inf else min(max((gap - p[2]) / p[1], 0.0), p[0])
     return bounded((wanted - speed) / p[3])

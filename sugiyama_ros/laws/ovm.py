@@ -12,10 +12,10 @@ _SOURCE = "Bando, Hasebe, Nakayama, Shibata and Sugiyama, Phys. Rev. E 51 (1995)
 
 @kernel
 def ovm(gap: float, speed: float, leader_speed: float, p: Array) -> float:
-    """Acceleration [m/s^2] of the optimal velocity model, p = kappa, V, c, g.
+    """Compute the acceleration [m/s^2] of the optimal velocity model, p = kappa, V, c, g.
 
-    The optimal velocity V (tanh(c (gap - g)) + tanh(c g)) is 0 at contact; the source writes it in units in which V and
-    c are 1.
+    The optimal velocity V (tanh(c (gap - g)) + tanh(c g)) is 0 at contact. The source chooses units in which V and c
+    are 1.
     """
     highest = math.tanh(p[2] * p[3])
     if gap == math.inf:

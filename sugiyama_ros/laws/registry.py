@@ -1,6 +1,6 @@
-"""All car-following laws: the built-in ones, and those of other packages.
+"""All car-following laws: the built-in laws and the laws of other packages.
 
-A law of another package is a ``Law`` behind an entry point of the group ``sugiyama_ros.laws``.
+Another package adds a law with an entry point of the group ``sugiyama_ros.laws`` that points to a ``Law``.
 """
 
 from collections.abc import Mapping
@@ -10,7 +10,7 @@ from sugiyama_ros.laws.law import Law
 
 #: Group of the entry points by which other packages add laws.
 GROUP = "sugiyama_ros.laws"
-#: Laws by name. The place of a law in this order is its number in a driver's row.
+#: Laws by name. The number of a law in a driver's row is its index in this order.
 LAWS: Mapping[str, Law] = plugins.registered(
     GROUP,
     Law,
@@ -26,17 +26,39 @@ LAWS: Mapping[str, Law] = plugins.registered(
     ),
     "LAW",
 )
-#: Number of the paper's driver model; the other laws are compared with it.
+#: Number of the paper's driver model. The other laws are compared with it.
 ADAPTIVE_SEEK = 0
-#: Names of all laws but adaptiveSeek.
+#: Names of all laws except adaptiveSeek.
 RIVALS: tuple[str, ...] = tuple(LAWS)[1:]
 
 
 def law(name: str) -> Law:
-    """Look up a law. Raises InputError, which lists the names, for an unknown one."""
+    """Look up a law.
+
+    Parameters
+    ----------
+    name : str
+        Name of the law.
+
+    Returns
+    -------
+    Law
+        The law.
+
+    Raises
+    ------
+    InputError
+        For an unknown name. The message lists the names.
+    """
     return plugins.find(LAWS, GROUP, name, "law")
 
 
 def number_of(name: str) -> int:
-    """Look up the number of a law in a driver's row. Raises InputError for an unknown one."""
+    """Look up the number of a law in a driver's row.
+
+    Raises
+    ------
+    InputError
+        For an unknown name. The message lists the names.
+    """
     return tuple(LAWS).index(law(name).name)

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 from rcl_interfaces.msg import ParameterDescriptor
-from sugiyama_msgs.msg import MeasuredPositions, Verdict
 from sugiyama_msgs.msg import Road as RoadMessage
+from sugiyama_msgs.msg import Verdict
 from sugiyama_msgs.srv import AddEffect
 
 from sugiyama_ros.driver.parameters import NAMES, population
@@ -15,6 +15,7 @@ from sugiyama_ros.filters.chain import CHAIN
 from sugiyama_ros.filters.online import NOBODY, warm_up
 from sugiyama_ros.formats.measured import FRAME
 from sugiyama_ros.nodes.base import cdr_messages
+from sugiyama_ros.nodes.base.measured_feed import MeasuredFeed, subscribe_measured
 from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.base.spin import run_node
@@ -30,9 +31,16 @@ class Critic(PacedNode):
 
     A jump back in time starts the bank anew. Parameters of the node: the parameters of a driver, from which every model
     of the bank starts, and ``forget_s``.
+
+    Parameters
+    ----------
+    feed : MeasuredFeed, optional
+        Where the samples come from, if several nodes of the process share one subscription.
+    **options
+        Options of the ROS node.
     """
 
-    def __init__(self, **options: Any) -> None:
+    def __init__(self, feed: MeasuredFeed | None = None, **options: Any) -> None:
         super().__init__("critic", **options)
         warm_up()
         declare_driver(self, population())
@@ -48,7 +56,7 @@ class Critic(PacedNode):
         self._to_verdict = self.create_publisher(Verdict, "verdict", STREAM)
         self.create_service(AddEffect, "~/add_effect", self._on_add_effect)
         self.create_subscription(RoadMessage, self.shared("road"), self._on_road, LATCHED)
-        self.create_subscription(MeasuredPositions, self.shared("measured"), self._on_measured, STREAM, raw=True)
+        subscribe_measured(self, self.take_in, feed)
 
     def health(self) -> Health:
         """ERROR after a failure of a filter, WARN without a road."""
@@ -62,10 +70,10 @@ class Critic(PacedNode):
         self._road, self._bank = road, None
         self.announce()
 
-    def _on_measured(self, raw: bytes) -> None:
+    def take_in(self, sample: cdr_messages.Sample) -> None:
+        """Take in a sample of the topic ``measured``."""
         if self._road is None:
             return
-        sample = cdr_messages.measured(raw)
         try:
             self._follow(sample, self._road)
         except Exception as error:

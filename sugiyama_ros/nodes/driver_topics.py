@@ -32,7 +32,7 @@ class DriverTopics:
         self._node = node
         self._vehicle = vehicle
         self._types = types
-        #: Names of the parameters that the samples so far do not tell.
+        #: Names of the parameters that the samples so far do not determine.
         self.not_identified: list[str] = []
         self._shown: ShownParameters | None = None
         self._stamp_ns: int | None = None

@@ -6,7 +6,7 @@ from typing import Any
 
 from rcl_interfaces.msg import ParameterDescriptor
 from std_srvs.srv import Trigger
-from sugiyama_msgs.msg import DriverParameters, MeasuredPositions
+from sugiyama_msgs.msg import DriverParameters
 from sugiyama_msgs.msg import Road as RoadMessage
 from sugiyama_msgs.srv import AddEffect, RemoveEffect
 
@@ -15,9 +15,10 @@ from sugiyama_ros.driver.parameters import NAMES
 from sugiyama_ros.effects.registry import ROW, active, effect, switch_on
 from sugiyama_ros.errors import InputError, SugiyamaError
 from sugiyama_ros.filters.online import Estimate, OnlineFilter, warm_up
-from sugiyama_ros.nodes.base.cdr_messages import NS, Sample, measured
+from sugiyama_ros.nodes.base.cdr_messages import NS, Sample
+from sugiyama_ros.nodes.base.measured_feed import MeasuredFeed, subscribe_measured
 from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode
-from sugiyama_ros.nodes.base.qos import DEPTH, LATCHED, STREAM
+from sugiyama_ros.nodes.base.qos import DEPTH, LATCHED
 from sugiyama_ros.nodes.base.spin import run_node
 from sugiyama_ros.nodes.driver_parameters import declare_driver, declare_model, declare_path
 from sugiyama_ros.nodes.driver_topics import DriverTopics
@@ -37,9 +38,16 @@ class Estimator(PacedNode):
 
     Parameters of the node: the parameters of a driver, ``model``, ``save_state``, ``resume`` and ``ask_keeper``.
     Services: ``~/reset``, ``~/add_effect``, ``~/remove_effect``.
+
+    Parameters
+    ----------
+    feed : MeasuredFeed, optional
+        Where the samples come from, if several nodes of the process share one subscription.
+    **options
+        Options of the ROS node.
     """
 
-    def __init__(self, **options: Any) -> None:
+    def __init__(self, feed: MeasuredFeed | None = None, **options: Any) -> None:
         super().__init__("estimator", **options)
         self.vehicle = self._vehicle_of_namespace()
         warm_up()
@@ -59,7 +67,7 @@ class Estimator(PacedNode):
         self._effects = row
         self._road: RoadMessage | None = None
         self._follower: Follower | None = None
-        self._waiting: deque[bytes] = deque(maxlen=DEPTH)
+        self._waiting: deque[Sample] = deque(maxlen=DEPTH)
         self._saved_ns: int | None = None
         self._failure = ""
         self._counts = new_counts()
@@ -68,7 +76,7 @@ class Estimator(PacedNode):
         self.create_service(AddEffect, "~/add_effect", self._on_add_effect)
         self.create_service(RemoveEffect, "~/remove_effect", self._on_remove_effect)
         self.create_subscription(RoadMessage, self.shared("road"), self._on_road, LATCHED)
-        self.create_subscription(MeasuredPositions, self.shared("measured"), self.take_in, STREAM, raw=True)
+        subscribe_measured(self, self.take_in, feed)
 
     @property
     def filter(self) -> OnlineFilter | None:
@@ -93,9 +101,9 @@ class Estimator(PacedNode):
             OK, f"following; not yet identified: {', '.join(unknown)}" if unknown else "following", self._counts
         )
 
-    def take_in(self, raw: bytes) -> None:
-        """Take in a message of the topic ``measured``."""
-        self._waiting.append(raw)
+    def take_in(self, sample: Sample) -> None:
+        """Take in a sample of the topic ``measured``."""
+        self._waiting.append(sample)
         self._go_on()
 
     def finish(self) -> None:
@@ -193,7 +201,7 @@ class Estimator(PacedNode):
     def _go_on(self) -> None:
         """Take in what waits. The last samples are latched, so a late node may hear them before the road."""
         while self._waiting and self._follower is not None and self._road is not None and not self._is_asking:
-            self._publish(measured(self._waiting.popleft()), self._follower, self._road)
+            self._publish(self._waiting.popleft(), self._follower, self._road)
 
     def _publish(self, sample: Sample, follower: Follower, road: RoadMessage) -> None:
         """Take in a sample and publish what follows from it."""

@@ -52,7 +52,7 @@ class Follower:
     kept : Kept or None
         What an earlier run has learnt, from which the filter goes on.
     counts : dict
-        Numbers of samples by what became of them; they go on where the follower before has stopped.
+        Numbers of samples by what became of them. The counts continue from the previous follower's counts.
     """
 
     def __init__(self, vehicle: int, filter_: OnlineFilter, kept: Kept | None, counts: dict[str, int]) -> None:

@@ -1,4 +1,4 @@
-"""Holds what every estimator last published about its driver, for an estimator that starts again.
+"""A node that keeps what each estimator last published about its driver, for an estimator that starts again.
 
 A latched (transient-local) message is gone when its publisher is gone, so another node has to hold it.
 """

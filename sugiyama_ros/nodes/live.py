@@ -19,7 +19,7 @@ from sugiyama_msgs.msg import Road as RoadMessage
 from sugiyama_msgs.srv import AddEffect, RemoveEffect
 from tornado.ioloop import IOLoop, PeriodicCallback
 
-from sugiyama_ros.effects.effect import Recording
+from sugiyama_ros.effects.effect import RecordingExtent
 from sugiyama_ros.effects.registry import EFFECTS, effect
 from sugiyama_ros.errors import SugiyamaError
 from sugiyama_ros.nodes.base import cdr_messages, environment
@@ -97,8 +97,8 @@ class View(Node):
             self._call(RemoveEffect, f"{estimator}/remove_effect", RemoveEffect.Request(effect=name))
         self.added = tuple(one for one in self.added if one != name)
 
-    def _recording(self) -> Recording:
-        return Recording(0.0, self._duration_s, self.road.circumference_m, 0.0, self.road.circumference_m)
+    def _recording(self) -> RecordingExtent:
+        return RecordingExtent(0.0, self._duration_s, self.road.circumference_m, 0.0, self.road.circumference_m)
 
     def _call(self, kind: type, service: str, request: Any) -> None:
         client = self.create_client(kind, service)

@@ -56,7 +56,7 @@ class Recorder(PacedNode):
         self._late: list[str] = []
         self._waiting_s = 0.0
         self.create_timer(_POLL_S, self._on_poll, clock=self.steady)
-        self.create_timer(_FLUSH_S, lambda: self._guarded(self._bag.flush), clock=self.steady)
+        self.create_timer(_FLUSH_S, partial(self._guarded, self._bag.flush), clock=self.steady)
         self._on_poll()
 
     def health(self) -> Health:
@@ -126,7 +126,7 @@ class Recorder(PacedNode):
 
     def _on_message(self, topic: str, channel: int, raw: bytes) -> None:
         now = time.time_ns()
-        self._guarded(lambda: self._bag.write(channel, raw, now, now))
+        self._guarded(self._bag.write, channel, raw, now, now)
         self.received += 1
 
     def _on_paced(self, topic: str, channel: int, raw: bytes) -> None:
@@ -161,11 +161,11 @@ class Recorder(PacedNode):
         if stamp is not None:
             self._complete(stamp)
 
-    def _guarded(self, action: Callable[[], None]) -> None:
+    def _guarded(self, action: Callable[..., None], *arguments: Any) -> None:
         """Write to the file. An error ends this node in good order, not the process in the middle of a callback."""
         if self.failure is None:
             try:
-                action()
+                action(*arguments)
             except SugiyamaError as error:
                 self.failure = error
 

@@ -15,7 +15,7 @@ from sugiyama_ros.nodes.source import Source, answer
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 
-class Recorded:
+class RecordedPositions:
     """Recorded trajectories as samples."""
 
     def __init__(self, trajectories: Trajectories) -> None:
@@ -49,7 +49,7 @@ class Replay(Source):
         self.loop = self.get_parameter("loop").value
         self.create_service(Seek, "~/seek", self._on_seek)
 
-    def open(self) -> Recorded:
+    def open(self) -> RecordedPositions:
         """The trajectories that were given, or else the file that parameter ``source`` names."""
         for name, default, description in (
             ("source", "", f"file of trajectories: {known_suffixes()}"),
@@ -58,11 +58,11 @@ class Replay(Source):
         ):
             self.declare_parameter(name, default, ParameterDescriptor(description=description, read_only=True))
         if self._trajectories is not None:
-            return Recorded(self._trajectories)
+            return RecordedPositions(self._trajectories)
         source, ring_m = self.get_parameter("source").value, self.get_parameter("ring").value
         if not source:
             raise InputError("replay: no file given; start it with -p source:=FILE")
-        return Recorded(read_trajectories(Path(source), ring_m or None))
+        return RecordedPositions(read_trajectories(Path(source), ring_m or None))
 
     def _on_seek(self, request: Seek.Request, response: Seek.Response) -> Seek.Response:
         last_s = (self.samples.steps - 1) * self.samples.period_s

@@ -9,6 +9,7 @@ from rclpy.node import Node
 from sugiyama_msgs.msg import Progress
 
 from sugiyama_ros.errors import SugiyamaError
+from sugiyama_ros.filters.online import warm_up
 from sugiyama_ros.nodes.base import environment
 from sugiyama_ros.nodes.base.qos import PROGRESS_IN
 from sugiyama_ros.nodes.base.spin import Spinner, ros
@@ -17,7 +18,8 @@ from sugiyama_ros.nodes.results import DriverResult, read_run
 from sugiyama_ros.nodes.runners import OneProcess, Processes
 from sugiyama_ros.progress import OnProgress
 
-_START_S = 60.0
+#: Time [s] in which every node must be heard of, once all code is compiled.
+START_S = 60.0
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,7 @@ class RunResult:
     wall_s : float
         Time [s] from the start of the nodes to the closed file.
     real_time_factor : float
-        Duration of the recording, divided by the time from the first sample sent to the last one taken [1].
+        Duration of the recording, divided by the time from the first sample sent to the last sample taken [1].
     output : Path
         The file.
     interrupted : bool
@@ -57,7 +59,7 @@ class RunResult:
 
 
 class _Monitor(Node):
-    """Hears how far every node has come, and how much it has published."""
+    """Receives how far every node has come, and how much it has published."""
 
     def __init__(self) -> None:
         super().__init__("monitor", start_parameter_services=False)
@@ -118,6 +120,7 @@ def run(
     """
     environment.isolate()
     plan = Plan.read(source, output, RunSettings(**settings))
+    warm_up()  # first, so that compiling does not count as time that a node is not heard of
     began = time.monotonic()
     with ros() as asked_to_stop:
         monitor = _Monitor()
@@ -145,8 +148,8 @@ def run(
 def _check_started(plan: Plan, monitor: _Monitor, began_s: float) -> None:
     """Raise SugiyamaError where a node has not been heard of for too long."""
     missing = {REPLAY, RECORDER, *plan.followers} - set(monitor.last)
-    if missing and time.monotonic() - began_s > _START_S:
-        raise SugiyamaError(f"{min(missing)}: not heard of after {_START_S:.0f} s; is the machine overloaded?")
+    if missing and time.monotonic() - began_s > START_S:
+        raise SugiyamaError(f"{min(missing)}: not heard of after {START_S:.0f} s; is the machine overloaded?")
 
 
 def _result(plan: Plan, monitor: _Monitor, wall_s: float, interrupted: bool) -> RunResult:
@@ -154,7 +157,7 @@ def _result(plan: Plan, monitor: _Monitor, wall_s: float, interrupted: bool) -> 
     counts, drivers = read_run(plan.output)
     published = sum(message.published for message in monitor.last.values())
     recorded = sum(counts.values())
-    # What an estimator missed was never published either: the topics of its driver are short of messages.
+    # For a sample that an estimator missed, it published nothing: its topics then have too few messages.
     short = sum(monitor.steps - counts.get(topic, 0) for topic in plan.step_topics)
     return RunResult(
         steps=monitor.steps,

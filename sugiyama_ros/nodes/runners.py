@@ -10,10 +10,11 @@ from pathlib import Path
 from shutil import rmtree
 from typing import Any
 
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from sugiyama_ros.errors import SugiyamaError
-from sugiyama_ros.filters.online import warm_up
+from sugiyama_ros.nodes.base.measured_feed import MeasuredFeed
 from sugiyama_ros.nodes.base.node import PacedNode
 from sugiyama_ros.nodes.base.spin import RUNNER, Spinner
 from sugiyama_ros.nodes.critic import Critic
@@ -33,26 +34,32 @@ class OneProcess:
     """Runs all nodes in this process; ``nodes`` are to be executed here."""
 
     def __init__(self, plan: Plan) -> None:
-        self.nodes: list[PacedNode] = []
+        self._paced: list[PacedNode] = []
         own = _overrides(plan.estimator)
+        self._feed = MeasuredFeed()
         try:
             self._replay = Replay(plan.trajectories, parameter_overrides=_overrides(plan.replay))
-            self.nodes.append(self._replay)
-            self.nodes += (Estimator(namespace=n, parameter_overrides=own) for n in plan.namespaces)
+            self._paced.append(self._replay)
+            self._paced += (Estimator(self._feed, namespace=n, parameter_overrides=own) for n in plan.namespaces)
             if plan.settings.critic:
-                self.nodes.append(Critic())
-            self._followers = self.nodes[1:]
-            # Last, so that it finds the topics of all the others at once.
+                self._paced.append(Critic(self._feed))
+            self._followers = self._paced[1:]
+            # The recorder comes last, so that it finds the topics of all other nodes at once.
             self._recorder = Recorder(parameter_overrides=_overrides(plan.recorder))
-            self.nodes.append(self._recorder)
+            self._paced.append(self._recorder)
         except SugiyamaError:
             # a replay that stays alive would send its road to other runs of this process
             self.close()
             raise
 
+    @property
+    def nodes(self) -> list[Node]:
+        """Nodes to be executed in this process."""
+        return [*self._paced, self._feed]
+
     def check(self) -> None:
         """Raise the error that a node has met."""
-        for node in self.nodes:
+        for node in self._paced:
             if node.failure is not None:
                 raise node.failure
 
@@ -62,7 +69,7 @@ class OneProcess:
         spinner.until(lambda: all(node.steps == self._replay.next_step for node in self._followers), STOP_S)
         for node in [*self._followers, self._recorder]:
             node.finish()
-        spinner.until(lambda: self._recorder.received == sum(node.published for node in self.nodes), STOP_S)
+        spinner.until(lambda: self._recorder.received == sum(node.published for node in self._paced), STOP_S)
         self._recorder.close()
 
     def close(self) -> None:
@@ -75,11 +82,9 @@ class Processes:
     """Runs every node in a process of its own; ``nodes``, to be executed here, is empty."""
 
     def __init__(self, plan: Plan) -> None:
-        self.nodes: list[PacedNode] = []
+        self.nodes: list[Node] = []
         self._logs = Path(tempfile.mkdtemp(prefix="sugiyama-"))
         self._stopped = False
-        # so that the estimators find compiled code and do not all compile at once
-        warm_up()
         self._children: dict[str, subprocess.Popen[bytes]] = {}
         self._start(RECORDER, "recorder", plan.recorder)
         for name in plan.estimators:

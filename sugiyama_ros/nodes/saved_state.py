@@ -27,7 +27,7 @@ def file_of(directory: Path, vehicle: int) -> Path:
 
 
 def kept_in(message: DriverParameters) -> Kept:
-    """What an estimator had learnt when it published a message."""
+    """What an estimator had learnt when it published the message."""
     places = np.flatnonzero(message.estimated)
     value = np.array(message.value)[places]
     covariance = np.array(message.covariance).reshape(2 * [len(message.value)])[np.ix_(places, places)]

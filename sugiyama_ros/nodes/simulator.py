@@ -38,7 +38,7 @@ class Simulated:
 
 
 class SimulatorNode(Source):
-    """Sends the positions that a camera would measure of simulated drivers.
+    """Simulates drivers, and sends the positions that a camera would measure.
 
     The drivers are identical and start from rest, in a jam. Parameters of the node: ``vehicles``, ``ring``,
     ``start_gap``, ``period``, ``seed``, the parameters of a driver, and the parameters of `Source`.

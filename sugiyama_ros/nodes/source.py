@@ -15,7 +15,7 @@ from sugiyama_ros.nodes.base import cdr_messages
 from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode
 from sugiyama_ros.nodes.base.pacing import Pace
 from sugiyama_ros.nodes.base.qos import LATCHED, PROGRESS_IN, STREAM, WINDOW
-from sugiyama_ros.nodes.base.samples import Samples
+from sugiyama_ros.nodes.base.samples import PositionSamples
 from sugiyama_ros.nodes.markers import markers
 
 _TICK_S = 0.005
@@ -77,7 +77,7 @@ class Source(PacedNode):
         self._send_road()
         self.announce()
 
-    def open(self) -> Samples:
+    def open(self) -> PositionSamples:
         """The samples to send, from the node's parameters. Raises InputError if there are none."""
         raise NotImplementedError
 
@@ -129,17 +129,15 @@ class Source(PacedNode):
     def _send(self) -> None:
         step, samples = self.next_step, self.samples
         positions = samples.at(step)
-        stamp = cdr_messages.time_message(round((samples.start_s + step * samples.period_s) * cdr_messages.NS))
-        self.send(self._to_clock, Clock(clock=stamp))
-        message = MeasuredPositions(step=step, **positions._asdict())
-        message.header.stamp, message.header.frame_id = stamp, FRAME
-        self.send(self._to_measured, message)
+        stamp_ns = round((samples.start_s + step * samples.period_s) * cdr_messages.NS)
+        self.send(self._to_clock, cdr_messages.clock(stamp_ns))
+        self.send(self._to_measured, cdr_messages.measured_positions(stamp_ns, step, positions))
         self.next_step += 1
         self._pace.sent()
         now = time.monotonic()
         if now - self._markers_s >= _MARKERS_EVERY_S:
             self._markers_s = now
-            self.send(self._to_markers, markers(stamp, samples.road, positions))
+            self.send(self._to_markers, markers(cdr_messages.time_message(stamp_ns), samples.road, positions))
 
     def _send_road(self) -> None:
         s = self.samples

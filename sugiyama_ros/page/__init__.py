@@ -1,1 +1,1 @@
-"""The page: what was measured, what the model says of it, where it fails, what is missing."""
+"""The page: what was measured, what the model says, where the model fails, and what is missing."""

@@ -11,7 +11,7 @@ _COOKIE = "sugiyama_token"
 
 
 class Guard(AuthProvider):  # type: ignore[misc]
-    """Lets a browser in that asks with the right ``?token=``, and recognises the browser by a cookie from then on."""
+    """Admits a browser that gives the right ``?token=``, and afterwards recognises the browser by a cookie."""
 
     def __init__(self) -> None:
         self.token = secrets.token_urlsafe(24)
@@ -19,12 +19,12 @@ class Guard(AuthProvider):  # type: ignore[misc]
 
     @property
     def get_user(self) -> Callable[[Any], str]:
-        """Function that names the user who asks; it answers 403 without the token."""
+        """Function that names the user of a request, or answers 403 without the token."""
         return self._user
 
     @property
     def login_url(self) -> str:
-        """Never used: nobody is sent anywhere."""
+        """Required by Bokeh, but never used: the server redirects no browser."""
         return "/"
 
     def _user(self, handler: Any) -> str:

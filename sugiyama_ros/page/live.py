@@ -1,4 +1,4 @@
-"""The live page: what the topics say, while they say it."""
+"""The live page: it shows the topics as they arrive."""
 
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -26,13 +26,13 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.page.panels.base import BLUE, GREY, MOVING_S, ORANGE, VERMILION, from_above, panel
 from sugiyama_ros.road import Road
 
-#: Time [s] between two updates of the road, and of what is drawn over time; samples kept of each vehicle.
+#: Time [s] between two updates of the road, and between two updates of the curves; samples kept of each vehicle.
 UPDATE_S, TELL_S, KEPT = 0.1, 0.5, 750
 _FASTEST = 12.0
 
 
 class Log:
-    """The latest rows that were heard, for many readers: each reader remembers how many rows it has seen."""
+    """The latest rows of numbers, for many readers. Each reader remembers how many rows it has seen."""
 
     def __init__(self, kept: int) -> None:
         self._rows: deque[tuple[float, ...]] = deque(maxlen=kept)
@@ -44,7 +44,7 @@ class Log:
         self.heard += 1
 
     def since(self, seen: int) -> Array:
-        """The rows after the first ``seen`` rows, as far as they are kept, (rows, columns)."""
+        """Rows after the first ``seen`` rows, as far as they are kept; array of shape (rows, columns)."""
         new = min(self.heard - seen, len(self._rows))
         return np.array(list(islice(self._rows, len(self._rows) - new, None)))
 

@@ -1,6 +1,7 @@
-"""What a whole road does: how fast it moves, how waves run through it, how long its queues are.
+"""The traffic on a whole road: its mean speed, its waves and its queues.
 
-Speeds and positions are those of all vehicles at all samples, so that measurements and simulations are treated alike.
+The functions take the speeds and headways of all vehicles at all samples. So they treat measurements and simulations
+alike.
 """
 
 from dataclasses import dataclass
@@ -11,19 +12,26 @@ from sugiyama_ros.arrays import Array, Ints
 
 #: Speed [m/s] below which a vehicle stands in a queue.
 QUEUE_SPEED = 2.0
-# Longest lag [s] between a leader's and a follower's speed, and least variance of speed [m^2/s^2] of a wave.
+# Longest lag [s] between the speeds of a leader and a follower, and smallest variance [m^2/s^2] of speed in a wave.
 _LONGEST_LAG_S, _LEAST_VARIANCE = 6.0, 0.05
-# A period is believed where the autocorrelation of speed comes back to this; and part of the largest that is as good.
+# Smallest autocorrelation of speed at a period, and share of the largest maximum from which on a maximum counts.
 _RETURNS, _NEARLY = 0.1, 0.7
 
 
 @dataclass(frozen=True)
 class Collective:
-    """Means over the recording; NaN where there is no wave or no return.
+    """Collective measures of a recording or a simulation.
 
-    mean_speed, least_speed, largest_speed [m/s]: over the vehicles, then averaged over time (the paper's V_avg, V_min,
-    V_max); wave_speed [m/s]: negative against the traffic; queue_vehicles: mean number of vehicles slower than
-    QUEUE_SPEED; period_s: time [s] between two waves that pass the same driver.
+    Parameters
+    ----------
+    mean_speed, least_speed, largest_speed : float
+        Mean, smallest and largest speed [m/s] over the vehicles, averaged over time (the paper's V_avg, V_min, V_max).
+    wave_speed : float
+        Speed [m/s] of waves, negative against the direction of traffic; NaN if there is no wave.
+    queue_vehicles : float
+        Mean number of vehicles slower than ``QUEUE_SPEED``.
+    period_s : float
+        Time [s] between two waves that pass the same driver; NaN if no wave returns.
     """
 
     mean_speed: float
@@ -39,14 +47,19 @@ def collective(speed: Array, headway_m: Array, leader: Ints, period_s: float) ->
 
     Parameters
     ----------
-    speed
-        (T, N) speeds [m/s], NaN where unknown.
-    headway_m
-        (T, N) way [m] from a vehicle's centre to its leader's, NaN without a leader.
-    leader
-        (T, N) columns of the leaders, -1 without a leader.
-    period_s
-        Time between two samples [s].
+    speed : ndarray, shape (T, N)
+        Speeds [m/s]; NaN where unknown.
+    headway_m : ndarray, shape (T, N)
+        Distance [m] from a vehicle's centre to its leader's centre; NaN without a leader.
+    leader : ndarray of int, shape (T, N)
+        Columns of the leaders; -1 without a leader.
+    period_s : float
+        Time [s] between two samples.
+
+    Returns
+    -------
+    Collective
+        Means over the recording; NaN if no speed is known.
     """
     known = speed[np.isfinite(speed).any(axis=1)]
     if not len(known):
@@ -62,11 +75,27 @@ def collective(speed: Array, headway_m: Array, leader: Ints, period_s: float) ->
 
 
 def wave_speed(speed: Array, headway_m: Array, leader: Ints, period_s: float) -> float:
-    """Speed of waves [m/s]: drivers do what their leaders did a lag ago and a headway ahead.
+    """Estimate the speed of waves that pass from each leader to the follower.
 
-    The lag is where the correlation of all drivers' speeds with their leaders' speeds is largest; a parabola through
-    three samples gives it between samples. A wave takes the lag to pass from leader to follower, who drives on
-    meanwhile. Arguments as for ``collective``.
+    In a wave, a driver repeats the leader's speed after a lag. The correlation of all drivers' speeds with their
+    leaders' speeds is largest at this lag. A parabola through three samples gives the lag between samples. In one
+    lag the wave moves one headway backward relative to the traffic.
+
+    Parameters
+    ----------
+    speed : ndarray, shape (T, N)
+        Speeds [m/s]; NaN where unknown.
+    headway_m : ndarray, shape (T, N)
+        Distance [m] from a vehicle's centre to its leader's centre; NaN without a leader.
+    leader : ndarray of int, shape (T, N)
+        Columns of the leaders; -1 without a leader.
+    period_s : float
+        Time [s] between two samples.
+
+    Returns
+    -------
+    float
+        Speed of waves [m/s], negative against the direction of traffic; NaN if there is no wave.
     """
     samples = len(speed)
     lags = int(min(_LONGEST_LAG_S / period_s, samples // 4))
@@ -84,7 +113,22 @@ def wave_speed(speed: Array, headway_m: Array, leader: Ints, period_s: float) ->
 
 
 def wave_period(speed: Array, period_s: float) -> float:
-    """Time [s] after which speeds repeat: the first high maximum of the mean autocorrelation after it was negative."""
+    """Estimate the time after which speeds repeat.
+
+    The time is the first high maximum of the mean autocorrelation of speed after the autocorrelation was negative.
+
+    Parameters
+    ----------
+    speed : ndarray, shape (T, N)
+        Speeds [m/s]; NaN where unknown.
+    period_s : float
+        Time [s] between two samples.
+
+    Returns
+    -------
+    float
+        Time [s] between two waves; NaN if speeds do not repeat.
+    """
     off = _off(speed)
     if not np.isfinite(off).any() or np.nanvar(off) < _LEAST_VARIANCE:
         return float("nan")
@@ -96,14 +140,14 @@ def wave_period(speed: Array, period_s: float) -> float:
     rest = shared[negative[0] :]
     if rest.max() < _RETURNS * shared[0]:
         return float("nan")
-    # of several returns that are nearly as high, the first
+    # among maxima of nearly the same height, the first maximum counts
     first = int(np.argmax(rest >= _NEARLY * rest.max()))
     falls = np.flatnonzero(np.diff(rest[first:]) < 0.0)
     return float((negative[0] + first + (falls[0] if len(falls) else 0)) * period_s)
 
 
 def _off(speed: Array) -> Array:
-    """Speeds minus each driver's mean, (T, N), NaN where unknown."""
+    """Subtract each driver's mean speed from their speeds, (T, N); NaN where unknown."""
     known = np.isfinite(speed)
     mean = np.where(known, speed, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
     return np.asarray(speed - mean)

@@ -1,4 +1,4 @@
-"""What every driver in a line of vehicles sees, and what they make of it: one period of the forward problem."""
+"""What all drivers on a road see and do: one period of the forward problem."""
 
 from typing import NamedTuple
 
@@ -12,10 +12,18 @@ from sugiyama_ros.jit import kernel
 
 
 class Traffic(NamedTuple):
-    """The state of N vehicles, each (N,).
+    """The state of N vehicles.
 
-    position: continuous [m]; speed [m/s]; held: what each driver made the car do in the last period [m/s^2];
-    acceleration: of the car in the last period [m/s^2].
+    Parameters
+    ----------
+    position : ndarray, shape (N,)
+        Continuous positions [m] of the centres.
+    speed : ndarray, shape (N,)
+        Speeds [m/s].
+    held : ndarray, shape (N,)
+        Accelerations [m/s^2] that the drivers made their cars do in the last period.
+    acceleration : ndarray, shape (N,)
+        Accelerations [m/s^2] of the cars in the last period.
     """
 
     position: Array
@@ -25,10 +33,16 @@ class Traffic(NamedTuple):
 
 
 class Order(NamedTuple):
-    """Who follows whom among N vehicles, each (N,).
+    """Who follows whom among N vehicles.
 
-    leader: number of the vehicle ahead, -1 without one; turn: whole turns of a ring [m] by which the leader's
-    continuous position exceeds the vehicle's own; length: of the vehicles [m].
+    Parameters
+    ----------
+    leader : ndarray of int, shape (N,)
+        Number of each vehicle's leader; -1 without a leader.
+    turn : ndarray, shape (N,)
+        Whole turns of a ring [m]. The headway is the leader's position minus the vehicle's position minus ``turn``.
+    length : ndarray, shape (N,)
+        Lengths [m] of the vehicles.
     """
 
     leader: Ints
@@ -37,7 +51,17 @@ class Order(NamedTuple):
 
 
 class Setting(NamedTuple):
-    """What does not change during a run: period [s], planning horizon [periods], circumference [m] (0 on a line)."""
+    """What does not change during a run.
+
+    Parameters
+    ----------
+    period : float
+        Length of a period [s].
+    horizon : int
+        Periods that a driver looks ahead.
+    circumference : float
+        Circumference [m] of the ring; 0 for an open road.
+    """
 
     period: float
     horizon: int
@@ -46,20 +70,23 @@ class Setting(NamedTuple):
 
 @kernel
 def see(driver: int, leader: int, traffic: Traffic, order: Order) -> tuple[float, float]:
-    """What a driver sees of the vehicle ahead.
+    """Compute what a driver sees of the vehicle ahead.
 
-    Positions are continuous, so a vehicle that passed its leader keeps a negative headway.
+    Positions are continuous, so a vehicle that has passed its leader keeps a negative headway.
 
     Parameters
     ----------
-    driver, leader
-        Numbers of the two vehicles; leader is -1 if there is none.
-    traffic, order
-        State and order of all vehicles.
+    driver, leader : int
+        Numbers of the two vehicles; ``leader`` is -1 if there is no leader.
+    traffic : Traffic
+        State of all vehicles.
+    order : Order
+        Who follows whom.
 
     Returns
     -------
-    Gap [m], infinite without a leader, and the leader's speed [m/s].
+    gap, leader_speed : float
+        Gap [m], infinite without a leader, and the leader's speed [m/s], 0 without a leader.
     """
     if leader < 0:
         return np.inf, 0.0
@@ -82,18 +109,22 @@ def drive(
 
     Parameters
     ----------
-    traffic, order
-        State and order of all N vehicles.
-    rows
-        (N, WIDTH) parameters of the drivers at this period; preferences may be changed in place.
-    actions
-        (K,) accelerations that drivers choose among [m/s^2].
-    time
+    traffic : Traffic
+        State of all N vehicles.
+    order : Order
+        Who follows whom.
+    rows : ndarray, shape (N, width)
+        Rows of the drivers at this period; preferences may be changed in place.
+    actions : ndarray, shape (K,)
+        Accelerations [m/s^2] that the drivers consider.
+    time : float
         Time of the recording [s].
-    setting
+    setting : Setting
         Period, horizon and circumference.
-    out, pushed
-        (D,) filled for the first D vehicles: the drivers' accelerations, and those of the environment [m/s^2].
+    out : ndarray, shape (D,)
+        Filled with the accelerations [m/s^2] that the first D drivers make their cars do.
+    pushed : ndarray, shape (D,)
+        Filled with the accelerations [m/s^2] that the environment adds for the first D vehicles.
     """
     position, speed, leader = traffic.position, traffic.speed, order.leader
     follower, scratch = np.full(len(leader), -1), scratch_for(actions)

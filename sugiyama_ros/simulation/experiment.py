@@ -1,4 +1,4 @@
-"""A simulated experiment: vehicles start from rest, one behind the other, on a ring or an open road."""
+"""A simulated experiment: vehicles start from rest, one behind another, on a ring or an open road."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,7 @@ from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M
 
 @dataclass(frozen=True)
 class Experiment:
-    """What is simulated, and how.
+    """The setting of a simulated experiment.
 
     Parameters
     ----------
@@ -27,9 +27,9 @@ class Experiment:
     period_s : float
         Time [s] between two samples.
     horizon : int, optional
-        Periods that a driver looks ahead; as in the paper if left out.
+        Periods that a driver looks ahead; if left out, the paper's look-ahead time.
     spread : float
-        Relative standard deviation of the desired speed and of the risk premium over the drivers.
+        Standard deviation, over the drivers, of the logarithms of the desired speed and of the risk premium.
     seed : int
         Seed of all random numbers.
     """
@@ -44,24 +44,24 @@ class Experiment:
 
 
 def carry_out(experiment: Experiment, rows: Array) -> Simulation:
-    """Simulate drivers.
+    """Simulate an experiment.
 
     Parameters
     ----------
     experiment : Experiment
-        What is simulated.
+        The setting.
     rows : ndarray, shape (N, width)
         Rows of the drivers at the reference period; they stay as they are.
 
     Returns
     -------
     Simulation
-        What a camera would have measured, and the truth.
+        Positions as a camera would have measured them, and the true motion.
 
     Raises
     ------
     InputError
-        Where the vehicles do not fit on the ring.
+        If the vehicles do not fit on the ring.
     """
     vehicles, rows = len(rows), rows.copy()
     rng = np.random.default_rng(experiment.seed)

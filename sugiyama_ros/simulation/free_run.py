@@ -1,6 +1,7 @@
-"""Compiled free runs: from a given state on, the model drives alone.
+"""Compiled free runs: from a given state on, the model drives on its own.
 
-Coupled: all vehicles drive by the model. Single: one vehicle drives behind its leader as the leader was recorded.
+In a coupled run, all vehicles drive by the model. In a single run, one vehicle drives by the model, and its neighbours
+drive as they were recorded.
 """
 
 import numpy as np
@@ -20,22 +21,24 @@ def run_coupled(
 
     Parameters
     ----------
-    state
-        (4, N) position [m], speed [m/s], acceleration noise and held acceleration [m/s^2]; changed in place.
-    order, setting
-        Who follows whom, and what does not change.
-    rows
-        (N, WIDTH) parameters at this period.
-    actions
-        (K,) accelerations that drivers choose among [m/s^2].
-    time
+    state : ndarray, shape (4, N)
+        Position [m], speed [m/s], acceleration noise and held acceleration [m/s^2]; changed in place.
+    order : Order
+        Who follows whom.
+    rows : ndarray, shape (N, width)
+        Rows of the drivers at this period; they stay as they are.
+    actions : ndarray, shape (K,)
+        Accelerations [m/s^2] that the drivers consider.
+    time : float
         Time of the first sample [s].
-    out
-        (steps, N, 2) filled with positions [m] and speeds [m/s].
+    setting : Setting
+        Period, horizon and circumference.
+    out : ndarray, shape (steps, N, 2)
+        Filled with positions [m] and speeds [m/s].
     """
     x, v, n, b = state[0], state[1], state[2], state[3]
     vehicles = len(x)
-    # drive changes preferences in place, and other free runs share these rows
+    # drive() may change preferences in place, and other free runs share these rows
     rows = rows.copy()
     held, pushed = np.empty(vehicles), np.empty(vehicles)
     acceleration = b + rows[:, RHO] * n
@@ -53,7 +56,7 @@ def run_coupled(
 
 @kernel
 def _neighbourhood(i: int, order: Order) -> tuple[Ints, Order]:
-    """Vehicle i, the two ahead and the one behind: their numbers, i first, and their order among themselves."""
+    """Find vehicle i, the two vehicles ahead and the vehicle behind: their numbers, i first, and their order."""
     leader = order.leader
     near = np.array([i, leader[i], leader[leader[i]] if leader[i] >= 0 else -1, -1])
     for j in range(len(leader)):
@@ -82,14 +85,22 @@ def run_single(
 
     Parameters
     ----------
-    i
+    i : int
         Number of the vehicle.
-    recorded
-        (steps, N, 4) filtered position [m], speed [m/s], acceleration noise and held acceleration [m/s^2].
-    order, rows, actions, time, setting
-        As for ``run_coupled``.
-    out
-        (steps, N, 2) filled with the positions [m] and speeds [m/s] of vehicle i.
+    recorded : ndarray, shape (steps, N, 4)
+        Filtered position [m], speed [m/s], acceleration noise and held acceleration [m/s^2].
+    order : Order
+        Who follows whom.
+    rows : ndarray, shape (N, width)
+        Rows of the drivers at this period.
+    actions : ndarray, shape (K,)
+        Accelerations [m/s^2] that the drivers consider.
+    time : float
+        Time of the first sample [s].
+    setting : Setting
+        Period, horizon and circumference.
+    out : ndarray, shape (steps, N, 2)
+        Column i is filled with positions [m] and speeds [m/s].
     """
     near, order_near = _neighbourhood(i, order)
     rows_near = rows[near]

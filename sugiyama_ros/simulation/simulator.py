@@ -1,9 +1,8 @@
-"""Drivers on a ring or an open road: the forward problem of the paper (Eq. ssm_form), all drivers at once.
+"""A simulator of drivers on a ring or an open road: the forward problem of the paper (Eq. ssm_form).
 
-The acceleration is the mean action plus an AR(1) noise, a_t = mean_action(s_t) + n_t, n_t = rho n_{t-1} + shock, which
-is the paper's a_t = rho a_{t-1} + (mean_action_t - rho mean_action_{t-1}) + shock. Effects act on the mean action as
-``effects.control`` says; those that need chance draw it from a generator of their own, so that they leave the rest of a
-run as it is.
+The acceleration is the mean action plus an AR(1) noise: a_t = mean_action(s_t) + n_t with n_t = rho n_{t-1} + shock.
+The paper writes this as a_t = rho a_{t-1} + (mean_action_t - rho mean_action_{t-1}) + shock. Effects act on the mean
+action through ``effects.control``. Random effects draw from their own generator, so the other noises stay the same.
 """
 
 from dataclasses import dataclass
@@ -47,7 +46,7 @@ _WANDERING = tuple(e for e in EFFECTS.values() if e.wanders)
 
 @dataclass(frozen=True)
 class Collision:
-    """Vehicle number ``vehicle`` ran into number ``leader`` at ``time_s`` [s]."""
+    """Vehicle number ``vehicle`` ran into vehicle number ``leader``, ``time_s`` [s] after the start of the run."""
 
     time_s: float
     vehicle: int
@@ -56,10 +55,20 @@ class Collision:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Simulation(Result):
-    """A simulated run: what a camera would have measured, the truth, and what went wrong.
+    """A simulated run of N drivers over T samples.
 
-    speed, acceleration, position_m: (T, N), SI, the truth (position wrapped on a ring); parameters: (N, WIDTH) of the
-    drivers with their effects, at the reference period.
+    Parameters
+    ----------
+    measured : Trajectories
+        Positions as a camera would have measured them.
+    parameters : ndarray, shape (N, width)
+        Rows of the drivers at the reference period.
+    position_m : ndarray, shape (T, N)
+        True positions [m], wrapped on a ring.
+    speed, acceleration : ndarray, shape (T, N)
+        True speeds [m/s] and accelerations [m/s^2].
+    collisions : tuple of Collision
+        Collisions, in the order of time.
     """
 
     measured: Trajectories
@@ -70,12 +79,12 @@ class Simulation(Result):
     collisions: tuple[Collision, ...]
 
     def headline(self) -> str:
-        """Say what was simulated, how fast they drove, and whether they collided."""
+        """Say what was simulated, how fast the drivers drove, and how often they collided."""
         collisions = f"; {len(self.collisions)} collisions" if self.collisions else ""
         return f"{self.measured.headline()}; mean speed {self.speed.mean():.2f} m/s{collisions}"
 
     def records(self) -> list[dict[str, Any]]:
-        """List all samples: what was measured, and the true position, speed and acceleration; SI units."""
+        """List all samples: measured position, and true position, speed and acceleration; SI units."""
         t = self.measured
         return [
             {
@@ -100,13 +109,13 @@ class Simulation(Result):
         Parameters
         ----------
         path : str or Path
-            ``.mcap`` and ``.csv`` have what a camera would have measured, ``.json`` all records, ``.png`` and ``.pdf``
-            the picture.
+            ``.mcap`` and ``.csv`` for the measured positions, ``.json`` for all records, ``.png`` and ``.pdf`` for the
+            picture.
 
         Raises
         ------
         InputError
-            For another suffix.
+            For any other suffix.
         OutputError
             If the file cannot be written.
         """
@@ -119,9 +128,9 @@ class Simulation(Result):
 
 @dataclass(frozen=True)
 class Clock:
-    """Times of a simulation: between two samples [s], of the first sample [s], and the periods of look-ahead.
+    """Time [s] between two samples, time [s] of the first sample, and number of periods that a driver looks ahead.
 
-    ``horizon`` follows the paper where it is None.
+    If ``horizon`` is None, drivers look ahead for the paper's look-ahead time.
     """
 
     period_s: float = REFERENCE_PERIOD_S
@@ -134,13 +143,29 @@ REFERENCE_CLOCK = Clock()
 
 
 class Simulator:
-    """Many drivers, one behind the other: vehicle i follows vehicle i + 1.
+    """N drivers, one behind another: vehicle i follows vehicle i + 1.
 
-    On a ring the last follows the first; on an open road the last has nobody ahead.
+    On a ring the last vehicle follows the first vehicle. On an open road the last vehicle has no leader.
 
-    parameters: (N, P) at the reference period, or (N, WIDTH) with effects; length_m: (N,); position_m: (N,) [m] of the
-    centres, increasing, within one circumference; speed: (N,) [m/s], 0 if left out. ``rng`` draws every noise.
-    Raises InputError where the start is impossible (overlapping vehicles, wrong shapes, parameters out of bounds).
+    Parameters
+    ----------
+    parameters : ndarray, shape (N, P) or (N, width)
+        Parameters of the drivers at the reference period, or their rows with effects.
+    length_m, position_m : ndarray, shape (N,)
+        Lengths [m], and positions [m] of the centres at the start, which increase and lie within one circumference.
+    road : Road
+        The road.
+    rng : numpy.random.Generator
+        Generator of all noises.
+    speed : ndarray, shape (N,), optional
+        Speeds [m/s] at the start; 0 if left out.
+    clock : Clock
+        Times of the simulation.
+
+    Raises
+    ------
+    InputError
+        If the start is impossible: overlapping vehicles, wrong shapes, or parameters out of bounds.
     """
 
     def __init__(
@@ -188,7 +213,7 @@ class Simulator:
 
     @property
     def gap_m(self) -> Array:
-        """Gaps [m] to the leaders, (N,); infinite without a leader."""
+        """Gaps [m] to the leaders, shape (N,); infinite without a leader."""
         return np.array([see(i, j, self._traffic, self._order)[0] for i, j in enumerate(self.leader)])
 
     @property
@@ -200,7 +225,7 @@ class Simulator:
         return Order(self.leader, self._turn, self.length_m)
 
     def measure(self) -> Array:
-        """Measured positions (N,) [m] of the present sample: the truth plus measurement noise, wrapped on a ring."""
+        """Measure the positions [m] at the present sample, shape (N,), wrapped on a ring; draws measurement noise."""
         noise = self.parameters[:, SIGMA_NU] * self._rng.standard_normal(len(self.position_m))
         noise *= noise_std_factors(self.position_m, self.road.circumference_m, self.parameters)
         noise = spoil(noise, self.parameters, self._rng_of_effects)
@@ -208,7 +233,7 @@ class Simulator:
         return self.road.wrap(self.position_m + off + noise)
 
     def step(self) -> tuple[Collision, ...]:
-        """Advance all drivers by one period; the collisions that began in it."""
+        """Advance all drivers by one period, and return the collisions that began in this period."""
         shock = self._rng.standard_normal((3, len(self.position_m)))
         p = self.parameters
         factor = np.array([noise_factor(v, row) for v, row in zip(self.speed, p, strict=True)])
@@ -224,6 +249,7 @@ class Simulator:
         return tuple(Collision(time, int(i), int(self.leader[i])) for i in began)
 
     def _accelerate(self) -> None:
+        """Compute the accelerations of the coming period."""
         rows = self._wandering()
         held: Array = np.empty(len(rows))
         pushed: Array = np.empty(len(rows))
@@ -234,7 +260,7 @@ class Simulator:
         self.acceleration = held + pushed + self.noise
 
     def _wandering(self) -> Array:
-        """The rows with the preferences of this moment: effects that wander are Ornstein-Uhlenbeck processes."""
+        """Rows with the preferences of this moment; preferences that wander are Ornstein-Uhlenbeck processes."""
         rows = self.parameters
         for effect in _WANDERING:
             std, time = self.parameters[:, ROW.places[effect.name]].T[:2]
@@ -250,13 +276,22 @@ class Simulator:
 
 
 def platoon(length_m: Array, gap_m: float) -> Array:
-    """Positions (N,) [m] of vehicles one behind the other with equal gaps [m], the last one first."""
+    """Place vehicles of lengths (N,) [m] in a line with equal gaps [m], and return their positions (N,) [m].
+
+    The last vehicle in the line comes first, at position 0.
+    """
     centre = np.cumsum(length_m + gap_m) - 0.5 * length_m
     return np.asarray(centre - centre[0])
 
 
 def evenly(length_m: Array, road: Road) -> Array:
-    """Positions (N,) [m] of vehicles with equal gaps all around a ring. Raises InputError if they do not fit."""
+    """Place vehicles of lengths (N,) [m] with equal gaps all around a ring, and return their positions (N,) [m].
+
+    Raises
+    ------
+    InputError
+        If the vehicles do not fit on the ring.
+    """
     free = road.circumference_m - float(length_m.sum())
     if free <= 0.0:
         raise InputError(f"simulation: {len(length_m)} vehicles do not fit on a ring of {road.circumference_m:g} m")
@@ -264,10 +299,23 @@ def evenly(length_m: Array, road: Road) -> Array:
 
 
 def simulate(simulator: Simulator, duration_s: float, *, stop_at_collision: bool = True) -> Simulation:
-    """Run ``simulator`` for ``duration_s`` [s] and keep everything.
+    """Run a simulator and keep every sample.
 
-    After a collision the model means nothing (the penalty is flat inside another vehicle), so the run ends there unless
-    told otherwise; the collisions are reported either way.
+    After a collision the model has no meaning, because the penalty is flat inside another vehicle.
+
+    Parameters
+    ----------
+    simulator : Simulator
+        Drivers at the start of the run; changed in place.
+    duration_s : float
+        Duration [s].
+    stop_at_collision : bool
+        Whether the run ends at the first collision.
+
+    Returns
+    -------
+    Simulation
+        Measured and true motion, and all collisions.
     """
     samples = round(duration_s / simulator.period_s) + 1
     vehicles = len(simulator.length_m)

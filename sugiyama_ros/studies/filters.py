@@ -12,7 +12,7 @@ from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, population
 from sugiyama_ros.filters.causal import SETTLING
 from sugiyama_ros.filters.extract import chain_behind
-from sugiyama_ros.studies.followers import PARTICLES, PLACES, Cubature, Follower, Particles, Unscented
+from sugiyama_ros.studies.followers import PARTICLES, PLACES, Cubature, LearningFilter, Particles, Unscented
 from sugiyama_ros.studies.rings import CARS, alike, jams
 from sugiyama_ros.studies.study import Answer, Asked, Row, Study
 from sugiyama_ros.trajectories.trajectories import Trajectories
@@ -23,7 +23,7 @@ _TIMES_S = (60.0, 120.0, 250.0)
 # Std of the logarithms over the simulated drivers.
 _SPREAD = {V_STAR: 0.08, KAPPA_V: 0.2}
 # The filters that are compared, by their names in the table.
-_FILTERS: dict[str, Callable[..., Follower]] = {
+_FILTERS: dict[str, Callable[..., LearningFilter]] = {
     "cubature (the nodes')": Cubature,
     "unscented": Unscented,
     f"{PARTICLES} particles": Particles,
@@ -127,6 +127,6 @@ def _answer(asked: Asked) -> Answer:
 STUDY = Study(
     name="filters",
     question="Which filter learns a driver's preferences best while they drive?",
-    paper="Its outlook: inference while people drive is left to later work.",
+    paper="Inference while people drive is left to later work (outlook).",
     answer=_answer,
 )

@@ -29,7 +29,7 @@ _SHARP = 1e-6
 _LEAST_VAR = 1e-10
 
 
-class Follower(Protocol):
+class LearningFilter(Protocol):
     """A filter that follows one driver, sample by sample."""
 
     @property
@@ -77,7 +77,7 @@ class Cubature:
         return np.log(self._filter.parameters[list(PLACES)])
 
     def step(self, position_m: Array, identity: Ints, length_m: Array) -> float:
-        """Predict and take in the next sample; see ``Follower.step``."""
+        """Predict and take in the next sample; see ``LearningFilter.step``."""
         return self._filter.step(position_m.tolist(), identity.tolist(), length_m.tolist()).log_likelihood
 
 
@@ -122,7 +122,7 @@ class Unscented:
         return np.asarray(self._filter.x[STATE * CHAIN :])
 
     def step(self, position_m: Array, identity: Ints, length_m: Array) -> float:
-        """Predict and take in the next sample; see ``Follower.step``."""
+        """Predict and take in the next sample; see ``LearningFilter.step``."""
         kalman, self._length = self._filter, length_m
         if self._known.min() < MOVING:
             state = State(kalman.x, kalman.P, self._known)
@@ -189,7 +189,7 @@ class Particles:
         return np.asarray(self._weight @ self._at)
 
     def step(self, position_m: Array, identity: Ints, length_m: Array) -> float:
-        """Predict and take in the next sample; see ``Follower.step``."""
+        """Predict and take in the next sample; see ``LearningFilter.step``."""
         sample = position_m.tolist(), identity.tolist(), length_m.tolist()
         density = np.array([one.step(*sample).log_likelihood for one in self._filters])
         if np.isnan(density).any():

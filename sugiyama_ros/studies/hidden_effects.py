@@ -2,7 +2,7 @@
 
     python -m sugiyama_ros.studies.hidden_effects --seeds 10 -o docs/hidden_effects.md
 
-The recordings are those of `sugiyama_ros.studies.hiding`. The true effect, added and fitted, gains some 100-300 nats in
+`sugiyama_ros.studies.hiding` simulates the recordings. The true effect, added and fitted, gains some 100-300 nats in
 its strong form and 20-50 nats in its weak form. Forces that are not in the catalogue of effects have no name: the
 diagnosis is right if it finds a force without a name, or nothing.
 """

@@ -24,7 +24,7 @@ _SPREAD = {SIGMA_NU: 0.08, SIGMA_A: 0.15, V_STAR: 0.08, KAPPA_V: 0.2}
 def _answer(asked: Asked) -> Answer:
     """Compare the errors of the estimators over time with the errors of a batch fit, on simulated drivers.
 
-    On measured drivers, whose parameters nobody knows, compare predictive likelihoods.
+    The true parameters of measured drivers are unknown, so for them the study compares predictive likelihoods.
     """
     errors, scaled, batch_errors = [], [], []
     for drivers, t in jams(_SPREAD, asked.runs, asked.seed, DURATION_S):
@@ -85,6 +85,6 @@ def _measured(asked: Asked, t: Trajectories) -> Row:
 STUDY = Study(
     name="online",
     question="How soon does an estimator know a driver as well as a fit of 250 s does?",
-    paper="Its outlook: inference while people drive is left to later work.",
+    paper="Inference while people drive is left to later work (outlook).",
     answer=_answer,
 )

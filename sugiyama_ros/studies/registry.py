@@ -1,4 +1,4 @@
-"""All studies: the built-in ones, and those of other packages.
+"""All studies: the built-in studies and the studies of other packages.
 
 A study of another package is a ``Study`` behind an entry point of the group ``sugiyama_ros.studies``.
 """

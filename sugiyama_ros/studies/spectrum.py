@@ -77,7 +77,7 @@ def _answer(asked: Asked) -> Answer:
 
 STUDY = Study(
     name="spectrum",
-    question="How many directions of the parameters does the likelihood hold?",
+    question="How many directions of the parameter space does the likelihood determine?",
     paper="Only four largest eigenvalues are consistently negative definite (section 4.1).",
     answer=_answer,
 )

@@ -1,4 +1,4 @@
-"""Is a driver noticed who wants to drive slower from now on?"""
+"""Does an estimator notice that a driver wants to drive slower?"""
 
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -103,7 +103,7 @@ def _slowed(unchanged: Simulation, switched: Simulation) -> Mask:
 
 STUDY = Study(
     name="style-change",
-    question="Is a driver noticed who wants to go slower from now on?",
-    paper="Its outlook: to learn a driver's style in real time is left to later work.",
+    question="Does an estimator notice that a driver wants to drive slower?",
+    paper="Learning a driver's style in real time is left to later work (outlook).",
     answer=_answer,
 )

@@ -17,7 +17,7 @@ from sugiyama_ros.road import Road
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-#: Length [m] of a vehicle whose file does not tell: the mean of the paper's Table 1.
+#: Length [m] of a vehicle if the file does not give the length: the mean of the paper's Table 1.
 DEFAULT_LENGTH_M = 4.33
 
 
@@ -25,13 +25,27 @@ DEFAULT_LENGTH_M = 4.33
 class Trajectories(Result):
     """Positions of N vehicles at T regular times.
 
-    position_m: (T, N) [m], of the vehicles' centres, wrapped on a ring; NaN where a sample is missing.
-    length_m: (N,) [m].
-    vehicle: (N,) numbers of the vehicles as in their file.
-    period_s: time [s] between two samples; start_s: time [s] of the first.
-    source, sha256: where the positions come from.
+    Parameters
+    ----------
+    position_m : ndarray, shape (T, N)
+        Positions [m] of the vehicles' centres, wrapped on a ring; NaN where a sample is missing.
+    length_m : ndarray, shape (N,)
+        Lengths [m] of the vehicles.
+    vehicle : ndarray of int, shape (N,)
+        Numbers of the vehicles, as in their file.
+    road : Road
+        The road.
+    period_s : float
+        Time [s] between two samples.
+    start_s : float
+        Time [s] of the first sample.
+    source, sha256 : str
+        Name and checksum of the file that the positions come from; empty if there is no file.
 
-    Raises InputError where the shapes do not fit or a value cannot be.
+    Raises
+    ------
+    InputError
+        If the shapes do not fit together, or a value is impossible.
     """
 
     position_m: Array
@@ -65,7 +79,7 @@ class Trajectories(Result):
         )
 
     def records(self) -> list[dict[str, Any]]:
-        """List all samples: time_s [s], vehicle, position_m [m] and length_m [m]."""
+        """List all known samples: time_s [s], vehicle, position_m [m] and length_m [m]."""
         samples, columns = np.nonzero(np.isfinite(self.position_m))
         return [
             {"time_s": time, "vehicle": vehicle, "position_m": position, "length_m": length}
@@ -95,7 +109,7 @@ class Trajectories(Result):
 
     @cached_property
     def present(self) -> NDArray[np.bool_]:
-        """(T, N): whether a vehicle is on the road, that is between its first and its last sample."""
+        """Whether each vehicle is on the road, from its first to its last known sample; shape (T, N)."""
         known = np.isfinite(self.position_m)
         seen = np.maximum.accumulate(known, axis=0)
         to_come = np.maximum.accumulate(known[::-1], axis=0)[::-1]
@@ -103,9 +117,10 @@ class Trajectories(Result):
 
     @cached_property
     def leader(self) -> Ints:
-        """(T, N): index of the vehicle directly ahead on the road, -1 where there is none.
+        """Column of the vehicle directly ahead on the road, shape (T, N); -1 where there is none.
 
-        The order along the road is that of most samples, so that a single wild measurement does not change it.
+        The leader of a vehicle is the vehicle that is directly ahead in most samples, so that one bad measurement does
+        not change the leader. Leaders change when a vehicle enters or leaves the road.
         """
         leader = np.full(self.position_m.shape, -1, dtype=np.int64)
         filled = self._filled
@@ -116,9 +131,24 @@ class Trajectories(Result):
                 leader[first:last, on_road] = _leaders(filled[first:last][:, on_road], on_road, self.road)
         return leader
 
+    @cached_property
+    def follower(self) -> Ints:
+        """(T, N): index of the vehicle whose leader is the vehicle of this column, -1 where there is none.
+
+        The first of several vehicles with the same leader counts. The table is made once for all drivers.
+        """
+        vehicles = self.leader.shape[1]
+        follower = np.empty(self.leader.shape, dtype=np.int64)
+        for behind, leader, present in zip(follower, self.leader, self.present, strict=True):
+            followers = np.flatnonzero((leader >= 0) & present)
+            first = np.full(vehicles, vehicles)
+            np.minimum.at(first, leader[followers], followers)
+            behind[:] = np.where(first < vehicles, first, -1)
+        return follower
+
     @property
     def _filled(self) -> Array:
-        """Positions made continuous, gaps between known samples filled by straight lines."""
+        """Continuous positions [m], with straight lines in place of missing samples; shape (T, N)."""
         filled = self.road.unwrap(self.position_m).copy()
         ticks = np.arange(len(filled))
         for column in filled.T:
@@ -129,7 +159,7 @@ class Trajectories(Result):
 
 
 def _leaders(position_m: Array, number: Ints, road: Road) -> Ints:
-    """Most common leader of each vehicle over the samples of ``position_m`` (T, n), as entries of ``number``."""
+    """Find the most common leader of each vehicle in ``position_m`` (T, n), as entries of ``number`` (n,) or -1."""
     order = np.argsort(road.wrap(position_m), axis=1, kind="stable")
     ahead = np.empty_like(order)
     np.put_along_axis(ahead, order, np.roll(order, -1, axis=1), axis=1)
@@ -144,20 +174,37 @@ def _leaders(position_m: Array, number: Ints, road: Road) -> Ints:
 
 
 def regular_time_base(time_s: Array, where: str) -> tuple[float, float, Ints]:
-    """Start [s], period [s] and sample numbers of sorted distinct times that may skip samples.
+    """Find the regular time base of times that may be rounded and may skip samples.
 
-    time_s: (n,) strictly increasing [s]; stamps may be rounded. ``where`` names them in an error.
-    Raises InputError where they do not lie on a regular time base.
+    Parameters
+    ----------
+    time_s : ndarray, shape (n,)
+        Strictly increasing times [s].
+    where : str
+        Name of the times in an error message.
+
+    Returns
+    -------
+    start_s, period_s : float
+        Time [s] of the first sample, and time [s] between two samples.
+    number : ndarray of int, shape (n,)
+        Number of each sample on the time base, from 0.
+
+    Raises
+    ------
+    InputError
+        If there are too few times, or if they do not lie on a regular time base.
     """
     if len(time_s) < 2:
         raise InputError(f"{where}: only one time; need at least two samples")
-    # A skipped sample makes a step larger, never smaller: the lower quartile of steps is the period, rounding aside.
+    # A skipped sample makes a step larger, never smaller. So the lower quartile of the steps is the period, up to
+    # rounding.
     step = np.diff(time_s)
     period = float(np.median(step[step <= 1.5 * np.quantile(step, 0.25)]))
     number = np.concatenate(([0], np.cumsum(np.round(step / period).astype(np.int64))))
     if number[-1] >= 2 * len(time_s):
         raise InputError(
-            f"{where}: only {len(time_s)} of {number[-1] + 1} times at steps of {period:.4g} s are there;"
+            f"{where}: {len(time_s)} times are there; {number[-1] + 1} are expected at steps of {period:.4g} s;"
             " resample to a regular time base"
         )
     if len(time_s) > 2:
@@ -169,17 +216,17 @@ def regular_time_base(time_s: Array, where: str) -> tuple[float, float, Ints]:
     if off[worst] > 0.1 * period:
         raise InputError(
             f"{where}: time {time_s[worst]:g} s lies {off[worst]:.3g} s off the regular time base of {period:.4g} s;"
-            " resample to a regular one"
+            " resample to a regular time base"
         )
-    # The first stamp is the start: the fit's own may lie before 0, where nothing can be recorded.
+    # The first time is the start. The start of the fitted line may lie before 0, where nothing can be recorded.
     return float(time_s[0]), _unrounded(time_s, number, period), number
 
 
 def _unrounded(time_s: Array, number: Ints, period: float) -> float:
-    """Period [s] as it was before the stamps were rounded, where a simple number explains all of them."""
+    """Guess the period [s] before the times were rounded: a simple number, if it explains all times."""
     fraction = float(Fraction(period).limit_denominator(100))
     noise = 8.0 * float(np.spacing(np.abs(time_s).max()))
-    # The digits after the point that all stamps do with say how far rounding may have moved them.
+    # The largest number of digits after the point in any time tells how far rounding may have moved the times.
     digits = next((d for d in range(9) if np.all(np.abs(time_s - np.round(time_s, d)) <= noise)), 9)
     for simple, moved in ((fraction, noise), (round(period, 9), noise), (fraction, 0.5 * 10.0**-digits + noise)):
         if simple > 0.0 and np.ptp(time_s - simple * number) <= 2.0 * moved:

@@ -1,4 +1,4 @@
-"""The measured experiment: numbers with their provenance. Skipped where the data are not at hand (see README)."""
+"""The measured experiment: numbers and where they come from. Skipped without the data (see docs/first_steps.md)."""
 
 from pathlib import Path
 
@@ -39,7 +39,7 @@ def test_plain_maximum_likelihood_gives_the_papers_means(fits):
 
 
 def test_single_drivers_are_the_papers(fits):
-    """Section 5.1: v* up to 14 m/s; section 5.2: sigma_a up to 5 times 0.273. Vehicle 21 does not hold its v*."""
+    """Section 5.1: v* up to 14 m/s; section 5.2: sigma_a up to 5 times 0.273. The data do not determine v* of 21."""
     assert [f.vehicle for f in fits if "v_star" in f.at_bound] == [21]
     assert [f.vehicle for f in fits if not f.identified("v_star")] == [21]
     v_star = np.array([f.parameters[V_STAR] for f in fits[:21]])
@@ -49,9 +49,9 @@ def test_single_drivers_are_the_papers(fits):
 
 
 def test_the_causal_filter_predicts_better(case1, fits):
-    """By more than 1,500 in log-likelihood, already at the parameters that are best for the paper's formulation."""
+    """The gain is above 1,500 in log-likelihood, even at the best parameters of the paper's formulation."""
     ours = sum(causal.log_likelihood(chain_behind(case1, i), f.parameters) for i, f in enumerate(fits))
     theirs = sum(f.log_likelihood for f in fits)
     assert theirs > 4566
-    assert theirs == pytest.approx(4567, abs=10)  # an independent implementation, same scoring, other start
+    assert theirs == pytest.approx(4567, abs=10)  # an independent implementation, same scoring, another start
     assert ours > theirs + 1500

@@ -1,7 +1,8 @@
-"""Numbers of the first release candidate (commit b38b8b8), before the house was put in order: they must not move.
+"""Numbers from the first release candidate (commit b38b8b8), which later changes must not move.
 
-Six drivers on a ring of 70 m for 40 s, with each effect: where they end, and what the filters say of one of them. The
-numbers repeat to the last bit on the same machine; other processors round a few functions differently, hence 1e-9.
+Six drivers drive on a ring of 70 m for 40 s, with each effect: their last positions and speeds, and what the filters
+say about one driver. The numbers repeat to the last bit on the same machine. Other processors round a few functions
+differently, hence 1e-9.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""Whatever trajectories are written come back: CSV and bags."""
+"""Trajectories that are written to CSV files and bags come back unchanged."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +24,7 @@ def some_trajectories(draw: st.DrawFn) -> Trajectories:
     road = Road(draw(st.sampled_from([0.0, 230.0, 1000.1])))
     position = road.wrap(random.uniform(-50.0, 2000.0, (steps, vehicles)))
     position[random.random((steps, vehicles)) < draw(st.sampled_from([0.0, 0.3]))] = np.nan
-    # Each vehicle is seen at least once, and the first at every time: a time without any sample is not written.
+    # Each vehicle is seen at least once, and the first vehicle always: a time without any sample is not written.
     position[:, 0] = np.arange(steps)
     position[0, :] = np.arange(vehicles)
     return Trajectories(

@@ -15,7 +15,7 @@ from sugiyama_ros.nodes.base.spin import Spinner, ros
 
 @pytest.fixture(autouse=True)
 def own_domain(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A domain that nobody uses; the variables are put back afterwards."""
+    """A free domain; the environment variables are restored afterwards."""
     for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_DOMAIN_ID"):
         monkeypatch.setenv(name, "")
         monkeypatch.delenv(name)
@@ -30,12 +30,12 @@ class Stage:
         self._spinner: Spinner | None = None
 
     def add(self, *nodes: Node) -> None:
-        """Nodes to be executed; before the first ``until``."""
+        """Add nodes to be executed. Call it before the first ``until``."""
         assert self._spinner is None
         self.nodes += nodes
 
     def kill(self, node: Node) -> None:
-        """Take a node down without a word; others may be added then."""
+        """Take a node down without an orderly end. Other nodes may be added then."""
         assert self._spinner is not None
         self._spinner.close()
         self._spinner = None
@@ -80,7 +80,7 @@ def stage() -> Iterator[Stage]:
 
 @pytest.fixture
 def ring_csv(tmp_path: Path) -> Path:
-    """A file of 4 vehicles that circulate on a ring of 100 m for 200 samples of 0.5 s; it does not tell the ring."""
+    """A file of 4 vehicles on a ring of 100 m, with 200 samples of 0.5 s. It does not give the ring's length."""
     path = tmp_path / "ring.csv"
     rng = np.random.default_rng(1)
     lines = ["time_s,vehicle,position_m,length_m"]

@@ -1,17 +1,19 @@
-"""The bytes that are made by hand equal the bytes of rclpy."""
+"""The bytes of this package's encoders equal the bytes of rclpy."""
 
 import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
+from rosgraph_msgs.msg import Clock
 from sugiyama_msgs.msg import DriverParameters, Innovation, MeasuredPositions, VehicleState
 
 from sugiyama_ros.filters.online import Estimate
 from sugiyama_ros.formats.measured import FRAME
 from sugiyama_ros.nodes.base import cdr_messages
+from sugiyama_ros.nodes.base.samples import Positions
 
 
 def an_estimate(seed: int) -> Estimate:
-    """Any numbers."""
+    """An estimate with arbitrary numbers."""
     rng = np.random.default_rng(seed)
     n = iter(rng.normal(size=20).tolist())
     return Estimate(
@@ -48,6 +50,29 @@ def test_measured_positions_are_read(frame: str, vehicles: int) -> None:
     assert sample.leader == message.leader.tolist()
     assert sample.position_m == message.position_m.tolist()
     assert sample.length_m == message.length_m.tolist()
+
+
+@pytest.mark.parametrize("vehicles", [0, 1, 2, 22])
+def test_measured_positions_are_written(vehicles: int) -> None:
+    rng = np.random.default_rng(vehicles)
+    positions = Positions(
+        rng.integers(0, 1000, vehicles).tolist(),
+        rng.integers(-1, 1000, vehicles).tolist(),
+        [float("nan"), *rng.normal(size=vehicles).tolist()][:vehicles],
+        rng.normal(size=vehicles).tolist(),
+    )
+    raw = cdr_messages.measured_positions(7 * cdr_messages.NS + 5, 2**40 + 3, positions)
+    expected = MeasuredPositions(step=2**40 + 3, **positions._asdict())
+    expected.header.stamp, expected.header.frame_id = cdr_messages.time_message(7 * cdr_messages.NS + 5), FRAME
+    # NaN differs from itself, and bytes between the fields are arbitrary, so the texts are compared.
+    assert repr(deserialize_message(raw, MeasuredPositions)) == repr(expected)
+    assert cdr_messages.measured(raw).stamp_ns == 7 * cdr_messages.NS + 5
+    assert cdr_messages.stamp_key(raw) == cdr_messages.stamp_key(serialize_message(expected))
+
+
+@pytest.mark.parametrize("stamp_ns", [0, 250 * cdr_messages.NS + 999_999_999, -1])
+def test_clocks_are_written(stamp_ns: int) -> None:
+    assert cdr_messages.clock(stamp_ns) == serialize_message(Clock(clock=cdr_messages.time_message(stamp_ns)))
 
 
 def test_another_byte_order_is_refused() -> None:

@@ -1,4 +1,4 @@
-"""A hidden effect in replayed topics: the critic's verdict, the effect added by a service, the error that falls."""
+"""A hidden effect in replayed topics: the critic names it, a service adds it, and the error falls."""
 
 from pathlib import Path
 
@@ -29,7 +29,7 @@ OWN = {"sigma_a": 0.273, "kappa_v": 0.3225}
 
 @pytest.fixture(scope="module")
 def delayed():
-    """Drivers with a reaction delay on a ring, at once at speed, without a collision, among whom a wave forms."""
+    """Drivers with a reaction delay on a ring. They start at speed, a wave forms, and no cars collide."""
     rng = np.random.default_rng(2)
     p = defaults(DRIVERS)
     p[:, V_STAR] *= np.exp(0.05 * rng.standard_normal(DRIVERS))
@@ -42,7 +42,7 @@ def delayed():
 
 
 class Ears(Node):
-    """Hears innovations, verdicts and parameters."""
+    """Collects innovations, verdicts and parameters."""
 
     def __init__(self) -> None:
         super().__init__("ears")
@@ -61,25 +61,25 @@ class Ears(Node):
         self.names[message.vehicle] = list(message.name)
 
     def pass_done(self, samples: int) -> bool:
-        """Whether every estimator has answered to every sample."""
+        """Whether every estimator has answered every sample."""
         return all(len(s) >= samples for s in self.squares.values())
 
     def rmse(self) -> float:
-        """Of all scored innovations since the last call."""
+        """Root mean square [m] of all scored innovations since the last call."""
         value = float(np.sqrt(np.nanmean([s for squares in self.squares.values() for s in squares])))
         self.squares = {v: [] for v in range(DRIVERS)}
         return value
 
 
 def batch_rmse(measured, row) -> float:
-    """What the batch filter says that the estimators' one-step error is."""
+    """One-step error [m] that the batch filter expects of the estimators."""
     filtered = [filter_chain(chain_behind(measured, i), row, ADAPT, ahead(row)) for i in range(DRIVERS)]
     errors = [np.where(f.scored, f.innovation_m**2, np.nan) for f in filtered]
     return float(np.sqrt(np.nanmean(errors)))
 
 
 def ahead(row):
-    """The estimators know nothing of the drivers ahead but the effects that all share."""
+    """Row of the drivers ahead. The estimators know only the effects that all drivers share."""
     other = ROW.with_effects(population())
     other[len(population()) :] = row[len(population()) :]
     return other
@@ -114,7 +114,7 @@ def test_a_hidden_delay_is_named_added_and_the_error_falls(stage, delayed, tmp_p
     row = ROW.with_effects(population())
     row[SIGMA_A], row[KAPPA_V] = OWN["sigma_a"], OWN["kappa_v"]
     expected = [batch_rmse(delayed, r) for r in (row, switch_on(row, "reaction_delay", {"delay": DELAY_S}))]
-    # the estimators learn the noises too, which the batch takes as given: that moves an error by 0.001
+    # the estimators learn the noises too, while the batch filter is given them: this changes the error by 0.001
     assert before - after > 0.01
     assert [before, after] == pytest.approx(expected, rel=0.005)
     assert before - after == pytest.approx(expected[0] - expected[1], rel=0.15)

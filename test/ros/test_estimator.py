@@ -1,4 +1,4 @@
-"""The estimator node: what it makes of stamps, missing samples and failures."""
+"""The estimator node: how it handles stamps, missing samples and failures."""
 
 from math import isnan, nan
 from pathlib import Path
@@ -34,7 +34,7 @@ PERIOD_S = 0.5
 
 
 class Road(Node):
-    """Sends the road and samples by hand, and keeps what the estimator of vehicle 7 answers."""
+    """Sends the road and single samples, and keeps the answers of the estimator of vehicle 7."""
 
     def __init__(self) -> None:
         super().__init__("hand")
@@ -52,7 +52,7 @@ class Road(Node):
         self.to_road.publish(RoadMessage(circumference_m=100.0, period_s=PERIOD_S))
 
     def send(self, time_s: float, position_m: dict[int, float]) -> None:
-        """A sample; 7 follows 8, 8 follows 9, 9 follows 7."""
+        """Send a sample in which 7 follows 8, 8 follows 9, and 9 follows 7."""
         leader = {7: 8, 8: 9, 9: 7}
         message = MeasuredPositions(step=self.step, vehicle=list(position_m), leader=[leader[v] for v in position_m])
         message.header.stamp = cdr_messages.time_message(round(time_s * cdr_messages.NS))
@@ -61,7 +61,7 @@ class Road(Node):
         self.step += 1
 
     def drive(self, first: int, last: int) -> None:
-        """Samples number ``first`` to ``last`` of a steady drive."""
+        """Send samples number ``first`` to ``last`` of a steady drive."""
         for k in range(first, last):
             self.send(k * PERIOD_S, {7: (5.0 * k * PERIOD_S) % 100.0, 8: (30.0 + 5.0 * k * PERIOD_S) % 100.0})
 
@@ -71,7 +71,7 @@ class Road(Node):
 
 @pytest.fixture
 def pair(stage) -> tuple[Road, Estimator]:
-    """A road by hand and the estimator of vehicle 7, which has heard of the road."""
+    """A `Road`, and the estimator of vehicle 7, which has received the road."""
     road, estimator = Road(), Estimator(namespace="/vehicle_07")
     stage.add(road, estimator)
     stage.until(lambda: estimator.health().level == OK)
@@ -79,11 +79,11 @@ def pair(stage) -> tuple[Road, Estimator]:
 
 
 def values(estimator: Estimator) -> dict[str, object]:
-    """What the estimator counts."""
+    """Counts in the estimator's health."""
     return dict(estimator.health().values)
 
 
-def test_it_says_what_the_filter_says(stage, ring_csv: Path) -> None:
+def test_the_node_publishes_the_filters_results(stage, ring_csv: Path) -> None:
     trajectories = read_trajectories(ring_csv, 100.0)
     chain = chain_behind(trajectories, 2)
     filter_ = OnlineFilter(trajectories.period_s, trajectories.road)
@@ -117,7 +117,7 @@ def test_a_missing_position_is_predicted_over(stage, pair) -> None:
     road, estimator = pair
     road.drive(0, 10)
     road.send(10 * PERIOD_S, {7: float("nan"), 8: 55.0})
-    road.send(11 * PERIOD_S, {8: 57.5})  # not even in the message
+    road.send(11 * PERIOD_S, {8: 57.5})  # vehicle 7 is not in the message at all
     stage.until(lambda: len(road.innovations) == 12)
     assert estimator.health().level == WARN
     assert estimator.health().message == "2 samples missing in a row"
@@ -131,7 +131,7 @@ def test_a_missing_position_is_predicted_over(stage, pair) -> None:
     assert estimator.health().level == OK
 
 
-def test_stamps_tell_how_much_time_has_passed(stage, pair) -> None:
+def test_stamps_say_how_much_time_has_passed(stage, pair) -> None:
     road, estimator = pair
     road.drive(0, 20)
     road.drive(23, 24)
@@ -173,8 +173,8 @@ def test_a_position_that_is_no_number_is_missing(stage, pair, wrong: float) -> N
     assert estimator.health().level == OK
 
 
-def test_a_leader_who_stands_comes_and_goes(stage, pair) -> None:
-    """8 stands for a minute while 7 closes up, then is gone, then is there again."""
+def test_a_standing_leader_disappears_and_returns(stage, pair) -> None:
+    """Vehicle 8 stands for a minute while 7 closes up. Then 8 is gone, and then it is there again."""
     road, estimator = pair
     for k in range(160):
         leader = {} if 120 <= k < 140 else {8: 30.0}
@@ -225,7 +225,9 @@ def test_parameters_are_published_once_a_second_of_the_data(stage, pair) -> None
     assert len(message.covariance) == len(NAMES) ** 2
 
 
-def test_a_failure_is_told_once_and_the_stream_goes_on(stage, pair, monkeypatch: pytest.MonkeyPatch, capfd) -> None:
+def test_a_failure_is_reported_once_and_the_stream_continues(
+    stage, pair, monkeypatch: pytest.MonkeyPatch, capfd
+) -> None:
     road, _ = pair
 
     def fail(*_: object) -> None:
@@ -242,7 +244,7 @@ def test_a_failure_is_told_once_and_the_stream_goes_on(stage, pair, monkeypatch:
     assert capfd.readouterr().err.count("no way") == 1
 
 
-def test_it_starts_from_the_nodes_parameters(stage) -> None:
+def test_the_filter_starts_from_the_nodes_parameters(stage) -> None:
     road = Road()
     estimator = Estimator(namespace="/vehicle_07", parameter_overrides=[Parameter("v_star", value=15.0)])
     stage.add(road, estimator)
@@ -254,7 +256,7 @@ def test_it_starts_from_the_nodes_parameters(stage) -> None:
     assert known["sigma_a"] == dict(zip(NAMES, population().tolist(), strict=True))["sigma_a"]
 
 
-def test_it_tells_the_type_of_the_driver(stage, ring_csv: Path, tmp_path: Path) -> None:
+def test_the_type_of_the_driver_is_published(stage, ring_csv: Path, tmp_path: Path) -> None:
     trajectories, file = read_trajectories(ring_csv, 100.0), tmp_path / "types.yaml"
     kinds = np.array([population(), population()])
     kinds[1, NAMES.index("v_star")] *= 1.2
@@ -293,8 +295,8 @@ def test_what_was_learnt_is_forgotten_when_the_user_sets_a_parameter(stage, tmp_
     assert not any(road.parameters[1].identified)
 
 
-def test_a_node_that_was_killed_goes_on_where_it_was(stage, tmp_path: Path) -> None:
-    """Killed after 30 s, with a file of 20 s; 10 s later it knows as much as an estimator that was never killed."""
+def test_a_killed_node_continues_from_its_file(stage, tmp_path: Path) -> None:
+    """The node is killed after 30 s; its file is from 20 s. After 10 s more it agrees with an uninterrupted node."""
     noise = np.random.default_rng(1).normal(0.0, 0.26, (80, 2))
     position = (np.array([0.0, 30.0]) + 5.0 * PERIOD_S * np.arange(80)[:, None] + noise) % 100.0
     road, kept = Road(), [Parameter("save_state", value=str(tmp_path))]
@@ -326,8 +328,8 @@ def test_a_node_that_was_killed_goes_on_where_it_was(stage, tmp_path: Path) -> N
     assert np.all(np.abs(off) < np.sqrt(np.diag(never.learnt.covariance)))
 
 
-def test_a_node_that_was_killed_goes_on_from_what_the_keeper_has_heard(stage) -> None:
-    """Killed after 30 s; 10 s later its successor knows as much as an estimator that was never killed."""
+def test_a_killed_node_continues_from_the_keeper(stage) -> None:
+    """The node is killed after 30 s. After 10 s more its successor agrees with an uninterrupted node."""
     noise = np.random.default_rng(1).normal(0.0, 0.26, (80, 2))
     position = (np.array([0.0, 30.0]) + 5.0 * PERIOD_S * np.arange(80)[:, None] + noise) % 100.0
     road, keeper = Road(), Keeper()

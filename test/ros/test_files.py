@@ -24,7 +24,7 @@ EXECUTABLES = ("critic", "estimator", "recorder", "replay", "simulator")
 
 
 def make(executable: str, ring_csv: Path, tmp_path: Path) -> PacedNode:
-    """A node with nothing given but what it must be given."""
+    """A node with only the parameters that it requires."""
     if executable == "critic":
         return Critic()
     if executable == "estimator":
@@ -70,7 +70,7 @@ def test_launch_files_start_what_is_there(path: Path) -> None:
     executables = {node["executable"] for node in launched(path)}
     assert {"recorder", "estimator"} < executables <= {*EXECUTABLES, WITHOUT_PARAMETERS}
     installed = {e.name for e in entry_points(group="console_scripts") if e.value.startswith("sugiyama_ros.nodes.")}
-    if installed:  # not in a checkout that has not been installed
+    if installed:  # a checkout that is not installed has no executables
         assert executables <= installed
 
 

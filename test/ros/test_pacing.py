@@ -6,7 +6,7 @@ from sugiyama_ros.nodes.base.pacing import Levels, Pace
 
 
 def send_all(pace: Pace) -> int:
-    """Send as much as is allowed; how much that was."""
+    """Send as many steps as allowed, and return their number."""
     count = 0
     while pace.may_send and count < 1000:
         pace.sent()
@@ -14,7 +14,7 @@ def send_all(pace: Pace) -> int:
     return count
 
 
-def test_nothing_is_sent_before_all_are_there() -> None:
+def test_nothing_is_sent_before_all_subscribers_are_there() -> None:
     pace = Pace(8, 10.0, ["/a", "/b"])
     pace.heard("/a", 0, 0.0)
     assert send_all(pace) == 0
@@ -22,7 +22,7 @@ def test_nothing_is_sent_before_all_are_there() -> None:
     assert send_all(pace) == 8
 
 
-def test_the_slowest_decides() -> None:
+def test_the_slowest_subscriber_decides() -> None:
     pace = Pace(8, 10.0, ["/a", "/b"])
     pace.heard("/a", 0, 0.0)
     pace.heard("/b", 0, 0.0)
@@ -41,7 +41,7 @@ def test_without_subscribers_everything_is_sent() -> None:
     assert pace.drained
 
 
-def test_the_silent_are_dropped_and_may_come_back() -> None:
+def test_silent_subscribers_are_dropped_and_may_come_back() -> None:
     pace = Pace(8, 10.0)
     pace.heard("/a", 0, 0.0)
     pace.heard("/b", 0, 0.0)
@@ -56,7 +56,7 @@ def test_the_silent_are_dropped_and_may_come_back() -> None:
     assert pace.acknowledged == 8
 
 
-def test_a_newcomer_holds_the_source_until_he_has_come_up() -> None:
+def test_a_newcomer_holds_the_source_until_it_has_caught_up() -> None:
     pace = Pace(8, 10.0)
     for _ in range(100):
         pace.sent()
@@ -66,17 +66,17 @@ def test_a_newcomer_holds_the_source_until_he_has_come_up() -> None:
     assert send_all(pace) == 8
 
 
-def test_a_restart_forgets_what_was_said_before() -> None:
+def test_a_restart_forgets_earlier_reports() -> None:
     pace = Pace(8, 10.0)
     pace.heard("/a", 0, 0.0)
     assert send_all(pace) == 8
     pace.heard("/a", 8, 0.0)
     assert pace.drained
     pace.restart(2)
-    pace.heard("/a", 8, 0.1)  # a repetition of what was said before the restart
+    pace.heard("/a", 8, 0.1)  # a repetition of a report from before the restart
     assert pace.acknowledged == 2
     assert send_all(pace) == 8
-    # Step 10 has been sent, so 8 can be told now, wrongly: at most one window too far.
+    # Step 10 has been sent, so an old report of 8 is taken for a new one: at most one window too far.
     pace.heard("/a", 8, 0.2)
     assert send_all(pace) <= 8
 
@@ -91,7 +91,7 @@ def test_levels_are_complete_when_all_topics_are() -> None:
     assert not levels.waiting
 
 
-def test_levels_pass_over_what_never_completes() -> None:
+def test_levels_skip_a_stamp_that_never_completes() -> None:
     levels = Levels(["/x", "/y"])
     levels.reached("/x", b"1")
     levels.reached("/x", b"2")

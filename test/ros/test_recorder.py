@@ -1,4 +1,4 @@
-"""The recorder: what is kept, and what a crash leaves."""
+"""The recorder: what it keeps, and what is left after a crash."""
 
 import signal
 import subprocess
@@ -34,7 +34,7 @@ def recorder(output: Path, *paced: str) -> Recorder:
 
 
 def holds(recording: Recorder, topic: str, messages: int) -> bool:
-    """Whether the recorder has so many messages of a topic; it records its own /diagnostics as well."""
+    """Whether the recorder has this number of messages of each topic; it records its own /diagnostics as well."""
     return recording.counts.get(topic, 0) >= messages
 
 
@@ -90,7 +90,7 @@ def test_a_topic_that_falls_silent_is_no_longer_waited_for(stage, tmp_path: Path
     node = Node("sender")
     measured = node.create_publisher(Header, "measured", STREAM)
     state = node.create_publisher(Header, "state", STREAM)
-    # These stand for measured positions: only their stamps and steps are looked at.
+    # These stand for measured positions: the recorder reads only their stamps and steps.
     monkeypatch.setattr(recorder_module.cdr_messages, "measured", lambda raw: type("Sample", (), {"step": raw[4]}))
     recording = recorder(tmp_path / "out.mcap", "/measured", "/state")
     stage.add(node, recording)
@@ -169,7 +169,7 @@ def test_kill_loses_at_most_a_second(stage, tmp_path: Path) -> None:
         kept = [m.message.stamp.sec for m in bag.messages(["/beat"])]
     assert kept == list(range(kept[0], kept[0] + len(kept)))
     last_kept_s = dict(sent)[kept[-1]]
-    # A second between two flushes, and what it takes to hear, write and be killed.
+    # One second between two flushes, and the time to receive, to write and to be killed.
     assert killed_s - last_kept_s < 1.3
 
 

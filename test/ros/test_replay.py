@@ -20,7 +20,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
 
 
 class Listener(PacedNode):
-    """Takes its time with every sample."""
+    """A slow subscriber: it waits at every sample."""
 
     def __init__(self, name: str = "listener", slow_s: float = 0.0) -> None:
         super().__init__(name)
@@ -33,7 +33,7 @@ class Listener(PacedNode):
 
     @property
     def step_numbers(self) -> list[int]:
-        """Steps that came."""
+        """Numbers of the steps that arrived."""
         return [sample.step for sample in self.samples]
 
     def health(self) -> Health:
@@ -84,7 +84,7 @@ def test_a_silent_subscriber_is_dropped(stage, ring_csv: Path, monkeypatch: pyte
     monkeypatch.setattr(source, "PATIENCE_S", 1.0)
     listener, silent = Listener(), Listener("silent")
     node = replay(ring_csv, wait_for=["/listener", "/silent"])
-    stage.add(node, listener)  # the silent one has announced itself, but is never executed
+    stage.add(node, listener)  # the silent subscriber has announced itself, but is never executed
     stage.until(lambda: len(listener.samples) == 200)
     assert node.health().level == ERROR
     assert "/silent" in node.health().message
@@ -137,7 +137,7 @@ def test_the_rate_is_kept(stage, ring_csv: Path, rate: float) -> None:
     stage.until(lambda: len(listener.samples) >= 1)
     start, first = time.monotonic(), len(listener.samples)
     stage.until(lambda: len(listener.samples) >= first + 40)
-    # Late by a tick and by what a busy machine takes, never early, and lateness does not add up.
+    # A step may be late by a tick and by the delay of a busy machine. No step is early, and delays do not add up.
     assert 40 * 0.5 / rate - 0.02 < time.monotonic() - start < 40 * 0.5 / rate + 0.3
 
 

@@ -1,4 +1,4 @@
-"""The main job as a whole: nothing is lost, and nothing hangs."""
+"""The main job from end to end: nothing is lost, and nothing hangs."""
 
 import os
 import signal
@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -51,7 +52,27 @@ def test_nothing_is_lost_at_full_speed(ring_csv: Path, tmp_path: Path, processes
     assert sorted(p.name for p in tmp_path.iterdir()) == ["out.mcap", "ring.csv"]
 
 
-def test_what_is_recorded_is_what_was_read(ring_csv: Path, tmp_path: Path) -> None:
+def test_compiling_does_not_count_as_time_that_a_node_is_not_heard_of(
+    ring_csv: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The clock of the main job jumps while the code is compiled, by more than nodes get to be heard of."""
+    main_job = sys.modules[run.__module__]
+    passed = [0.0]
+    compile_now = main_job.warm_up
+
+    def compile_slowly() -> None:
+        compile_now()
+        passed[0] += 10.0 * main_job.START_S
+
+    monkeypatch.setattr(main_job, "time", SimpleNamespace(monotonic=lambda: time.monotonic() + passed[0]))
+    monkeypatch.setattr(main_job, "warm_up", compile_slowly)
+    result = run(ring_csv, tmp_path / "out.mcap", ring_m=100.0)
+    assert_nothing_lost(result, tmp_path / "out.mcap")
+    assert passed[0] > main_job.START_S
+    assert result.wall_s < passed[0]
+
+
+def test_the_recorded_positions_equal_the_positions_read(ring_csv: Path, tmp_path: Path) -> None:
     run(ring_csv, tmp_path / "out.mcap", ring_m=100.0)
     original, back = read_trajectories(ring_csv, 100.0), read_trajectories(tmp_path / "out.mcap")
     assert back.position_m == pytest.approx(original.position_m, abs=1e-9)
@@ -66,7 +87,7 @@ def test_a_recording_can_be_run_again(ring_csv: Path, tmp_path: Path) -> None:
     assert again.drivers == first.drivers
 
 
-def test_a_run_goes_on_from_what_another_has_learnt(ring_csv: Path, tmp_path: Path) -> None:
+def test_a_run_continues_from_the_saved_state_of_another(ring_csv: Path, tmp_path: Path) -> None:
     def parameters(path: Path, which: int) -> dict[str, float]:
         with Bag(path) as bag:
             message = [m.message for m in bag.messages(["/vehicle_02/parameters"])][which]
@@ -85,7 +106,7 @@ def test_a_run_goes_on_from_what_another_has_learnt(ring_csv: Path, tmp_path: Pa
         run(ring_csv, tmp_path / "third.mcap", ring_m=100.0, resume=tmp_path / "nowhere")
 
 
-def test_a_slow_driver_loses_nothing(ring_csv: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_slow_estimator_loses_nothing(ring_csv: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     follow = Follower.follow
 
     def slowly(self: Follower, *arguments: object) -> object:
@@ -97,7 +118,9 @@ def test_a_slow_driver_loses_nothing(ring_csv: Path, tmp_path: Path, monkeypatch
     assert_nothing_lost(run(ring_csv, tmp_path / "out.mcap", ring_m=100.0), tmp_path / "out.mcap")
 
 
-def test_a_driver_that_stops_is_left_behind(ring_csv: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_estimator_that_stops_is_left_behind(
+    ring_csv: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(source, "PATIENCE_S", 1.0)
     monkeypatch.setattr(recorder, "PATIENCE_S", 1.0)
     monkeypatch.setattr(runners, "STOP_S", 1.0)
@@ -110,7 +133,7 @@ def test_a_driver_that_stops_is_left_behind(ring_csv: Path, tmp_path: Path, monk
     monkeypatch.setattr(PacedNode, "beat", lambda self: None if is_stuck(self) else beat(self))
     result = run(ring_csv, tmp_path / "out.mcap", ring_m=100.0)
     assert result.steps == 200
-    # State and innovation of this driver in 150 steps, and nothing of the others.
+    # State and innovation of this driver in 150 steps; nothing of the other drivers is missing.
     assert result.messages_lost == 300
     with Bag(tmp_path / "out.mcap") as bag:
         counts = {topic.name: topic.count for topic in bag.info().topics}
@@ -148,7 +171,7 @@ def kill_when_running(output: Path, wanted: str) -> threading.Thread:
 
 
 @pytest.mark.parametrize("wanted", ["vehicle_02", "nodes.replay"])
-def test_a_dead_process_ends_the_run_in_one_line(ring_csv: Path, tmp_path: Path, wanted: str) -> None:
+def test_a_killed_process_ends_the_run_with_one_line(ring_csv: Path, tmp_path: Path, wanted: str) -> None:
     output = tmp_path / "out.mcap"
     killer = kill_when_running(output, wanted)
     name = "/vehicle_02/estimator" if wanted == "vehicle_02" else "/replay"
@@ -161,7 +184,7 @@ def test_a_dead_process_ends_the_run_in_one_line(ring_csv: Path, tmp_path: Path,
         assert bag.info().messages > 0
 
 
-def test_a_dead_recorder_leaves_what_it_had(ring_csv: Path, tmp_path: Path) -> None:
+def test_a_killed_recorder_leaves_what_it_had_written(ring_csv: Path, tmp_path: Path) -> None:
     output = tmp_path / "out.mcap"
     kill_when_running(output, "nodes.recorder")
     with pytest.raises(SugiyamaError, match=r"^/recorder: ended with code -9"):
@@ -217,7 +240,7 @@ def test_namespaces_have_as_many_digits_as_needed() -> None:
 
 
 def test_a_run_that_is_refused_leaves_no_road_behind(ring_csv, tmp_path):
-    """Its road would be believed by the next run of the same process, in the same domain."""
+    """The next run of this process is in the same DDS domain and would take the road for its own."""
     with pytest.raises(OutputError):
         run(ring_csv, tmp_path / "nowhere/refused.mcap")
     kept = tmp_path / "kept.mcap"

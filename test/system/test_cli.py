@@ -1,4 +1,4 @@
-"""The command line as a user meets it: what goes wrong is one line and exit code 2, what goes right is one document."""
+"""The command line as a user sees it: an error is one line and exit code 2, a result is one document."""
 
 import json
 import os
@@ -21,7 +21,7 @@ GOOD = "time_s,vehicle,position_m\n" + "".join(f"{0.5 * t},{v},{20 * v + 4 * t}\
 def sugiyama(monkeypatch, capfd):
     """Run a command in this process: exit code, stdout, stderr."""
 
-    # a run chooses a ROS domain for its process; the next one chooses anew
+    # a run chooses a ROS domain for its process; the next run chooses anew
     for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_DOMAIN_ID"):
         monkeypatch.setenv(name, "")
         monkeypatch.delenv(name)
@@ -51,6 +51,28 @@ def one_line(result, *words):
     assert err.startswith("error: ")
     assert err.count("\n") == 1
     assert all(word in err for word in words), err
+
+
+LOADED = """
+import sys
+from sugiyama_ros import cli
+try:
+    cli.main()
+except SystemExit as end:
+    assert not end.code, end.code
+loaded = {name.partition(".")[0] for name in sys.modules}
+assert not loaded & {"numba", "scipy", "filterpy", "rclpy"}, loaded
+"""
+
+
+@pytest.mark.parametrize(
+    "arguments", [["--help"], ["--version"], ["info", "good.mcap"], ["echo", "good.mcap", "/road"]]
+)
+def test_short_commands_load_no_compiled_code(sugiyama, here, arguments):
+    assert sugiyama("convert", "good.csv", "good.mcap")[0] == 0
+    done = subprocess.run([sys.executable, "-c", LOADED, *arguments], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout
 
 
 BAD_CSV = {
@@ -99,7 +121,7 @@ def test_bad_bags(sugiyama, here, kind, command):
     more = {"echo": ["/measured"], "convert": ["out.mcap"], "run": ["-o", "out.mcap"]}.get(command, [])
     result = sugiyama(command, "bad.mcap", *more)
     if (kind, command) in {("cut", "recover"), ("cut", "info")}:
-        # what is whole of a cut file can be told and saved
+        # the intact part of a cut file can be described and saved
         assert result[0] in (0, 2)
     else:
         one_line(result, "bad.mcap")
@@ -124,7 +146,7 @@ def test_bad_bags(sugiyama, here, kind, command):
         (("simulate", "-o", "out.csv", "--set", "speed=3"), ("speed", "v_star")),
         (("simulate", "-o", "out.csv", "--set", "v_star=-3"), ("v_star", "bounds")),
         (("simulate", "-o", "out.csv", "--set", "v_star=nan"), ("v_star", "bounds")),
-        (("simulate", "-o", "out.csv", "--ring", "50"), ("--ring 50", "22 vehicles")),
+        (("simulate", "-o", "out.csv", "--ring", "50"), ("ring of 50 m", "22 vehicles")),
         (("simulate", "-o", "nowhere/out.csv"), ("nowhere",)),
         (("fetch", "sugiyama1999"), ("sugiyama1999", "sugiyama2008")),
         (("info", "missing.mcap"), ("missing.mcap",)),
@@ -147,7 +169,7 @@ def test_a_refused_output_leaves_what_was_there(sugiyama, here):
 
 
 def test_a_full_disk_is_one_line(sugiyama, here):
-    """On a file system of 64 kB; where mounting is not allowed there is nothing to test."""
+    """The file system has 64 kB. The test is skipped where mounting is not allowed."""
     small = here / "small"
     small.mkdir()
     mounted = subprocess.run(
@@ -209,7 +231,7 @@ def test_the_version_is_the_packages(sugiyama):
     assert sugiyama("--version") == (0, f"sugiyama {version('sugiyama_ros')}\n", "")
 
 
-def test_help_tells_of_every_command_in_a_whole_sentence(sugiyama):
+def test_help_describes_every_command_in_a_full_sentence(sugiyama):
     code, out, err = sugiyama("--help")
     assert (code, err) == (0, "")
     told = out.split("Commands:\n")[1].splitlines()

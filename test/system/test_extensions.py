@@ -121,25 +121,34 @@ grid = mine:FORMAT
 made_up = mine:STUDY
 """
 STAGES = ("nearsighted", "hurried", "gentle", "weak", "half", "syrup", "displaced")
-#: Runs commands one after the other: reads argument lists from standard input, prints exit code and output of each.
+#: Program that runs commands in turn: it reads lists of arguments from standard input, and prints codes and outputs.
 COMMANDS = """
-import contextlib, io, json, sys
+import json, os, sys, tempfile
 from sugiyama_ros.cli import main
-for arguments in json.load(sys.stdin):
-    sys.argv = ["sugiyama", *arguments]
-    out, err, code = io.StringIO(), io.StringIO(), 0
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        try:
-            main()
-        except SystemExit as end:
-            code = end.code or 0
-    print(json.dumps([code, out.getvalue(), err.getvalue()]), flush=True)
+commands, streams = json.load(sys.stdin), (sys.stdout, sys.stderr)
+answers = os.fdopen(os.dup(1), "w")
+for arguments in commands:
+    sys.argv, code = ["sugiyama", *arguments], 0
+    files = [tempfile.TemporaryFile() for _ in streams]
+    for number, file in enumerate(files, 1):
+        os.dup2(file.fileno(), number)
+    try:
+        main()
+    except SystemExit as end:
+        code = end.code or 0
+    for stream in streams:
+        stream.flush()
+    said = []
+    for file in files:
+        file.seek(0)
+        said.append(file.read().decode())
+    print(json.dumps([code, *said]), file=answers, flush=True)
 """
 
 
 @pytest.fixture(scope="module")
 def answers(tmp_path_factory):
-    """What each command said, by a short name."""
+    """Exit code and output of each command, by a short name."""
     folder: Path = tmp_path_factory.mktemp("extensions")
     about = folder / "mine-1.0.dist-info"
     about.mkdir()
@@ -192,7 +201,7 @@ def document(answer):
 @pytest.mark.parametrize("name", STAGES)
 def test_an_effect_of_each_stage_is_simulated(answers, name):
     base, with_it = document(answers["simulate"]), document(answers[f"simulate {name}"])
-    if name == "displaced":  # acts on what is measured, not on the drivers
+    if name == "displaced":  # this effect acts on the measurement, not on the drivers
         assert with_it["second_half"] == base["second_half"]
     else:
         assert with_it["second_half"] != base["second_half"]

@@ -1,4 +1,4 @@
-"""Another package adds a file format behind an entry point; every command reads it."""
+"""Another package adds a file format through an entry point, and every command reads it."""
 
 import json
 import os
@@ -37,7 +37,7 @@ FORMAT = Format("mine", (".mine",), lambda head, path: head.startswith(b"%MINE "
 
 @pytest.fixture
 def packages(tmp_path: Path) -> Path:
-    """A folder with one package that adds a format, and one whose format cannot be loaded."""
+    """A folder with a package that adds a format, and a package whose format cannot be loaded."""
     folder = tmp_path / "packages"
     about = folder / "mine-1.0.dist-info"
     about.mkdir(parents=True)

@@ -1,4 +1,4 @@
-"""The main job as a process of its own, on the measured experiment where it is at hand, and what a kill leaves."""
+"""The main job as a process of its own, on the measured experiment if it is there; and what a kill leaves."""
 
 import json
 import os
@@ -59,7 +59,7 @@ def test_nothing_is_lost_between_processes(recorded, tmp_path):
     out = sugiyama("run", CASE1, "--rate", "max", "--processes", "-o", tmp_path / "out.mcap", "--json").stdout
     result = json.loads(out)
     assert (result["steps"], result["vehicles"], result["messages_lost"]) == (751, 22, 0)
-    # the same estimates, to the last digit: nothing depends on who was faster
+    # the same estimates to the last digit: nothing depends on which process was faster
     assert result["drivers"] == alone["drivers"]
 
 
@@ -87,7 +87,7 @@ def test_other_readers_read_every_message(recorded):
 
 
 @measured
-def test_recorded_innovations_are_those_of_the_filter(recorded):
+def test_recorded_innovations_equal_the_filters_innovations(recorded):
     output, _ = recorded
     case1 = read_trajectories(CASE1)
     with Bag(output) as bag:
@@ -100,7 +100,7 @@ def test_recorded_innovations_are_those_of_the_filter(recorded):
 
 @measured
 def test_what_is_learnt_online_predicts_the_measured_experiment_nearly_as_well_as_the_batch_fit(recorded):
-    """0.4078 nats per sample, where the batch fit reaches 0.4128 on the samples that it was fitted to."""
+    """The online figure is 0.4078 nats per sample. The batch fit reaches 0.4128 on the samples it was fitted to."""
     output, _ = recorded
     with Bag(output) as bag:
         scored = [
@@ -114,7 +114,7 @@ def test_what_is_learnt_online_predicts_the_measured_experiment_nearly_as_well_a
 
 @pytest.mark.parametrize("mode", [[], ["--processes"]])
 def test_kill_9_in_mid_run_loses_at_most_a_second(tmp_path, mode):
-    """The recorder is killed, in one process all nodes with it; what it had held for a second must be in the file."""
+    """The recorder is killed, in one process with all nodes. What it had for a second must be in the file."""
     source, output = tmp_path / "ring.csv", tmp_path / "out.mcap"
     part = output.with_suffix(".mcap.part")
     sugiyama("simulate", "-o", source, "--vehicles", "4", "--ring", "60", "--duration", "200", "--period", "0.1")
@@ -124,7 +124,7 @@ def test_kill_9_in_mid_run_loses_at_most_a_second(tmp_path, mode):
         text=True,
     )
     deadline = time.monotonic() + 90
-    # a few flushes must have happened, so that the run is well under way
+    # wait for a few flushes, so that the run is well under way
     while not (part.exists() and part.stat().st_size > 40_000):
         assert run.poll() is None, run.stderr.read() if run.stderr else ""
         assert time.monotonic() < deadline
@@ -160,7 +160,7 @@ def recorder_of(runner: int) -> int:
     raise AssertionError("no recorder")
 
 
-def test_demo_names_what_was_hidden_and_the_published_error_falls(tmp_path):
+def test_demo_finds_the_hidden_effect_and_the_published_error_falls(tmp_path):
     command = [*SUGIYAMA, "demo", "--hidden", "slow_patch", "--json"]
     done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=True)
     said = json.loads(done.stdout)
@@ -182,7 +182,7 @@ def test_the_drivers_of_a_run_become_known(tmp_path):
     v_star = np.array([d["v_star"] for d in json.loads(done.stdout)["drivers"]])
     rng = np.random.default_rng(1)
     true = 10.26 * np.exp(0.1 * rng.standard_normal(22))
-    # All estimators began with the same guess. Without any learning the correlation over 22 drivers has a std of
-    # 1 / sqrt(21); three of them are asked for.
+    # All estimators start from the same values. Without learning, the correlation over 22 drivers has a std of
+    # 1 / sqrt(21); three of these are required.
     assert np.corrcoef(np.log(v_star), np.log(true))[0, 1] > 3.0 / np.sqrt(21.0)
     assert np.abs(v_star / true - 1.0).max() < 0.06

@@ -1,4 +1,4 @@
-"""Other people's readers read every message of our bags, and our bytes are those of ROS 2."""
+"""Other readers read every message of this package's bags, and the bytes equal the bytes of ROS 2."""
 
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ TYPES = [
 
 
 def trajectories() -> Trajectories:
-    """Three vehicles on an open road, of which one comes late, with a missing sample."""
+    """Three vehicles on an open road, with a missing sample. One vehicle appears late."""
     position = np.arange(600.0)[:, None] * 2.0 + np.array([0.0, 30.0, 60.0])
     position[:100, 1] = np.nan
     position[200, 2] = np.nan
@@ -138,7 +138,7 @@ def test_our_bytes_are_those_of_ros(encoded: list[tuple[str, int, bytes]]) -> No
     )
     for name, _, ours in [*encoded[:3], encoded[300], (MEASURED_TYPE, 0, empty)]:
         theirs = bytes(serialization.serialize_message(serialization.deserialize_message(ours, types[name])))
-        # ROS leaves in the padding, and behind empty lists, what happened to be in memory; written again it is gone.
+        # ROS leaves arbitrary bytes in the padding and behind empty lists; writing the message again removes them.
         assert len(theirs) == len(ours) + (8 if ours == empty else 0)
         decode = decoder(name, full_text(name))
         assert decode is not None

@@ -1,4 +1,4 @@
-"""Both ways of installing: pip over the wheels, and colcon. What they put where, and that their numbers agree."""
+"""Both ways of installing, pip and colcon: what they install where, and that the versions agree."""
 
 import os
 import re
@@ -18,12 +18,12 @@ COLCON = "colcon-common-extensions==0.3.0"
 PROGRAMS = {"sugiyama", "critic", "estimator", "keeper", "recorder", "replay", "simulator"}
 INTERFACES = sorted([*ROOT.glob("msg_defs/msg/*.msg"), *ROOT.glob("msg_defs/srv/*.srv")])
 
-#: Fields without a unit of their own; a covariance is in the units of what it belongs to.
+#: Fields without a unit of their own; a covariance has the units of its variables.
 WITHOUT_UNIT = {"covariance", "log_likelihood", "nis", "weight"}
 
 
 def run(*command: str | Path, cwd: Path, env: Mapping[str, str] | None = None) -> subprocess.CompletedProcess[str]:
-    """Run as in a fresh shell: without what the wheels and make set for this very process."""
+    """Run a command as in a fresh shell: without the variables that the wheels and make set for this process."""
     mine = {
         "LD_LIBRARY_PATH",
         "AMENT_PREFIX_PATH",
@@ -135,7 +135,7 @@ def test_make_without_a_usable_python_says_so_in_one_line(tmp_path: Path) -> Non
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_colcon_builds_both_packages(tmp_path: Path) -> None:
-    """Over the wheels, in an environment of their own that stands for /opt/ros."""
+    """The wheels, in an environment of their own, stand for /opt/ros."""
     ros = tmp_path / "ros"
     source = copy_of_the_tree(tmp_path / "src" / "sugiyama_ros")
     env = {"PATH": f"{ros}/bin:{os.environ['PATH']}", "CMAKE_PREFIX_PATH": str(ros), "AMENT_PREFIX_PATH": str(ros)}

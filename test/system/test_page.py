@@ -121,14 +121,14 @@ def test_a_browser_shows_all_panels(page, tmp_path):
     assert not [line for line in console if "rror" in line], console
     for heading in ("What was measured", "What the model says", "Where it fails", "What is missing", "After adding it"):
         assert heading in shown.stdout
-    # every panel has been filled in by the script: its view is in a shadow root, which is told by Bokeh's class
+    # the script has filled in every panel: its view is in a shadow root, recognised by Bokeh's class
     assert shown.stdout.count('class="panel"') == 12
     assert shown.stdout.count("data-root-id") == 12
 
 
 @contextmanager
 def live_page(source, rate, recording):
-    """A live page in Chromium; when all is over, no error was in its console, and nothing was asked from elsewhere."""
+    """A live page in Chromium. At the end, its console has no error, and it has asked no other machine for anything."""
     playwright = pytest.importorskip("playwright.sync_api")
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
@@ -164,7 +164,7 @@ def test_the_live_page_streams_and_its_buttons_call_the_services(recorded, tmp_p
         page.get_by_role("button", name="add").click()
         page.get_by_text("effects added: reaction_delay").wait_for(timeout=10_000)
         page.wait_for_timeout(1500)
-        # a page that is loaded again, or beside the first one, shows what was before
+        # a page that is loaded again, or in a second window, shows the samples before
         shown = page.evaluate(LONGEST_SOURCE)
         again = page.context.new_page()
         again.goto(page.url)
@@ -185,14 +185,14 @@ def test_the_live_page_streams_and_its_buttons_call_the_services(recorded, tmp_p
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
-def test_adding_the_effect_that_is_there_lowers_the_error_that_the_page_shows(tmp_path):
-    # cars of limited power, measured so well that the one-step error is the model's; it is .110 m, and .100 with them
+def test_adding_the_true_effect_lowers_the_error_on_the_page(tmp_path):
+    # cars of limited power, measured so well that the model causes the one-step error: 0.110 m, 0.100 m with the effect
     settings = ("--effect", "limited_power:power=10", "--set", "sigma_nu=0.03", "--set", "sigma_a=0.15")
     command = [SUGIYAMA, "simulate", "-o", tmp_path / "sim.mcap", "--duration", "160", *settings]
     subprocess.run(command, check=True, capture_output=True)
 
     def shown(page, until_s):
-        """Errors that the page shows, with their times [s] of the recording, until such a time."""
+        """Errors [m] that the page shows until the time ``until_s`` of the recording, by time [s]."""
         read = {}
         while not read or max(read) < until_s:
             text = page.get_by_text("one-step error over").inner_text()
@@ -231,7 +231,7 @@ def test_beyond_this_machine_the_page_asks_for_a_token(recorded, tmp_path):
         socket_headers = {"Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13"}
         for refused in ("/", "/?token=x", "/metadata", "/autoload.js?bokeh-autoload-element=1"):
             assert ask(refused)[0] == 403
-        # a web socket is closed as soon as it is open, and nothing is sent
+        # the server closes the web socket at once, and sends nothing
         protocol = f"bokeh, {generate_jwt_token('a')}"
         key = {"Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==", "Sec-WebSocket-Protocol": protocol}
         assert b"ACK" not in ask("/ws", **socket_headers, **key)[1]
@@ -264,7 +264,7 @@ def test_layouts_for_other_programs_name_what_is_recorded(recorded):
 @pytest.mark.parametrize(
     ("text", "words"), [("{", "is not JSON"), ("[]", "is no diagnosis"), ("{}", "is no diagnosis")]
 )
-def test_a_diagnosis_that_is_none_is_said_so(tmp_path: Path, text, words):
+def test_a_file_that_is_no_diagnosis_is_one_clear_line(tmp_path: Path, text, words):
     (tmp_path / "d.json").write_text(text)
     with pytest.raises(InputError, match=words):
         read_diagnosis(tmp_path / "d.json")

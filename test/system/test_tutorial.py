@@ -1,4 +1,4 @@
-"""The code of the notebooks in examples runs, from the first cell to the last, and their assertions hold."""
+"""The notebooks in examples run from the first cell to the last, and their assertions hold."""
 
 import os
 import re

@@ -1,14 +1,17 @@
-"""The way in which imports run, as README's architecture section tells it."""
+"""The shape of the package: imports run one way, class names are unique, files and functions stay short."""
 
 import ast
+from collections import defaultdict
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 PACKAGE = Path(__file__).parents[2] / "sugiyama_ros"
-#: Every room may import those above it, and errors.
+#: The rooms (folders and single files), as in README. Each room may import the rooms above it, and errors.
 ORDER = (
     "arrays",
+    "entry_points",
     "jit",
     "progress",
     "plugins",
@@ -33,16 +36,20 @@ ORDER = (
     "api",
     "nodes",
     "cli",
+    "compile",
 )
-#: Single files that no reader needs to know about.
-SMALL = {"progress", "plugins", "picture", "results", "plots", "tables"}
-#: Rooms that know nothing of drivers, whatever the order allows.
+#: Single files that README does not have to name.
+SMALL = {"entry_points", "progress", "plugins", "picture", "results", "plots", "tables"}
+#: Rooms that may import only these rooms, whatever the order allows.
 ALONE = {
     "page": {"arrays", "formats", "plots", "progress", "results", "road", "tables", "trajectories"},
     "__init__": {"api", "effects", "laws"},
 }
 ROS = {"rclpy", "rcl_interfaces", "sugiyama_msgs", "std_srvs", "diagnostic_msgs", "visualization_msgs", "rosgraph_msgs"}
 FILES = sorted(PACKAGE.rglob("*.py"))
+LINES_OF_A_FILE = 350
+#: Lines and arguments of a function, and of a compiled kernel.
+LIMITS, LIMITS_OF_KERNELS = (60, 8), (100, 10)
 
 
 def room(path: Path) -> str:
@@ -77,3 +84,42 @@ def test_readme_names_every_room() -> None:
     readme = (PACKAGE.parent / "README.md").read_text()
     section = readme.split("## Architecture")[1].split("## ")[0]
     assert all(name in section for name in ORDER if name not in SMALL)
+
+
+def test_class_names_are_unique() -> None:
+    places = defaultdict(list)
+    for path in FILES:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ClassDef):
+                places[node.name].append(str(path.relative_to(PACKAGE)))
+    assert {name: files for name, files in places.items() if len(files) > 1} == {}
+
+
+def functions(tree: ast.AST) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
+    return (node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef))
+
+
+def size_of(function: ast.FunctionDef | ast.AsyncFunctionDef) -> tuple[int, int]:
+    """Lines from ``def`` to the end, and arguments without ``self`` and ``cls``."""
+    assert function.end_lineno is not None
+    a = function.args
+    names = [one.arg for one in (*a.posonlyargs, *a.args, *a.kwonlyargs)]
+    return function.end_lineno - function.lineno + 1, len(names) - (names[:1] in (["self"], ["cls"]))
+
+
+def is_kernel(function: ast.FunctionDef | ast.AsyncFunctionDef) -> bool:
+    """Whether a decorator is ``kernel`` or ``kernel(...)``."""
+    names = (one.func if isinstance(one, ast.Call) else one for one in function.decorator_list)
+    return any(isinstance(name, ast.Name) and name.id == "kernel" for name in names)
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_files_and_functions_are_short(path: Path) -> None:
+    text = path.read_text()
+    length = len(text.splitlines())
+    assert length <= LINES_OF_A_FILE
+    for function in functions(ast.parse(text)):
+        lines, arguments = size_of(function)
+        most_lines, most_arguments = LIMITS_OF_KERNELS if is_kernel(function) else LIMITS
+        assert lines <= most_lines, f"{function.name} has {lines} lines"
+        assert arguments <= most_arguments, f"{function.name} has {arguments} arguments"

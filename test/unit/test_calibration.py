@@ -1,4 +1,4 @@
-"""Calibration: its maximum, its errors, its bounds, and that a calibration which was cut off goes on."""
+"""Calibration: its maximum, its errors, its bounds, and how a calibration that was cut off continues."""
 
 import os
 import signal
@@ -27,7 +27,7 @@ PLACES = [SIGMA_NU, SIGMA_A, V_STAR, KAPPA_V]
 
 @pytest.fixture(scope="module")
 def jam():
-    """22 cars on the ring, from rest with gaps of 2 m, for 250 s; all drive at the paper's parameters."""
+    """22 cars on the ring, from rest with gaps of 2 m, for 250 s. All drivers have the paper's parameters."""
     length, road = np.full(22, 4.33), Road(230.0)
     rng = np.random.default_rng(4)
     return simulate(Simulator(defaults(22), length, platoon(length, 2.0), road, rng), 250.0).measured
@@ -40,10 +40,10 @@ def causal_fits(jam):
 
 
 def test_the_truth_lies_within_the_errors_of_the_causal_fits(causal_fits):
-    """22 drivers' z are a chi-squared variable for each parameter; at p = 1e-4 on either side, and bias within."""
+    """The sum of z² over 22 drivers is chi-squared for each parameter. The bounds have p = 1e-4 on either side."""
     std = np.array([[s[name] for name in ESTIMATED] for s in causal_fits.std])
     z = (causal_fits.rows[:, PLACES] - defaults()[PLACES]) / std
-    assert np.all(np.sum(z**2, axis=0) < 60.0)  # chi2.isf(1e-4, 22) = 54.9, and a tenth for what is approximate
+    assert np.all(np.sum(z**2, axis=0) < 60.0)  # chi2.isf(1e-4, 22) = 54.9, plus a tenth for the approximation
     assert np.all(np.sum(z**2, axis=0) > 5.2)  # chi2.ppf(1e-4, 22) = 5.2
 
 
@@ -58,7 +58,7 @@ def test_the_papers_fits_are_maxima(jam):
 
 
 def test_the_papers_information_is_the_mean_curvature(jam):
-    """Summed over drivers at the fits, minus the Hessian scatters about it: within 30 % for each noise and v*."""
+    """Summed over the drivers, minus the Hessian agrees with the information to 30 % for each parameter."""
     observed, expected = np.zeros(len(NAMES)), np.zeros(len(NAMES))
     for fit in calibrate(jam, "paper"):
         perceived = paper.perceive(jam, fit.vehicle)
@@ -89,7 +89,7 @@ def test_regularisation_is_the_papers(jam):
     assert np.mean([f.parameters[KAPPA_V] for f in fits]) > np.mean([f.parameters[KAPPA_V] for f in free]) + 0.02
 
 
-def test_a_calibration_that_was_cut_off_goes_on(jam, tmp_path, monkeypatch):
+def test_a_calibration_that_was_cut_off_continues(jam, tmp_path, monkeypatch):
     whole = each_driver(jam, Settings("paper"))
     kept = tmp_path / "fits"
     carried_out = []
@@ -111,7 +111,7 @@ def test_a_calibration_that_was_cut_off_goes_on(jam, tmp_path, monkeypatch):
     assert sorted(carried_out) == sorted([*range(22), 8])
     assert np.array_equal(resumed.rows, whole.rows)
     assert resumed.std == whole.std
-    # another question is not answered with these fits
+    # a calibration with other options does not use these fits
     carried_out.clear()
     each_driver(jam, Settings("paper", ("v_star",)), kept=kept)
     assert len(carried_out) == 22
@@ -161,8 +161,8 @@ def test_an_interval_ends_where_the_profile_has_fallen_by_half_of_1_96_squared(s
     assert end_of_profile(lambda x: min(shape(x), 1.9), 0.1, 5.0) == np.inf
 
 
-def test_profile_intervals_are_those_of_another_search(jam):
-    """The paper's likelihood, maximised over the others by scipy at the ends of the intervals."""
+def test_profile_intervals_equal_the_intervals_of_another_search(jam):
+    """At the ends of the intervals, scipy maximises the paper's likelihood over the other parameters."""
     fit = next(calibrate(jam, "paper", options=SearchOptions(profiled=True)))
     perceived = paper.perceive(jam, 0)
     assert np.all(fit.interval[PLACES, 0] < fit.parameters[PLACES])
@@ -200,7 +200,7 @@ def test_basinhopping_ends_in_the_same_maximum_and_repeats(jam):
 
 
 def test_drivers_of_two_kinds_are_divided_into_two_classes(tmp_path):
-    """22 drivers for 60 s, which is too short to tell the desired speed of each."""
+    """22 drivers for 60 s. This is too short to determine the desired speed of each driver."""
     kind = np.arange(22) % 2
     rows = defaults(22)
     rows[:, V_STAR], rows[:, SIGMA_A] = np.where(kind, 8.5, 11.5), np.where(kind, 0.44, 0.22)

@@ -9,7 +9,7 @@ PERIOD_S, RING_M, DRIVERS = 1.0 / 3.0, 230.0, 22
 
 
 def wave(speed_of_wave: float, mean: float = 7.0, swing: float = 3.0):
-    """Drivers whose speed is a sine over place and time that moves at ``speed_of_wave``, once around the ring."""
+    """Drivers whose speed is a sine over place and time. The sine moves at ``speed_of_wave``."""
     time = np.arange(900)[:, None] * PERIOD_S
     number = 2.0 * np.pi / RING_M
     position = RING_M / DRIVERS * np.arange(DRIVERS) * np.ones((900, 1))
@@ -27,7 +27,7 @@ def wave(speed_of_wave: float, mean: float = 7.0, swing: float = 3.0):
 def test_speed_and_period_of_a_wave(speed_of_wave):
     speed, headway, leader = wave(speed_of_wave)
     found = collective(speed, headway, leader, PERIOD_S)
-    # drivers are slower where the wave is, so that they meet it at their own mean speed
+    # drivers are slower in the wave, so they meet it at their own mean speed
     assert found.wave_speed == pytest.approx(speed_of_wave, abs=0.5)
     meets = RING_M / (speed.mean() - speed_of_wave)
     assert found.period_s == pytest.approx(meets, rel=0.05)
@@ -45,7 +45,7 @@ def test_missing_samples_and_drivers_do_not_matter():
     assert found.period_s == pytest.approx(whole.period_s, abs=2.0 * PERIOD_S)
 
 
-def test_queue_counts_those_who_stand():
+def test_queue_counts_the_standing_drivers():
     speed = np.full((50, 4), 8.0)
     speed[:, :3] = 0.5
     found = collective(speed, np.full((50, 4), 10.0), np.full((50, 4), -1), PERIOD_S)

@@ -70,20 +70,20 @@ def test_a_fit_beats_the_truth_by_as_much_as_its_freedom_allows(fitted, work):
     truth = start_model(CARS, INDIVIDUAL)
     truth.rows[:], truth.ahead[:] = run.parameters, run.parameters
     excess = 2.0 * (base.log_likelihood - evaluate(data, truth, work).total)
-    # chi-squared with 4 parameters per driver, of which the prior holds some: mean 28, 99.9 % below 56
+    # chi-squared with 4 parameters per driver, some of them held by the prior: mean 28, 99.9 % below 56
     assert 0.0 < excess < 56.0
 
 
-def test_slopes_are_those_of_the_likelihood(fitted, work):
+def test_slopes_are_the_derivatives_of_the_likelihood(fitted, work):
     _, data, base = fitted
     here, _ = slopes(data, base.model, work, base.slopes)
     score = sum(s.score.sum(axis=0) for s in here)
     size = sum(np.abs(s.score).sum(axis=0) for s in here)
-    # at the maximum what single folds want cancels, but for what the prior holds
+    # at the maximum the slopes of the folds cancel, except for the slope of the prior
     assert np.all(np.abs(score) < 0.5 * size)
 
 
-def test_held_out_scores_cost_what_was_fitted(fitted, work):
+def test_each_fitted_parameter_costs_a_held_out_nat(fitted, work):
     _, data, base = fitted
     searched = held_out(data, without_folds(data, base, work, searched=True), work).total
     stepped = held_out(data, without_folds(data, base, work, searched=False), work).total
@@ -95,8 +95,8 @@ def test_held_out_scores_cost_what_was_fitted(fitted, work):
     assert nearly == pytest.approx(stepped, abs=0.1 * lost)
 
 
-def test_a_change_of_mind_is_found_at_its_time(work):
-    """Between two starts of the search, and a third as strong as they take it to be."""
+def test_a_change_of_preferences_is_found_at_its_time(work):
+    """The change lies between two starting points of the search, and is a third as strong as they assume."""
     change = {"v_star_change": -0.035, "kappa_v_change": 0.07, "time": 38.0}
     data = prepare(recording("preference_switch", **change).measured)
     look = screen(data, fit_base(data, INDIVIDUAL, work), *named(data, ["preference_switch"]), work)
@@ -108,8 +108,8 @@ def test_a_change_of_mind_is_found_at_its_time(work):
 
 
 @pytest.mark.parametrize("some", [3, 11])
-def test_a_patch_is_found_where_it_is_by_some_drivers_and_by_all(work, some):
-    """Drivers 0, 2, 4 and 6 compare twelve places as all of them do."""
+def test_a_patch_is_found_whether_some_or_all_drivers_compare_starts(work, some):
+    """Drivers 0, 2, 4 and 6 choose among twelve places as well as all drivers do."""
     data = prepare(recording("slow_patch", reduction=0.15, centre=50.0, width=30.0).measured)
     look = screen(
         data, fit_base(data, INDIVIDUAL, work), *named(data, ["slow_patch"]), work, replace(FULL, drivers=some)
@@ -122,7 +122,7 @@ def test_a_patch_is_found_where_it_is_by_some_drivers_and_by_all(work, some):
     assert found["reduction"] > 0.05
 
 
-def test_some_drivers_samples_are_those_that_they_have_among_all(fitted, work):
+def test_scores_of_some_drivers_equal_their_scores_among_all(fitted, work):
     _, data, base = fitted
     some, every = evaluate(data, base.model, work, [1, 4]), evaluate(data, base.model, work)
     assert np.isnan(some.log_likelihood[[0, 2, 3, 5, 6]]).all()
@@ -135,7 +135,7 @@ def test_free_runs_start_where_the_filter_is(fitted, work):
     _, data, base = fitted
     errors = errors_of(data, without_folds(data, base, work, searched=False), work)
     found = errors.summary()
-    # a free run of 2 s cannot be worse than one of 10 s, and one step is mostly measurement noise (sigma_nu 0.263 m)
+    # errors grow with the horizon; the error of one step is mostly measurement noise (sigma_nu 0.263 m)
     assert 0.263 < found["one_step_rmse_m"] < found["free_run_2s_m"] < found["free_run_10s_m"]
     assert errors.no_worse_than(errors)
     details = errors.details()
@@ -157,7 +157,7 @@ def test_a_hidden_effect_is_named(hidden):
     assert d.after.loglik_per_sample > d.before.loglik_per_sample
 
 
-def test_document_says_what_is_promised(hidden):
+def test_the_document_has_all_fields(hidden):
     _, d = hidden
     found = document(d)
     json.dumps(found, allow_nan=False)
@@ -183,7 +183,7 @@ def test_document_says_what_is_promised(hidden):
     assert sentences(d)[0].startswith("slow_patch (reduction 0.")
 
 
-def test_the_same_seed_says_the_same(hidden):
+def test_the_same_seed_gives_the_same_verdict(hidden):
     run, d = hidden
     again = diagnose(run.measured, quick=True, most=1, workers=1, seed=3, verdict_only=True)
     assert [(n.name, n.p_value, n.parameters) for n in again.named] == [

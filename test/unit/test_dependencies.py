@@ -1,4 +1,4 @@
-"""What the package depends on is said in several files, for pip and for rosdep; here they are held equal."""
+"""Several files list the dependencies, for pip and for rosdep. The tests check that the files agree."""
 
 import ast
 import re
@@ -17,7 +17,7 @@ KEYS = {
     "pyyaml": "python3-yaml",
     "rosbags": "python3-rosbags-pip",
 }
-#: rosdep's python.yaml has no key for these; docs/ros.md says to install them by pip.
+#: Packages without a key in rosdep's python.yaml; docs/ros.md says to install them with pip.
 WITHOUT_KEY = {"lz4", "mcap", "zstandard"}
 PYTHONS = ("3.10", "3.11", "3.12", "3.13")
 PINS = ("requirements.txt", "requirements-dev.txt", "requirements-docs.txt")
@@ -42,7 +42,7 @@ def extras() -> dict[str, list[Requirement]]:
 
 
 def pins(python: str, *files: str) -> dict[str, str]:
-    """Pinned version of each package for a version of Python; a package is pinned once, or alike in several files."""
+    """Pinned version of each package for a version of Python. Files that pin the same package agree on its version."""
     found: dict[str, str] = {}
     for file in files:
         for line in (ROOT / file).read_text().splitlines():

@@ -46,7 +46,7 @@ seen = st.tuples(st.floats(0.3, 30.0), st.floats(0.0, 14.0), st.floats(0.0, 14.0
 
 
 def literal_utility(a, gap, v, leader_v, p, dt=DT, h=H):
-    """The paper's equations, written out without a thought for speed."""
+    """The paper's equations, written out; not optimised."""
     q = dict(zip(NAMES, p, strict=True))
     v1 = v + dt * a
     phi1 = (1 - math.exp(-10 * (v1 + 0.25))) - (
@@ -132,7 +132,7 @@ def test_without_a_leader_only_the_desired_speed_counts():
 
 
 def at_moments(seen, p, wanted=UTILITY):
-    """Mean actions at several moments, and their derivatives by the parameters wanted."""
+    """Mean actions at several moments, and their derivatives by the wanted parameters."""
     gap, speed, leader_speed = np.array(seen, dtype=float).T.copy()
     mean, partials = np.empty(len(seen)), np.empty((len(seen), len(UTILITY)))
     ahead, by = tuple(range(1, 1 + H)), np.array([k in wanted for k in UTILITY])
@@ -141,7 +141,7 @@ def at_moments(seen, p, wanted=UTILITY):
 
 
 def test_many_moments_are_as_many_single_ones():
-    """More than one block, and a last one that is not full."""
+    """The moments fill several blocks; the last block is not full."""
     rng = np.random.default_rng(3)
     seen = np.column_stack([rng.uniform(-1, 30, 700), rng.uniform(-1, 14, 700), rng.uniform(-1, 14, 700)])
     p = defaults()
@@ -149,7 +149,7 @@ def test_many_moments_are_as_many_single_ones():
     assert mean == pytest.approx([mean_action(*s, p, ACTIONS, DT, H) for s in seen], abs=1e-12)
 
 
-def test_each_derivative_is_the_same_whichever_others_are_wanted():
+def test_each_derivative_is_independent_of_the_other_derivatives_asked_for():
     seen, p = [(2.0, 3.0, 1.0), (10.0, 8.0, 9.0), (0.5, 6.0, 2.0)], defaults()
     mean, partials = at_moments(seen, p)
     for j, k in enumerate(UTILITY):
@@ -164,7 +164,7 @@ def test_each_derivative_is_the_same_whichever_others_are_wanted():
 @given(seen, st.lists(st.floats(0.8, 1.2), min_size=COUNT, max_size=COUNT))
 def test_derivatives_equal_finite_differences(s, factors):
     p = defaults() * np.array(factors)
-    # simple numbers lie on kinks, where some speed or closing speed of the look-ahead is exactly 0
+    # round numbers lie on kinks, where a speed or a closing speed of the look-ahead is exactly 0
     s = (s[0], s[1] + 1.37e-3, s[2] + 3.11e-3)
     (value,), partials = at_moments([s], p)
 
@@ -177,7 +177,7 @@ def test_derivatives_equal_finite_differences(s, factors):
         e = 1e-5
         one_sided = [(moved(j, e) - value) / e, (value - moved(j, -e)) / e]
         central = (8 * (moved(j, e) - moved(j, -e)) - (moved(j, 2 * e) - moved(j, -2 * e))) / (12 * e)
-        # |v|, max(closing, 0) and the period of the smallest ratio have kinks; beside one the sides disagree
+        # |v|, max(closing, 0) and the period of the smallest ratio have kinks; at a kink the two sides disagree
         if abs(one_sided[0] - one_sided[1]) < 1e-3 * (1 + abs(central)):
             assert partials[0, j] == pytest.approx(central, rel=1e-6, abs=1e-6)
 
@@ -193,7 +193,7 @@ def test_parameters_are_declared_once_and_in_bounds():
     }  # fmt: skip
 
 
-def test_bad_parameters_are_named():
+def test_errors_name_the_bad_parameter():
     p = defaults()
     p[KAPPA_V] = -1.0
     with pytest.raises(InputError, match="kappa_v: -1 s is out of bounds"):

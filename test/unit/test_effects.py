@@ -1,4 +1,4 @@
-"""Every effect: declared well, nothing at zero strength, the same physics in simulator, batch and online filter."""
+"""Every effect: well declared, neutral at zero strength, with the same physics in simulator and both filters."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ from scipy.stats import norm
 
 from sugiyama_ros.driver.parameters import COUNT, KAPPA_V, SIGMA_NU, V_STAR, defaults
 from sugiyama_ros.effects import perception_threshold
-from sugiyama_ros.effects.effect import STAGES, Recording
+from sugiyama_ros.effects.effect import STAGES, RecordingExtent
 from sugiyama_ros.effects.registry import EFFECTS, ROW, active, effect, index_of, switch_on
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.causal import filter_chain, log_likelihood
@@ -38,7 +38,7 @@ ACTING = {
     "sensor_eccentricity": {"cosine": 1.5, "sine": 1.0},
     "uneven_noise": {"cosine": 0.4, "sine": -0.3},
 }
-#: Draw random numbers of their own, or act on measurements alone.
+#: Effects that draw random numbers of their own, or act on measurements alone.
 CHANCE = ("preference_drift", "outlier_noise")
 NAMES_OF_EFFECTS = list(EFFECTS)
 DRIVERS, RING_M = 8, 110.0
@@ -74,7 +74,7 @@ def online_steps(t, driver, row, ahead=None, adaptation=ADAPT):
     ]
 
 
-def test_the_catalogue_is_tested_whole():
+def test_every_effect_of_the_catalogue_is_tested():
     assert set(ACTING) == set(NAMES_OF_EFFECTS)
     assert len(ROW.entries) == len(ROW.declared) == ROW.width
     assert len(set(ROW.entries)) == ROW.width
@@ -93,14 +93,14 @@ def test_an_effect_is_declared(name):
         assert p.unit
         assert p.description
     assert set(e.switches) <= {p.name for p in e.parameters}
-    for start in e.starts(Recording(0.0, 100.0, 230.0, 0.0, 230.0)):
+    for start in e.starts(RecordingExtent(0.0, 100.0, 230.0, 0.0, 230.0)):
         assert set(start) == {p.name for p in e.parameters}
         switch_on(np.zeros(ROW.width), name, start)
 
 
 @pytest.mark.parametrize("name", NAMES_OF_EFFECTS)
 def test_at_zero_strength_the_model_is_the_base_model(name):
-    """Bit for bit, whatever the other parameters of the effect are."""
+    """The models agree bit for bit, whatever the other parameters of the effect are."""
     weak = ROW.with_effects(drivers())
     for parameter, value in ACTING[name].items():
         if parameter not in effect(name).switches:
@@ -150,9 +150,9 @@ def test_the_online_filter_is_the_batch_filter(name):
 
 @pytest.mark.parametrize("name", [n for n in NAMES_OF_EFFECTS if n not in ("external_push", "gap_offset")])
 def test_the_true_effect_predicts_better(name):
-    """At the true parameters."""
+    """Both models have the true parameters of the drivers."""
     base = drivers()
-    # noise that keeps the drivers busy
+    # noise that keeps the traffic moving
     base[:, 1] = 0.8
     rows = switch_on(ROW.with_effects(base), name, ACTING[name])
     t = recording(rows, seed=3, duration_s=120.0).measured
@@ -173,9 +173,10 @@ def test_the_true_effect_predicts_better(name):
     ],
 )
 def test_without_noise_the_filter_follows_the_simulator(name):
-    """Nearly without noise the batch filter predicts better with the effect.
+    """With hardly any noise, the batch filter predicts better with the effect than without it.
 
-    But for a threshold, at which it cannot take back a wrong guess then; and nobody brakes hard in such traffic.
+    The filter cannot take back a wrong guess at a perception threshold, and no driver brakes hard in this traffic, so
+    both effects are left out.
     """
     quiet = drivers()
     quiet[:, [SIGMA_NU, 1, 10, 11]] = 1e-4
@@ -194,8 +195,8 @@ def test_without_noise_the_filter_follows_the_simulator(name):
 
 @pytest.mark.parametrize("threshold", [0.02, 0.5, 4.0])
 @pytest.mark.parametrize(("wanted", "std"), [(0.0, 0.4), (0.6, 0.3), (-1.5, 1.0), (0.501, 1e-4)])
-def test_what_a_threshold_lets_through_of_an_uncertain_change(wanted, std, threshold):
-    """Mean, regression and the variance left, beside sums over the normal distribution in 200,000 equal parts."""
+def test_a_threshold_and_an_uncertain_change_match_numerical_sums(wanted, std, threshold):
+    """Mean, regression and remaining variance agree with sums over 200,000 equal parts of a normal distribution."""
     p = np.array([threshold])
     want = norm.ppf((np.arange(200_000) + 0.5) / 200_000, wanted, std)
     done = np.where(np.abs(want) < threshold, 0.0, want)

@@ -1,4 +1,4 @@
-"""The filters against the dense joint Gaussian, against each other, and on rings, holes and changing leaders."""
+"""The filters against the dense joint Gaussian and each other; rings, missing samples and changing leaders."""
 
 import numpy as np
 import pytest
@@ -114,7 +114,7 @@ def test_the_papers_filter_is_the_dense_posterior(jam):
 
 
 def test_the_causal_filter_is_the_dense_posterior_where_the_model_is_linear(jam):
-    """A chain of one vehicle has no mean action: position, speed and an AR(1) acceleration, from two samples on."""
+    """A chain of one vehicle has no mean action: its state is position, speed and an AR(1) acceleration."""
     chain = chain_behind(jam.measured, 2, vehicles=1)
     z = jam.measured.road.unwrap(chain.position_m)[:40, 0]
     p = defaults()
@@ -127,7 +127,7 @@ def test_the_causal_filter_is_the_dense_posterior_where_the_model_is_linear(jam)
     )
     q = np.diag([p[SIGMA_X] ** 2, p[SIGMA_V] ** 2, LAST_SHOCK_STD**2])
     phi = paper_kalman.phi(LAST_RHO, DT)
-    # the dense posterior starts after sample 1, which is already in the start
+    # the dense posterior starts after sample 1, which the start already includes
     expected, innovation, variance = dense_posterior(
         z[2:], phi, np.zeros((38, 3)), q, phi @ start, phi @ start_cov @ phi.T + q, noise_var
     )
@@ -149,7 +149,7 @@ def test_the_online_filter_is_the_compiled_one(with_holes, driver, adaptation):
     assert [s.speed for s in steps] == pytest.approx(batch.mean[:, 1], abs=1e-9)
     wrapped = with_holes.road.wrap(batch.mean[:, 0])
     assert np.abs(with_holes.road.difference(np.array([s.position_m for s in steps]), wrapped)).max() < 1e-9
-    # close to contact the mean action turns by several m/s^2 within a millimetre, and rounding with it
+    # close to contact the mean action changes by several m/s^2 within a millimetre, which magnifies rounding
     for name in ("acceleration", "mean_action"):
         ours, theirs = np.array([getattr(s, name) for s in steps]), getattr(batch, name)
         assert ours == pytest.approx(theirs, abs=1e-8)
@@ -181,7 +181,7 @@ def test_a_missing_sample_is_predicted_over_and_not_scored(with_holes):
     later = missing & (np.arange(len(missing)) > 10)
     assert np.isfinite(filtered.mean).all()
     before, after = filtered.innovation_var[:-1][later[1:]], filtered.innovation_var[1:][later[:-1]]
-    assert np.median(after) > np.median(before)  # the prediction after a hole is less sure
+    assert np.median(after) > np.median(before)  # the prediction after a missing sample is less certain
 
 
 def test_nothing_depends_on_where_the_ring_begins(jam):
@@ -205,7 +205,7 @@ def test_nothing_depends_on_the_vehicles_names(jam):
 
 
 def test_innovations_are_white_and_of_unit_variance_on_the_models_own_data(jam):
-    """NIS over 22 x 294 samples; its mean over n has a std of sqrt(2 / n), and five of them are allowed."""
+    """NIS over 22 x 294 samples. The mean over n samples has a std of sqrt(2 / n); five of these are allowed."""
     nis, lag_one = [], []
     for driver in range(22):
         filtered = filter_chain(chain_behind(jam.measured, driver), defaults(), ahead=defaults())
@@ -218,7 +218,7 @@ def test_innovations_are_white_and_of_unit_variance_on_the_models_own_data(jam):
 
 
 def test_the_causal_likelihood_is_smooth(jam):
-    """Linearised at a point it was not: a change of 1e-10 in a parameter moved it by units."""
+    """With a linearisation at a point it is not smooth: a change of 1e-10 in a parameter moves it by units."""
     chain = chain_behind(jam.measured, 7)
     p = defaults()
     value = log_likelihood(chain, p)
@@ -255,7 +255,7 @@ def test_the_papers_gradient_is_the_slope(jam):
         assert gradient[k] == pytest.approx(slope, rel=1e-4, abs=1e-4)
 
 
-def test_smoothing_is_section_2_3():
+def test_smoothing_is_the_smoothing_of_section_2_3():
     z = np.array([0.0, 0.0, 4.0, 0.0, 0.0, 0.0, 0.0])
     assert paper.smooth(z, 1)[1:-1] == pytest.approx([1.0, 2.0, 1.0, 0.0, 0.0])
     assert np.isnan(paper.smooth(z, 2)[[0, 1, -2, -1]]).all()
@@ -263,7 +263,7 @@ def test_smoothing_is_section_2_3():
     assert paper.smoothed_speed(line, 2, DT)[2:7] == pytest.approx(3.0)
 
 
-def test_the_papers_formulation_says_what_it_cannot_take(with_holes):
+def test_the_papers_formulation_refuses_missing_and_too_few_samples(with_holes):
     with pytest.raises(InputError, match="a sample is missing"):
         paper.perceive(with_holes, 0)
     short = Trajectories(np.zeros((7, 1)), np.ones(1), np.zeros(1, int), Road(), DT)

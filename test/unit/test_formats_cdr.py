@@ -1,4 +1,4 @@
-"""Messages to and from bytes without ROS; definitions out of files are not trusted."""
+"""Messages to and from bytes without ROS; definitions in files are not trusted."""
 
 import builtins
 from pathlib import Path
@@ -71,7 +71,7 @@ def test_a_message_there_and_back() -> None:
 
 
 def chain(names: str, fields: int) -> str:
-    """Types each of which holds several of the next."""
+    """A chain of types: each type holds several values of the next type."""
     first, *rest = ["".join(f"{below} f{k}\n" for k in range(fields)) for below in [*names[1:], "int32"]]
     return first + "".join(f"{SEPARATOR[1:]}MSG: a/{name}\n{text}" for name, text in zip(names[1:], rest, strict=True))
 

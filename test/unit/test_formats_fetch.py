@@ -1,4 +1,4 @@
-"""Fetching from a server on this machine, and what may go wrong with it."""
+"""Downloads from a server on this machine, and what can go wrong with them."""
 
 import dataclasses
 import hashlib
@@ -28,7 +28,7 @@ def zipped(**members: bytes) -> bytes:
 
 @pytest.fixture
 def server() -> Iterator[dict[str, bytes]]:
-    """Files that a server offers; under the key "" stands its address."""
+    """Files that a server offers, by path; the key "" holds the address of the server."""
     offered: dict[str, bytes] = {}
 
     class Handler(BaseHTTPRequestHandler):
@@ -86,7 +86,7 @@ def test_fetch(server: dict[str, bytes], tmp_path: Path, monkeypatch: pytest.Mon
     offer(server, monkeypatch, content)
     told: list[tuple[int, int]] = []
     done = fetch.fetch("sugiyama2008", tmp_path / "new" / "folder", on_progress=lambda *bytes_: told.append(bytes_))
-    # Whatever path the archive states, the file lies where it was asked for.
+    # Whatever path the archive states, the file lies in the given directory.
     assert sorted(p.name for p in (tmp_path / "new" / "folder").iterdir()) == ["case1.data", "case1.mcap"]
     assert sorted(p.name for p in tmp_path.iterdir()) == ["new"]
     assert done.data.read_bytes() == DATA
@@ -131,7 +131,7 @@ def test_an_unknown_name_and_a_bad_place(tmp_path: Path) -> None:
         fetch.fetch("sugiyama2008", tmp_path / "file")
 
 
-def test_the_licence_is_told() -> None:
+def test_the_licence_is_stated() -> None:
     licence = catalogue.CATALOGUE["sugiyama2008"].licence
     for term in ("research", "non-commercial", "New J. Phys. 10 (2008) 033001", ["11", "(2009)", "083025"][0]):
         assert term in licence

@@ -1,4 +1,4 @@
-"""MCAP files: written, read, damaged, recovered; hostile ones are refused in bounded memory."""
+"""MCAP files: written, read, damaged, recovered. Hostile files are refused in bounded memory."""
 
 import errno
 import io
@@ -77,7 +77,7 @@ def refused(path: Path, act: Callable[[Path], object] = read_trajectories) -> st
 
 
 def read_all(path: Path) -> int:
-    """Everything that can be asked of a bag."""
+    """Read everything in a bag."""
     with Bag(path) as bag:
         bag.info()
         return sum(1 for _ in bag.messages())
@@ -115,7 +115,7 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
     assert [m.message for m in raw] == [innovation(Encoder(INNOVATION), k) for k in range(0, 5001, 2)]
 
 
-def test_chunks_are_small_and_unneeded_ones_are_passed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_chunks_are_small_and_unneeded_chunks_are_skipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "a.mcap"
     with BagWriter(path) as bag:
         for name in ("/a", "/b"):
@@ -183,7 +183,7 @@ def test_an_error_in_the_block_leaves_nothing(tmp_path: Path) -> None:
 def test_places_that_cannot_be_written(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="No such file or directory"):
         BagWriter(tmp_path / "none" / "a.mcap")
-    # What another run has left, or is writing, is not overwritten.
+    # A file that another run has left, or is writing, is not overwritten.
     (tmp_path / "a.mcap.part").write_bytes(b"x")
     with pytest.raises(OutputError, match="recover"):
         BagWriter(tmp_path / "a.mcap")
@@ -192,7 +192,7 @@ def test_places_that_cannot_be_written(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("flushed", [False, True])
 def test_disk_full(tmp_path: Path, flushed: bool) -> None:
-    # The limit on a file's size is the disk that is full; it needs a process of its own.
+    # A limit on the size of files stands for the full disk; it needs a process of its own.
     script = f"""
         import os, resource, signal, sys
         from pathlib import Path
@@ -250,7 +250,7 @@ def test_trajectories_come_back_from_any_namespace(tmp_path: Path) -> None:
 
 
 def renamed(path: Path, out: Path, name: Callable[[str], str], times: int = 1) -> None:
-    """Copy of a bag with other topic names, its messages ``times`` over."""
+    """Copy of a bag with other topic names and each message repeated ``times`` times."""
     with path.open("rb") as stream, BagWriter(out) as bag:
         for _ in range(times):
             stream.seek(0)
@@ -304,7 +304,7 @@ def test_times_before_0_cannot_be_recorded(tmp_path: Path) -> None:
 
 
 def mcap(*records: object, tail: bytes | None = None) -> bytes:
-    """A file of some records behind a header, and a proper end unless told otherwise."""
+    """A file with a header, some records, and a proper end unless ``tail`` replaces it."""
     builder = RecordBuilder()
     for record in (Header("ros2", "test"), *records):
         record.write(builder)  # type: ignore[attr-defined]
@@ -322,7 +322,7 @@ def chunk(data: bytes, size: int, compression: str = "zstd") -> Chunk:
 
 
 def zeros(size: int) -> bytes:
-    """So many zeros, compressed as a stream, so that the frame does not say its size."""
+    """Zeros, ``size`` bytes of them, compressed as a stream, so that the frame does not say its size."""
     out = io.BytesIO()
     with zstandard.ZstdCompressor().stream_writer(out, closefd=False) as stream:
         for _ in range(size >> 20):
@@ -343,7 +343,7 @@ def test_empty_and_random_files(tmp_path: Path) -> None:
     assert "cut off" in refused(path)
 
 
-def test_every_cut_is_told(tmp_path: Path) -> None:
+def test_every_cut_is_reported(tmp_path: Path) -> None:
     whole = bag_of(tmp_path / "a.mcap", 300).read_bytes()
     path = tmp_path / "cut.mcap"
     for length in [*range(8, 200, 7), len(whole) // 2, *range(len(whole) - 60, len(whole))]:
@@ -351,7 +351,7 @@ def test_every_cut_is_told(tmp_path: Path) -> None:
         assert "cut off" in refused(path, read_all)
 
 
-def test_every_flipped_byte_is_told_or_harmless(tmp_path: Path) -> None:
+def test_every_flipped_byte_is_reported_or_harmless(tmp_path: Path) -> None:
     whole = bag_of(tmp_path / "a.mcap", 50).read_bytes()
     path = tmp_path / "flipped.mcap"
     told = []
@@ -380,10 +380,10 @@ def inner(*records: object) -> bytes:
 
 HOSTILE = {
     "a chunk of 1 GB, claimed": (mcap(chunk(b"x" * 1000, GIGABYTE)), "claims 1073741824 bytes"),
-    "a chunk of 1 GB, told as small": (mcap(chunk(zstandard.compress(bytes(1 << 27)), 100)), "frame claims"),
-    "a chunk of 1 GB, not told": (mcap(chunk(BOMB, 1000)), "the file is damaged"),
-    "a chunk of 1 GB, told as 64 MiB": (mcap(chunk(BOMB, 64 << 20)), "the file is damaged"),
-    "a chunk shorter than told": (mcap(chunk(zstandard.compress(b"x"), 100)), "the file is damaged"),
+    "a chunk of 1 GB, declared small": (mcap(chunk(zstandard.compress(bytes(1 << 27)), 100)), "frame claims"),
+    "a chunk of 1 GB, not declared": (mcap(chunk(BOMB, 1000)), "the file is damaged"),
+    "a chunk of 1 GB, declared as 64 MiB": (mcap(chunk(BOMB, 64 << 20)), "the file is damaged"),
+    "a chunk shorter than declared": (mcap(chunk(zstandard.compress(b"x"), 100)), "the file is damaged"),
     "a chunk that is no zstd": (mcap(chunk(b"abcdefgh", 100)), "cannot be decompressed"),
     "a chunk that is no lz4": (mcap(chunk(b"abcdefgh", 100, "lz4")), "cannot be decompressed"),
     "a chunk of another kind": (mcap(chunk(b"abcdefgh", 100, "rar")), "compression 'rar' is not known"),
@@ -394,7 +394,7 @@ HOSTILE = {
     "a record longer than the file": (mcap(tail=b"\x05" + struct.pack("<Q", GIGABYTE) + bytes(100)), "cut off"),
     "a record as long as can be": (mcap(tail=b"\x05" + b"\xff" * 8 + bytes(100) + MAGIC), "offset"),
     "no footer": (mcap(tail=bytes(100) + MAGIC), "sugiyama recover"),
-    "a channel with lying lengths": (
+    "a channel with wrong lengths": (
         mcap(tail=b"\x04" + struct.pack("<QHHI", 8, 1, 1, 1 << 31) + mcap()[33:]),
         "not a valid Channel",
     ),
@@ -460,7 +460,7 @@ def test_hostile_files_take_bounded_memory(tmp_path: Path) -> None:
     assert done.stdout == "all refused\n", done.stderr
 
 
-def test_an_index_that_lies_is_told_or_harmless(tmp_path: Path) -> None:
+def test_a_wrong_index_is_reported_or_harmless(tmp_path: Path) -> None:
     index = ChunkIndex(10, GIGABYTE, "zstd", 10, 0, 0, {1: GIGABYTE}, 0, 10)
     counts = Statistics(0, 1, {1: GIGABYTE}, GIGABYTE, GIGABYTE, 0, 0, 0, 1)
     body = mcap(SCHEMA, CHANNEL, Message(1, 0, b"\0\1\0\0\5\0\0\0", 0, 0), DataEnd(0), tail=b"")
@@ -534,7 +534,7 @@ def test_recover_leaves_out_what_is_damaged(tmp_path: Path) -> None:
     assert read_all(tmp_path / "c.mcap") == done.messages
 
 
-def test_recover_of_a_whole_file_loses_nothing(tmp_path: Path) -> None:
+def test_recover_of_an_intact_file_loses_nothing(tmp_path: Path) -> None:
     done = recover(bag_of(tmp_path / "a.mcap", 100), tmp_path / "b.mcap")
     assert (done.messages, done.lost_bytes, done.start_ns, done.end_ns) == (100, 0, 0, 99_000_000)
 

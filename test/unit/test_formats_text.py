@@ -75,7 +75,7 @@ def test_mstf_with_a_missing_line_has_a_missing_sample(tmp_path: Path) -> None:
     np.testing.assert_array_equal(trajectories.position_m[:, 1], [98.0, np.nan, 2.0])
 
 
-def test_the_ring_may_be_told_twice_but_not_contradicted(tmp_path: Path) -> None:
+def test_the_ring_may_be_given_twice_but_not_contradicted(tmp_path: Path) -> None:
     assert read(tmp_path, "a.data", MSTF, 100.0).road == Road(100.0)
     assert "says a ring of 100 m, but 230 m was given" in refused(tmp_path, "a.data", MSTF, 230.0)
     without = MSTF.replace("circuit length is 100m", "")
@@ -175,7 +175,7 @@ def test_too_many_samples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     assert "3 times of 2 vehicles are more than 5 samples" in refused(tmp_path, "a.csv", CSV)
 
 
-def test_a_file_that_cannot_be_told(tmp_path: Path) -> None:
+def test_a_file_of_no_known_format_is_refused(tmp_path: Path) -> None:
     assert "not a known file format" in refused(tmp_path, "a.txt", CSV)
     with pytest.raises(InputError, match="No such file"):
         read_trajectories(tmp_path / "none.csv")

@@ -26,3 +26,23 @@ def test_imports_leave_the_environment_as_it_was() -> None:
     )
     assert done.returncode == 0, done.stderr
     assert not done.stdout.split()
+
+
+def loaded_by(module: str, names: set[str]) -> set[str]:
+    """Which of these modules are loaded when a module is imported."""
+    script = f"import sys, {module}; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=200)
+    return names & set(done.stdout.split())
+
+
+def test_the_command_line_loads_no_numbers() -> None:
+    assert not loaded_by("sugiyama_ros.cli", {"numpy", "scipy", "numba", "filterpy", "rclpy", "pandas", "matplotlib"})
+
+
+def test_files_are_read_without_compiled_code() -> None:
+    assert not loaded_by("sugiyama_ros.formats.registry", {"scipy", "numba", "rosbags"})
+
+
+def test_the_papers_calibration_loads_no_more_than_it_needs() -> None:
+    others = {"scipy.optimize", "scipy.stats", "scipy.cluster", "filterpy", "sugiyama_ros.filters.causal"}
+    assert not loaded_by("sugiyama_ros.calibration.calibrate", others)

@@ -1,4 +1,4 @@
-"""Compiled code is not used any more once a file that it was made of has changed; importing changes nothing."""
+"""Code is compiled anew once a file that it was made of has changed. Importing changes nothing."""
 
 import importlib
 import os
@@ -8,18 +8,21 @@ import sys
 import pytest
 
 from sugiyama_ros import jit
+from sugiyama_ros.entry_points import search_again
 
 
 @pytest.fixture
 def package(tmp_path, monkeypatch):
     (tmp_path / "driver").mkdir()
     (tmp_path / "driver/utility.py").write_text("a = 1\n")
-    monkeypatch.setattr(jit, "_PACKAGE", tmp_path)
+    monkeypatch.setattr(jit, "PACKAGE", tmp_path)
     yield tmp_path
+    search_again()
     jit.state.cache_clear()
 
 
 def state():
+    search_again()
     jit.state.cache_clear()
     return jit.state()
 
@@ -55,7 +58,7 @@ def test_kernels_of_a_changed_file_are_compiled_anew(tmp_path):
     """A kernel that calls a function in another file must not go on with the old function."""
     (tmp_path / "callee.py").write_text("from sugiyama_ros.jit import kernel\n@kernel\ndef f(x):\n    return x + 1.0\n")
     (tmp_path / "caller.py").write_text(
-        "from sugiyama_ros import jit\nfrom pathlib import Path\njit._PACKAGE = Path(__file__).parent\n"
+        "from sugiyama_ros import jit\nfrom pathlib import Path\njit.PACKAGE = Path(__file__).parent\n"
         "jit.MADE_OF = ('*.py',)\nfrom callee import f\n@jit.kernel\ndef g(x):\n    return f(x)\nprint(g(1.0))\n"
     )
     environment = os.environ | {"PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "compiled")}
@@ -69,7 +72,7 @@ def test_kernels_of_a_changed_file_are_compiled_anew(tmp_path):
     assert run() == "10.0"
 
 
-LEAN = """
+IMPORT = """
 import os, sys
 from pathlib import Path
 before = dict(os.environ)
@@ -82,6 +85,6 @@ assert sugiyama_ros.__version__
 
 
 def test_importing_the_package_changes_nothing_and_loads_little(tmp_path):
-    done = subprocess.run([sys.executable, "-c", LEAN], cwd=tmp_path, capture_output=True, text=True, check=False)
+    done = subprocess.run([sys.executable, "-c", IMPORT], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert not list(tmp_path.iterdir())

@@ -1,4 +1,4 @@
-"""Every car-following law: declared well, finite everywhere, and equal to the closed forms of its source."""
+"""Every car-following law: well declared, finite everywhere, and equal to the closed forms of its source."""
 
 import math
 
@@ -32,7 +32,7 @@ def rows(name):
 
 
 def acceleration(name, gap, speed, leader_speed, p):
-    """By a driver's row, as the filters call it."""
+    """Acceleration from a driver's row, as the filters compute it."""
     row = np.zeros(ROW.width)
     row[ROW.law], row[ROW.law_places[name]] = number_of(name), p
     return law_acceleration(gap, speed, leader_speed, row)
@@ -89,7 +89,7 @@ def test_a_larger_gap_never_slows_and_a_faster_leader_never_does(name, gap, spee
 @settings(deadline=None)  # the first call compiles
 @given(gap=st.floats(-5.0, 100.0), speed=speeds, share=st.floats(0.0, 2.0), by=st.floats(0.01, 5.0), data=st.data())
 def test_a_faster_driver_accelerates_less(name, gap, speed, share, by, data):
-    """For the IDM up to a leader of twice the speed, beyond which its wanted gap may shrink with the speed."""
+    """For the IDM, the leader has at most twice the speed; beyond that, its wanted gap may shrink with the speed."""
     p, function = data.draw(rows(name)), law(name).function
     leader_speed = share * speed
     assert function(gap, speed + by, leader_speed, p) <= function(gap, speed, leader_speed, p) + 1e-12

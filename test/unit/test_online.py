@@ -1,4 +1,4 @@
-"""What is learnt of a driver while he drives."""
+"""What the online filter learns about a driver while they drive."""
 
 import math
 from dataclasses import replace
@@ -34,8 +34,8 @@ def follow(t, driver, online, samples=None):
 
 
 @pytest.mark.parametrize(("place", "k", "vehicles", "tolerance"), [(SIGMA_NU, 0, 1, 1e-6), (SIGMA_A, 1, 3, 0.3)])
-def test_sensitivities_to_the_noises_are_what_differences_say(jam, place, k, vehicles, tolerance):
-    """Exact where the model is linear; of a chain within a third, since its F depends on the covariance too."""
+def test_sensitivities_to_the_noises_equal_difference_quotients(jam, place, k, vehicles, tolerance):
+    """Exact where the model is linear; within a third for a chain, because its F depends on the covariance too."""
     fixed = Learning((1e-9, 1e-9))
     online = OnlineFilter(DT, jam.road, defaults(), adaptation=Adaptation(), learning=fixed, vehicles=vehicles)
     follow(jam, 3, online, 80)
@@ -53,7 +53,7 @@ def test_sensitivities_to_the_noises_are_what_differences_say(jam, place, k, veh
 
 
 def test_the_noises_are_learnt_and_their_errors_hold(jam):
-    """22 drivers at the paper's mean, who are taken for noisier ones at first."""
+    """22 drivers with the paper's mean parameters. The filter starts with noises that are too large."""
     truth = defaults()[[SIGMA_NU, SIGMA_A]]
     z = []
     for driver in range(22):
@@ -80,7 +80,7 @@ def test_one_gross_error_does_not_become_the_noise(jam):
 
 
 def changing(factor, ring_m, seed):
-    """A recording of 200 s in which every third driver's desired speed is multiplied at 100 s; and who that is."""
+    """A recording of 200 s in which every third driver's desired speed changes at 100 s; and these drivers."""
     rows = ROW.with_effects(defaults(22))
     who = np.arange(22) % 3 == 0
     switched = switch_on(rows, "preference_switch", {"v_star_change": np.log(factor), "time": 100.0})
@@ -91,7 +91,7 @@ def changing(factor, ring_m, seed):
 
 
 def changes(t, driver):
-    """Times [s] at which a change of style is told, and what it is."""
+    """Reported changes of style: time [s], name and factor; and the filter at the end."""
     online, found = OnlineFilter(DT, t.road), []
     chain = chain_behind(t, driver)
     for k, sample in enumerate(zip(chain.position_m, chain.identity, chain.length_m, strict=True)):
@@ -101,8 +101,8 @@ def changes(t, driver):
     return found, online
 
 
-def test_a_driver_who_wants_to_go_slower_is_noticed_and_followed():
-    """On a road where all drive about as fast as they like: 8 of 8 within 10 s with this seed; 67 of 68 over others."""
+def test_a_fall_of_the_desired_speed_is_noticed_and_followed():
+    """Drivers on a nearly free road: with this seed 8 of 8 are noticed within 10 s, with other seeds 67 of 68."""
     t, who = changing(0.85, 400.0, 3)
     assert len(who) == 8
     soon = 0
@@ -114,19 +114,19 @@ def test_a_driver_who_wants_to_go_slower_is_noticed_and_followed():
             _, name, factor = after[0]
             assert name == "v_star"
             assert 0.7 < factor < 0.95
-            # within 100 s he is known again
+            # within 100 s the desired speed is known again
             assert online.parameters[V_STAR] == pytest.approx(0.85 * defaults()[V_STAR], rel=0.05)
     assert soon >= 7
 
 
-def test_who_does_not_change_is_left_alone():
-    """One false alarm in two hours of a driver is allowed: of 22 drivers in 200 s 0.6, so more than 4 are too many."""
+def test_drivers_who_do_not_change_raise_few_alarms():
+    """One false alarm in two driver-hours is allowed: 0.6 for 22 drivers in 200 s, so more than 4 are too many."""
     t, _ = changing(1.0, 400.0, 5)
     assert sum(len(changes(t, driver)[0]) for driver in range(22)) <= 4
 
 
-def test_a_filter_that_is_started_again_goes_on_from_what_was_learnt(jam):
-    """After 75 of 150 s the process dies; 15 s after the restart it knows what one that was never interrupted knows."""
+def test_a_restarted_filter_continues_from_what_was_learnt(jam):
+    """The process dies after 75 of 150 s. After 15 s more, the new filter agrees with an uninterrupted filter."""
     chain = chain_behind(jam, 7)
     samples = list(zip(chain.position_m, chain.identity, chain.length_m, strict=True))
     whole_time, first, again = OnlineFilter(DT, jam.road), OnlineFilter(DT, jam.road), OnlineFilter(DT, jam.road)
@@ -143,8 +143,8 @@ def test_a_filter_that_is_started_again_goes_on_from_what_was_learnt(jam):
     assert np.sqrt(np.diag(again.learnt.covariance)) == pytest.approx(std, rel=0.2)
 
 
-def test_what_the_samples_do_not_tell_is_said(jam):
-    """Of the first seconds nothing; in the end of nearly all drivers everything, but for v* of who is never free."""
+def test_parameters_are_identified_once_the_samples_determine_them(jam):
+    """At first nothing is identified; at the end nearly everything, except v* of drivers who never drive freely."""
     identified = []
     for driver in range(22):
         online = OnlineFilter(DT, jam.road)
@@ -158,7 +158,7 @@ def test_what_the_samples_do_not_tell_is_said(jam):
 
 
 def test_an_effect_of_the_measurement_leaves_the_allowance_for_outliers(jam):
-    """With an effect of no weight, a sample 2 m off is as likely as without it."""
+    """A sample that is 2 m off is as likely with a negligible effect as without the effect."""
     chain = chain_behind(jam, 3)
     position = chain.position_m[:60].copy()
     position[50, 0] += 2.0
@@ -171,8 +171,8 @@ def test_an_effect_of_the_measurement_leaves_the_allowance_for_outliers(jam):
     assert min(densities[0][40:]) == densities[0][50] < -3.0
 
 
-def test_the_type_of_a_driver_is_told(jam):
-    """Of two types that share the jam, one with half as much again of risk premium; noises are the same."""
+def test_the_probability_of_a_drivers_type_is_right(jam):
+    """Two types share the jam. The second type has a risk premium that is 1.5 times as large; the noises agree."""
     rows = np.array([defaults(), defaults()])
     rows[:, KAPPA_V] = 0.21, 0.32
     drivers = rows[np.arange(22) % 2]
@@ -187,7 +187,7 @@ def test_the_type_of_a_driver_is_told(jam):
         follow(t, driver, online)
         scores.append(types.probabilities(online.learnt, online.prior)[driver % 2])
     score = np.array(scores)
-    # who is called right with probability p is right with probability p: the sum of hits is within 3 std of that of p
+    # an answer given with probability p is right with probability p: the number of hits is within 3 std of the sum of p
     sure, hits = np.maximum(score, 1.0 - score), score > 0.5
     assert abs(hits.sum() - sure.sum()) < 3.0 * np.sqrt(np.sum(sure * (1.0 - sure))) + 1.0
     assert hits.sum() > 18

@@ -20,7 +20,7 @@ BOTH = pytest.mark.parametrize(
 
 
 def follow(function, p, samples=450):
-    """Positions and speeds of a car and its leader, which drives, brakes to a stop and starts again; no noise."""
+    """Positions and speeds of a car and its leader, without noise. The leader brakes to a stop and starts again."""
     time = DT * np.arange(samples)
     leader_speed = np.maximum(5.0 + 4.0 * np.sin(0.11 * time) + 3.0 * np.sin(0.31 * time), 0.0)
     leader = 20.0 + np.concatenate(([0.0], np.cumsum(DT * leader_speed[:-1])))
@@ -58,13 +58,13 @@ def test_the_true_parameters_are_found(law, function):
 
 @BOTH
 def test_noise_in_the_positions_is_what_remains(law, function):
-    """White noise of std 0.2 m: the rmse is near it, and never above what the true parameters leave."""
+    """White noise of std 0.2 m: the rmse is near 0.2 m, and not above the rmse of the true parameters."""
     true, rng = TRUTH[law.name], np.random.default_rng(5)
     x, v, leader, leader_speed = follow(function, true)
     noisy = following((x + 0.2 * rng.standard_normal(len(x)), v, leader, leader_speed))
     found = fit_gaps(law, noisy, EVERYWHERE)
     left = np.sqrt(np.nanmean(np.square(gap_errors(law, true, noisy, EVERYWHERE))))
-    # the std of an estimated std over 449 samples is 0.2 / sqrt(898); four of them
+    # the std of a std estimated from 449 samples is 0.2 / sqrt(898); four of these are allowed
     assert 0.2 - 4.0 * 0.2 / math.sqrt(898) < found.rmse_m <= left
 
 
@@ -85,7 +85,7 @@ def test_samples_that_are_not_chosen_do_not_count(law, function):
 
 
 def test_each_part_of_a_run_gives_its_own_driver():
-    """Two drivers one after the other in one recording: a mask on either finds that one."""
+    """The recording has two drivers, one after the other. A mask on one driver's part finds this driver."""
     first, then = TRUTH["idm"], np.array([9.0, 1.0, 2.0, 1.2, 1.8])
     states = [np.concatenate(pair) for pair in zip(follow(idm, first), follow(idm, then), strict=True)]
     early = np.arange(900) < 450
@@ -99,7 +99,7 @@ def test_a_run_starts_anew_from_the_measured_state_after_a_break():
     chosen[200] = False
     errors = gap_errors(LAWS[0], IDM, following((x, v, leader, leader_speed)), chosen)
     assert np.array_equal(np.flatnonzero(np.isnan(errors)), [0, 200, 201])
-    # Euler's rule: a first step shows the measured speed alone, a second the law
+    # Euler's rule: the first step shows the measured speed alone, the second step shows the law
     a = idm(leader[201] - x[201] - HALF_LENGTHS, v[201], leader_speed[201], IDM)
     assert errors[202] == pytest.approx(0.0, abs=1e-12)
     assert errors[203] == pytest.approx(x[203] - (x[202] + DT * max(v[201] + DT * a, 0.0)), abs=1e-12)
@@ -112,8 +112,8 @@ def test_many_rows_at_once_are_each_alone():
     assert np.array_equal(both, alone, equal_nan=True)
 
 
-def test_nobody_drives_backward():
-    """Behind a leader who stands, 3 m ahead of bumpers, a driver from 1 m/s stops and stays."""
+def test_no_driver_drives_backward():
+    """A driver at 1 m/s, 3 m behind a standing leader, stops and stays."""
     still = np.zeros(60)
     speed = np.full(60, 1.0)
     f = Following(still, speed, still + 3.0, still, half_lengths_m=0.0, period_s=DT)
@@ -124,7 +124,7 @@ def test_nobody_drives_backward():
 
 @BOTH
 def test_parameters_stay_within_their_bounds_where_the_data_say_nothing(law, function):
-    """A leader at constant speed, followed at constant gap: no parameter but their combination is held."""
+    """A leader at constant speed, followed at a constant gap, determines only a combination of the parameters."""
     time = DT * np.arange(100)
     f = Following(5.0 * time, np.full(100, 5.0), 5.0 * time + 14.0, np.full(100, 5.0), HALF_LENGTHS, DT)
     found = fit_gaps(law, f, np.ones(100, dtype=bool))
@@ -132,7 +132,7 @@ def test_parameters_stay_within_their_bounds_where_the_data_say_nothing(law, fun
     assert all(p.lower <= q <= p.upper for p, q in zip(law.parameters, found.parameters, strict=True))
 
 
-def test_too_little_data_is_said_in_one_line():
+def test_too_little_data_is_one_clear_line():
     f = following(follow(idm, TRUTH["idm"]))
     with pytest.raises(InputError, match=r"^vehicle 7: 5 samples cannot determine 5 parameters of idm; give more$"):
         fit_gaps(LAWS[0], f, np.arange(450) < 6)

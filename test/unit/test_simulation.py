@@ -80,12 +80,12 @@ def test_measurement_noise_has_its_std():
     run = simulate(ring_of_22(3), 250.0)
     error = run.measured.road.difference(run.measured.position_m, run.position_m)
     n = error.size
-    # the sample variance of n normal values has a relative std of sqrt(2 / n); five of them
+    # the sample variance of n normal values has a relative std of sqrt(2 / n); five of these are allowed
     assert error.var() == pytest.approx(0.263**2, rel=5 * np.sqrt(2 / n))
 
 
 def test_without_noise_the_filters_prediction_is_the_simulation():
-    """From the true state of a chain, known exactly, the filter's next mean is the simulator's next state."""
+    """The filter starts from the exact state of a chain. Its next mean equals the simulator's next state."""
     s = ring_of_22(0, quiet(22))
     size = STATE * CHAIN
     none, nothing = np.empty(0, np.int64), np.empty(0)
@@ -154,7 +154,7 @@ def test_translating_the_ring_changes_nothing():
 
 
 def test_a_shorter_period_gives_the_same_traffic():
-    """Section 5.4: at 0.2 s, h = 6 and rho^(2/3), simulated results are almost independent of the period."""
+    """Section 5.4: with 0.2 s, h = 6 and rho^(2/3), simulated results hardly depend on the period."""
     length = np.full(22, 4.33)
     start = platoon(length, 2.0)
     s = Simulator(defaults(22), length, start, Road(230.0), np.random.default_rng(0), clock=Clock(0.2))

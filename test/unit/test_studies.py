@@ -1,4 +1,4 @@
-"""Every study answers, and draws what it answers; and the statistics that they rest on."""
+"""Every study answers and draws its answer; the statistics that the studies use are right."""
 
 from concurrent.futures import ThreadPoolExecutor
 
@@ -30,7 +30,7 @@ def jam():
 
 @pytest.mark.parametrize("name", STUDIES)
 def test_every_study_answers(name, jam, tmp_path, monkeypatch):
-    # runs long enough to tell something take too long here
+    # longer runs would say more, but take too long here
     monkeypatch.setattr(recovery, "DURATION_S", 40.0)
     monkeypatch.setattr(online, "DURATION_S", 60.0)
     monkeypatch.setattr(filters, "DURATION_S", 20.0)
@@ -45,7 +45,7 @@ def test_every_study_answers(name, jam, tmp_path, monkeypatch):
     assert sum(len(axes.lines) + len(axes.collections) + len(axes.patches) for axes in figure.axes) > 0
 
 
-def test_an_unknown_study_and_missing_data_are_said_so():
+def test_an_unknown_study_and_missing_data_are_one_clear_line():
     with pytest.raises(InputError, match="study 'weather': not known; choose among recovery"):
         study("weather")
     with ThreadPoolExecutor(1) as work, pytest.raises(InputError, match="needs measured drivers"):

@@ -107,3 +107,16 @@ def test_skipped_samples_keep_their_number():
 def test_an_irregular_time_base_is_refused():
     with pytest.raises(InputError, match="off the regular time base"):
         regular_time_base(np.array([0.0, 1.0, 2.0, 3.3, 4.0]), "test")
+
+
+def test_the_follower_is_the_first_vehicle_whose_leader_is_this_vehicle():
+    rng = np.random.default_rng(4)
+    position = np.sort(rng.uniform(0.0, 300.0, 12)) + 3.0 * np.arange(60)[:, None]
+    position[rng.random(position.shape) < 0.1] = np.nan
+    position[:20, 2] = position[35:, 7] = np.nan
+    for road in (OPEN, Road(300.0)):
+        t = on_road(road.wrap(position), road)
+        for vehicle in range(12):
+            follows = (t.leader == vehicle) & t.present
+            first = np.where(follows.any(axis=1), follows.argmax(axis=1), -1)
+            assert np.array_equal(t.follower[:, vehicle], first)

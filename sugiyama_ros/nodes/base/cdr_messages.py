@@ -18,6 +18,7 @@ from sugiyama_msgs.msg import DriverParameters, DriverType, StyleChange
 from sugiyama_ros.arrays import Array, Mask
 from sugiyama_ros.filters.online import Estimate
 from sugiyama_ros.formats.measured import FRAME
+from sugiyama_ros.nodes.base.samples import Positions
 
 NS = 1_000_000_000
 
@@ -25,6 +26,7 @@ NS = 1_000_000_000
 _HEAD = "<4s i I I 5s 3x i"
 _ENCAPSULATION = b"\0\1\0\0"
 _FRAME_BYTES = FRAME.encode() + b"\0"
+_CLOCK = struct.Struct("<4s i I")
 _MARK = 1.2345678901234567e-300
 _STATE = struct.Struct(_HEAD + "3d 9d 3d")
 _INNOVATION = struct.Struct(_HEAD + "4d ?")
@@ -71,6 +73,26 @@ def measured(raw: bytes) -> Sample:
     position, at = _sequence(raw, at, "<f8")
     length, at = _sequence(raw, at, "<f8")
     return Sample(sec * NS + nanosec, step, leader, position, length, {v: k for k, v in enumerate(vehicle)})
+
+
+def measured_positions(stamp_ns: int, step: int, positions: Positions) -> bytes:
+    """A MeasuredPositions message of sample number ``step``."""
+    vehicle, leader, position, length = positions
+    count = len(vehicle)
+    *head, _ = _head(stamp_ns, 0)
+    return _layout(count).pack(*head, step, count, *vehicle, count, *leader, count, *position, count, *length)
+
+
+@lru_cache(maxsize=16)
+def _layout(vehicles: int) -> struct.Struct:
+    """Layout of a MeasuredPositions message. Nothing is aligned for an empty sequence."""
+    n = vehicles
+    return struct.Struct(f"<4s i I I 5s 7x Q I{n}i I{n}i" + (f"I 4x {n}d I 4x {n}d" if n else "I I"))
+
+
+def clock(stamp_ns: int) -> bytes:
+    """A Clock message."""
+    return _CLOCK.pack(_ENCAPSULATION, *divmod(stamp_ns, NS))
 
 
 def time_message(stamp_ns: int) -> Time:

@@ -1,4 +1,4 @@
-"""What the ROS libraries read from the environment. Programs set it before they start a node; imports never do."""
+"""Environment variables that the ROS libraries read. Programs set them before they start a node; imports never do."""
 
 import os
 import random
@@ -27,7 +27,7 @@ def isolate() -> None:
 def is_free(domain: int) -> bool:
     """Whether all ports are free on which participants of a domain listen (DDSI-RTPS, section 9.6.1).
 
-    After a run was killed, any of its processes may live on for a while, and a new run would take its road for its own.
+    After a run was killed, its processes may live on for a while. A new run in the same domain would use their road.
     """
     first = 7410 + 250 * domain
     for port in range(first, first + 2 * _PARTICIPANTS, 2):

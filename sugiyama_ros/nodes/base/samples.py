@@ -1,4 +1,4 @@
-"""What a source sends: samples of positions, recorded or simulated."""
+"""Samples of positions, recorded or simulated, which a source sends."""
 
 from typing import NamedTuple, Protocol
 
@@ -22,8 +22,20 @@ class Positions(NamedTuple):
     length_m: list[float]
 
 
-class Samples(Protocol):
-    """What a source sends. ``steps`` is the number of samples, 0 if there is no end."""
+class PositionSamples(Protocol):
+    """The samples that a source sends.
+
+    Attributes
+    ----------
+    road : Road
+        The road.
+    period_s, start_s : float
+        Time [s] between two samples, and time of the first sample.
+    steps : int
+        Number of samples; 0 if there is no end.
+    source, sha256 : str
+        Where the samples come from, and the checksum of the file; empty without a file.
+    """
 
     road: Road
     period_s: float

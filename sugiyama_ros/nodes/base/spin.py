@@ -1,4 +1,4 @@
-"""Running nodes: the executor, signals, an orderly end."""
+"""Running nodes: the executor, signals, and an orderly end."""
 
 import os
 import signal

@@ -10,7 +10,7 @@ from sugiyama_ros.road import Road
 
 # Okabe and Ito's colours.
 BLUE, ORANGE, GREEN, VERMILION, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#777777"
-#: For as many models as are compared.
+#: Colours of the models that are compared.
 COLOURS = (GREY, BLUE, VERMILION, ORANGE, GREEN, "#56B4E9", "#CC79A7", "#000000")
 #: Time [s] over which the one-step error is averaged.
 MOVING_S = 10.0
@@ -21,7 +21,7 @@ _TOOLS = "pan,wheel_zoom,box_zoom,reset,save"
 
 
 def panel(title: str, x: str, y: str, **more: Any) -> Any:
-    """An empty figure that is as wide as there is room."""
+    """An empty figure that fills the width of its place on the page."""
     return figure(
         title=title,
         x_axis_label=x,

@@ -103,7 +103,7 @@ def ring(r: Recording) -> UIElement:
 
 
 def speeds(r: Recording) -> Array:
-    """Speeds (T, N) [m/s]: filtered ones where estimators have run."""
+    """Speeds (T, N) [m/s]: filtered speeds if estimators have run, else speeds from positions."""
     return r.series["speed"] if r.has_estimates else naive_speeds(r)
 
 

@@ -1,0 +1,44 @@
+"""What is compiled after an installation is all that the commands need, whatever the data."""
+
+import sys
+
+import numpy as np
+from numba.core.dispatcher import Dispatcher
+
+import sugiyama_ros as sg
+from sugiyama_ros.compile import compile_all
+from sugiyama_ros.driver.parameters import defaults
+from sugiyama_ros.effects.registry import ROW, switch_on
+from sugiyama_ros.filters.online import OnlineFilter
+
+
+def compiled() -> dict[str, int]:
+    """How many versions of each function of the package are compiled."""
+    modules = [module for name, module in sys.modules.items() if name.startswith("sugiyama_ros.")]
+    functions = {id(one): one for module in modules for one in vars(module).values() if isinstance(one, Dispatcher)}
+    return {f"{f.py_func.__module__}.{f.py_func.__name__}": len(f.signatures) for f in functions.values()}
+
+
+def test_after_compiling_nothing_is_left_to_compile() -> None:
+    told: list[str] = []
+    compile_all(told.append)
+    before = compiled()
+    assert len(told) == 5
+    assert before["sugiyama_ros.filters.causal.run"] == before["sugiyama_ros.filters.paper_kalman.run"] == 1
+
+    effects = {"sensor_eccentricity": {"cosine": 0.5, "sine": 0.3}, "drag": {"c0": 0.1}}
+    recording = sg.simulate(4, ring_m=0.0, duration_s=40.0, effects=effects, seed=2).measured
+    sg.calibrate(recording, "paper", profile=True)
+    sg.calibrate(recording)
+    sg.calibrate(recording, effects=["drag"])
+    sg.compare(recording)
+    sg.diagnose(recording, quick=True)
+    row = switch_on(ROW.with_effects(defaults()), "sensor_eccentricity", {"cosine": 0.5, "sine": 0.3})
+    for parameters in (None, row):
+        online = OnlineFilter(recording.period_s, recording.road, parameters)
+        for position in recording.position_m[:, 1:].tolist():
+            estimate = online.step(position, [1, 2, 3], [4.3, 4.3, 4.3])
+        assert np.isfinite(estimate.speed)
+    after = compiled()
+    assert {name: after[name] for name in before} == before
+    assert after == before
