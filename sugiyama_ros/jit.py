@@ -12,7 +12,7 @@ is made of, effects and laws of other packages among them.
 import contextlib
 import hashlib
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar, overload
@@ -88,11 +88,20 @@ def kernel(
 
 
 def _kept(compiled: Any, cached: bool) -> Any:
-    """Make numba compile anew whenever one of all the files changes."""
+    """Make numba compile anew whenever one of all the files changes, or where it cannot read what it has kept."""
     if cached:
-        with contextlib.suppress(AttributeError):  # a numba that keeps its stamps elsewhere: its own stamp stays
-            compiled._cache._cache_file._source_stamp = state()
+        with contextlib.suppress(AttributeError):  # a numba that keeps its code elsewhere: its own rules stay
+            file = compiled._cache._cache_file
+            file._source_stamp, file._load_index = state(), partial(_index, file._load_index)
     return compiled
+
+
+def _index(load: Callable[[], dict[Any, Any]]) -> dict[Any, Any]:
+    """Index of the code that numba has kept. An index may name a class that is gone, and then cannot be read."""
+    try:
+        return load()
+    except Exception:
+        return {}
 
 
 @cache

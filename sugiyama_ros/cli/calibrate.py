@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sugiyama_ros.cli.options import Json, Ring, Seed, Source, check_model_name, names, takes
-from sugiyama_ros.cli.output import print_json, print_line, print_table, progress
+from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table, progress
 from sugiyama_ros.errors import InputError
 
 if TYPE_CHECKING:
@@ -111,10 +111,13 @@ def calibrate(options: CalibrateOptions) -> None:
     if options.output is not None and kept is not None:
         found.write(options.output)
         kept.unlink(missing_ok=True)
+    doubts = _cautions(found)
     if options.as_json:
         print_json(found.document(wall_s))
     else:
         _print(found, options.output)
+    for line in doubts:
+        print_note(f"caution: {line}")
 
 
 def _calibrated(
@@ -141,6 +144,15 @@ def _calibrated(
     if options.classes:
         return in_classes(trajectories, settings, options.classes, work)
     return each_driver(trajectories, settings, work=work, kept=kept, on_progress=advance)
+
+
+def _cautions(found: "Calibration") -> list[str]:
+    """What makes the figures doubtful. The paper's formulation needs no causal filter, which takes long to load."""
+    if found.settings.formulation == "paper":
+        return []
+    from sugiyama_ros.calibration.soundness import cautions
+
+    return cautions(found)
 
 
 def _print(found: "Calibration", output: Path | None) -> None:

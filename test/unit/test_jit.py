@@ -70,6 +70,9 @@ def test_kernels_of_a_changed_file_are_compiled_anew(tmp_path):
     assert [run(), run()] == ["2.0", "2.0"]
     (tmp_path / "callee.py").write_text("from sugiyama_ros.jit import kernel\n@kernel\ndef f(x):\n    return x + 9.0\n")
     assert run() == "10.0"
+    for index in (tmp_path / "compiled").rglob("*.nbi"):
+        index.write_bytes(b"this is no index")
+    assert run() == "10.0"
 
 
 IMPORT = """

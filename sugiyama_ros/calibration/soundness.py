@@ -1,0 +1,73 @@
+"""Whether calibrated drivers are sound: does the filter know its own errors, or has it diverged?"""
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.calibration.result import Calibration
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.filters.causal import predict_samples
+from sugiyama_ros.filters.extract import chain_behind
+
+#: Mean NIS within which a filter knows its own errors well enough; 1 is right.
+LEAST_NIS, LARGEST_NIS = 0.5, 2.0
+#: One-step error [m] beyond which the filter has lost the vehicle.
+LARGEST_ERROR_M = 1000.0
+
+
+def mean_nis(calibration: Calibration) -> Array:
+    """Mean of the squared normalised innovations of each driver in the causal filter.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        N calibrated drivers.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        1 for a filter that knows its own errors; NaN for a driver without a scored sample.
+
+    Raises
+    ------
+    InputError
+        If the filter has lost a vehicle: a one-step error is beyond 1 km, or not a number.
+    """
+    t, found = calibration.trajectories, []
+    for i, row in enumerate(calibration.rows):
+        predicted = predict_samples(chain_behind(t, i), row)
+        scored = np.isfinite(predicted.innovation) & np.isfinite(predicted.log_likelihood)
+        y, variance = predicted.innovation[scored], predicted.innovation_var[scored]
+        largest = float(np.nanmax(np.abs(predicted.innovation), initial=0.0))
+        if np.isnan(calibration.log_likelihood[i]) or largest > LARGEST_ERROR_M:
+            raise InputError(
+                f"{t.source}: vehicle {t.vehicle[i]}: the filter has lost it (one-step error beyond 1 km); check its"
+                " positions, and give --ring METRES if the road is a ring"
+            )
+        found.append(float(np.mean(np.square(y) / variance)) if len(y) else float("nan"))
+    return np.array(found)
+
+
+def cautions(calibration: Calibration) -> list[str]:
+    """Say in one line each what makes the figures of a calibration doubtful. Raises InputError as ``mean_nis``."""
+    if calibration.settings.formulation == "paper":
+        return []
+    nis, vehicles = mean_nis(calibration), calibration.trajectories.vehicle
+    lines = []
+    small, large = nis < LEAST_NIS, nis > LARGEST_NIS
+    if small.any():
+        lines.append(
+            f"{_named(vehicles[small])}: mean NIS {np.median(nis[small]):.2f} instead of 1: the positions are smoother"
+            " than the model's noise, so that the standard errors are too large; estimate sigma_x and sigma_v too"
+            " (--parameters sigma_nu,sigma_a,v_star,kappa_v,sigma_x,sigma_v)"
+        )
+    if large.any():
+        lines.append(
+            f"{_named(vehicles[large])}: mean NIS {np.median(nis[large]):.2f} instead of 1: the model does not fit, and"
+            " the standard errors are too small; `sugiyama diagnose` looks for what is missing"
+        )
+    return lines
+
+
+def _named(vehicles: Ints) -> str:
+    shown = ", ".join(str(v) for v in vehicles[:5])
+    return f"vehicle{'s' if len(vehicles) > 1 else ''} {shown}" + (", ..." if len(vehicles) > 5 else "")

@@ -1,0 +1,45 @@
+"""A calibration says when the filter does not know its own errors, and refuses to go on when it has lost a vehicle."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sugiyama_ros as sg
+from sugiyama_ros.calibration.soundness import cautions, mean_nis
+from sugiyama_ros.errors import InputError
+
+
+@pytest.fixture(scope="module")
+def calibrated():
+    return sg.calibrate(sg.simulate(vehicles=4, ring_m=45.0, duration_s=80.0, seed=2).measured)
+
+
+def test_drivers_of_the_model_itself_are_sound(calibrated):
+    nis = mean_nis(calibrated)
+    # a mean of 234 squares of normal values has a std of sqrt(2 / 234); five of them, for four drivers
+    assert nis == pytest.approx(1.0, abs=5.0 * np.sqrt(2.0 / 234.0))
+    assert cautions(calibrated) == []
+
+
+@pytest.mark.parametrize(
+    ("factor", "told"),
+    [(3.0, "smoother than the model's noise"), (0.2, "the model does not fit")],
+)
+def test_noise_that_is_wrong_is_told(calibrated, factor, told):
+    rows = calibrated.rows.copy()
+    rows[1, [0, 1]] *= factor
+    (line,) = cautions(replace(calibrated, rows=rows))
+    assert line.startswith("vehicle 1: mean NIS")
+    assert told in line
+
+
+def test_a_vehicle_that_the_filter_has_lost_is_an_error(calibrated):
+    likelihood = calibrated.log_likelihood.copy()
+    likelihood[2] = np.nan
+    with pytest.raises(InputError, match="vehicle 2: the filter has lost it"):
+        cautions(replace(calibrated, log_likelihood=likelihood))
+
+
+def test_the_papers_formulation_has_no_such_filter(calibrated):
+    assert cautions(replace(calibrated, settings=replace(calibrated.settings, formulation="paper"))) == []
