@@ -95,10 +95,10 @@ def test_the_ring_may_be_given_twice_but_not_contradicted(tmp_path: Path) -> Non
         (MSTF.replace("16.0 0.667", "16.0 0.1"), ":6: vehicle 0: time goes backward"),
         (MSTF.replace("16.0 0.667", "16.0 0.333"), ":6: vehicle 0 has a second sample"),
         (MSTF.replace("16.0 0.667", "16.0"), ":6: 1 columns"),
-        (MSTF.replace("16.0 0.667", "16.0 0.62"), "only 4 of 15 times"),
+        (MSTF.replace("16.0 0.667", "16.0 0.62"), "4 times are there; 15 are expected"),
         (MSTF.replace("0.333", "0.4"), "off the regular time base"),
         (MSTF + "1 1e300\n", ":11: time 1e+300 s is more than ROS can count"),
-        (MSTF + "\n1 0\n2 2e9\n", "only 4 of"),
+        (MSTF + "\n1 0\n2 2e9\n", "4 times are there"),
         (MSTF.encode() + b"\xff\xfe\n", ":11: not UTF-8"),
         (MSTF + "1" * 20_000, ":11: a line of more than"),
     ],
@@ -161,7 +161,7 @@ def test_csv_as_spreadsheets_write_it(tmp_path: Path) -> None:
         (CSV.replace("7,0.1,2.5,4.0", '7,0.1,"2.5,4.0'), "not CSV"),
         (CSV.replace("0.2", "0.25"), "off the regular time base"),
         (CSV.encode() + b"\x00\n", ":7:"),
-        (CSV.replace("0.2", "2e9"), "only 3 of"),
+        (CSV.replace("0.2", "2e9"), "3 times are there"),
     ],
 )
 def test_bad_csv(tmp_path: Path, content: str | bytes, said: str) -> None:
@@ -206,7 +206,7 @@ def test_periods_survive_the_rounding_of_stamps(period: float, start: float) -> 
 
 def test_skipped_times_are_counted() -> None:
     assert regular_time_base(np.array([0.0, 0.1, 0.2, 0.5, 0.6]), "here")[2].tolist() == [0, 1, 2, 5, 6]
-    with pytest.raises(InputError, match="here: only 4 of 101 times"):
+    with pytest.raises(InputError, match="here: 4 times are there; 101 are expected"):
         regular_time_base(np.array([0.0, 0.1, 0.2, 10.0]), "here")
     with pytest.raises(InputError, match="only one time"):
         regular_time_base(np.array([0.0]), "here")
