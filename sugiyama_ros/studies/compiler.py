@@ -15,7 +15,7 @@ import time
 
 from sugiyama_ros import jit
 
-_DRIVERS, _RING_M, _DURATION_S, _ROUNDS = 10, 105.0, 150.0, 5
+_DRIVERS, _RING_M, _DURATION_S, _ROUNDS = 10, 105.0, 150.0, 25
 
 
 def measure(without: str) -> dict[str, float]:
