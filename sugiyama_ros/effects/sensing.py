@@ -5,8 +5,7 @@ import numpy as np
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.effects import chains
 from sugiyama_ros.effects.chains import any_of, chain, having, switches
-from sugiyama_ros.effects.effect import MEASUREMENT
-from sugiyama_ros.effects.registry import EFFECTS, ROW
+from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.jit import kernel
 
 _DISPLACE, _UNEVEN, _BAD = having("displacement"), having("measurement_noise_factor"), having("contamination")
@@ -14,8 +13,6 @@ _displaced = chain(chains.no_displacement, chains.then_displace, _DISPLACE)
 _factor = chain(chains.no_measurement_factor, chains.then_measurement_factor, _UNEVEN)
 _weighed = chain(chains.never_bad, chains.then_weigh, _BAD)
 _DISPLACING, _CHANGING, _SPOILING = switches(_DISPLACE), switches(_UNEVEN), switches(_BAD)
-#: Names of the effects that change measurements.
-OF_MEASUREMENT = tuple(name for name, e in EFFECTS.items() if e.stage == MEASUREMENT)
 
 
 @kernel(allocates=False)
