@@ -31,7 +31,7 @@ UTILITIES = 19 * LANES
 _UNUSED = (FAR, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, -1.0, 1.0)
 
 
-class Considered(NamedTuple):
+class ActionGrid(NamedTuple):
     """The actions that drivers consider, at one period.
 
     Parameters
@@ -50,13 +50,13 @@ class Considered(NamedTuple):
 
 
 @kernel
-def considered_for(actions: Array, period: float) -> Considered:
+def grid_for(actions: Array, period: float) -> ActionGrid:
     """Return the actions (K,) [m/s^2] that drivers consider, with what does not depend on the driver."""
     braking = 0
     for k in range(len(actions)):
         if actions[k] < 0.0:
             braking = k + 1
-    return Considered(actions, np.exp(-10.0 * period * actions), braking)
+    return ActionGrid(actions, np.exp(-10.0 * period * actions), braking)
 
 
 @kernel
@@ -87,14 +87,14 @@ def put(block: Array, lane: int, gap: float, speed: float, leader_speed: float, 
 
 
 @kernel(allocates=False)
-def value_actions(block: Array, considered: Considered, period: float, horizon: int) -> None:
+def value_actions(block: Array, grid: ActionGrid, period: float, horizon: int) -> None:
     """Compute the effective utility of every action in every lane, and the largest; Eq. EffectiveUtilityTilde.
 
     Parameters
     ----------
     block : ndarray
         One row of ``blocks_for``; ``put`` has filled its lanes.
-    considered : Considered
+    grid : ActionGrid
         The actions.
     period : float
         Length of a period [s].
@@ -102,12 +102,15 @@ def value_actions(block: Array, considered: Considered, period: float, horizon: 
         Periods of look-ahead.
     """
     _begin(block)
-    for k in range(len(considered.actions)):
+    for k in range(len(grid.actions)):
+        action = grid.actions[k]
+        _look_at_ends(block, action, period, horizon)
         # Where a driver does not brake, the gap is a concave function of the time and its scale a convex one. Their
         # ratio is then smallest at one end of the look-ahead, or not positive there, which counts as no gap.
-        first = 2 if k < considered.braking else max(horizon, 2)
-        _find_smallest_ratio(block, considered.actions[k], period, first, horizon)
-        _value(block, considered.actions[k], period, considered.backward[k])
+        if k < grid.braking:
+            for tau in range(2, horizon, 2):
+                _look_between(block, action, period, tau, tau + 1)
+        _value(block, action, period, grid.backward[k])
         _keep(block, UTILITIES + LANES * k)
 
 
@@ -122,29 +125,37 @@ def _begin(block: Array) -> None:
 
 
 @kernel(vectorised=True)
-def _find_smallest_ratio(block: Array, action: float, period: float, first: int, horizon: int) -> None:
-    """Find the gap and the scale with the smallest ratio, one period ahead and ``first`` to ``horizon`` periods ahead.
-
-    Formulas as in ``utility.anticipate``.
-    """
+def _look_at_ends(block: Array, action: float, period: float, horizon: int) -> None:
+    """Find the gap and the scale with the smaller ratio: one period ahead, or ``horizon`` periods ahead."""
     for t in range(LANES):
-        block[_NEAR + t] = block[_GAP + t] + period * block[_OPENING + t]
-        block[_SCALE + t] = _scale(block, t, period * action)
-    for tau in range(first, horizon + 1):
-        ahead, faster = period * tau, period * tau * action
-        way = period * period * action * (0.5 * tau * (tau - 1))
-        for t in range(LANES):
-            gap, scale = block[_GAP + t] + ahead * block[_OPENING + t] - way, _scale(block, t, faster)
-            closer = gap * block[_SCALE + t] < block[_NEAR + t] * scale
-            block[_NEAR + t] = gap if closer else block[_NEAR + t]
-            block[_SCALE + t] = scale if closer else block[_SCALE + t]
+        near, scale = _ahead(block, t, action, period, 1)
+        far, wide = _ahead(block, t, action, period, horizon)
+        closer = far * scale < near * wide
+        block[_NEAR + t] = far if closer else near
+        block[_SCALE + t] = wide if closer else scale
 
 
 @kernel(vectorised=True)
-def _scale(block: Array, t: int, faster: float) -> float:
-    """Compute the gap scale [m] of lane t when the driver is faster [m/s] by so much."""
-    speed, leader_speed = block[_SPEED + t] + faster, block[_LEADER_SPEED + t]
-    return gap_scale(speed, leader_speed, block[_KAPPA_C + t], block[_KAPPA_V + t], block[_KAPPA_D + t])
+def _look_between(block: Array, action: float, period: float, first: int, second: int) -> None:
+    """Go on with the gap and the scale with the smallest ratio, ``first`` and ``second`` periods ahead."""
+    for t in range(LANES):
+        near, scale = block[_NEAR + t], block[_SCALE + t]
+        for_first, wide = _ahead(block, t, action, period, first)
+        closer = for_first * scale < near * wide
+        near, scale = for_first if closer else near, wide if closer else scale
+        for_second, wide = _ahead(block, t, action, period, second)
+        closer = for_second * scale < near * wide
+        block[_NEAR + t] = for_second if closer else near
+        block[_SCALE + t] = wide if closer else scale
+
+
+@kernel(vectorised=True)
+def _ahead(block: Array, t: int, action: float, period: float, tau: int) -> tuple[float, float]:
+    """Compute the gap [m] of lane t and its scale [m] ``tau`` periods ahead, as ``utility.gap_and_scale`` does."""
+    speed, leader_speed = block[_SPEED + t] + period * tau * action, block[_LEADER_SPEED + t]
+    scale = gap_scale(speed, leader_speed, block[_KAPPA_C + t], block[_KAPPA_V + t], block[_KAPPA_D + t])
+    way = period * period * action * (0.5 * tau * (tau - 1))
+    return block[_GAP + t] + period * tau * block[_OPENING + t] - way, scale
 
 
 @kernel(vectorised=True)

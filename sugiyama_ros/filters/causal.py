@@ -83,12 +83,12 @@ def filter_chain(
     samples, vehicles = chain.position_m.shape
     size = STATE * vehicles + len(adaptation_of(parameters, adaptation).names)
     trace = Trace(np.empty((1, samples, size)), np.empty((1, samples, size, size)), np.empty((1, samples, 2)))
-    predicted = _run([Job(chain, parameters, ahead)], adaptation_of(parameters, adaptation), trace)
+    predicted = _run([ChainJob(chain, parameters, ahead)], adaptation_of(parameters, adaptation), trace)
     motion, total = trace.motion[0], float(np.nansum(predicted.log_likelihood))
     return Filtered(*_first(predicted), trace.means[0], trace.covariances[0], motion[:, 0], motion[:, 1], total)
 
 
-class Job(NamedTuple):
+class ChainJob(NamedTuple):
     """One driver to filter: the chain, the driver's parameters and those of the drivers ahead, as ``filter_chain``."""
 
     chain: Chain
@@ -96,7 +96,7 @@ class Job(NamedTuple):
     ahead: Array | None = None
 
 
-def predict_samples(jobs: Sequence[Job]) -> list[Predicted]:
+def predict_samples(jobs: Sequence[ChainJob]) -> list[Predicted]:
     """Return how well each sample is predicted.
 
     Filters run side by side where they can, which takes less time than one after the other, with the same results.
@@ -118,7 +118,7 @@ def predict_samples(jobs: Sequence[Job]) -> list[Predicted]:
     return [found[i] for i in range(len(jobs))]
 
 
-def predict_states(job: Job) -> tuple[Array, Array, Array, Array]:
+def predict_states(job: ChainJob) -> tuple[Array, Array, Array, Array]:
     """Return how well each sample of a driver is predicted, and the driver's state.
 
     Returns
@@ -140,10 +140,10 @@ def log_likelihood(chain: Chain, parameters: Array, ahead: Array | None = None) 
 
     Arguments as for ``filter_chain``.
     """
-    return float(np.nansum(predict_samples([Job(chain, parameters, ahead)])[0].log_likelihood))
+    return float(np.nansum(predict_samples([ChainJob(chain, parameters, ahead)])[0].log_likelihood))
 
 
-def _side_by_side(jobs: Sequence[Job]) -> Iterator[tuple[list[int], Adaptation]]:
+def _side_by_side(jobs: Sequence[ChainJob]) -> Iterator[tuple[list[int], Adaptation]]:
     """Yield the numbers of jobs that can run side by side, a few at a time, and what adapts in their filters."""
     groups: dict[Any, list[int]] = defaultdict(list)
     for i, (chain, parameters, _) in enumerate(jobs):
@@ -162,7 +162,7 @@ def _no_trace() -> Trace:
     return Trace(np.empty((0, 0, 0)), np.empty((0, 0, 0, 0)), np.empty((0, 0, 0)))
 
 
-def _run(jobs: Sequence[Job], adaptation: Adaptation, trace: Trace) -> Predicted:
+def _run(jobs: Sequence[ChainJob], adaptation: Adaptation, trace: Trace) -> Predicted:
     """Run the compiled filter with fresh arrays; returns the predictions, (C, T) each."""
     chains, one = [job.chain for job in jobs], jobs[0].chain
     samples, vehicles = one.position_m.shape

@@ -10,7 +10,7 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import UTILITY
-from sugiyama_ros.effects.control import remembers
+from sugiyama_ros.effects.control import feels_accelerations, remembers
 from sugiyama_ros.filters.expectation import consider, decide
 from sugiyama_ros.filters.linearisation import add_all_components, aim_all, conclude
 from sugiyama_ros.filters.measurement import log_density, measurement, noise_var_at, weights
@@ -29,7 +29,7 @@ from sugiyama_ros.filters.state import (
     points_of,
     workspace_for,
 )
-from sugiyama_ros.filters.transform import transform
+from sugiyama_ros.filters.transform import add_noise, transform
 from sugiyama_ros.filters.vehicles import forget_vehicle, start_vehicle
 from sugiyama_ros.jit import kernel
 
@@ -89,6 +89,7 @@ class _Shared(NamedTuple):
 
     lanes: Lanes
     linearised: Linearised
+    chosen: Array
     slope: Array
     held_slope: Array
     half: Array
@@ -109,7 +110,8 @@ def _drivers(c: int, filters: _Filters, shared: _Shared) -> Drivers:
 
 @kernel(allocates=False)
 def _workspace(c: int, filters: _Filters, shared: _Shared) -> Workspace:
-    return Workspace(filters.places[c], filters.root[c], filters.points[c], shared.slope, shared.held_slope)
+    own = filters.places[c], filters.root[c], filters.points[c]
+    return Workspace(*own, shared.chosen, shared.slope, shared.held_slope)
 
 
 @kernel(allocates=False)
@@ -162,7 +164,7 @@ def _take_in(
             if filters.settled[c] > SETTLING:
                 predicted.log_likelihood[c, t] = log_density(y, variance, parameters[m])
         for i in range(len(gain)):
-            gain[i] = factor * covariance[i, x]
+            gain[i] = factor * covariance[x, i]
         _update(state, gain, y, step, shrink, shared.linearised.live)
     for k in range(len(shared.adapted)):
         parameters[0, UTILITY[shared.adapted[k]]] = math.exp(mean[STATE * len(known) + k])
@@ -171,12 +173,10 @@ def _take_in(
 @kernel(allocates=False)
 def _predict(state: State, shared: _Shared) -> None:
     """Go on by one period, which is linearised."""
-    linearised = shared.linearised
-    transform(state.covariance, linearised, shared.half)
+    transform(state.covariance, shared.linearised, shared.half)
+    add_noise(state.covariance, shared.linearised)
     for i in range(len(state.mean)):
-        state.mean[i] = linearised.next_mean[i]
-        for j in range(len(state.mean)):
-            state.covariance[i, j] += linearised.noise[i, j]
+        state.mean[i] = shared.linearised.next_mean[i]
 
 
 @kernel(allocates=False)
@@ -277,6 +277,7 @@ def run(
     shared = _Shared(
         lanes_for(count * points_of(vehicles, a), actions, scene.period_s),
         linearised_for(_live(drivers.parameters, size, len(trace.covariances) > 0), size),
+        one.chosen,
         one.slope,
         one.held_slope,
         np.zeros((size, size)),
@@ -291,12 +292,13 @@ def run(
 def _live(parameters: Array, size: int, everything: bool) -> Ints:
     """Return the entries of a state of ``size`` entries whose covariances matter; parameters: (C, M, WIDTH).
 
-    Nothing depends on what drivers hold, unless they remember it.
+    Nothing depends on what drivers hold, unless they remember it or feel accelerations.
     """
     count, vehicles, _ = parameters.shape
     for c in range(count):
         for m in range(vehicles):
-            everything = everything or remembers(parameters[c, m])
+            row = parameters[c, m]
+            everything = everything or remembers(row) or feels_accelerations(row)
     is_live = np.ones(size, np.bool_)
     if not everything:
         is_live[STATE - 1 : STATE * vehicles : STATE] = False

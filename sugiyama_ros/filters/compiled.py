@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.driver.lanes import clear, considered_for
+from sugiyama_ros.driver.lanes import clear, grid_for
 from sugiyama_ros.driver.parameters import NAMES
 from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.filters.alarm import BETWEEN_FALSE_S, ONSET_S, WATCHED_S
@@ -115,10 +115,10 @@ class CompiledKalman:
         drivers.parameters[:], drivers.adapted[:] = model.rows, model.places
         drivers.prior_mean[:], drivers.prior_var[:] = model.prior_mean, model.prior_var
         self.arrays.scene[:] = model.scene
-        considered = considered_for(ACTIONS, model.scene.period_s)
-        self.arrays.lanes.considered.actions[:] = considered.actions
-        self.arrays.lanes.considered.backward[:] = considered.backward
-        self.arrays.braking[0] = considered.braking
+        grid = grid_for(ACTIONS, model.scene.period_s)
+        self.arrays.lanes.grid.actions[:] = grid.actions
+        self.arrays.lanes.grid.backward[:] = grid.backward
+        self.arrays.braking[0] = grid.braking
 
     def step(
         self,

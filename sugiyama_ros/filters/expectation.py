@@ -73,7 +73,7 @@ def _variance_along(slope: Array, covariance: Array) -> float:
 def consider(used: int, scene: Scene, lanes: Lanes) -> None:
     """Let the drivers in the first ``used`` lanes value their actions."""
     for b in range(-(-used // LANES)):
-        value_actions(lanes.blocks[b], lanes.considered, scene.period_s, scene.horizon)
+        value_actions(lanes.blocks[b], lanes.grid, scene.period_s, scene.horizon)
 
 
 @kernel(allocates=False)
@@ -81,7 +81,7 @@ def add_components(
     m: int, state: State, drivers: Drivers, moment: Moment, scene: Scene, workspace: Workspace, lanes: Lanes
 ) -> None:
     """Add what effects add to the utilities of driver m; arguments as for ``aim``, which was called before."""
-    driver, actions = drivers.parameters[m], lanes.considered.actions
+    driver, actions = drivers.parameters[m], lanes.grid.actions
     size, first = workspace.points[m, 0], workspace.points[m, 1]
     work = workspace.root[rows_of(m, workspace)[1] :]
     led = state.known[m + 1] == MOVING
@@ -101,7 +101,7 @@ def add_components(
 def decide(used: int, lanes: Lanes) -> None:
     """Let the drivers in the first ``used`` lanes decide on the mean of their actions."""
     for b in range(-(-used // LANES)):
-        average_actions(lanes.blocks[b], lanes.considered.actions)
+        average_actions(lanes.blocks[b], lanes.grid.actions)
 
 
 @kernel(allocates=False)
@@ -126,50 +126,73 @@ def expected_action(
     Expected
         Expectations [m/s^2] and the variances that the regressions leave.
     """
-    driver, known = drivers.parameters[m], state.known
+    driver, chosen = drivers.parameters[m], workspace.chosen
     size, first = workspace.points[m, 0], workspace.points[m, 1]
     place, row = rows_of(m, workspace)
     places, work = workspace.places[place : place + 2], workspace.root[row:]
-    led = known[m + 1] == MOVING
-    delayed = led and feels_accelerations(driver)
-    by_law, changed = not seeks(driver), acts_on_intention(driver)
-    here = surroundings(m, state, drivers.parameters, moment, scene)
+    changed = acts_on_intention(driver) or not seeks(driver)
+    if changed:
+        _choose(m, state, drivers, moment, scene, workspace, lanes)
+    else:
+        for point in range(2 * size):
+            action = lanes.blocks[(first + point) // LANES, MEAN + (first + point) % LANES]
+            chosen[0, point] = chosen[1, point] = action
     # below the root stand rows of their own
-    cross, held_cross = size + 2, size + 3
-    for i in range(size):
-        work[cross, i] = work[held_cross, i] = 0.0
-    total, squares, held_total, held_squares = 0.0, 0.0, 0.0, 0.0
-    for point in range(2 * size):
-        action = lanes.blocks[(first + point) // LANES, MEAN + (first + point) % LANES] if not by_law else 0.0
-        held, pushed = action, 0.0
-        if by_law or changed:
-            look_around(work, size, point)
-            seen = seen_at(here, work, m, size, led, delayed, drivers.parameters, scene)
-            if by_law:
-                perceived = perceive(seen, driver)
-                action = law_acceleration(perceived.gap, perceived.speed, perceived.leader_speed, driver)
-            held, pushed = act(action, seen, driver)
-        action, side = held + pushed, side_of(size, point)
-        total += action
-        squares += action * action
-        work[cross, point // 2] += action * side
-        held_total += held
-        held_squares += held * held
-        work[held_cross, point // 2] += held * side
-    weight = 0.5 / size
-    expected, held_expected = weight * total, weight * held_total
-    explained, held_explained = 0.0, 0.0
-    for j in range(size):
-        work[cross, j] *= weight
-        work[held_cross, j] *= weight
-        explained += work[cross, j] ** 2
-        held_explained += work[held_cross, j] ** 2
-    spread = max(weight * squares - expected * expected - explained, 0.0)
-    held_spread = max(weight * held_squares - held_expected * held_expected - held_explained, 0.0)
-    _regress(work, cross, places, size, workspace.slope)
-    _regress(work, held_cross, places, size, workspace.held_slope)
-    meant = Expected(held_expected, expected, held_spread, spread)
+    cross = size + 2
+    held, held_var = _moments(chosen[0], work[cross], size)
+    _regress(work, cross, places, size, workspace.held_slope)
+    if changed:
+        action, action_var = _moments(chosen[1], work[cross], size)
+        _regress(work, cross, places, size, workspace.slope)
+    else:
+        action, action_var = held, held_var
+        for i in range(len(workspace.slope)):
+            workspace.slope[i] = workspace.held_slope[i]
+    meant = Expected(held, action, held_var, action_var)
     return _carried_out(m, meant, state, driver, scene.period_s, workspace) if remembers(driver) else meant
+
+
+@kernel(allocates=False)
+def _choose(
+    m: int, state: State, drivers: Drivers, moment: Moment, scene: Scene, workspace: Workspace, lanes: Lanes
+) -> None:
+    """Fill in ``chosen`` for a driver with another law, or with effects that act on what the driver intends."""
+    driver, chosen = drivers.parameters[m], workspace.chosen
+    size, first = workspace.points[m, 0], workspace.points[m, 1]
+    work = workspace.root[rows_of(m, workspace)[1] :]
+    led = state.known[m + 1] == MOVING
+    delayed, by_law = led and feels_accelerations(driver), not seeks(driver)
+    here = surroundings(m, state, drivers.parameters, moment, scene)
+    for point in range(2 * size):
+        look_around(work, size, point)
+        seen = seen_at(here, work, m, size, led, delayed, drivers.parameters, scene)
+        if by_law:
+            perceived = perceive(seen, driver)
+            action = law_acceleration(perceived.gap, perceived.speed, perceived.leader_speed, driver)
+        else:
+            action = lanes.blocks[(first + point) // LANES, MEAN + (first + point) % LANES]
+        held, pushed = act(action, seen, driver)
+        chosen[0, point], chosen[1, point] = held, held + pushed
+
+
+@kernel(allocates=False)
+def _moments(chosen: Array, cross: Array, size: int) -> tuple[float, float]:
+    """Return the mean of what was chosen at the points, and the variance that no regression on the state explains.
+
+    cross: (size,), overwritten with the covariances of what was chosen with the columns of the root.
+    """
+    side, weight = side_of(size, 0), 0.5 / size
+    total, squares, explained = 0.0, 0.0, 0.0
+    for j in range(size):
+        there, back = chosen[2 * j], chosen[2 * j + 1]
+        total += there
+        total += back
+        squares += there * there
+        squares += back * back
+        cross[j] = weight * (there * side - back * side)
+        explained += cross[j] ** 2
+    mean = weight * total
+    return mean, max(weight * squares - mean * mean - explained, 0.0)
 
 
 @kernel(allocates=False)

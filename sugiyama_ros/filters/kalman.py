@@ -19,16 +19,7 @@ from sugiyama_ros.filters.chain_model import ChainModel
 from sugiyama_ros.filters.linearisation import linearise
 from sugiyama_ros.filters.measurement import log_density, measurement, noise_var_at, weights
 from sugiyama_ros.filters.noise import NOISES, Learning, NoiseLearner
-from sugiyama_ros.filters.state import (
-    STATE,
-    Drivers,
-    Moment,
-    State,
-    lanes_for,
-    linearised_for,
-    points_of,
-    workspace_for,
-)
+from sugiyama_ros.filters.state import STATE, Drivers, Moment, State, arrays_for
 from sugiyama_ros.filters.vehicles import forget_vehicle, start_vehicle
 from sugiyama_ros.road import Road
 
@@ -69,11 +60,9 @@ class ChainKalman(ExtendedKalmanFilter):  # type: ignore[misc]
         self.x, self.P = np.zeros(size), np.zeros((size, size))
         self.x[adapted] = model.prior_mean
         self.P[adapted, adapted] = np.diag(model.prior_var)
-        self._workspace = workspace_for(vehicles, len(model.places))
-        self._lanes = lanes_for(points_of(vehicles, len(model.places)), ACTIONS, model.scene.period_s)
-        self._linearised = linearised_for(np.arange(size), size)
-        self.F, self.next_noise = self._linearised.jacobian, self._linearised.noise
-        self.next_mean = self._linearised.next_mean
+        self._arrays = arrays_for(vehicles, len(model.places), ACTIONS, model.scene.period_s)
+        linearised = self._arrays[-1]
+        self.next_mean, self.F, self.next_noise = linearised.next_mean, linearised.jacobian, linearised.noise
         self._measures = np.zeros((vehicles, size))
         self._measures[np.arange(vehicles), STATE * np.arange(vehicles)] = 1.0
         self.noises: NoiseLearner | None = None
@@ -86,7 +75,6 @@ class ChainKalman(ExtendedKalmanFilter):  # type: ignore[misc]
         """Go on with another model of the same chain; the driver's own parameters stay as they are known."""
         learnt = self.rows[0, : len(NAMES)]
         self.model, self.rows = model, model.rows.copy()
-        self._lanes = lanes_for(points_of(model.vehicles, len(model.places)), ACTIONS, model.scene.period_s)
         self.rows[0, : len(NAMES)] = learnt
 
     def predict_x(self, u: Any = 0) -> None:
@@ -115,9 +103,7 @@ class ChainKalman(ExtendedKalmanFilter):  # type: ignore[misc]
             Drivers(self.rows, model.places, model.prior_mean, model.prior_var),
             moment,
             model.scene,
-            self._workspace,
-            self._lanes,
-            self._linearised,
+            *self._arrays,
         )
 
     def forget(self, m: int) -> None:

@@ -31,7 +31,7 @@ from sugiyama_ros.filters.online_state import (
     online_arrays,
 )
 from sugiyama_ros.filters.state import MOVING, STATE, Moment, Scene
-from sugiyama_ros.filters.transform import transform
+from sugiyama_ros.filters.transform import add_noise, transform
 from sugiyama_ros.filters.vehicles import forget_vehicle, start_vehicle
 from sugiyama_ros.jit import kernel
 
@@ -76,8 +76,8 @@ def step(memory: Array, layout: Ints) -> None:
     for k in range(len(online.drivers.adapted)):
         row[UTILITY[online.drivers.adapted[k]]] = math.exp(state.mean[first + k])
     moment = Moment(online.sample.length, online.sample.rear, online.sample.time_s[0])
-    given = (online.workspace, online.lanes, online.linearised)
-    result[MEAN_ACTION] = linearise(state, online.drivers, moment, scene, *given)
+    arrays = online.workspace, online.lanes, online.linearised
+    result[MEAN_ACTION] = linearise(state, online.drivers, moment, scene, *arrays)
     fill_in(result, state, online.linearised, online.sample.length, scene)
     result[SCORED] = 1.0 if not math.isnan(result[INNOVATION_M]) and book.settled[0] > SETTLING else 0.0
 
@@ -86,12 +86,10 @@ def step(memory: Array, layout: Ints) -> None:
 def _predict(online: Online) -> None:
     """Go on by one period."""
     state, linearised = online.state, online.linearised
-    size = len(state.mean)
     transform(state.covariance, linearised, online.scratch.half)
-    for i in range(size):
+    add_noise(state.covariance, linearised)
+    for i in range(len(state.mean)):
         state.mean[i] = linearised.next_mean[i]
-        for j in range(size):
-            state.covariance[i, j] += linearised.noise[i, j]
     if len(online.noises.weight) > 0:
         predict_noises(online.noises, linearised, online.scratch)
     if len(online.alarm.known) > 0:

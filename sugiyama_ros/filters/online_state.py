@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.driver.lanes import LANES, UTILITIES, Considered
+from sugiyama_ros.driver.lanes import LANES, UTILITIES, ActionGrid
 from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.filters.state import STATE, Drivers, Lanes, Linearised, Scene, State, Workspace, points_of
@@ -130,7 +130,7 @@ class Scratch(NamedTuple):
 class Online(NamedTuple):
     """Everything that the compiled filter knows and works on.
 
-    scene: (6,) of ``Scene``; result: ``RESULTS`` entries and a covariance; braking: (1,) of ``Considered``.
+    scene: (6,) of ``Scene``; result: ``RESULTS`` entries and a covariance; braking: (1,) of ``ActionGrid``.
     """
 
     sample: ChainSample
@@ -158,7 +158,7 @@ def _shapes(sizes: Sizes) -> list[tuple[int, int]]:
     drivers = [(m, ROW.width), (a, 1), (a, 1), (a, 1)]
     linearised = [(n, 1), (n, n), (n, n), (n, n), (n, 1), (n, 1)]
     d = max(m - 1, 1)
-    workspace = [(2 * d, most), (d * (4 + most), most), (d, 2), (n, 1), (n, 1)]
+    workspace = [(2 * d, most), (d * (3 + most), most), (d, 2), (2, 2 * most), (n, 1), (n, 1)]
     k = len(ACTIONS)
     lanes = [(1, 1), (-(-points_of(m, a) // LANES), UTILITIES + LANES * k), (k, 1), (k, 1)]
     noises = [(2, 1), (2, 2), (j, 1), (j, 2), (2 * j, 2), (2, n), (2 * n, n)]
@@ -270,15 +270,16 @@ def online_arrays(memory: Array, layout: Ints) -> Online:
             _integer_matrix(at, to, 25),
             matrix(at, to, 26),
             _integer_matrix(at, to, 27),
-            vector(at, to, 28),
+            matrix(at, to, 28),
             vector(at, to, 29),
+            vector(at, to, 30),
         ),
-        integers(at, to, 30),
+        integers(at, to, 31),
         Lanes(
-            matrix(at, to, 31),
-            Considered(vector(at, to, 32), vector(at, to, 33), _vector(at, to, 30).view(np.int64)[0]),
+            matrix(at, to, 32),
+            ActionGrid(vector(at, to, 33), vector(at, to, 34), _vector(at, to, 31).view(np.int64)[0]),
         ),
-        Scratch(vector(at, to, 34), vector(at, to, 35), matrix(at, to, 36)),
-        _noises(at, to, 37),
-        _alarm(at, to, 52),
+        Scratch(vector(at, to, 35), vector(at, to, 36), matrix(at, to, 37)),
+        _noises(at, to, 38),
+        _alarm(at, to, 53),
     )

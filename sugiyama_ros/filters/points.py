@@ -70,7 +70,7 @@ def _root(covariance: Array, places: Ints, size: int, root: Array) -> None:
 @kernel(allocates=False)
 def rows_of(m: int, workspace: Workspace) -> tuple[int, int]:
     """Return the first rows of driver m in ``places`` and in ``root``."""
-    return 2 * m, m * (4 + workspace.places.shape[1])
+    return 2 * m, m * (3 + workspace.places.shape[1])
 
 
 @kernel(allocates=False)
@@ -114,15 +114,15 @@ def aim(
     if not seeks(driver):
         return free
     here = surroundings(m, state, drivers.parameters, moment, scene)
-    first_adapted = size - len(adapted)
+    first_adapted, look = size - len(adapted), centre + 1
     for point in range(2 * size):
         look_around(work, size, point)
         for k in range(len(adapted)):
-            driver[UTILITY[adapted[k]]] = math.exp(work[centre + 1, first_adapted + k])
+            driver[UTILITY[adapted[k]]] = math.exp(work[look, first_adapted + k])
+        block, lane = lanes.blocks[(free + point) // LANES], (free + point) % LANES
         perceived = perceive(seen_at(here, work, m, size, led, delayed, drivers.parameters, scene), driver)
-        block = lanes.blocks[(free + point) // LANES]
         wanted = prefer(perceived, driver)
-        put(block, (free + point) % LANES, perceived.gap, perceived.speed, perceived.leader_speed, wanted)
+        put(block, lane, perceived.gap, perceived.speed, perceived.leader_speed, wanted)
     for k in range(len(adapted)):
         driver[UTILITY[adapted[k]]] = math.exp(mean[STATE * len(known) + k])
     return free + 2 * size

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.driver.lanes import Considered, blocks_for, considered_for
+from sugiyama_ros.driver.lanes import ActionGrid, blocks_for, grid_for
 from sugiyama_ros.driver.parameters import REFERENCE_HORIZON, UTILITY, horizon_at
 from sugiyama_ros.jit import kernel
 
@@ -128,15 +128,17 @@ class Linearised(NamedTuple):
 class Workspace(NamedTuple):
     """Arrays in which the expected actions of a chain's drivers are worked out; ``workspace_for`` makes them.
 
-    places: two rows for each driver, what an action depends on, (2 (M - 1), 5 + A); root: 9 + A rows for each driver,
+    places: two rows for each driver, what an action depends on, (2 (M - 1), 5 + A); root: 8 + A rows for each driver,
     root of its covariance, and rows below, (.., 5 + A); points: (M - 1, 2), for each driver the number of quantities
-    that the action depends on, and the first lane; slope, held_slope: (4 M + A,), regressions of the action and of the
-    held acceleration on the state.
+    that the action depends on, and the first lane; chosen: (2, 2 (5 + A)), what one driver holds at each point, and the
+    same with what the environment adds; slope, held_slope: (4 M + A,), regressions of the action and of the held
+    acceleration on the state.
     """
 
     places: Ints
     root: Array
     points: Ints
+    chosen: Array
     slope: Array
     held_slope: Array
 
@@ -145,13 +147,13 @@ class Lanes(NamedTuple):
     """Where drivers consider their actions: blocks of ``driver.lanes``, and the actions."""
 
     blocks: Array
-    considered: Considered
+    grid: ActionGrid
 
 
 @kernel
 def lanes_for(points: int, actions: Array, period_s: float) -> Lanes:
     """Return lanes for a number of points and for actions (K,) [m/s^2]."""
-    return Lanes(blocks_for(points, len(actions)), considered_for(actions, period_s))
+    return Lanes(blocks_for(points, len(actions)), grid_for(actions, period_s))
 
 
 @kernel
@@ -164,8 +166,9 @@ def points_of(vehicles: int, adapted: int) -> int:
 def workspace_for(vehicles: int, adapted: int) -> Workspace:
     """Return the workspace of a chain of M ``vehicles`` with A ``adapted`` parameters, for one step after the other."""
     size, most, drivers = STATE * vehicles + adapted, 5 + adapted, max(vehicles - 1, 1)
-    places, root = np.zeros((2 * drivers, most), np.int64), np.zeros((drivers * (4 + most), most))
-    return Workspace(places, root, np.zeros((drivers, 2), np.int64), np.zeros(size), np.zeros(size))
+    places, root = np.zeros((2 * drivers, most), np.int64), np.zeros((drivers * (3 + most), most))
+    chosen = np.zeros((2, 2 * most))
+    return Workspace(places, root, np.zeros((drivers, 2), np.int64), chosen, np.zeros(size), np.zeros(size))
 
 
 @kernel
@@ -173,3 +176,25 @@ def linearised_for(live: Ints, size: int) -> Linearised:
     """Return arrays for a state with ``size`` entries, of which those in ``live`` matter."""
     next_mean, jacobian, noise = np.zeros(size), np.zeros((size, size)), np.zeros((size, size))
     return Linearised(next_mean, jacobian, noise, np.zeros((size, size), np.int64), np.zeros(size, np.int64), live)
+
+
+def arrays_for(vehicles: int, adapted: int, actions: Array, period_s: float) -> tuple[Workspace, Lanes, Linearised]:
+    """Return the arrays with which ``linearise`` works on one chain, all of whose covariances matter.
+
+    Parameters
+    ----------
+    vehicles, adapted
+        Numbers M of vehicles and A of adapted parameters.
+    actions
+        Accelerations that the drivers consider [m/s^2], (K,).
+    period_s
+        Time between two samples [s].
+
+    Returns
+    -------
+    workspace, lanes, linearised
+        As ``linearise`` takes them.
+    """
+    size = STATE * vehicles + adapted
+    lanes = lanes_for(points_of(vehicles, adapted), actions, period_s)
+    return workspace_for(vehicles, adapted), lanes, linearised_for(np.arange(size), size)

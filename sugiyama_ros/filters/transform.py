@@ -1,7 +1,7 @@
 """Products with the Jacobian F, of which only the entries that may differ from 0 are multiplied."""
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.filters.state import Linearised
+from sugiyama_ros.filters.state import STATE, Linearised
 from sugiyama_ros.jit import kernel
 
 
@@ -36,5 +36,15 @@ def transform(symmetric: Array, linearised: Linearised, half: Array) -> None:
             j = live[d]
             total = 0.0
             for c in range(counts[j]):
-                total += half[i, columns[j, c]] * jacobian[j, columns[j, c]]
+                k = columns[j, c]
+                total += half[i, k] * jacobian[j, k]
             symmetric[i, j] = symmetric[j, i] = total
+
+
+@kernel(allocates=False)
+def add_noise(covariance: Array, linearised: Linearised) -> None:
+    """Add the process noise, which correlates only entries of the same vehicle, for the live entries of the state."""
+    for i in linearised.live:
+        first = i - i % STATE
+        for j in range(first, min(first + STATE, len(covariance))):
+            covariance[i, j] += linearised.noise[i, j]

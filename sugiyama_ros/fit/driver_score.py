@@ -55,7 +55,7 @@ def causal_score(
     moved = np.tile(parameters, (len(signs), len(places), 1))
     for sign, rows in zip(signs, moved, strict=True):
         rows[np.arange(len(places)), places] *= np.exp(sign * steps)
-    jobs = [causal.Job(chain, row, ahead) for row in (parameters, *moved.reshape(-1, len(parameters)))]
+    jobs = [causal.ChainJob(chain, row, ahead) for row in (parameters, *moved.reshape(-1, len(parameters)))]
     predicted = np.array(causal.predict_samples(jobs))
     density = predicted[0, 2]
     scored = np.isfinite(density)

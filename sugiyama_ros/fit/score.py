@@ -111,13 +111,13 @@ def predict_drivers(data: Recorded, model: Model, who: Iterable[int], work: Exec
     return [one for part in work.map(predict_jobs, parts) for one in part]
 
 
-def predict_jobs(jobs: Sequence[causal.Job]) -> list[DriverDensity]:
+def predict_jobs(jobs: Sequence[causal.ChainJob]) -> list[DriverDensity]:
     """Predict the samples of some drivers; returns one result for each job."""
     return [DriverDensity(*predicted) for predicted in causal.predict_samples(jobs)]
 
 
-def _job(data: Recorded, model: Model, driver: int) -> causal.Job:
-    return causal.Job(data.chains[driver], model.rows[driver], leaders(data, model, driver))
+def _job(data: Recorded, model: Model, driver: int) -> causal.ChainJob:
+    return causal.ChainJob(data.chains[driver], model.rows[driver], leaders(data, model, driver))
 
 
 def filtered_states(data: Recorded, model: Model, work: Executor) -> Array:

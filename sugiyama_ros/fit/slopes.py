@@ -15,7 +15,7 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.effects.sensing import is_contaminated
-from sugiyama_ros.filters.causal import Job
+from sugiyama_ros.filters.causal import ChainJob
 from sugiyama_ros.filters.chain import Chain
 from sugiyama_ros.filters.measurement import weigh_samples
 from sugiyama_ros.fit.model import Model, coordinate, is_linear, leaders, reach, value
@@ -179,7 +179,7 @@ def _slopes_of(
         if k >= len(individual):
             changed_ahead = ahead.copy()
             changed_ahead[:, places[k]] = changed[places[k]]
-        jobs.append(Job(chain, changed, changed_ahead))
+        jobs.append(ChainJob(chain, changed, changed_ahead))
     dy, dvar, direct = (np.empty((len(places), len(fold))) for _ in range(3))
     for k, (step, (y, variance, density)) in enumerate(zip(steps, predict_jobs(jobs), strict=True)):
         dy[k], dvar[k], direct[k] = (y - at[0]) / step, (variance - at[1]) / step, (density - at[2]) / step
