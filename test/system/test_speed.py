@@ -81,5 +81,5 @@ def test_a_part_is_printed_as_text_as_one_document_and_as_a_page(monkeypatch, ca
 
 def test_a_library_that_is_not_installed_is_named(monkeypatch):
     monkeypatch.setitem(PARTS, "peers", "no_such_library.peers")
-    with pytest.raises(InputError, match=r"^--part peers: no_such_library is not installed; see requirements-dev\.txt$"):
+    with pytest.raises(InputError, match=r"^--part peers: no_such_library is not installed; see requirements-dev\."):
         next(measured(["peers"]))
