@@ -41,7 +41,9 @@ def measure() -> tuple[SpeedFigure, ...]:
         SpeedFigure(
             "causal_calibrate_s", f"calibration of {cars} drivers, causal form", causal_s, "s of CPU time", AT_MOST_S
         ),
-        SpeedFigure("causal_calibrate_passes", "passes of the filter over one driver in it", passes, "passes"),
+        SpeedFigure(
+            "causal_calibrate_passes", "passes of the filter over one driver in this calibration", passes, "passes"
+        ),
         SpeedFigure(
             "causal_calibrate_over_pass",
             "the same calibration over one pass over each driver",

@@ -26,6 +26,8 @@ def measure() -> tuple[SpeedFigure, ...]:
         SpeedFigure(
             "quick_diagnosis_s", f"quick diagnosis of {len(chains)} drivers", cpu_s, "s of CPU time", AT_MOST_S
         ),
-        SpeedFigure("quick_diagnosis_passes", "passes of the filter over one driver in it", passes, "passes"),
+        SpeedFigure(
+            "quick_diagnosis_passes", "passes of the filter over one driver in this diagnosis", passes, "passes"
+        ),
         SpeedFigure("quick_diagnosis_over_pass", "the same diagnosis over one pass over each driver", cpu_s / one_pass),
     )

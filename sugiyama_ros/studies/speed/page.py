@@ -15,9 +15,9 @@ from sugiyama_ros.studies.speed.figure import SpeedFigure
 Found = Mapping[str, tuple[SpeedFigure, ...]]
 _HEAD = """# Speed
 
-`make bench` measures all of this in one run. All times are CPU times, except those "on the clock". What is compared is
-measured in turn, several times over, and the shortest time counts. So a ratio hardly depends on what else the machine
-does. The recording is simulated: 22 drivers who start out of a jam, for 250 s. "at most" is the aim.
+`make bench` measures all of this in one run. All times are CPU times. What is compared is measured in turn, several
+times over, and the shortest time counts. So a ratio hardly depends on what else the machine does. The recording is
+simulated: 22 drivers who start out of a jam, for 250 s. "at most" is the aim.
 
 `.venv/bin/python -m sugiyama_ros.studies.speed --part NAME` measures one part, and `--json` prints a document. This
 page is written by `.venv/bin/python -m sugiyama_ros.studies.speed --write docs/speed.md`; here on {machine}.
