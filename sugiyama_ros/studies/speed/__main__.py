@@ -5,7 +5,7 @@ import json
 import sys
 from pathlib import Path
 
-from sugiyama_ros.errors import SugiyamaError
+from sugiyama_ros.errors import InputError
 from sugiyama_ros.studies import speed
 from sugiyama_ros.studies.speed.figure import SpeedFigure
 from sugiyama_ros.studies.speed.page import cells, document, page
@@ -20,13 +20,14 @@ def main() -> None:
     parser.add_argument("--write", type=Path, metavar="FILE", help="write the figures as a page in Markdown")
     given = parser.parse_args()
     found: dict[str, tuple[SpeedFigure, ...]] = {}
-    try:
-        for name, figures in measured(given.part or PARTS):
-            found[name] = figures
-            if not given.json:
-                print_figures(name, figures)
-    except SugiyamaError as error:
-        sys.exit(f"error: {error}")
+    for part in given.part or PARTS:
+        try:
+            found[part] = measured(part)
+        except InputError as error:
+            print(f"left out: {error}", file=sys.stderr)
+            continue
+        if not given.json:
+            print_figures(part, found[part])
     if given.json:
         print(json.dumps(document(found), indent=2))
     if given.write is not None:

@@ -1,6 +1,6 @@
 """The parts of the measurement, in the order in which they run."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable
 from importlib import import_module
 
 from sugiyama_ros.errors import InputError
@@ -19,29 +19,21 @@ PARTS = {
 }
 
 
-def measured(names: Iterable[str]) -> Iterator[tuple[str, tuple[SpeedFigure, ...]]]:
-    """Measure parts one after the other.
+def measured(part: str) -> tuple[SpeedFigure, ...]:
+    """Measure one part.
 
     Parameters
     ----------
-    names : iterable of str
-        Names of the parts.
-
-    Yields
-    ------
-    name : str
-        Name of a part.
-    figures : tuple of SpeedFigure
-        Its figures.
+    part : str
+        Name of the part.
 
     Raises
     ------
     InputError
-        For a part whose library is not installed.
+        If a library that the part compares with is not installed.
     """
-    for name in names:
-        try:
-            measure = import_module(PARTS[name]).measure
-        except ModuleNotFoundError as error:
-            raise InputError(f"--part {name}: {error.name} is not installed; see requirements-dev.txt") from None
-        yield name, measure()
+    try:
+        measure: Callable[[], tuple[SpeedFigure, ...]] = import_module(PARTS[part]).measure
+    except ModuleNotFoundError as error:
+        raise InputError(f"{part}: {error.name} is not installed; see requirements-dev.txt") from None
+    return measure()
