@@ -4,12 +4,14 @@ import os
 import platform
 from collections.abc import Mapping
 from dataclasses import asdict
+from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from sugiyama_ros.results import plain
 from sugiyama_ros.studies.speed.figure import SpeedFigure
+from sugiyama_ros.studies.speed.parts import PARTS
 
 #: Figures of each part, by the name of the part.
 Found = Mapping[str, tuple[SpeedFigure, ...]]
@@ -68,5 +70,6 @@ def page(found: Found) -> str:
     parts = [_HEAD.format(machine=machine())]
     for part, figures in found.items():
         rows = "\n".join("| " + " | ".join(cells(figure)) + " |" for figure in figures)
-        parts.append(f"## {part}\n\n| what | measured | at most |\n|---|---|---|\n{rows}\n")
+        about = (import_module(PARTS[part]).__doc__ or "").strip()
+        parts.append(f"## {part}\n\n{about}\n\n| what | measured | at most |\n|---|---|---|\n{rows}\n")
     return "\n".join(parts)
