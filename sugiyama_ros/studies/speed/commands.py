@@ -1,8 +1,8 @@
 """What commands take besides their work: the start of the program, and the loading of compiled code.
 
-Most of what the paper's calibration takes as a command is numba: its import, its tables of all functions that could be
-compiled, scipy's linear algebra, on which it insists, and the loading of the code that is kept. numba loads all of this
-or nothing. So the aim for this command is out of reach of compiled code that numba keeps.
+Most of what the paper's calibration takes as a command is numba: its import, its tables of all functions that can be
+compiled, the linear algebra of scipy, and the loading of the compiled code. Together they take more than ten times the
+mathematics. So this command does not reach its aim, and cannot reach it with numba.
 """
 
 import sys

@@ -22,7 +22,9 @@ times over, and the shortest time counts. So a ratio hardly depends on what else
 simulated: 22 drivers who start out of a jam, for 250 s. "at most" is the aim.
 
 `.venv/bin/python -m sugiyama_ros.studies.speed --part NAME` measures one part, and `--json` prints a document. This
-page is written by `.venv/bin/python -m sugiyama_ros.studies.speed --write docs/speed.md`; here on {machine}.
+page is written by `.venv/bin/python -m sugiyama_ros.studies.speed --write docs/speed.md`.
+
+Measured on {machine}.
 """
 
 
