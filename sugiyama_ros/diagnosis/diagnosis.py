@@ -16,12 +16,13 @@ from sugiyama_ros.diagnosis.locate import Located, locate
 from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter
 from sugiyama_ros.diagnosis.screen import Screened
 from sugiyama_ros.diagnosis.search import LEVEL, Search
-from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR
+from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
 from sugiyama_ros.fit.cross_validation import Gain, without_folds
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.model_file import write_model
 from sugiyama_ros.fit.population import fit_base
 from sugiyama_ros.fit.recording import Recorded, prepare
+from sugiyama_ros.fit.smooth_positions import individual_in
 from sugiyama_ros.laws.registry import RIVALS
 from sugiyama_ros.plots import bars
 from sugiyama_ros.progress import OnStage
@@ -30,9 +31,6 @@ from sugiyama_ros.trajectories.trajectories import Trajectories
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-#: Places of the individual parameters of each driver.
-INDIVIDUAL = (SIGMA_NU, SIGMA_A, V_STAR, KAPPA_V)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -197,7 +195,7 @@ def diagnose(
         # runs beside the search, which cannot always use all workers
         rival = partial(_rival, data, work, quick)
         others = aside.map(rival, [] if verdict_only else RIVALS)
-        base = fit_base(data, INDIVIDUAL, work)
+        base = fit_base(data, individual_in(trajectories, V_STAR, KAPPA_V), work)
         search = Search(data, base, quick, seed, work, on_progress=on_progress)
         forces = _grow(search, most, with_forces=not (quick or verdict_only), add_forces=add_forces)
         on_progress("rival models", 0, 1)
