@@ -7,6 +7,7 @@ from typing import Any
 from unittest import mock
 
 from sugiyama_ros.filters import causal
+from sugiyama_ros.filters.causal_kernel import Observed, run
 
 
 def counted(work: Callable[[], object]) -> tuple[int, float]:
@@ -24,15 +25,15 @@ def counted(work: Callable[[], object]) -> tuple[int, float]:
     cpu_s : float
         CPU time [s] of the work, over all threads.
     """
-    lock, passes, run = threading.Lock(), 0, causal.run
+    lock, passes = threading.Lock(), 0
 
-    def one_pass(*arguments: Any) -> float:
+    def passes_of(observed: Observed, *others: Any) -> None:
         nonlocal passes
         with lock:
-            passes += 1
-        return run(*arguments)
+            passes += len(observed.position)
+        run(observed, *others)
 
-    with mock.patch.object(causal, "run", one_pass):
+    with mock.patch.object(causal, "run", passes_of):
         began = time.process_time()
         work()
         return passes, time.process_time() - began
