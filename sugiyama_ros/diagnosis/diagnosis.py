@@ -11,14 +11,14 @@ from sugiyama_ros.diagnosis.addition import Addition
 from sugiyama_ros.diagnosis.adequacy import Adequacy, Evidence, judge, simulated_failures, told
 from sugiyama_ros.diagnosis.candidacy import Candidacy
 from sugiyama_ros.diagnosis.discover import Discovery
-from sugiyama_ros.diagnosis.errors import HeldOutErrors, errors_of
+from sugiyama_ros.diagnosis.errors import HeldOutErrors, errors_of, held_out_errors
 from sugiyama_ros.diagnosis.free_runs import HORIZONS_S
 from sugiyama_ros.diagnosis.locate import Located, locate
 from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter
 from sugiyama_ros.diagnosis.screen import Screened
 from sugiyama_ros.diagnosis.search import LEVEL, Search
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
-from sugiyama_ros.fit.cross_validation import Gain, without_folds
+from sugiyama_ros.fit.cross_validation import Gain
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.model_file import write_model
 from sugiyama_ros.fit.population import fit_base
@@ -274,7 +274,7 @@ def _grow(search: Search, most: int, *, with_forces: bool, add_forces: bool) -> 
 def _rival(data: Recorded, work: ThreadPoolExecutor, quick: bool, law: str) -> dict[str, HeldOutErrors]:
     """Errors of a rival fitted in the filter and, unless ``quick``, of the rival fitted to gaps."""
     fitted = in_filter(data, law, work)
-    found = {law: errors_of(data, without_folds(data, fitted, work, searched=not quick), work)}
+    found = {law: held_out_errors(data, fitted, work, searched=not quick)}
     if not quick and has_parameters(law):
         found[f"{law}_least_squares"] = errors_of(data, by_gaps(data, law, fitted, work), work)
     return found

@@ -7,13 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from sugiyama_ros.diagnosis.free_runs import HORIZONS_S, FreeRuns, free_runs, rmse
-from sugiyama_ros.fit.cross_validation import of_folds
+from sugiyama_ros.fit.cross_validation import of_folds, searched_without_folds, without_folds
+from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.score import PointwiseDensity, follow
 
 # The error of a free run may grow by this share without counting as worse: two starts differ by more.
 _TOLERANCE = 0.05
+# A fitted parameter costs about one held-out nat (Akaike); a loss of more than this [nats] is a failure of the fits.
+_PER_PARAMETER = 4.0
 # Smallest speed [m/s] at which a time gap is meaningful.
 _MOVING = 1.0
 
@@ -108,6 +111,37 @@ class HeldOutErrors:
                     found[f"{at}_gap_relative"] = rmse(error) / float(np.mean(known))
                     found[f"{at}_gap_fit_percent"] = 100.0 * (1.0 - rmse(error) / float(np.std(known)))
         return found
+
+
+def held_out_errors(data: Recorded, fitted: JointFit, work: Executor, *, searched: bool) -> HeldOutErrors:
+    """Return the held-out errors of a fitted model.
+
+    One step away from the fit (``searched=False``) the held-out models are good where the fit is at a maximum that the
+    data determine. Where they predict far worse than the fit itself, they are searched after all: a number that rests
+    on a step along a ridge of the likelihood cannot be trusted.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    fitted : JointFit
+        The model fitted to all folds.
+    work : Executor
+        Runs the filters.
+    searched : bool
+        Whether to search for the model without each fold.
+
+    Returns
+    -------
+    HeldOutErrors
+        Errors over all folds.
+    """
+    found = errors_of(data, without_folds(data, fitted, work, searched=searched), work)
+    free = data.drivers * len(fitted.model.individual) + len(fitted.model.shared)
+    if fitted.log_likelihood - found.samples.total <= _PER_PARAMETER * free:
+        return found
+    again = errors_of(data, searched_without_folds(data, fitted, work), work)
+    return again if again.samples.total > found.samples.total else found
 
 
 def errors_of(data: Recorded, models: Sequence[Model], work: Executor) -> HeldOutErrors:

@@ -22,9 +22,9 @@ from sugiyama_ros.diagnosis.candidacy import (
 )
 from sugiyama_ros.diagnosis.candidates import Candidate, candidates, recording_of
 from sugiyama_ros.diagnosis.discover import Discovery, discover
-from sugiyama_ros.diagnosis.errors import HeldOutErrors, errors_of
+from sugiyama_ros.diagnosis.errors import HeldOutErrors, held_out_errors
 from sugiyama_ros.diagnosis.screen import FULL, QUICK, Screened, closer, forecast, refine, screen, screen_again
-from sugiyama_ros.fit.cross_validation import Gain, gain, held_out_nearly, sum_error, without_folds
+from sugiyama_ros.fit.cross_validation import Gain, gain, held_out_nearly, sum_error
 from sugiyama_ros.fit.joint import JointFit, maximise, objective, start_fit, warm_start
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import filtered_states
@@ -102,7 +102,7 @@ class Search:
         self._seen: dict[str, tuple[JointFit, Screened]] = {}
         self.effort = QUICK if quick else FULL
         self.current = base
-        self.before = self.errors = errors_of(data, without_folds(data, base, work, searched=not quick), work)
+        self.before = self.errors = held_out_errors(data, base, work, searched=not quick)
         self.named: list[Addition] = []
         self.scored: list[Candidacy] = []
         self.heldout: dict[str, Gain] = {}
@@ -204,7 +204,7 @@ class Search:
 
     def _nearly(self, fitted: JointFit) -> HeldOutErrors:
         """Held-out errors, without a search for each fold."""
-        return errors_of(self.data, without_folds(self.data, fitted, self._work, searched=False), self._work)
+        return held_out_errors(self.data, fitted, self._work, searched=False)
 
     def _grow(
         self, candidate: Candidate, fitted: JointFit, p_value: float, rivals: tuple[str, ...] = ()
@@ -215,7 +215,7 @@ class Search:
         data, work, before = self.data, self._work, self.errors
         model = replace(fitted.model, ahead=fitted.model.rows)
         grown = warm_start(data, fitted, model, work, renewals=0 if self.quick else self.effort.renewals)
-        after = errors_of(data, without_folds(data, grown, work, searched=not self.quick), work)
+        after = held_out_errors(data, grown, work, searched=not self.quick)
         won = gain(data, after.samples, before.samples)
         if won.nats < sum_error(won.drivers):
             return None

@@ -51,6 +51,14 @@ def without_folds(data: Recorded, fitted: JointFit, work: Executor, *, searched:
     return tuple(models)
 
 
+def searched_without_folds(data: Recorded, fitted: JointFit, work: Executor) -> tuple[Model, ...]:
+    """Return a model for every fold, fitted to the other folds by a search that starts from the fit to all folds."""
+    return tuple(
+        maximise(data, fitted, work, folds=[k for k in range(FOLDS) if k != f], iterations=2 * _STEPS_WITHOUT).model
+        for f in range(FOLDS)
+    )
+
+
 def _without(data: Recorded, fitted: JointFit, fold: int) -> Model:
     """The model fitted to all folds but one, by the infinitesimal jackknife (Giordano et al. 2019).
 

@@ -1,5 +1,6 @@
 """The verdict on adequacy: each kind of evidence against a model, and whole diagnoses of other laws' drivers."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -8,9 +9,11 @@ import pytest
 from sugiyama_ros.diagnosis.adequacy import Evidence, judge, told
 from sugiyama_ros.diagnosis.diagnosis import diagnose
 from sugiyama_ros.diagnosis.discover import Discovery
+from sugiyama_ros.diagnosis.errors import errors_of, held_out_errors
 from sugiyama_ros.diagnosis.verdict import document, sentences
 from sugiyama_ros.driver.parameters import defaults
 from sugiyama_ros.effects.registry import ROW
+from sugiyama_ros.fit.cross_validation import without_folds
 from sugiyama_ros.laws.registry import number_of
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, evenly, simulate
@@ -87,3 +90,17 @@ def test_drivers_of_another_law_are_not_explained():
     assert d.adequacy.outcome == "not_explained"
     assert d.adequacy.better_law == "fvdm"
     assert "fvdm predicts held-out samples better" in d.headline()
+
+
+def test_a_held_out_step_that_fails_is_searched_after_all(own):
+    """With the information of a parameter far too small, the step to each fold leads nowhere."""
+    weak = [
+        replace(s, information=s.information * 1e-3, score=s.score + np.where(np.arange(5)[:, None] == 0, 40.0, -10.0))
+        for s in own.base.slopes
+    ]
+    broken = replace(own.base, slopes=tuple(weak))
+    with ThreadPoolExecutor(2) as work:
+        stepped = errors_of(own.data, without_folds(own.data, broken, work, searched=False), work)
+        guarded = held_out_errors(own.data, broken, work, searched=False)
+    assert stepped.samples.total < own.base.log_likelihood - 4.0 * 4 * CARS
+    assert guarded.samples.total > stepped.samples.total
