@@ -4,11 +4,13 @@ import math
 from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from rclpy.serialization import deserialize_message
+from sugiyama_msgs.msg import DriverParameters
 
 from sugiyama_ros.formats.mcap_reader import Bag
+from sugiyama_ros.nodes.base import cdr_messages
 
 
 @dataclass(frozen=True)
@@ -49,22 +51,27 @@ def read_run(path: Path) -> tuple[dict[str, int], tuple[DriverResult, ...]]:
     InputError
         Where the file cannot be read.
     """
-    scores: defaultdict[int, list[tuple[float, float]]] = defaultdict(list)
-    parameters: dict[int, dict[str, float]] = {}
+    scores: defaultdict[str, list[tuple[float, float]]] = defaultdict(list)
+    parameters: dict[str, bytes] = {}
     with Bag(path) as bag:
         counts = {topic.name: topic.count for topic in bag.info().topics}
-        for topic, _, _, message in bag.messages({n for n in counts if n.endswith(("/innovation", "/parameters"))}):
-            if topic.endswith("/parameters"):
-                parameters[message.vehicle] = dict(zip(message.name, message.value.tolist(), strict=True))
-            elif message.scored:
-                scores[message.vehicle].append((message.innovation_m**2, message.nis))
-    return counts, tuple(_driver(v, parameters[v], np.array(scores[v])) for v in sorted(parameters))
+        for topic, _, _, raw in bag.raw_messages({n for n in counts if n.endswith(("/innovation", "/parameters"))}):
+            vehicle, _, name = topic.rpartition("/")
+            if name == "parameters":
+                parameters[vehicle] = raw
+                continue
+            innovation = cdr_messages.read_innovation(raw)
+            if innovation.scored:
+                scores[vehicle].append((innovation.innovation_m**2, innovation.nis))
+    drivers = [_driver(deserialize_message(raw, DriverParameters), scores[v]) for v, raw in parameters.items()]
+    return counts, tuple(sorted(drivers, key=lambda driver: driver.vehicle))
 
 
-def _driver(vehicle: int, parameters: dict[str, float], score: Any) -> DriverResult:
-    squared, nis = score.mean(axis=0).tolist() if len(score) else (math.nan, math.nan)
+def _driver(message: DriverParameters, score: list[tuple[float, float]]) -> DriverResult:
+    parameters = dict(zip(message.name, message.value.tolist(), strict=True))
+    squared, nis = np.array(score).mean(axis=0).tolist() if score else (math.nan, math.nan)
     return DriverResult(
-        vehicle=vehicle,
+        vehicle=message.vehicle,
         v_star=parameters["v_star"],
         kappa_v=parameters["kappa_v"],
         sigma_nu=parameters["sigma_nu"],
