@@ -30,6 +30,8 @@ class ShownParameters:
         Covariance (S, S) of ``value``; zero for parameters that are not adapted.
     identified
         Whether the standard deviation is less than half of the prior's, (S,).
+    adapted_covariance, adapted_identified
+        The same of the adapted parameters alone, (A, A) and (A,), in the order of ``OnlineFilter.adapted``.
     """
 
     def __init__(self, filter_: OnlineFilter, shown: Sequence[int]) -> None:
@@ -60,8 +62,10 @@ class ShownParameters:
             logs[self._of_noises, self._of_noises] = kalman.noises.covariance
         value = kalman.rows[0, self._places] * self._scale
         self.value[self._at] = value
-        self.covariance[self._block] = logs * value * value[:, None]
-        self.identified[self._at] = logs.diagonal() < self._bound
+        self.adapted_covariance: Array = logs * value * value[:, None]
+        self.adapted_identified: Mask = logs.diagonal() < self._bound
+        self.covariance[self._block] = self.adapted_covariance
+        self.identified[self._at] = self.adapted_identified
 
     @property
     def not_identified(self) -> list[str]:

@@ -2,15 +2,18 @@
 
 import math
 from collections import defaultdict
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rclpy.serialization import deserialize_message
-from sugiyama_msgs.msg import DriverParameters
+from sugiyama_msgs.msg import DriverArray, DriverParameters
 
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.nodes.base import cdr_messages
+from sugiyama_ros.nodes.driver_array import TOPIC
 
 
 @dataclass(frozen=True)
@@ -51,27 +54,54 @@ def read_run(path: Path) -> tuple[dict[str, int], tuple[DriverResult, ...]]:
     InputError
         Where the file cannot be read.
     """
-    scores: defaultdict[str, list[tuple[float, float]]] = defaultdict(list)
-    parameters: dict[str, bytes] = {}
+    read = _Read()
     with Bag(path) as bag:
         counts = {topic.name: topic.count for topic in bag.info().topics}
-        for topic, _, _, raw in bag.raw_messages({n for n in counts if n.endswith(("/innovation", "/parameters"))}):
-            vehicle, _, name = topic.rpartition("/")
-            if name == "parameters":
-                parameters[vehicle] = raw
-                continue
-            innovation = cdr_messages.read_innovation(raw)
-            if innovation.scored:
-                scores[vehicle].append((innovation.innovation_m**2, innovation.nis))
-    drivers = [_driver(deserialize_message(raw, DriverParameters), scores[v]) for v, raw in parameters.items()]
-    return counts, tuple(sorted(drivers, key=lambda driver: driver.vehicle))
+        for topic, _, _, raw in bag.raw_messages({n for n in counts if n.rpartition("/")[2] in read.kinds}):
+            read.kinds[topic.rpartition("/")[2]](topic, raw)
+    return counts, tuple(sorted(read.drivers(), key=lambda driver: driver.vehicle))
 
 
-def _driver(message: DriverParameters, score: list[tuple[float, float]]) -> DriverResult:
-    parameters = dict(zip(message.name, message.value.tolist(), strict=True))
+class _Read:
+    """What is read of the messages: scores of all samples, and the last message about each driver."""
+
+    def __init__(self) -> None:
+        self.kinds = {"innovation": self._innovation, "parameters": self._parameters, TOPIC: self._array}
+        self._scores: defaultdict[int, list[tuple[float, float]]] = defaultdict(list)
+        self._last: dict[str, bytes] = {}
+        self._last_array: DriverArray | None = None
+
+    def _innovation(self, _: str, raw: bytes) -> None:
+        message = cdr_messages.read_innovation(raw)
+        if message.scored:
+            self._scores[message.vehicle].append((message.innovation_m**2, message.nis))
+
+    def _parameters(self, topic: str, raw: bytes) -> None:
+        self._last[topic] = raw
+
+    def _array(self, _: str, raw: bytes) -> None:
+        message = self._last_array = deserialize_message(raw, DriverArray)
+        scores = zip(message.vehicle, message.scored, message.innovation_m, message.nis, strict=True)
+        for vehicle, scored, innovation_m, nis in scores:
+            if scored:
+                self._scores[vehicle].append((innovation_m**2, nis))
+
+    def drivers(self) -> Iterator[DriverResult]:
+        """Every driver."""
+        for raw in self._last.values():
+            one = deserialize_message(raw, DriverParameters)
+            yield _driver(one.vehicle, one.name, one.value, self._scores[one.vehicle])
+        array = self._last_array
+        if array is not None:
+            for vehicle, value in zip(array.vehicle, np.split(np.array(array.value), len(array.vehicle)), strict=True):
+                yield _driver(vehicle, array.name, value, self._scores[vehicle])
+
+
+def _driver(vehicle: int, names: Sequence[str], values: Any, score: list[tuple[float, float]]) -> DriverResult:
+    parameters = dict(zip(names, values.tolist(), strict=True))
     squared, nis = np.array(score).mean(axis=0).tolist() if score else (math.nan, math.nan)
     return DriverResult(
-        vehicle=message.vehicle,
+        vehicle=vehicle,
         v_star=parameters["v_star"],
         kappa_v=parameters["kappa_v"],
         sigma_nu=parameters["sigma_nu"],
