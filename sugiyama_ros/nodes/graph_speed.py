@@ -44,7 +44,7 @@ def loop(source: Path, bag: Path, array: bool) -> float:
     Raises
     ------
     SugiyamaError
-        Where a node fails, or a message is lost.
+        Where a node fails, a message is lost, or the recording is too short.
     """
     seen: list[tuple[int, float]] = []
 
@@ -55,6 +55,8 @@ def loop(source: Path, bag: Path, array: bool) -> float:
     result = run(source, bag, array=array, on_progress=note)
     if result.messages_lost:
         raise SugiyamaError(f"{result.messages_lost} messages lost; the time means nothing")
+    if len(seen) < 2:
+        raise SugiyamaError(f"{source}: too short to be measured; give a longer recording")
     (first, began_s), (last, ended_s) = seen[0], seen[-1]
     return (ended_s - began_s) * result.steps / (last - first)
 
