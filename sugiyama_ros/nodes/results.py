@@ -13,7 +13,6 @@ from sugiyama_msgs.msg import DriverArray, DriverParameters
 
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.nodes.base import cdr_messages
-from sugiyama_ros.nodes.driver_array import TOPIC
 
 
 @dataclass(frozen=True)
@@ -56,9 +55,10 @@ def read_run(path: Path) -> tuple[dict[str, int], tuple[DriverResult, ...]]:
     """
     read = _Read()
     with Bag(path) as bag:
-        counts = {topic.name: topic.count for topic in bag.info().topics}
-        for topic, _, _, raw in bag.raw_messages({n for n in counts if n.rpartition("/")[2] in read.kinds}):
-            read.kinds[topic.rpartition("/")[2]](topic, raw)
+        topics = bag.info().topics
+        for topic, kind, _, raw in bag.raw_messages({topic.name for topic in topics if topic.type in read.kinds}):
+            read.kinds[kind](topic, raw)
+    counts = {topic.name: topic.count for topic in topics}
     return counts, tuple(sorted(read.drivers(), key=lambda driver: driver.vehicle))
 
 
@@ -66,10 +66,15 @@ class _Read:
     """What is read of the messages: scores of all samples, and the last message about each driver."""
 
     def __init__(self) -> None:
-        self.kinds = {"innovation": self._innovation, "parameters": self._parameters, TOPIC: self._array}
+        #: What takes in a message, by the type of the message.
+        self.kinds = {
+            "sugiyama_msgs/msg/Innovation": self._innovation,
+            "sugiyama_msgs/msg/DriverParameters": self._parameters,
+            "sugiyama_msgs/msg/DriverArray": self._array,
+        }
         self._scores: defaultdict[int, list[tuple[float, float]]] = defaultdict(list)
         self._last: dict[str, bytes] = {}
-        self._last_array: DriverArray | None = None
+        self._last_array: dict[int, DriverArray] = {}
 
     def _innovation(self, _: str, raw: bytes) -> None:
         message = cdr_messages.read_innovation(raw)
@@ -80,9 +85,10 @@ class _Read:
         self._last[topic] = raw
 
     def _array(self, _: str, raw: bytes) -> None:
-        message = self._last_array = deserialize_message(raw, DriverArray)
+        message = deserialize_message(raw, DriverArray)
         scores = zip(message.vehicle, message.scored, message.innovation_m, message.nis, strict=True)
         for vehicle, scored, innovation_m, nis in scores:
+            self._last_array[vehicle] = message
             if scored:
                 self._scores[vehicle].append((innovation_m**2, nis))
 
@@ -91,10 +97,9 @@ class _Read:
         for raw in self._last.values():
             one = deserialize_message(raw, DriverParameters)
             yield _driver(one.vehicle, one.name, one.value, self._scores[one.vehicle])
-        array = self._last_array
-        if array is not None:
-            for vehicle, value in zip(array.vehicle, np.split(np.array(array.value), len(array.vehicle)), strict=True):
-                yield _driver(vehicle, array.name, value, self._scores[vehicle])
+        for vehicle, array in self._last_array.items():
+            values = np.reshape(array.value, (len(array.vehicle), len(array.name)))
+            yield _driver(vehicle, array.name, values[list(array.vehicle).index(vehicle)], self._scores[vehicle])
 
 
 def _driver(vehicle: int, names: Sequence[str], values: Any, score: list[tuple[float, float]]) -> DriverResult:

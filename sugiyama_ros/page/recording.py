@@ -23,8 +23,13 @@ _FIELDS = {
     "state": ("speed", "acceleration", "mean_action", "gap_m", "approach_rate"),
     "innovation": ("innovation_m", "innovation_var", "nis", "scored"),
 }
-# Name of the topic with all drivers in one message; the fields of state and innovation are arrays there.
-_ARRAY = "drivers"
+# What a message is about, by its type. Where all drivers are in one message, the fields of the other two are arrays.
+_KINDS = {
+    "sugiyama_msgs/msg/VehicleState": "state",
+    "sugiyama_msgs/msg/Innovation": "innovation",
+    "sugiyama_msgs/msg/DriverArray": "drivers",
+    "sugiyama_msgs/msg/Verdict": "verdict",
+}
 # Parts of a diagnosis that are shown.
 _ASKED = {"verdict", "candidates", "smallest_detectable", "errors", "drivers"}
 
@@ -104,11 +109,10 @@ def read_recording(path: Path) -> Recording:
     weights: defaultdict[str, list[float]] = defaultdict(list)
     times: list[float] = []
     with Bag(path) as bag:
-        topics = {topic.name for topic in bag.info().topics}
-        wanted = {n for n in topics if n.rpartition("/")[2] in (*_FIELDS, _ARRAY, "verdict")}
-        for topic, _, _, message in bag.messages(wanted) if wanted else ():
+        wanted = {topic.name for topic in bag.info().topics if topic.type in _KINDS}
+        for _, type_name, _, message in bag.messages(wanted) if wanted else ():
             time_s = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
-            kind = topic.rpartition("/")[2]
+            kind = _KINDS[type_name]
             if kind == "verdict":
                 times.append(time_s)
                 for name, weight in zip(message.model, message.weight, strict=True):
@@ -116,7 +120,7 @@ def read_recording(path: Path) -> Recording:
                 continue
             step = round((time_s - t.start_s) / t.period_s)
             if 0 <= step < samples:
-                enter = _enter_all if kind == _ARRAY else _enter
+                enter = _enter_all if kind == "drivers" else _enter
                 enter(message, kind, step, series, column)
     return Recording(
         t,
