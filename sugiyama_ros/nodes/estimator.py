@@ -227,7 +227,8 @@ class Estimator(PacedNode):
             if self._topics.publish_parameters(sample.stamp_ns, follower.filter, is_last):
                 self._save_if_due(sample.stamp_ns)
         self.taken(sample.step + 1, last=is_last)
-        self.report_if_worse()
+        if self._failure or follower.missing_in_a_row:
+            self.report_if_worse()
 
     def _follow(self, sample: Sample, follower: Follower) -> Estimate | None:
         """Bring the filter to the time of the sample; None if the sample is left out."""

@@ -9,7 +9,7 @@ import numpy as np
 from rclpy.serialization import serialize_message
 from sugiyama_msgs.msg import DriverArray
 
-from sugiyama_ros.arrays import Array, Mask
+from sugiyama_ros.arrays import Array, Mask, selection
 from sugiyama_ros.filters.online import Estimate
 from sugiyama_ros.formats.measured import FRAME
 from sugiyama_ros.nodes.base.cdr_messages import NS
@@ -68,9 +68,9 @@ class ArrayWriter:
         count, self._value = len(drivers), np.full((len(drivers), len(shown)), np.nan)
         self._covariance = np.zeros((count, len(adapted), len(adapted)))
         self._identified = np.zeros((count, len(adapted)), np.bool_)
-        self._shown = [np.array([shown.index(name) for name in driver.names.shown]) for driver in drivers]
-        at = [[adapted.index(name) for name in driver.names.adapted] for driver in drivers]
-        self._adapted = [(np.array(places, np.int64), np.ix_(places, places)) for places in at]
+        self._shown = [selection([shown.index(name) for name in driver.names.shown]) for driver in drivers]
+        at = [selection([adapted.index(name) for name in driver.names.adapted]) for driver in drivers]
+        self._adapted = [(k, (k, k) if isinstance(k, slice) else np.ix_(k, k)) for k in at]
         self._numbers = struct.Struct(f"<{count}d")
         self._lay_out(shown, adapted)
 
