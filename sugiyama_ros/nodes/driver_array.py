@@ -7,7 +7,7 @@ from sugiyama_msgs.msg import DriverArray
 
 from sugiyama_ros.nodes.base.driver_array_messages import ArrayWriter, KnownDriver
 from sugiyama_ros.nodes.base.node import PacedNode
-from sugiyama_ros.nodes.base.qos import STREAM
+from sugiyama_ros.nodes.base.qos import DEPTH, STREAM
 
 #: Name of the topic, in the namespace of the road.
 TOPIC = "drivers"
@@ -16,7 +16,8 @@ TOPIC = "drivers"
 class DriverArrayTopic:
     """Publishes ``drivers``: one message for each sample, as soon as every driver has taken the sample in.
 
-    The nodes of a process share one object. Each driver joins once, and then answers to every sample.
+    The nodes of a process share one object. Each driver joins once, and then answers to every sample. A driver who
+    falls too far behind is no longer waited for.
     """
 
     def __init__(self) -> None:
@@ -45,16 +46,18 @@ class DriverArrayTopic:
         """
         answers = self._answers.setdefault(stamp_ns, [])
         answers.append(driver)
-        if len(answers) < self._drivers or self._publisher is None:
-            return
-        # stamps come in order, so earlier stamps that lack an answer will never have it
-        for earlier in list(self._answers):
-            del self._answers[earlier]
-            if earlier == stamp_ns:
-                break
+        if len(answers) == self._drivers:
+            # samples come in order, so earlier ones that lack an answer will never have it
+            while stamp_ns in self._answers:
+                self._publish(node, next(iter(self._answers)))
+        elif len(self._answers) > DEPTH:
+            self._publish(node, next(iter(self._answers)))
+
+    def _publish(self, node: PacedNode, stamp_ns: int) -> None:
+        """Publish what is known at a stamp [ns]."""
         # the drivers may answer in any order
-        known = sorted((one for one in answers if one is not None), key=lambda one: one.vehicle)
-        if known:
+        known = sorted((one for one in self._answers.pop(stamp_ns) if one is not None), key=lambda one: one.vehicle)
+        if known and self._publisher is not None:
             node.send(self._publisher, self._message(stamp_ns, known))
 
     def _message(self, stamp_ns: int, drivers: Sequence[KnownDriver]) -> bytes:
