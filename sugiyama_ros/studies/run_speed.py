@@ -108,7 +108,7 @@ def measure(t: Trajectories, rounds: int = _ROUNDS) -> dict[str, dict[str, float
     Returns
     -------
     dict
-        For each kind of run the least times of the processor [s]: ``loop_s`` and ``command_s``, the floors ``graph_s``,
+        For each kind of run the least times of the processor [s]: ``loop_s`` and ``process_s``, the floors ``graph_s``,
         ``filters_s`` and ``writing_s``, and their sum ``floors_s``; and ``loop_over_floors`` [1].
     """
     found: dict[str, dict[str, float]] = {kind: {} for kind in KINDS}
@@ -120,8 +120,8 @@ def measure(t: Trajectories, rounds: int = _ROUNDS) -> dict[str, dict[str, float
             for kind, options in KINDS.items():
                 bag = folder / f"{kind}.mcap"
                 bag.unlink(missing_ok=True)
-                loop_s, command_s = _of_graph("loop", source, bag, *options)
-                times = {"loop_s": loop_s, "command_s": command_s, "graph_s": _of_graph("empty", bag)[0]}
+                loop_s, process_s = _of_graph("loop", source, bag, *options)
+                times = {"loop_s": loop_s, "process_s": process_s, "graph_s": _of_graph("empty", bag)[0]}
                 times |= {"filters_s": filters_s(t), "writing_s": writing_s(bag, folder / "copy.mcap")}
                 found[kind] = {name: min(time_s, found[kind].get(name, time_s)) for name, time_s in times.items()}
     for times in found.values():
