@@ -1,5 +1,6 @@
 """Types of arrays."""
 
+from collections.abc import Sequence
 from typing import TypeAlias
 
 import numpy as np
@@ -11,3 +12,9 @@ Array: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.int64]
 #: Yes or no for every entry.
 Mask: TypeAlias = NDArray[np.bool_]
+
+
+def selection(places: Sequence[int]) -> slice | Ints:
+    """Places as an index: a slice where each follows the one before, which numpy reads and writes much faster."""
+    first, count = (places[0] if places else 0), len(places)
+    return slice(first, first + count) if list(places) == [*range(first, first + count)] else np.array(places, np.int64)

@@ -1,6 +1,7 @@
 """``sugiyama run`` and ``sugiyama live``."""
 
 import dataclasses
+import gc
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -34,6 +35,10 @@ class RunOptions:
         Path | None,
         typer.Option("--resume", help="Directory of an earlier --save-state; the estimators continue from it."),
     ] = None
+    array: Annotated[
+        bool,
+        typer.Option("--array", help="Publish all drivers in one message, /drivers, instead of on topics of each."),
+    ] = False
     as_json: Json = False
 
 
@@ -49,12 +54,16 @@ def run(options: RunOptions) -> None:
 def replay(options: RunOptions) -> "RunResult":
     """Replay and record, with a progress bar."""
     rate = rate_of(options.rate)
+    gc.disable()  # no module is garbage, and to look for garbage among them takes a tenth of a second
     try:
         from sugiyama_ros.nodes.run import run as run_nodes
     except ModuleNotFoundError as error:
         if error.name not in ("rclpy", "sugiyama_msgs"):
             raise
         raise InputError(f"{error.name}: not installed; run `make demo` once, or source a ROS 2 workspace") from None
+    finally:
+        gc.freeze()
+        gc.enable()
     with progress("replaying") as advance:
         return run_nodes(
             options.source,
@@ -66,6 +75,7 @@ def replay(options: RunOptions) -> "RunResult":
             critic=options.critic,
             save_state=options.save_state,
             resume=options.resume,
+            array=options.array,
             on_progress=advance,
         )
 

@@ -45,6 +45,8 @@ class CompiledKalman:
         All that the filter knows. Compiled code changes them.
     x, P, next_mean, rows
         Arrays among them, as in ``Engine``.
+    memory, layout
+        Where the arrays lie, as ``online_kernel.step`` takes it.
     """
 
     def __init__(self, model: ChainModel, road: Road, learning: Learning | None) -> None:
@@ -54,8 +56,8 @@ class CompiledKalman:
         every = max(1, round(ONSET_S / period))
         onsets = max(1, round(WATCHED_S / (every * period)))
         models = 0 if learning is None else len(learning.relaxations_s)
-        self._layout = layout_of(Sizes(model.vehicles, adapted, models, onsets * adapted))
-        self._use(memory_for(self._layout))
+        self.layout = layout_of(Sizes(model.vehicles, adapted, models, onsets * adapted))
+        self._use(memory_for(self.layout))
         arrays = self.arrays
         arrays.book.identity[:] = -1
         arrays.linearised.live[:] = np.arange(len(self.x))
@@ -70,8 +72,8 @@ class CompiledKalman:
 
     def _use(self, memory: Array) -> None:
         """Use a memory with this filter's layout."""
-        self._memory = memory
-        self.arrays = online_arrays(memory, self._layout)
+        self.memory = memory
+        self.arrays = online_arrays(memory, self.layout)
         state = self.arrays.state
         self.x, self.P, self.rows = state.mean, state.covariance, self.arrays.drivers.parameters
         self.next_mean = self.arrays.linearised.next_mean
@@ -89,13 +91,13 @@ class CompiledKalman:
             "learning": self.learning,
             "change_of_style": self.change_of_style,
             "model": self.model,
-            "_layout": self._layout,
-            "_memory": self._memory,
+            "layout": self.layout,
+            "memory": self.memory,
         }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._use(self._memory)
+        self._use(self.memory)
 
     @property
     def noises(self) -> Noises | None:
@@ -130,7 +132,7 @@ class CompiledKalman:
     ) -> Estimate:
         """Go on by one period and take in its sample; see ``Engine.step``."""
         self._pack(self._bytes, 0, *position_m, *identity, *length_m, *rear, time_s)
-        step(self._memory, self._layout)
+        step(self.memory, self.layout)
         (
             position,
             speed,

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sugiyama_ros.arrays import Array, Mask
+from sugiyama_ros.arrays import Array, Mask, selection
 from sugiyama_ros.driver.parameters import NAMES
 from sugiyama_ros.filters.noise import NOISES
 from sugiyama_ros.filters.online import OnlineFilter
@@ -26,10 +26,10 @@ class ShownParameters:
     ----------
     value
         Parameters at the reference period, (S,) [SI].
-    covariance
-        Covariance (S, S) of ``value``; zero for parameters that are not adapted.
-    identified
-        Whether the standard deviation is less than half of the prior's, (S,).
+    adapted_covariance
+        Covariance (A, A) of the adapted parameters, in the order of ``OnlineFilter.adapted``.
+    adapted_identified
+        Whether the standard deviation of the adapted parameters is less than half of the prior's, (A,).
     """
 
     def __init__(self, filter_: OnlineFilter, shown: Sequence[int]) -> None:
@@ -37,9 +37,9 @@ class ShownParameters:
         model, shown = kalman.model, list(shown)
         noises = NOISES if kalman.learning is not None else []
         places = [*noises, *model.adapted]
-        self._places, self._names = np.array(places, np.int64), [NAMES[k] for k in places]
+        self._places, self._names = selection(places), [NAMES[k] for k in places]
         at = [shown.index(k) for k in places]
-        self._at, self._block = np.array(at, np.int64), np.ix_(at, at)
+        self._at, self._into, self._block = at, selection(at), np.ix_(at, at)
         self._scale = np.ones(len(places))
         self._scale[: len(noises)] = model.row[noises] / model.rows[0, noises]
         noise_std = kalman.learning.prior_std if kalman.learning is not None else ()
@@ -48,8 +48,6 @@ class ShownParameters:
         self._of_noises, self._of_state = slice(0, len(noises)), slice(len(noises), len(places))
         self._logs = np.zeros((len(places), len(places)))
         self.value: Array = model.row[shown]
-        self.covariance: Array = np.zeros((len(shown), len(shown)))
-        self.identified: Mask = np.zeros(len(shown), np.bool_)
         self.read()
 
     def read(self) -> None:
@@ -59,11 +57,26 @@ class ShownParameters:
         if kalman.noises is not None:
             logs[self._of_noises, self._of_noises] = kalman.noises.covariance
         value = kalman.rows[0, self._places] * self._scale
-        self.value[self._at] = value
-        self.covariance[self._block] = logs * value * value[:, None]
-        self.identified[self._at] = logs.diagonal() < self._bound
+        self.value[self._into] = value
+        self.adapted_covariance: Array = logs * value * value[:, None]
+        self.adapted_identified: Mask = logs.diagonal() < self._bound
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance (S, S) of ``value``; zero for parameters that are not adapted."""
+        covariance = np.zeros((len(self.value), len(self.value)))
+        covariance[self._block] = self.adapted_covariance
+        return covariance
+
+    @property
+    def identified(self) -> Mask:
+        """Whether the standard deviation is less than half of the prior's, (S,); False for what is not adapted."""
+        identified = np.zeros(len(self.value), np.bool_)
+        identified[self._at] = self.adapted_identified
+        return identified
 
     @property
     def not_identified(self) -> list[str]:
         """Names of the adapted parameters that the samples so far do not tell."""
-        return [name for name, k in zip(self._names, self._at.tolist(), strict=True) if not self.identified[k]]
+        told = zip(self._names, self.adapted_identified.tolist(), strict=True)
+        return [name for name, is_identified in told if not is_identified]

@@ -1,4 +1,4 @@
-"""The topics on which an estimator publishes what it knows about its driver."""
+"""What an estimator publishes about its driver: on topics of the vehicle, or in one message with other drivers."""
 
 from sugiyama_msgs.msg import DriverParameters, DriverType, Innovation, StyleChange, VehicleState
 
@@ -9,14 +9,18 @@ from sugiyama_ros.filters.online import Estimate, OnlineFilter
 from sugiyama_ros.filters.shown import ShownParameters
 from sugiyama_ros.fit.driver_types import DriverTypes
 from sugiyama_ros.nodes.base import cdr_messages
+from sugiyama_ros.nodes.base.driver_array_messages import KnownDriver, ParameterNames
 from sugiyama_ros.nodes.base.node import PacedNode
 from sugiyama_ros.nodes.base.qos import STREAM
+from sugiyama_ros.nodes.driver_array import DriverArrayTopic
 
 _PARAMETERS_EVERY_NS = cdr_messages.NS
 
 
 class DriverTopics:
     """Publishes ``state``, ``innovation``, ``style_change``, ``parameters`` and, with types, ``driver_type``.
+
+    With an array topic, state, innovation and parameters go there instead, all three with every sample.
 
     Parameters
     ----------
@@ -26,9 +30,13 @@ class DriverTopics:
         Number of the driver's vehicle.
     types : DriverTypes or None
         Types of drivers, if there are any.
+    array : DriverArrayTopic or None
+        Topic on which the driver is in one message with other drivers.
     """
 
-    def __init__(self, node: PacedNode, vehicle: int, types: DriverTypes | None) -> None:
+    def __init__(
+        self, node: PacedNode, vehicle: int, types: DriverTypes | None, array: DriverArrayTopic | None = None
+    ) -> None:
         self._node = node
         self._vehicle = vehicle
         self._types = types
@@ -36,10 +44,14 @@ class DriverTopics:
         self.not_identified: list[str] = []
         self._shown: ShownParameters | None = None
         self._stamp_ns: int | None = None
-        self._to_state = node.create_publisher(VehicleState, "state", STREAM)
-        self._to_innovation = node.create_publisher(Innovation, "innovation", STREAM)
+        self._array = array
+        if array is not None:
+            array.join(node)
+        else:
+            self._to_state = node.create_publisher(VehicleState, "state", STREAM)
+            self._to_innovation = node.create_publisher(Innovation, "innovation", STREAM)
+            self._to_parameters = node.create_publisher(DriverParameters, "parameters", STREAM)
         self._to_changes = node.create_publisher(StyleChange, "style_change", STREAM)
-        self._to_parameters = node.create_publisher(DriverParameters, "parameters", STREAM)
         if types is not None:
             self._to_type = node.create_publisher(DriverType, "driver_type", STREAM)
 
@@ -49,19 +61,41 @@ class DriverTopics:
         shown = [*range(len(NAMES)), *of_effects]
         self._shown = ShownParameters(filter_, shown)
         names = [ROW.entries[k] for k in shown]
+        self._names = ParameterNames(tuple(names), filter_.adapted)
         self._message = cdr_messages.Parameters(self._vehicle, names, filter_.adapted)
 
     def restart(self) -> None:
         """Publish the parameters with the next sample, whatever its stamp."""
         self._stamp_ns = None
 
-    def publish_estimate(self, stamp_ns: int, estimate: Estimate, change: tuple[str, float] | None) -> None:
-        """Publish the state and the innovation, and a change of style (name and factor) if there is one."""
+    def publish_estimate(self, stamp_ns: int, estimate: Estimate | None, change: tuple[str, float] | None) -> None:
+        """Publish the state and the innovation, and a change of style (name and factor) if there is one.
+
+        The estimate is None for a sample that was left out.
+        """
         send, vehicle = self._node.send, self._vehicle
-        send(self._to_state, cdr_messages.state(stamp_ns, vehicle, estimate))
-        send(self._to_innovation, cdr_messages.innovation(stamp_ns, vehicle, estimate))
+        if self._array is not None:
+            self._array.put(self._node, stamp_ns, None if estimate is None else self._known(estimate))
+        elif estimate is not None:
+            send(self._to_state, cdr_messages.state(stamp_ns, vehicle, estimate))
+            send(self._to_innovation, cdr_messages.innovation(stamp_ns, vehicle, estimate))
         if change is not None:
             send(self._to_changes, cdr_messages.style_change(stamp_ns, vehicle, *change))
+
+    def _known(self, estimate: Estimate) -> KnownDriver | None:
+        """What an array message says of the driver."""
+        shown = self._shown
+        if shown is None:
+            return None
+        shown.read()
+        return KnownDriver(
+            self._vehicle,
+            estimate,
+            self._names,
+            shown.value.copy(),
+            shown.adapted_covariance,
+            shown.adapted_identified,
+        )
 
     def publish_parameters(self, stamp_ns: int, filter_: OnlineFilter, is_last: bool) -> bool:
         """Publish the parameters once a second of the recording's time, and with the last sample; whether it did."""
@@ -70,10 +104,11 @@ class DriverTopics:
         if shown is None or not (is_due or is_last):
             return False
         self._stamp_ns = stamp_ns
-        shown.read()
+        if self._array is None:
+            shown.read()
+            message = self._message.message(stamp_ns, shown.value, shown.covariance, shown.identified)
+            self._node.send(self._to_parameters, message)
         self.not_identified = shown.not_identified
-        message = self._message.message(stamp_ns, shown.value, shown.covariance, shown.identified)
-        self._node.send(self._to_parameters, message)
         if self._types is not None:
             probability = self._types.probabilities(filter_.learnt, filter_.prior)
             self._node.send(self._to_type, cdr_messages.driver_type(stamp_ns, self._vehicle, probability))

@@ -20,6 +20,7 @@ from sugiyama_ros.nodes.base.measured_feed import MeasuredFeed, subscribe_measur
 from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode
 from sugiyama_ros.nodes.base.qos import DEPTH, LATCHED
 from sugiyama_ros.nodes.base.spin import run_node
+from sugiyama_ros.nodes.driver_array import DriverArrayTopic
 from sugiyama_ros.nodes.driver_parameters import declare_driver, declare_model, declare_path
 from sugiyama_ros.nodes.driver_topics import DriverTopics
 from sugiyama_ros.nodes.follower import UNKNOWN, Follower, new_counts
@@ -36,18 +37,20 @@ class Estimator(PacedNode):
 
     A sample whose stamp came before, or that comes too late, is left out. A jump in time starts the filter anew.
 
-    Parameters of the node: the parameters of a driver, ``model``, ``save_state``, ``resume`` and ``ask_keeper``.
-    Services: ``~/reset``, ``~/add_effect``, ``~/remove_effect``.
+    Parameters of the node: the parameters of a driver, ``model``, ``save_state``, ``resume``, ``ask_keeper`` and
+    ``array_topic``. Services: ``~/reset``, ``~/add_effect``, ``~/remove_effect``.
 
     Parameters
     ----------
     feed : MeasuredFeed, optional
         Where the samples come from, if several nodes of the process share one subscription.
+    array : DriverArrayTopic, optional
+        Where the driver is in one message with the other drivers of the process, if ``array_topic`` asks for it.
     **options
         Options of the ROS node.
     """
 
-    def __init__(self, feed: MeasuredFeed | None = None, **options: Any) -> None:
+    def __init__(self, feed: MeasuredFeed | None = None, array: DriverArrayTopic | None = None, **options: Any) -> None:
         super().__init__("estimator", **options)
         self.vehicle = self._vehicle_of_namespace()
         warm_up()
@@ -57,8 +60,10 @@ class Estimator(PacedNode):
         saved = file_of(resume, self.vehicle) if resume is not None else None
         # nothing is known of a vehicle that was not there before
         self.kept: Kept | None = read_learnt(saved) if saved is not None and saved.exists() else None
-        about = ParameterDescriptor(description="whether to go on from what the keeper has last heard", read_only=True)
-        self._is_asking = bool(self.declare_parameter("ask_keeper", False, about).value)
+        self._is_asking = self._declare_flag("ask_keeper", "whether to go on from what the keeper has last heard")
+        in_array = self._declare_flag(
+            "array_topic", "whether to publish on `drivers`, in one message with other drivers"
+        )
         if self._is_asking:
             self.create_subscription(DriverParameters, "_kept_parameters", self._on_kept, LATCHED)
             self._patience = self.create_timer(_PATIENCE_S, self._on_kept, clock=self.steady)
@@ -71,7 +76,7 @@ class Estimator(PacedNode):
         self._saved_ns: int | None = None
         self._failure = ""
         self._counts = new_counts()
-        self._topics = DriverTopics(self, self.vehicle, types)
+        self._topics = DriverTopics(self, self.vehicle, types, (array or DriverArrayTopic()) if in_array else None)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(AddEffect, "~/add_effect", self._on_add_effect)
         self.create_service(RemoveEffect, "~/remove_effect", self._on_remove_effect)
@@ -119,6 +124,10 @@ class Estimator(PacedNode):
                 f"estimator: the namespace {self.get_namespace()} names no vehicle; start it with -r __ns:=/vehicle_07"
             )
         return int(found[1])
+
+    def _declare_flag(self, name: str, description: str) -> bool:
+        about = ParameterDescriptor(description=description, read_only=True)
+        return bool(self.declare_parameter(name, False, about).value)
 
     def _on_road(self, road: RoadMessage) -> None:
         known = self._road
@@ -211,14 +220,15 @@ class Estimator(PacedNode):
         except Exception as error:
             self._fail(error, sample)
             estimate = UNKNOWN
+        change = follower.filter.change_of_style if estimate is not None else None
+        self._topics.publish_estimate(sample.stamp_ns, estimate, change)
         if estimate is not None:
-            change = follower.filter.change_of_style
             self._counts["changes of style"] += change is not None
-            self._topics.publish_estimate(sample.stamp_ns, estimate, change)
             if self._topics.publish_parameters(sample.stamp_ns, follower.filter, is_last):
                 self._save_if_due(sample.stamp_ns)
         self.taken(sample.step + 1, last=is_last)
-        self.report_if_worse()
+        if self._failure or follower.missing_in_a_row:
+            self.report_if_worse()
 
     def _follow(self, sample: Sample, follower: Follower) -> Estimate | None:
         """Bring the filter to the time of the sample; None if the sample is left out."""

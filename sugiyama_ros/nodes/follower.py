@@ -123,13 +123,15 @@ class Follower:
 
     def _chain_in(self, sample: Sample) -> tuple[list[float], list[float]]:
         """Positions [m] (NaN if missing) and lengths [m] of the vehicle and of those ahead of it."""
-        position, length = [], []
+        position, length, place_of = [], [], sample.place.get
         for vehicle in self._chain:
-            place = sample.place.get(vehicle)
-            measured = nan if place is None else sample.position_m[place]
-            position.append(measured if isfinite(measured) else nan)
-            if place is not None and 0.0 <= sample.length_m[place] < _LONGEST_M:
-                self._length_m[vehicle] = sample.length_m[place]
+            place, measured = place_of(vehicle), nan
+            if place is not None:
+                if isfinite(sample.position_m[place]):
+                    measured = sample.position_m[place]
+                if 0.0 <= sample.length_m[place] < _LONGEST_M:
+                    self._length_m[vehicle] = sample.length_m[place]
+            position.append(measured)
             length.append(self._length_m.get(vehicle, 0.0))
         return position, length
 

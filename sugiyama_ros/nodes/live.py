@@ -135,7 +135,7 @@ class View(Node):
         self.space.add(time_s, position, speed)
 
     def _on_innovation(self, raw: bytes) -> None:
-        time_s, v, innovation, variance, scored = cdr_messages.read_innovation(raw)
+        time_s, v, innovation, variance, _, scored = cdr_messages.read_innovation(raw)
         if time_s != self._latest_s:
             if time_s < self._latest_s - 1.0:
                 self._squares.clear()

@@ -11,6 +11,7 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.model_file import read_model
 from sugiyama_ros.formats.registry import read_trajectories
 from sugiyama_ros.formats.writing import make_directory
+from sugiyama_ros.nodes.driver_array import TOPIC
 from sugiyama_ros.nodes.saved_state import file_of, read_learnt
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
@@ -30,7 +31,7 @@ def estimators(spaces: Iterable[str]) -> list[str]:
 
 
 def step_topics(spaces: Iterable[str]) -> list[str]:
-    """Full names of the topics with one message a step."""
+    """Full names of the topics with one message a step, where each vehicle has topics of its own."""
     return ["/clock", "/measured", *(f"{space}/{topic}" for space in spaces for topic in ("state", "innovation"))]
 
 
@@ -52,6 +53,8 @@ class RunSettings:
         Directory in which the estimators keep what they have learnt.
     resume : Path, optional
         Directory with what the estimators of an earlier run have learnt, from which they go on.
+    array : bool
+        Whether all drivers are in one message for each sample, on ``/drivers``, instead of on topics of each vehicle.
     """
 
     rate: float = 0.0
@@ -60,6 +63,7 @@ class RunSettings:
     critic: bool = False
     save_state: Path | None = None
     resume: Path | None = None
+    array: bool = False
 
 
 @dataclass(frozen=True)
@@ -114,14 +118,15 @@ class Plan:
     @property
     def step_topics(self) -> list[str]:
         """Full names of the topics with one message a step."""
-        return step_topics(self.namespaces)
+        return ["/clock", "/measured", f"/{TOPIC}"] if self.settings.array else step_topics(self.namespaces)
 
     @property
     def estimator(self) -> dict[str, Any]:
         """Parameters of every estimator."""
         s = self.settings
         given = {"model": s.model, "save_state": s.save_state, "resume": s.resume}
-        return {name: str(path) for name, path in given.items() if path is not None}
+        paths = {name: str(path) for name, path in given.items() if path is not None}
+        return {**paths, "array_topic": s.array}
 
     @property
     def followers(self) -> list[str]:

@@ -31,6 +31,12 @@ PATIENCE_S = 10.0
 _LEFT_OUT = ("/rosout", "/parameter_events")
 
 
+def message_type(type_name: str) -> Any:
+    """Class of a message type, such as ``std_msgs/msg/Header``. Raises ImportError or AttributeError."""
+    package, _, name = type_name.split("/")
+    return getattr(import_module(f"{package}.msg"), name)
+
+
 class Recorder(PacedNode):
     """Records every topic of the graph that is not hidden, with the quality of service that its publishers offer.
 
@@ -114,8 +120,7 @@ class Recorder(PacedNode):
         qos = reliable(DEPTH if topic in self._levels.topics else _FROM_ALL, durability)
         qos.reliability = reliability
         try:
-            package, _, name = type_name.split("/")
-            message = getattr(import_module(f"{package}.msg"), name)
+            message = message_type(type_name)
             channel = self._bag.topic(topic, type_name, Qos(reliability.name.lower(), durability.name.lower(), DEPTH))
         except (ImportError, AttributeError, SugiyamaError) as error:
             self.get_logger().warning(f"{topic}: not recorded: {error}")

@@ -2,13 +2,17 @@
 
 import math
 from collections import defaultdict
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rclpy.serialization import deserialize_message
+from sugiyama_msgs.msg import DriverArray, DriverParameters
 
 from sugiyama_ros.formats.mcap_reader import Bag
+from sugiyama_ros.nodes.base import cdr_messages
 
 
 @dataclass(frozen=True)
@@ -49,20 +53,58 @@ def read_run(path: Path) -> tuple[dict[str, int], tuple[DriverResult, ...]]:
     InputError
         Where the file cannot be read.
     """
-    scores: defaultdict[int, list[tuple[float, float]]] = defaultdict(list)
-    parameters: dict[int, dict[str, float]] = {}
+    read = _Read()
     with Bag(path) as bag:
-        counts = {topic.name: topic.count for topic in bag.info().topics}
-        for topic, _, _, message in bag.messages({n for n in counts if n.endswith(("/innovation", "/parameters"))}):
-            if topic.endswith("/parameters"):
-                parameters[message.vehicle] = dict(zip(message.name, message.value.tolist(), strict=True))
-            elif message.scored:
-                scores[message.vehicle].append((message.innovation_m**2, message.nis))
-    return counts, tuple(_driver(v, parameters[v], np.array(scores[v])) for v in sorted(parameters))
+        topics = bag.info().topics
+        for topic, kind, _, raw in bag.raw_messages({topic.name for topic in topics if topic.type in read.kinds}):
+            read.kinds[kind](topic, raw)
+    counts = {topic.name: topic.count for topic in topics}
+    return counts, tuple(sorted(read.drivers(), key=lambda driver: driver.vehicle))
 
 
-def _driver(vehicle: int, parameters: dict[str, float], score: Any) -> DriverResult:
-    squared, nis = score.mean(axis=0).tolist() if len(score) else (math.nan, math.nan)
+class _Read:
+    """What is read of the messages: scores of all samples, and the last message about each driver."""
+
+    def __init__(self) -> None:
+        #: What takes in a message, by the type of the message.
+        self.kinds = {
+            "sugiyama_msgs/msg/Innovation": self._innovation,
+            "sugiyama_msgs/msg/DriverParameters": self._parameters,
+            "sugiyama_msgs/msg/DriverArray": self._array,
+        }
+        self._scores: defaultdict[int, list[tuple[float, float]]] = defaultdict(list)
+        self._last: dict[str, bytes] = {}
+        self._last_array: dict[int, DriverArray] = {}
+
+    def _innovation(self, _: str, raw: bytes) -> None:
+        message = cdr_messages.read_innovation(raw)
+        if message.scored:
+            self._scores[message.vehicle].append((message.innovation_m**2, message.nis))
+
+    def _parameters(self, topic: str, raw: bytes) -> None:
+        self._last[topic] = raw
+
+    def _array(self, _: str, raw: bytes) -> None:
+        message = deserialize_message(raw, DriverArray)
+        scores = zip(message.vehicle, message.scored, message.innovation_m, message.nis, strict=True)
+        for vehicle, scored, innovation_m, nis in scores:
+            self._last_array[vehicle] = message
+            if scored:
+                self._scores[vehicle].append((innovation_m**2, nis))
+
+    def drivers(self) -> Iterator[DriverResult]:
+        """Every driver."""
+        for raw in self._last.values():
+            one = deserialize_message(raw, DriverParameters)
+            yield _driver(one.vehicle, one.name, one.value, self._scores[one.vehicle])
+        for vehicle, array in self._last_array.items():
+            values = np.reshape(array.value, (len(array.vehicle), len(array.name)))
+            yield _driver(vehicle, array.name, values[list(array.vehicle).index(vehicle)], self._scores[vehicle])
+
+
+def _driver(vehicle: int, names: Sequence[str], values: Any, score: list[tuple[float, float]]) -> DriverResult:
+    parameters = dict(zip(names, values.tolist(), strict=True))
+    squared, nis = np.array(score).mean(axis=0).tolist() if score else (math.nan, math.nan)
     return DriverResult(
         vehicle=vehicle,
         v_star=parameters["v_star"],

@@ -106,7 +106,7 @@ def run(
     on_progress : callable, optional
         Called with the steps that all nodes have taken, and the steps there are.
     **settings
-        Fields of `RunSettings`: rate, ring_m, model, critic, save_state, resume.
+        Fields of `RunSettings`: rate, ring_m, model, critic, save_state, resume, array.
 
     Returns
     -------

@@ -13,11 +13,12 @@ from typing import Any
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from sugiyama_ros.errors import SugiyamaError
+from sugiyama_ros.errors import InputError, SugiyamaError
 from sugiyama_ros.nodes.base.measured_feed import MeasuredFeed
 from sugiyama_ros.nodes.base.node import PacedNode
 from sugiyama_ros.nodes.base.spin import RUNNER, Spinner
 from sugiyama_ros.nodes.critic import Critic
+from sugiyama_ros.nodes.driver_array import DriverArrayTopic
 from sugiyama_ros.nodes.estimator import Estimator
 from sugiyama_ros.nodes.plan import CRITIC, RECORDER, REPLAY, Plan
 from sugiyama_ros.nodes.recorder import Recorder
@@ -36,11 +37,11 @@ class OneProcess:
     def __init__(self, plan: Plan) -> None:
         self._paced: list[PacedNode] = []
         own = _overrides(plan.estimator)
-        self._feed = MeasuredFeed()
+        self._feed, array = MeasuredFeed(), DriverArrayTopic()
         try:
             self._replay = Replay(plan.trajectories, parameter_overrides=_overrides(plan.replay))
             self._paced.append(self._replay)
-            self._paced += (Estimator(self._feed, namespace=n, parameter_overrides=own) for n in plan.namespaces)
+            self._paced += (Estimator(self._feed, array, namespace=n, parameter_overrides=own) for n in plan.namespaces)
             if plan.settings.critic:
                 self._paced.append(Critic(self._feed))
             self._followers = self._paced[1:]
@@ -82,6 +83,8 @@ class Processes:
     """Runs every node in a process of its own; ``nodes``, to be executed here, is empty."""
 
     def __init__(self, plan: Plan) -> None:
+        if plan.settings.array:
+            raise InputError("array: one message can hold only the drivers of one process; leave out --processes")
         self.nodes: list[Node] = []
         self._logs = Path(tempfile.mkdtemp(prefix="sugiyama-"))
         self._stopped = False

@@ -23,6 +23,13 @@ _FIELDS = {
     "state": ("speed", "acceleration", "mean_action", "gap_m", "approach_rate"),
     "innovation": ("innovation_m", "innovation_var", "nis", "scored"),
 }
+# What a message is about, by its type. Where all drivers are in one message, the fields of the other two are arrays.
+_KINDS = {
+    "sugiyama_msgs/msg/VehicleState": "state",
+    "sugiyama_msgs/msg/Innovation": "innovation",
+    "sugiyama_msgs/msg/DriverArray": "drivers",
+    "sugiyama_msgs/msg/Verdict": "verdict",
+}
 # Parts of a diagnosis that are shown.
 _ASKED = {"verdict", "candidates", "smallest_detectable", "errors", "drivers"}
 
@@ -102,23 +109,19 @@ def read_recording(path: Path) -> Recording:
     weights: defaultdict[str, list[float]] = defaultdict(list)
     times: list[float] = []
     with Bag(path) as bag:
-        topics = {topic.name for topic in bag.info().topics}
-        wanted = {n for n in topics if n.endswith(("/state", "/innovation", "/verdict"))}
-        for topic, _, _, message in bag.messages(wanted) if wanted else ():
+        wanted = {topic.name for topic in bag.info().topics if topic.type in _KINDS}
+        for _, type_name, _, message in bag.messages(wanted) if wanted else ():
             time_s = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
-            if topic.endswith("/verdict"):
+            kind = _KINDS[type_name]
+            if kind == "verdict":
                 times.append(time_s)
                 for name, weight in zip(message.model, message.weight, strict=True):
                     weights[name].append(float(weight))
                 continue
-            step, k = round((time_s - t.start_s) / t.period_s), column.get(int(message.vehicle))
-            if k is None or not 0 <= step < samples:
-                continue
-            kind = topic.rpartition("/")[2]
-            for name in _FIELDS[kind]:
-                series[name][step, k] = getattr(message, name)
-            if kind == "state":
-                series["speed_std"][step, k] = np.sqrt(max(float(message.covariance[4]), 0.0))
+            step = round((time_s - t.start_s) / t.period_s)
+            if 0 <= step < samples:
+                enter = _enter_all if kind == "drivers" else _enter
+                enter(message, kind, step, series, column)
     return Recording(
         t,
         np.asarray(t.start_s + np.arange(samples) * t.period_s, dtype=np.float64),
@@ -126,6 +129,27 @@ def read_recording(path: Path) -> Recording:
         np.array(times),
         {name: np.array(values) for name, values in weights.items() if len(values) == len(times)},
     )
+
+
+def _enter(message: Any, kind: str, step: int, series: dict[str, Array], column: dict[int, int]) -> None:
+    """Enter a state or an innovation of one driver into the series."""
+    k = column.get(int(message.vehicle))
+    if k is None:
+        return
+    for name in _FIELDS[kind]:
+        series[name][step, k] = getattr(message, name)
+    if kind == "state":
+        series["speed_std"][step, k] = np.sqrt(max(float(message.covariance[4]), 0.0))
+
+
+def _enter_all(message: Any, _: str, step: int, series: dict[str, Array], column: dict[int, int]) -> None:
+    """Enter states and innovations of all drivers into the series."""
+    at = [k for k, vehicle in enumerate(message.vehicle.tolist()) if vehicle in column]
+    columns = [column[vehicle] for vehicle in message.vehicle[at].tolist()]
+    for name in (*_FIELDS["state"], *_FIELDS["innovation"]):
+        series[name][step, columns] = getattr(message, name)[at]
+    speed_var = message.state_covariance.reshape(-1, 9)[at, 4]
+    series["speed_std"][step, columns] = np.sqrt(np.maximum(speed_var, 0.0))
 
 
 def read_diagnosis(path: Path) -> dict[str, Any]:

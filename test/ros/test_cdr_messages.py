@@ -115,7 +115,8 @@ def test_innovations_are_written(seed: int) -> None:
     assert len(raw) == len(serialize_message(expected))
     assert deserialize_message(raw, Innovation) == expected
     e = estimate
-    assert cdr_messages.read_innovation(raw) == (pytest.approx(5e-9), -1, e.innovation_m, e.innovation_var, e.scored)
+    known = (pytest.approx(5e-9), -1, e.innovation_m, e.innovation_var, e.nis, e.scored)
+    assert cdr_messages.read_innovation(raw) == known
 
 
 def test_a_chain_ends_where_there_is_no_leader_or_it_comes_back() -> None:

@@ -174,6 +174,21 @@ def test_demo_finds_the_hidden_effect_and_the_published_error_falls(tmp_path):
     assert (tmp_path / "sugiyama-demo.mcap").exists()
 
 
+def test_all_drivers_in_one_message(tmp_path):
+    source, output = tmp_path / "ring.csv", tmp_path / "run.mcap"
+    sugiyama("simulate", "-o", source, "--vehicles", "4", "--ring", "60", "--duration", "20")
+    said = json.loads(sugiyama("run", source, "--ring", "60", "-o", output, "--array", "--json").stdout)
+    assert (said["messages_lost"], len(said["drivers"])) == (0, 4)
+    topics = {t["name"]: t["count"] for t in json.loads(sugiyama("info", output, "--json").stdout)["topics"]}
+    assert topics["/drivers"] == topics["/measured"] == said["steps"]
+    assert "/vehicle_00/state" not in topics
+    first = json.loads(sugiyama("echo", output, "/drivers", "--json").stdout)[0]
+    assert first["message"]["vehicle"] == [0, 1, 2, 3]
+    refused = sugiyama("run", source, "--ring", "60", "-o", tmp_path / "x.mcap", "--array", "--processes", code=2)
+    assert refused.stderr.count("\n") == 1
+    assert "--processes" in refused.stderr
+
+
 def test_the_drivers_of_a_run_become_known(tmp_path):
     source, output = tmp_path / "ring.mcap", tmp_path / "run.mcap"
     simulate = [*SUGIYAMA, "simulate", "-o", str(source), "--spread", "0.1", "--seed", "1"]

@@ -135,10 +135,21 @@ def read_state(raw: bytes) -> tuple[float, int, float, float, float]:
     return sec + 1e-9 * nanosec, vehicle, position, speed, rest[4]
 
 
-def read_innovation(raw: bytes) -> tuple[float, int, float, float, bool]:
-    """Time [s], vehicle, innovation [m], its variance and whether it is scored, of an Innovation."""
-    _, sec, nanosec, _, _, vehicle, value, variance, _, _, scored = _INNOVATION.unpack_from(raw)
-    return sec + 1e-9 * nanosec, vehicle, value, variance, scored
+class ReadInnovation(NamedTuple):
+    """What is read of an Innovation: time [s], vehicle, the innovation [m], its variance [m^2], nis, and scored."""
+
+    time_s: float
+    vehicle: int
+    innovation_m: float
+    innovation_var: float
+    nis: float
+    scored: bool
+
+
+def read_innovation(raw: bytes) -> ReadInnovation:
+    """Read an Innovation from an estimator."""
+    _, sec, nanosec, _, _, vehicle, value, variance, nis, _, scored = _INNOVATION.unpack_from(raw)
+    return ReadInnovation(sec + 1e-9 * nanosec, vehicle, value, variance, nis, scored)
 
 
 def style_change(stamp_ns: int, vehicle: int, name: str, factor: float) -> bytes:

@@ -1,0 +1,198 @@
+"""All drivers in one message: it says what the topics of each vehicle say, and nothing is lost."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.serialization import deserialize_message, serialize_message
+from sugiyama_msgs.msg import DriverArray, DriverParameters, MeasuredPositions
+from sugiyama_msgs.msg import Road as RoadMessage
+
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.filters.online import Estimate
+from sugiyama_ros.formats.mcap_reader import Bag
+from sugiyama_ros.nodes.base import cdr_messages
+from sugiyama_ros.nodes.base.driver_array_messages import ArrayWriter, KnownDriver, ParameterNames
+from sugiyama_ros.nodes.base.measured_feed import MeasuredFeed
+from sugiyama_ros.nodes.base.qos import DEPTH, LATCHED, STREAM
+from sugiyama_ros.nodes.base.samples import Positions
+from sugiyama_ros.nodes.driver_array import DriverArrayTopic
+from sugiyama_ros.nodes.estimator import Estimator
+from sugiyama_ros.nodes.run import run
+from sugiyama_ros.page.recording import read_recording
+
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
+STATE = ("position_m", "speed", "acceleration", "mean_action", "gap_m", "approach_rate")
+INNOVATION = ("innovation_m", "innovation_var", "nis", "log_likelihood", "scored")
+IN_ARRAY = Parameter("array_topic", value=True)
+
+
+def a_driver(vehicle: int, seed: int, names: ParameterNames) -> KnownDriver:
+    """A driver of whom arbitrary numbers are known."""
+    rng = np.random.default_rng(seed)
+    *numbers, _ = rng.normal(size=11).tolist()
+    estimate = Estimate(*numbers[:3], rng.normal(size=(3, 3)), *numbers[3:], bool(seed % 2))
+    adapted = len(names.adapted)
+    covariance, identified = rng.normal(size=(adapted, adapted)), rng.integers(0, 2, adapted) > 0
+    return KnownDriver(vehicle, estimate, names, rng.normal(size=len(names.shown)), covariance, identified)
+
+
+@pytest.mark.parametrize("frame_shift", [0, 1, 2, 3, 4, 5, 6, 7])
+def test_a_message_holds_what_is_known_of_each_driver(frame_shift: int) -> None:
+    """Names of all lengths, so that the numbers stand everywhere between two multiples of eight bytes."""
+    first = "a" * (1 + frame_shift)
+    some = ParameterNames((first, "b", "c"), ("b", first))
+    other = ParameterNames(("b", "d", first), (first, "d"))
+    names = [some, other, some]
+    writer = ArrayWriter([a_driver(7 + k, k, one) for k, one in enumerate(names)])
+    for seed in (10, 20):
+        drivers = [a_driver(7 + k, seed + k, one) for k, one in enumerate(names)]
+        assert writer.fits(drivers)
+        raw = writer.message(seed, drivers)
+        message = deserialize_message(raw, DriverArray)
+        assert len(raw) == len(serialize_message(message))
+        assert message.header.stamp == cdr_messages.time_message(seed)
+        assert message.header.frame_id == "road"
+        assert message.vehicle.tolist() == [7, 8, 9]
+        assert (message.name, message.estimated) == ([first, "b", "c", "d"], [True, True, False, True])
+        adapted = [first, "b", "d"]
+        value = np.reshape(message.value, (3, 4))
+        covariance, identified = (
+            np.reshape(message.parameter_covariance, (3, 3, 3)),
+            np.reshape(message.identified, (3, 3)),
+        )
+        for k, driver in enumerate(drivers):
+            for name in (*STATE, *INNOVATION):
+                assert getattr(message, name)[k] == getattr(driver.estimate, name)
+            assert message.state_covariance[9 * k : 9 * k + 9].tolist() == driver.estimate.covariance.ravel().tolist()
+            at = [message.name.index(name) for name in driver.names.shown]
+            assert value[k, at].tolist() == driver.value.tolist()
+            assert np.isnan(np.delete(value[k], at)).all()
+            at = [adapted.index(name) for name in driver.names.adapted]
+            assert covariance[k][np.ix_(at, at)].tolist() == driver.covariance.tolist()
+            assert np.count_nonzero(covariance[k]) == driver.covariance.size
+            assert identified[k, at].tolist() == driver.identified.tolist()
+    assert not writer.fits(drivers[:2])
+    assert not writer.fits([a_driver(7, 0, some), a_driver(8, 0, some), a_driver(9, 0, some)])
+
+
+def test_the_array_says_what_the_topics_of_each_vehicle_say(ring_csv: Path, tmp_path: Path) -> None:
+    alone, together = tmp_path / "alone.mcap", tmp_path / "together.mcap"
+    each = run(ring_csv, alone, ring_m=100.0)
+    result = run(ring_csv, together, ring_m=100.0, array=True)
+    assert (result.steps, result.vehicles, result.messages_lost) == (200, 4, 0)
+    assert result.messages_published == result.messages_recorded
+    assert result.drivers == each.drivers
+    with Bag(together) as bag:
+        counts = {topic.name: topic.count for topic in bag.info().topics}
+        arrays = [m.message for m in bag.messages(["/drivers"])]
+    assert set(counts) == {"/clock", "/measured", "/drivers", "/road", "/markers", "/diagnostics"} | {
+        f"/vehicle_0{v}/style_change" for v in range(4)
+    }
+    assert counts["/clock"] == counts["/measured"] == counts["/drivers"] == 200
+    by_stamp = {(a.header.stamp.sec, a.header.stamp.nanosec): a for a in arrays}
+    with Bag(alone) as bag:
+        for topic, _, _, message in bag.messages(
+            {f"/vehicle_0{v}/{t}" for v in range(4) for t in ("state", "innovation")}
+        ):
+            array = by_stamp[message.header.stamp.sec, message.header.stamp.nanosec]
+            k = array.vehicle.tolist().index(message.vehicle)
+            for name in STATE if topic.endswith("state") else INNOVATION:
+                np.testing.assert_equal(getattr(array, name)[k], getattr(message, name))
+            if topic.endswith("state"):
+                np.testing.assert_array_equal(array.state_covariance[9 * k : 9 * k + 9], message.covariance)
+        parameters = [m.message for m in bag.messages({f"/vehicle_0{v}/parameters" for v in range(4)})]
+    for message in parameters:
+        assert_same_parameters(by_stamp[message.header.stamp.sec, message.header.stamp.nanosec], message)
+    one, all_ = read_recording(alone).series, read_recording(together).series
+    for name, values in one.items():
+        np.testing.assert_array_equal(all_[name], values)
+
+
+def assert_same_parameters(array: DriverArray, message: DriverParameters) -> None:
+    """What the array says of a driver's parameters is what the message about this driver says."""
+    count, k = len(message.name), array.vehicle.tolist().index(message.vehicle)
+    at = np.flatnonzero(message.estimated)
+    assert array.name == message.name
+    assert np.array_equal(array.estimated, message.estimated)
+    assert array.value[k * count : (k + 1) * count].tolist() == message.value.tolist()
+    covariance = np.reshape(array.parameter_covariance, (-1, len(at), len(at)))[k]
+    whole = np.zeros((count, count))
+    whole[np.ix_(at, at)] = covariance
+    assert whole.ravel().tolist() == message.covariance.tolist()
+    assert np.reshape(array.identified, (-1, len(at)))[k].tolist() == np.array(message.identified)[at].tolist()
+
+
+def test_one_message_needs_one_process(ring_csv: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="leave out --processes"):
+        run(ring_csv, tmp_path / "out.mcap", ring_m=100.0, array=True, processes=True)
+    assert not list(tmp_path.glob("out*"))
+
+
+class Hand(Node):
+    """Sends samples of four vehicles on a ring, and keeps the arrays."""
+
+    def __init__(self) -> None:
+        super().__init__("hand")
+        self.arrays: list[DriverArray] = []
+        self.to_road = self.create_publisher(RoadMessage, "road", LATCHED)
+        self.to_measured = self.create_publisher(MeasuredPositions, "measured", STREAM)
+        self.create_subscription(DriverArray, "drivers", self.arrays.append, STREAM)
+
+    def drive(self, *steps: int) -> None:
+        """Send the samples with these numbers."""
+        for k in steps:
+            place = [(25.0 * v + 3.0 * k) % 100.0 for v in range(4)]
+            positions = Positions([0, 1, 2, 3], [1, 2, 3, 0], place, [4.5] * 4)
+            self.to_measured.publish(cdr_messages.measured_positions(k * cdr_messages.NS // 2, k, positions))
+
+    def send_road(self) -> None:
+        """Send the road."""
+        self.to_road.publish(RoadMessage(circumference_m=100.0, period_s=0.5))
+
+
+def test_samples_that_wait_for_the_road_come_in_their_order(stage) -> None:
+    hand, feed, array = Hand(), MeasuredFeed(), DriverArrayTopic()
+    drivers = [Estimator(feed, array, namespace=f"/vehicle_0{v}", parameter_overrides=[IN_ARRAY]) for v in range(3)]
+    stage.add(hand, feed, *drivers)
+    stage.until(lambda: hand.count_subscribers("measured") == 1)
+    hand.drive(*range(10))
+    hand.send_road()
+    stage.until(lambda: len(hand.arrays) == 10)
+    stamps = [a.header.stamp.sec + 1e-9 * a.header.stamp.nanosec for a in hand.arrays]
+    assert stamps == pytest.approx([0.5 * k for k in range(10)])
+    assert all(a.vehicle.tolist() == [0, 1, 2] for a in hand.arrays)
+    hand.drive(8, 9, 10)  # two of them came before
+    stage.until(lambda: len(hand.arrays) == 11)
+    assert hand.arrays[-1].header.stamp == cdr_messages.time_message(5 * cdr_messages.NS)
+
+
+def test_a_driver_who_stays_behind_does_not_hold_up_the_others(stage) -> None:
+    hand, array = Hand(), DriverArrayTopic()
+    nodes = [Estimator(namespace=f"/vehicle_0{v}") for v in range(2)]
+    stage.add(hand, *nodes)
+    for node in nodes:
+        array.join(node)
+    stage.until(lambda: hand.count_publishers("drivers") == 1)
+    names = ParameterNames(("v_star",), ("v_star",))
+    for k in range(DEPTH + 3):
+        array.put(nodes[0], k, a_driver(0, k, names))
+    stage.until(lambda: len(hand.arrays) == 3)
+    assert [a.header.stamp.nanosec for a in hand.arrays] == [0, 1, 2]
+    array.put(nodes[1], DEPTH + 2, a_driver(1, 0, names))
+    stage.until(lambda: len(hand.arrays) == DEPTH + 3)
+    assert [a.header.stamp.nanosec for a in hand.arrays] == list(range(DEPTH + 3))
+    assert [a.vehicle.tolist() for a in hand.arrays] == [*[[0]] * (DEPTH + 2), [0, 1]]
+
+
+def test_an_estimator_of_its_own_process_sends_an_array_of_one_driver(stage) -> None:
+    hand, driver = Hand(), Estimator(namespace="/vehicle_02", parameter_overrides=[IN_ARRAY])
+    stage.add(hand, driver)
+    hand.send_road()
+    stage.until(lambda: hand.count_subscribers("measured") == 1 and driver.filter is not None)
+    hand.drive(*range(5))
+    stage.until(lambda: len(hand.arrays) == 5)
+    assert [a.vehicle.tolist() for a in hand.arrays] == [[2]] * 5
+    assert not [topic for topic, _ in hand.get_topic_names_and_types() if topic == "/vehicle_02/state"]
