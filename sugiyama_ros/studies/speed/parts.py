@@ -15,6 +15,7 @@ PARTS = {
     "commands": "sugiyama_ros.studies.speed.commands",
     "first": "sugiyama_ros.studies.speed.first_command",
     "throughput": "sugiyama_ros.studies.speed.throughput",
+    "run": "sugiyama_ros.studies.speed.run_loop",
     "many": "sugiyama_ros.studies.speed.many",
 }
 
