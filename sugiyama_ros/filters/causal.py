@@ -118,21 +118,29 @@ def predict_samples(jobs: Sequence[ChainJob]) -> list[Predicted]:
     return [found[i] for i in range(len(jobs))]
 
 
-def predict_states(job: ChainJob) -> tuple[Array, Array, Array, Array]:
-    """Return how well each sample of a driver is predicted, and the driver's state.
+def predict_states(jobs: Sequence[ChainJob]) -> list[tuple[Array, Array, Array, Array]]:
+    """Return how well each sample of some drivers is predicted, and the drivers' states.
+
+    Parameters
+    ----------
+    jobs
+        The drivers.
 
     Returns
     -------
-    innovation_m, innovation_var, sample_log_likelihood
-        As in ``Filtered``, (T,) each.
-    state
-        The driver's own four entries of the state after the update with each sample, (T, STATE).
+    list of (innovation_m, innovation_var, sample_log_likelihood, state)
+        For each job the first three as in ``Filtered``, (T,) each, and the driver's own four entries of the state after
+        the update with each sample, (T, STATE).
     """
-    adaptation = adaptation_of(job.parameters)
-    size = STATE * job.chain.position_m.shape[1] + len(adaptation.names)
-    trace = _no_trace()._replace(means=np.empty((1, len(job.chain.position_m), size)))
-    predicted = _run([job], adaptation, trace)
-    return *_first(predicted), trace.means[0, :, :STATE]
+    found: dict[int, tuple[Array, Array, Array, Array]] = {}
+    for numbers, adaptation in _side_by_side(jobs):
+        samples, vehicles = jobs[numbers[0]].chain.position_m.shape
+        means = np.empty((len(numbers), samples, STATE * vehicles + len(adaptation.names)))
+        predicted = _run([jobs[i] for i in numbers], adaptation, _no_trace()._replace(means=means))
+        for k, i in enumerate(numbers):
+            y, variance, density = (values[k] for values in predicted)
+            found[i] = y, variance, density, means[k, :, :STATE].copy()
+    return [found[i] for i in range(len(jobs))]
 
 
 def log_likelihood(chain: Chain, parameters: Array, ahead: Array | None = None) -> float:

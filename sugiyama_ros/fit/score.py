@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from sugiyama_ros.fit.recording import Recorded
 
 # Drivers that one task predicts, side by side.
 _TOGETHER = 4
+_Any = TypeVar("_Any")
 
 
 class DriverDensity(NamedTuple):
@@ -106,9 +107,13 @@ def evaluate(data: Recorded, model: Model, work: Executor, who: Sequence[int] | 
 
 def predict_drivers(data: Recorded, model: Model, who: Iterable[int], work: Executor) -> list[DriverDensity]:
     """Predict the samples of the drivers in ``who``; returns one result for each, in this order."""
-    jobs = [_job(data, model, i) for i in who]
-    parts = [jobs[first : first + _TOGETHER] for first in range(0, len(jobs), _TOGETHER)]
-    return [one for part in work.map(predict_jobs, parts) for one in part]
+    jobs = [job_of(data, model, i) for i in who]
+    return [one for part in work.map(predict_jobs, together(jobs)) for one in part]
+
+
+def together(drivers: Sequence[_Any]) -> list[Sequence[_Any]]:
+    """Divide drivers into the parts that one task works on, because their filters run side by side."""
+    return [drivers[first : first + _TOGETHER] for first in range(0, len(drivers), _TOGETHER)]
 
 
 def predict_jobs(jobs: Sequence[causal.ChainJob]) -> list[DriverDensity]:
@@ -116,7 +121,8 @@ def predict_jobs(jobs: Sequence[causal.ChainJob]) -> list[DriverDensity]:
     return [DriverDensity(*predicted) for predicted in causal.predict_samples(jobs)]
 
 
-def _job(data: Recorded, model: Model, driver: int) -> causal.ChainJob:
+def job_of(data: Recorded, model: Model, driver: int) -> causal.ChainJob:
+    """Return the job of filtering one driver at a model."""
     return causal.ChainJob(data.chains[driver], model.rows[driver], leaders(data, model, driver))
 
 
@@ -159,7 +165,8 @@ def follow(data: Recorded, model: Model, work: Executor) -> tuple[PointwiseDensi
     states : ndarray, shape (T, N, 4)
         Filtered states, as ``filtered_states`` returns them.
     """
-    outputs = list(work.map(causal.predict_states, [_job(data, model, i) for i in range(data.drivers)]))
+    jobs = [job_of(data, model, i) for i in range(data.drivers)]
+    outputs = [one for part in work.map(causal.predict_states, together(jobs)) for one in part]
     y, variance, density = (np.array([o[k] for o in outputs]) for k in range(3))
     states = np.stack([o[3] for o in outputs], axis=1)
     states[~np.isfinite(variance.T)] = np.nan

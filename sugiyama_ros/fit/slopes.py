@@ -16,11 +16,10 @@ import numpy as np
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.effects.sensing import is_contaminated
 from sugiyama_ros.filters.causal import ChainJob
-from sugiyama_ros.filters.chain import Chain
 from sugiyama_ros.filters.measurement import weigh_samples
-from sugiyama_ros.fit.model import Model, coordinate, is_linear, leaders, reach, value
+from sugiyama_ros.fit.model import Model, coordinate, is_linear, reach, value
 from sugiyama_ros.fit.recording import FOLDS, Recorded
-from sugiyama_ros.fit.score import DriverDensity, PointwiseDensity, evaluate, predict_jobs
+from sugiyama_ros.fit.score import DriverDensity, PointwiseDensity, evaluate, job_of, predict_jobs, together
 from sugiyama_ros.jit import kernel
 
 # Step of the difference quotients: first in a logarithm, or as part of the longest search step in a linear coordinate;
@@ -157,21 +156,36 @@ def density_slope(y: Array, variance: Array, dy: Array, dvar: Array, row: Array)
     return slope
 
 
-def _slopes_of(
-    chain: Chain,
-    row: Array,
-    ahead: Array,
-    at: DriverDensity,
-    individual: tuple[int, ...],
-    shared: tuple[int, ...],
-    fold: Ints,
-    steps: Array,
-) -> Slopes:
-    """Score and information of one driver by difference quotients from the samples ``at``."""
-    places = [*individual, *shared]
+class _Asked(NamedTuple):
+    """A driver whose slopes are asked for: the driver at a model, predictions there, and the steps (K,) to take."""
+
+    job: ChainJob
+    at: DriverDensity
+    steps: Array
+
+
+def _slopes_of(task: tuple[Sequence[_Asked], tuple[int, ...], tuple[int, ...], Ints]) -> list[Slopes]:
+    """Score and information of some drivers by difference quotients; all their filters run side by side."""
+    drivers, individual, shared, fold = task
+    moved = predict_jobs([job for asked in drivers for job in _moved(asked, individual, shared)])
+    found = []
+    for number, (job, at, steps) in enumerate(drivers):
+        dy, dvar, direct = (np.empty((len(steps), len(fold))) for _ in range(3))
+        there = moved[number * len(steps) : (number + 1) * len(steps)]
+        for k, (step, (y, variance, density)) in enumerate(zip(steps, there, strict=True)):
+            dy[k], dvar[k], direct[k] = (y - at[0]) / step, (variance - at[1]) / step, (density - at[2]) / step
+        row = job.parameters
+        direct -= density_slope(at[0], at[1], dy, dvar, row) if is_contaminated(row) else direct
+        found.append(sums(at, Derivatives(dy, dvar, direct), row, fold))
+    return found
+
+
+def _moved(asked: _Asked, individual: tuple[int, ...], shared: tuple[int, ...]) -> list[ChainJob]:
+    """Return the driver with each parameter moved by its step; shared parameters move for the drivers ahead, too."""
+    (chain, row, ahead), places, jobs = asked.job, [*individual, *shared], []
+    assert ahead is not None
     coordinates = coordinate(row[places], places)
-    jobs = []
-    for k, step in enumerate(steps):
+    for k, step in enumerate(asked.steps):
         moved = coordinates.copy()
         moved[k] += step
         changed, changed_ahead = row.copy(), ahead
@@ -180,17 +194,7 @@ def _slopes_of(
             changed_ahead = ahead.copy()
             changed_ahead[:, places[k]] = changed[places[k]]
         jobs.append(ChainJob(chain, changed, changed_ahead))
-    dy, dvar, direct = (np.empty((len(places), len(fold))) for _ in range(3))
-    for k, (step, (y, variance, density)) in enumerate(zip(steps, predict_jobs(jobs), strict=True)):
-        dy[k], dvar[k], direct[k] = (y - at[0]) / step, (variance - at[1]) / step, (density - at[2]) / step
-    direct -= density_slope(at[0], at[1], dy, dvar, row) if is_contaminated(row) else direct
-    return sums(at, Derivatives(dy, dvar, direct), row, fold)
-
-
-def _slopes_of_job(
-    job: tuple[Chain, Array, Array, DriverDensity, tuple[int, ...], tuple[int, ...], Ints, Array],
-) -> Slopes:
-    return _slopes_of(*job)
+    return jobs
 
 
 def slopes(
@@ -254,10 +258,10 @@ def slopes_of(
     list of Slopes
         Slopes of each of these drivers.
     """
-    about = model.individual, model.shared, data.fold
     chosen = range(data.drivers) if who is None else who
-    jobs = [(data.chains[i], model.rows[i], leaders(data, model, i), samples.of(i), *about, steps[i]) for i in chosen]
-    return list(work.map(_slopes_of_job, jobs))
+    asked = [_Asked(job_of(data, model, i), samples.of(i), steps[i]) for i in chosen]
+    tasks = [(part, model.individual, model.shared, data.fold) for part in together(asked)]
+    return [one for part in work.map(_slopes_of, tasks) for one in part]
 
 
 def informed_steps(data: Recorded, model: Model, all_slopes: Sequence[Slopes]) -> Array:
