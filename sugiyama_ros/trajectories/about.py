@@ -5,6 +5,7 @@ from typing import Literal
 
 View = Literal["end", "whole"]
 Reference = Literal["centre", "front", "rear"]
+Leaders = Literal["found", "given"]
 
 
 @dataclass(frozen=True)
@@ -22,6 +23,9 @@ class About:
     view : {"end", "whole"}
         "end": vehicles beyond the first one were out of view, so that the leader of the first is unknown. "whole":
         everybody was in view, so that the first vehicle has a free road.
+    leaders : {"found", "given"}
+        "found": the next vehicle ahead leads, and what the file says is only compared. "given": the file says who
+        leads.
     ring_m : float
         Circumference [m] of a ring road; 0 for open roads.
     source, sha256, licence : str
@@ -36,6 +40,7 @@ class About:
     unit: str = "m"
     smoothing: str = ""
     view: View = "end"
+    leaders: Leaders = "found"
     ring_m: float = 0.0
     source: str = ""
     sha256: str = ""
