@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.formats.format import Format, has_suffix
+from sugiyama_ros.formats.format import Format
 from sugiyama_ros.formats.reading import lines, number, open_input, sha256
 from sugiyama_ros.formats.samples import Samples, agreed_road
 from sugiyama_ros.formats.writing import replacing
@@ -16,6 +16,8 @@ from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M, Trajectorie
 
 _REQUIRED = ("time_s", "vehicle", "position_m")
 _VEHICLE = re.compile(r"\d{1,9}")
+#: Columns that make a table one of tracks.
+_OF_TRACKS = {"recording", "road", "lane", "leader"}
 
 
 def read_csv(path: Path, ring_m: float | None = None) -> Trajectories:
@@ -108,10 +110,22 @@ def _vehicle(text: str, where: str) -> int:
     return int(text)
 
 
+def _is_plain(head: bytes, path: Path) -> bool:
+    """Whether a file has the plain columns and numbers its vehicles; the format ``table`` reads other tables."""
+    if path.suffix.lower() != ".csv":
+        return False
+    rows = list(csv.reader(head.decode("utf-8-sig", errors="replace").splitlines()[:2]))
+    header = [name.strip() for name in rows[0]] if rows else []
+    if not set(_REQUIRED) <= set(header) or set(header) & _OF_TRACKS:
+        return False
+    first = dict(zip(header, rows[1], strict=False)) if len(rows) > 1 else {}
+    return _VEHICLE.fullmatch(first.get("vehicle", "0").strip()) is not None and len(first.get("time_s", "")) < 12
+
+
 FORMAT = Format(
     name="csv",
     suffixes=(".csv",),
-    recognise=has_suffix(".csv"),
+    recognise=_is_plain,
     read=read_csv,
     summary="one line for each sample, with the columns time_s, vehicle, position_m and, if known, length_m",
 )

@@ -8,7 +8,7 @@ from sugiyama_ros.arrays import Ints
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.about import About
-from sugiyama_ros.trajectories.assemble import assemble
+from sugiyama_ros.trajectories.assemble import Columns, assemble
 from sugiyama_ros.trajectories.labels import Labels, numbered
 from sugiyama_ros.trajectories.leaders import LEAST_AGREEMENT, agreement
 from sugiyama_ros.trajectories.time_base import on_time_base, period_of
@@ -78,8 +78,8 @@ def _one_of(tracks: Tracks, column: Labels, many: str, option: str, where: str) 
     used = column.used()
     if len(used) > 1:
         raise InputError(
-            f"{where}: {len(used)} {many} ({', '.join(used[:5])}{', ...' * (len(used) > 5)}), but this command takes one;"
-            f" choose: sugiyama convert {where} one.parquet --{option} {used[0]}"
+            f"{where}: {len(used)} {many} ({', '.join(used[:5])}{', ...' * (len(used) > 5)}), but this command takes"
+            f" one; choose: sugiyama convert {where} one.parquet --{option} {used[0]}"
         )
 
 
@@ -110,7 +110,8 @@ def _check_leaders(tracks: Tracks, dense: Trajectories, step: Ints, where: str) 
         if np.mean(hidden[rows]) > _UNKNOWN_ROWS:
             raise InputError(
                 f"{where}: the vehicle ahead of vehicle {tracks.run_name(run)} was not recorded, so the next one is not"
-                f" its leader; leave it out: sugiyama convert {where} rest.parquet --without {tracks.vehicle.at(rows.start)}"
+                f" its leader; leave it out: sugiyama convert {where} rest.parquet --without"
+                f" {tracks.vehicle.at(rows.start)}"
             )
 
 
@@ -131,7 +132,7 @@ def tracks_of(trajectories: Trajectories) -> Tracks:
     step, column = np.nonzero(np.isfinite(trajectories.position_m))
     road = trajectories.road
     about = About(view="whole", ring_m=road.circumference_m, source=trajectories.source, sha256=trajectories.sha256)
-    columns = {
+    columns: Columns = {
         "vehicle": numbered(trajectories.vehicle[column]),
         "time_s": trajectories.time_s[step],
         "s_m": trajectories.position_m[step, column],
