@@ -50,8 +50,8 @@ def read_platoon(path: Path, choices: Choices) -> Tracks:
     second = np.repeat(np.array([0, 1], dtype=np.int32), rows)
     columns = {
         "recording": Labels(np.zeros(2 * rows, dtype=np.int32), (path.stem,)),
-        "vehicle": Labels(second, (follower, f"leader of {follower}")),
-        "leader": Labels(np.where(second == 0, 0, -1).astype(np.int32), (f"leader of {follower}",)),
+        "vehicle": Labels(second, (follower, "leader")),
+        "leader": Labels(np.where(second == 0, 0, -1).astype(np.int32), ("leader",)),
         "time_s": np.tile(np.asarray(pair["time_s"]), 2),
         "s_m": np.concatenate((np.asarray(pair["s_m"]), np.asarray(pair["leader_s_m"]))),
         "length_m": np.tile(np.asarray(pair["length_m"]), 2),

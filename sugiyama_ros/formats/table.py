@@ -1,5 +1,6 @@
 """Plain tables of tracks: CSV with any separator, or Parquet, with columns of tracks or a map of columns."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from sugiyama_ros.errors import InputError
@@ -49,9 +50,10 @@ def read_table(path: Path, choices: Choices) -> Tracks:
         name: Take((column,), factor, optional=False) for name, (column, factor) in choices.columns.items()
     }
     columns = read_columns(sheet, wanted)
+    about = about_file(path)
     if isinstance(leader := columns.get("leader"), Labels):
-        columns["leader"] = nobody(leader, "", "0", "-1")
-    return put_together(columns, about_file(path), choices)
+        columns["leader"], about = nobody(leader, "", "-1"), replace(about, leaders="given")
+    return put_together(columns, about, choices)
 
 
 FORMAT = tracks_format(

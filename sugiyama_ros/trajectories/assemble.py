@@ -86,13 +86,13 @@ def assemble(
         width_m=number.get("width_m"),
         measured=number["measured"] != 0.0 if "measured" in number else None,
     )
-    tracks = led(tracks, text.get("leader"))
+    tracks = led(tracks, text.get("leader"), compared=checked)
     if checked:
         check_gaps(tracks)
     return tracks
 
 
-def led(tracks: Tracks, named: Labels | None) -> Tracks:
+def led(tracks: Tracks, named: Labels | None, compared: bool = True) -> Tracks:
     """Return the tracks with their leaders.
 
     Parameters
@@ -101,26 +101,29 @@ def led(tracks: Tracks, named: Labels | None) -> Tracks:
         R rows.
     named : Labels, shape (R,), or None
         Leaders that the file names.
+    compared : bool
+        Whether the leaders that are found are compared with those that the file names.
 
     Returns
     -------
     Tracks
-        With leaders, and a note where fewer than 98 % of the named leaders were found.
+        With leaders, and a note that says how many of the named leaders were found.
     """
     if named is None:
         return replace(tracks, leader_row=find_leaders(tracks))
     given = given_leaders(tracks, named)
-    if tracks.about.leaders == "given":
+    whose = tracks.about.leaders
+    if whose == "given" and not compared:
         return replace(tracks, leader_row=given)
     found = find_leaders(tracks)
     share = agreement(found, given)
-    note = f"leaders found agree with {100.0 * share:.4g} % of the given ones" if np.isfinite(share) else ""
+    note = f"the next vehicle ahead is the given leader in {100.0 * share:.4g} %" if np.isfinite(share) else ""
     if share < LEAST_AGREEMENT:
-        note = f"warning: {note}, fewer than {100.0 * LEAST_AGREEMENT:g} %; check the lanes (--columns)"
+        note = f"warning: {note}, fewer than {100.0 * LEAST_AGREEMENT:g} %; check lanes and positions (--columns)"
     # Whoever follows a vehicle that has no row at this time follows nobody in the table.
     named_free = named.code == (named.text.index(NOBODY) if NOBODY in named.text else len(named.text))
     out_of_view = (named.code >= 0) & ~named_free & (given < 0)
-    leader_row = np.where(out_of_view, UNKNOWN, found)
+    leader_row = given if whose == "given" else np.where(out_of_view, UNKNOWN, found)
     return replace(tracks, leader_row=leader_row, about=tracks.about.noting(note))
 
 

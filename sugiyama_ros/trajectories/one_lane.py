@@ -1,6 +1,7 @@
 """Tracks of one recording on one lane as dense trajectories, and trajectories as tracks."""
 
 import re
+from itertools import count
 
 import numpy as np
 
@@ -35,7 +36,7 @@ def one_lane(tracks: Tracks, where: str) -> Trajectories:
     Returns
     -------
     Trajectories
-        Numbers of vehicles are those in their names, where these differ; else they count from 0.
+        Numbers of vehicles are those in their names; they count from 0 if two names have the same number.
 
     Raises
     ------
@@ -88,9 +89,11 @@ def _numbers(tracks: Tracks) -> Ints:
     names = [tracks.vehicle.at(int(row)) for row in tracks.start[:-1]]
     found = [_NUMBER.findall(name) for name in names]
     numbers = [int(one[-1]) if one else -1 for one in found]
-    if min(numbers) < 0 or len(set(numbers)) < len(numbers):
+    named = [number for number in numbers if number >= 0]
+    if len(set(named)) < len(named):
         return np.arange(len(names))
-    return np.array(numbers, dtype=np.int64)
+    free = count(max(named, default=-1) + 1)
+    return np.array([number if number >= 0 else next(free) for number in numbers], dtype=np.int64)
 
 
 def _check_leaders(tracks: Tracks, dense: Trajectories, step: Ints, where: str) -> None:
