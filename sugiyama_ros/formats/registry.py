@@ -26,6 +26,8 @@ BUILT_IN = (
     "ngsim",
     "pairs",
     "platoon",
+    "openacc",
+    "highd",
     "table",
 )
 

@@ -5,7 +5,7 @@ from itertools import count
 
 import numpy as np
 
-from sugiyama_ros.arrays import Ints
+from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.about import About
@@ -108,14 +108,24 @@ def _check_leaders(tracks: Tracks, dense: Trajectories, step: Ints, where: str) 
             " --to SECONDS"
         )
     hidden = (tracks.leader_row == UNKNOWN) & (column >= 0)
-    for run in np.flatnonzero(np.bincount(tracks.run[hidden], minlength=tracks.runs) > 0).tolist():
-        rows = slice(int(tracks.start[run]), int(tracks.start[run + 1]))
-        if np.mean(hidden[rows]) > _UNKNOWN_ROWS:
-            raise InputError(
-                f"{where}: the vehicle ahead of vehicle {tracks.run_name(run)} was not recorded, so the next one is not"
-                f" its leader; leave it out: sugiyama convert {where} rest.parquet --without"
-                f" {tracks.vehicle.at(rows.start)}"
-            )
+    part = np.bincount(tracks.run[hidden], minlength=tracks.runs) / np.diff(tracks.start)
+    if part.max() > _UNKNOWN_ROWS:
+        names = ", ".join(tracks.run_name(run) for run in np.flatnonzero(part > _UNKNOWN_ROWS).tolist()[:5])
+        raise InputError(
+            f"{where}: the vehicle ahead of {names} was not always recorded, and the next one is not the leader; leave"
+            f" out what has no leader: sugiyama convert {where} rest.parquet{_cure(tracks, part)}"
+        )
+
+
+def _cure(tracks: Tracks, part: Array) -> str:
+    """Options that leave out the vehicles without a leader, and the times when not all others were recorded."""
+    lost = part > 0.5
+    names = ",".join(tracks.vehicle.at(int(row)) for row in tracks.start[:-1][lost])
+    cure = f" --without {names}" if names else ""
+    if (part[~lost] > _UNKNOWN_ROWS).any():
+        first, last = tracks.time_s[tracks.start[:-1]][~lost].max(), tracks.time_s[tracks.start[1:] - 1][~lost].min()
+        cure += f" --from {first:.9g} --to {last:.9g}"
+    return cure
 
 
 def tracks_of(trajectories: Trajectories) -> Tracks:

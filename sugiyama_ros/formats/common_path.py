@@ -1,0 +1,110 @@
+"""Positions along a path that several vehicles drive one behind the other, from their coordinates in the plane."""
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array, Ints
+
+#: Distance [m] between two points of a path.
+_POINT_M = 1.0
+# Distance [m] from the path within which a vehicle counts as on it when it is first seen.
+_NEAR_M = 15.0
+# Points behind and ahead of the last one that are looked at, and more ahead for each sample that was missed.
+_BACK, _AHEAD, _PER_MISSED = 8, 12, 5
+
+
+class Path2d:
+    """A path of straight pieces.
+
+    Parameters
+    ----------
+    point_m : ndarray, shape (P, 2)
+        Points [m] along the path.
+    """
+
+    def __init__(self, point_m: Array) -> None:
+        self.point_m = point_m
+        self._way = np.diff(point_m, axis=0)
+        self._length = np.hypot(self._way[:, 0], self._way[:, 1])
+        self._start = np.concatenate(([0.0], np.cumsum(self._length)))
+
+    def positions(self, place_m: Array) -> tuple[Array, Array]:
+        """Follow a vehicle along the path.
+
+        Parameters
+        ----------
+        place_m : ndarray, shape (T, 2)
+            Places [m] of the vehicle; NaN where missing.
+
+        Returns
+        -------
+        position_m, off_m : ndarray, shape (T,)
+            Position [m] along the path, and distance [m] from it; NaN where missing.
+        """
+        position, off = np.full(len(place_m), np.nan), np.full(len(place_m), np.nan)
+        piece, before = -1, 0
+        for t in np.flatnonzero(np.isfinite(place_m).all(axis=1)).tolist():
+            if piece < 0:
+                first, last = self._first(place_m[t]), 0
+                last = first + _BACK
+                first = max(0, first - _BACK)
+            else:
+                first, last = max(0, piece - _BACK), piece + _AHEAD + _PER_MISSED * (t - before - 1)
+            some = slice(first, min(last, len(self._length)))
+            from_start = place_m[t] - self.point_m[:-1][some]
+            way, length = self._way[some], self._length[some]
+            along = np.clip(np.sum(from_start * way, axis=1) / length**2, 0.0, 1.0)
+            # The first and the last piece go on beyond their ends.
+            if first == 0:
+                along[0] = min(1.0, float(from_start[0] @ way[0]) / length[0] ** 2)
+            if last >= len(self._length):
+                along[-1] = max(0.0, float(from_start[-1] @ way[-1]) / length[-1] ** 2)
+            miss = from_start - along[:, None] * way
+            distance = np.hypot(miss[:, 0], miss[:, 1])
+            best = int(np.argmin(distance))
+            position[t] = self._start[first + best] + along[best] * length[best]
+            off[t], piece, before = distance[best], first + best, t
+        return position, off
+
+    def _first(self, place_m: Array) -> int:
+        """Where a vehicle is first seen: the first part of the path that comes near."""
+        distance = np.hypot(*(self.point_m[:-1] - place_m).T)
+        near = np.flatnonzero(distance <= max(_NEAR_M, float(distance.min())))
+        end = np.flatnonzero(np.diff(near) > 1)
+        part = near[: end[0] + 1] if len(end) else near
+        return int(part[np.argmin(distance[part])])
+
+
+def thinned(place_m: Array) -> Array:
+    """Places (T, 2) that lie at least a metre apart, shape (P, 2); missing ones are left out."""
+    known = place_m[np.isfinite(place_m).all(axis=1)]
+    kept: list[int] = []
+    for k, place in enumerate(known):
+        if not kept or np.hypot(*(place - known[kept[-1]])) >= _POINT_M:
+            kept.append(k)
+    return np.asarray(known[kept])
+
+
+def common_path(places_m: list[Array]) -> Path2d | None:
+    """The path of vehicles that drive one behind the other.
+
+    Parameters
+    ----------
+    places_m : list of ndarray, shape (T, 2)
+        Places [m] of the vehicles at the same times, the first vehicle first; NaN where missing.
+
+    Returns
+    -------
+    Path2d or None
+        The path of the last vehicle, made longer by the paths of those ahead; None if nobody moves.
+    """
+    point = thinned(places_m[-1])
+    for place in places_m[-2::-1]:
+        if len(point) < 2:
+            point = thinned(place)
+            continue
+        path = Path2d(point)
+        position, _ = path.positions(place)
+        beyond: Ints = np.flatnonzero(position > path._start[-1] + _POINT_M)
+        if len(beyond):
+            point = np.concatenate((point, thinned(place[beyond[0] :])))
+    return Path2d(point) if len(point) > 1 else None
