@@ -68,25 +68,20 @@ def read_highd(path: Path, choices: Choices) -> Tracks:
     is_highd = sheet.has("laneId")
     if not is_highd and sheet.find("leadId") is None:
         raise InputError(
-            f"{path}:1: no column leadId: crossings (inD, rounD) have neither lanes nor leaders; give lanes in a table of"
-            " your own with --format table --columns map.yaml"
+            f"{path}:1: no column leadId: crossings (inD, rounD) have neither lanes nor leaders; give lanes in a table"
+            " of your own with --format table --columns map.yaml"
         )
     columns = read_columns(sheet, _HIGHD if is_highd else _EXID)
     about = about_file(path, leaders="found" if is_highd else "given", licence=_LICENCE)
     about = replace(about, smoothing="positions as published (smoothed)")
     columns["time_s"] = np.asarray(columns.pop("frame_s")) / _rate(path)
-    columns["leader"] = (
-        nobody(columns["leader"], "0", "-1", "") if isinstance(columns.get("leader"), Labels) else _none(columns)
-    )
+    if isinstance(leader := columns.get("leader"), Labels):
+        columns["leader"] = nobody(leader, "0", "-1", "")
     columns = _of_highd(columns) if is_highd else _of_exid(columns)
     columns.setdefault("recording", same_label(len(np.asarray(columns["time_s"])), path.stem.partition("_")[0]))
     if (kind := _classes(path, columns["vehicle"])) is not None:
         columns["class"] = kind
     return put_together(columns, about, choices)
-
-
-def _none(columns: dict[str, Array | Labels]) -> Labels:
-    return Labels(np.full(len(np.asarray(columns["time_s"])), -1, dtype=np.int32), ())
 
 
 def _of_highd(columns: dict[str, Array | Labels]) -> dict[str, Array | Labels]:

@@ -28,6 +28,11 @@ BUILT_IN = (
     "platoon",
     "openacc",
     "highd",
+    "sumo",
+    "tgsim",
+    "pneuma",
+    "commonroad",
+    "folder",
     "table",
 )
 

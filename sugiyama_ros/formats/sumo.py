@@ -1,0 +1,137 @@
+"""SUMO's floating car data: XML, and the same as CSV or Parquet."""
+
+from array import array
+from pathlib import Path
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.formats.choices import Choices
+from sugiyama_ros.formats.columns import about_file, need, put_together, read_columns, take
+from sugiyama_ros.formats.edges import Edges, along_edges
+from sugiyama_ros.formats.format import tracks_format
+from sugiyama_ros.formats.sheet import MAX_ROWS, head_of, sheet_of
+from sugiyama_ros.formats.xml_events import attribute, elements
+from sugiyama_ros.trajectories.labels import Labels, labels
+from sugiyama_ros.trajectories.tracks import Tracks
+
+#: Length [m] of vehicles of SUMO, unless their type says otherwise; the files do not say it.
+DEFAULT_LENGTH_M = 5.0
+_WANTED = {
+    "time_s": need("timestep_time"),
+    "vehicle": need("vehicle_id"),
+    "s_m": need("vehicle_pos"),
+    "lane_name": need("vehicle_lane"),
+    "speed_m": need("vehicle_speed"),
+    "class": take("vehicle_type"),
+    "leader": take("vehicle_leaderID"),
+    "length_m": take("vehicle_length"),
+}
+_TEXTS = {"vehicle": "id", "lane_name": "lane", "class": "type", "leader": "leaderID"}
+_NUMBERS = {"s_m": "pos", "speed_m": "speed"}
+
+
+def read_sumo(path: Path, choices: Choices) -> Tracks:
+    """Read floating car data. Positions on edges become positions along the road that the edges make.
+
+    Parameters
+    ----------
+    path : Path
+        XML (``--fcd-output``), CSV or Parquet.
+    choices : Choices
+        What the user says.
+
+    Returns
+    -------
+    Tracks
+        Centres. Lanes are counted from the right, as SUMO counts them.
+
+    Raises
+    ------
+    InputError
+        With the line, for a file of another form.
+    """
+    head = head_of(path)
+    if _is_xml(head):
+        columns = _of_xml(path)
+    else:
+        sheet = sheet_of(path, head)
+        if sheet is None:
+            raise InputError(f"{path}:1: not the columns of SUMO; check the file")
+        columns = read_columns(sheet, _WANTED)
+    lane = columns.pop("lane_name")
+    assert isinstance(lane, Labels)
+    about = about_file(path)
+    if "length_m" not in columns:
+        columns["length_m"] = np.full(len(lane), DEFAULT_LENGTH_M)
+        about = about.noting(f"lengths are not in the file: every vehicle counts as {DEFAULT_LENGTH_M:g} m long")
+    edges, columns["lane"] = _edges(lane)
+    vehicle = columns["vehicle"]
+    assert isinstance(vehicle, Labels)
+    time, speed = np.asarray(columns["time_s"]), np.asarray(columns.pop("speed_m"))
+    columns["s_m"], road, note = along_edges(
+        Edges(edges, vehicle.code, time, np.asarray(columns["s_m"]), speed), choices.ring_m or 0.0
+    )
+    if road is not None:
+        columns["road"] = road
+    return put_together(columns, about.noting(note), choices, reference="front")
+
+
+def _edges(lane: Labels) -> tuple[Labels, Labels]:
+    """Edge and number of the lane of each row, (R,), from names like ``E1_0``."""
+    parts = [text.rpartition("_") for text in lane.text]
+    if any(not edge or not number.isdigit() for edge, _, number in parts):
+        bad = next(
+            text for text, (edge, _, number) in zip(lane.text, parts, strict=True) if not edge or not number.isdigit()
+        )
+        raise InputError(f"lane {bad[:40]!r}: does not end in _ and a number, as lanes of SUMO do; check the file")
+    return labels(lane.code, [edge for edge, _, _ in parts]), labels(lane.code, [number for _, _, number in parts])
+
+
+def _of_xml(path: Path) -> dict[str, Array | Labels]:
+    """Columns of an XML file."""
+    number = {name: array("d") for name in ("time_s", *_NUMBERS)}
+    code = {name: array("i") for name in _TEXTS}
+    texts: dict[str, dict[str, int]] = {name: {} for name in _TEXTS}
+    for step in elements(path, "timestep"):
+        time = attribute(step.attrib, "time", f"{path}: timestep")
+        for one in step.iter("vehicle"):
+            said = one.attrib
+            where = f"{path}: vehicle {said.get('id', '')[:40]} at {time:g} s"
+            number["time_s"].append(time)
+            for name, source in _NUMBERS.items():
+                number[name].append(attribute(said, source, where))
+            for name, source in _TEXTS.items():
+                text = said.get(source, "")
+                code[name].append(texts[name].setdefault(text, len(texts[name])) if text else -1)
+        if len(number["time_s"]) > MAX_ROWS:
+            raise InputError(f"{path}: more than {MAX_ROWS} rows; split the file")
+    if not number["time_s"]:
+        raise InputError(f"{path}: no samples; write it with sumo --fcd-output")
+    columns: dict[str, Array | Labels] = {name: np.frombuffer(values) for name, values in number.items()}
+    for name, codes in code.items():
+        found: Ints = np.frombuffer(codes, dtype=np.int32).astype(np.int64)
+        if name in ("vehicle", "lane_name") or (found >= 0).any():
+            columns[name] = labels(found, list(texts[name]))
+    return columns
+
+
+def _is_xml(head: bytes) -> bool:
+    return b"<fcd-export" in head
+
+
+def _recognise(head: bytes, path: Path) -> bool:
+    if _is_xml(head):
+        return True
+    sheet = sheet_of(path, head)
+    return sheet is not None and sheet.has("timestep_time", "vehicle_id", "vehicle_pos", "vehicle_lane")
+
+
+FORMAT = tracks_format(
+    name="sumo",
+    suffixes=(".xml", ".csv", ".parquet"),
+    recognise=_recognise,
+    tracks=read_sumo,
+    summary="floating car data of SUMO as XML, CSV or Parquet: lanes on edges that follow one another",
+)
