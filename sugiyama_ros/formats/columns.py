@@ -63,7 +63,7 @@ def read_columns(sheet: Sheet, wanted: Mapping[str, Take]) -> dict[str, Array | 
         For a column that is missing, or a line that does not fit.
     """
     found = {name: place for name, one in wanted.items() if (place := sheet.find(*one.names)) is not None}
-    missing = [one.names[0] for name, one in wanted.items() if not one.optional and name not in found]
+    missing = [" or ".join(one.names) for name, one in wanted.items() if not one.optional and name not in found]
     if missing:
         line = f":{sheet.header}" if sheet.header else ""
         raise InputError(
@@ -75,7 +75,8 @@ def read_columns(sheet: Sheet, wanted: Mapping[str, Take]) -> dict[str, Array | 
     table: dict[str, Array | Labels] = {}
     for name, place in found.items():
         column = read[place]
-        table[name] = column if isinstance(column, Labels) else column * wanted[name].factor
+        factor = wanted[name].factor
+        table[name] = column if isinstance(column, Labels) or factor == 1.0 else column * factor
     return table
 
 

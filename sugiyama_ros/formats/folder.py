@@ -9,6 +9,7 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.format import tracks_format
+from sugiyama_ros.formats.sheet import head_of
 from sugiyama_ros.trajectories.about import About
 from sugiyama_ros.trajectories.exchange import of_columns
 from sugiyama_ros.trajectories.labels import Labels, joined, labels, same_label
@@ -39,9 +40,10 @@ def read_folder(path: Path, choices: Choices) -> Tracks:
     InputError
         For a folder without such files, a file that cannot be read, and files on different roads.
     """
-    from sugiyama_ros.formats.registry import read_tracks
+    from sugiyama_ros.formats.registry import formats, read_tracks
 
-    files = sorted(one for one in path.iterdir() if _is_table(one))
+    tables = sorted(one for one in path.iterdir() if _is_table(one))
+    files = [one for one in tables if any(known.recognise(head_of(one), one) for known in formats())]
     if not files:
         raise InputError(
             f"{path}: not a regular file, but a folder without tables ({', '.join(_SUFFIXES)}); give a file"
@@ -52,7 +54,10 @@ def read_folder(path: Path, choices: Choices) -> Tracks:
     parts = [_named(read_tracks(file, choices, name), file) for file in files]
     if len({part.about.ring_m for part in parts}) > 1:
         raise InputError(f"{path}: the files are of different roads; convert each road on its own")
-    return _joined(path, parts)
+    together = _joined(path, parts)
+    others = ", ".join(one.name for one in tables if one not in files)
+    note = f"files of no known format were left out: {others[:200]}" if others else ""
+    return replace(together, about=together.about.noting(note))
 
 
 def _is_table(file: Path) -> bool:

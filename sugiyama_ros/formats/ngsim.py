@@ -20,9 +20,6 @@ _TEXT_COLUMNS = (
 )
 _WANTED = {
     "vehicle": need("Vehicle_ID", "Vehicle ID"),
-    "clock_s": take("Global_Time", factor=1e-3),
-    "frame_s": take("Frame_ID", factor=0.1),
-    "seconds_s": take("Global Time (s)"),
     "s_m": need("Local_Y", "Local Y (ft)", factor=FOOT_M),
     "d_m": take("Local_X", "Local X (ft)", factor=FOOT_M),
     "length_m": take("v_Length", "Length (ft)", factor=FOOT_M),
@@ -33,6 +30,8 @@ _WANTED = {
     "place": take("Location"),
     "road": take("Direction"),
 }
+# The time, from the first of these columns that is there.
+_CLOCKS = (need("Global_Time", factor=1e-3), need("Global Time (s)"), need("Frame_ID", factor=0.1))
 _CLASSES = {"1": "motorcycle", "2": "car", "3": "truck"}
 # A place where nobody is seen for this long [s] has another recording from then on.
 _PAUSE_S = 60.0
@@ -63,13 +62,10 @@ def read_ngsim(path: Path, choices: Choices) -> Tracks:
         raise InputError(
             f"{path}:1: not the columns of NGSIM; say which is which with --format table --columns map.yaml"
         )
-    columns = read_columns(sheet, _WANTED)
+    clock_column = next((one for one in _CLOCKS if sheet.find(*one.names)), _CLOCKS[0])
+    columns = read_columns(sheet, _WANTED | {"clock_s": clock_column})
     about = about_file(path, smoothing="positions as published", licence="US DOT, public")
-    clock = next((columns.pop(name) for name in ("clock_s", "seconds_s", "frame_s") if name in columns), None)
-    for name in ("clock_s", "seconds_s", "frame_s"):
-        columns.pop(name, None)
-    if not isinstance(clock, np.ndarray):
-        raise InputError(f"{path}: no column Global_Time or Frame_ID; give the times")
+    clock = np.asarray(columns.pop("clock_s"))
     place = columns.pop("place", None)
     place = place if isinstance(place, Labels) else same_label(len(clock), path.stem)
     columns["recording"], columns["time_s"] = _periods(place, clock)

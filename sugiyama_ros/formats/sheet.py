@@ -1,7 +1,6 @@
 """Tables of text (CSV with any separator, or aligned by spaces) and Parquet tables: chosen columns, as arrays."""
 
 import csv
-import math
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -11,6 +10,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
@@ -139,8 +139,17 @@ def read_sheet(sheet: Sheet, numbers: set[str], texts: set[str]) -> Mapping[str,
 
     try:
         batches = _parquet_batches(sheet, numbers | texts) if sheet.is_parquet else _text_batches(sheet, numbers, texts)
-        table = pyarrow.Table.from_batches(_counted(sheet.path, batches))
-        return {name: _array(table[name], name in texts) for name in (*sorted(numbers), *sorted(texts))}
+        gathered = {name: _Texts() if name in texts else _Numbers() for name in sorted(numbers | texts)}
+        rows = 0
+        for batch in batches:
+            rows += batch.num_rows
+            if rows > MAX_ROWS:
+                raise InputError(f"{sheet.path}: more than {MAX_ROWS} rows; split the file")
+            for name, column in gathered.items():
+                column.add(batch[name])
+        if rows == 0:
+            raise InputError(f"{sheet.path}: no samples; give a table of positions")
+        return {name: gathered.pop(name).whole() for name in sorted(numbers | texts)}
     except (pyarrow.ArrowException, OSError, ValueError, UnicodeDecodeError) as error:
         reason = " ".join(str(error).split())[:200]
         raise _first_bad(sheet, numbers) or InputError(
@@ -148,17 +157,50 @@ def read_sheet(sheet: Sheet, numbers: set[str], texts: set[str]) -> Mapping[str,
         ) from None
 
 
-def _counted(path: Path, batches: Iterator[Any]) -> list[Any]:
-    """The batches, of which there may not be too many."""
-    found, rows = [], 0
-    for batch in batches:
-        rows += batch.num_rows
-        if rows > MAX_ROWS:
-            raise InputError(f"{path}: more than {MAX_ROWS} rows; split the file")
-        found.append(batch)
-    if rows == 0:
-        raise InputError(f"{path}: no samples; give a table of positions")
-    return found
+class _Numbers:
+    """A column of numbers, gathered from batches of Arrow, which are let go."""
+
+    def __init__(self) -> None:
+        self._parts: list[Array] = []
+
+    def add(self, column: Any) -> None:
+        """Add the column of a batch."""
+        import pyarrow
+        from pyarrow import compute
+
+        if pyarrow.types.is_dictionary(column.type):
+            column = column.cast(column.type.value_type)
+        if pyarrow.types.is_timestamp(column.type):
+            microseconds = column.cast(pyarrow.timestamp("us")).cast(pyarrow.int64())
+            column = compute.divide(microseconds.cast(pyarrow.float64()), 1e6)
+        self._parts.append(np.array(column.cast(pyarrow.float64()).to_numpy(zero_copy_only=False)))
+
+    def whole(self) -> Array:
+        """The column, (R,), NaN where missing."""
+        return np.concatenate(self._parts)
+
+
+class _Texts:
+    """A column of text, gathered from batches of Arrow, which are let go."""
+
+    def __init__(self) -> None:
+        self._parts: list[NDArray[np.int32]] = []
+        self._place: dict[str, int] = {}
+
+    def add(self, column: Any) -> None:
+        """Add the column of a batch."""
+        import pyarrow
+
+        if not pyarrow.types.is_dictionary(column.type):
+            column = column.cast(pyarrow.string()).dictionary_encode()
+        code = column.indices.cast(pyarrow.int32()).fill_null(-1).to_numpy(zero_copy_only=False)
+        texts = column.dictionary.cast(pyarrow.string()).to_pylist()
+        place = [self._place.setdefault(plain_text(one or ""), len(self._place)) for one in texts]
+        self._parts.append(np.array([*place, -1], dtype=np.int32)[code])
+
+    def whole(self) -> Labels:
+        """The column, (R,)."""
+        return labels(np.concatenate(self._parts), self._place)
 
 
 def _text_batches(sheet: Sheet, numbers: set[str], texts: set[str]) -> Iterator[Any]:
@@ -175,7 +217,10 @@ def _text_batches(sheet: Sheet, numbers: set[str], texts: set[str]) -> Iterator[
     )
     read = arrow_csv.ReadOptions(column_names=list(sheet.names), block_size=_BLOCK, use_threads=False)
     parse = arrow_csv.ParseOptions(delimiter="," if sheet.separator == _SPACES else sheet.separator)
-    with _body(sheet) as stream, arrow_csv.open_csv(stream, read, parse, convert) as reader:
+    with (
+        _body(sheet) as stream,
+        arrow_csv.open_csv(stream, read, parse, convert, pyarrow.system_memory_pool()) as reader,
+    ):
         yield from reader
 
 
@@ -239,25 +284,6 @@ def _parquet_batches(sheet: Sheet, names: set[str]) -> Iterator[Any]:
         if file.metadata.num_rows > MAX_ROWS:
             raise InputError(f"{sheet.path}: more than {MAX_ROWS} rows; split the file")
         yield from file.iter_batches(batch_size=1 << 18, columns=sorted(names))
-
-
-def _array(column: Any, is_text: bool) -> Array | Labels:
-    """A column of Arrow as an array of numbers, or as categories."""
-    import pyarrow
-    from pyarrow import compute
-
-    if is_text:
-        if not pyarrow.types.is_dictionary(column.type):
-            column = column.cast(pyarrow.string()).dictionary_encode()
-        whole = column.unify_dictionaries().combine_chunks()
-        code = whole.indices.cast(pyarrow.int32()).fill_null(-1).to_numpy(zero_copy_only=False)
-        texts = whole.dictionary.cast(pyarrow.string()).to_pylist()
-        return labels(code, [plain_text(one or "") for one in texts])
-    if pyarrow.types.is_dictionary(column.type):
-        column = column.cast(column.type.value_type)
-    if pyarrow.types.is_timestamp(column.type):
-        column = compute.divide(column.cast(pyarrow.timestamp("us")).cast(pyarrow.int64()).cast(pyarrow.float64()), 1e6)
-    return np.asarray(column.cast(pyarrow.float64()).fill_null(math.nan).to_numpy(), dtype=np.float64)
 
 
 def _first_bad(sheet: Sheet, numbers: set[str]) -> InputError | None:

@@ -134,13 +134,12 @@ def agreement(found: Ints, given: Ints) -> float:
 
 def gaps(tracks: Tracks) -> Array:
     """Gaps [m], bumper to bumper, shape (R,); NaN where there is no leader."""
-    ahead = tracks.leader_row
-    own = np.arange(len(tracks))
-    headway = Road(tracks.about.ring_m).difference(tracks.s_m[ahead], tracks.s_m[own])
+    ahead = np.maximum(tracks.leader_row, 0)
+    headway = Road(tracks.about.ring_m).difference(tracks.s_m[ahead], tracks.s_m)
     if tracks.about.ring_m > 0.0:
         headway = np.where(headway < -tracks.length_m, headway + tracks.about.ring_m, headway)
     gap = headway - 0.5 * (tracks.length_m[ahead] + tracks.length_m)
-    return np.where(ahead >= 0, gap, np.nan)
+    return np.where(tracks.leader_row >= 0, gap, np.nan)
 
 
 def check_gaps(tracks: Tracks) -> None:
@@ -171,7 +170,7 @@ def check_gaps(tracks: Tracks) -> None:
 
 def _cure(tracks: Tracks, gap: Array, followed: int) -> str:
     """What makes most of the gaps positive."""
-    ahead = tracks.leader_row
+    ahead = np.maximum(tracks.leader_row, 0)
     half = 0.5 * (tracks.length_m[ahead] - tracks.length_m)
     for reference, shift in (("front", -half), ("rear", half)):
         # Centres that are front bumpers in truth lie half a length further back.

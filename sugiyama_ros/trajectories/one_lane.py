@@ -99,7 +99,7 @@ def _numbers(tracks: Tracks) -> Ints:
 def _check_leaders(tracks: Tracks, dense: Trajectories, step: Ints, where: str) -> None:
     """Refuse tracks in which the vehicle ahead in the dense table is not the leader."""
     column = dense.leader[step, tracks.run]
-    ahead = np.where(tracks.leader_row >= 0, tracks.run[tracks.leader_row], tracks.leader_row)
+    ahead = np.where(tracks.leader_row >= 0, tracks.run[np.maximum(tracks.leader_row, 0)], tracks.leader_row)
     share = agreement(column, ahead)
     if share < LEAST_AGREEMENT:
         raise InputError(

@@ -129,7 +129,7 @@ class _Cutter:
     def _ahead(self, row: Ints, tick: Ints) -> tuple[Ints, Ints]:
         """Run of the vehicle ahead of each row (-1 for a row that is missing), without flicker, and its row."""
         ahead = np.where(row >= 0, self._tracks.leader_row[row], UNKNOWN)
-        identity = np.where(ahead >= 0, self._run[ahead], ahead)
+        identity = np.where(ahead >= 0, self._run[np.maximum(ahead, 0)], ahead)
         missing = row < 0
         identity = _without_flicker(_held(identity, missing), self._flicker)
         found = self._rows(identity, tick)

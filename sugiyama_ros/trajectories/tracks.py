@@ -100,7 +100,7 @@ class Tracks(Result):
     @cached_property
     def leader(self) -> Labels:
         """Name of the vehicle ahead, shape (R,): `NOBODY` on a free road, missing where it is not known."""
-        ahead = self.vehicle.code[self.leader_row]
+        ahead = self.vehicle.code[np.maximum(self.leader_row, 0)]
         code = np.where(self.leader_row >= 0, ahead, np.where(self.leader_row == FREE, len(self.vehicle.text), -1))
         return Labels(code.astype(np.int32), (*self.vehicle.text, NOBODY))
 
@@ -144,7 +144,7 @@ class Tracks(Result):
         kept = {name: None if (c := self.column(name)) is None else c[rows] for name in (*TEXTS, *NUMBERS, "measured")}
         kept["vehicle_class"] = kept.pop("class")
         start = starts(self.run[rows])
-        leader_row = np.where(ahead >= 0, new_row[ahead], ahead)
+        leader_row = np.where(ahead >= 0, new_row[np.maximum(ahead, 0)], ahead)
         return replace(self, **kept, leader_row=leader_row, start=start)  # type: ignore[arg-type]
 
     def headline(self) -> str:

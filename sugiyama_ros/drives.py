@@ -13,7 +13,7 @@ from sugiyama_ros.trajectories.tracks import Tracks
 
 
 @dataclass(frozen=True, eq=False)
-class Following:
+class Drive:
     """A stretch of a driver's track, ready for the filter.
 
     Parameters
@@ -32,7 +32,7 @@ class Following:
     scored: Mask
 
 
-def following(tracks: Tracks) -> Iterator[Following]:
+def drives(tracks: Tracks) -> Iterator[Drive]:
     """Make the chains of all drivers.
 
     Parameters
@@ -42,11 +42,11 @@ def following(tracks: Tracks) -> Iterator[Following]:
 
     Yields
     ------
-    Following
+    Drive
         One for each driver and stretch. The vehicles ahead start anew in the filter wherever they change.
     """
     for stretch in stretches(tracks):
-        yield Following(stretch, chain_of(stretch), stretch.scored)
+        yield Drive(stretch, chain_of(stretch), stretch.scored)
 
 
 def chain_of(stretch: Stretch) -> Chain:
