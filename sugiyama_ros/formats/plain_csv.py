@@ -11,7 +11,10 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.format import Format
 from sugiyama_ros.formats.reading import lines, number, open_input, sha256
 from sugiyama_ros.formats.samples import Samples, agreed_road
+from sugiyama_ros.formats.sheet import MISSING
+from sugiyama_ros.formats.table import read_table
 from sugiyama_ros.formats.writing import replacing
+from sugiyama_ros.trajectories.one_lane import check_order
 from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M, Trajectories
 
 _REQUIRED = ("time_s", "vehicle", "position_m")
@@ -23,8 +26,8 @@ _OF_TRACKS = {"recording", "road", "lane", "leader"}
 def read_csv(path: Path, ring_m: float | None = None) -> Trajectories:
     """Read a CSV file with a header. Other columns are ignored.
 
-    An empty position is a missing sample. A vehicle without a length gets ``DEFAULT_LENGTH_M``. The times of each
-    vehicle must increase.
+    An empty position, or nan, is a missing sample. A vehicle without a length gets ``DEFAULT_LENGTH_M``. The times of
+    each vehicle must increase.
 
     Parameters
     ----------
@@ -57,7 +60,7 @@ def read_csv(path: Path, ring_m: float | None = None) -> Trajectories:
                 samples.add(
                     number(row[columns["time_s"]], "time_s", where),
                     vehicle,
-                    number(position, "position_m", where) if position else math.nan,
+                    number(position, "position_m", where) if position not in MISSING else math.nan,
                     where,
                 )
                 if "length_m" in columns and (text := row[columns["length_m"]].strip()):
@@ -72,7 +75,9 @@ def read_csv(path: Path, ring_m: float | None = None) -> Trajectories:
         except csv.Error as error:
             raise InputError(f"{path}:{rows.line_num}: not CSV: {error}; correct the line") from None
     length_m = [lengths.get(vehicle, DEFAULT_LENGTH_M) for vehicle in samples.vehicles]
-    return samples.trajectories(length_m, agreed_road(path, None, ring_m), checksum)
+    trajectories = samples.trajectories(length_m, agreed_road(path, None, ring_m), checksum)
+    check_order(trajectories, str(path))
+    return trajectories
 
 
 def write_csv(trajectories: Trajectories, path: Path) -> None:
@@ -129,4 +134,5 @@ FORMAT = Format(
     recognise=_is_plain,
     read=read_csv,
     summary="one line for each sample, with the columns time_s, vehicle, position_m and, if known, length_m",
+    tracks=read_table,
 )

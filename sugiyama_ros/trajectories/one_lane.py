@@ -20,6 +20,8 @@ from sugiyama_ros.trajectories.trajectories import Trajectories
 MOST_CELLS, EMPTIEST = 20_000_000, 20
 #: Share of a vehicle's rows with an unknown leader up to which the vehicle ahead counts as the leader.
 _UNKNOWN_ROWS = 0.02
+#: Share of samples in which a leader may be behind, and samples from which on this is judged.
+_BEHIND, _ENOUGH_SAMPLES = 0.02, 50
 _NUMBER = re.compile(r"\d{1,9}")
 
 
@@ -126,6 +128,35 @@ def _cure(tracks: Tracks, part: Array) -> str:
         first, last = tracks.time_s[tracks.start[:-1]][~lost].max(), tracks.time_s[tracks.start[1:] - 1][~lost].min()
         cure += f" --from {first:.9g} --to {last:.9g}"
     return cure
+
+
+def check_order(trajectories: Trajectories, where: str) -> None:
+    """Refuse vehicles on an open road that drive through one another.
+
+    Parameters
+    ----------
+    trajectories : Trajectories
+        Vehicles on one lane. Fewer than 50 samples say too little.
+    where : str
+        Name of the file in the message.
+
+    Raises
+    ------
+    InputError
+        If leaders are behind their followers in more than 2 % of the samples.
+    """
+    if trajectories.road.is_ring or len(trajectories.position_m) < _ENOUGH_SAMPLES:
+        return
+    leader, position = trajectories.leader, trajectories.position_m
+    headway = np.where(leader >= 0, np.take_along_axis(position, np.maximum(leader, 0), axis=1) - position, np.nan)
+    followed = np.isfinite(headway)
+    if followed.any() and np.mean(headway[followed] < 0.0) > _BEHIND:
+        step, column = (int(one[0]) for one in np.nonzero(headway < 0.0))
+        raise InputError(
+            f"{where}: vehicle {trajectories.vehicle[column]} drives through vehicle"
+            f" {trajectories.vehicle[leader[step, column]]} at {trajectories.time_s[step]:g} s: other lanes, or"
+            " recordings that have nothing to do with each other, share this lane; give the column lane or recording"
+        )
 
 
 def tracks_of(trajectories: Trajectories) -> Tracks:

@@ -34,20 +34,24 @@ def period_of(tracks: Tracks) -> float:
         )
     usual = float(np.median(step[step <= 1.5 * np.quantile(step, 0.25)]))
     refined = float(np.mean(step[np.abs(step - usual) <= _JITTER * usual]))
+    if not _are_multiples(step, usual):
+        return float(np.median(step))
     for simple in (round(refined, 2), round(refined * 30.0) / 30.0, round(refined, 3)):
         if simple > 0.0 and abs(simple - refined) <= max(1e-3 * simple, TICK_S * 0.5):
             return simple
     return refined
 
 
+def _are_multiples(step: Array, period_s: float) -> bool:
+    """Whether steps [s] are multiples of a period, but for a few."""
+    miss = np.abs(step - np.maximum(np.round(step / period_s), 1.0) * period_s)
+    return bool(np.mean(miss > _JITTER * period_s + TICK_S * 1.01) <= _MISSES)
+
+
 def is_regular(tracks: Tracks) -> bool:
     """Whether all vehicles of a recording are sampled at the same, evenly spaced times."""
-    period, step = period_of(tracks), _steps(tracks)
-    multiple = np.maximum(np.round(step / period), 1.0)
-    tolerance = _JITTER * period + TICK_S * 1.01
-    if np.mean(np.abs(step - multiple * period) > tolerance) > _MISSES:
-        return False
-    return bool(_distinct(tracks) <= _DISTINCT * _expected(tracks, period))
+    period = period_of(tracks)
+    return _are_multiples(_steps(tracks), period) and _distinct(tracks) <= _DISTINCT * _expected(tracks, period)
 
 
 def _steps(tracks: Tracks) -> Array:
