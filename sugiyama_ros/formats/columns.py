@@ -126,9 +126,11 @@ def put_together(
             about.noting("times are milliseconds in the file; they were divided by 1000"),
         )
     tracks = assemble(columns, about, choices.reference or reference)
-    if np.all(np.diff(tracks.start) < 2) or is_regular(tracks):
-        return tracks
-    return on_time_base(tracks)
+    if np.any(np.diff(tracks.start) > 1) and not is_regular(tracks):
+        tracks = on_time_base(tracks)
+    alone = tracks.runs > len(tracks.recording.used()) and not np.any(tracks.leader_row >= 0)
+    note = "warning: no vehicle has another one ahead at the same time; check clocks and lanes (--columns)" * alone
+    return replace(tracks, about=tracks.about.noting(note))
 
 
 def about_file(path: Path, leaders: Leaders = "found", **said: str) -> About:

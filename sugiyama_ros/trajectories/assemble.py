@@ -110,10 +110,7 @@ def led(tracks: Tracks, named: Labels | None, compared: bool = True) -> Tracks:
         With leaders, and a note that says how many of the named leaders were found.
     """
     if named is None:
-        found = find_leaders(tracks)
-        alone = tracks.runs > len(tracks.recording.used()) and not np.any(found >= 0)
-        note = "warning: no vehicle has another one ahead at the same time; check clocks and lanes (--columns)" * alone
-        return replace(tracks, leader_row=found, about=tracks.about.noting(note))
+        return replace(tracks, leader_row=find_leaders(tracks))
     given = given_leaders(tracks, named)
     whose = tracks.about.leaders
     if whose == "given" and not compared:
