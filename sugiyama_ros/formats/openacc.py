@@ -54,7 +54,7 @@ def read_openacc(path: Path, choices: Choices) -> Tracks:
     cars = sorted({int(one[2]) for one in found.values() if one is not None and one[1] == "Speed" and one[2]})
     numbers = {name for name, one in found.items() if one is not None and one[1] != "Driver"}
     table = {name: np.asarray(column) for name, column in read_sheet(sheet, numbers, set()).items()}
-    places = [_places(table, car, path) for car in cars]
+    places = _places(table, cars, path)
     path_of_all = common_path(places)
     if path_of_all is None:
         raise InputError(f"{path}: no car moves; give a recording of a drive")
@@ -81,18 +81,22 @@ def read_openacc(path: Path, choices: Choices) -> Tracks:
     return put_together(columns, about, choices)
 
 
-def _places(table: dict[str, Array], car: int, path: Path) -> Array:
-    """Places of a car [m], (T, 2), east and north."""
-    if f"E{car}" in table and f"N{car}" in table:
-        return np.stack((table[f"E{car}"], table[f"N{car}"]), axis=1)
-    if f"Lat{car}" not in table or f"Lon{car}" not in table:
+def _places(table: dict[str, Array], cars: list[int], path: Path) -> list[Array]:
+    """Places of the cars [m], (T, 2) each, east and north of one point that they share."""
+    if all(f"E{car}" in table and f"N{car}" in table for car in cars):
+        return [np.stack((table[f"E{car}"], table[f"N{car}"]), axis=1) for car in cars]
+    bad = next((car for car in cars if f"Lat{car}" not in table or f"Lon{car}" not in table), None)
+    if bad is not None or not cars:
         raise InputError(
-            f"{path}:{_HEADER}: no column E{car}, N{car} or Lat{car}, Lon{car}; give the places of car {car}"
+            f"{path}:{_HEADER}: no column E{bad}, N{bad} or Lat{bad}, Lon{bad}; give the places of the cars"
         )
-    latitude, longitude = table[f"Lat{car}"], table[f"Lon{car}"]
+    latitude = np.stack([table[f"Lat{car}"] for car in cars])
+    longitude = np.stack([table[f"Lon{car}"] for car in cars])
     if np.nanmax(np.abs(latitude)) > 0.5 * np.pi or np.nanmax(np.abs(longitude)) > np.pi:
         latitude, longitude = np.radians(latitude), np.radians(longitude)
-    return np.stack((_EARTH_M * longitude * np.cos(np.nanmean(latitude)), _EARTH_M * latitude), axis=1)
+    middle, east = float(np.nanmean(latitude)), float(np.nanmean(longitude))
+    east_m = _EARTH_M * (longitude - east) * np.cos(middle)
+    return list(np.stack((east_m, _EARTH_M * (latitude - middle)), axis=2))
 
 
 def _lengths(table: dict[str, Array], cars: list[int], position: Array, about: About) -> tuple[Array, About]:
