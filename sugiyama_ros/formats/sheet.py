@@ -152,6 +152,8 @@ def read_sheet(sheet: Sheet, numbers: set[str], texts: set[str]) -> Mapping[str,
         return {name: gathered.pop(name).whole() for name in sorted(numbers | texts)}
     except (pyarrow.ArrowException, OSError, ValueError, UnicodeDecodeError) as error:
         reason = " ".join(str(error).split())[:200]
+        if reason.startswith("Empty CSV"):
+            raise InputError(f"{sheet.path}: no samples; give a table of positions") from None
         raise _first_bad(sheet, numbers) or InputError(
             f"{sheet.path}: not a table: {reason}; correct the file"
         ) from None
