@@ -78,10 +78,8 @@ def lines_of(document: dict[str, Any]) -> list[tuple[str, str]]:
         ("Classes", _list(document["classes"])),
         ("Roads", _list(document["roads"])),
         ("Lanes", _list(document["lanes"])),
-        (
-            "Time",
-            f"{document['from_s']:.9g} to {document['to_s']:.9g} s; all drivers together {document['driven_s']:.0f} s",
-        ),
+        ("Time", f"{document['from_s']:.9g} to {document['to_s']:.9g} s"),
+        ("Driven", f"{document['driven_s']:.0f} s by all vehicles together"),
         (
             "Period",
             f"{document['period_s']:.4g} s{irregular}" if document["period_s"] else "one sample of each vehicle",

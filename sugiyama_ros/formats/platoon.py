@@ -27,7 +27,7 @@ def read_platoon(path: Path, choices: Choices) -> Tracks:
     Parameters
     ----------
     path : Path
-        The file; digits in its name are the number of the follower.
+        The file; digits in its name are the number of the follower, and the leader has the number before.
     choices : Choices
         What the user says.
 
@@ -46,12 +46,14 @@ def read_platoon(path: Path, choices: Choices) -> Tracks:
         raise InputError(f"{path}:1: not six columns divided by tabs; give a file of a platoon")
     pair = read_columns(sheet, _WANTED)
     rows = len(np.asarray(pair["s_m"]))
-    follower = "".join(filter(str.isdigit, path.stem)) or "follower"
+    digits = "".join(filter(str.isdigit, path.stem))[-9:]
+    # Cars of a platoon are numbered from the first to the last.
+    follower, leader = (digits, str(int(digits) - 1)) if digits.strip("0") else ("follower", "leader")
     second = np.repeat(np.array([0, 1], dtype=np.int32), rows)
     columns = {
         "recording": Labels(np.zeros(2 * rows, dtype=np.int32), (path.stem,)),
-        "vehicle": Labels(second, (follower, "leader")),
-        "leader": Labels(np.where(second == 0, 0, -1).astype(np.int32), ("leader",)),
+        "vehicle": Labels(second, (follower, leader)),
+        "leader": Labels(np.where(second == 0, 0, -1).astype(np.int32), (leader,)),
         "time_s": np.tile(np.asarray(pair["time_s"]), 2),
         "s_m": np.concatenate((np.asarray(pair["s_m"]), np.asarray(pair["leader_s_m"]))),
         "length_m": np.tile(np.asarray(pair["length_m"]), 2),

@@ -248,8 +248,8 @@ def _lengths(table: _Table, start: Ints) -> _Table:
         length[run] = np.nanmedian(given[start[run] : start[run + 1]])
     varies, unknown = int(np.sum(high - low > _LENGTH_VARIES_M)), int(np.sum(np.isnan(length)))
     about = table.about.noting(
-        f"the length of {varies} vehicles varies by more than {_LENGTH_VARIES_M:g} m; the median counts" * (varies > 0),
-        f"{unknown} vehicles have no length; they count as {DEFAULT_LENGTH_M:g} m long" * (unknown > 0),
+        f"lengths that vary by more than {_LENGTH_VARIES_M:g} m: {varies} vehicles; the median counts" * (varies > 0),
+        f"lengths that are missing: {unknown} vehicles, which count as {DEFAULT_LENGTH_M:g} m long" * (unknown > 0),
     )
     filled = np.repeat(np.where(np.isnan(length), DEFAULT_LENGTH_M, length), rows)
     return table._replace(number={**table.number, "length_m": filled}, about=about)

@@ -1,6 +1,7 @@
 """Tracks of one recording on one lane as dense trajectories, and trajectories as tracks."""
 
 import re
+import shlex
 from itertools import count
 
 import numpy as np
@@ -82,7 +83,7 @@ def _one_of(tracks: Tracks, column: Labels, many: str, option: str, where: str) 
     if len(used) > 1:
         raise InputError(
             f"{where}: {len(used)} {many} ({', '.join(used[:5])}{', ...' * (len(used) > 5)}), but this command takes"
-            f" one; choose: sugiyama convert {where} one.parquet --{option} {used[0]}"
+            f" one; choose: sugiyama convert {where} one.parquet --{option} {shlex.quote(used[0])}"
         )
 
 
@@ -123,7 +124,7 @@ def _cure(tracks: Tracks, part: Array) -> str:
     """Options that leave out the vehicles without a leader, and the times when not all others were recorded."""
     lost = part > 0.5
     names = ",".join(tracks.vehicle.at(int(row)) for row in tracks.start[:-1][lost])
-    cure = f" --without {names}" if names else ""
+    cure = f" --without {shlex.quote(names)}" if names else ""
     if (part[~lost] > _UNKNOWN_ROWS).any():
         first, last = tracks.time_s[tracks.start[:-1]][~lost].max(), tracks.time_s[tracks.start[1:] - 1][~lost].min()
         cure += f" --from {first:.9g} --to {last:.9g}"

@@ -80,7 +80,7 @@ BAD_CSV = {
     "header only": ("time_s,vehicle,position_m\n", ("bad.csv",)),
     "wrong columns": ("t,car,x\n0,1,2\n", ("bad.csv", "position_m")),
     "text": ("time_s,vehicle,position_m\n0,1,2\n0.5,1,far\n", ("bad.csv", "3", "position_m")),
-    "nan": ("time_s,vehicle,position_m\n0,1,2\n0.5,1,nan\n", ("bad.csv", "3", "position_m")),
+    "nan": ("time_s,vehicle,position_m\n0,1,2\nnan,1,3\n", ("bad.csv", "3", "time_s")),
     "backward": ("time_s,vehicle,position_m\n0,1,2\n1,1,3\n0.5,1,4\n", ("bad.csv", "4")),
     "twice": ("time_s,vehicle,position_m\n0,1,2\n0,1,3\n", ("bad.csv", "3")),
     "irregular": ("time_s,vehicle,position_m\n0,1,2\n1,1,3\n2,1,4\n3.4,1,5\n4,1,6\n", ("bad.csv", "regular")),

@@ -64,7 +64,7 @@ def test_csv_with_several_places_and_periods(tmp_path: Path) -> None:
     assert tracks.runs == 9
     assert tracks.time_s.max() == pytest.approx(7.9)
     assert tracks.leader.values()[::80].tolist() == [None, "1", "2"] * 3
-    with pytest.raises(InputError, match=r"3 recordings .* one.parquet --recording i-80 period 1$"):
+    with pytest.raises(InputError, match=r"3 recordings .* one.parquet --recording 'i-80 period 1'$"):
         read_trajectories(path)
 
 

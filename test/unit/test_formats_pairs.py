@@ -83,10 +83,10 @@ def test_platoon(tmp_path: Path) -> None:
     path.write_text("\n".join(rows) + "\n")
     assert format_of(path).name == "platoon"
     tracks = read_tracks(path)
-    assert tracks.vehicle.used() == ("101", "leader")
+    assert tracks.vehicle.used() == ("100", "101")
     assert tracks.time_s[0] == pytest.approx(3199.3)
-    np.testing.assert_allclose(gaps(tracks)[:80], 7.0)
-    assert read_trajectories(path).vehicle.tolist() == [101, 102]
+    np.testing.assert_allclose(gaps(tracks)[80:], 7.0)
+    assert read_trajectories(path).vehicle.tolist() == [100, 101]
     path.write_text("\n".join([*rows[:9], "1\t2\t3", *rows[9:]]) + "\n")
     with pytest.raises(InputError, match=r"dataVehicle101.txt:10: 3 fields, but 6 columns"):
         read_tracks(path)

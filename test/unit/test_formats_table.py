@@ -87,7 +87,7 @@ def test_lengths_that_vary(tmp_path: Path) -> None:
     assert "a.csv:3: vehicle 0 is 4.6 m long here" in refused(read_trajectories, path, content)
     tracks = read_tracks(path)
     assert set(tracks.length_m.tolist()) == {4.9}
-    assert any("varies by more than 0.5 m; the median counts" in note for note in tracks.about.notes)
+    assert any("vary by more than 0.5 m: 3 vehicles; the median counts" in note for note in tracks.about.notes)
 
 
 @pytest.mark.parametrize(

@@ -178,8 +178,8 @@ def test_a_vehicle_has_one_length() -> None:
     tracks = assemble(columns(length_m=length))
     assert tracks.length_m[::60].tolist() == [4.0, 4.33, 5.0, 6.0]
     assert set(tracks.length_m[120:180].tolist()) == {5.0}
-    assert any("length of 1 vehicles varies" in note for note in tracks.about.notes)
-    assert any("1 vehicles have no length" in note for note in tracks.about.notes)
+    assert any("vary by more than 0.5 m: 1 vehicles" in note for note in tracks.about.notes)
+    assert any("missing: 1 vehicles" in note for note in tracks.about.notes)
 
 
 def test_a_part_of_tracks_forgets_leaders_that_are_left_out() -> None:
