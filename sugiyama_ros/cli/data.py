@@ -30,7 +30,9 @@ class ConvertOptions:
     source: Annotated[Path, typer.Argument(help="File or folder of trajectories, in any known format.")]
     output: Annotated[Path, typer.Argument(help="File to write: .parquet or .csv (tracks), or .mcap (one lane).")]
     ring: Ring = None
-    format: Annotated[str, typer.Option("--format", help="Format of the file; docs/howto/data.md lists them.")] = "auto"
+    format: Annotated[str, typer.Option("--format", help="Format of the file; an unknown name lists them all.")] = (
+        "auto"
+    )
     columns: Annotated[
         Path | None, typer.Option("--columns", help="Map (YAML) of columns of tracks to columns of the file.")
     ] = None

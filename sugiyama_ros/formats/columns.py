@@ -85,6 +85,14 @@ def is_number(name: str) -> bool:
     return name in NUMBERS or name == "measured" or name.endswith(("_s", "_m"))
 
 
+def text_of(columns: Mapping[str, Array | Labels], name: str) -> Labels:
+    """A column of text, which must be there."""
+    column = columns[name]
+    if not isinstance(column, Labels):
+        raise TypeError(f"{name} is not a column of text")
+    return column
+
+
 def nobody(column: Labels, *names: str) -> Labels:
     """A column of leaders in which some names, such as 0, mean that nobody is known to be ahead."""
     gone = np.array([text in names for text in column.text] + [True])

@@ -27,6 +27,11 @@ class Path2d:
         self._length = np.hypot(self._way[:, 0], self._way[:, 1])
         self._start = np.concatenate(([0.0], np.cumsum(self._length)))
 
+    @property
+    def length_m(self) -> float:
+        """Length [m] of the path."""
+        return float(self._start[-1])
+
     def positions(self, place_m: Array) -> tuple[Array, Array]:
         """Follow a vehicle along the path.
 
@@ -104,7 +109,7 @@ def common_path(places_m: list[Array]) -> Path2d | None:
             continue
         path = Path2d(point)
         position, _ = path.positions(place)
-        beyond: Ints = np.flatnonzero(position > path._start[-1] + _POINT_M)
+        beyond: Ints = np.flatnonzero(position > path.length_m + _POINT_M)
         if len(beyond):
             point = np.concatenate((point, thinned(place[beyond[0] :])))
     return Path2d(point) if len(point) > 1 else None

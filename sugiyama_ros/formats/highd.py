@@ -8,7 +8,7 @@ import numpy as np
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
-from sugiyama_ros.formats.columns import about_file, need, nobody, put_together, read_columns, take
+from sugiyama_ros.formats.columns import about_file, need, nobody, put_together, read_columns, take, text_of
 from sugiyama_ros.formats.format import tracks_format
 from sugiyama_ros.formats.sheet import Sheet, head_of, sheet_of
 from sugiyama_ros.trajectories.labels import Labels, labels, same_label
@@ -79,7 +79,7 @@ def read_highd(path: Path, choices: Choices) -> Tracks:
         columns["leader"] = nobody(leader, "0", "-1", "")
     columns = _of_highd(columns) if is_highd else _of_exid(columns)
     columns.setdefault("recording", same_label(len(np.asarray(columns["time_s"])), path.stem.partition("_")[0]))
-    if (kind := _classes(path, columns["vehicle"])) is not None:
+    if (kind := _classes(path, text_of(columns, "vehicle"))) is not None:
         columns["class"] = kind
     return put_together(columns, about, choices)
 
@@ -89,8 +89,7 @@ def _of_highd(columns: dict[str, Array | Labels]) -> dict[str, Array | Labels]:
     x, length = np.asarray(columns.pop("x_m")), np.asarray(columns["length_m"])
     y, width = np.asarray(columns.pop("y_m")), np.asarray(columns.get("width_m", 0.0))
     speed = np.asarray(columns.pop("speed_x_m", np.zeros(len(x))))
-    vehicle = columns["vehicle"]
-    code = vehicle.code if isinstance(vehicle, Labels) else np.zeros(len(x), dtype=np.int32)
+    code = text_of(columns, "vehicle").code
     forward = np.bincount(code + 1, weights=np.nan_to_num(speed))[code + 1] >= 0.0
     road = Labels(np.where(forward, 0, 1).astype(np.int32), ("lower", "upper"))
     return columns | {"s_m": x + 0.5 * length, "d_m": y + 0.5 * width, "road": road}
@@ -123,18 +122,16 @@ def _rate(path: Path) -> float:
     return rate
 
 
-def _classes(path: Path, vehicle: Array | Labels) -> Labels | None:
+def _classes(path: Path, vehicle: Labels) -> Labels | None:
     """Class of each row, (R,), from the metadata of the tracks; None without such a file."""
     beside = path.with_name(path.name.replace("_tracks", "_tracksMeta"))
-    if beside == path or not beside.is_file() or not isinstance(vehicle, Labels):
+    if beside == path or not beside.is_file():
         return None
     sheet = sheet_of(beside, head_of(beside))
     if sheet is None:
         return None
     meta = read_columns(sheet, {"vehicle": need("id", "trackId"), "class": need("class")})
-    names, kinds = meta["vehicle"], meta["class"]
-    assert isinstance(names, Labels)
-    assert isinstance(kinds, Labels)
+    names, kinds = text_of(meta, "vehicle"), text_of(meta, "class")
     of_name = dict(zip(names.values().tolist(), kinds.code.tolist(), strict=True))
     code = np.array([of_name.get(text, -1) for text in vehicle.text] + [-1], dtype=np.int32)[vehicle.code]
     return labels(code, [text.lower() for text in kinds.text])

@@ -1,14 +1,15 @@
 """SUMO's floating car data: XML, and the same as CSV or Parquet."""
 
 from array import array
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
-from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
-from sugiyama_ros.formats.columns import about_file, need, put_together, read_columns, take
+from sugiyama_ros.formats.columns import about_file, need, put_together, read_columns, take, text_of
 from sugiyama_ros.formats.edges import Edges, along_edges
 from sugiyama_ros.formats.format import tracks_format
 from sugiyama_ros.formats.sheet import MAX_ROWS, head_of, sheet_of
@@ -60,15 +61,13 @@ def read_sumo(path: Path, choices: Choices) -> Tracks:
         if sheet is None:
             raise InputError(f"{path}:1: not the columns of SUMO; check the file")
         columns = read_columns(sheet, _WANTED)
-    lane = columns.pop("lane_name")
-    assert isinstance(lane, Labels)
+    lane, vehicle = text_of(columns, "lane_name"), text_of(columns, "vehicle")
+    del columns["lane_name"]
     about = about_file(path)
     if "length_m" not in columns:
         columns["length_m"] = np.full(len(lane), DEFAULT_LENGTH_M)
         about = about.noting(f"lengths are not in the file: every vehicle counts as {DEFAULT_LENGTH_M:g} m long")
     edges, columns["lane"] = _edges(lane)
-    vehicle = columns["vehicle"]
-    assert isinstance(vehicle, Labels)
     time, speed = np.asarray(columns["time_s"]), np.asarray(columns.pop("speed_m"))
     columns["s_m"], road, note = along_edges(
         Edges(edges, vehicle.code, time, np.asarray(columns["s_m"]), speed), choices.ring_m or 0.0
@@ -89,32 +88,47 @@ def _edges(lane: Labels) -> tuple[Labels, Labels]:
     return labels(lane.code, [edge for edge, _, _ in parts]), labels(lane.code, [number for _, _, number in parts])
 
 
+class _Gathered:
+    """Columns of an XML file, gathered vehicle by vehicle."""
+
+    def __init__(self) -> None:
+        self.number = {name: array("d") for name in ("time_s", *_NUMBERS)}
+        self._code = {name: array("i") for name in _TEXTS}
+        self._texts: dict[str, dict[str, int]] = {name: {} for name in _TEXTS}
+
+    def add(self, time_s: float, said: Mapping[str, str], path: Path) -> None:
+        """Add what is said of a vehicle at a time."""
+        where = f"{path}: vehicle {said.get('id', '')[:40]} at {time_s:g} s"
+        self.number["time_s"].append(time_s)
+        for name, source in _NUMBERS.items():
+            self.number[name].append(attribute(said, source, where))
+        for name, source in _TEXTS.items():
+            text, known = said.get(source, ""), self._texts[name]
+            self._code[name].append(known.setdefault(text, len(known)) if text else -1)
+
+    def columns(self) -> dict[str, Array | Labels]:
+        """The columns; those of text that are empty are left out."""
+        found: dict[str, Array | Labels] = {name: np.frombuffer(values) for name, values in self.number.items()}
+        for name, codes in self._code.items():
+            code = np.frombuffer(codes, dtype=np.int32)
+            if name in ("vehicle", "lane_name") or (code >= 0).any():
+                found[name] = labels(code, self._texts[name])
+        return found
+
+
 def _of_xml(path: Path) -> dict[str, Array | Labels]:
     """Columns of an XML file."""
-    number = {name: array("d") for name in ("time_s", *_NUMBERS)}
-    code = {name: array("i") for name in _TEXTS}
-    texts: dict[str, dict[str, int]] = {name: {} for name in _TEXTS}
+    gathered = _Gathered()
+    times = gathered.number["time_s"]
     for step in elements(path, "timestep"):
         time = attribute(step.attrib, "time", f"{path}: timestep")
         for one in step.iter("vehicle"):
-            said = one.attrib
-            where = f"{path}: vehicle {said.get('id', '')[:40]} at {time:g} s"
-            number["time_s"].append(time)
-            for name, source in _NUMBERS.items():
-                number[name].append(attribute(said, source, where))
-            for name, source in _TEXTS.items():
-                text = said.get(source, "")
-                code[name].append(texts[name].setdefault(text, len(texts[name])) if text else -1)
-        if len(number["time_s"]) > MAX_ROWS:
+            gathered.add(time, one.attrib, path)
+        if len(times) > MAX_ROWS:
             raise InputError(f"{path}: more than {MAX_ROWS} rows; split the file")
-    if not number["time_s"]:
+    if not times:
         raise InputError(f"{path}: no samples; write it with sumo --fcd-output")
-    columns: dict[str, Array | Labels] = {name: np.frombuffer(values) for name, values in number.items()}
-    for name, codes in code.items():
-        found: Ints = np.frombuffer(codes, dtype=np.int32).astype(np.int64)
-        if name in ("vehicle", "lane_name") or (found >= 0).any():
-            columns[name] = labels(found, list(texts[name]))
-    return columns
+    return gathered.columns()
 
 
 def _is_xml(head: bytes) -> bool:
