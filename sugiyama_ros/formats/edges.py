@@ -24,7 +24,20 @@ class Edges(NamedTuple):
     speed: Array
 
 
-def along_edges(rows: Edges, ring_m: float) -> tuple[Array, Labels | None, str]:
+class Placed(NamedTuple):
+    """Positions along roads of edges.
+
+    s_m: positions [m], (R,); road: the first edge of the road of each row, (R,), or None if there is one road; ring_m:
+    circumference [m] of this road if it is a ring, else 0; note: how many edges and roads there are.
+    """
+
+    s_m: Array
+    road: Labels | None
+    ring_m: float
+    note: str
+
+
+def along_edges(rows: Edges) -> Placed:
     """Put the edges of a road one behind the other.
 
     The length of an edge is what vehicles say that leave it for the next edge: where they were last, how far they came
@@ -34,42 +47,46 @@ def along_edges(rows: Edges, ring_m: float) -> tuple[Array, Labels | None, str]:
     ----------
     rows : Edges
         Rows in any order.
-    ring_m : float
-        Circumference [m] of a ring; 0 for an open road.
 
     Returns
     -------
-    s_m : ndarray, shape (R,)
-        Positions [m] along the road.
-    road : Labels, shape (R,), or None
-        The first edge of the road that each row is on; None if all rows are on one road.
-    note : str
-        How many edges there are.
+    Placed
+        The positions along the roads.
     """
     count = len(rows.edge.text)
     if count == 1:
-        return rows.position_m, None, ""
+        return Placed(rows.position_m, None, 0.0, "")
     straight, nexts, lengths = _nexts(rows, count)
-    offset, root = np.zeros(count), np.arange(count)
-    behind = np.zeros(count, dtype=np.int64)
-    behind[nexts[nexts >= 0]] += 1
-    placed = np.zeros(count, dtype=bool)
-    # Roads begin where no edge leads in; what is left then are rings, which begin at their first edge.
-    for first in [*np.flatnonzero(behind == 0).tolist(), *range(count)]:
-        edge, place = int(first), 0.0
-        while edge >= 0 and not placed[edge]:
-            placed[edge], offset[edge], root[edge] = True, place, first
-            place += lengths[edge]
-            edge = int(nexts[edge])
+    offset, root, ring_m = _chained(nexts, lengths)
     # Edges inside a crossing, which few vehicles are seen on, end where the next edge begins.
     for edge, name in enumerate(rows.edge.text):
         if name.startswith(":") and (target := int(straight[edge])) >= 0 and root[edge] != root[target]:
             offset[edge], root[edge] = offset[target] - lengths[edge], root[target]
     s = rows.position_m + offset[rows.edge.code]
-    note = f"{count} edges make {len(set(root.tolist()))} roads"
-    if len(set(root.tolist())) == 1 or ring_m > 0.0:
-        return s, None, note
-    return s, labels(root[rows.edge.code].astype(np.int32), rows.edge.text), note
+    roads = len(set(root.tolist()))
+    note = f"{count} edges make {roads} road{'s' * (roads > 1)}"
+    if roads == 1:
+        return Placed(s, None, ring_m, note)
+    return Placed(s, labels(root[rows.edge.code].astype(np.int32), rows.edge.text), 0.0, note)
+
+
+def _chained(nexts: Ints, lengths: Array) -> tuple[Array, Ints, float]:
+    """Where each edge begins on its road [m], the first edge of this road, and the length of the last ring [m]."""
+    count = len(nexts)
+    offset, root, ring_m = np.zeros(count), np.arange(count), 0.0
+    led_to = np.zeros(count, dtype=bool)
+    led_to[nexts[nexts >= 0]] = True
+    placed = np.zeros(count, dtype=bool)
+    # Roads begin where no edge leads in; what is left then are rings, which begin at their first edge.
+    for first in [*np.flatnonzero(~led_to).tolist(), *range(count)]:
+        edge, place = int(first), 0.0
+        while edge >= 0 and not placed[edge]:
+            placed[edge], offset[edge], root[edge] = True, place, first
+            place += lengths[edge]
+            edge = int(nexts[edge])
+        if edge == first and place > 0.0:
+            ring_m = float(place)
+    return offset, root, ring_m
 
 
 def _nexts(rows: Edges, count: int) -> tuple[Ints, Ints, Array]:

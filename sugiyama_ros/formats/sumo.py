@@ -2,6 +2,7 @@
 
 from array import array
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -69,12 +70,12 @@ def read_sumo(path: Path, choices: Choices) -> Tracks:
         about = about.noting(f"lengths are not in the file: every vehicle counts as {DEFAULT_LENGTH_M:g} m long")
     edges, columns["lane"] = _edges(lane)
     time, speed = np.asarray(columns["time_s"]), np.asarray(columns.pop("speed_m"))
-    columns["s_m"], road, note = along_edges(
-        Edges(edges, vehicle.code, time, np.asarray(columns["s_m"]), speed), choices.ring_m or 0.0
-    )
-    if road is not None:
-        columns["road"] = road
-    return put_together(columns, about.noting(note), choices, reference="front")
+    placed = along_edges(Edges(edges, vehicle.code, time, np.asarray(columns["s_m"]), speed))
+    columns["s_m"] = placed.s_m
+    if placed.road is not None:
+        columns["road"] = placed.road
+    about = replace(about.noting(placed.note), ring_m=placed.ring_m)
+    return put_together(columns, about, choices, reference="front")
 
 
 def _edges(lane: Labels) -> tuple[Labels, Labels]:

@@ -258,14 +258,14 @@ def _lengths(table: _Table, start: Ints) -> _Table:
 def _along(table: _Table, run: Ints) -> _Table:
     """Turn positions round on lanes where most of them decrease, so that they grow along the drive."""
     s, about = table.number["s_m"], table.about
-    step = np.where(np.diff(run) == 0, np.diff(s), 0.0)
-    if about.ring_m > 0.0:
-        step -= about.ring_m * np.round(step / about.ring_m)
     group = table.text["recording"].code.astype(np.int64)
     for name in ("road", "lane"):
         if name in table.text:
             group = group * (len(table.text[name].text) + 1) + table.text[name].code
     _, group = np.unique(group, return_inverse=True)
+    step = np.where((np.diff(run) == 0) & (np.diff(group) == 0), np.diff(s), 0.0)
+    if about.ring_m > 0.0:
+        step -= about.ring_m * np.round(step / about.ring_m)
     turned = (np.bincount(group[1:], weights=step, minlength=int(group.max()) + 1) < 0.0)[group]
     if not turned.any():
         return table

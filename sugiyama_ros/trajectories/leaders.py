@@ -127,8 +127,8 @@ def given_leaders(tracks: Tracks, named: Labels) -> Ints:
 
 
 def agreement(found: Ints, given: Ints) -> float:
-    """Share of the given leaders (R,) that were found (R,); NaN where none is given."""
-    named = given >= 0
+    """Share of the given leaders (R,) that were found (R,), of rows in which both are known; NaN without such rows."""
+    named = (given >= 0) & (found >= 0)
     return float(np.mean(found[named] == given[named])) if named.any() else float("nan")
 
 

@@ -9,14 +9,14 @@ import numpy as np
 from sugiyama_ros.arrays import Array, Ints, Mask
 from sugiyama_ros.trajectories.labels import Labels
 from sugiyama_ros.trajectories.leaders import RowIndex, ticks
-from sugiyama_ros.trajectories.time_base import LONGEST_HOLE_S, on_time_base, period_of
+from sugiyama_ros.trajectories.time_base import LONGEST_HOLE_S, on_time_base, period_of, pieces
 from sugiyama_ros.trajectories.tracks import FREE, UNKNOWN, Tracks
 
 #: Shortest stretch [s]; leaders and lanes that last for less than `FLICKER_S` [s] are ignored; samples within
 #: `AROUND_CHANGE_S` [s] of a driver's own lane change are not scored.
 SHORTEST_STRETCH_S, FLICKER_S, AROUND_CHANGE_S = 5.0, 1.0, 2.0
-#: Vehicles of a stretch: own, leader and the leader's leader.
-DEPTH = 3
+# Part of a stretch in which the leader's leader must be known, for the rest to be left out.
+_MOST = 0.8
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,8 +32,8 @@ class Stretch:
     ring_m : float
         Circumference [m] of the ring; 0 for an open road.
     position_m : ndarray, shape (T, M)
-        Positions [m] of the driver and of the vehicles ahead; NaN where missing. M is 2 where the leader's leader is
-        not known throughout, else 3.
+        Positions [m] of the driver and of the vehicles ahead; NaN where missing. M is 3 where the leader's leader is
+        known throughout, else 2: then nobody knows what the leader reacts to.
     identity : ndarray of int, shape (T, M)
         Number of each vehicle's run in the tracks; -1 where nobody is ahead.
     length_m : ndarray, shape (T, M)
@@ -66,8 +66,9 @@ class Stretch:
 def stretches(tracks: Tracks, shortest_s: float = SHORTEST_STRETCH_S) -> Iterator[Stretch]:
     """Cut tracks into stretches.
 
-    A hole of more than 0.5 s ends a stretch, and so does a leader who is unknown for a second or more: an unknown
-    leader is not a free road. Tracks that are not on a regular time base are brought to one first.
+    A hole of more than 0.5 s ends a stretch, and so do another road and a leader who is unknown for a second or more:
+    an unknown leader is not a free road. Where the leader's leader is known in four fifths of a stretch, the rest is
+    left out. Tracks that are not on a regular time base are brought to one first.
 
     Parameters
     ----------
@@ -83,9 +84,8 @@ def stretches(tracks: Tracks, shortest_s: float = SHORTEST_STRETCH_S) -> Iterato
     """
     regular = on_time_base(tracks)
     cutter = _Cutter(regular)
-    for run in range(regular.runs):
-        for first, last in cutter.pieces(run):
-            yield from cutter.cut(run, first, last, shortest_s)
+    for first, last in pairwise(pieces(regular, max(LONGEST_HOLE_S, 1.5 * period_of(regular))).tolist()):
+        yield from cutter.cut(int(regular.run[first]), first, last, shortest_s)
 
 
 class _Cutter:
@@ -102,14 +102,6 @@ class _Cutter:
         led = np.flatnonzero(tracks.leader_row >= 0)
         self._follower[tracks.leader_row[led]] = led
 
-    def pieces(self, run: int) -> list[tuple[int, int]]:
-        """First row, and the row after the last one, of each part of a run without a hole."""
-        first, last = int(self._tracks.start[run]), int(self._tracks.start[run + 1])
-        hole = max(LONGEST_HOLE_S, 1.5 * self._period_s) + 1e-3
-        cuts = np.flatnonzero(np.diff(self._tracks.time_s[first:last]) > hole) + first + 1
-        edges = [first, *cuts.tolist(), last]
-        return list(pairwise(edges))
-
     def cut(self, run: int, first: int, last: int, shortest_s: float) -> Iterator[Stretch]:
         """The stretches of one piece."""
         samples = round((self._tick[last - 1] - self._tick[first]) / self._per_step) + 1
@@ -121,10 +113,16 @@ class _Cutter:
         own = np.full(samples, -1, dtype=np.int64)
         own[step] = np.arange(first, last)
         leader, leader_row = self._ahead(own, tick)
+        second, second_row = self._ahead(leader_row, tick)
+        second = np.where(leader == FREE, FREE, second)
         for begin, end in _spans(leader != UNKNOWN):
-            if end - begin >= shortest:
-                part = slice(begin, end)
-                yield self._stretch(run, tick[part], own[part], (leader[part], leader_row[part]))
+            first_known, last_known = max(_spans(second[begin:end] != UNKNOWN), key=_size, default=(0, 0))
+            both = last_known - first_known >= max(_MOST * (end - begin), shortest)
+            part = slice(begin + first_known, begin + last_known) if both else slice(begin, end)
+            if part.stop - part.start >= shortest:
+                ahead = [(leader[part], leader_row[part])]
+                ahead += [(second[part], second_row[part])] * both
+                yield self._stretch(run, tick[part], own[part], ahead)
 
     def _ahead(self, row: Ints, tick: Ints) -> tuple[Ints, Ints]:
         """Run of the vehicle ahead of each row (-1 for a row that is missing), without flicker, and its row."""
@@ -145,16 +143,14 @@ class _Cutter:
             found[lost] = self._index.at(run[lost], tick[lost] + off)
         return found
 
-    def _stretch(self, run: int, tick: Ints, own: Ints, ahead: tuple[Ints, Ints]) -> Stretch:
+    def _stretch(self, run: int, tick: Ints, own: Ints, ahead: list[tuple[Ints, Ints]]) -> Stretch:
+        """The stretch of a run with the vehicles ahead: their runs and their rows."""
         tracks = self._tracks
-        leader, leader_row = ahead
-        second, second_row = self._ahead(leader_row, tick)
-        second = np.where(leader == FREE, FREE, second)
-        columns = [(np.full(len(own), run), own), (leader, leader_row)]
-        if not np.any(second == UNKNOWN):
-            # A ring with two vehicles: the leader's leader is the driver, who is not listed twice.
-            second = np.where(second == run, FREE, second)
-            columns.append((second, np.where(second >= 0, second_row, -1)))
+        columns: list[tuple[Ints, Ints]] = [(np.full(len(own), run), own)]
+        for identity, row in ahead:
+            # On a ring with two vehicles the leader's leader is the driver, who is not listed twice.
+            identity = np.where(identity == run, FREE, identity)
+            columns.append((identity, np.where(identity >= 0, row, -1)))
         row = np.stack([one for _, one in columns], axis=1)
         identity = np.stack([one for one, _ in columns], axis=1)
         length = tracks.length_m[tracks.start[np.maximum(identity, 0)]]
@@ -196,6 +192,10 @@ class _Cutter:
 
 def _text(column: Labels | None, row: int) -> str:
     return "" if column is None else column.at(row)
+
+
+def _size(span: tuple[int, int]) -> int:
+    return span[1] - span[0]
 
 
 def _spans(yes: Mask) -> list[tuple[int, int]]:

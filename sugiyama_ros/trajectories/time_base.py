@@ -127,7 +127,7 @@ def resample(tracks: Tracks, period_s: float) -> Tracks:
         and are found again where they did not.
     """
     regular, own = is_regular(tracks), period_of(tracks)
-    piece_start = _pieces(tracks, max(LONGEST_HOLE_S, 1.5 * own))
+    piece_start = pieces(tracks, max(LONGEST_HOLE_S, 1.5 * own))
     axis = _Axis(tracks.time_s, piece_start, period_s)
     if len(axis.target) == 0:
         raise InputError(
@@ -160,9 +160,11 @@ def _smoothed(about: About, own_s: float, period_s: float) -> About:
     return replace(about, smoothing=f"{about.smoothing}; {parabola}" if about.smoothing else parabola)
 
 
-def _pieces(tracks: Tracks, longest_hole_s: float) -> Ints:
-    """First row of each unbroken piece of a run, and the number of rows."""
+def pieces(tracks: Tracks, longest_hole_s: float) -> Ints:
+    """First row of each piece of a run that has no hole and stays on one road, and the number of rows."""
     broken = (np.diff(tracks.run) != 0) | (np.diff(tracks.time_s) > longest_hole_s + TICK_S)
+    if tracks.road is not None:  # each road has positions of its own
+        broken |= np.diff(tracks.road.code) != 0
     return np.concatenate(([0], np.flatnonzero(broken) + 1, [len(tracks)]))
 
 

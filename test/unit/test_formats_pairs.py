@@ -114,7 +114,7 @@ def test_measured_ngsim_pairs() -> None:
     assert dict(tracks.about.dropped) == {"second row of a vehicle at the same time": 25_773}
     found = list(stretches(tracks))
     assert {one.vehicle for one in found} == set(tracks.vehicle.values()[tracks.leader_row >= 0].tolist())
-    assert sum(one.duration_s for one in found) == pytest.approx(6817.0, abs=0.1)
+    assert sum(one.duration_s for one in found) == pytest.approx(6687.5, abs=0.1)
 
 
 @pytest.mark.skipif(not (DATA / "hefei_platoon").is_dir(), reason="needs the measured data")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.formats.registry import format_of, read_tracks
+from sugiyama_ros.formats.registry import format_of, read_tracks, read_trajectories
 from sugiyama_ros.trajectories.leaders import gaps
 
 EDGE_M, JUNCTION_M, SPEED, PERIOD = 100.0, 6.0, 10.0, 0.5
@@ -107,6 +107,35 @@ def test_damaged_xml(tmp_path: Path, old: str, new: str, said: str) -> None:
         read_tracks(path)
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_edges_that_close_make_a_ring(tmp_path: Path) -> None:
+    path = tmp_path / "fcd.csv"
+    lines = []
+    for i in range(120):
+        for name, start in (("a", 100.0), ("b", 60.0), ("c", 20.0)):
+            s = (start + SPEED * PERIOD * i) % 150.0
+            edge, pos = ("north", s) if s < 90.0 else ("south", s - 90.0)
+            lines.append(f"{PERIOD * i};{name};0;car;{SPEED};{pos};{edge}_0")
+    path.write_text("\n".join([";".join(NAMES), *lines]) + "\n")
+    tracks = read_tracks(path)
+    assert tracks.about.ring_m == pytest.approx(150.0)
+    assert tracks.leader.values()[tracks.start[:-1]].tolist() == ["c", "a", "b"]
+    assert read_trajectories(path).road.circumference_m == pytest.approx(150.0)
+
+
+def test_roads_that_part_are_roads_of_their_own(tmp_path: Path) -> None:
+    path = tmp_path / "fcd.csv"
+    lines = []
+    for i in range(30):
+        for name, start, after in (("a", 60.0, "left"), ("b", 40.0, "right"), ("c", 20.0, "right")):
+            s = start + SPEED * PERIOD * i
+            edge, pos = ("in", s) if s < EDGE_M else (after, s - EDGE_M)
+            lines.append(f"{PERIOD * i};{name};0;car;{SPEED};{pos};{edge}_0")
+    path.write_text("\n".join([";".join(NAMES), *lines]) + "\n")
+    tracks = read_tracks(path)
+    assert tracks.road.used() == ("in", "left")
+    assert tracks.leader.values()[tracks.start[1:] - 1].tolist() == [None, None, "b"]
 
 
 def test_xml_without_vehicles(tmp_path: Path) -> None:

@@ -159,6 +159,24 @@ def test_a_missing_sample_is_a_hole_in_the_arrays_only() -> None:
     np.testing.assert_array_equal(np.unique(third.identity, axis=0), [[2, 1, 0]])
 
 
+@pytest.mark.parametrize(("gone_at", "duration", "vehicles"), [(17.05, 17.0, 3), (12.05, 20.0, 2)])
+def test_what_the_leader_reacts_to_must_be_known(gone_at: float, duration: float, vehicles: int) -> None:
+    table = rows(3)
+    keep = (table["vehicle"] != 1) | (table["time_s"] < gone_at)
+    (third,) = (one for one in stretches(assemble(part(table, keep))) if one.vehicle == "3")
+    assert third.duration_s == pytest.approx(duration)
+    assert third.position_m.shape[1] == vehicles
+
+
+def test_another_road_divides_stretches() -> None:
+    table = rows(2)
+    road = np.where(table["s_m"] < 600.0, "in", "out")
+    table["s_m"] = np.where(road == "in", table["s_m"], table["s_m"] - 600.0)
+    found = list(stretches(assemble({**table, "road": road})))
+    assert [one.start_s for one in found] == [0.0, pytest.approx(9.4)]
+    assert all((np.diff(one.position_m[:, 0]) > 0.0).all() for one in found)
+
+
 def test_flicker_of_leader_and_lane_is_ignored() -> None:
     table = rows(3)
     time, vehicle = table["time_s"], table["vehicle"]
