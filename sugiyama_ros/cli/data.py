@@ -157,7 +157,10 @@ def info(
     file: Annotated[Path, typer.Argument(help="MCAP file, or trajectories in any known format.")],
     as_json: Json = False,
 ) -> None:
-    """Show what a file contains: an MCAP file as `ros2 bag info` does, trajectories with lanes, classes and leaders."""
+    """Show what a file contains.
+
+    Of trajectories: vehicles, classes, lanes, time and leaders. Of an MCAP file: topics, as `ros2 bag info` does.
+    """
     from sugiyama_ros.formats.sheet import head_of
 
     if file.suffix.lower() != ".mcap" and not head_of(file).startswith(_BAG):

@@ -1,5 +1,6 @@
 """Stretches: the unbroken parts of tracks in which a driver's leader is known, as dense arrays for a filter."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
@@ -105,7 +106,7 @@ class _Cutter:
     def cut(self, run: int, first: int, last: int, shortest_s: float) -> Iterator[Stretch]:
         """The stretches of one piece."""
         samples = round((self._tick[last - 1] - self._tick[first]) / self._per_step) + 1
-        shortest = round(shortest_s / self._period_s) + 1
+        shortest = math.ceil(shortest_s / self._period_s - 1e-6) + 1
         if samples < shortest:
             return
         tick = self._tick[first] + np.round(np.arange(samples) * self._per_step).astype(np.int64)

@@ -33,9 +33,10 @@ def period_of(tracks: Tracks) -> float:
             f"{tracks.about.source or 'tracks'}: no vehicle has two samples; give tracks, not single points"
         )
     usual = float(np.median(step[step <= 1.5 * np.quantile(step, 0.25)]))
-    refined = float(np.mean(step[np.abs(step - usual) <= _JITTER * usual]))
-    if not _are_multiples(step, usual):
+    near = step[np.abs(step - usual) <= _JITTER * usual]
+    if len(near) == 0 or not _are_multiples(step, usual):
         return float(np.median(step))
+    refined = float(np.mean(near))
     for simple in (round(refined, 2), round(refined * 30.0) / 30.0, round(refined, 3)):
         if simple > 0.0 and abs(simple - refined) <= max(1e-3 * simple, TICK_S * 0.5):
             return simple
