@@ -55,9 +55,9 @@ class ConvertOptions:
 
 @takes(ConvertOptions)
 def convert(options: ConvertOptions) -> None:
-    """Convert trajectories to tracks (Parquet or CSV), or those of one lane to MCAP.
+    """Convert trajectories to tracks, or one lane to MCAP.
 
-    An MCAP file has the topics /road and /measured.
+    Tracks are a table in Parquet or CSV. An MCAP file has the topics /road and /measured.
     """
     part = _part(options)
     if options.output.suffix.lower() == ".mcap" and part == _part(_only_files(options)):

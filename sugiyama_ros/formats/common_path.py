@@ -8,6 +8,8 @@ from sugiyama_ros.arrays import Array, Ints
 _POINT_M = 1.0
 # Distance [m] from the path within which a vehicle counts as on it when it is first seen.
 _NEAR_M = 15.0
+# Rounds in which the mean path is taken: vehicles cut curves differently.
+_ROUNDS = 2
 # Points behind and ahead of the last one that are looked at, and more ahead for each sample that was missed.
 _BACK, _AHEAD, _PER_MISSED = 8, 12, 5
 
@@ -100,8 +102,12 @@ def common_path(places_m: list[Array]) -> Path2d | None:
     Returns
     -------
     Path2d or None
-        The path of the last vehicle, made longer by the paths of those ahead; None if nobody moves.
+        The mean of all vehicles' paths, along the path of the last vehicle and of those ahead of it; None if nobody
+        moves.
     """
+    places_m = [place for place in places_m if np.isfinite(place).all(axis=1).any()]
+    if not places_m:
+        return None
     point = thinned(places_m[-1])
     for place in places_m[-2::-1]:
         if len(point) < 2:
@@ -112,4 +118,27 @@ def common_path(places_m: list[Array]) -> Path2d | None:
         beyond: Ints = np.flatnonzero(position > path.length_m + _POINT_M)
         if len(beyond):
             point = np.concatenate((point, thinned(place[beyond[0] :])))
-    return Path2d(point) if len(point) > 1 else None
+    if len(point) < 2:
+        return None
+    path = Path2d(point)
+    for _ in range(_ROUNDS):
+        path = _mean_path(path, places_m)
+    return path
+
+
+def _mean_path(path: Path2d, places_m: list[Array]) -> Path2d:
+    """The mean of the places at which vehicles pass each point of a path."""
+    followed = [(position, place) for place in places_m for position in [path.positions(place)[0]]]
+    low = min(float(np.nanmin(position)) for position, _ in followed)
+    high = max(float(np.nanmax(position)) for position, _ in followed)
+    point = np.arange(low, high, _POINT_M)
+    total, passed = np.zeros((len(point), 2)), np.zeros(len(point))
+    for position, place in followed:
+        known = np.isfinite(position)
+        way = np.maximum.accumulate(position[known])
+        inside = (point >= way[0]) & (point <= way[-1])
+        passed += inside
+        for axis in (0, 1):
+            total[:, axis] += np.where(inside, np.interp(point, way, place[known, axis]), 0.0)
+    mean = thinned(total[passed > 0] / passed[passed > 0, None])
+    return Path2d(mean) if len(mean) > 1 else path
