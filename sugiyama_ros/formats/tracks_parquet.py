@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import BinaryIO
 
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import MAPPED, Choices
@@ -9,11 +10,8 @@ from sugiyama_ros.formats.columns import is_number
 from sugiyama_ros.formats.format import tracks_format
 from sugiyama_ros.formats.sheet import head_of, read_sheet, sheet_of
 from sugiyama_ros.formats.writing import replacing
-from sugiyama_ros.trajectories.exchange import about_of, of_columns, to_arrow
+from sugiyama_ros.trajectories.exchange import about_of, of_columns, to_arrow, write_parquet
 from sugiyama_ros.trajectories.tracks import Tracks
-
-#: Rows of a group, which a reader may take one at a time.
-_GROUP = 1 << 17
 
 
 def read_tracks_parquet(path: Path, choices: Choices) -> Tracks:
@@ -68,17 +66,19 @@ def write_tracks(tracks: Tracks, path: Path) -> None:
     OutputError
         If the file cannot be written.
     """
-    from pyarrow import csv, parquet
-
-    table = to_arrow(tracks)
     with replacing(path) as stream:
         if path.suffix.lower() == ".csv":
-            plain = [
-                column.cast(column.type.value_type) if "dictionary" in str(column.type) else column for column in table
-            ]
-            csv.write_csv(type(table).from_arrays(plain, names=table.column_names), stream)
+            _write_csv(tracks, stream)
         else:
-            parquet.write_table(table, stream, compression="zstd", row_group_size=_GROUP)
+            write_parquet(tracks, stream)
+
+
+def _write_csv(tracks: Tracks, stream: BinaryIO) -> None:
+    from pyarrow import csv, types
+
+    table = to_arrow(tracks)
+    plain = [one.cast(one.type.value_type) if types.is_dictionary(one.type) else one for one in table]
+    csv.write_csv(type(table).from_arrays(plain, names=table.column_names), stream)
 
 
 def _has_tracks(head: bytes, path: Path) -> bool:

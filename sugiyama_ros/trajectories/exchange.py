@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 #: Key of the metadata in the schema of an Arrow table.
 KEY = b"sugiyama_ros.tracks"
+# Rows of a group, which a reader may take one at a time.
+_GROUP = 1 << 17
 _COLUMNS = (*TEXTS, *NUMBERS, "leader", "measured")
 
 
@@ -46,6 +48,13 @@ def to_arrow(tracks: Tracks) -> "pyarrow.Table":
             columns[name] = pyarrow.array(column)
     about = json.dumps(asdict(tracks.about))
     return pyarrow.table(columns).replace_schema_metadata({KEY: about.encode()})
+
+
+def write_parquet(tracks: Tracks, where: Any) -> None:
+    """Write tracks as Parquet into a file that is open for writing, or to a path."""
+    from pyarrow import parquet
+
+    parquet.write_table(to_arrow(tracks), where, compression="zstd", row_group_size=_GROUP)
 
 
 def about_of(metadata: dict[bytes, bytes] | None) -> About | None:

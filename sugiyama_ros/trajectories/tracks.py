@@ -3,12 +3,14 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sugiyama_ros.arrays import Array, Ints, Mask
+from sugiyama_ros.errors import OutputError
 from sugiyama_ros.plots import space_time
 from sugiyama_ros.results import Result, needs
 from sugiyama_ros.trajectories.about import About
@@ -183,11 +185,37 @@ class Tracks(Result):
             frame[name] = column
         return pandas.DataFrame(frame)
 
+    def save(self, path: str | Path) -> None:
+        """Write the table to a file.
+
+        Parameters
+        ----------
+        path : str or Path
+            File to write: ``.parquet`` for the table with everything that is known about it; ``.csv``, ``.json``,
+            ``.png`` and ``.pdf`` as for other results.
+
+        Raises
+        ------
+        InputError
+            For another suffix, or a library that is not installed.
+        OutputError
+            If the file cannot be written.
+        """
+        path = Path(path)
+        if path.suffix != ".parquet":
+            super().save(path)
+            return
+        from sugiyama_ros.trajectories.exchange import write_parquet
+
+        try:
+            write_parquet(self, path)
+        except OSError as error:
+            raise OutputError(f"{path}: cannot be written: {error.strerror or error}; choose another place") from None
+
     def draw(self, figure: "Figure") -> None:
         """Draw the positions of the longest recording over time, coloured by speed."""
         codes, counts = np.unique(self.recording.code, return_counts=True)
         shown = self.select(self.recording.code == codes[np.argmax(counts)])
-        # A line of the picture is a column of the table; every row is an instant of its own, broken between vehicles.
         speed = np.full(len(shown), np.nan)
         steps = np.flatnonzero(shown.run[1:] == shown.run[:-1])
         speed[steps] = np.diff(shown.s_m)[steps] / np.diff(shown.time_s)[steps]

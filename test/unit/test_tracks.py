@@ -1,9 +1,12 @@
 """Tracks: rows are sorted and checked, leaders are found, and tables of Arrow and pandas come back unchanged."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from sugiyama_ros.errors import InputError
+from sugiyama_ros.errors import InputError, OutputError
+from sugiyama_ros.formats.registry import read_tracks
 from sugiyama_ros.trajectories.about import About
 from sugiyama_ros.trajectories.assemble import assemble
 from sugiyama_ros.trajectories.exchange import about_of, from_frame, of_columns, to_arrow
@@ -272,3 +275,16 @@ def test_a_vehicle_may_not_be_called_free() -> None:
 def test_leaders_of_nothing() -> None:
     tracks = assemble(columns(1, 1))
     assert find_leaders(tracks).tolist() == [UNKNOWN]
+
+
+def test_tracks_are_saved(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    tracks = assemble(columns())
+    for name in ("a.parquet", "a.csv", "a.png"):
+        tracks.save(tmp_path / name)
+        assert (tmp_path / name).stat().st_size > 0
+    back = read_tracks(tmp_path / "a.parquet")
+    np.testing.assert_array_equal(back.leader_row, tracks.leader_row)
+    np.testing.assert_array_equal(read_tracks(tmp_path / "a.csv").leader_row, tracks.leader_row)
+    with pytest.raises(OutputError, match=r"a.parquet: cannot be written: .*; choose another place"):
+        tracks.save(tmp_path / "none" / "a.parquet")
