@@ -97,9 +97,9 @@ def read_tracks(source: "str | Path | pandas.DataFrame", ring_m: float | None = 
     Examples
     --------
     >>> import sugiyama_ros as sg
-    >>> sg.simulate(vehicles=3, ring_m=40.0, duration_s=10.0).save("three.mcap")
-    >>> sg.read_tracks("three.mcap")
-    <Tracks: 3 vehicles in 1 recording, 93 rows, leaders known in 100 %, from three.mcap>
+    >>> sg.simulate(vehicles=3, ring_m=40.0, duration_s=10.0).save("three.csv")
+    >>> sg.read_tracks("three.csv", ring_m=40.0)
+    <Tracks: 3 vehicles in 1 recording, 93 rows, leaders known in 100 %, from three.csv>
     """
     if isinstance(source, str | Path):
         return tracks_of_file(Path(source), Choices(ring_m=ring_m), name)
