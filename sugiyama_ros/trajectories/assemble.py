@@ -31,6 +31,8 @@ _MOST_DOUBLE = 0.01
 _SAME_M = 0.01
 #: Lengths [m] of a vehicle that differ by more are noted.
 _LENGTH_VARIES_M = 0.5
+#: Way [m] that all vehicles of a lane together go backward, for the lane to be turned round: more than noise at rest.
+_BACKWARD_M = 10.0
 #: Way [vehicle lengths] from the point of reference to the centre.
 _TO_CENTRE = {"front": -0.5, "centre": 0.0, "rear": 0.5}
 
@@ -50,7 +52,8 @@ def assemble(
     reference : {"centre", "front", "rear"}
         Which point of a vehicle the positions are of.
     checked : bool
-        Whether negative gaps are refused.
+        Whether to check what the columns say: positions that decrease are turned round, given leaders are compared
+        with those that are found, and negative gaps are refused. False for columns that were tracks before.
 
     Returns
     -------
@@ -66,7 +69,8 @@ def assemble(
     for step in (_known, _sorted, _once, _lives):
         table = step(table)
     run = _run(table)
-    table = _along(_lengths(table, starts(run)), run)
+    table = _lengths(table, starts(run))
+    table = _along(table, run) if checked else table
     number, text = table.number, table.text
     about = _referred(table.about, reference)
     tracks = Tracks(
@@ -266,7 +270,7 @@ def _along(table: _Table, run: Ints) -> _Table:
     step = np.where((np.diff(run) == 0) & (np.diff(group) == 0), np.diff(s), 0.0)
     if about.ring_m > 0.0:
         step -= about.ring_m * np.round(step / about.ring_m)
-    turned = (np.bincount(group[1:], weights=step, minlength=int(group.max()) + 1) < 0.0)[group]
+    turned = (np.bincount(group[1:], weights=step, minlength=int(group.max()) + 1) < -_BACKWARD_M)[group]
     if not turned.any():
         return table
     recording = table.text["recording"].code

@@ -113,6 +113,12 @@ def test_positions_that_decrease_along_the_drive_are_turned_round() -> None:
     assert "positions decrease along the drive in 50 % of the rows; they were turned round" in tracks.about.notes
 
 
+def test_noise_at_rest_does_not_turn_a_lane_round() -> None:
+    table = columns(2)
+    table["s_m"] = np.repeat([100.0, 80.0], 60) - 0.01 * np.tile(np.arange(60), 2)
+    assert names(assemble(table))[::60] == [None, "1"]
+
+
 def test_overlapping_vehicles_are_refused_with_the_cure() -> None:
     table = columns(40, 60)
     with pytest.raises(InputError, match=r"below zero, as -.* m behind vehicle .* give the column lane or recording"):
