@@ -68,7 +68,7 @@ def read_columns(sheet: Sheet, wanted: Mapping[str, Take]) -> dict[str, Array | 
         line = f":{sheet.header}" if sheet.header else ""
         raise InputError(
             f"{sheet.path}{line}: no column {', '.join(missing)}; the columns are {', '.join(sheet.names)[:200]}; say"
-            " which is which with --columns map.yaml"
+            " which is which: sugiyama convert --columns map.yaml"
         )
     numbers = {place for name, place in found.items() if is_number(name)}
     read = read_sheet(sheet, numbers, {place for name, place in found.items() if not is_number(name)} - numbers)

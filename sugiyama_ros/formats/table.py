@@ -51,8 +51,11 @@ def read_table(path: Path, choices: Choices) -> Tracks:
     }
     columns = read_columns(sheet, wanted)
     about = about_file(path)
-    if isinstance(leader := columns.get("leader"), Labels):
-        columns["leader"], about = nobody(leader, "", "-1"), replace(about, leaders="given")
+    if isinstance(leader := columns.pop("leader", None), Labels):
+        leader = nobody(leader, "", "-1")
+        # A column without any leader leaves it to the lanes who leads.
+        if (leader.code >= 0).any():
+            columns["leader"], about = leader, replace(about, leaders="given")
     return put_together(columns, about, choices)
 
 

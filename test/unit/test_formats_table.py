@@ -225,6 +225,14 @@ def test_tracks_come_back_from_parquet_and_csv(tmp_path: Path) -> None:
     assert read_tracks(tmp_path / "b.parquet").about == given.about
 
 
+def test_lanes_that_are_filled_in_say_who_leads(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(table(lambda k, i, t, s: (*plain(k, i, t, s), "", ""), header=(*HEADER, "lane", "leader")))
+    assert read_tracks(path).leaders_known == 0.0
+    path.write_text(table(lambda k, i, t, s: (*plain(k, i, t, s), "1", ""), header=(*HEADER, "lane", "leader")))
+    assert read_tracks(path).leader.values()[::200].tolist() == [None, "0", "1"]
+
+
 def test_damaged_parquet_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text(table())
