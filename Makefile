@@ -23,7 +23,7 @@ help:
 	make test   set up, then run the tests
 	make lint   set up, then check style and types
 	make docs   set up, then build the documentation: docs/_build/html/index.html
-	make bench  set up, then measure the speed of the calibration
+	make bench  set up, then measure the speed; it takes some minutes
 	The first run sets up .venv and takes some minutes. PYTHON=python3.12 chooses the Python of a new .venv.
 	END
 
@@ -34,7 +34,7 @@ test: $(DONE)/compiled $(DONE)/tools
 	@.venv/bin/python -m pytest
 
 bench: $(DONE)/compiled $(DONE)/tools
-	@.venv/bin/python -m sugiyama_ros.studies.speed --many 10000
+	@.venv/bin/python -m sugiyama_ros.studies.speed
 
 lint: $(DONE)/package $(DONE)/tools
 	@.venv/bin/ruff check .

@@ -17,8 +17,9 @@ from sugiyama_ros.diagnosis.diagnosis import Diagnosis
 from sugiyama_ros.driver.parameters import defaults, index
 from sugiyama_ros.effects.registry import ROW, switch_on
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.fit.driver import ESTIMATED, Formulation
+from sugiyama_ros.fit.driver import Formulation
 from sugiyama_ros.fit.model_file import read_model
+from sugiyama_ros.fit.smooth_positions import estimated_in
 from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.frames import from_frame
 from sugiyama_ros.formats.registry import read_tracks as tracks_of_file
@@ -165,7 +166,7 @@ def simulate(
 def calibrate(
     trajectories: Trajectories,
     formulation: Formulation = "causal",
-    parameters: Sequence[str] = ESTIMATED,
+    parameters: Sequence[str] = (),
     *,
     effects: Sequence[str] = (),
     regularise: bool = False,
@@ -182,7 +183,7 @@ def calibrate(
     formulation : {"causal", "paper"}
         Whether perceived states are filtered, or smoothed as in the paper.
     parameters : sequence of str
-        Names of what is estimated.
+        Names of what is estimated. By default what the paper estimates, and more noises where positions are smooth.
     effects : sequence of str
         Names of effects that are fitted with it, with drivers as draws of one population (causal formulation).
     regularise : bool
@@ -212,7 +213,8 @@ def calibrate(
     >>> found.to_frame().shape
     (4, 12)
     """
-    settings = Settings(formulation, tuple(parameters), regularise and formulation == "paper", profile, 0, seed)
+    chosen = tuple(parameters) or estimated_in(trajectories, formulation)
+    settings = Settings(formulation, chosen, regularise and formulation == "paper", profile, 0, seed)
     if effects and formulation == "paper":
         raise InputError("effects: the paper's formulation knows none; use the causal formulation")
     with stages() as advance, workers(len(trajectories.vehicle)) as work:

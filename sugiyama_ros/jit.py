@@ -39,7 +39,7 @@ MADE_OF = ("jit.py", "arrays.py", *(f"{room}/*.py" for room in _ROOMS))
 #: Groups of entry points whose functions are compiled into ours.
 GROUPS = ("sugiyama_ros.effects", "sugiyama_ros.laws")
 #: Options that the benchmark switches off, one after the other.
-OPTIONS = {"nogil", "nrt", "numpy", "inline"}
+OPTIONS = {"nogil", "nrt", "numpy", "inline", "into_callers"}
 
 
 @overload
@@ -67,7 +67,8 @@ def kernel(
         The function; left out where options are given.
     allocates : bool
         False for a function that makes no arrays. It then does not count references to the arrays that it is given
-        (numba's private option ``_nrt``; where numba does not know it, references are counted).
+        (numba's private option ``_nrt``; where numba does not know it, references are counted). Its machine code is put
+        into its callers (``forceinline``), which would otherwise pass some hundred numbers for a state and its arrays.
     vectorised : bool
         True for a function with a loop over numbers. Dividing by zero then gives infinity instead of an exception
         (``error_model="numpy"``), without which compilers make no vector instructions of the loop.
@@ -89,6 +90,8 @@ def kernel(
         given["error_model"] = "numpy"
     if inline and "inline" in OPTIONS:
         given["inline"] = "always"
+    if not allocates and "into_callers" in OPTIONS:
+        given["forceinline"] = True
     if not allocates and "nrt" in OPTIONS:
         try:
             return _kept(njit(function, _nrt=False, **given), cached)  # type: ignore[call-overload]

@@ -15,10 +15,9 @@ from sugiyama_ros.calibration.result import Calibration, Settings
 from sugiyama_ros.driver.parameters import NAMES, index
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.fit.bounds import upper_bounds
 from sugiyama_ros.fit.checkpoint import Checkpoint
 from sugiyama_ros.fit.classes import find_classes
-from sugiyama_ros.fit.driver import Fit, SearchOptions, calibrate, job_of
+from sugiyama_ros.fit.driver import Fit, JobMaker, SearchOptions, calibrate
 from sugiyama_ros.fit.intervals import quadratic
 from sugiyama_ros.progress import OnProgress
 from sugiyama_ros.trajectories.trajectories import Trajectories
@@ -148,12 +147,9 @@ def in_classes(trajectories: Trajectories, settings: Settings, count: int, work:
     if drivers < count:
         raise InputError(f"{trajectories.source}: {drivers} drivers, {count} classes; give --classes {drivers} at most")
     estimated = settings.estimated
-    places, upper = np.array([index(name) for name in estimated]), upper_bounds(trajectories)
-    options = SearchOptions(with_errors=False)
-    jobs = [
-        replace(job_of(trajectories, i, settings.formulation, places, upper, {}), options=options)
-        for i in range(drivers)
-    ]
+    places, options = [index(name) for name in estimated], SearchOptions(with_errors=False)
+    job_of = JobMaker(trajectories, settings.formulation, estimated, {})
+    jobs = [replace(job_of(i), options=options) for i in range(drivers)]
     samples = int(np.isfinite(trajectories.position_m).sum())
     found = find_classes(jobs, count, samples, settings.seed, work)
     likeliest = found.probability.argmax(axis=1)

@@ -9,8 +9,9 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import PARAMETERS, index
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.classes import Classes
-from sugiyama_ros.fit.driver import ESTIMATED, Formulation
+from sugiyama_ros.fit.driver import Formulation
 from sugiyama_ros.fit.driver_types import DriverTypes
+from sugiyama_ros.fit.smooth_positions import ESTIMATED
 from sugiyama_ros.plots import BLUE
 from sugiyama_ros.results import Result
 from sugiyama_ros.tables import TextTable

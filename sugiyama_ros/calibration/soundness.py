@@ -5,7 +5,7 @@ import numpy as np
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.calibration.result import Calibration
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.filters.causal import predict_samples
+from sugiyama_ros.filters.causal import ChainJob, predict_samples
 from sugiyama_ros.filters.extract import chain_behind
 
 #: Mean NIS within which a filter knows its own errors well enough; 1 is right.
@@ -33,8 +33,8 @@ def mean_nis(calibration: Calibration) -> Array:
         If the filter has lost a vehicle: a one-step error is beyond 1 km, or not a number.
     """
     t, found = calibration.trajectories, []
-    for i, row in enumerate(calibration.rows):
-        predicted = predict_samples(chain_behind(t, i), row)
+    jobs = [ChainJob(chain_behind(t, i), row) for i, row in enumerate(calibration.rows)]
+    for i, predicted in enumerate(predict_samples(jobs)):
         scored = np.isfinite(predicted.innovation) & np.isfinite(predicted.log_likelihood)
         y, variance = predicted.innovation[scored], predicted.innovation_var[scored]
         largest = float(np.nanmax(np.abs(predicted.innovation), initial=0.0))

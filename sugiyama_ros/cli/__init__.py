@@ -53,6 +53,8 @@ def sugiyama(
 
 def main() -> None:
     """Entry point of the console script."""
+    # The work is shared out over drivers. Threads of the linear algebra would only take processor time from it.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         app()
     except SugiyamaError as error:

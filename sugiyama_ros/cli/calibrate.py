@@ -27,9 +27,14 @@ class CalibrateOptions:
         str,
         typer.Option("--formulation", help="paper: perceived states are smoothed. causal: they are filtered."),
     ] = "causal"
-    parameters: Annotated[str, typer.Option("--parameters", help="Parameters to estimate, separated by commas.")] = (
-        "sigma_nu,sigma_a,v_star,kappa_v"
-    )
+    parameters: Annotated[
+        str,
+        typer.Option(
+            "--parameters",
+            help="Parameters to estimate, separated by commas. Default: sigma_nu,sigma_a,v_star,kappa_v, and"
+            " sigma_x,sigma_v where the positions are smooth.",
+        ),
+    ] = ""
     effects: Annotated[
         str,
         typer.Option(
@@ -130,10 +135,11 @@ def _calibrated(
     """Drivers calibrated together, in classes, or one by one."""
     from sugiyama_ros.calibration.calibrate import each_driver, in_classes, pooled
     from sugiyama_ros.calibration.result import Settings
+    from sugiyama_ros.fit.smooth_positions import estimated_in
 
     settings = Settings(
         formulation="paper" if options.formulation == "paper" else "causal",
-        estimated=names(options.parameters),
+        estimated=names(options.parameters) or estimated_in(trajectories, options.formulation),
         is_regularised=options.regularise,
         profiled=options.profile,
         hops=options.hops,

@@ -9,10 +9,10 @@ import numpy as np
 
 from sugiyama_ros.diagnosis.bootstrap import resample, seeds
 from sugiyama_ros.diagnosis.candidates import Candidate, named
-from sugiyama_ros.diagnosis.diagnosis import INDIVIDUAL
 from sugiyama_ros.diagnosis.errors import HeldOutErrors, errors_of
 from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter
 from sugiyama_ros.diagnosis.screen import with_candidate
+from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
 from sugiyama_ros.filters.extract import chain_behind, track
 from sugiyama_ros.fit.cross_validation import Gain, gain, without_folds
 from sugiyama_ros.fit.joint import JointFit, fit
@@ -21,6 +21,7 @@ from sugiyama_ros.fit.model_file import ModelFile
 from sugiyama_ros.fit.population import fit_base
 from sugiyama_ros.fit.recording import FOLDS, Recorded, prepare
 from sugiyama_ros.fit.score import filtered_states
+from sugiyama_ros.fit.smooth_positions import individual_in
 from sugiyama_ros.laws.registry import RIVALS
 from sugiyama_ros.plots import bars
 from sugiyama_ros.progress import OnStage
@@ -166,7 +167,7 @@ def compare(
         steps = 2 + sum(1 + has_parameters(law) for law in RIVALS) + len(effects) + (model is not None)
         comparison = _Models(data, seed, steps, work, on_progress)
         comparison.begin("base")
-        base = fit_base(data, INDIVIDUAL, work)
+        base = fit_base(data, individual_in(trajectories, V_STAR, KAPPA_V), work)
         comparison.add_fitted("base", base)
         comparison.add_effects(base, chosen)
         if model is not None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sugiyama_ros.diagnosis.addition import Addition
+from sugiyama_ros.diagnosis.adequacy import Adequacy, Evidence, judge, simulated_failures, told
 from sugiyama_ros.diagnosis.candidacy import Candidacy
 from sugiyama_ros.diagnosis.discover import Discovery
 from sugiyama_ros.diagnosis.errors import HeldOutErrors, errors_of
@@ -16,13 +17,14 @@ from sugiyama_ros.diagnosis.locate import Located, locate
 from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter
 from sugiyama_ros.diagnosis.screen import Screened
 from sugiyama_ros.diagnosis.search import LEVEL, Search
-from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR
+from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
 from sugiyama_ros.fit.cross_validation import Gain, without_folds
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.model_file import write_model
 from sugiyama_ros.fit.population import fit_base
 from sugiyama_ros.fit.recording import Recorded, prepare
-from sugiyama_ros.laws.registry import RIVALS
+from sugiyama_ros.fit.smooth_positions import individual_in
+from sugiyama_ros.laws.registry import LAWS, RIVALS
 from sugiyama_ros.plots import bars
 from sugiyama_ros.progress import OnStage
 from sugiyama_ros.results import Result
@@ -30,9 +32,6 @@ from sugiyama_ros.trajectories.trajectories import Trajectories
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-#: Places of the individual parameters of each driver.
-INDIVIDUAL = (SIGMA_NU, SIGMA_A, V_STAR, KAPPA_V)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -61,6 +60,10 @@ class Diagnosis(Result):
         Strength from which each effect would usually have shown, by name.
     rivals : dict of str to dict
         Held-out errors of other laws, by name.
+    adequacy : Adequacy
+        Whether the data give reason to doubt ``final``.
+    searched : tuple of str
+        Names of the candidates that were searched for.
     bootstrap_runs : int
         Number of simulated recordings in each round.
     quick : bool
@@ -84,6 +87,8 @@ class Diagnosis(Result):
     where_after: Located
     smallest: dict[str, float]
     rivals: dict[str, dict[str, float]]
+    adequacy: Adequacy
+    searched: tuple[str, ...]
     bootstrap_runs: int
     quick: bool
     seed: int
@@ -92,9 +97,11 @@ class Diagnosis(Result):
     def headline(self) -> str:
         """Say what was added to the model, and how much better the model predicts with it."""
         if not self.named:
-            return "nothing that is missing can be detected in these data"
-        parts = [f"{n.name} (+{n.heldout.nats:.0f} ± {n.heldout.se:.0f} nats held out)" for n in self.named]
-        return "missing from the model: " + ", ".join(parts)
+            found = "nothing that is missing can be detected in these data"
+        else:
+            parts = [f"{n.name} (+{n.heldout.nats:.0f} ± {n.heldout.se:.0f} nats held out)" for n in self.named]
+            found = "missing from the model: " + ", ".join(parts)
+        return f"{found}. {told(self.adequacy)}" if self.adequacy.reasons else found
 
     def records(self) -> list[dict[str, Any]]:
         """List the candidates of the first round, the best one first: gains [nats], p-value, whether it was added."""
@@ -197,11 +204,12 @@ def diagnose(
         # runs beside the search, which cannot always use all workers
         rival = partial(_rival, data, work, quick)
         others = aside.map(rival, [] if verdict_only else RIVALS)
-        base = fit_base(data, INDIVIDUAL, work)
+        base = fit_base(data, individual_in(trajectories, V_STAR, KAPPA_V), work)
         search = Search(data, base, quick, seed, work, on_progress=on_progress)
         forces = _grow(search, most, with_forces=not (quick or verdict_only), add_forces=add_forces)
         on_progress("rival models", 0, 1)
         rivals = {name: errors for found in others for name, errors in found.items()}
+        on_progress("judging the model", 0, 1)
         on_progress("finding where the model fails", 0, 1)
         return _summed_up(search, forces, rivals, work, began)
 
@@ -209,13 +217,22 @@ def diagnose(
 def _summed_up(
     search: Search,
     forces: list[Discovery],
-    rivals: dict[str, dict[str, float]],
+    rivals: dict[str, HeldOutErrors],
     work: ThreadPoolExecutor,
     began: float,
 ) -> Diagnosis:
     """The diagnosis at the end of a search; ``began``: start on the monotonic clock [s]."""
     compared = ((search.base, search.before), (search.current, search.errors))
     where_before, where_after = (locate(search.data, one.model, e.samples, work) for one, e in compared)
+    evidence = Evidence(
+        base=search.before,
+        final=search.errors,
+        named=search.named,
+        located=where_after,
+        laws={name: errors.samples for name, errors in rivals.items() if name in LAWS},
+        forces=forces,
+        simulated=simulated_failures(search.data, search.current, search.effort.runs, search.seed, work),
+    )
     return Diagnosis(
         data=search.data,
         base=search.base,
@@ -229,7 +246,9 @@ def _summed_up(
         where_before=where_before,
         where_after=where_after,
         smallest=search.smallest,
-        rivals=rivals,
+        rivals={name: errors.summary() for name, errors in rivals.items()},
+        adequacy=judge(search.data, evidence),
+        searched=search.searched,
         bootstrap_runs=search.effort.runs,
         quick=search.quick,
         seed=search.seed,
@@ -252,10 +271,10 @@ def _grow(search: Search, most: int, *, with_forces: bool, add_forces: bool) -> 
     return [force for force, _ in forces]
 
 
-def _rival(data: Recorded, work: ThreadPoolExecutor, quick: bool, law: str) -> dict[str, dict[str, float]]:
+def _rival(data: Recorded, work: ThreadPoolExecutor, quick: bool, law: str) -> dict[str, HeldOutErrors]:
     """Errors of a rival fitted in the filter and, unless ``quick``, of the rival fitted to gaps."""
     fitted = in_filter(data, law, work)
-    found = {law: errors_of(data, without_folds(data, fitted, work, searched=not quick), work).summary()}
+    found = {law: errors_of(data, without_folds(data, fitted, work, searched=not quick), work)}
     if not quick and has_parameters(law):
-        found[f"{law}_least_squares"] = errors_of(data, by_gaps(data, law, fitted, work), work).summary()
+        found[f"{law}_least_squares"] = errors_of(data, by_gaps(data, law, fitted, work), work)
     return found

@@ -14,7 +14,7 @@ from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import at_period, horizon_at
 from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.effects.sensing import displacements
-from sugiyama_ros.filters import causal
+from sugiyama_ros.filters.causal_kernel import SETTLING
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.simulation.drive import Order, Setting
@@ -77,8 +77,8 @@ def free_runs(data: Recorded, models: Sequence[Model], states: Sequence[Array], 
     """
     t = data.trajectories
     steps = np.array([max(1, round(h / t.period_s)) for h in HORIZONS_S])
-    starts = np.arange(causal.SETTLING + 4, len(t.position_m) - steps[-1], max(1, round(_EVERY_S / t.period_s)))
-    starts = starts[data.segment[starts - causal.SETTLING] == data.segment[starts + steps[-1]]]
+    starts = np.arange(SETTLING + 4, len(t.position_m) - steps[-1], max(1, round(_EVERY_S / t.period_s)))
+    starts = starts[data.segment[starts - SETTLING] == data.segment[starts + steps[-1]]]
     rows = [at_period(model.rows, t.period_s) for model in models]
     jobs = [(data, rows[f], states[f], int(k), steps) for k, f in zip(starts, data.fold[starts], strict=True)]
     errors = list(work.map(_from_start, jobs))

@@ -10,7 +10,6 @@ from dataclasses import replace
 import numpy as np
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.driver.parameters import SIGMA_A, SIGMA_NU
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.least_squares import Following, fit_gaps
@@ -18,6 +17,7 @@ from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.population import fit_base, start_model
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import filtered_states
+from sugiyama_ros.fit.smooth_positions import individual_in
 from sugiyama_ros.laws.registry import LAWS, number_of
 
 # The gaps of a driver are fitted only if there are more samples than this.
@@ -42,7 +42,7 @@ def in_filter(data: Recorded, law: str, work: Executor) -> JointFit:
         The fitted law.
     """
     places = ROW.law_places[law]
-    model = start_model(data.drivers, (SIGMA_NU, SIGMA_A, *range(places.start, places.stop)))
+    model = start_model(data, individual_in(data.trajectories, *range(places.start, places.stop)))
     for rows in (model.rows, model.ahead):
         rows[:, ROW.law] = number_of(law)
         rows[:, places] = [ROW.declared[k].default for k in range(places.start, places.stop)]

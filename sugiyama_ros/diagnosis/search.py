@@ -81,6 +81,8 @@ class Search:
         Strength from which each effect would usually have shown, by name.
     effort : Effort
         Limits of the search.
+    searched : tuple of str
+        Names of the candidates.
     """
 
     def __init__(
@@ -96,6 +98,7 @@ class Search:
         self.data, self.base, self.quick, self.seed = data, base, quick, seed
         self._work, self._on_progress = work, on_progress
         self._possible = candidates(recording_of(data), data.drivers)
+        self.searched = tuple(c.name for c in self._possible)
         self._seen: dict[str, tuple[JointFit, Screened]] = {}
         self.effort = QUICK if quick else FULL
         self.current = base

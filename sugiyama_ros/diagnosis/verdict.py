@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from sugiyama_ros.diagnosis.addition import Addition, parameters_of
+from sugiyama_ros.diagnosis.adequacy import told, who
 from sugiyama_ros.diagnosis.diagnosis import Diagnosis
 from sugiyama_ros.diagnosis.locate import Bin, Located
 from sugiyama_ros.effects.registry import EFFECTS, ROW, effect
@@ -18,7 +19,9 @@ def document(d: Diagnosis) -> dict[str, Any]:
     """Return everything that a diagnosis has found, in plain types and SI units."""
     return {
         "verdict": {
-            "effects": [_named(n) for n in d.named],
+            "adequacy": {**asdict(d.adequacy), "reasons": list(d.adequacy.reasons)},
+            "effects": [_named(n, d) for n in d.named],
+            "searched": list(d.searched),
             "none_detectable": not d.named,
             "discovered": [
                 {
@@ -63,7 +66,7 @@ def document(d: Diagnosis) -> dict[str, Any]:
     }
 
 
-def _named(n: Addition) -> dict[str, Any]:
+def _named(n: Addition, d: Diagnosis) -> dict[str, Any]:
     before, after = n.before.summary(), n.after.summary()
     return {
         "name": n.name,
@@ -71,6 +74,8 @@ def _named(n: Addition) -> dict[str, Any]:
         "parameters": n.parameters,
         "indistinguishable": list(n.indistinguishable),
         "advice": list(n.advice),
+        "who": who(n, d.data.trajectories.vehicle.tolist()),
+        "explained_share": d.adequacy.explained_share,
         "p_value": n.p_value,
         "heldout_gain_nats": n.heldout.nats,
         "heldout_gain_se": n.heldout.se,
@@ -118,16 +123,15 @@ def _told(b: Bin) -> str:
 
 def sentences(d: Diagnosis) -> list[str]:
     """Return the verdict in words, one line for each finding."""
+    lines = [told(d.adequacy)]
     if not d.named:
-        lines = ["Nothing that is missing can be detected in these data."]
+        lines.append("Nothing that is missing can be detected in these data.")
         shown = [
             f"{name} ({p.name} {d.smallest[name]:.3g} {p.unit})"
             for name in d.smallest
             for p in [effect(name).parameters[0]]
         ]
         lines.append("Effects of this strength would usually have shown: " + ", ".join(shown) + "." if shown else "")
-    else:
-        lines = []
     for n in d.named:
         units = {p.name: p.unit for p in EFFECTS[n.name].parameters} if n.name in EFFECTS else {}
         units |= {p.name: p.unit for p in ROW.declared if p.name in n.parameters and p.name not in units}

@@ -3,8 +3,14 @@
 import math
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
-from sugiyama_ros.driver.utility import GRID_ROW, UTILITY_ROW, boltzmann_mean, preferences, utilities
+from sugiyama_ros.driver.utility import (
+    GRID_ROW,
+    UTILITY_ROW,
+    Preferences,
+    boltzmann_mean,
+    preferences,
+    utilities,
+)
 from sugiyama_ros.effects import chains
 from sugiyama_ros.effects.chains import Hook, any_of, chain, having, switches
 from sugiyama_ros.effects.effect import ACTUATION, ENVIRONMENT, MEASUREMENT, PERCEPTION, PREFERENCE, UTILITY, Seen
@@ -87,6 +93,53 @@ def noise_factor(speed: float, row: Array) -> float:
 
 
 @kernel(allocates=False)
+def seeks(row: Array) -> bool:
+    """Whether the driver of a row (width,) chooses among actions, as adaptiveSeek does; other laws are formulas."""
+    return bool(row[_LAW] == ADAPTIVE_SEEK)
+
+
+@kernel(allocates=False)
+def perceive(seen: Seen, row: Array) -> Seen:
+    """Return what the driver of a row (width,) perceives of what can be seen."""
+    return _perceived(seen, row) if any_of(_PERCEIVING, row) else seen
+
+
+@kernel(allocates=False)
+def prefer(perceived: Seen, row: Array) -> Preferences:
+    """Return what the driver of a row (width,) prefers, given what the driver perceives."""
+    v_star, kappa_v, kappa_1, kappa_c, kappa_d, omega_2, rationality = preferences(row)
+    if any_of(_PREFERRING, row):
+        v_star, kappa_v = _preferred(v_star, kappa_v, perceived, row)
+    return v_star, kappa_v, kappa_1, kappa_c, kappa_d, omega_2, rationality
+
+
+@kernel(allocates=False)
+def has_components(row: Array) -> bool:
+    """Whether effects add components to the utility, for a row (width,)."""
+    return any_of(_VALUING, row)
+
+
+@kernel(allocates=False)
+def component(perceived: Seen, action: float, period: float, horizon: int, row: Array) -> float:
+    """Return what effects add to the utility of an action [m/s^2]; the other arguments as for ``intend``."""
+    return float(_valued(perceived, action, period, horizon, row))
+
+
+@kernel(allocates=False)
+def acts_on_intention(row: Array) -> bool:
+    """Whether effects change the intended acceleration or add to it, for a row (width,)."""
+    return any_of(_ACTUATING, row) or any_of(_PUSHING, row)
+
+
+@kernel(allocates=False)
+def act(action: float, seen: Seen, row: Array) -> tuple[float, float]:
+    """Return what becomes of the acceleration [m/s^2] that the driver chooses; results as of ``intend``."""
+    if any_of(_ACTUATING, row):
+        action = _actuated(action, seen, row)
+    return action, _pushed(seen, row) if any_of(_PUSHING, row) else 0.0
+
+
+@kernel(allocates=False)
 def intend(seen: Seen, row: Array, scratch: Array, period: float, horizon: int) -> tuple[float, float]:
     """Compute the acceleration that the driver intends, and the acceleration that the environment adds.
 
@@ -95,7 +148,7 @@ def intend(seen: Seen, row: Array, scratch: Array, period: float, horizon: int) 
     seen : Seen
         What the driver can see.
     row : ndarray, shape (width,)
-        Row of the driver at this period; changed during the call and restored.
+        Row of the driver at this period.
     scratch : ndarray, shape (5, at least K)
         Made by ``scratch_for`` from the K actions that the driver considers.
     period : float
@@ -108,24 +161,18 @@ def intend(seen: Seen, row: Array, scratch: Array, period: float, horizon: int) 
     meant, pushed : float
         Acceleration [m/s^2] that the driver intends, and acceleration [m/s^2] that the environment adds.
     """
-    perceived = _perceived(seen, row) if any_of(_PERCEIVING, row) else seen
-    v_star, kappa_v = row[V_STAR], row[KAPPA_V]
-    if any_of(_PREFERRING, row):
-        row[V_STAR], row[KAPPA_V] = _preferred(v_star, kappa_v, perceived, row)
+    perceived = perceive(seen, row)
     gap, speed, leader_speed = perceived.gap, perceived.speed, perceived.leader_speed
-    if row[_LAW] == ADAPTIVE_SEEK:
-        driver = preferences(row)
+    if seeks(row):
+        driver = prefer(perceived, row)
         utilities(gap, speed, leader_speed, driver, scratch, period, horizon)
-        if any_of(_VALUING, row):
+        if has_components(row):
             for k in range(scratch.shape[1]):
-                scratch[UTILITY_ROW, k] += _valued(perceived, scratch[GRID_ROW, k], period, horizon, row)
+                scratch[UTILITY_ROW, k] += component(perceived, scratch[GRID_ROW, k], period, horizon, row)
         action = boltzmann_mean(scratch, driver[-1])
     else:
         action = law_acceleration(gap, speed, leader_speed, row)
-    row[V_STAR], row[KAPPA_V] = v_star, kappa_v
-    if any_of(_ACTUATING, row):
-        action = _actuated(action, seen, row)
-    return action, _pushed(seen, row) if any_of(_PUSHING, row) else 0.0
+    return act(action, seen, row)
 
 
 @kernel(allocates=False)

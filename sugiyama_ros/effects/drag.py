@@ -24,6 +24,7 @@ EFFECT = Effect(
         Parameter("c2", "c_2", "1/m", 0.0, -0.1, 0.1, "resistance that grows with the speed squared"),
     ),
     starts=at({"c0": 0.05, "c2": 0.001}),
+    least={"c0": 0.0, "c2": 0.0},
     function=push,
     strengths=("c0", "c2"),
     bank={"c0": 0.1, "c2": 0.003},

@@ -197,6 +197,9 @@ class Effect:
     benchmark : tuple of mapping
         Strong and weak values with which the benchmark of the diagnosis hides the effect. If a place or a time is left
         out, the benchmark draws it at random.
+    least : mapping of str to float
+        Values of parameters below which the effect makes no physical sense. A search may go below, and the verdict then
+        doubts the name.
     advice : mapping of str to str
         What to record to tell the effect from another effect, by the name of the other effect.
     """
@@ -223,6 +226,7 @@ class Effect:
     sees_accelerations: bool = False
     bank: Values | None = None
     benchmark: tuple[Values, ...] = ()
+    least: Values = field(default_factory=dict)
     advice: Mapping[str, str] = field(default_factory=dict)
 
     @property

@@ -27,6 +27,7 @@ EFFECT = Effect(
         Parameter("distance", "d_r", "m", 0.0, 0.3, 100.0, "gap over which the push falls by a factor e"),
     ),
     starts=at({"strength": 0.3, "distance": 2.0}, {"strength": 0.3, "distance": 6.0}),
+    least={"strength": 0.0},
     function=actuate,
     bank={"strength": 1.0, "distance": 3.0},
     benchmark=({"strength": 1.5, "distance": 2.5}, {"strength": 0.6, "distance": 2.5}),

@@ -8,14 +8,15 @@ from typing import Any
 import numpy as np
 
 from sugiyama_ros.arrays import Array
+from sugiyama_ros.driver.lanes import clear, grid_for
 from sugiyama_ros.driver.parameters import NAMES
+from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.filters.alarm import BETWEEN_FALSE_S, ONSET_S, WATCHED_S
 from sugiyama_ros.filters.chain_model import ChainModel
 from sugiyama_ros.filters.engine import Estimate
 from sugiyama_ros.filters.noise import NOISES, Learning
 from sugiyama_ros.filters.online_kernel import step
 from sugiyama_ros.filters.online_state import (
-    CONSIDERED,
     RESULTS,
     Noises,
     Sizes,
@@ -57,7 +58,8 @@ class CompiledKalman:
         self._use(memory_for(self._layout))
         arrays = self.arrays
         arrays.book.identity[:] = -1
-        arrays.workspace.scratch[:] = CONSIDERED
+        arrays.linearised.live[:] = np.arange(len(self.x))
+        clear(arrays.lanes.blocks)
         arrays.alarm.every[0], arrays.alarm.threshold[0] = every, BETWEEN_FALSE_S / (every * period)
         self._put(model)
         entries = model.adapted_entries
@@ -113,6 +115,10 @@ class CompiledKalman:
         drivers.parameters[:], drivers.adapted[:] = model.rows, model.places
         drivers.prior_mean[:], drivers.prior_var[:] = model.prior_mean, model.prior_var
         self.arrays.scene[:] = model.scene
+        grid = grid_for(ACTIONS, model.scene.period_s)
+        self.arrays.lanes.grid.actions[:] = grid.actions
+        self.arrays.lanes.grid.backward[:] = grid.backward
+        self.arrays.braking[0] = grid.braking
 
     def step(
         self,

@@ -1,24 +1,32 @@
 """The expected action of a driver in a chain, over everything that the driver may be seeing, and its regressions.
 
 The mean action is linearised statistically: its Jacobian at a point would make an extended Kalman filter whose
-likelihood is chaotic, because the mean action jumps close to contact.
+likelihood is chaotic, because the mean action jumps close to contact. First ``points.aim`` puts the points of the
+cubature into lanes, then the drivers in all lanes decide at once, and then follow the expectations.
 
 These functions run for every driver and sample. They make no arrays.
 """
 
-import math
 from typing import NamedTuple
 
-import numpy as np
-
 from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.driver.parameters import RHO, UTILITY
-from sugiyama_ros.effects.control import expect_change, feels_accelerations, intend, remembers
-from sugiyama_ros.effects.effect import Seen
-from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Moment, Scene, State, Workspace
+from sugiyama_ros.driver.lanes import LANES, MEAN, UTILITIES, average_actions, find_best, value_actions
+from sugiyama_ros.effects.control import (
+    act,
+    acts_on_intention,
+    component,
+    expect_change,
+    feels_accelerations,
+    law_acceleration,
+    perceive,
+    remembers,
+    seeks,
+)
+from sugiyama_ros.filters.points import look_around, rows_of, seen_at, side_of, surroundings
+from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Lanes, Moment, Scene, State, Workspace
 from sugiyama_ros.jit import kernel
 
-# Variance below which a direction of what the driver sees counts as known; keeps the Cholesky factor invertible.
+# Smallest variance of a wanted change of the acceleration.
 _KNOWN_VAR = 1e-12
 
 
@@ -32,49 +40,6 @@ class Expected(NamedTuple):
     action: float
     held_var: float
     action_var: float
-
-
-@kernel(allocates=False)
-def _look(m: int, led: bool, delayed: bool, vehicles: int, adapted: int, places: Ints) -> int:
-    """Fill in what the action of driver m depends on, and return the number of these quantities.
-
-    Each is an entry of the state less another one. places: (2, at least 5 + A), the entry to add and the entry to take
-    off, or -1. The quantities are the gap (without lengths), the own and the leader's speed, or the own speed alone
-    where there is no leader. A driver with a reaction delay also depends on the noises of both, which are part of the
-    accelerations. Then follow the logarithms of the adapted parameters.
-    """
-    x, v = STATE * m, STATE * m + 1
-    seen = (5 if delayed else 3) if led else 1
-    places[1] = -1
-    if led:
-        places[0, 0], places[0, 1], places[0, 2], places[1, 0] = x + STATE, v, v + STATE, x
-        if delayed:
-            places[0, 3], places[0, 4] = x + 2, x + STATE + 2
-    else:
-        places[0, 0] = v
-    for k in range(adapted):
-        places[0, seen + k] = STATE * vehicles + k
-    return seen + adapted
-
-
-@kernel(allocates=False)
-def _root(covariance: Array, places: Ints, size: int, root: Array) -> None:
-    """Fill in the lower Cholesky factor of the covariance of the quantities in ``places`` of ``_look``."""
-    for i in range(size):
-        plus, minus = places[0, i], places[1, i]
-        for j in range(i + 1):
-            entry = covariance[plus, places[0, j]]
-            if minus >= 0:
-                entry -= covariance[minus, places[0, j]]
-            if places[1, j] >= 0:
-                entry -= covariance[plus, places[1, j]]
-            if minus >= 0 and places[1, j] >= 0:
-                entry += covariance[minus, places[1, j]]
-            for k in range(j):
-                entry -= root[i, k] * root[j, k]
-            root[i, j] = math.sqrt(max(entry, _KNOWN_VAR)) if i == j else entry / root[j, j]
-        for j in range(i + 1, size):
-            root[i, j] = 0.0
 
 
 @kernel(allocates=False)
@@ -105,51 +70,45 @@ def _variance_along(slope: Array, covariance: Array) -> float:
 
 
 @kernel(allocates=False)
-def _surroundings(m: int, state: State, parameters: Array, moment: Moment, scene: Scene) -> Seen:
-    """Return what driver m of a chain sees at the mean of the state."""
-    mean, known, length, rear = state.mean, state.known, moment.length, moment.rear
-    last = len(known) - 1
-    x = STATE * m
-    gap, leader_speed, leader_acceleration = np.inf, 0.0, 0.0
-    second_gap, second_speed, rear_gap, rear_speed = np.inf, 0.0, np.inf, 0.0
-    if m < last and known[m + 1] == MOVING:
-        gap = mean[x + STATE] - mean[x] - 0.5 * (length[m] + length[m + 1])
-        leader_speed = mean[x + STATE + 1]
-        rho = parameters[m + 1, RHO] if m + 1 < last else scene.last_rho
-        leader_acceleration = mean[x + STATE + 3] + rho * mean[x + STATE + 2]
-        if m + 1 < last and known[m + 2] == MOVING:
-            second_gap = mean[x + 2 * STATE] - mean[x + STATE] - 0.5 * (length[m + 1] + length[m + 2])
-            second_speed = mean[x + 2 * STATE + 1]
-    if m > 0:
-        if known[m - 1] == MOVING:
-            rear_gap = mean[x] - mean[x - STATE] - 0.5 * (length[m] + length[m - 1])
-            rear_speed = mean[x - STATE + 1]
-    elif not math.isnan(rear[0]):
-        headway = mean[x] - rear[0]
-        if scene.circumference_m > 0.0:
-            headway -= scene.circumference_m * math.floor(headway / scene.circumference_m)
-        rear_gap, rear_speed = headway - 0.5 * (length[m] + rear[2]), rear[1]
-    return Seen(
-        gap=gap,
-        speed=mean[x + 1],
-        leader_speed=leader_speed,
-        position=mean[x],
-        time=moment.time_s,
-        circumference=scene.circumference_m,
-        acceleration=mean[x + 3] + parameters[m, RHO] * mean[x + 2],
-        leader_acceleration=leader_acceleration,
-        second_gap=second_gap,
-        second_speed=second_speed,
-        rear_gap=rear_gap,
-        rear_speed=rear_speed,
-    )
+def consider(used: int, scene: Scene, lanes: Lanes) -> None:
+    """Let the drivers in the first ``used`` lanes value their actions."""
+    for b in range(-(-used // LANES)):
+        value_actions(lanes.blocks[b], lanes.grid, scene.period_s, scene.horizon)
+
+
+@kernel(allocates=False)
+def add_components(
+    m: int, state: State, drivers: Drivers, moment: Moment, scene: Scene, workspace: Workspace, lanes: Lanes
+) -> None:
+    """Add what effects add to the utilities of driver m; arguments as for ``aim``, which was called before."""
+    driver, actions = drivers.parameters[m], lanes.grid.actions
+    size, first = workspace.points[m, 0], workspace.points[m, 1]
+    work = workspace.root[rows_of(m, workspace)[1] :]
+    led = state.known[m + 1] == MOVING
+    delayed = led and feels_accelerations(driver)
+    here = surroundings(m, state, drivers.parameters, moment, scene)
+    for point in range(2 * size):
+        look_around(work, size, point)
+        seen = seen_at(here, work, m, size, led, delayed, drivers.parameters, scene)
+        perceived = perceive(seen, driver)
+        block, lane = lanes.blocks[(first + point) // LANES], UTILITIES + (first + point) % LANES
+        for k in range(len(actions)):
+            block[lane + LANES * k] += component(perceived, actions[k], scene.period_s, scene.horizon, driver)
+        find_best(block, len(actions))
+
+
+@kernel(allocates=False)
+def decide(used: int, lanes: Lanes) -> None:
+    """Let the drivers in the first ``used`` lanes decide on the mean of their actions."""
+    for b in range(-(-used // LANES)):
+        average_actions(lanes.blocks[b], lanes.grid.actions)
 
 
 @kernel(allocates=False)
 def expected_action(
-    m: int, state: State, drivers: Drivers, moment: Moment, scene: Scene, workspace: Workspace
+    m: int, state: State, drivers: Drivers, moment: Moment, scene: Scene, workspace: Workspace, lanes: Lanes
 ) -> Expected:
-    """Return the expected action of driver m of a chain.
+    """Return the expected action of driver m of a chain, after ``aim`` and ``decide``.
 
     The expectation runs over the gap, the speeds and the adapted parameters. What the driver takes from elsewhere (the
     vehicle behind, the second vehicle ahead) enters with its mean, and so do the accelerations, unless the driver has a
@@ -157,10 +116,8 @@ def expected_action(
 
     Parameters
     ----------
-    m
-        Number of the driver in the chain, not the last one.
-    state, drivers, moment, scene
-        The chain. The adapted entries of row m are changed on the way and restored.
+    m, state, drivers, moment, scene, lanes
+        As for ``aim``.
     workspace
         Its ``slope`` and ``held_slope`` take the regressions of ``action`` and ``held`` on the state.
 
@@ -168,89 +125,74 @@ def expected_action(
     -------
     Expected
         Expectations [m/s^2] and the variances that the regressions leave.
-
-    References
-    ----------
-    I. Arasaratnam and S. Haykin, Cubature Kalman Filters, IEEE Trans. Automatic Control 54 (2009) 1254.
     """
-    mean, known, parameters = state.mean, state.known, drivers.parameters
-    adapted = drivers.adapted if m == 0 else drivers.adapted[:0]
-    places, work = workspace.places, workspace.root
-    led = known[m + 1] == MOVING
-    driver = parameters[m]
-    delayed = led and feels_accelerations(driver)
-    size = _look(m, led, delayed, len(known), len(adapted), places)
-    # the root, and below it rows of their own
-    centre, look, cross, held_cross = size, size + 1, size + 2, size + 3
-    _root(state.covariance, places, size, work)
-    for i in range(size):
-        work[centre, i] = mean[places[0, i]]
-        work[cross, i] = work[held_cross, i] = 0.0
-    here = _surroundings(m, state, parameters, moment, scene)
-    if led:
-        work[centre, 0] = here.gap
-    total, squares, held_total, held_squares = 0.0, 0.0, 0.0, 0.0
-    first_adapted = size - len(adapted)
-    leader_rho = parameters[m + 1, RHO] if m + 2 < len(known) else scene.last_rho
-    for j in range(size):
-        for side in (math.sqrt(size), -math.sqrt(size)):
-            for i in range(size):
-                work[look, i] = work[centre, i] + side * work[i, j]
-            for k in range(len(adapted)):
-                driver[UTILITY[adapted[k]]] = math.exp(work[look, first_adapted + k])
-            seen = _seen_at(here, work, centre, led, delayed, driver[RHO], leader_rho)
-            held, pushed = intend(seen, driver, workspace.scratch, scene.period_s, scene.horizon)
-            action = held + pushed
-            total += action
-            squares += action * action
-            work[cross, j] += action * side
-            held_total += held
-            held_squares += held * held
-            work[held_cross, j] += held * side
-    for k in range(len(adapted)):
-        driver[UTILITY[adapted[k]]] = math.exp(mean[STATE * len(known) + k])
-    weight = 0.5 / size
-    expected, held_expected = weight * total, weight * held_total
-    explained, held_explained = 0.0, 0.0
-    for j in range(size):
-        work[cross, j] *= weight
-        work[held_cross, j] *= weight
-        explained += work[cross, j] ** 2
-        held_explained += work[held_cross, j] ** 2
-    spread = max(weight * squares - expected * expected - explained, 0.0)
-    held_spread = max(weight * held_squares - held_expected * held_expected - held_explained, 0.0)
-    _regress(work, cross, places, size, workspace.slope)
-    _regress(work, held_cross, places, size, workspace.held_slope)
-    meant = Expected(held_expected, expected, held_spread, spread)
+    driver, chosen = drivers.parameters[m], workspace.chosen
+    size, first = workspace.points[m, 0], workspace.points[m, 1]
+    place, row = rows_of(m, workspace)
+    places, work = workspace.places[place : place + 2], workspace.root[row:]
+    changed = acts_on_intention(driver) or not seeks(driver)
+    if changed:
+        _choose(m, state, drivers, moment, scene, workspace, lanes)
+    else:
+        for point in range(2 * size):
+            action = lanes.blocks[(first + point) // LANES, MEAN + (first + point) % LANES]
+            chosen[0, point] = chosen[1, point] = action
+    # below the root stand rows of their own
+    cross = size + 2
+    held, held_var = _moments(chosen[0], work[cross], size)
+    _regress(work, cross, places, size, workspace.held_slope)
+    if changed:
+        action, action_var = _moments(chosen[1], work[cross], size)
+        _regress(work, cross, places, size, workspace.slope)
+    else:
+        action, action_var = held, held_var
+        for i in range(len(workspace.slope)):
+            workspace.slope[i] = workspace.held_slope[i]
+    meant = Expected(held, action, held_var, action_var)
     return _carried_out(m, meant, state, driver, scene.period_s, workspace) if remembers(driver) else meant
 
 
 @kernel(allocates=False)
-def _seen_at(here: Seen, work: Array, centre: int, led: bool, delayed: bool, rho: float, leader_rho: float) -> Seen:
-    """Return what the driver sees at one point of the cubature, which stands in the row below ``centre``."""
-    look = centre + 1
-    if led:
-        gap, speed, leader_speed = work[look, 0], work[look, 1], work[look, 2]
-    else:
-        gap, speed, leader_speed = np.inf, work[look, 0], 0.0
-    acceleration, leader_acceleration = here.acceleration, here.leader_acceleration
-    if delayed:
-        acceleration += rho * (work[look, 3] - work[centre, 3])
-        leader_acceleration += leader_rho * (work[look, 4] - work[centre, 4])
-    return Seen(
-        gap=gap,
-        speed=speed,
-        leader_speed=leader_speed,
-        position=here.position,
-        time=here.time,
-        circumference=here.circumference,
-        acceleration=acceleration,
-        leader_acceleration=leader_acceleration,
-        second_gap=here.second_gap,
-        second_speed=here.second_speed,
-        rear_gap=here.rear_gap,
-        rear_speed=here.rear_speed,
-    )
+def _choose(
+    m: int, state: State, drivers: Drivers, moment: Moment, scene: Scene, workspace: Workspace, lanes: Lanes
+) -> None:
+    """Fill in ``chosen`` for a driver with another law, or with effects that act on what the driver intends."""
+    driver, chosen = drivers.parameters[m], workspace.chosen
+    size, first = workspace.points[m, 0], workspace.points[m, 1]
+    work = workspace.root[rows_of(m, workspace)[1] :]
+    led = state.known[m + 1] == MOVING
+    delayed, by_law = led and feels_accelerations(driver), not seeks(driver)
+    here = surroundings(m, state, drivers.parameters, moment, scene)
+    for point in range(2 * size):
+        look_around(work, size, point)
+        seen = seen_at(here, work, m, size, led, delayed, drivers.parameters, scene)
+        if by_law:
+            perceived = perceive(seen, driver)
+            action = law_acceleration(perceived.gap, perceived.speed, perceived.leader_speed, driver)
+        else:
+            action = lanes.blocks[(first + point) // LANES, MEAN + (first + point) % LANES]
+        held, pushed = act(action, seen, driver)
+        chosen[0, point], chosen[1, point] = held, held + pushed
+
+
+@kernel(allocates=False)
+def _moments(chosen: Array, cross: Array, size: int) -> tuple[float, float]:
+    """Return the mean of what was chosen at the points, and the variance that no regression on the state explains.
+
+    cross: (size,), overwritten with the covariances of what was chosen with the columns of the root.
+    """
+    side, weight = side_of(size, 0), 0.5 / size
+    total, squares, explained = 0.0, 0.0, 0.0
+    for j in range(size):
+        there, back = chosen[2 * j], chosen[2 * j + 1]
+        total += there
+        total += back
+        squares += there * there
+        squares += back * back
+        cross[j] = weight * (there * side - back * side)
+        explained += cross[j] ** 2
+    mean = weight * total
+    return mean, max(weight * squares - mean * mean - explained, 0.0)
 
 
 @kernel(allocates=False)

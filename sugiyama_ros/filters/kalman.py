@@ -17,9 +17,9 @@ from sugiyama_ros.effects.sensing import is_contaminated
 from sugiyama_ros.filters.alarm import StyleAlarm
 from sugiyama_ros.filters.chain_model import ChainModel
 from sugiyama_ros.filters.linearisation import linearise
-from sugiyama_ros.filters.measurement import measurement, noise_var_at, robust
+from sugiyama_ros.filters.measurement import log_density, measurement, noise_var_at, weights
 from sugiyama_ros.filters.noise import NOISES, Learning, NoiseLearner
-from sugiyama_ros.filters.state import STATE, Drivers, Linearised, Moment, State, workspace_for
+from sugiyama_ros.filters.state import STATE, Drivers, Moment, State, arrays_for
 from sugiyama_ros.filters.vehicles import forget_vehicle, start_vehicle
 from sugiyama_ros.road import Road
 
@@ -57,11 +57,12 @@ class ChainKalman(ExtendedKalmanFilter):  # type: ignore[misc]
         self.model, self.road, self.learning = model, road, learning
         self.rows: Array = model.rows.copy()
         self.known: Ints = np.zeros(vehicles, np.int64)
-        self.x, self.P, self.F = np.zeros(size), np.zeros((size, size)), np.zeros((size, size))
-        self.next_mean, self.next_noise = np.zeros(size), np.zeros((size, size))
+        self.x, self.P = np.zeros(size), np.zeros((size, size))
         self.x[adapted] = model.prior_mean
         self.P[adapted, adapted] = np.diag(model.prior_var)
-        self._workspace = workspace_for(ACTIONS, vehicles, len(model.places))
+        self._arrays = arrays_for(vehicles, len(model.places), ACTIONS, model.scene.period_s)
+        linearised = self._arrays[-1]
+        self.next_mean, self.F, self.next_noise = linearised.next_mean, linearised.jacobian, linearised.noise
         self._measures = np.zeros((vehicles, size))
         self._measures[np.arange(vehicles), STATE * np.arange(vehicles)] = 1.0
         self.noises: NoiseLearner | None = None
@@ -102,8 +103,7 @@ class ChainKalman(ExtendedKalmanFilter):  # type: ignore[misc]
             Drivers(self.rows, model.places, model.prior_mean, model.prior_var),
             moment,
             model.scene,
-            self._workspace,
-            Linearised(self.next_mean, self.F, self.next_noise),
+            *self._arrays,
         )
 
     def forget(self, m: int) -> None:
@@ -150,7 +150,7 @@ class ChainKalman(ExtendedKalmanFilter):  # type: ignore[misc]
             factor = math.sqrt((variance - noise_var) / float(self.P[0, 0])) if changed else 1.0
             self.noises.learn(innovation, variance, noise_var, factor)
         if self.noises is None or is_contaminated(self.rows[0]):
-            return float(robust(innovation, variance, self.rows[0])[2])
+            return float(log_density(innovation, variance, self.rows[0]))
         return float(
             contaminated_normal(innovation, variance, float(self.rows[0, SIGMA_NU]) ** 2, *self.noises.outliers)[2]
         )
@@ -175,7 +175,7 @@ class ChainKalman(ExtendedKalmanFilter):  # type: ignore[misc]
         off, factor = measurement(self.x[x], row, self.model.scene.circumference_m)
         gain = factor * self.P[:, x]
         y, variance = self.innovation(m, position_m)
-        step, shrink, _ = robust(y, variance, row)
+        step, shrink = weights(y, variance, row)
         measures, noise_var = factor * self._measures[[m]], self._noise_var(m) if m == 0 else 0.0
         self.update(
             np.array([position_m]),

@@ -2,17 +2,19 @@
 
 import math
 
+from sugiyama_ros.arrays import Ints
 from sugiyama_ros.driver.advance import advance
 from sugiyama_ros.driver.parameters import RHO, SIGMA_A, SIGMA_V, SIGMA_X
-from sugiyama_ros.effects.control import noise_factor
-from sugiyama_ros.filters.expectation import expected_action
-from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Linearised, Moment, Scene, State, Workspace
+from sugiyama_ros.effects.control import feels_accelerations, has_components, noise_factor, remembers
+from sugiyama_ros.filters.expectation import add_components, consider, decide, expected_action
+from sugiyama_ros.filters.points import aim
+from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Lanes, Linearised, Moment, Scene, State, Workspace
 from sugiyama_ros.jit import kernel
 
 
 @kernel(allocates=False)
 def linearise(
-    state: State, drivers: Drivers, moment: Moment, scene: Scene, workspace: Workspace, out: Linearised
+    state: State, drivers: Drivers, moment: Moment, scene: Scene, workspace: Workspace, lanes: Lanes, out: Linearised
 ) -> float:
     """Linearise one period of Eq. ssm_form for a whole chain.
 
@@ -26,6 +28,8 @@ def linearise(
         Lengths, the vehicle behind and the time; period and road.
     workspace
         Of ``workspace_for`` this chain; overwritten.
+    lanes
+        Of ``lanes_for`` the points of this chain and the scene's period; overwritten.
     out
         Overwritten with the next mean, the Jacobian and the process noise.
 
@@ -34,24 +38,59 @@ def linearise(
     float
         What the own driver means to do [m/s^2].
     """
+    used = aim_all(state, drivers, moment, scene, workspace, lanes, 0)
+    consider(used, scene, lanes)
+    add_all_components(state, drivers, moment, scene, workspace, lanes)
+    decide(used, lanes)
+    return conclude(state, drivers, moment, scene, workspace, lanes, out)
+
+
+@kernel(allocates=False)
+def aim_all(
+    state: State, drivers: Drivers, moment: Moment, scene: Scene, workspace: Workspace, lanes: Lanes, free: int
+) -> int:
+    """Call ``aim`` for all drivers of a chain; returns the first lane that is free then."""
+    for m in range(len(state.known) - 1):
+        if state.known[m] == MOVING:
+            free = aim(m, state, drivers, moment, scene, workspace, lanes, free)
+    return free
+
+
+@kernel(allocates=False)
+def add_all_components(
+    state: State, drivers: Drivers, moment: Moment, scene: Scene, workspace: Workspace, lanes: Lanes
+) -> None:
+    """Call ``add_components`` for the drivers of a chain who have such effects."""
+    for m in range(len(state.known) - 1):
+        if state.known[m] == MOVING and has_components(drivers.parameters[m]):
+            add_components(m, state, drivers, moment, scene, workspace, lanes)
+
+
+@kernel(allocates=False)
+def conclude(
+    state: State, drivers: Drivers, moment: Moment, scene: Scene, workspace: Workspace, lanes: Lanes, out: Linearised
+) -> float:
+    """Linearise the period, after all drivers of the chain have decided; arguments and result as of ``linearise``."""
     mean, known, parameters = state.mean, state.known, drivers.parameters
     next_mean, jacobian, noise = out.next_mean, out.jacobian, out.noise
-    vehicles = len(known)
+    vehicles, adapted = len(known), len(drivers.adapted)
     period = scene.period_s
     own_action = 0.0
-    for k in range(len(mean)):
-        next_mean[k] = mean[k]
     jacobian[:] = 0.0
     noise[:] = 0.0
-    for k in range(len(drivers.adapted)):
+    for k in range(adapted):
         p = STATE * vehicles + k
         next_mean[p] = drivers.prior_mean[k] + scene.memory * (mean[p] - drivers.prior_mean[k])
         jacobian[p, p] = scene.memory
         noise[p, p] = drivers.prior_var[k] * (1.0 - scene.memory**2)
+        out.columns[p, 0], out.counts[p] = p, 1
     for m in range(vehicles):
         x, v, n, b = STATE * m, STATE * m + 1, STATE * m + 2, STATE * m + 3
         jacobian[x, x] = jacobian[v, v] = 1.0
         if known[m] != MOVING:
+            for k in range(x, x + STATE):
+                next_mean[k] = mean[k]
+                out.columns[k, 0], out.counts[k] = k, 1
             continue
         jacobian[x, v] = jacobian[v, n] = period
         noise[x, x], noise[v, v] = parameters[m, SIGMA_X] ** 2, parameters[m, SIGMA_V] ** 2
@@ -59,7 +98,7 @@ def linearise(
             action, rho, shock_std = 0.0, scene.last_rho, scene.last_shock_std
             next_mean[b] = 0.0
         else:
-            expected = expected_action(m, state, drivers, moment, scene, workspace)
+            expected = expected_action(m, state, drivers, moment, scene, workspace, lanes)
             action = expected.action
             noise[v, v] += period * period * expected.action_var
             noise[b, b] = expected.held_var
@@ -76,4 +115,32 @@ def linearise(
         next_mean[n] = rho * mean[n]
         jacobian[n, n] = rho
         noise[n, n] = shock_std**2
+        _note_columns(m, known, drivers, out)
     return own_action
+
+
+@kernel(allocates=False)
+def _note_columns(m: int, known: Ints, drivers: Drivers, out: Linearised) -> None:
+    """Note which entries of the rows of a moving vehicle in F may differ from 0."""
+    x, v, n, b = STATE * m, STATE * m + 1, STATE * m + 2, STATE * m + 3
+    columns, counts = out.columns, out.counts
+    columns[x, 0], columns[x, 1], counts[x] = x, v, 2
+    columns[n, 0], counts[n] = n, 1
+    columns[v, 0], columns[v, 1], columns[v, 2], counts[v], counts[b] = x, v, n, 3, 0
+    if m == len(known) - 1:
+        return
+    if known[m + 1] == MOVING:
+        columns[v, 3], columns[v, 4], counts[v] = x + STATE, v + STATE, 5
+        if feels_accelerations(drivers.parameters[m]):
+            columns[v, 5], counts[v] = n + STATE, 6
+    if remembers(drivers.parameters[m]):
+        columns[v, counts[v]] = b
+        counts[v] += 1
+    if m == 0:
+        for k in range(len(drivers.adapted)):
+            columns[v, counts[v]] = STATE * len(known) + k
+            counts[v] += 1
+    # the held acceleration depends on the same entries
+    for c in range(counts[v]):
+        columns[b, c] = columns[v, c]
+    counts[b] = counts[v]

@@ -40,8 +40,8 @@ def noise_var_at(position: float, parameters: Array, circumference_m: float) -> 
 
 
 @kernel(allocates=False)
-def robust(y: float, variance: float, parameters: Array) -> tuple[float, float, float]:
-    """Return how much an innovation counts, and its log-likelihood.
+def weights(y: float, variance: float, parameters: Array) -> tuple[float, float]:
+    """Return how much an innovation counts.
 
     Without outliers both weights are 1 / S. With outliers the update is a mixture of two updates; the weights make its
     mean and its covariance.
@@ -61,15 +61,22 @@ def robust(y: float, variance: float, parameters: Array) -> tuple[float, float, 
         Factor of P H' y in what is added to the mean [1/m^2].
     shrink
         Factor of P H' H P in what is taken off P [1/m^2].
-    log_likelihood
-        Without the term of 2 pi.
     """
     if not is_contaminated(parameters):
-        return 1.0 / variance, 1.0 / variance, -0.5 * (math.log(variance) + y * y / variance)
-    bad, wide, density = weigh(y, variance, parameters[SIGMA_NU] ** 2, parameters)
+        return 1.0 / variance, 1.0 / variance
+    bad, wide, _ = weigh(y, variance, parameters[SIGMA_NU] ** 2, parameters)
     gain = (1.0 - bad) / variance + bad / wide
     between = (1.0 - bad) / variance**2 + bad / wide**2 - gain * gain
-    return gain, gain - y * y * between, density
+    return gain, gain - y * y * between
+
+
+@kernel(allocates=False)
+def log_density(y: float, variance: float, parameters: Array) -> float:
+    """Return the log-likelihood of an innovation, without the term of 2 pi; arguments as for ``weights``."""
+    if not is_contaminated(parameters):
+        return -0.5 * (math.log(variance) + y * y / variance)
+    density: float = weigh(y, variance, parameters[SIGMA_NU] ** 2, parameters)[2]
+    return density
 
 
 @kernel
@@ -86,5 +93,5 @@ def weigh_samples(y: Array, variance: Array, parameters: Array, weight: Array, d
         Filled, (T,) each: the weight, which is 1 without outliers, and the log-likelihood.
     """
     for t in range(len(y)):
-        gain, _, density[t] = robust(y[t], variance[t], parameters)
-        weight[t] = gain * variance[t]
+        weight[t] = weights(y[t], variance[t], parameters)[0] * variance[t]
+        density[t] = log_density(y[t], variance[t], parameters)

@@ -7,8 +7,8 @@ import math
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.filters.alarm import JUMP_STD, LARGEST
-from sugiyama_ros.filters.online_state import CHANGED, JUMP, Alarm, Sparse
-from sugiyama_ros.filters.state import State
+from sugiyama_ros.filters.online_state import CHANGED, JUMP, Alarm
+from sugiyama_ros.filters.state import Linearised, State
 from sugiyama_ros.jit import kernel
 
 _JUMP_VAR = JUMP_STD**2
@@ -24,15 +24,15 @@ def reset_alarm(alarm: Alarm) -> None:
 
 
 @kernel(allocates=False)
-def predict_alarm(alarm: Alarm, jacobian: Array, sparse: Sparse, first: int) -> None:
+def predict_alarm(alarm: Alarm, linearised: Linearised, first: int) -> None:
     """Go on by one period with the filter's F; first: of the entries of the state that may jump, the last ones."""
     signature, moved = alarm.signature, alarm.moved
     size, columns = signature.shape
     for i in range(size):
         moved[i] = 0.0
-        for c in range(sparse.counts[i]):
-            k = sparse.columns[i, c]
-            factor = jacobian[i, k]
+        for c in range(linearised.counts[i]):
+            k = linearised.columns[i, c]
+            factor = linearised.jacobian[i, k]
             for j in range(columns):
                 moved[i, j] += factor * signature[k, j]
     for i in range(size):

@@ -6,10 +6,10 @@ from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import SIGMA_NU, UTILITY
 from sugiyama_ros.effects.contaminated_normal import contaminated_normal
 from sugiyama_ros.effects.sensing import is_contaminated
-from sugiyama_ros.filters.causal import SETTLING
+from sugiyama_ros.filters.causal_kernel import SETTLING
 from sugiyama_ros.filters.engine import GROSS, MOST_REFUSED
 from sugiyama_ros.filters.linearisation import linearise
-from sugiyama_ros.filters.measurement import measurement, noise_var_at, robust
+from sugiyama_ros.filters.measurement import log_density, measurement, noise_var_at, weights
 from sugiyama_ros.filters.online_alarm import check_style, observe, predict_alarm, reset_alarm, update_alarm
 from sugiyama_ros.filters.online_noise import (
     forget_noises,
@@ -31,7 +31,7 @@ from sugiyama_ros.filters.online_state import (
     online_arrays,
 )
 from sugiyama_ros.filters.state import MOVING, STATE, Moment, Scene
-from sugiyama_ros.filters.transform import find_entries, transform
+from sugiyama_ros.filters.transform import add_noise, transform
 from sugiyama_ros.filters.vehicles import forget_vehicle, start_vehicle
 from sugiyama_ros.jit import kernel
 
@@ -76,7 +76,8 @@ def step(memory: Array, layout: Ints) -> None:
     for k in range(len(online.drivers.adapted)):
         row[UTILITY[online.drivers.adapted[k]]] = math.exp(state.mean[first + k])
     moment = Moment(online.sample.length, online.sample.rear, online.sample.time_s[0])
-    result[MEAN_ACTION] = linearise(state, online.drivers, moment, scene, online.workspace, online.linearised)
+    arrays = online.workspace, online.lanes, online.linearised
+    result[MEAN_ACTION] = linearise(state, online.drivers, moment, scene, *arrays)
     fill_in(result, state, online.linearised, online.sample.length, scene)
     result[SCORED] = 1.0 if not math.isnan(result[INNOVATION_M]) and book.settled[0] > SETTLING else 0.0
 
@@ -84,18 +85,15 @@ def step(memory: Array, layout: Ints) -> None:
 @kernel(allocates=False)
 def _predict(online: Online) -> None:
     """Go on by one period."""
-    state, linearised, sparse = online.state, online.linearised, online.sparse
-    size = len(state.mean)
-    find_entries(linearised.jacobian, sparse)
-    transform(state.covariance, linearised.jacobian, sparse, online.scratch.half)
-    for i in range(size):
+    state, linearised = online.state, online.linearised
+    transform(state.covariance, linearised, online.scratch.half)
+    add_noise(state.covariance, linearised)
+    for i in range(len(state.mean)):
         state.mean[i] = linearised.next_mean[i]
-        for j in range(size):
-            state.covariance[i, j] += linearised.noise[i, j]
     if len(online.noises.weight) > 0:
-        predict_noises(online.noises, linearised, sparse, online.scratch)
+        predict_noises(online.noises, linearised, online.scratch)
     if len(online.alarm.known) > 0:
-        predict_alarm(online.alarm, linearised.jacobian, sparse, STATE * len(state.known))
+        predict_alarm(online.alarm, linearised, STATE * len(state.known))
 
 
 @kernel(allocates=False)
@@ -160,7 +158,7 @@ def _learn(online: Online, scene: Scene) -> None:
         factor = measurement(position, row, circumference)[1]
         learn_noises(noises, y, variance, noise_var_at(position, row, circumference), factor)
     if len(noises.weight) == 0 or is_contaminated(row):
-        result[LOG_LIKELIHOOD] = robust(y, variance, row)[2]
+        result[LOG_LIKELIHOOD] = log_density(y, variance, row)
     else:
         share, factor = noises.outliers[0], noises.outliers[1]
         result[LOG_LIKELIHOOD] = contaminated_normal(y, variance, row[SIGMA_NU] ** 2, share, factor)[2]
@@ -173,7 +171,7 @@ def _update(online: Online, m: int, scene: Scene) -> None:
     """Update everything with the position of vehicle m."""
     state, row, gain, x = online.state, online.drivers.parameters[m], online.scratch.gain, STATE * m
     y, variance, factor = _innovation(online, m, scene)
-    weight, shrink, _ = robust(y, variance, row)
+    weight, shrink = weights(y, variance, row)
     own_noise_var = noise_var_at(state.mean[x], row, scene.circumference_m) if m == 0 else 0.0
     size = len(gain)
     for i in range(size):

@@ -8,18 +8,18 @@ import math
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import SIGMA_A, SIGMA_NU
 from sugiyama_ros.filters.noise import LARGEST, NU, OWN_NOISE, STEP, A
-from sugiyama_ros.filters.online_state import Noises, Scratch, Sparse
+from sugiyama_ros.filters.online_state import Noises, Scratch
 from sugiyama_ros.filters.state import STATE, Linearised
 from sugiyama_ros.filters.transform import move, transform
 from sugiyama_ros.jit import kernel
 
 
 @kernel(allocates=False)
-def predict_noises(noises: Noises, linearised: Linearised, sparse: Sparse, scratch: Scratch) -> None:
+def predict_noises(noises: Noises, linearised: Linearised, scratch: Scratch) -> None:
     """Go on by one period, and forget a little."""
     for k in range(2):
-        move(noises.d_mean[k], linearised.jacobian, sparse, scratch.shared)
-        transform(noises.d_covariance[k], linearised.jacobian, sparse, scratch.half)
+        move(noises.d_mean[k], linearised, scratch.shared)
+        transform(noises.d_covariance[k], linearised, scratch.half)
     noises.d_covariance[A, OWN_NOISE, OWN_NOISE] += 2.0 * linearised.noise[OWN_NOISE, OWN_NOISE]
     _mix(noises)
     for j in range(len(noises.weight)):

@@ -9,9 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.driver.utility import ACTIONS, scratch_for
+from sugiyama_ros.driver.lanes import LANES, UTILITIES, ActionGrid
+from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.effects.registry import ROW
-from sugiyama_ros.filters.state import STATE, Drivers, Linearised, Scene, State, Workspace
+from sugiyama_ros.filters.state import STATE, Drivers, Lanes, Linearised, Scene, State, Workspace, points_of
 from sugiyama_ros.jit import kernel
 
 #: Entries of ``Online.result`` before the covariance (3, 3); the first ones are the numbers of an ``Estimate``.
@@ -32,9 +33,6 @@ from sugiyama_ros.jit import kernel
 ) = range(13)
 #: Number of these entries.
 RESULTS = 13
-
-#: What the workspace's ``scratch`` begins with.
-CONSIDERED = scratch_for(ACTIONS)
 
 
 class Sizes(NamedTuple):
@@ -121,13 +119,6 @@ class Alarm(NamedTuple):
     periods: Ints
 
 
-class Sparse(NamedTuple):
-    """Where the Jacobian F is not 0: counts (N,) of each row, and its columns (N, N)."""
-
-    counts: Ints
-    columns: Ints
-
-
 class Scratch(NamedTuple):
     """Arrays that every step overwrites: gain and shared (N,), half (N, N)."""
 
@@ -139,7 +130,7 @@ class Scratch(NamedTuple):
 class Online(NamedTuple):
     """Everything that the compiled filter knows and works on.
 
-    scene: (6,) of ``Scene``; result: ``RESULTS`` entries and a covariance.
+    scene: (6,) of ``Scene``; result: ``RESULTS`` entries and a covariance; braking: (1,) of ``ActionGrid``.
     """
 
     sample: ChainSample
@@ -149,8 +140,9 @@ class Online(NamedTuple):
     drivers: Drivers
     scene: Array
     linearised: Linearised
-    sparse: Sparse
     workspace: Workspace
+    braking: Ints
+    lanes: Lanes
     scratch: Scratch
     noises: Noises
     alarm: Alarm
@@ -164,14 +156,17 @@ def _shapes(sizes: Sizes) -> list[tuple[int, int]]:
     book = [(m, 1)] * 4 + [(1, 1)]
     state = [(n, 1), (n, n), (m, 1)]
     drivers = [(m, ROW.width), (a, 1), (a, 1), (a, 1)]
-    linearised = [(n, 1), (n, n), (n, n)]
-    workspace = [(len(CONSIDERED), len(CONSIDERED[0])), (2, most), (4 + most, most), (n, 1), (n, 1)]
+    linearised = [(n, 1), (n, n), (n, n), (n, n), (n, 1), (n, 1)]
+    d = max(m - 1, 1)
+    workspace = [(2 * d, most), (d * (3 + most), most), (d, 2), (2, 2 * most), (n, 1), (n, 1)]
+    k = len(ACTIONS)
+    lanes = [(1, 1), (-(-points_of(m, a) // LANES), UTILITIES + LANES * k), (k, 1), (k, 1)]
     noises = [(2, 1), (2, 2), (j, 1), (j, 2), (2 * j, 2), (2, n), (2 * n, n)]
     noises += [(j, 2), (2, 1), (2, 1), (1, 1), (2, 1), (j, 1), (j, 2), (2 * j, 2)]
     alarm = [(n, c), (n, c), (c, 1), (c, 1), (1, 1), (1, 1), (1, 1)]
-    sparse, scratch = [(n, 1), (n, n)], [(n, 1), (n, 1), (n, n)]
+    scratch = [(n, 1), (n, 1), (n, n)]
     result, scene = (RESULTS + 9, 1), (len(Scene._fields), 1)
-    of_model = [*drivers, scene, *linearised, *sparse, *workspace, *scratch]
+    of_model = [*drivers, scene, *linearised, *workspace, *lanes, *scratch]
     return [*sample, result, *book, *state, *of_model, *noises, *alarm]
 
 
@@ -263,12 +258,28 @@ def online_arrays(memory: Array, layout: Ints) -> Online:
         State(vector(at, to, 11), matrix(at, to, 12), integers(at, to, 13)),
         Drivers(matrix(at, to, 14), integers(at, to, 15), vector(at, to, 16), vector(at, to, 17)),
         vector(at, to, 18),
-        Linearised(vector(at, to, 19), matrix(at, to, 20), matrix(at, to, 21)),
-        Sparse(integers(at, to, 22), _integer_matrix(at, to, 23)),
-        Workspace(
-            matrix(at, to, 24), _integer_matrix(at, to, 25), matrix(at, to, 26), vector(at, to, 27), vector(at, to, 28)
+        Linearised(
+            vector(at, to, 19),
+            matrix(at, to, 20),
+            matrix(at, to, 21),
+            _integer_matrix(at, to, 22),
+            integers(at, to, 23),
+            integers(at, to, 24),
         ),
-        Scratch(vector(at, to, 29), vector(at, to, 30), matrix(at, to, 31)),
-        _noises(at, to, 32),
-        _alarm(at, to, 47),
+        Workspace(
+            _integer_matrix(at, to, 25),
+            matrix(at, to, 26),
+            _integer_matrix(at, to, 27),
+            matrix(at, to, 28),
+            vector(at, to, 29),
+            vector(at, to, 30),
+        ),
+        integers(at, to, 31),
+        Lanes(
+            matrix(at, to, 32),
+            ActionGrid(vector(at, to, 33), vector(at, to, 34), _vector(at, to, 31).view(np.int64)[0]),
+        ),
+        Scratch(vector(at, to, 35), vector(at, to, 36), matrix(at, to, 37)),
+        _noises(at, to, 38),
+        _alarm(at, to, 53),
     )

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from sugiyama_ros.effects.sensing import is_contaminated
-from sugiyama_ros.filters.causal import SETTLING
+from sugiyama_ros.filters.causal_kernel import SETTLING
 from sugiyama_ros.filters.chain_model import ChainModel
 from sugiyama_ros.filters.engine import GROSS, MOST_REFUSED, Estimate
 from sugiyama_ros.filters.kalman import ChainKalman

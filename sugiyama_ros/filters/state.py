@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.driver.lanes import ActionGrid, blocks_for, grid_for
 from sugiyama_ros.driver.parameters import REFERENCE_HORIZON, UTILITY, horizon_at
-from sugiyama_ros.driver.utility import scratch_for
 from sugiyama_ros.jit import kernel
 
 #: Acceleration of the last vehicle of a chain: correlation over the reference period and std [m/s^2] of its shock.
@@ -86,10 +86,14 @@ class Drivers(NamedTuple):
 
 @kernel
 def drivers_at(parameters: Array, adapted: Ints, prior_var: Array) -> Drivers:
-    """Return drivers whose adapted parameters have their present values as the prior mean; arrays as in ``Drivers``."""
-    prior_mean = np.empty(len(adapted))
-    for k in range(len(adapted)):
-        prior_mean[k] = math.log(parameters[0, UTILITY[adapted[k]]])
+    """Return the drivers of C chains, whose adapted parameters have their present values as the prior mean.
+
+    parameters: (C, M, WIDTH); prior_mean of the result: (C, A); all other arrays as in ``Drivers``.
+    """
+    prior_mean = np.empty((len(parameters), len(adapted)))
+    for c in range(len(parameters)):
+        for k in range(len(adapted)):
+            prior_mean[c, k] = math.log(parameters[c, 0, UTILITY[adapted[k]]])
     return Drivers(parameters.copy(), adapted, prior_mean, prior_var)
 
 
@@ -108,47 +112,89 @@ class Moment(NamedTuple):
 class Linearised(NamedTuple):
     """One period of the model, linearised; arrays that ``linearise`` overwrites.
 
-    next_mean: (4 M + A,); jacobian: F, (4 M + A, 4 M + A); noise: the process noise Q, (4 M + A, 4 M + A).
+    next_mean: (4 M + A,); jacobian: F, (4 M + A, 4 M + A); noise: the process noise Q, (4 M + A, 4 M + A); columns:
+    (4 M + A, 4 M + A), for each row of F the columns whose entries may differ from 0; counts: (4 M + A,), their
+    numbers. live: the entries of the state whose covariances matter, which ``linearise`` does not change.
     """
 
     next_mean: Array
     jacobian: Array
     noise: Array
+    columns: Ints
+    counts: Ints
+    live: Ints
 
 
 class Workspace(NamedTuple):
-    """Arrays in which expected actions are worked out; ``workspace_for`` makes them.
+    """Arrays in which the expected actions of a chain's drivers are worked out; ``workspace_for`` makes them.
 
-    scratch: of ``scratch_for`` the drivers' actions; places: (2, 5 + A), what an action depends on; root:
-    (9 + A, 5 + A), root of its covariance, and rows below; slope, held_slope: (4 M + A,), regressions of the action and
-    of the held acceleration on the state.
+    places: two rows for each driver, what an action depends on, (2 (M - 1), 5 + A); root: 8 + A rows for each driver,
+    root of its covariance, and rows below, (.., 5 + A); points: (M - 1, 2), for each driver the number of quantities
+    that the action depends on, and the first lane; chosen: (2, 2 (5 + A)), what one driver holds at each point, and the
+    same with what the environment adds; slope, held_slope: (4 M + A,), regressions of the action and of the held
+    acceleration on the state.
     """
 
-    scratch: Array
     places: Ints
     root: Array
+    points: Ints
+    chosen: Array
     slope: Array
     held_slope: Array
 
 
+class Lanes(NamedTuple):
+    """Where drivers consider their actions: blocks of ``driver.lanes``, and the actions."""
+
+    blocks: Array
+    grid: ActionGrid
+
+
 @kernel
-def workspace_for(actions: Array, vehicles: int, adapted: int) -> Workspace:
-    """Return the workspace of a chain.
+def lanes_for(points: int, actions: Array, period_s: float) -> Lanes:
+    """Return lanes for a number of points and for actions (K,) [m/s^2]."""
+    return Lanes(blocks_for(points, len(actions)), grid_for(actions, period_s))
+
+
+@kernel
+def points_of(vehicles: int, adapted: int) -> int:
+    """Return the largest number of points at which the drivers of a chain of M vehicles consider their actions."""
+    return 2 * (vehicles - 1) * (5 + adapted)
+
+
+@kernel
+def workspace_for(vehicles: int, adapted: int) -> Workspace:
+    """Return the workspace of a chain of M ``vehicles`` with A ``adapted`` parameters, for one step after the other."""
+    size, most, drivers = STATE * vehicles + adapted, 5 + adapted, max(vehicles - 1, 1)
+    places, root = np.zeros((2 * drivers, most), np.int64), np.zeros((drivers * (3 + most), most))
+    chosen = np.zeros((2, 2 * most))
+    return Workspace(places, root, np.zeros((drivers, 2), np.int64), chosen, np.zeros(size), np.zeros(size))
+
+
+@kernel
+def linearised_for(live: Ints, size: int) -> Linearised:
+    """Return arrays for a state with ``size`` entries, of which those in ``live`` matter."""
+    next_mean, jacobian, noise = np.zeros(size), np.zeros((size, size)), np.zeros((size, size))
+    return Linearised(next_mean, jacobian, noise, np.zeros((size, size), np.int64), np.zeros(size, np.int64), live)
+
+
+def arrays_for(vehicles: int, adapted: int, actions: Array, period_s: float) -> tuple[Workspace, Lanes, Linearised]:
+    """Return the arrays with which ``linearise`` works on one chain, all of whose covariances matter.
 
     Parameters
     ----------
+    vehicles, adapted
+        Numbers M of vehicles and A of adapted parameters.
     actions
         Accelerations that the drivers consider [m/s^2], (K,).
-    vehicles
-        Number M of vehicles in the chain.
-    adapted
-        Number A of adapted parameters.
+    period_s
+        Time between two samples [s].
 
     Returns
     -------
-    Workspace
-        May be used for one step after the other.
+    workspace, lanes, linearised
+        As ``linearise`` takes them.
     """
-    size, most = STATE * vehicles + adapted, 5 + adapted
-    places, root = np.empty((2, most), np.int64), np.empty((4 + most, most))
-    return Workspace(scratch_for(actions), places, root, np.empty(size), np.empty(size))
+    size = STATE * vehicles + adapted
+    lanes = lanes_for(points_of(vehicles, adapted), actions, period_s)
+    return workspace_for(vehicles, adapted), lanes, linearised_for(np.arange(size), size)

@@ -7,13 +7,14 @@ import numpy as np
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import PARAMETERS, V_STAR
 from sugiyama_ros.filters import paper
+from sugiyama_ros.fit.smooth_positions import NOISES, smallest_noise
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 # Largest desired speed [m/s] of the search, unless the data show at least half of it. Below about half the desired
 # speed the reward phi1 turns convex, so data of slow driving do not determine v* (Sugiyama's vehicle 21).
 _FASTEST = 30.0
-# Smallest size of a parameter in the search, in the parameter's own unit.
-_SMALLEST = 1e-3
+#: Smallest size of a parameter in the search, in the parameter's own unit; noises have a bound of their own.
+SMALLEST = 1e-3
 
 
 def upper_bounds(trajectories: Trajectories) -> Array:
@@ -33,6 +34,13 @@ def upper_bounds(trajectories: Trajectories) -> Array:
     speed = paper.smoothed_speed(trajectories.road.unwrap(trajectories.position_m), 2, trajectories.period_s)
     upper[V_STAR] = min(upper[V_STAR], max(_FASTEST, 2.0 * float(np.nanquantile(speed, 0.99))))
     return upper
+
+
+def lower_bounds(trajectories: Trajectories) -> Array:
+    """Return the smallest sizes (P,) of the parameters in the search; the sizes of noises follow the data."""
+    lower = np.full(len(PARAMETERS), SMALLEST)
+    lower[NOISES] = smallest_noise(trajectories)
+    return lower
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +100,7 @@ class LogSpace:
         return gradient[self.places] * scale, block * np.outer(scale, scale)
 
 
-def log_space(start: Array, places: Ints, upper: Array) -> LogSpace:
+def log_space(start: Array, places: Ints, lower: Array, upper: Array) -> LogSpace:
     """Return the coordinates of a search.
 
     Parameters
@@ -101,8 +109,8 @@ def log_space(start: Array, places: Ints, upper: Array) -> LogSpace:
         Parameters at the start.
     places : ndarray of int, shape (K,)
         Places of the parameters in the search.
-    upper : ndarray, shape (P,)
-        Upper bounds; the declared bounds hold too.
+    lower, upper : ndarray, shape (P,)
+        Smallest sizes, and upper bounds; the declared bounds hold too.
 
     Returns
     -------
@@ -112,6 +120,6 @@ def log_space(start: Array, places: Ints, upper: Array) -> LogSpace:
     sign = np.sign(start[places])
     low, high = (np.array([getattr(PARAMETERS[k], side) for k in places]) for side in ("lower", "upper"))
     high = np.minimum(high, upper[places])
-    smallest = np.log(np.maximum(np.where(sign > 0.0, low, -high), _SMALLEST))
-    largest = np.log(np.maximum(np.where(sign > 0.0, high, -low), _SMALLEST))
+    smallest = np.log(np.maximum(np.where(sign > 0.0, low, -high), lower[places]))
+    largest = np.log(np.maximum(np.where(sign > 0.0, high, -low), lower[places]))
     return LogSpace(start=start, places=places, sign=sign, smallest=smallest, largest=largest)

@@ -72,7 +72,7 @@ def find_classes(jobs: Sequence[Job], count: int, samples: int, seed: int, work:
     """
     # the search starts from the fits of the single drivers
     fits, places = list(work.map(carry_out, jobs)), jobs[0].places
-    space = log_space(fits[0].parameters, places, jobs[0].upper)
+    space = log_space(fits[0].parameters, places, jobs[0].lower, jobs[0].upper)
     rows = max(
         (_divided(fits, jobs[0], count, seed + k) for k in range(_STARTS)),
         key=lambda start: float(_posterior(_scores(jobs, start, None, work), np.full(count, 1.0 / count))[0].sum()),

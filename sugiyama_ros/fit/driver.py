@@ -11,20 +11,19 @@ from typing import Literal
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.driver.parameters import NAMES, SIGMA_A, defaults, index, population
+from sugiyama_ros.driver.parameters import NAMES, SIGMA_A, index
 from sugiyama_ros.filters import paper
 from sugiyama_ros.filters.chain import CHAIN, Chain
 from sugiyama_ros.filters.paper import Scored
-from sugiyama_ros.fit.bounds import LogSpace, log_space, upper_bounds
+from sugiyama_ros.fit.bounds import LogSpace, log_space, lower_bounds, upper_bounds
 from sugiyama_ros.fit.driver_score import causal_score, regularised
 from sugiyama_ros.fit.intervals import end_of_profile, quadratic
 from sugiyama_ros.fit.scoring import Point, search
+from sugiyama_ros.fit.smooth_positions import ESTIMATED, typical
 from sugiyama_ros.fit.standard_errors import stds
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 Formulation = Literal["paper", "causal"]
-#: The parameters that the paper estimates; section 4.1.
-ESTIMATED = ("sigma_nu", "sigma_a", "v_star", "kappa_v")
 # Acceleration noise [m/s^2] at the start. It is larger than usual estimates, because the likelihood is smoother there.
 # The paper's likelihood has further maxima in kappa_v, within 0.4 of the maximum that this start leads to.
 _START_SIGMA_A = 1.0
@@ -140,14 +139,15 @@ def fit_driver(
 class Job:
     """Data of one driver, and the search for the driver's parameters.
 
-    vehicle: number; start, upper: start and upper bounds (P,); places: places (K,) of the parameters in the search;
-    options: options of the calibration; perceived: data of the paper's formulation; chain, ahead: data of the causal
-    formulation.
+    vehicle: number; start, lower, upper: start, smallest sizes and upper bounds (P,); places: places (K,) of the
+    parameters in the search; options: options of the calibration; perceived: data of the paper's formulation; chain,
+    ahead: data of the causal formulation.
     """
 
     vehicle: int
     start: Array
     places: Ints
+    lower: Array
     upper: Array
     options: SearchOptions = PLAIN
     perceived: paper.Perceived | None = None
@@ -157,7 +157,7 @@ class Job:
     @property
     def space(self) -> LogSpace:
         """Coordinates of the search."""
-        return log_space(self.start, self.places, self.upper)
+        return log_space(self.start, self.places, self.lower, self.upper)
 
     def score(self, parameters: Array, information: Array | None, central: bool = False) -> Scored:
         """Return the score of the formulation without regularisation; arguments as for ``causal_score``."""
@@ -218,7 +218,7 @@ def _hop(job: Job) -> Array:
 def _profile(job: Job, found: Fit) -> Array:
     """Ends (P, 2) of the intervals; the parameters of the search get intervals from the profile likelihood."""
     interval = found.interval.copy()
-    space = log_space(found.parameters, job.places, job.upper)
+    space = log_space(found.parameters, job.places, job.lower, job.upper)
     for k, low, high in zip(job.places.tolist(), space.smallest.tolist(), space.largest.tolist(), strict=True):
         size = abs(float(found.parameters[k]))
         for side, sign, furthest in ((0, -1.0, np.log(size) - low), (1, 1.0, high - np.log(size))):
@@ -233,7 +233,7 @@ def _fall(job: Job, found: Fit, place: int, sign: float) -> Callable[[float], fl
 
     def fall(distance: float) -> float:
         last[place] = found.parameters[place] * np.exp(sign * distance)
-        space = log_space(last, held.places, held.upper)
+        space = log_space(last, held.places, held.lower, held.upper)
         there = fit_driver(held.objective, held.vehicle, space, _ENOUGH_CAUSAL)
         last[:] = there.parameters
         return float(np.sqrt(2.0 * max(0.0, found.log_likelihood - there.log_likelihood)))
@@ -281,54 +281,56 @@ def calibrate(
     InputError
         For an unknown parameter, or data that the formulation cannot use.
     """
-    places, upper, known = np.array([index(name) for name in estimated]), upper_bounds(trajectories), starts or {}
-
-    def job(driver: int) -> Job:
-        return replace(job_of(trajectories, driver, formulation, places, upper, known), options=options)
+    jobs_of = JobMaker(trajectories, formulation, estimated, starts or {})
 
     skipped = set(skip)
     left = [i for i, v in enumerate(trajectories.vehicle.tolist()) if v not in skipped]
     for first in range(0, len(left), _BATCH):
-        jobs = map(job, left[first : first + _BATCH])
+        jobs = (replace(jobs_of(driver), options=options) for driver in left[first : first + _BATCH])
         yield from map(carry_out, jobs) if work is None else work.map(carry_out, list(jobs))
 
 
-def job_of(
-    trajectories: Trajectories,
-    driver: int,
-    formulation: Formulation,
-    places: Ints,
-    upper: Array,
-    known: Mapping[int, Array],
-) -> Job:
-    """Return the plain search for the parameters of one driver.
+class JobMaker:
+    """Makes the plain searches for the parameters of the drivers of a recording.
 
     Parameters
     ----------
     trajectories : Trajectories
         The recording.
-    driver : int
-        Column of the driver.
     formulation : {"causal", "paper"}
         Likelihood.
-    places : ndarray of int, shape (K,)
-        Places of the parameters in the search.
-    upper : ndarray, shape (P,)
-        Upper bounds.
+    estimated : sequence of str
+        Names of the parameters in the search.
     known : mapping of int to ndarray, shape (P,)
         Parameters by vehicle, as ``starts`` of ``calibrate``.
     """
-    begin = defaults()
-    begin[SIGMA_A] = _START_SIGMA_A
-    vehicle = int(trajectories.vehicle[driver])
-    one = Job(vehicle, known.get(vehicle, begin), places, upper)
-    if formulation == "paper":
-        return replace(one, perceived=paper.perceive(trajectories, driver))
-    from sugiyama_ros.filters.extract import chain_behind  # here, because the paper's formulation starts without it
 
-    chain = chain_behind(trajectories, driver)
-    ahead = [known.get(_most(chain.identity[:, m]), population()) for m in range(1, CHAIN)]
-    return replace(one, chain=chain, ahead=np.array(ahead))
+    def __init__(
+        self,
+        trajectories: Trajectories,
+        formulation: Formulation,
+        estimated: Sequence[str],
+        known: Mapping[int, Array],
+    ) -> None:
+        self._trajectories, self._formulation, self._known = trajectories, formulation, known
+        self._places = np.array([index(name) for name in estimated])
+        self._bounds = lower_bounds(trajectories), upper_bounds(trajectories)
+        self._typical = typical(trajectories)
+
+    def __call__(self, driver: int) -> Job:
+        """Return the search for the driver in column ``driver``."""
+        trajectories, known = self._trajectories, self._known
+        begin = self._typical.copy()
+        begin[SIGMA_A] = _START_SIGMA_A
+        vehicle = int(trajectories.vehicle[driver])
+        one = Job(vehicle, known.get(vehicle, begin), self._places, *self._bounds)
+        if self._formulation == "paper":
+            return replace(one, perceived=paper.perceive(trajectories, driver))
+        from sugiyama_ros.filters.extract import chain_behind  # here, because the paper's formulation starts without it
+
+        chain = chain_behind(trajectories, driver)
+        ahead = [known.get(_most(chain.identity[:, m]), self._typical) for m in range(1, CHAIN)]
+        return replace(one, chain=chain, ahead=np.array(ahead))
 
 
 def _most(identity: Ints) -> int:

@@ -47,24 +47,22 @@ def causal_score(
     # Imported here: the paper's formulation does not need the causal filter, which takes long to load.
     from sugiyama_ros.filters import causal
 
-    y, variance, density = causal.predict_samples(chain, parameters, ahead)
     steps = np.full(len(places), _FIRST_STEP)
     if information is not None:
         held = np.diag(information)[places] * parameters[places] ** 2
         steps = np.clip(_PART_OF_STD / np.sqrt(np.maximum(held, 1e-12)), _SHORTEST_STEP, _LONGEST_STEP)
+    signs = (1.0, -1.0) if central else (1.0,)
+    moved = np.tile(parameters, (len(signs), len(places), 1))
+    for sign, rows in zip(signs, moved, strict=True):
+        rows[np.arange(len(places)), places] *= np.exp(sign * steps)
+    jobs = [causal.ChainJob(chain, row, ahead) for row in (parameters, *moved.reshape(-1, len(parameters)))]
+    predicted = np.array(causal.predict_samples(jobs))
+    density = predicted[0, 2]
     scored = np.isfinite(density)
-    y, variance = y[scored], variance[scored]
-    dy, dvar = np.empty((len(places), len(y))), np.empty((len(places), len(y)))
-    for j, (k, step) in enumerate(zip(places, steps, strict=True)):
-        moved = parameters.copy()
-        moved[k] *= np.exp(step)
-        y_up, variance_up, _ = causal.predict_samples(chain, moved, ahead)
-        y_down, variance_down, span = y, variance, step
-        if central:
-            moved[k] = parameters[k] * np.exp(-step)
-            y_down, variance_down = (one[scored] for one in causal.predict_samples(chain, moved, ahead)[:2])
-            span = 2.0 * step
-        dy[j], dvar[j] = (y_up[scored] - y_down) / span, (variance_up[scored] - variance_down) / span
+    y, variance = predicted[0, :2, scored].T
+    up = predicted[1 : 1 + len(places), :2, scored]
+    down = predicted[1 + len(places) :, :2, scored] if central else predicted[:1, :2, scored]
+    dy, dvar = np.moveaxis((up - down) / (len(signs) * steps[:, None, None]), 1, 0)
     slopes = -(dy * (y / variance) + 0.5 * dvar * (1.0 - y * y / variance) / variance)
     curvature = (dy / variance) @ dy.T + 0.5 * (dvar / variance**2) @ dvar.T
     gradient, full, scatter = np.zeros(COUNT), np.zeros((COUNT, COUNT)), np.zeros((COUNT, COUNT))

@@ -125,7 +125,7 @@ def moved(data: Recorded, model: Model, step: Step, share: float = 1.0) -> Model
             continue
         now = coordinate(rows[:, places], places)
         longest = np.where(is_linear(places), reach(data, places), LONGEST)
-        rows[:, places] = _within(value(now + limited(share * change, longest), places), places, data.upper)
+        rows[:, places] = _within(value(now + limited(share * change, longest), places), places, data)
     return replace(model, rows=rows)
 
 
@@ -155,8 +155,9 @@ def reach(data: Recorded, places: Sequence[int]) -> Array:
     return longest
 
 
-def _within(values: Array, places: Sequence[int], upper: Array) -> Array:
+def _within(values: Array, places: Sequence[int], data: Recorded) -> Array:
     """Parameters (..., K) clipped to their bounds; parameters with a logarithmic coordinate stay away from zero."""
-    lower = np.array([max(ROW.declared[k].lower, 1e-3) if _SIGN[k] > 0.0 else ROW.declared[k].lower for k in places])
-    highest = np.array([min(upper[k], -1e-3) if _SIGN[k] < 0.0 else upper[k] for k in places])
+    declared, least, upper = [ROW.declared[k].lower for k in places], data.lower[list(places)], data.upper
+    lower = [max(low, size) if _SIGN[k] > 0.0 else low for k, low, size in zip(places, declared, least, strict=True)]
+    highest = [min(upper[k], -size) if _SIGN[k] < 0.0 else upper[k] for k, size in zip(places, least, strict=True)]
     return np.clip(values, lower, highest)

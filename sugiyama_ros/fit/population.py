@@ -11,13 +11,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from sugiyama_ros.driver.parameters import NAMES, population
+from sugiyama_ros.driver.parameters import NAMES
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.driver import calibrate
 from sugiyama_ros.fit.joint import JointFit, at_model, maximise, mixed, objectives, renewed, start_fit, warm_start
 from sugiyama_ros.fit.model import Model, coordinate
 from sugiyama_ros.fit.recording import FOLDS, Recorded
+from sugiyama_ros.fit.smooth_positions import typical
 
 #: Prior std of a parameter's coordinate (a logarithm for most): before the spread is known; smallest; largest.
 PRIOR_STD, LEAST_STD, LARGEST_STD = 1.0, 0.05, 1.0
@@ -27,13 +28,13 @@ _NEARLY = 20.0
 _FAR_AWAY = 3.5
 
 
-def start_model(drivers: int, individual: Sequence[int]) -> Model:
+def start_model(data: Recorded, individual: Sequence[int]) -> Model:
     """Return the model without effects in which every driver is the mean of the population.
 
     Parameters
     ----------
-    drivers : int
-        Number of drivers N.
+    data : Recorded
+        The recording of N drivers.
     individual : sequence of int
         Places of the parameters that are fitted for each driver.
 
@@ -42,7 +43,7 @@ def start_model(drivers: int, individual: Sequence[int]) -> Model:
     Model
         The model at the start of a search.
     """
-    rows = np.tile(ROW.with_effects(population()), (drivers, 1))
+    rows = np.tile(ROW.with_effects(typical(data.trajectories)), (data.drivers, 1))
     return Model(rows, tuple(individual), (), (PRIOR_STD,) * len(individual), rows.copy())
 
 
@@ -67,7 +68,7 @@ def fit_base(data: Recorded, individual: Sequence[int], work: Executor, start: M
     JointFit
         The fitted base model.
     """
-    first = start or start_model(data.drivers, individual)
+    first = start or start_model(data, individual)
     near = _by_paper(data, first, work) if start is None else None
     start_at = start_fit(data, near or first, work)
     found = maximise(data, start_at, work, iterations=10 if near is None else 3, enough=_NEARLY)

@@ -10,7 +10,7 @@ from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.chain import CHAIN, Chain
 from sugiyama_ros.filters.extract import chain_behind
-from sugiyama_ros.fit.bounds import upper_bounds
+from sugiyama_ros.fit.bounds import SMALLEST, lower_bounds, upper_bounds
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 #: Length [s] of the blocks of time that are held out, and number of folds that the blocks are assigned to in turn.
@@ -35,8 +35,8 @@ class Recorded:
         Number of the fold in which the block is held out.
     segment : ndarray of int, shape (T,)
         Number of the unbroken part of the recording.
-    upper : ndarray, shape (WIDTH,)
-        Upper bounds of the search.
+    lower, upper : ndarray, shape (WIDTH,)
+        Smallest sizes of parameters with a logarithmic coordinate, and upper bounds of the search.
     """
 
     trajectories: Trajectories
@@ -45,6 +45,7 @@ class Recorded:
     block: Ints
     fold: Ints
     segment: Ints
+    lower: Array
     upper: Array
 
     @property
@@ -91,6 +92,8 @@ def prepare(trajectories: Trajectories, segment: Ints | None = None) -> Recorded
             if len(known):
                 values, counts = np.unique(known, return_counts=True)
                 ahead[i, m - 1] = column[int(values[np.argmax(counts)])]
+    lower = np.full(ROW.width, SMALLEST)
+    lower[:COUNT] = lower_bounds(trajectories)
     upper = np.array([p.upper for p in ROW.declared])
     upper[:COUNT] = upper_bounds(trajectories)
     upper[RHO] = 0.99
@@ -102,6 +105,7 @@ def prepare(trajectories: Trajectories, segment: Ints | None = None) -> Recorded
         block=block,
         fold=block % FOLDS,
         segment=unbroken,
+        lower=lower,
         upper=upper,
     )
 

@@ -9,9 +9,11 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.filters import causal
-from sugiyama_ros.filters.chain import Chain
 from sugiyama_ros.fit.model import Model, leaders
 from sugiyama_ros.fit.recording import Recorded
+
+# Drivers that one task predicts, side by side.
+_TOGETHER = 4
 
 
 class DriverDensity(NamedTuple):
@@ -76,26 +78,6 @@ def unknown(drivers: int, samples: int) -> PointwiseDensity:
     return PointwiseDensity(*(np.full((drivers, samples), np.nan) for _ in range(3)))
 
 
-def predict_driver(chain: Chain, row: Array, ahead: Array) -> DriverDensity:
-    """Predict the samples of one driver.
-
-    Parameters
-    ----------
-    chain : Chain
-        The driver and the vehicles ahead.
-    row : ndarray, shape (WIDTH,)
-        Parameters of the driver.
-    ahead : ndarray, shape (M - 1, WIDTH)
-        Parameters of the drivers ahead.
-
-    Returns
-    -------
-    DriverDensity
-        Predictions of T samples.
-    """
-    return DriverDensity(*causal.predict_samples(chain, row, ahead))
-
-
 def evaluate(data: Recorded, model: Model, work: Executor, who: Sequence[int] | None = None) -> PointwiseDensity:
     """Predict every sample.
 
@@ -124,12 +106,18 @@ def evaluate(data: Recorded, model: Model, work: Executor, who: Sequence[int] | 
 
 def predict_drivers(data: Recorded, model: Model, who: Iterable[int], work: Executor) -> list[DriverDensity]:
     """Predict the samples of the drivers in ``who``; returns one result for each, in this order."""
-    jobs = [(data.chains[i], model.rows[i], leaders(data, model, i)) for i in who]
-    return list(work.map(_predict_driver, jobs))
+    jobs = [_job(data, model, i) for i in who]
+    parts = [jobs[first : first + _TOGETHER] for first in range(0, len(jobs), _TOGETHER)]
+    return [one for part in work.map(predict_jobs, parts) for one in part]
 
 
-def _predict_driver(job: tuple[Chain, Array, Array]) -> DriverDensity:
-    return predict_driver(*job)
+def predict_jobs(jobs: Sequence[causal.ChainJob]) -> list[DriverDensity]:
+    """Predict the samples of some drivers; returns one result for each job."""
+    return [DriverDensity(*predicted) for predicted in causal.predict_samples(jobs)]
+
+
+def _job(data: Recorded, model: Model, driver: int) -> causal.ChainJob:
+    return causal.ChainJob(data.chains[driver], model.rows[driver], leaders(data, model, driver))
 
 
 def filtered_states(data: Recorded, model: Model, work: Executor) -> Array:
@@ -171,14 +159,8 @@ def follow(data: Recorded, model: Model, work: Executor) -> tuple[PointwiseDensi
     states : ndarray, shape (T, N, 4)
         Filtered states, as ``filtered_states`` returns them.
     """
-    jobs = [(data.chains[i], model.rows[i], leaders(data, model, i)) for i in range(data.drivers)]
-    outputs = list(work.map(_follow_driver, jobs))
+    outputs = list(work.map(causal.predict_states, [_job(data, model, i) for i in range(data.drivers)]))
     y, variance, density = (np.array([o[k] for o in outputs]) for k in range(3))
     states = np.stack([o[3] for o in outputs], axis=1)
     states[~np.isfinite(variance.T)] = np.nan
     return PointwiseDensity(y, variance, density), states
-
-
-def _follow_driver(job: tuple[Chain, Array, Array]) -> tuple[Array, Array, Array, Array]:
-    chain, row, ahead = job
-    return causal.predict_states(chain, row, ahead)

@@ -15,11 +15,12 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.effects.sensing import is_contaminated
+from sugiyama_ros.filters.causal import ChainJob
 from sugiyama_ros.filters.chain import Chain
 from sugiyama_ros.filters.measurement import weigh_samples
 from sugiyama_ros.fit.model import Model, coordinate, is_linear, leaders, reach, value
 from sugiyama_ros.fit.recording import FOLDS, Recorded
-from sugiyama_ros.fit.score import DriverDensity, PointwiseDensity, evaluate, predict_driver
+from sugiyama_ros.fit.score import DriverDensity, PointwiseDensity, evaluate, predict_jobs
 from sugiyama_ros.jit import kernel
 
 # Step of the difference quotients: first in a logarithm, or as part of the longest search step in a linear coordinate;
@@ -169,7 +170,7 @@ def _slopes_of(
     """Score and information of one driver by difference quotients from the samples ``at``."""
     places = [*individual, *shared]
     coordinates = coordinate(row[places], places)
-    dy, dvar, direct = (np.empty((len(places), len(fold))) for _ in range(3))
+    jobs = []
     for k, step in enumerate(steps):
         moved = coordinates.copy()
         moved[k] += step
@@ -178,7 +179,9 @@ def _slopes_of(
         if k >= len(individual):
             changed_ahead = ahead.copy()
             changed_ahead[:, places[k]] = changed[places[k]]
-        y, variance, density = predict_driver(chain, changed, changed_ahead)
+        jobs.append(ChainJob(chain, changed, changed_ahead))
+    dy, dvar, direct = (np.empty((len(places), len(fold))) for _ in range(3))
+    for k, (step, (y, variance, density)) in enumerate(zip(steps, predict_jobs(jobs), strict=True)):
         dy[k], dvar[k], direct[k] = (y - at[0]) / step, (variance - at[1]) / step, (density - at[2]) / step
     direct -= density_slope(at[0], at[1], dy, dvar, row) if is_contaminated(row) else direct
     return sums(at, Derivatives(dy, dvar, direct), row, fold)

@@ -114,7 +114,7 @@ def drive(
     order : Order
         Who follows whom.
     rows : ndarray, shape (N, width)
-        Rows of the drivers at this period; preferences may be changed in place.
+        Rows of the drivers at this period.
     actions : ndarray, shape (K,)
         Accelerations [m/s^2] that the drivers consider.
     time : float

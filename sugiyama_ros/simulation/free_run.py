@@ -38,8 +38,6 @@ def run_coupled(
     """
     x, v, n, b = state[0], state[1], state[2], state[3]
     vehicles = len(x)
-    # drive() may change preferences in place, and other free runs share these rows
-    rows = rows.copy()
     held, pushed = np.empty(vehicles), np.empty(vehicles)
     acceleration = b + rows[:, RHO] * n
     traffic = Traffic(x, v, b, acceleration)

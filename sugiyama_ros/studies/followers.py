@@ -13,7 +13,7 @@ from sugiyama_ros.filters.chain import CHAIN, Adaptation, chain_parameters
 from sugiyama_ros.filters.learnt import Learnt
 from sugiyama_ros.filters.linearisation import linearise
 from sugiyama_ros.filters.online import ADAPT, OnlineFilter
-from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Linearised, Moment, State, scene_at, workspace_for
+from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Moment, State, arrays_for, scene_at
 from sugiyama_ros.filters.vehicles import start_vehicle
 from sugiyama_ros.road import Road
 
@@ -103,7 +103,7 @@ class Unscented:
         self._rows = chain_parameters(row, None, CHAIN, period_s)
         self._places, self._prior_var = ADAPT.arrays
         self._prior_mean = np.log(self._rows[0, [UTILITY[k] for k in self._places]])
-        self._workspace = workspace_for(ACTIONS, CHAIN, len(self._places))
+        self._arrays = arrays_for(CHAIN, len(self._places), ACTIONS, period_s)
         size = STATE * CHAIN + len(self._places)
         points = MerweScaledSigmaPoints(size, alpha=1.0, beta=2.0, kappa=0.0)
         self._filter = UnscentedKalmanFilter(
@@ -143,16 +143,15 @@ class Unscented:
     def _linearised(self, x: Array) -> tuple[Array, Array]:
         """Predict a state that is known for certain: its mean after one period, and the process noise."""
         size = len(x)
-        moved, noise = np.empty(size), np.empty((size, size))
         linearise(
             State(x, _SHARP**2 * np.eye(size), self._known),
             Drivers(self._rows, self._places, self._prior_mean, self._prior_var),
             Moment(self._length, np.full(3, np.nan), 0.0),
             self._scene,
-            self._workspace,
-            Linearised(moved, np.empty((size, size)), noise),
+            *self._arrays,
         )
-        return moved, noise
+        linearised = self._arrays[-1]
+        return linearised.next_mean.copy(), linearised.noise.copy()
 
 
 class Particles:

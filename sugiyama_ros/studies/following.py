@@ -8,7 +8,7 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import index
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.online import OnlineFilter
-from sugiyama_ros.fit.driver import ESTIMATED
+from sugiyama_ros.fit.smooth_positions import ESTIMATED
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 _PLACES = [index(name) for name in ESTIMATED]

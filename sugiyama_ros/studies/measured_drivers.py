@@ -10,7 +10,8 @@ from sugiyama_ros.driver.parameters import index
 from sugiyama_ros.filters import causal
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.paper import smoothed_speed
-from sugiyama_ros.fit.driver import ESTIMATED, Formulation
+from sugiyama_ros.fit.driver import Formulation
+from sugiyama_ros.fit.smooth_positions import ESTIMATED
 from sugiyama_ros.studies.study import Answer, Asked, Row, Study
 
 _VARIANTS: tuple[tuple[str, Formulation, bool], ...] = (

@@ -7,7 +7,7 @@ import numpy as np
 from sugiyama_ros.calibration.calibrate import each_driver
 from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, index
-from sugiyama_ros.fit.driver import ESTIMATED
+from sugiyama_ros.fit.smooth_positions import ESTIMATED
 from sugiyama_ros.studies.following import followed
 from sugiyama_ros.studies.rings import CARS, jams
 from sugiyama_ros.studies.study import Answer, Asked, Row, Study

@@ -8,7 +8,8 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.calibration.calibrate import each_driver
 from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.driver.parameters import index
-from sugiyama_ros.fit.driver import ESTIMATED, Formulation
+from sugiyama_ros.fit.driver import Formulation
+from sugiyama_ros.fit.smooth_positions import ESTIMATED
 from sugiyama_ros.studies.rings import Ring, alike, run
 from sugiyama_ros.studies.study import Answer, Asked, Row, Study
 

@@ -81,7 +81,7 @@ def test_the_source_stays_within_the_window_of_a_slow_subscriber(stage, ring_csv
 
 
 def test_a_silent_subscriber_is_dropped(stage, ring_csv: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(source, "PATIENCE_S", 1.0)
+    monkeypatch.setattr(source, "PATIENCE_S", 2.0)  # a node that is well tells how far it is at least once a second
     listener, silent = Listener(), Listener("silent")
     node = replay(ring_csv, wait_for=["/listener", "/silent"])
     stage.add(node, listener)  # the silent subscriber has announced itself, but is never executed

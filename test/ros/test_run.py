@@ -121,7 +121,7 @@ def test_a_slow_estimator_loses_nothing(ring_csv: Path, tmp_path: Path, monkeypa
 def test_an_estimator_that_stops_is_left_behind(
     ring_csv: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(source, "PATIENCE_S", 1.0)
+    monkeypatch.setattr(source, "PATIENCE_S", 2.0)  # a node that is well tells how far it is at least once a second
     monkeypatch.setattr(recorder, "PATIENCE_S", 1.0)
     monkeypatch.setattr(runners, "STOP_S", 1.0)
     take_in, beat = Estimator.take_in, PacedNode.beat

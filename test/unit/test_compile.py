@@ -24,7 +24,7 @@ def test_after_compiling_nothing_is_left_to_compile() -> None:
     compile_all(told.append)
     before = compiled()
     assert len(told) == 5
-    assert before["sugiyama_ros.filters.causal.run"] == before["sugiyama_ros.filters.paper_kalman.run"] == 1
+    assert before["sugiyama_ros.filters.causal_kernel.run"] == before["sugiyama_ros.filters.paper_kalman.run"] == 1
 
     effects = {"sensor_eccentricity": {"cosine": 0.5, "sine": 0.3}, "drag": {"c0": 0.1}}
     recording = sg.simulate(4, ring_m=0.0, duration_s=40.0, effects=effects, seed=2).measured

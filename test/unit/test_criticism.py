@@ -12,11 +12,11 @@ import pytest
 import yaml
 
 from sugiyama_ros.diagnosis.candidates import named
-from sugiyama_ros.diagnosis.diagnosis import INDIVIDUAL, diagnose
+from sugiyama_ros.diagnosis.diagnosis import diagnose
 from sugiyama_ros.diagnosis.errors import errors_of
 from sugiyama_ros.diagnosis.screen import FULL, screen
 from sugiyama_ros.diagnosis.verdict import document, sentences
-from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, defaults
+from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, defaults
 from sugiyama_ros.effects.registry import ROW, switch_on
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.cross_validation import held_out, held_out_nearly, without_folds
@@ -31,6 +31,7 @@ from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, platoon, simulate
 
 CARS, RING_M, LENGTH_M = 7, 77.0, 4.33
+INDIVIDUAL = (SIGMA_NU, SIGMA_A, V_STAR, KAPPA_V)
 
 
 def recording(effect: str = "", duration_s: float = 100.0, seed: int = 1, **values: float):
@@ -67,7 +68,7 @@ def test_a_fit_is_at_a_maximum(fitted, work):
 
 def test_a_fit_beats_the_truth_by_as_much_as_its_freedom_allows(fitted, work):
     run, data, base = fitted
-    truth = start_model(CARS, INDIVIDUAL)
+    truth = start_model(data, INDIVIDUAL)
     truth.rows[:], truth.ahead[:] = run.parameters, run.parameters
     excess = 2.0 * (base.log_likelihood - evaluate(data, truth, work).total)
     # chi-squared with 4 parameters per driver, some of them held by the prior: mean 28, 99.9 % below 56
@@ -180,7 +181,12 @@ def test_the_document_has_all_fields(hidden):
     gains = [c["heldout_gain_nats"] for c in found["candidates"]]
     assert gains == sorted(gains, reverse=True)
     assert {c["name"] for c in found["candidates"]} >= {"reaction_delay", "slow_patch", "noise_constants"}
-    assert sentences(d)[0].startswith("slow_patch (reduction 0.")
+    assert {"outcome", "better_law", "bins_flagged", "bins_expected", "explained_share", "reasons"} == set(
+        found["verdict"]["adequacy"]
+    )
+    assert "slow_patch" in found["verdict"]["searched"]
+    assert named["who"] == "all" or set(named["who"]) <= set(range(1, CARS + 1))
+    assert sentences(d)[1].startswith("slow_patch (reduction 0.")
 
 
 def test_the_same_seed_gives_the_same_verdict(hidden):

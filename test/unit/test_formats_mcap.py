@@ -112,7 +112,8 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
     assert {m.topic for m in one_topic} == {"/vehicle_08/innovation"}
     assert len(one_topic) == 2500
     assert numbers == list(range(2501))
-    assert [m.message for m in raw] == [innovation(Encoder(INNOVATION), k) for k in range(0, 5001, 2)]
+    encoder = Encoder(INNOVATION)
+    assert [m.message for m in raw] == [innovation(encoder, k) for k in range(0, 5001, 2)]
 
 
 def test_chunks_are_small_and_unneeded_chunks_are_skipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,7 +8,7 @@ from sugiyama_ros.driver.utility import ACTIONS, mean_action
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.chain import CHAIN
 from sugiyama_ros.filters.linearisation import linearise
-from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Linearised, Moment, State, scene_at, workspace_for
+from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Moment, State, arrays_for, scene_at
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Clock, Simulator, evenly, platoon, simulate
 
@@ -89,7 +89,8 @@ def test_without_noise_the_filters_prediction_is_the_simulation():
     s = ring_of_22(0, quiet(22))
     size = STATE * CHAIN
     none, nothing = np.empty(0, np.int64), np.empty(0)
-    next_mean, jacobian, noise = np.empty(size), np.empty((size, size)), np.empty((size, size))
+    workspace, lanes, linearised = arrays_for(CHAIN, 0, ACTIONS, s.period_s)
+    next_mean = linearised.next_mean
     scene = scene_at(s.period_s, s.road.circumference_m)
     for _ in range(300):
         mean = np.zeros(size)
@@ -103,8 +104,9 @@ def test_without_noise_the_filters_prediction_is_the_simulation():
             Drivers(rows, none, nothing, nothing),
             Moment(s.length_m[chain], np.full(3, np.nan), 0.0),
             scene,
-            workspace_for(ACTIONS, CHAIN, 0),
-            Linearised(next_mean, jacobian, noise),
+            workspace,
+            lanes,
+            linearised,
         )
         s.step()
         assert next_mean[[0, 4]] == pytest.approx(s.position_m[chain[:2]] + [0.0, 230.0], abs=1e-9)

@@ -1,0 +1,279 @@
+"""The verdict above all verdicts: do the data give reason to doubt the final model?
+
+A model that predicts better is not yet an explanation. Drivers of another law can be imitated by several effects
+together, and a force of a form that is not in the catalogue takes the name of what resembles it. Such a model leaves
+traces: another law predicts held-out samples better, innovations are biased in more bins than in the model's own
+simulations, the filter is surer of itself than it should be, or an effect has a sign that makes no physical sense.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.stats import t as student
+
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.diagnosis.addition import Addition
+from sugiyama_ros.diagnosis.bootstrap import resample, seeds
+from sugiyama_ros.diagnosis.discover import Discovery
+from sugiyama_ros.diagnosis.errors import HeldOutErrors
+from sugiyama_ros.diagnosis.locate import Located, locate
+from sugiyama_ros.effects.registry import EFFECTS
+from sugiyama_ros.fit.cross_validation import Gain, gain, sum_error
+from sugiyama_ros.fit.joint import JointFit, maximise, start_fit
+from sugiyama_ros.fit.model_file import stds_of
+from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.fit.score import PointwiseDensity, filtered_states
+
+Outcome = Literal["adequate", "explained", "not_explained"]
+# Another law is better by this many standard errors of a paired gain, and by at least this gain [nats].
+_CLEARLY, _LEAST_GAIN = 2.0, 5.0
+# Probability below which the biases of a model are larger than chance makes them.
+_LEVEL = 0.01
+# Smallest std of the logarithm of the biases' sum of squares, and its weight as a number of simulated recordings.
+_SPREAD, _COMMON = 0.25, 4
+# Mean NIS of held-out samples within which a filter knows its own errors.
+_NIS = (0.8, 1.25)
+# A sign is wrong if a parameter is on the wrong side by this many standard deviations.
+_SURELY = 2.0
+# Steps of the search on a simulated recording, which starts at the truth.
+_FEW_STEPS = 3
+
+
+@dataclass(frozen=True)
+class Adequacy:
+    """Whether the final model is adequate.
+
+    Parameters
+    ----------
+    outcome : {"adequate", "explained", "not_explained"}
+        ``"adequate"``: nothing was added, and nothing speaks against the model. ``"explained"``: the additions explain
+        what was missing. ``"not_explained"``: something is left that the model does not explain.
+    better_law : str or None
+        Law that predicts held-out samples better, if there is one.
+    bins_flagged : int
+        Number of bins in which the final model is biased.
+    bins_expected : float or None
+        Mean number in recordings that the final model simulates; None without simulations.
+    explained_share : float or None
+        Held-out gain of the additions, as a share of what could be explained; None if there is nothing to explain.
+    reasons : tuple of str
+        What speaks against the model, in words.
+    """
+
+    outcome: Outcome
+    better_law: str | None
+    bins_flagged: int
+    bins_expected: float | None
+    explained_share: float | None
+    reasons: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What a verdict on adequacy rests on.
+
+    Parameters
+    ----------
+    base, final : HeldOutErrors
+        Held-out errors of the base model and of the final model.
+    named : sequence of Addition
+        The additions.
+    located : Located
+        Where the final model fails.
+    laws : mapping of str to PointwiseDensity
+        Held-out predictions of other laws, fitted in the same filter.
+    forces : sequence of Discovery
+        Forces without a name that the final model lacks.
+    simulated : sequence of Located
+        Where the final model fails in recordings that it simulates.
+    """
+
+    base: HeldOutErrors
+    final: HeldOutErrors
+    named: Sequence[Addition]
+    located: Located
+    laws: Mapping[str, PointwiseDensity]
+    forces: Sequence[Discovery]
+    simulated: Sequence[Located]
+
+
+def judge(data: Recorded, evidence: Evidence) -> Adequacy:
+    """Judge the final model of a diagnosis.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    evidence : Evidence
+        What is known about the model.
+
+    Returns
+    -------
+    Adequacy
+        The outcome with its reasons.
+    """
+    better = _better_law(data, evidence)
+    reasons = [*_laws_say(better), *_bins_say(evidence), *_spread_says(evidence.final), *_signs_say(evidence.named)]
+    reasons += [
+        f"a force that depends on {force.covariate} is missing, by {force.strength:.2g} m/s²"
+        f" ({force.gain_nats:.0f} nats)"
+        for force in evidence.forces[:1]
+    ]
+    outcome: Outcome = "not_explained" if reasons else "explained" if evidence.named else "adequate"
+    return Adequacy(
+        outcome=outcome,
+        better_law=better[0] if better else None,
+        bins_flagged=len(evidence.located.flagged),
+        bins_expected=_mean_flagged(evidence.simulated) if evidence.simulated else None,
+        explained_share=_share(data, evidence, better),
+        reasons=tuple(reasons),
+    )
+
+
+def simulated_failures(data: Recorded, final: JointFit, runs: int, seed: int, work: Executor) -> tuple[Located, ...]:
+    """Locate where a model fails in recordings that it simulates itself, after a short fit to each of them.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    final : JointFit
+        The model.
+    runs : int
+        Number of simulated recordings.
+    seed : int
+        Seed of the noises.
+    work : Executor
+        Runs the filters.
+
+    Returns
+    -------
+    tuple of Located
+        One for each recording.
+    """
+    states, found = filtered_states(data, final.model, work), []
+    for rng in seeds(seed, runs):
+        simulated = resample(data, final.model, states, rng)
+        start = start_fit(simulated, final.model, work)
+        fitted = maximise(simulated, start, work, iterations=_FEW_STEPS, renewals=0)
+        found.append(locate(simulated, fitted.model, fitted.samples, work))
+    return tuple(found)
+
+
+def _better_law(data: Recorded, evidence: Evidence) -> tuple[str, Gain] | None:
+    """The law that predicts better than the final model by most, if it does so beyond doubt, and its gain."""
+    gains = {law: gain(data, samples, evidence.final.samples) for law, samples in evidence.laws.items()}
+    better = {law: g for law, g in gains.items() if g.nats > max(_CLEARLY * g.se, _LEAST_GAIN)}
+    return max(better.items(), key=lambda one: one[1].nats, default=None)
+
+
+def _laws_say(better: tuple[str, Gain] | None) -> list[str]:
+    if better is None:
+        return []
+    law, won = better
+    return [f"{law} predicts held-out samples better, by {won.nats:.0f} ± {won.se:.0f} nats"]
+
+
+def _bins_say(evidence: Evidence) -> list[str]:
+    """Whether the biases are larger than in the model's own simulations."""
+    if len(evidence.simulated) < 2:
+        return []
+    of_chance = np.array([_log_squares(one) for one in evidence.simulated])
+    runs, above = len(of_chance), _log_squares(evidence.located) - float(of_chance.mean())
+    freedom = runs - 1 + _COMMON
+    squares = float(np.square(of_chance - of_chance.mean()).sum()) + _COMMON * _SPREAD**2
+    spread = math.sqrt(squares / freedom * (1.0 + 1.0 / runs))
+    if float(student.sf(above / spread, freedom)) >= _LEVEL:
+        return []
+    expected = _mean_flagged(evidence.simulated)
+    worst = evidence.located.flagged[:1]
+    where = f", most of all at {worst[0].covariate} {worst[0].label or f'{worst[0].low:.3g} to {worst[0].high:.3g}'}"
+    return [
+        f"it is biased in {len(evidence.located.flagged)} of {len(evidence.located.bins)} bins"
+        f" ({expected:.1f} in its own simulations){where if worst else ''}"
+    ]
+
+
+def _mean_flagged(simulated: Sequence[Located]) -> float:
+    return float(np.mean([len(one.flagged) for one in simulated]))
+
+
+def _log_squares(located: Located) -> float:
+    """Logarithm of the mean square of the normalised biases; 0 on average without any bias."""
+    squares = [b.samples * b.bias**2 for b in located.bins]
+    return math.log(max(float(np.mean(squares)), 1e-3)) if squares else 0.0
+
+
+def _spread_says(final: HeldOutErrors) -> list[str]:
+    samples = final.samples
+    normal: Array = np.square(samples.innovation_m) / samples.innovation_var
+    known = normal[np.isfinite(normal) & np.isfinite(samples.log_likelihood)]
+    nis = float(known.mean()) if len(known) else 1.0
+    if _NIS[0] <= nis <= _NIS[1]:
+        return []
+    surer = "surer" if nis > 1.0 else "less sure"
+    return [f"the filter is {surer} of itself than it should be: mean NIS {nis:.2f} instead of 1"]
+
+
+def _signs_say(named: Sequence[Addition]) -> list[str]:
+    """Which parameters of the additions are on the wrong side of what is physically possible."""
+    if not named:
+        return []
+    shared = stds_of(named[-1].fit)[1]
+    found = []
+    for one in named:
+        limits = EFFECTS[one.name].least if one.name in EFFECTS else {}
+        for name, least in limits.items():
+            value = one.parameters.get(name, least)
+            if value < least - _SURELY * shared.get(f"{one.name}.{name}", shared.get(name, 0.0)):
+                found.append(f"{one.name} has a sign that makes no physical sense: {name} is {value:.3g}")
+    return found
+
+
+def _share(data: Recorded, evidence: Evidence, better: tuple[str, Gain] | None) -> float | None:
+    """Gain of the additions over this gain and what is left; None if nothing was gained and nothing is left."""
+    won = gain(data, evidence.final.samples, evidence.base.samples)
+    left = max([better[1].nats if better else 0.0, *(force.gain_nats for force in evidence.forces[:1])])
+    if not evidence.named and left <= 0.0:
+        return None
+    return max(won.nats, 0.0) / max(max(won.nats, 0.0) + left, 1e-9)
+
+
+def told(adequacy: Adequacy) -> str:
+    """Return the verdict on adequacy as one sentence."""
+    if adequacy.outcome == "adequate":
+        return "The model is adequate: nothing in these data speaks against it."
+    if adequacy.outcome == "explained":
+        return "What was missing is explained: nothing in these data speaks against the model with the additions."
+    share = ""
+    if adequacy.explained_share:
+        share = f" The additions bring {100.0 * adequacy.explained_share:.0f} % of what could be explained."
+    return f"Not explained: {'; '.join(adequacy.reasons)}.{share}"
+
+
+def who(addition: Addition, vehicles: Sequence[int]) -> str | list[int]:
+    """Return who shows an effect: ``"all"``, or the vehicles whose held-out samples gain by it.
+
+    Parameters
+    ----------
+    addition : Addition
+        The effect.
+    vehicles : sequence of int
+        Numbers of the vehicles, in the order of the drivers.
+
+    Returns
+    -------
+    str or list of int
+        ``"all"`` unless a few drivers bring nearly all of the gain.
+    """
+    gains = np.array(addition.heldout.drivers)
+    total, largest = float(gains.sum()), np.sort(gains)[::-1]
+    few = max(1, len(gains) // 4)
+    if len(gains) < 4 or total <= sum_error(gains) or largest[:few].sum() < 0.9 * total:
+        return "all"
+    least = 0.1 * float(largest[0])
+    return [v for v, g in zip(vehicles, gains.tolist(), strict=True) if g > least]

@@ -1,0 +1,214 @@
+"""The points at which the mean actions of a chain's drivers are wanted, and what the drivers see there.
+
+A driver's action is expected over everything that the driver may be seeing: a cubature of the normal distribution of
+the state. These functions run for every driver and sample. They make no arrays.
+
+References
+----------
+I. Arasaratnam and S. Haykin, Cubature Kalman Filters, IEEE Trans. Automatic Control 54 (2009) 1254.
+"""
+
+import math
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.driver.lanes import LANES, put
+from sugiyama_ros.driver.parameters import RHO, UTILITY
+from sugiyama_ros.effects.control import feels_accelerations, perceive, prefer, seeks
+from sugiyama_ros.effects.effect import Seen
+from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Lanes, Moment, Scene, State, Workspace
+from sugiyama_ros.jit import kernel
+
+# Variance below which a direction of what the driver sees counts as known; keeps the Cholesky factor invertible.
+_KNOWN_VAR = 1e-12
+
+
+@kernel(allocates=False)
+def _look(m: int, led: bool, delayed: bool, vehicles: int, adapted: int, places: Ints) -> int:
+    """Fill in what the action of driver m depends on, and return the number of these quantities.
+
+    Each is an entry of the state less another one. places: (2, at least 5 + A), the entry to add and the entry to take
+    off, or -1. The quantities are the gap (without lengths), the own and the leader's speed, or the own speed alone
+    where there is no leader. A driver with a reaction delay also depends on the noises of both, which are part of the
+    accelerations. Then follow the logarithms of the adapted parameters.
+    """
+    x, v = STATE * m, STATE * m + 1
+    seen = (5 if delayed else 3) if led else 1
+    places[1] = -1
+    if led:
+        places[0, 0], places[0, 1], places[0, 2], places[1, 0] = x + STATE, v, v + STATE, x
+        if delayed:
+            places[0, 3], places[0, 4] = x + 2, x + STATE + 2
+    else:
+        places[0, 0] = v
+    for k in range(adapted):
+        places[0, seen + k] = STATE * vehicles + k
+    return seen + adapted
+
+
+@kernel(allocates=False)
+def _root(covariance: Array, places: Ints, size: int, root: Array) -> None:
+    """Fill in the lower Cholesky factor of the covariance of the quantities in ``places`` of ``_look``."""
+    for i in range(size):
+        plus, minus = places[0, i], places[1, i]
+        for j in range(i + 1):
+            entry = covariance[plus, places[0, j]]
+            if minus >= 0:
+                entry -= covariance[minus, places[0, j]]
+            if places[1, j] >= 0:
+                entry -= covariance[plus, places[1, j]]
+            if minus >= 0 and places[1, j] >= 0:
+                entry += covariance[minus, places[1, j]]
+            for k in range(j):
+                entry -= root[i, k] * root[j, k]
+            root[i, j] = math.sqrt(max(entry, _KNOWN_VAR)) if i == j else entry / root[j, j]
+        for j in range(i + 1, size):
+            root[i, j] = 0.0
+
+
+@kernel(allocates=False)
+def rows_of(m: int, workspace: Workspace) -> tuple[int, int]:
+    """Return the first rows of driver m in ``places`` and in ``root``."""
+    return 2 * m, m * (3 + workspace.places.shape[1])
+
+
+@kernel(allocates=False)
+def aim(
+    m: int, state: State, drivers: Drivers, moment: Moment, scene: Scene, workspace: Workspace, lanes: Lanes, free: int
+) -> int:
+    """Find the points at which the action of driver m is wanted, and put them into lanes.
+
+    Parameters
+    ----------
+    m
+        Number of the driver in the chain, not the last one.
+    state, drivers, moment, scene
+        The chain. The adapted entries of row m are changed on the way and restored.
+    workspace
+        Keeps the root and the points for ``expected_action``.
+    lanes
+        Where drivers consider their actions.
+    free
+        First lane that is free.
+
+    Returns
+    -------
+    int
+        First lane that is free now.
+    """
+    mean, known, driver = state.mean, state.known, drivers.parameters[m]
+    adapted = drivers.adapted if m == 0 else drivers.adapted[:0]
+    place, row = rows_of(m, workspace)
+    places, work = workspace.places[place : place + 2], workspace.root[row:]
+    led = known[m + 1] == MOVING
+    delayed = led and feels_accelerations(driver)
+    size = _look(m, led, delayed, len(known), len(adapted), places)
+    workspace.points[m, 0], workspace.points[m, 1] = size, free
+    _root(state.covariance, places, size, work)
+    centre = size
+    for i in range(size):
+        work[centre, i] = mean[places[0, i]] - (mean[places[1, i]] if places[1, i] >= 0 else 0.0)
+    if led:
+        work[centre, 0] -= 0.5 * (moment.length[m] + moment.length[m + 1])
+    if not seeks(driver):
+        return free
+    here = surroundings(m, state, drivers.parameters, moment, scene)
+    first_adapted, look = size - len(adapted), centre + 1
+    for point in range(2 * size):
+        look_around(work, size, point)
+        for k in range(len(adapted)):
+            driver[UTILITY[adapted[k]]] = math.exp(work[look, first_adapted + k])
+        block, lane = lanes.blocks[(free + point) // LANES], (free + point) % LANES
+        perceived = perceive(seen_at(here, work, m, size, led, delayed, drivers.parameters, scene), driver)
+        wanted = prefer(perceived, driver)
+        put(block, lane, perceived.gap, perceived.speed, perceived.leader_speed, wanted)
+    for k in range(len(adapted)):
+        driver[UTILITY[adapted[k]]] = math.exp(mean[STATE * len(known) + k])
+    return free + 2 * size
+
+
+@kernel(allocates=False)
+def side_of(size: int, point: int) -> float:
+    """Return how far a point is from the centre, along its column of the root."""
+    return math.sqrt(size) if point % 2 == 0 else -math.sqrt(size)
+
+
+@kernel(allocates=False)
+def look_around(work: Array, size: int, point: int) -> None:
+    """Fill in the row below the centre with one of the points of the cubature."""
+    side = side_of(size, point)
+    for i in range(size):
+        work[size + 1, i] = work[size, i] + side * work[i, point // 2]
+
+
+@kernel(allocates=False)
+def surroundings(m: int, state: State, parameters: Array, moment: Moment, scene: Scene) -> Seen:
+    """Return what driver m of a chain sees at the mean of the state."""
+    mean, known, length, rear = state.mean, state.known, moment.length, moment.rear
+    last = len(known) - 1
+    x = STATE * m
+    gap, leader_speed, leader_acceleration = np.inf, 0.0, 0.0
+    second_gap, second_speed, rear_gap, rear_speed = np.inf, 0.0, np.inf, 0.0
+    if m < last and known[m + 1] == MOVING:
+        gap = mean[x + STATE] - mean[x] - 0.5 * (length[m] + length[m + 1])
+        leader_speed = mean[x + STATE + 1]
+        rho = parameters[m + 1, RHO] if m + 1 < last else scene.last_rho
+        leader_acceleration = mean[x + STATE + 3] + rho * mean[x + STATE + 2]
+        if m + 1 < last and known[m + 2] == MOVING:
+            second_gap = mean[x + 2 * STATE] - mean[x + STATE] - 0.5 * (length[m + 1] + length[m + 2])
+            second_speed = mean[x + 2 * STATE + 1]
+    if m > 0:
+        if known[m - 1] == MOVING:
+            rear_gap = mean[x] - mean[x - STATE] - 0.5 * (length[m] + length[m - 1])
+            rear_speed = mean[x - STATE + 1]
+    elif not math.isnan(rear[0]):
+        headway = mean[x] - rear[0]
+        if scene.circumference_m > 0.0:
+            headway -= scene.circumference_m * math.floor(headway / scene.circumference_m)
+        rear_gap, rear_speed = headway - 0.5 * (length[m] + rear[2]), rear[1]
+    return Seen(
+        gap=gap,
+        speed=mean[x + 1],
+        leader_speed=leader_speed,
+        position=mean[x],
+        time=moment.time_s,
+        circumference=scene.circumference_m,
+        acceleration=mean[x + 3] + parameters[m, RHO] * mean[x + 2],
+        leader_acceleration=leader_acceleration,
+        second_gap=second_gap,
+        second_speed=second_speed,
+        rear_gap=rear_gap,
+        rear_speed=rear_speed,
+    )
+
+
+@kernel(allocates=False)
+def seen_at(
+    here: Seen, work: Array, m: int, size: int, led: bool, delayed: bool, parameters: Array, scene: Scene
+) -> Seen:
+    """Return what driver m sees at the point of the cubature that ``look_around`` has filled in."""
+    centre, look = size, size + 1
+    if led:
+        gap, speed, leader_speed = work[look, 0], work[look, 1], work[look, 2]
+    else:
+        gap, speed, leader_speed = np.inf, work[look, 0], 0.0
+    acceleration, leader_acceleration = here.acceleration, here.leader_acceleration
+    if delayed:
+        leader_rho = parameters[m + 1, RHO] if m + 2 < len(parameters) else scene.last_rho
+        acceleration += parameters[m, RHO] * (work[look, 3] - work[centre, 3])
+        leader_acceleration += leader_rho * (work[look, 4] - work[centre, 4])
+    return Seen(
+        gap=gap,
+        speed=speed,
+        leader_speed=leader_speed,
+        position=here.position,
+        time=here.time,
+        circumference=here.circumference,
+        acceleration=acceleration,
+        leader_acceleration=leader_acceleration,
+        second_gap=here.second_gap,
+        second_speed=here.second_speed,
+        rear_gap=here.rear_gap,
+        rear_speed=here.rear_speed,
+    )

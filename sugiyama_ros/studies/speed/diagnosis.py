@@ -1,0 +1,33 @@
+"""The quick diagnosis of 22 drivers: its CPU time, and how often it filters a driver."""
+
+import os
+
+from sugiyama_ros.diagnosis.diagnosis import diagnose
+from sugiyama_ros.driver.parameters import defaults
+from sugiyama_ros.filters import causal
+from sugiyama_ros.filters.extract import chain_behind
+from sugiyama_ros.studies.speed.figure import SpeedFigure, cpu_of_functions
+from sugiyama_ros.studies.speed.passes import counted
+from sugiyama_ros.studies.speed.recording import jam
+
+#: Wanted CPU time [s] of the quick diagnosis.
+AT_MOST_S = 15.0
+
+
+def measure() -> tuple[SpeedFigure, ...]:
+    """Measure the quick diagnosis on all cores, with the options of ``sugiyama diagnose --quick``."""
+    t = jam()
+    chains = [chain_behind(t, i) for i in range(len(t.vehicle))]
+    one_pass = cpu_of_functions(
+        {"pass": lambda: [causal.log_likelihood(chain, defaults()) for chain in chains]}, rounds=10
+    )["pass"]
+    passes, cpu_s = counted(lambda: diagnose(t, quick=True, workers=os.cpu_count() or 1))
+    return (
+        SpeedFigure(
+            "quick_diagnosis_s", f"quick diagnosis of {len(chains)} drivers", cpu_s, "s of CPU time", AT_MOST_S
+        ),
+        SpeedFigure(
+            "quick_diagnosis_passes", "passes of the filter over one driver in this diagnosis", passes, "passes"
+        ),
+        SpeedFigure("quick_diagnosis_over_pass", "the same diagnosis over one pass over each driver", cpu_s / one_pass),
+    )

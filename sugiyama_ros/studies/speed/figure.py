@@ -1,0 +1,120 @@
+"""A figure of the speed, and how CPU time is measured."""
+
+import math
+import os
+import subprocess
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+# A function is called so often that the clock runs for at least this time [s].
+_SPAN_S = 0.005
+
+
+@dataclass(frozen=True)
+class SpeedFigure:
+    """A figure of the speed.
+
+    Parameters
+    ----------
+    name : str
+        Name in the JSON document.
+    text : str
+        What is measured, in words.
+    value : float
+        The figure.
+    unit : str
+        Its unit; ``times`` for a ratio.
+    at_most : float, optional
+        The aim: the largest value that is wanted.
+    """
+
+    name: str
+    text: str
+    value: float
+    unit: str = "times"
+    at_most: float | None = None
+
+
+def cpu_of_functions(functions: Mapping[str, Callable[[], object]], rounds: int) -> dict[str, float]:
+    """Measure the CPU time of functions, which are called in turn.
+
+    Parameters
+    ----------
+    functions : mapping of str to callable
+        The functions. Each is called once before it counts.
+    rounds : int
+        How often each is measured.
+
+    Returns
+    -------
+    dict of str to float
+        Least CPU time [s] of one call, over all threads of this process.
+    """
+    calls = {}
+    for name, function in functions.items():
+        function()
+        calls[name] = max(1, math.ceil(_SPAN_S / max(_cpu_of(function, 1), 1e-7)))
+    least = dict.fromkeys(functions, math.inf)
+    for _ in range(rounds):
+        for name, function in functions.items():
+            least[name] = min(least[name], _cpu_of(function, calls[name]))
+    return least
+
+
+def _cpu_of(function: Callable[[], object], calls: int) -> float:
+    """CPU time [s] of one call, on average."""
+    began = time.process_time()
+    for _ in range(calls):
+        function()
+    return (time.process_time() - began) / calls
+
+
+def cpu_of_commands(commands: Mapping[str, Sequence[str]], rounds: int, folder: Path) -> dict[str, float]:
+    """Measure the CPU time of commands, which are started in turn.
+
+    Parameters
+    ----------
+    commands : mapping of str to sequence of str
+        Program and arguments of each command.
+    rounds : int
+        How often each is measured.
+    folder : Path
+        Folder in which the commands run.
+
+    Returns
+    -------
+    dict of str to float
+        Least CPU time [s] of the process and of the processes that it waits for.
+    """
+    least = dict.fromkeys(commands, math.inf)
+    for _ in range(rounds):
+        for name, command in commands.items():
+            least[name] = min(least[name], cpu_of_command(command, folder))
+    return least
+
+
+def cpu_of_command(command: Sequence[str], folder: Path) -> float:
+    """Measure the CPU time [s] of a command.
+
+    Parameters
+    ----------
+    command : sequence of str
+        Program and arguments.
+    folder : Path
+        Folder in which the command runs.
+
+    Raises
+    ------
+    RuntimeError
+        If the command fails.
+    """
+    said = folder / "said.txt"
+    with said.open("wb") as stream:
+        process = subprocess.Popen(command, cwd=folder, stdout=stream, stderr=subprocess.STDOUT)
+        _, status, used = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise RuntimeError(f"{' '.join(command)}: {said.read_text()}")
+    return used.ru_utime + used.ru_stime

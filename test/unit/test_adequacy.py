@@ -1,0 +1,89 @@
+"""The verdict on adequacy: each kind of evidence against a model, and whole diagnoses of other laws' drivers."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sugiyama_ros.diagnosis.adequacy import Evidence, judge, told
+from sugiyama_ros.diagnosis.diagnosis import diagnose
+from sugiyama_ros.diagnosis.discover import Discovery
+from sugiyama_ros.diagnosis.verdict import document, sentences
+from sugiyama_ros.driver.parameters import defaults
+from sugiyama_ros.effects.registry import ROW
+from sugiyama_ros.laws.registry import number_of
+from sugiyama_ros.road import Road
+from sugiyama_ros.simulation.simulator import Simulator, evenly, simulate
+
+CARS, RING_M, LENGTH_M = 8, 84.0, 4.33
+
+
+def recording(law="adaptive_seek", seed=3, duration_s=120.0):
+    rng = np.random.default_rng(seed)
+    rows, places = ROW.with_effects(defaults(CARS)), ROW.law_places.get(law, range(0))
+    rows[:, ROW.law] = number_of(law)
+    for k in range(places.start, places.stop):
+        rows[:, k] = ROW.declared[k].default
+    length, road = np.full(CARS, LENGTH_M), Road(RING_M)
+    simulator = Simulator(rows, length, evenly(length, road), road, rng, speed=np.full(CARS, 4.0))
+    run = simulate(simulator, duration_s)
+    assert not run.collisions
+    return run.measured
+
+
+@pytest.fixture(scope="module")
+def own():
+    return diagnose(recording(), quick=True, workers=2)
+
+
+def evidence_of(d, **changes):
+    known = Evidence(d.before, d.after, d.named, d.where_after, {}, [], [])
+    return replace(known, **changes)
+
+
+def test_drivers_of_the_model_are_adequate(own):
+    assert own.adequacy.outcome == "adequate"
+    assert own.adequacy.better_law is None
+    assert own.adequacy.explained_share is None
+    assert sentences(own)[0] == told(own.adequacy) == "The model is adequate: nothing in these data speaks against it."
+    assert document(own)["verdict"]["adequacy"]["reasons"] == []
+
+
+def test_a_better_law_speaks_against_the_model(own):
+    better = own.after.samples.copy()
+    better.log_likelihood[:] += 0.05
+    worse = own.after.samples.copy()
+    worse.log_likelihood[:] -= 0.05
+    found = judge(own.data, evidence_of(own, laws={"worse": worse, "better": better}))
+    assert (found.outcome, found.better_law, found.explained_share) == ("not_explained", "better", 0.0)
+    assert "better predicts held-out samples better" in told(found)
+    assert judge(own.data, evidence_of(own, laws={"worse": worse})).outcome == "adequate"
+
+
+def test_biases_speak_against_the_model_only_beyond_its_own_simulations(own):
+    biased = replace(own.where_after, bins=tuple(replace(b, bias=0.3, flagged=True) for b in own.where_after.bins))
+    found = judge(own.data, evidence_of(own, located=biased, simulated=[own.where_after] * 2))
+    assert found.outcome == "not_explained"
+    assert found.bins_flagged == len(biased.bins) > found.bins_expected
+    assert judge(own.data, evidence_of(own, located=biased, simulated=[biased] * 2)).outcome == "adequate"
+
+
+def test_a_filter_that_is_too_sure_of_itself_speaks_against_the_model(own):
+    samples = own.after.samples.copy()
+    samples.innovation_var[:] *= 0.5
+    found = judge(own.data, evidence_of(own, final=replace(own.after, samples=samples)))
+    assert found.outcome == "not_explained"
+    assert "surer of itself" in found.reasons[0]
+
+
+def test_a_force_that_is_left_speaks_against_the_model(own):
+    force = Discovery("gap", 0.7, 1e-6, 40.0, (), ())
+    found = judge(own.data, evidence_of(own, forces=[force]))
+    assert found.reasons == ("a force that depends on gap is missing, by 0.7 m/s² (40 nats)",)
+
+
+def test_drivers_of_another_law_are_not_explained():
+    d = diagnose(recording("fvdm"), quick=True, workers=2)
+    assert d.adequacy.outcome == "not_explained"
+    assert d.adequacy.better_law == "fvdm"
+    assert "fvdm predicts held-out samples better" in d.headline()

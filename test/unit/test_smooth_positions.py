@@ -1,0 +1,59 @@
+"""Smooth positions: what is estimated then, and that the filter knows its own errors."""
+
+import numpy as np
+import pytest
+
+import sugiyama_ros as sg
+from sugiyama_ros.calibration.soundness import mean_nis
+from sugiyama_ros.driver.parameters import SIGMA_NU, SIGMA_V, SIGMA_X, defaults
+from sugiyama_ros.fit.bounds import SMALLEST, lower_bounds
+from sugiyama_ros.fit.smooth_positions import ESTIMATED, FREED, NOISES, are_smooth, estimated_in, roughness, typical
+from sugiyama_ros.road import Road
+from sugiyama_ros.trajectories.trajectories import Trajectories
+
+
+def recording(noise_std, vehicles=3, samples=900, period_s=0.1):
+    """Vehicles that follow each other smoothly, measured with white noise."""
+    time = period_s * np.arange(samples)
+    rng = np.random.default_rng(4)
+    own = [12.0 * time + 20.0 * np.sin(0.15 * time - 0.4 * i) - 25.0 * i for i in range(vehicles)]
+    position = np.column_stack(own) + noise_std * rng.standard_normal((samples, vehicles))
+    return Trajectories(
+        position_m=position,
+        length_m=np.full(vehicles, 4.5),
+        vehicle=np.arange(1, vehicles + 1),
+        period_s=period_s,
+        start_s=0.0,
+        road=Road(0.0),
+        source="test",
+        sha256="",
+    )
+
+
+def test_roughness_is_the_noise_of_third_differences():
+    # third differences of white noise have 20 times its variance; 2700 of them know their std to 3 %
+    assert roughness(recording(0.05)) == pytest.approx(0.05 * np.sqrt(20.0), rel=0.1)
+
+
+def test_a_camera_is_not_smooth_and_positions_from_a_satellite_are():
+    camera = sg.simulate(vehicles=4, ring_m=45.0, duration_s=60.0, seed=1).measured
+    assert not are_smooth(camera)
+    assert estimated_in(camera) == ESTIMATED
+    assert np.array_equal(typical(camera)[[SIGMA_NU, SIGMA_X, SIGMA_V]], defaults()[[SIGMA_NU, SIGMA_X, SIGMA_V]])
+    assert (lower_bounds(camera) == SMALLEST).all()
+    smooth = recording(0.001)
+    assert are_smooth(smooth)
+    assert estimated_in(smooth) == ESTIMATED + FREED
+    assert estimated_in(smooth, "paper") == ESTIMATED
+    assert (typical(smooth)[[SIGMA_NU, SIGMA_X, SIGMA_V]] < defaults()[[SIGMA_NU, SIGMA_X, SIGMA_V]]).all()
+    assert (lower_bounds(smooth)[NOISES] < 1e-4).all()
+
+
+def test_the_filter_knows_its_errors_on_smooth_positions():
+    noises = {"sigma_nu": 0.004, "sigma_x": 0.0005, "sigma_v": 0.005}
+    t = sg.simulate(vehicles=4, ring_m=45.0, duration_s=90.0, period_s=0.1, seed=3, parameters=noises).measured
+    found = sg.calibrate(t)
+    assert set(found.settings.estimated) == {*ESTIMATED, *FREED}
+    # 900 samples each know a mean NIS to 5 %; with the fixed noises it is below 0.2
+    assert mean_nis(found) == pytest.approx(1.0, abs=0.2)
+    assert found.rows[:, SIGMA_NU] == pytest.approx(0.004, rel=0.25)
