@@ -31,6 +31,8 @@ _MOST_DOUBLE = 0.01
 _SAME_M = 0.01
 #: Lengths [m] of a vehicle that differ by more are noted.
 _LENGTH_VARIES_M = 0.5
+#: Times [s] and positions [m] beyond which a number is taken for damage: the year 2106, and light's way in a second.
+_LATEST_S, _FARTHEST_M = 2.0**32, 3e8
 #: Way [m] that all vehicles of a lane together go backward, for the lane to be turned round: more than noise at rest.
 _BACKWARD_M = 10.0
 #: Way [vehicle lengths] from the point of reference to the centre.
@@ -169,8 +171,8 @@ def _known(table: _Table) -> _Table:
     keep = np.ones(len(table.number["s_m"]), dtype=bool)
     about = table.about
     for known, said in (
-        (np.isfinite(table.number["time_s"]), "no time"),
-        (np.isfinite(table.number["s_m"]), "no position"),
+        (np.abs(table.number["time_s"]) < _LATEST_S, "no time"),
+        (np.abs(table.number["s_m"]) < _FARTHEST_M, "no position"),
         (table.text["vehicle"].code >= 0, "no vehicle"),
         (table.text["recording"].code >= 0, "no recording"),
     ):
