@@ -1,5 +1,6 @@
 """pNEUMA: vehicles seen from drones, one line for each vehicle, with as many groups of six values as it was seen."""
 
+import math
 from array import array
 from pathlib import Path
 
@@ -95,12 +96,7 @@ def _read(path: Path) -> tuple[Array, Ints, list[str], list[str]]:
             names.append(fields[0])
             kinds.append(fields[1].lower())
             rows.append(groups)
-            try:
-                values.extend(map(float, fields[len(_HEAD) :]))
-            except ValueError:
-                for text in fields[len(_HEAD) :]:
-                    number(text, "value", where)
-                raise
+            values.extend(_numbers(fields[len(_HEAD) :], where))
     if not values:
         raise InputError(f"{path}: no samples; give a file with vehicles")
     seen = np.frombuffer(rows, dtype=np.int64)
@@ -111,6 +107,17 @@ def _read(path: Path) -> tuple[Array, Ints, list[str], list[str]]:
         [name for name, keep in zip(names, kept.tolist(), strict=True) if keep],
         [kind for kind, keep in zip(kinds, kept.tolist(), strict=True) if keep],
     )
+
+
+def _numbers(texts: list[str], where: str) -> list[float]:
+    """The values of a line, of which each sixth and the one behind it are degrees."""
+    try:
+        found = list(map(float, texts))
+    except ValueError:
+        found = [number(text, "value", where) for text in texts]
+    if not all(map(math.isfinite, found)) or any(abs(one) > 360.0 for one in (*found[::_GROUP], *found[1::_GROUP])):
+        raise InputError(f"{where}: a value is not a finite number, or not a place in degrees; correct the line")
+    return found
 
 
 def _recognise(head: bytes, path: Path) -> bool:
