@@ -8,6 +8,8 @@ from sugiyama_ros.arrays import Array, Ints
 _POINT_M = 1.0
 # Distance [m] from the path within which a vehicle counts as on it when it is first seen.
 _NEAR_M = 15.0
+# Longest path [m] whose mean is taken.
+_LONGEST_M = 1e6
 # Rounds in which the mean path is taken: vehicles cut curves differently.
 _ROUNDS = 2
 # Points behind and ahead of the last one that are looked at, and more ahead for each sample that was missed.
@@ -131,6 +133,8 @@ def _mean_path(path: Path2d, places_m: list[Array]) -> Path2d:
     followed = [(position, place) for place in places_m for position in [path.positions(place)[0]]]
     low = min(float(np.nanmin(position)) for position, _ in followed)
     high = max(float(np.nanmax(position)) for position, _ in followed)
+    if high - low > _LONGEST_M:
+        return path
     point = np.arange(low, high, _POINT_M)
     total, passed = np.zeros((len(point), 2)), np.zeros(len(point))
     for position, place in followed:

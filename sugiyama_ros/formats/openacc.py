@@ -18,6 +18,8 @@ from sugiyama_ros.trajectories.tracks import Tracks
 
 #: Radius of the earth [m].
 _EARTH_M = 6_371_000.0
+# Coordinates [m] of a map are not larger.
+_FARTHEST_M = 2e7
 # Line with the names, below the metadata.
 _HEADER = 6
 # Car and, if the file knows it, the driver's letter behind a quantity.
@@ -84,7 +86,8 @@ def read_openacc(path: Path, choices: Choices) -> Tracks:
 def _places(table: dict[str, Array], cars: list[int], path: Path) -> list[Array]:
     """Places of the cars [m], (T, 2) each, east and north of one point that they share."""
     if all(f"E{car}" in table and f"N{car}" in table for car in cars):
-        return [np.stack((table[f"E{car}"], table[f"N{car}"]), axis=1) for car in cars]
+        places = [np.stack((table[f"E{car}"], table[f"N{car}"]), axis=1) for car in cars]
+        return [np.where(np.abs(place) <= _FARTHEST_M, place, np.nan) for place in places]
     bad = next((car for car in cars if f"Lat{car}" not in table or f"Lon{car}" not in table), None)
     if bad is not None or not cars:
         raise InputError(
@@ -92,6 +95,9 @@ def _places(table: dict[str, Array], cars: list[int], path: Path) -> list[Array]
         )
     latitude = np.stack([table[f"Lat{car}"] for car in cars])
     longitude = np.stack([table[f"Lon{car}"] for car in cars])
+    latitude, longitude = (np.where(np.abs(angle) <= 360.0, angle, np.nan) for angle in (latitude, longitude))
+    if not np.isfinite(latitude).any() or not np.isfinite(longitude).any():
+        raise InputError(f"{path}: no car has a place; give a recording of a drive")
     if np.nanmax(np.abs(latitude)) > 0.5 * np.pi or np.nanmax(np.abs(longitude)) > np.pi:
         latitude, longitude = np.radians(latitude), np.radians(longitude)
     middle, east = float(np.nanmean(latitude)), float(np.nanmean(longitude))
