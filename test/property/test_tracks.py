@@ -86,7 +86,8 @@ def test_leaders_are_ahead_at_the_same_time_in_the_same_lane(tracks: Tracks) -> 
     ahead = tracks.leader_row[row]
     np.testing.assert_array_equal(tracks.time_s[ahead], tracks.time_s[row])
     np.testing.assert_array_equal(tracks.recording.code[ahead], tracks.recording.code[row])
-    assert (gaps(tracks)[row] >= -4.0).all()
+    # On a ring, a vehicle less than a length behind counts as one that overlaps, not as one almost a round ahead.
+    assert (gaps(tracks)[row] >= (-8.0 if tracks.about.ring_m else -4.0)).all()
     assert len(set(ahead.tolist())) == len(ahead)
     if tracks.lane is not None:
         np.testing.assert_array_equal(tracks.lane.code[ahead], tracks.lane.code[row])
