@@ -45,6 +45,7 @@ setup(
         "mcap>=1.2",
         "numba>=0.58",
         "numpy>=1.26",
+        "pyarrow>=15",
         "pyyaml>=6",
         "rich>=13",
         "rosbags>=0.10",

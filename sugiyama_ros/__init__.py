@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from sugiyama_ros import effects, laws
-    from sugiyama_ros.api import calibrate, compare, diagnose, read, read_recording, simulate
+    from sugiyama_ros.api import calibrate, compare, diagnose, read, read_recording, read_tracks, simulate
 
     __version__: str
 
@@ -31,6 +31,7 @@ __all__ = [
     "laws",
     "read",
     "read_recording",
+    "read_tracks",
     "simulate",
 ]
 

@@ -20,13 +20,18 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.driver import Formulation
 from sugiyama_ros.fit.model_file import read_model
 from sugiyama_ros.fit.smooth_positions import estimated_in
+from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.frames import from_frame
+from sugiyama_ros.formats.registry import read_tracks as tracks_of_file
 from sugiyama_ros.formats.registry import read_trajectories
 from sugiyama_ros.page import recording
 from sugiyama_ros.page.recording import Recording
 from sugiyama_ros.progress import stages
 from sugiyama_ros.simulation.experiment import Experiment, carry_out
 from sugiyama_ros.simulation.simulator import Simulation
+from sugiyama_ros.trajectories.about import About
+from sugiyama_ros.trajectories.exchange import from_frame as tracks_of_frame
+from sugiyama_ros.trajectories.tracks import Tracks
 from sugiyama_ros.trajectories.trajectories import Trajectories
 from sugiyama_ros.workers import workers
 
@@ -40,7 +45,7 @@ def read(source: "str | Path | pandas.DataFrame", ring_m: float | None = None) -
     Parameters
     ----------
     source : str, Path or pandas.DataFrame
-        A file in any known format (`.mcap`, the MSTF `.data`, `.csv`), or a data frame with the columns time_s [s],
+        A file in any known format with one recording on one lane, or a data frame with the columns time_s [s],
         vehicle, position_m [m] and perhaps length_m [m].
     ring_m : float, optional
         Circumference [m] of the ring where the file does not tell; an open road without it.
@@ -65,6 +70,41 @@ def read(source: "str | Path | pandas.DataFrame", ring_m: float | None = None) -
     if isinstance(source, str | Path):
         return read_trajectories(Path(source), ring_m)
     return from_frame(source, ring_m)
+
+
+def read_tracks(source: "str | Path | pandas.DataFrame", ring_m: float | None = None, name: str = "auto") -> Tracks:
+    """Read vehicles on any number of lanes from a file, a folder or a data frame.
+
+    Parameters
+    ----------
+    source : str, Path or pandas.DataFrame
+        A file or a folder in any known format, or a data frame with the columns vehicle, time_s [s] and s_m [m], and
+        perhaps recording, road, lane, d_m, length_m, width_m [m], class, driver, leader and measured.
+    ring_m : float, optional
+        Circumference [m] of the ring where the file does not tell; an open road without it.
+    name : str
+        Name of the format of a file; "auto" for the one that recognises it.
+
+    Returns
+    -------
+    Tracks
+        A table with a row for each vehicle and time, and the leader of each row.
+
+    Raises
+    ------
+    InputError
+        With the line or the field, for what cannot be read, and if vehicles overlap.
+
+    Examples
+    --------
+    >>> import sugiyama_ros as sg
+    >>> sg.simulate(vehicles=3, ring_m=40.0, duration_s=10.0).save("three.csv")
+    >>> sg.read_tracks("three.csv", ring_m=40.0)
+    <Tracks: 3 vehicles in 1 recording, 93 rows, leaders known in 100 %, from three.csv>
+    """
+    if isinstance(source, str | Path):
+        return tracks_of_file(Path(source), Choices(ring_m=ring_m), name)
+    return tracks_of_frame(source, About(ring_m=ring_m or 0.0, source="data frame"))
 
 
 def simulate(

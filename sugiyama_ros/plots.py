@@ -27,7 +27,8 @@ def space_time(figure: "Figure", time_s: Array, position_m: Array, speed: Array)
     """
     axes = figure.subplots()
     time = np.broadcast_to(time_s[:, None], position_m.shape)
-    dots = axes.scatter(time, position_m, c=speed, s=1.5, cmap="cividis", linewidths=0, rasterized=True)
+    seen = (time.ravel(), position_m.ravel())
+    dots = axes.scatter(*seen, c=speed.ravel(), s=1.5, cmap="cividis", linewidths=0, rasterized=True)
     figure.colorbar(dots, ax=axes, label="speed [m/s]")
     axes.set(xlabel="time [s]", ylabel="position [m]")
 

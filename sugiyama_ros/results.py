@@ -111,7 +111,7 @@ class Result:
 
     def _repr_html_(self) -> str:
         """Show the headline and the first rows in a notebook."""
-        rows = list(self.records())
+        rows = self.records()
         lines = [f"<p><b>{type(self).__name__}</b>: {html.escape(self.headline())}</p>"]
         if rows:
             names = list(dict.fromkeys(name for row in rows[:_SHOWN] for name in row))

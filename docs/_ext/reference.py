@@ -17,6 +17,7 @@ from typer.main import get_command
 import sugiyama_ros as sg
 from sugiyama_ros.cli import app as commands_app
 from sugiyama_ros.driver.parameters import PARAMETERS, Parameter
+from sugiyama_ros.formats.registry import formats
 from sugiyama_ros.studies.registry import STUDIES
 
 DOCS = Path(__file__).parents[1]
@@ -148,6 +149,13 @@ def studies() -> str:
     return f"# Studies\n\n{about}\n\n" + table(("study", "question", "the paper"), rows)
 
 
+def file_formats() -> str:
+    """Every file format, in the order in which they are tried."""
+    rows = ((code(one.name), code(" ".join(one.suffixes)), plain(one.summary)) for one in formats())
+    about = "A file has the first format that recognises it. {doc}`/howto/data` says what else you may have to know."
+    return f"# File formats\n\n{about}\n\n" + table(("format", "files", "content"), rows)
+
+
 def python() -> str:
     """The public Python interface."""
     functions = [name for name in sg.__all__ if inspect.isfunction(getattr(sg, name))]
@@ -207,6 +215,7 @@ def pages(app: Sphinx, config: Config) -> None:
     about = "Every law is one file in `sugiyama_ros/laws`. {doc}`/howto/law` says how to add one of your own."
     write("laws.md", extensions("Laws", about, sg.laws.values()))
     write("studies.md", studies())
+    write("formats.md", file_formats())
     write("python.rst", python())
     for notebook in (ROOT / "examples").glob("*.md"):
         # a link that holds in examples has one folder too many here

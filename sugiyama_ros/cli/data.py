@@ -1,37 +1,113 @@
 """``sugiyama convert``, ``fetch``, ``info``, ``echo`` and ``recover``: the files."""
 
 import dataclasses
+import math
 import sys
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sugiyama_ros.cli.options import Json, Ring, Source
+from sugiyama_ros.cli.options import Json, Ring, names, takes
 from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table, progress, tell, to_json
+from sugiyama_ros.cli.summary import document_of, ledger, lines_of
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.tables import TextTable
 
 if TYPE_CHECKING:
+    from sugiyama_ros.formats.convert import Part
     from sugiyama_ros.formats.mcap_reader import BagInfo
 
+#: First bytes of an MCAP file.
+_BAG = b"\x89MCAP"
 
-def convert(
-    source: Source,
-    output: Annotated[Path, typer.Argument(help="MCAP file to write.")],
-    ring: Ring = None,
-    as_json: Json = False,
-) -> None:
-    """Convert trajectories to MCAP.
 
-    The file has the topics /road and /measured.
+@dataclasses.dataclass(frozen=True)
+class ConvertOptions:
+    """What ``sugiyama convert`` takes."""
+
+    source: Annotated[Path, typer.Argument(help="File or folder of trajectories, in any known format.")]
+    output: Annotated[Path, typer.Argument(help="File to write: .parquet or .csv (tracks), or .mcap (one lane).")]
+    ring: Ring = None
+    format: Annotated[str, typer.Option("--format", help="Format of the file; an unknown name lists them all.")] = (
+        "auto"
+    )
+    columns: Annotated[
+        Path | None, typer.Option("--columns", help="Map (YAML) of columns of tracks to columns of the file.")
+    ] = None
+    reference: Annotated[
+        str | None,
+        typer.Option("--reference", help="What positions are of, if not as the format says: centre, front or rear."),
+    ] = None
+    recording: Annotated[str, typer.Option("--recording", help="Recordings to keep, separated by commas.")] = ""
+    road: Annotated[str, typer.Option("--road", help="Roads to keep.")] = ""
+    lane: Annotated[str, typer.Option("--lane", help="Lanes to keep.")] = ""
+    vehicle_class: Annotated[str, typer.Option("--class", help="Classes of vehicles to keep.")] = ""
+    without: Annotated[str, typer.Option("--without", help="Vehicles to leave out.")] = ""
+    from_s: Annotated[float, typer.Option("--from", help="First time [s] to keep.")] = -math.inf
+    to_s: Annotated[float, typer.Option("--to", help="Last time [s] to keep.")] = math.inf
+    period: Annotated[
+        float | None, typer.Option("--period", help="Time between two samples [s], if not the file's own.")
+    ] = None
+    as_json: Json = False
+
+
+@takes(ConvertOptions)
+def convert(options: ConvertOptions) -> None:
+    """Convert trajectories to tracks, or one lane to MCAP.
+
+    Tracks are a table in Parquet or CSV. An MCAP file has the topics /road and /measured.
     """
+    part = _part(options)
+    if options.output.suffix.lower() == ".mcap" and part == _part(_only_files(options)):
+        _convert_to_bag(options)
+        return
+    from sugiyama_ros.formats.convert import convert_tracks
+
+    tracks = convert_tracks(options.source, options.output, part)
+    document = {"output": str(options.output), **document_of(tracks)}
+    if options.as_json:
+        print_json(document)
+        return
+    print_line(f"{tracks.runs} vehicles, {len(tracks)} rows, in {options.output}")
+    _print_tracks(document)
+
+
+def _only_files(options: ConvertOptions) -> ConvertOptions:
+    """The same files and ring, with everything else left out."""
+    return ConvertOptions(options.source, options.output, options.ring, as_json=options.as_json)
+
+
+def _part(options: ConvertOptions) -> "Part":
+    """Which part of the source the options ask for."""
+    from sugiyama_ros.formats.choices import Choices, read_choices, reference_of
+    from sugiyama_ros.formats.convert import Part
+    from sugiyama_ros.trajectories.selection import Selection
+
+    choices = Choices() if options.columns is None else read_choices(options.columns)
+    if (reference := reference_of(options.reference)) is not None:
+        choices = dataclasses.replace(choices, reference=reference)
+    if options.ring is not None:
+        choices = dataclasses.replace(choices, ring_m=options.ring)
+    selection = Selection(
+        recording=names(options.recording),
+        road=names(options.road),
+        lane=names(options.lane),
+        vehicle_class=names(options.vehicle_class),
+        without=names(options.without),
+        from_s=options.from_s,
+        to_s=options.to_s,
+    )
+    return Part(options.format, choices, selection, options.period)
+
+
+def _convert_to_bag(options: ConvertOptions) -> None:
     from sugiyama_ros.formats.convert import convert as convert_file
 
-    t = convert_file(source, output, ring)
+    t = convert_file(options.source, options.output, options.ring)
     document = {
-        "output": str(output),
+        "output": str(options.output),
         "vehicles": len(t.vehicle),
         "steps": len(t.position_m),
         "period_s": t.period_s,
@@ -39,8 +115,17 @@ def convert(
         "sha256": t.sha256,
     }
     road = f"a ring of {t.road.circumference_m:g} m" if t.road.is_ring else "an open road (a ring? give --ring METRES)"
-    text = f"{len(t.vehicle)} vehicles, {len(t.position_m)} samples of {t.period_s:.4g} s on {road}, in {output}"
-    tell(document, text, as_json)
+    text = (
+        f"{len(t.vehicle)} vehicles, {len(t.position_m)} samples of {t.period_s:.4g} s on {road}, in {options.output}"
+    )
+    tell(document, text, options.as_json)
+
+
+def _print_tracks(document: dict[str, Any]) -> None:
+    for key, value in lines_of(document):
+        print_line(f"{key + ':':<13}{value}")
+    if document["dropped"]:
+        print_table(ledger(document), boxed=False)
 
 
 def fetch(
@@ -69,10 +154,25 @@ def fetch(
 
 
 def info(
-    file: Annotated[Path, typer.Argument(help="MCAP file.")],
+    file: Annotated[Path, typer.Argument(help="MCAP file, or trajectories in any known format.")],
     as_json: Json = False,
 ) -> None:
-    """Show what an MCAP file contains, as `ros2 bag info` does."""
+    """Show what a file contains.
+
+    Of trajectories: vehicles, classes, lanes, time and leaders. Of an MCAP file: topics, as `ros2 bag info` does.
+    """
+    from sugiyama_ros.formats.sheet import head_of
+
+    if file.suffix.lower() != ".mcap" and not head_of(file).startswith(_BAG):
+        from sugiyama_ros.formats.registry import format_of, read_tracks
+
+        document = {"format": format_of(file).name, **document_of(read_tracks(file))}
+        if as_json:
+            print_json(document)
+            return
+        print_line(f"{'Format:':<13}{document['format']}")
+        _print_tracks(document)
+        return
     from sugiyama_ros.formats.mcap_reader import Bag
 
     with Bag(file) as bag:

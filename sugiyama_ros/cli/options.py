@@ -13,7 +13,7 @@ import typer
 
 from sugiyama_ros.errors import InputError
 
-Source = Annotated[Path, typer.Argument(help="Trajectories: .data, .csv or .mcap.")]
+Source = Annotated[Path, typer.Argument(help="Trajectories: a file in any known format.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document instead of text.")]
 Ring = Annotated[
     float | None, typer.Option("--ring", help="Circumference of the road [m], if the file does not give it.")

@@ -1,10 +1,18 @@
-"""Conversion of trajectory files to bags."""
+"""Conversion of trajectory files to bags, and of files and folders to tables of tracks."""
 
+from dataclasses import dataclass, field
 from pathlib import Path
 
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.mcap_writer import LATCHED_TOPIC, BagWriter, Qos
 from sugiyama_ros.formats.measured import MEASURED_TYPE, ROAD_TYPE, messages
-from sugiyama_ros.formats.registry import read_trajectories
+from sugiyama_ros.formats.registry import read_tracks, read_trajectories
+from sugiyama_ros.formats.tracks_parquet import write_tracks
+from sugiyama_ros.trajectories.one_lane import one_lane
+from sugiyama_ros.trajectories.selection import Selection, select
+from sugiyama_ros.trajectories.time_base import on_time_base
+from sugiyama_ros.trajectories.tracks import Tracks
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 
@@ -43,3 +51,57 @@ def write_trajectories(trajectories: Trajectories, out: Path) -> None:
         }
         for type_name, stamp, data in messages(trajectories):
             bag.write(channels[type_name], data, stamp, stamp)
+
+
+@dataclass(frozen=True)
+class Part:
+    """Which part of a file is wanted, and how the file is read.
+
+    Parameters
+    ----------
+    name : str
+        Name of the format, or "auto".
+    choices : Choices
+        What the user says about the file.
+    selection : Selection
+        Which rows to keep.
+    period_s : float, optional
+        Time [s] between two samples; the file's own by default.
+    """
+
+    name: str = "auto"
+    choices: Choices = field(default_factory=Choices)
+    selection: Selection = field(default_factory=Selection)
+    period_s: float | None = None
+
+
+def convert_tracks(source: Path, out: Path, part: Part) -> Tracks:
+    """Convert a file or a folder to tracks, or a part of it on one lane to a bag.
+
+    Parameters
+    ----------
+    source, out : Path
+        File or folder to read; ``.parquet``, ``.csv`` or ``.mcap`` to write.
+    part : Part
+        Which part is wanted.
+
+    Returns
+    -------
+    Tracks
+        What was written.
+
+    Raises
+    ------
+    InputError, OutputError
+        For a file that cannot be read, or one that cannot be written.
+    """
+    if out.suffix.lower() not in (".parquet", ".csv", ".mcap"):
+        raise InputError(f"{out}: cannot be written as {out.suffix or 'nothing'}; give a .parquet, .csv or .mcap name")
+    tracks = select(read_tracks(source, part.choices, part.name), part.selection)
+    if part.period_s is not None:
+        tracks = on_time_base(tracks, part.period_s)
+    if out.suffix.lower() == ".mcap":
+        write_trajectories(one_lane(tracks, str(source)), out)
+    else:
+        write_tracks(tracks, out)
+    return tracks

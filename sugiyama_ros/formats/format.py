@@ -4,6 +4,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from sugiyama_ros.formats.choices import Choices
+from sugiyama_ros.trajectories.one_lane import one_lane
+from sugiyama_ros.trajectories.tracks import Tracks
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 #: Bytes from the start of a file by which a format may recognise it.
@@ -21,12 +24,16 @@ class Format:
     suffixes : tuple of str
         Usual suffixes of its files, in lower case and with the dot; for messages.
     recognise : callable
-        Gets the first ``HEAD_BYTES`` bytes of a file and its path. Returns whether the file has this format.
+        Gets the first ``HEAD_BYTES`` bytes of a file (none of a folder) and its path. Returns whether the file has
+        this format.
     read : callable
         Gets the path and the circumference [m] of the ring that the user gave (None: not given; 0: an open road).
         Returns `Trajectories`. Raises InputError for a file that cannot be read.
     summary : str
         One line that explains the format.
+    tracks : callable, optional
+        Gets the path and the user's `Choices`. Returns `Tracks`: all vehicles on all lanes. Raises InputError. None
+        for a format that only has one lane.
     """
 
     name: str
@@ -34,6 +41,33 @@ class Format:
     recognise: Callable[[bytes, Path], bool]
     read: Callable[[Path, float | None], Trajectories]
     summary: str
+    tracks: Callable[[Path, Choices], Tracks] | None = None
+
+
+def tracks_format(
+    name: str,
+    suffixes: tuple[str, ...],
+    recognise: Callable[[bytes, Path], bool],
+    tracks: Callable[[Path, Choices], Tracks],
+    summary: str,
+) -> Format:
+    """A format that gives tracks; a file with one recording on one lane can also be read as trajectories.
+
+    Parameters
+    ----------
+    name, suffixes, recognise, tracks, summary
+        As for `Format`.
+
+    Returns
+    -------
+    Format
+        The format.
+    """
+
+    def read(path: Path, ring_m: float | None) -> Trajectories:
+        return one_lane(tracks(path, Choices(ring_m=ring_m)), str(path))
+
+    return Format(name, suffixes, recognise, read, summary, tracks)
 
 
 def has_suffix(*suffixes: str) -> Callable[[bytes, Path], bool]:

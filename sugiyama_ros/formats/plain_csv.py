@@ -8,21 +8,26 @@ from pathlib import Path
 import numpy as np
 
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.formats.format import Format, has_suffix
+from sugiyama_ros.formats.format import Format
 from sugiyama_ros.formats.reading import lines, number, open_input, sha256
 from sugiyama_ros.formats.samples import Samples, agreed_road
+from sugiyama_ros.formats.sheet import MISSING
+from sugiyama_ros.formats.table import read_table
 from sugiyama_ros.formats.writing import replacing
+from sugiyama_ros.trajectories.one_lane import check_order
 from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M, Trajectories
 
 _REQUIRED = ("time_s", "vehicle", "position_m")
 _VEHICLE = re.compile(r"\d{1,9}")
+#: Columns that make a table one of tracks.
+_OF_TRACKS = {"recording", "road", "lane", "leader"}
 
 
 def read_csv(path: Path, ring_m: float | None = None) -> Trajectories:
     """Read a CSV file with a header. Other columns are ignored.
 
-    An empty position is a missing sample. A vehicle without a length gets ``DEFAULT_LENGTH_M``. The times of each
-    vehicle must increase.
+    An empty position, or nan, is a missing sample. A vehicle without a length gets ``DEFAULT_LENGTH_M``. The times of
+    each vehicle must increase.
 
     Parameters
     ----------
@@ -55,7 +60,7 @@ def read_csv(path: Path, ring_m: float | None = None) -> Trajectories:
                 samples.add(
                     number(row[columns["time_s"]], "time_s", where),
                     vehicle,
-                    number(position, "position_m", where) if position else math.nan,
+                    number(position, "position_m", where) if position not in MISSING else math.nan,
                     where,
                 )
                 if "length_m" in columns and (text := row[columns["length_m"]].strip()):
@@ -70,7 +75,9 @@ def read_csv(path: Path, ring_m: float | None = None) -> Trajectories:
         except csv.Error as error:
             raise InputError(f"{path}:{rows.line_num}: not CSV: {error}; correct the line") from None
     length_m = [lengths.get(vehicle, DEFAULT_LENGTH_M) for vehicle in samples.vehicles]
-    return samples.trajectories(length_m, agreed_road(path, None, ring_m), checksum)
+    trajectories = samples.trajectories(length_m, agreed_road(path, None, ring_m), checksum)
+    check_order(trajectories, str(path))
+    return trajectories
 
 
 def write_csv(trajectories: Trajectories, path: Path) -> None:
@@ -108,10 +115,24 @@ def _vehicle(text: str, where: str) -> int:
     return int(text)
 
 
+def _is_plain(head: bytes, path: Path) -> bool:
+    """Whether a file has the plain columns and numbers its vehicles; the format ``table`` reads other tables."""
+    if path.suffix.lower() != ".csv":
+        return False
+    rows = list(csv.reader(head.decode("utf-8-sig", errors="replace").splitlines()[:2]))
+    header = [name.strip() for name in rows[0]] if rows else []
+    if not set(_REQUIRED) <= set(header) or set(header) & _OF_TRACKS:
+        return False
+    first = dict(zip(header, rows[1], strict=False)) if len(rows) > 1 else {}
+    epoch_ms = re.fullmatch(r"\d{13}(\.\d*)?", first.get("time_s", "").strip()) is not None
+    return _VEHICLE.fullmatch(first.get("vehicle", "0").strip()) is not None and not epoch_ms
+
+
 FORMAT = Format(
     name="csv",
     suffixes=(".csv",),
-    recognise=has_suffix(".csv"),
+    recognise=_is_plain,
     read=read_csv,
     summary="one line for each sample, with the columns time_s, vehicle, position_m and, if known, length_m",
+    tracks=read_table,
 )

@@ -8,8 +8,11 @@ from pathlib import Path
 
 from sugiyama_ros import plugins
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.formats.format import HEAD_BYTES, Format
-from sugiyama_ros.formats.reading import open_input
+from sugiyama_ros.formats.choices import Choices
+from sugiyama_ros.formats.format import Format
+from sugiyama_ros.formats.sheet import head_of
+from sugiyama_ros.trajectories.one_lane import tracks_of
+from sugiyama_ros.trajectories.tracks import Tracks
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 #: Group of entry points by which other packages add formats.
@@ -19,6 +22,18 @@ BUILT_IN = (
     "measured",
     "mstf",
     "plain_csv",
+    "tracks_parquet",
+    "ngsim",
+    "pairs",
+    "platoon",
+    "openacc",
+    "highd",
+    "sumo",
+    "tgsim",
+    "pneuma",
+    "commonroad",
+    "folder",
+    "table",
 )
 
 
@@ -43,7 +58,7 @@ def read_trajectories(path: Path, ring_m: float | None = None) -> Trajectories:
     Parameters
     ----------
     path : Path
-        The file.
+        The file. A file with tracks must hold one recording on one lane.
     ring_m : float, optional
         Circumference [m] of the ring, where the file does not say it; 0 for an open road.
 
@@ -59,12 +74,49 @@ def read_trajectories(path: Path, ring_m: float | None = None) -> Trajectories:
         ``ring_m`` contradicts the file.
     """
     path = Path(path)
-    with open_input(path) as stream:
-        head = stream.read(HEAD_BYTES)
-    if not head:
+    return format_of(path).read(path, ring_m)
+
+
+def read_tracks(path: Path, choices: Choices | None = None, name: str = "auto") -> Tracks:
+    """Read tracks from a file or a folder of any known format.
+
+    Parameters
+    ----------
+    path : Path
+        The file or the folder.
+    choices : Choices, optional
+        What the user says about the file.
+    name : str
+        Name of the format; "auto" for the one that recognises the file.
+
+    Returns
+    -------
+    Tracks
+        All vehicles on all lanes, with their leaders.
+
+    Raises
+    ------
+    InputError
+        As for `read_trajectories`, and for an unknown name.
+    """
+    path, choices = Path(path), choices or Choices()
+    known = {one.name: one for one in formats()}
+    if name == "auto":
+        chosen = known["table"] if choices.columns else format_of(path)
+    else:
+        chosen = plugins.find(known, GROUP, name, "format")
+    if chosen.tracks is not None:
+        return chosen.tracks(path, choices)
+    return tracks_of(chosen.read(path, choices.ring_m))
+
+
+def format_of(path: Path) -> Format:
+    """The format that recognises a file or a folder. Raises InputError if none does."""
+    head = head_of(path)
+    if not head and not path.is_dir():
         raise InputError(f"{path}: empty file; give trajectories in {known_suffixes()}")
     for known in formats():
         if known.recognise(head, path):
-            return known.read(path, ring_m)
+            return known
     failed = "".join(f"; format {name}: {reason}" for (group, name), reason in plugins.FAILED.items() if group == GROUP)
     raise InputError(f"{path}: not a known file format; give a file in {known_suffixes()}{failed}")

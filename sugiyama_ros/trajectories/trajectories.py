@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 #: Length [m] of a vehicle if the file does not give the length: the mean of the paper's Table 1.
 DEFAULT_LENGTH_M = 4.33
+_RESAMPLE = "sugiyama convert FILE even.parquet --period SECONDS"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -205,7 +206,7 @@ def regular_time_base(time_s: Array, where: str) -> tuple[float, float, Ints]:
     if number[-1] >= 2 * len(time_s):
         raise InputError(
             f"{where}: {len(time_s)} times are there; {number[-1] + 1} are expected at steps of {period:.4g} s;"
-            " resample to a regular time base"
+            f" resample: {_RESAMPLE}"
         )
     if len(time_s) > 2:
         period, start = (float(c) for c in np.polyfit(number, time_s, 1))
@@ -216,7 +217,7 @@ def regular_time_base(time_s: Array, where: str) -> tuple[float, float, Ints]:
     if off[worst] > 0.1 * period:
         raise InputError(
             f"{where}: time {time_s[worst]:g} s lies {off[worst]:.3g} s off the regular time base of {period:.4g} s;"
-            " resample to a regular time base"
+            f" resample: {_RESAMPLE}"
         )
     # The first time is the start. The start of the fitted line may lie before 0, where nothing can be recorded.
     return float(time_s[0]), _unrounded(time_s, number, period), number

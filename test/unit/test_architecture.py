@@ -27,6 +27,7 @@ ORDER = (
     "effects",
     "simulation",
     "filters",
+    "drives",
     "workers",
     "fit",
     "diagnosis",

@@ -18,7 +18,7 @@ KEYS = {
     "rosbags": "python3-rosbags-pip",
 }
 #: Packages without a key in rosdep's python.yaml; docs/ros.md says to install them with pip.
-WITHOUT_KEY = {"lz4", "mcap", "zstandard"}
+WITHOUT_KEY = {"lz4", "mcap", "pyarrow", "zstandard"}
 PYTHONS = ("3.10", "3.11", "3.12", "3.13")
 PINS = ("requirements.txt", "requirements-dev.txt", "requirements-docs.txt")
 

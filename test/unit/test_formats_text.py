@@ -144,10 +144,10 @@ def test_csv_as_spreadsheets_write_it(tmp_path: Path) -> None:
     [
         ("", "empty file"),
         ("\n", ":1: no column time_s, vehicle, position_m"),
-        ("time_s,vehicle,x\n0,1,2\n", ":1: no column position_m"),
+        ("time_s,vehicle,x\n0,1,2\n", ":1: no column s_m or position_m"),
         ("time_s,time_s,vehicle,position_m\n", ":1: a column occurs twice"),
         ("time_s,vehicle,position_m\n", "no samples"),
-        (CSV.replace("7,0.1,2.5,4.0", "7,0.1,nan,4.0"), ":3: position_m 'nan' is not a finite number"),
+        (CSV.replace("7,0.1,2.5,4.0", "7,0.1,1e999,4.0"), ":3: position_m '1e999' is not a finite number"),
         (CSV.replace("7,0.1,2.5,4.0", "7,inf,2.5,4.0"), ":3: time_s 'inf' is not a finite number"),
         (CSV.replace("7,0.1,2.5,4.0", "7,0.1,two,4.0"), ":3: position_m 'two'"),
         (CSV.replace("7,0.1,2.5,4.0", "7,0.1,2.5,x"), ":3: length_m 'x'"),

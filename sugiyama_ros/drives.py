@@ -1,0 +1,83 @@
+"""Chains for the filter out of tracks: one for each driver and stretch."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array, Ints, Mask
+from sugiyama_ros.filters.chain import Chain
+from sugiyama_ros.filters.extract import track
+from sugiyama_ros.trajectories.stretches import Stretch, stretches
+from sugiyama_ros.trajectories.tracks import Tracks
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """A stretch of a driver's track, ready for the filter.
+
+    Parameters
+    ----------
+    stretch : Stretch
+        Who drives, and where the chain comes from.
+    chain : Chain
+        T samples of M vehicles, with the filtered vehicle behind.
+    scored : ndarray of bool, shape (T,)
+        Samples whose likelihood counts. The filter does not read this: whoever adds up its likelihoods leaves out the
+        others.
+    """
+
+    stretch: Stretch
+    chain: Chain
+    scored: Mask
+
+
+def drives(tracks: Tracks) -> Iterator[Drive]:
+    """Make the chains of all drivers.
+
+    Parameters
+    ----------
+    tracks : Tracks
+        Tracks with leaders. An unknown leader is in no chain, so that it never counts as a free road.
+
+    Yields
+    ------
+    Drive
+        One for each driver and stretch. The vehicles ahead start anew in the filter wherever they change.
+    """
+    for stretch in stretches(tracks):
+        yield Drive(stretch, chain_of(stretch), stretch.scored)
+
+
+def chain_of(stretch: Stretch) -> Chain:
+    """The chain of one stretch.
+
+    Parameters
+    ----------
+    stretch : Stretch
+        T samples of M vehicles.
+
+    Returns
+    -------
+    Chain
+        The same vehicles, with the filtered track of the vehicle behind.
+    """
+    behind = stretch.behind
+    rear: Array = np.full((len(behind), 3), np.nan)
+    if (behind[:, 0] >= 0).any():
+        rear = track(
+            _chain(stretch, behind[:, 1:2], behind[:, :1].astype(np.int64), np.nan_to_num(behind[:, 2:]), rear)
+        )
+    return _chain(stretch, stretch.position_m, stretch.identity, stretch.length_m, rear)
+
+
+def _chain(stretch: Stretch, position_m: Array, identity: Ints, length_m: Array, rear: Array) -> Chain:
+    return Chain(
+        position_m=position_m,
+        identity=identity,
+        length_m=length_m,
+        rear=rear,
+        period_s=stretch.period_s,
+        start_s=stretch.start_s,
+        circumference_m=stretch.ring_m,
+    )

@@ -1,0 +1,108 @@
+"""What the user says about a file that the file does not say itself."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.formats.reading import open_input
+from sugiyama_ros.trajectories.about import Reference, View
+from sugiyama_ros.trajectories.tracks import NUMBERS, TEXTS
+
+#: Columns that a map may name.
+MAPPED = (*TEXTS, *NUMBERS, "leader", "measured")
+_REFERENCES: tuple[Reference, ...] = ("centre", "front", "rear")
+_VIEWS: tuple[View, ...] = ("end", "whole")
+_LARGEST_MAP = 1 << 16
+
+
+@dataclass(frozen=True)
+class Choices:
+    """What the user says about a file.
+
+    Parameters
+    ----------
+    columns : mapping of str to (str, float)
+        Column of the file, and factor to metres or seconds, for columns of tracks.
+    reference : {"centre", "front", "rear"}, optional
+        Which point of a vehicle the positions are of; by default as the format says.
+    ring_m : float, optional
+        Circumference [m] of the ring.
+    view : {"end", "whole"}, optional
+        Whether vehicles may be ahead of the first one.
+    """
+
+    columns: Mapping[str, tuple[str, float]] = field(default_factory=dict)
+    reference: Reference | None = None
+    ring_m: float | None = None
+    view: View | None = None
+
+
+def read_choices(path: Path) -> Choices:
+    """Read a map of columns: YAML such as ``s_m: {column: Local_Y, factor: 0.3048}`` or ``lane: Lane_ID``.
+
+    Parameters
+    ----------
+    path : Path
+        The map. Beside columns it may hold ``reference``, ``ring_m`` and ``view``.
+
+    Returns
+    -------
+    Choices
+        What the map says.
+
+    Raises
+    ------
+    InputError
+        For anything else.
+    """
+    with open_input(path) as stream:
+        content = stream.read(_LARGEST_MAP + 1)
+    if len(content) > _LARGEST_MAP:
+        raise InputError(f"{path}: larger than {_LARGEST_MAP} bytes; give a map of columns")
+    try:
+        said = yaml.safe_load(content)
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:
+        raise InputError(
+            f"{path}: not YAML: {' '.join(str(error).split())[:200]}; give lines like 'lane: Lane_ID'"
+        ) from None
+    if not isinstance(said, dict):
+        raise InputError(f"{path}: not a map of columns; give lines like 'lane: Lane_ID'")
+    unknown = [name for name in said if name not in (*MAPPED, "reference", "ring_m", "view")]
+    if unknown:
+        raise InputError(f"{path}: {str(unknown[0])[:40]!r} is no column of tracks; choose among {', '.join(MAPPED)}")
+    return Choices(
+        columns={name: _column(path, name, said[name]) for name in MAPPED if name in said},
+        reference=_one_of(path, "reference", said.get("reference"), _REFERENCES),
+        ring_m=_number(path, "ring_m", said["ring_m"]) if "ring_m" in said else None,
+        view=_one_of(path, "view", said.get("view"), _VIEWS),
+    )
+
+
+def reference_of(text: str | None) -> Reference | None:
+    """The reference that an option names. Raises InputError."""
+    found: Reference | None = _one_of("--reference", "reference", text, _REFERENCES)
+    return found
+
+
+def _one_of(where: object, name: str, value: Any, known: tuple[Any, ...]) -> Any:
+    if value is not None and value not in known:
+        raise InputError(f"{where}: {name} {str(value)[:40]!r} is not known; choose among {', '.join(known)}")
+    return value
+
+
+def _number(where: object, name: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InputError(f"{where}: {name} {str(value)[:40]!r} is not a number; give one")
+    return float(value)
+
+
+def _column(path: Path, name: str, said: Any) -> tuple[str, float]:
+    if isinstance(said, dict) and set(said) <= {"column", "factor"} and "column" in said:
+        return str(said["column"]), _number(path, f"factor of {name}", said.get("factor", 1.0))
+    if isinstance(said, dict | list):
+        raise InputError(f"{path}: {name}: give the name of a column, or {{column: NAME, factor: NUMBER}}")
+    return str(said), 1.0

@@ -1,0 +1,146 @@
+"""Which columns of a table become which columns of tracks, and in which units."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.formats.choices import Choices
+from sugiyama_ros.formats.sheet import Sheet, checksum_of, read_sheet
+from sugiyama_ros.trajectories.about import About, Leaders, Reference
+from sugiyama_ros.trajectories.assemble import assemble
+from sugiyama_ros.trajectories.labels import Labels, labels
+from sugiyama_ros.trajectories.time_base import is_regular, on_time_base
+from sugiyama_ros.trajectories.tracks import NUMBERS, Tracks
+
+#: A foot [m].
+FOOT_M = 0.3048
+# Times above are milliseconds since 1970.
+_MILLISECONDS = 1e11
+
+
+@dataclass(frozen=True)
+class Take:
+    """A column of tracks: what files call it, and the factor to metres or seconds."""
+
+    names: tuple[str, ...]
+    factor: float = 1.0
+    optional: bool = True
+
+
+def take(*names: str, factor: float = 1.0) -> Take:
+    """A column that may be missing."""
+    return Take(names, factor)
+
+
+def need(*names: str, factor: float = 1.0) -> Take:
+    """A column that must be there."""
+    return Take(names, factor, optional=False)
+
+
+def read_columns(sheet: Sheet, wanted: Mapping[str, Take]) -> dict[str, Array | Labels]:
+    """Read the columns of tracks from a table.
+
+    Parameters
+    ----------
+    sheet : Sheet
+        The table.
+    wanted : mapping of str to Take
+        For each column of tracks (or any name that the caller knows) the columns it may come from. A name that ends in
+        ``_s`` or ``_m`` is a number, any other a text.
+
+    Returns
+    -------
+    dict
+        Arrays (R,), in metres and seconds, and `Labels`; only columns that are there.
+
+    Raises
+    ------
+    InputError
+        For a column that is missing, or a line that does not fit.
+    """
+    found = {name: place for name, one in wanted.items() if (place := sheet.find(*one.names)) is not None}
+    missing = [" or ".join(one.names) for name, one in wanted.items() if not one.optional and name not in found]
+    if missing:
+        line = f":{sheet.header}" if sheet.header else ""
+        raise InputError(
+            f"{sheet.path}{line}: no column {', '.join(missing)}; the columns are {', '.join(sheet.names)[:200]}; say"
+            " which is which: sugiyama convert --columns map.yaml"
+        )
+    numbers = {place for name, place in found.items() if is_number(name)}
+    read = read_sheet(sheet, numbers, {place for name, place in found.items() if not is_number(name)} - numbers)
+    table: dict[str, Array | Labels] = {}
+    for name, place in found.items():
+        column = read[place]
+        factor = wanted[name].factor
+        table[name] = column if isinstance(column, Labels) or factor == 1.0 else column * factor
+    return table
+
+
+def is_number(name: str) -> bool:
+    """Whether a column of tracks holds numbers."""
+    return name in NUMBERS or name == "measured" or name.endswith(("_s", "_m"))
+
+
+def text_of(columns: Mapping[str, Array | Labels], name: str) -> Labels:
+    """A column of text, which must be there."""
+    column = columns[name]
+    if not isinstance(column, Labels):
+        raise TypeError(f"{name} is not a column of text")
+    return column
+
+
+def nobody(column: Labels, *names: str) -> Labels:
+    """A column of leaders in which some names, such as 0, mean that nobody is known to be ahead."""
+    gone = np.array([text in names for text in column.text] + [True])
+    return labels(np.where(gone[column.code], -1, column.code).astype(np.int32), column.text)
+
+
+def put_together(
+    columns: dict[str, Array | Labels],
+    about: About,
+    choices: Choices,
+    reference: Reference = "centre",
+) -> Tracks:
+    """Make tracks of columns, with what the user says.
+
+    Parameters
+    ----------
+    columns : dict
+        As `read_columns` gives them.
+    about : About
+        Where they come from.
+    choices : Choices
+        What the user says; it counts more than what the format says.
+    reference : {"centre", "front", "rear"}
+        Which point of a vehicle the positions of this format are of.
+
+    Returns
+    -------
+    Tracks
+        On a regular time base, if the vehicles do not share their times.
+    """
+    if choices.ring_m is not None:
+        about = replace(about, ring_m=choices.ring_m)
+    if choices.view is not None:
+        about = replace(about, view=choices.view)
+    time = np.asarray(columns["time_s"])
+    if len(time) and np.nanmax(np.abs(time), initial=0.0) > _MILLISECONDS:
+        columns["time_s"], about = (
+            time * 1e-3,
+            about.noting("times are milliseconds in the file; they were divided by 1000"),
+        )
+    tracks = assemble(columns, about, choices.reference or reference)
+    if np.any(np.diff(tracks.start) > 1) and not is_regular(tracks):
+        tracks = on_time_base(tracks)
+    alone = tracks.runs > len(tracks.recording.used()) and not np.any(tracks.leader_row >= 0)
+    note = "warning: no vehicle has another one ahead at the same time; check clocks and lanes (--columns)" * alone
+    return replace(tracks, about=tracks.about.noting(note))
+
+
+def about_file(path: Path, leaders: Leaders = "found", **said: str) -> About:
+    """Where tracks come from: name and checksum of a file, and what the format says of its data."""
+    return About(source=path.name, sha256=checksum_of(path), leaders=leaders, **said)  # type: ignore[arg-type]

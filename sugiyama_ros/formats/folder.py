@@ -1,0 +1,123 @@
+"""A folder of files with tracks: each file is a recording."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.formats.choices import Choices
+from sugiyama_ros.formats.format import tracks_format
+from sugiyama_ros.formats.sheet import head_of
+from sugiyama_ros.trajectories.about import About
+from sugiyama_ros.trajectories.exchange import of_columns
+from sugiyama_ros.trajectories.labels import Labels, joined, labels, same_label
+from sugiyama_ros.trajectories.tracks import NUMBERS, TEXTS, Tracks
+
+_SUFFIXES = (".csv", ".tsv", ".txt", ".parquet", ".data")
+#: Files in a folder, at most.
+MAX_FILES = 10_000
+
+
+def read_folder(path: Path, choices: Choices) -> Tracks:
+    """Read all files of a folder that are tables; files beside them that hold metadata are left out.
+
+    Parameters
+    ----------
+    path : Path
+        The folder.
+    choices : Choices
+        What the user says; it holds for every file.
+
+    Returns
+    -------
+    Tracks
+        One recording for each recording of each file; the name of the file comes first.
+
+    Raises
+    ------
+    InputError
+        For a folder without such files, a file that cannot be read, and files on different roads.
+    """
+    from sugiyama_ros.formats.registry import formats, read_tracks
+
+    tables = sorted(one for one in path.iterdir() if _is_table(one))
+    files = [one for one in tables if any(known.recognise(head_of(one), one) for known in formats())]
+    if not files:
+        raise InputError(
+            f"{path}: not a regular file, but a folder without tables ({', '.join(_SUFFIXES)}); give a file"
+        )
+    if len(files) > MAX_FILES:
+        raise InputError(f"{path}: more than {MAX_FILES} files; split the folder")
+    name = "table" if choices.columns else "auto"
+    parts = [_named(read_tracks(file, choices, name), file) for file in files]
+    if len({part.about.ring_m for part in parts}) > 1:
+        raise InputError(f"{path}: the files are of different roads; convert each road on its own")
+    together = _joined(path, parts)
+    others = ", ".join(one.name for one in tables if one not in files)
+    note = f"files of no known format were left out: {others[:200]}" if others else ""
+    return replace(together, about=together.about.noting(note))
+
+
+def _is_table(file: Path) -> bool:
+    meta = file.stem.endswith(("Meta", "_meta")) or file.name.upper().startswith(("LICENSE", "README"))
+    return file.is_file() and file.suffix.lower() in _SUFFIXES and not meta
+
+
+def _named(part: Tracks, file: Path) -> Tracks:
+    """The tracks of a file, whose recordings have the name of the file."""
+    here = same_label(len(part), file.stem)
+    single = len(part.recording.used()) == 1
+    return replace(part, recording=here if single else joined(here, part.recording, "/"))
+
+
+def _joined(path: Path, parts: list[Tracks]) -> Tracks:
+    """All parts in one table."""
+    columns: dict[str, Array | Labels] = {}
+    for name in (*TEXTS, *NUMBERS, "leader", "measured"):
+        found = [part.column(name) for part in parts]
+        if any(one is not None for one in found):
+            columns[name] = _column(name, parts)
+    about = About(
+        source=path.name,
+        view=parts[0].about.view,
+        leaders="given",
+        ring_m=parts[0].about.ring_m,
+        licence="; ".join(dict.fromkeys(part.about.licence for part in parts if part.about.licence)),
+        smoothing="; ".join(dict.fromkeys(part.about.smoothing for part in parts if part.about.smoothing)),
+    ).noting(*(note for part in parts for note in part.about.notes))
+    for part in parts:
+        for reason, rows in part.about.dropped:
+            about = about.without(reason, rows)
+    return of_columns(dict(columns), about)
+
+
+def _column(name: str, parts: list[Tracks]) -> Array | Labels:
+    if name in NUMBERS or name == "measured":
+        missing = 1.0 if name == "measured" else np.nan
+        columns = [part.column(name) for part in parts]
+        filled = [
+            np.full(len(part), missing) if one is None else np.asarray(one, dtype=np.float64)
+            for part, one in zip(parts, columns, strict=True)
+        ]
+        return np.asarray(np.concatenate(filled))
+    code, text, before = [], list[str](), 0
+    for part in parts:
+        one = part.column(name)
+        if isinstance(one, Labels):
+            code.append(np.where(one.code < 0, -1, one.code + before))
+            text += one.text
+            before = len(text)
+        else:
+            code.append(np.full(len(part), -1))
+    return labels(np.concatenate(code).astype(np.int32), text)
+
+
+FORMAT = tracks_format(
+    name="folder",
+    suffixes=(),
+    recognise=lambda head, path: path.is_dir(),
+    tracks=read_folder,
+    summary="a folder of tables in any of these formats: each file is a recording",
+)

@@ -1,0 +1,155 @@
+"""highD, and the files of exiD and inD, which name their columns in another way."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.formats.choices import Choices
+from sugiyama_ros.formats.columns import about_file, need, nobody, put_together, read_columns, take, text_of
+from sugiyama_ros.formats.format import tracks_format
+from sugiyama_ros.formats.sheet import Sheet, head_of, sheet_of
+from sugiyama_ros.trajectories.labels import Labels, labels, same_label
+from sugiyama_ros.trajectories.tracks import Tracks
+
+_RATE_HZ = 25.0
+_LICENCE = "research use, as granted by levelxdata.com"
+# x and y are of the upper left corner of the box; width is along the road.
+_HIGHD = {
+    "vehicle": need("id"),
+    "frame_s": need("frame"),
+    "x_m": need("x"),
+    "y_m": need("y"),
+    "length_m": need("width"),
+    "width_m": take("height"),
+    "lane": need("laneId"),
+    "leader": take("precedingId"),
+    "speed_x_m": take("xVelocity"),
+}
+# x and y are of the centre. Only exiD says who leads, and on which lane; a lane may be given as "12" or "12;13".
+_EXID = {
+    "recording": take("recordingId"),
+    "vehicle": need("trackId"),
+    "frame_s": need("frame"),
+    "x_m": need("xCenter"),
+    "y_m": need("yCenter"),
+    "length_m": take("length"),
+    "width_m": take("width"),
+    "heading_m": need("heading"),
+    "leader": need("leadId"),
+}
+
+
+def read_highd(path: Path, choices: Choices) -> Tracks:
+    """Read ``XX_tracks.csv``; ``XX_tracksMeta.csv`` and ``XX_recordingMeta.csv`` beside it are read where they are.
+
+    Parameters
+    ----------
+    path : Path
+        The file with the tracks.
+    choices : Choices
+        What the user says.
+
+    Returns
+    -------
+    Tracks
+        Centres; the two directions are two roads, and positions grow along the drive on both.
+
+    Raises
+    ------
+    InputError
+        With line and column, for a file of another form.
+    """
+    sheet = sheet_of(path, head_of(path))
+    if sheet is None or not _is_known(sheet):
+        raise InputError(f"{path}:1: not the columns of highD, exiD or inD; check the file")
+    is_highd = sheet.has("laneId")
+    if not is_highd and sheet.find("leadId") is None:
+        raise InputError(
+            f"{path}:1: no column leadId: crossings (inD, rounD) have neither lanes nor leaders; give lanes in a table"
+            " of your own with --format table --columns map.yaml"
+        )
+    columns = read_columns(sheet, _HIGHD if is_highd else _EXID)
+    about = about_file(path, leaders="found" if is_highd else "given", licence=_LICENCE)
+    about = replace(about, smoothing="positions as published (smoothed)")
+    columns["time_s"] = np.asarray(columns.pop("frame_s")) / _rate(path)
+    if isinstance(leader := columns.get("leader"), Labels):
+        columns["leader"] = nobody(leader, "0", "-1", "")
+    columns = _of_highd(columns) if is_highd else _of_exid(columns)
+    columns.setdefault("recording", same_label(len(np.asarray(columns["time_s"])), path.stem.partition("_")[0]))
+    if (kind := _classes(path, text_of(columns, "vehicle"))) is not None:
+        columns["class"] = kind
+    return put_together(columns, about, choices)
+
+
+def _of_highd(columns: dict[str, Array | Labels]) -> dict[str, Array | Labels]:
+    """Centres, and a road for each direction."""
+    x, length = np.asarray(columns.pop("x_m")), np.asarray(columns["length_m"])
+    y, width = np.asarray(columns.pop("y_m")), np.asarray(columns.get("width_m", 0.0))
+    speed = np.asarray(columns.pop("speed_x_m", np.zeros(len(x))))
+    code = text_of(columns, "vehicle").code
+    forward = np.bincount(code + 1, weights=np.nan_to_num(speed))[code + 1] >= 0.0
+    road = Labels(np.where(forward, 0, 1).astype(np.int32), ("lower", "upper"))
+    return columns | {"s_m": x + 0.5 * length, "d_m": y + 0.5 * width, "road": road}
+
+
+def _of_exid(columns: dict[str, Array | Labels]) -> dict[str, Array | Labels]:
+    """Positions along the two main directions of the road."""
+    x, y = np.asarray(columns.pop("x_m")), np.asarray(columns.pop("y_m"))
+    heading = np.radians(np.asarray(columns.pop("heading_m")))
+    # Both directions of one axis have the same doubled angle.
+    axis = 0.5 * np.arctan2(np.nanmean(np.sin(2.0 * heading)), np.nanmean(np.cos(2.0 * heading)))
+    side: Ints = (np.cos(heading - axis) < 0.0).astype(np.int64)
+    sign = 1.0 - 2.0 * side
+    along, across = x * np.cos(axis) + y * np.sin(axis), y * np.cos(axis) - x * np.sin(axis)
+    road = Labels(side.astype(np.int32), ("forward", "backward"))
+    return columns | {"s_m": sign * along, "d_m": sign * across, "road": road}
+
+
+def _rate(path: Path) -> float:
+    """Frames in a second, from the recording's metadata where there is such a file."""
+    beside = path.with_name(path.name.replace("_tracks", "_recordingMeta"))
+    if beside == path or not beside.is_file():
+        return _RATE_HZ
+    sheet = sheet_of(beside, head_of(beside))
+    if sheet is None or sheet.find("frameRate") is None:
+        return _RATE_HZ
+    rate = float(np.asarray(read_columns(sheet, {"rate_s": need("frameRate")})["rate_s"])[0])
+    if not 1.0 <= rate <= 1000.0:
+        raise InputError(f"{beside}: frameRate {rate:g} is no rate; correct the file")
+    return rate
+
+
+def _classes(path: Path, vehicle: Labels) -> Labels | None:
+    """Class of each row, (R,), from the metadata of the tracks; None without such a file."""
+    beside = path.with_name(path.name.replace("_tracks", "_tracksMeta"))
+    if beside == path or not beside.is_file():
+        return None
+    sheet = sheet_of(beside, head_of(beside))
+    if sheet is None:
+        return None
+    meta = read_columns(sheet, {"vehicle": need("id", "trackId"), "class": need("class")})
+    names, kinds = text_of(meta, "vehicle"), text_of(meta, "class")
+    of_name = dict(zip(names.values().tolist(), kinds.code.tolist(), strict=True))
+    code = np.array([of_name.get(text, -1) for text in vehicle.text] + [-1], dtype=np.int32)[vehicle.code]
+    return labels(code, [text.lower() for text in kinds.text])
+
+
+def _is_known(sheet: Sheet) -> bool:
+    return sheet.has("frame", "id", "x", "laneId", "width") or sheet.has("trackId", "frame", "xCenter", "yCenter")
+
+
+def _recognise(head: bytes, path: Path) -> bool:
+    sheet = None if head.startswith(b"PAR1") else sheet_of(path, head)
+    return sheet is not None and _is_known(sheet)
+
+
+FORMAT = tracks_format(
+    name="highd",
+    suffixes=(".csv",),
+    recognise=_recognise,
+    tracks=read_highd,
+    summary="highD and exiD (tracks.csv with its metadata beside it): both directions, lanes, leaders",
+)

@@ -1,0 +1,152 @@
+"""OpenACC (JRC): platoons in one wide table, a group of columns for each car."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.formats.choices import Choices
+from sugiyama_ros.formats.columns import about_file, put_together
+from sugiyama_ros.formats.common_path import common_path
+from sugiyama_ros.formats.format import tracks_format
+from sugiyama_ros.formats.sheet import Sheet, head_of, read_sheet, sheet_of
+from sugiyama_ros.trajectories.about import About
+from sugiyama_ros.trajectories.labels import Labels, labels
+from sugiyama_ros.trajectories.tracks import Tracks
+
+#: Radius of the earth [m].
+_EARTH_M = 6_371_000.0
+# Coordinates [m] of a map are not larger.
+_FARTHEST_M = 2e7
+# Line with the names, below the metadata.
+_HEADER = 6
+# Car and, if the file knows it, the driver's letter behind a quantity.
+_COLUMN = re.compile(r"(Time|Speed|E|N|Lat|Lon|IVS|Driver)(\d*)")
+_LICENCE = "CC BY 4.0; cite Makridis et al., OpenACC"
+# Least distance [m] between the antennas of two cars that stand bumper to bumper, for a length to be believed.
+_SHORTEST_M, _LONGEST_M = 2.5, 7.0
+
+
+def read_openacc(path: Path, choices: Choices) -> Tracks:
+    """Read a platoon. Places in the plane become positions along the path that the cars share.
+
+    Parameters
+    ----------
+    path : Path
+        CSV with five lines of metadata and the names in line 6.
+    choices : Choices
+        What the user says.
+
+    Returns
+    -------
+    Tracks
+        A car's leader is the car with the next lower number. If that car was not recorded, the leader is unknown.
+
+    Raises
+    ------
+    InputError
+        With line and column, for a file of another form.
+    """
+    sheet = _sheet(path, head_of(path))
+    if sheet is None:
+        raise InputError(f"{path}:{_HEADER}: not the columns of OpenACC (Time, Speed1, E1, N1, ...); check the file")
+    found = {name: _COLUMN.fullmatch(name) for name in sheet.names}
+    cars = sorted({int(one[2]) for one in found.values() if one is not None and one[1] == "Speed" and one[2]})
+    numbers = {name for name, one in found.items() if one is not None and one[1] != "Driver"}
+    table = {name: np.asarray(column) for name, column in read_sheet(sheet, numbers, set()).items()}
+    places = _places(table, cars, path)
+    path_of_all = common_path(places)
+    if path_of_all is None:
+        raise InputError(f"{path}: no car moves; give a recording of a drive")
+    position, off = (np.stack(one, axis=1) for one in zip(*map(path_of_all.positions, places), strict=True))
+    about = about_file(path, leaders="given", licence=_LICENCE).noting(
+        f"positions are lengths along the common path; half of the samples lie within {np.nanmedian(off):.2g} m of it"
+    )
+    # The antennas' distance is the gap and the cars' lengths around it.
+    length, about = _lengths(table, cars, position, about)
+    brand = _brands(path, cars)
+    rows, column = np.nonzero(np.isfinite(position))
+    ahead = np.array([cars.index(car - 1) if car - 1 in cars else -1 for car in cars], dtype=np.int32)
+    name = [str(car) for car in cars]
+    columns: dict[str, Array | Labels] = {
+        "recording": labels(np.zeros(len(rows), dtype=np.int32), [path.stem]),
+        "vehicle": labels(column.astype(np.int32), name),
+        "leader": labels(ahead[column], name),
+        "class": labels(column.astype(np.int32), brand),
+        "time_s": table["Time"][rows] - np.nanmin(table["Time"]),
+        "s_m": position[rows, column],
+        "length_m": length[column],
+    }
+    about = about.without("a car was not recorded", int(np.sum(~np.isfinite(position))))
+    return put_together(columns, about, choices)
+
+
+def _places(table: dict[str, Array], cars: list[int], path: Path) -> list[Array]:
+    """Places of the cars [m], (T, 2) each, east and north of one point that they share."""
+    if all(f"E{car}" in table and f"N{car}" in table for car in cars):
+        places = [np.stack((table[f"E{car}"], table[f"N{car}"]), axis=1) for car in cars]
+        return [np.where(np.abs(place) <= _FARTHEST_M, place, np.nan) for place in places]
+    bad = next((car for car in cars if f"Lat{car}" not in table or f"Lon{car}" not in table), None)
+    if bad is not None or not cars:
+        raise InputError(
+            f"{path}:{_HEADER}: no column E{bad}, N{bad} or Lat{bad}, Lon{bad}; give the places of the cars"
+        )
+    latitude = np.stack([table[f"Lat{car}"] for car in cars])
+    longitude = np.stack([table[f"Lon{car}"] for car in cars])
+    latitude, longitude = (np.where(np.abs(angle) <= 360.0, angle, np.nan) for angle in (latitude, longitude))
+    if not np.isfinite(latitude).any() or not np.isfinite(longitude).any():
+        raise InputError(f"{path}: no car has a place; give a recording of a drive")
+    if np.nanmax(np.abs(latitude)) > 0.5 * np.pi or np.nanmax(np.abs(longitude)) > np.pi:
+        latitude, longitude = np.radians(latitude), np.radians(longitude)
+    middle, east = float(np.nanmean(latitude)), float(np.nanmean(longitude))
+    east_m = _EARTH_M * (longitude - east) * np.cos(middle)
+    return list(np.stack((east_m, _EARTH_M * (latitude - middle)), axis=2))
+
+
+def _lengths(table: dict[str, Array], cars: list[int], position: Array, about: About) -> tuple[Array, About]:
+    """Lengths [m] of the cars, from the distance between two cars and the gap that the file gives."""
+    between = np.full(len(cars), np.nan)
+    misses = []
+    for k, car in enumerate(cars[:-1]):
+        if f"IVS{car}" in table and cars[k + 1] == car + 1:
+            way = position[:, k] - position[:, k + 1] - table[f"IVS{car}"]
+            if np.isfinite(way).any():
+                between[k] = np.nanmedian(way)
+                misses.append(float(np.nanmedian(np.abs(way - between[k]))))
+    if not misses:
+        return np.full(len(cars), np.nan), about
+    note = (
+        f"distances along the path agree with the given gaps within {np.median(misses):.2f} m (median) once lengths of"
+    )
+    note += f" {', '.join(f'{one:.1f}' for one in between[np.isfinite(between)])} m between cars are taken off"
+    # One value lies between each two cars: each car has the mean of the values on its two sides.
+    sides = np.stack((between, np.concatenate(([np.nan], between[:-1]))))
+    known = np.isfinite(sides)
+    length = np.where(known, sides, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+    plausible = known.any(axis=0) & (length >= _SHORTEST_M) & (length <= _LONGEST_M)
+    return np.where(plausible, length, np.nan), about.noting(note)
+
+
+def _brands(path: Path, cars: list[int]) -> list[str]:
+    """Make of each car, from the metadata; the car's number where it is not said."""
+    with path.open(encoding="utf-8", errors="replace") as stream:
+        lines = [stream.readline(10_000) for _ in range(_HEADER - 1)]
+    order = next((line.strip().split(",")[1:] for line in lines if line.startswith("Vehicle_order")), [])
+    return [order[car - 1] if car <= len(order) and order[car - 1] else f"car {car}" for car in cars]
+
+
+def _sheet(path: Path, head: bytes) -> Sheet | None:
+    sheet = None if head.startswith(b"PAR1") else sheet_of(path, head, header=_HEADER)
+    found = sheet is not None and sheet.names[0] == "Time" and any(name.startswith("Speed") for name in sheet.names)
+    return sheet if found else None
+
+
+FORMAT = tracks_format(
+    name="openacc",
+    suffixes=(".csv",),
+    recognise=lambda head, path: _sheet(path, head) is not None,
+    tracks=read_openacc,
+    summary="OpenACC: a platoon in one wide table; places become positions along the common path",
+)

@@ -1,0 +1,148 @@
+"""Car-following pairs: each row has a follower and the leader at one time."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.formats.choices import Choices
+from sugiyama_ros.formats.columns import Take, about_file, need, put_together, read_columns, take
+from sugiyama_ros.formats.format import tracks_format
+from sugiyama_ros.formats.sheet import Sheet, head_of, sheet_of
+from sugiyama_ros.trajectories.about import Reference
+from sugiyama_ros.trajectories.labels import Labels, labels, same_label
+from sugiyama_ros.trajectories.tracks import Tracks
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """Columns of one kind of pair file; those of the leader begin with ``leader_``."""
+
+    wanted: dict[str, Take]
+    reference: Reference = "front"
+    classes: dict[str, str] = field(default_factory=dict)
+
+
+_KINDS = (
+    _Kind(
+        {
+            "recording": take("run_no"),
+            "vehicle": need("follower_id"),
+            "leader_vehicle": need("leader_id"),
+            "time_s": need("timestamp"),
+            "s_m": need("xFollowerReal"),
+            "leader_s_m": need("xLeaderReal"),
+            "gap_m": take("spacing"),
+        }
+    ),
+    _Kind(
+        {
+            "vehicle": need("vehicle_id"),
+            "leader_vehicle": need("preceding"),
+            "time_s": need("frame_id", factor=0.1),
+            "s_m": need("local_y"),
+            "leader_s_m": need("preceding_local_y"),
+            "d_m": take("local_x"),
+            "length_m": take("v_length"),
+            "leader_length_m": take("preceding_length"),
+            "width_m": take("v_width"),
+            "leader_width_m": take("preceding_width"),
+            "class": take("v_class"),
+            "leader_class": take("preceding_class"),
+            "lane": take("lane_id"),
+        },
+        classes={"1": "motorcycle", "2": "car", "3": "truck"},
+    ),
+    _Kind(
+        {
+            "recording": take("Trajectory_ID"),
+            "vehicle": need("ID_FAV"),
+            "leader_vehicle": need("ID_LV"),
+            "time_s": need("Time_Index"),
+            "s_m": need("Pos_FAV"),
+            "leader_s_m": need("Pos_LV"),
+            "gap_m": take("Space_Gap", "Spatial_Gap"),
+        }
+    ),
+)
+
+
+def read_pairs(path: Path, choices: Choices) -> Tracks:
+    """Read pairs. A vehicle that follows in one pair and leads in another is one vehicle.
+
+    Parameters
+    ----------
+    path : Path
+        CSV or Parquet.
+    choices : Choices
+        What the user says.
+
+    Returns
+    -------
+    Tracks
+        With the leaders that the file gives.
+
+    Raises
+    ------
+    InputError
+        With line and column, for a file of another form; or where pairs that share a number do not fit together.
+    """
+    sheet = sheet_of(path, head_of(path))
+    kind = None if sheet is None else _kind(sheet)
+    if sheet is None or kind is None:
+        raise InputError(
+            f"{path}:1: not the columns of pairs; say which is which with --format table --columns map.yaml"
+        )
+    pair = read_columns(sheet, kind.wanted)
+    if "gap_m" in pair and "length_m" not in pair:
+        pair["leader_length_m"] = pair["length_m"] = _length(pair)
+    rows = len(np.asarray(pair["s_m"]))
+    # Followers come first, so that the row with the leader stays where a vehicle has two.
+    both: dict[str, Array | Labels] = {
+        "leader": _twice(pair["leader_vehicle"], Labels(np.full(rows, -1, np.int32), ()))
+    }
+    for name, column in pair.items():
+        if name not in ("gap_m", "d_m") and not name.startswith("leader_"):
+            both[name] = _twice(column, pair.get(f"leader_{name}", column))
+    if isinstance(one := both.get("class"), Labels):
+        both["class"] = labels(one.code, [kind.classes.get(text, text) for text in one.text])
+    both.setdefault("recording", same_label(2 * rows, path.stem))
+    return put_together(both, about_file(path, leaders="given"), choices, kind.reference)
+
+
+def _length(pair: dict[str, Array | Labels]) -> Array:
+    """Length [m] of the leader (R,), from the gap bumper to bumper."""
+    length = np.asarray(pair["leader_s_m"]) - np.asarray(pair["s_m"]) - np.asarray(pair["gap_m"])
+    return np.asarray(np.round(length, 2))
+
+
+def _twice(follower: Array | Labels, leader: Array | Labels) -> Array | Labels:
+    """A column for the followers and, below, for the leaders."""
+    if isinstance(follower, Labels) and isinstance(leader, Labels):
+        moved = np.where(leader.code < 0, -1, leader.code + len(follower.text))
+        return labels(np.concatenate((follower.code, moved)).astype(np.int32), (*follower.text, *leader.text))
+    return np.asarray(np.concatenate((np.asarray(follower), np.asarray(leader))), dtype=np.float64)
+
+
+def _kind(sheet: Sheet) -> _Kind | None:
+    """The kind of a pair file, by the columns that it must have."""
+    for kind in _KINDS:
+        if all(sheet.find(*one.names) for one in kind.wanted.values() if not one.optional):
+            return kind
+    return None
+
+
+def _is_pairs(head: bytes, path: Path) -> bool:
+    sheet = sheet_of(path, head)
+    return sheet is not None and _kind(sheet) is not None
+
+
+FORMAT = tracks_format(
+    name="pairs",
+    suffixes=(".csv", ".parquet"),
+    recognise=_is_pairs,
+    tracks=read_pairs,
+    summary="car-following pairs, a follower and the leader in each row (FHWA, NGSIM pairs, unified FAV tables)",
+)

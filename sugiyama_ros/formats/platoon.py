@@ -1,0 +1,78 @@
+"""Platoons as the calibration package of Punzo et al. keeps them: one follower and the leader in a file."""
+
+from pathlib import Path
+
+import numpy as np
+
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.formats.choices import Choices
+from sugiyama_ros.formats.columns import about_file, need, put_together, read_columns
+from sugiyama_ros.formats.format import tracks_format
+from sugiyama_ros.formats.sheet import Sheet, head_of, sheet_of
+from sugiyama_ros.trajectories.labels import Labels
+from sugiyama_ros.trajectories.tracks import Tracks
+
+_COLUMNS = ("time", "leader position", "follower position", "leader speed", "follower speed", "leader length")
+_WANTED = {
+    "time_s": need("time", factor=0.1),
+    "leader_s_m": need("leader position"),
+    "s_m": need("follower position"),
+    "length_m": need("leader length"),
+}
+
+
+def read_platoon(path: Path, choices: Choices) -> Tracks:
+    """Read a file of six columns without names, divided by tabs: front bumpers [m], times in tenths of a second.
+
+    Parameters
+    ----------
+    path : Path
+        The file; digits in its name are the number of the follower, and the leader has the number before.
+    choices : Choices
+        What the user says.
+
+    Returns
+    -------
+    Tracks
+        The follower and the leader.
+
+    Raises
+    ------
+    InputError
+        With the line, for a file of another form.
+    """
+    sheet = _sheet(path, head_of(path))
+    if sheet is None:
+        raise InputError(f"{path}:1: not six columns divided by tabs; give a file of a platoon")
+    pair = read_columns(sheet, _WANTED)
+    rows = len(np.asarray(pair["s_m"]))
+    digits = "".join(filter(str.isdigit, path.stem))[-9:]
+    # Cars of a platoon are numbered from the first to the last.
+    follower, leader = (digits, str(int(digits) - 1)) if digits.strip("0") else ("follower", "leader")
+    second = np.repeat(np.array([0, 1], dtype=np.int32), rows)
+    columns = {
+        "recording": Labels(np.zeros(2 * rows, dtype=np.int32), (path.stem,)),
+        "vehicle": Labels(second, (follower, leader)),
+        "leader": Labels(np.where(second == 0, 0, -1).astype(np.int32), (leader,)),
+        "time_s": np.tile(np.asarray(pair["time_s"]), 2),
+        "s_m": np.concatenate((np.asarray(pair["s_m"]), np.asarray(pair["leader_s_m"]))),
+        "length_m": np.tile(np.asarray(pair["length_m"]), 2),
+    }
+    return put_together(columns, about_file(path, leaders="given"), choices, reference="front")
+
+
+def _sheet(path: Path, head: bytes) -> Sheet | None:
+    first = head.decode("utf-8", errors="replace").partition("\n")[0].rstrip("\r")
+    fields = first.split("\t")
+    if len(fields) != len(_COLUMNS) or not all(one.strip().replace(".", "").lstrip("-").isdigit() for one in fields):
+        return None
+    return sheet_of(path, head, names=_COLUMNS)
+
+
+FORMAT = tracks_format(
+    name="platoon",
+    suffixes=(".txt",),
+    recognise=lambda head, path: _sheet(path, head) is not None,
+    tracks=read_platoon,
+    summary="a follower and the leader in six columns without names (Punzo et al.; the platoon of Hefei)",
+)

@@ -1,0 +1,134 @@
+"""pNEUMA: vehicles seen from drones, one line for each vehicle, with as many groups of six values as it was seen."""
+
+import math
+from array import array
+from pathlib import Path
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.formats.choices import Choices
+from sugiyama_ros.formats.columns import about_file, put_together
+from sugiyama_ros.formats.format import tracks_format
+from sugiyama_ros.formats.reading import number, open_input
+from sugiyama_ros.formats.sheet import MAX_ROWS
+from sugiyama_ros.trajectories.labels import Labels, labels
+from sugiyama_ros.trajectories.tracks import Tracks
+
+_HEAD = ("track_id", "type", "traveled_d", "avg_speed")
+_GROUP = 6
+#: Longest line [bytes]: a vehicle that is seen for two hours at 25 Hz has 15 MB.
+_LONGEST = 32 << 20
+_EARTH_M = 6_371_000.0
+_LICENCE = "open-traffic.epfl.ch: cite Barmpounakis and Geroliminis (2020)"
+_SIDES = ("east", "north", "west", "south")
+
+
+def read_pneuma(path: Path, choices: Choices) -> Tracks:
+    """Read a file of pNEUMA.
+
+    The file names neither lanes nor leaders. A road is a direction of the compass, and a position is measured in this
+    direction. So all leaders are unknown, until lanes are added.
+
+    Parameters
+    ----------
+    path : Path
+        The file, divided by semicolons.
+    choices : Choices
+        What the user says.
+
+    Returns
+    -------
+    Tracks
+        Centres, in four roads.
+
+    Raises
+    ------
+    InputError
+        With the line, for a file of another form.
+    """
+    values, rows, names, kinds = _read(path)
+    vehicle: Ints = np.repeat(np.arange(len(rows)), rows)
+    latitude, longitude, time = values[:, 0], values[:, 1], values[:, 5]
+    east = _EARTH_M * np.radians(longitude - longitude.mean()) * np.cos(np.radians(latitude.mean()))
+    north = _EARTH_M * np.radians(latitude - latitude.mean())
+    last = np.cumsum(rows) - 1
+    first = last - rows + 1
+    angle = np.arctan2(north[last] - north[first], east[last] - east[first])
+    side = (np.round(angle / (0.5 * np.pi)).astype(np.int64) % 4)[vehicle]
+    turn = 0.5 * np.pi * side
+    columns: dict[str, Array | Labels] = {
+        "vehicle": labels(vehicle.astype(np.int32), names),
+        "class": labels(vehicle.astype(np.int32), kinds),
+        "time_s": time,
+        "s_m": east * np.cos(turn) + north * np.sin(turn),
+        "d_m": north * np.cos(turn) - east * np.sin(turn),
+        "road": labels(side.astype(np.int32), _SIDES),
+        "lane": Labels(np.full(len(time), -1, dtype=np.int32), ()),
+    }
+    about = about_file(path, licence=_LICENCE, smoothing="positions as published").noting(
+        "the file has no lanes, so all leaders are unknown; write a CSV, fill its column lane, and read it again"
+    )
+    return put_together(columns, about, choices)
+
+
+def _read(path: Path) -> tuple[Array, Ints, list[str], list[str]]:
+    """Values of all groups (R, 6), and for each vehicle its number of groups, its name and its class."""
+    values, rows = array("d"), array("q")
+    names: list[str] = []
+    kinds: list[str] = []
+    with open_input(path) as stream:
+        stream.readline(_LONGEST)
+        count = 1
+        while line := stream.readline(_LONGEST):
+            count += 1
+            where = f"{path}:{count}"
+            fields = [one.strip() for one in line.decode("utf-8", errors="replace").split(";")]
+            fields = fields[:-1] if fields[-1] == "" else fields
+            if not fields:
+                continue
+            groups, rest = divmod(len(fields) - len(_HEAD), _GROUP)
+            if rest or groups < 0:
+                raise InputError(f"{where}: {len(fields)} fields are not four and groups of six; correct the line")
+            if (len(values) // _GROUP) + groups > MAX_ROWS:
+                raise InputError(f"{where}: more than {MAX_ROWS} rows; split the file")
+            names.append(fields[0])
+            kinds.append(fields[1].lower())
+            rows.append(groups)
+            values.extend(_numbers(fields[len(_HEAD) :], where))
+    if not values:
+        raise InputError(f"{path}: no samples; give a file with vehicles")
+    seen = np.frombuffer(rows, dtype=np.int64)
+    kept = seen > 0
+    return (
+        np.frombuffer(values).reshape(-1, _GROUP),
+        seen[kept],
+        [name for name, keep in zip(names, kept.tolist(), strict=True) if keep],
+        [kind for kind, keep in zip(kinds, kept.tolist(), strict=True) if keep],
+    )
+
+
+def _numbers(texts: list[str], where: str) -> list[float]:
+    """The values of a line, of which each sixth and the one behind it are degrees."""
+    try:
+        found = list(map(float, texts))
+    except ValueError:
+        found = [number(text, "value", where) for text in texts]
+    if not all(map(math.isfinite, found)) or any(abs(one) > 360.0 for one in (*found[::_GROUP], *found[1::_GROUP])):
+        raise InputError(f"{where}: a value is not a finite number, or not a place in degrees; correct the line")
+    return found
+
+
+def _recognise(head: bytes, path: Path) -> bool:
+    first = head.decode("utf-8-sig", errors="replace").partition("\n")[0]
+    return tuple(one.strip() for one in first.split(";"))[: len(_HEAD)] == _HEAD
+
+
+FORMAT = tracks_format(
+    name="pneuma",
+    suffixes=(".csv",),
+    recognise=_recognise,
+    tracks=read_pneuma,
+    summary="pNEUMA: lines of different lengths, places in degrees; no lanes and no leaders",
+)

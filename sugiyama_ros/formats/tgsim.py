@@ -1,0 +1,111 @@
+"""TGSIM and ARED: tables whose columns only need other names."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.formats.choices import Choices
+from sugiyama_ros.formats.columns import Take, about_file, need, nobody, put_together, read_columns, take
+from sugiyama_ros.formats.format import tracks_format
+from sugiyama_ros.formats.sheet import Sheet, head_of, sheet_of
+from sugiyama_ros.trajectories.about import About, Reference
+from sugiyama_ros.trajectories.labels import Labels
+from sugiyama_ros.trajectories.tracks import Tracks
+
+
+@dataclass(frozen=True)
+class _Known:
+    """A data set: its columns, what positions are of, and what else is known."""
+
+    wanted: dict[str, Take]
+    reference: Reference
+    said: Callable[[About], About]
+
+
+#: Circumference [m] of the ring of ARED.
+ARED_RING_M = 260.0
+_KNOWN = (
+    _Known(
+        {
+            "recording": take("run_index"),
+            "vehicle": need("id"),
+            "time_s": need("time"),
+            "s_m": need("xloc_kf"),
+            "d_m": take("yloc_kf"),
+            "lane": need("lane_kf"),
+            "length_m": take("length_smoothed"),
+            "width_m": take("width_smoothed"),
+            "class": take("type_most_common"),
+        },
+        "centre",
+        lambda about: replace(about, smoothing="Kalman filter, as published", licence="US DOT, public"),
+    ),
+    _Known(
+        {
+            "recording": take("exp_id"),
+            "vehicle": need("veh_id"),
+            "time_s": need("timestamp"),
+            "s_m": need("cam_distance"),
+            "length_m": take("length"),
+            "class": take("make"),
+            "leader": take("leader_id"),
+        },
+        "front",
+        lambda about: replace(about, ring_m=ARED_RING_M, leaders="given"),
+    ),
+)
+
+
+def read_known(path: Path, choices: Choices) -> Tracks:
+    """Read a table of TGSIM or ARED.
+
+    Parameters
+    ----------
+    path : Path
+        CSV.
+    choices : Choices
+        What the user says.
+
+    Returns
+    -------
+    Tracks
+        Centres; ARED is on a ring of 260 m.
+
+    Raises
+    ------
+    InputError
+        With line and column, for a file of another form.
+    """
+    sheet = sheet_of(path, head_of(path))
+    known = None if sheet is None else _known(sheet)
+    if sheet is None or known is None:
+        raise InputError(f"{path}:1: not the columns of TGSIM or ARED; check the file")
+    columns = read_columns(sheet, known.wanted)
+    about = known.said(about_file(path))
+    if isinstance(leader := columns.get("leader"), Labels):
+        columns["leader"] = nobody(leader, "-1", "")
+    elif about.leaders == "given":
+        about = replace(about, leaders="found")
+    return put_together(columns, about, choices, known.reference)
+
+
+def _known(sheet: Sheet) -> _Known | None:
+    for known in _KNOWN:
+        if all(sheet.find(*one.names) for one in known.wanted.values() if not one.optional):
+            return known
+    return None
+
+
+def _recognise(head: bytes, path: Path) -> bool:
+    sheet = None if head.startswith(b"PAR1") else sheet_of(path, head)
+    return sheet is not None and _known(sheet) is not None
+
+
+FORMAT = tracks_format(
+    name="tgsim",
+    suffixes=(".csv",),
+    recognise=_recognise,
+    tracks=read_known,
+    summary="TGSIM (lanes of a motorway) and ARED (a ring of 260 m)",
+)

@@ -1,0 +1,102 @@
+"""Tracks in Parquet, as ``sugiyama convert`` writes them."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import BinaryIO
+
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.formats.choices import MAPPED, Choices
+from sugiyama_ros.formats.columns import is_number
+from sugiyama_ros.formats.format import tracks_format
+from sugiyama_ros.formats.sheet import head_of, read_sheet, sheet_of
+from sugiyama_ros.formats.writing import replacing
+from sugiyama_ros.trajectories.exchange import about_of, of_columns, to_arrow, write_parquet
+from sugiyama_ros.trajectories.tracks import Tracks
+
+
+def read_tracks_parquet(path: Path, choices: Choices) -> Tracks:
+    """Read tracks that `write_tracks` wrote.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    choices : Choices
+        Only the ring counts; the file says everything else.
+
+    Returns
+    -------
+    Tracks
+        The tracks, with the source and the checksum of the file that they come from.
+
+    Raises
+    ------
+    InputError
+        For a damaged file, or one that lacks a column.
+    """
+    from pyarrow import parquet
+
+    sheet = sheet_of(path, head_of(path))
+    with parquet.ParquetFile(path) as file:
+        about = about_of(file.schema_arrow.metadata)
+    if sheet is None or about is None:
+        raise InputError(f"{path}: does not say that it holds tracks; convert the source again")
+    missing = [name for name in ("recording", "vehicle", "time_s", "s_m") if name not in sheet.names]
+    if missing:
+        raise InputError(f"{path}: no column {', '.join(missing)}; convert the source again")
+    if choices.ring_m is not None:
+        about = replace(about, ring_m=choices.ring_m)
+    names = {name for name in MAPPED if name in sheet.names}
+    numbers = {name for name in names if is_number(name)}
+    return of_columns(dict(read_sheet(sheet, numbers, names - numbers)), about)
+
+
+def write_tracks(tracks: Tracks, path: Path) -> None:
+    """Write tracks as Parquet, or as CSV if the name ends in ``.csv``.
+
+    Parameters
+    ----------
+    tracks : Tracks
+        The tracks.
+    path : Path
+        File to write.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written.
+    """
+    with replacing(path) as stream:
+        if path.suffix.lower() == ".csv":
+            _write_csv(tracks, stream)
+        else:
+            write_parquet(tracks, stream)
+
+
+def _write_csv(tracks: Tracks, stream: BinaryIO) -> None:
+    from pyarrow import csv, types
+
+    table = to_arrow(tracks)
+    plain = [one.cast(one.type.value_type) if types.is_dictionary(one.type) else one for one in table]
+    csv.write_csv(type(table).from_arrays(plain, names=table.column_names), stream)
+
+
+def _has_tracks(head: bytes, path: Path) -> bool:
+    if not head.startswith(b"PAR1"):
+        return False
+    from pyarrow import ArrowException, parquet
+
+    try:
+        with parquet.ParquetFile(path) as file:
+            return about_of(file.schema_arrow.metadata) is not None
+    except (ArrowException, OSError, ValueError):
+        return False
+
+
+FORMAT = tracks_format(
+    name="tracks",
+    suffixes=(".parquet",),
+    recognise=_has_tracks,
+    tracks=read_tracks_parquet,
+    summary="tracks in Parquet, as sugiyama convert writes them",
+)

@@ -1,0 +1,62 @@
+"""Where tracks come from, and what was done to them."""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+View = Literal["end", "whole"]
+Reference = Literal["centre", "front", "rear"]
+Leaders = Literal["found", "given"]
+
+
+@dataclass(frozen=True)
+class About:
+    """What is known of tracks beside their rows.
+
+    Parameters
+    ----------
+    reference : {"centre", "front", "rear"}
+        Which point of a vehicle s_m is the position of. Tracks that were read from a file are always at the centre.
+    unit : str
+        Unit of all lengths.
+    smoothing : str
+        How the positions were smoothed; empty if nobody says.
+    view : {"end", "whole"}
+        "end": vehicles beyond the first one were out of view, so that the leader of the first is unknown. "whole":
+        everybody was in view, so that the first vehicle has a free road.
+    leaders : {"found", "given"}
+        "found": the next vehicle ahead leads, and what the file says is only compared. "given": the file says who
+        leads.
+    ring_m : float
+        Circumference [m] of a ring road; 0 for open roads.
+    source, sha256, licence : str
+        Name and checksum of the file, and its terms of use.
+    dropped : tuple of (str, int)
+        The ledger: reasons for which rows were left out, and how many rows.
+    notes : tuple of str
+        What was changed or looks odd.
+    """
+
+    reference: Reference = "centre"
+    unit: str = "m"
+    smoothing: str = ""
+    view: View = "end"
+    leaders: Leaders = "found"
+    ring_m: float = 0.0
+    source: str = ""
+    sha256: str = ""
+    licence: str = ""
+    dropped: tuple[tuple[str, int], ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def without(self, reason: str, rows: int) -> "About":
+        """The same, with rows left out for a reason; nothing changes for 0 rows."""
+        if rows == 0:
+            return self
+        ledger = dict(self.dropped)
+        ledger[reason] = ledger.get(reason, 0) + int(rows)
+        return replace(self, dropped=tuple(ledger.items()))
+
+    def noting(self, *notes: str) -> "About":
+        """The same, with notes that are not empty and not there yet."""
+        new = tuple(note for note in dict.fromkeys(notes) if note and note not in self.notes)
+        return replace(self, notes=(*self.notes, *new))

@@ -1,0 +1,289 @@
+"""Columns as a file gives them, put together to tracks: sorted, checked, at the vehicles' centres, with leaders."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sugiyama_ros.arrays import Array, Ints, Mask
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.trajectories.about import About, Reference
+from sugiyama_ros.trajectories.labels import Labels, labels, labels_of, numbered, same_label
+from sugiyama_ros.trajectories.leaders import (
+    LEAST_AGREEMENT,
+    agreement,
+    check_gaps,
+    find_leaders,
+    given_leaders,
+)
+from sugiyama_ros.trajectories.tracks import NOBODY, TEXTS, UNKNOWN, Tracks, starts
+from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M
+
+Column: TypeAlias = Labels | ArrayLike
+Columns: TypeAlias = Mapping[str, Column]
+#: A vehicle that is away for longer is another vehicle with the same number.
+LONGEST_ABSENCE_S = 60.0
+#: Share of rows that may give a vehicle a second position at the same time.
+_MOST_DOUBLE = 0.01
+#: Two positions [m] of a vehicle at the same time that differ by less are the same.
+_SAME_M = 0.01
+#: Lengths [m] of a vehicle that differ by more are noted.
+_LENGTH_VARIES_M = 0.5
+#: Times [s] and positions [m] beyond which a number is taken for damage: the year 2106, and light's way in a second.
+_LATEST_S, _FARTHEST_M = 2.0**32, 3e8
+#: Way [m] that all vehicles of a lane together go backward, for the lane to be turned round: more than noise at rest.
+_BACKWARD_M = 10.0
+#: Way [vehicle lengths] from the point of reference to the centre.
+_TO_CENTRE = {"front": -0.5, "centre": 0.0, "rear": 0.5}
+
+
+def assemble(
+    columns: Columns, about: About | None = None, reference: Reference = "centre", checked: bool = True
+) -> Tracks:
+    """Make tracks of columns.
+
+    Parameters
+    ----------
+    columns : mapping of str to array or Labels, shape (R,) each
+        ``vehicle``, ``time_s`` [s] and ``s_m`` [m]; perhaps ``recording``, ``road``, ``lane``, ``class``, ``driver``,
+        ``leader``, ``d_m``, ``length_m``, ``width_m`` [m] and ``measured``. Rows may stand in any order.
+    about : About, optional
+        Where the columns come from.
+    reference : {"centre", "front", "rear"}
+        Which point of a vehicle the positions are of.
+    checked : bool
+        Whether to check what the columns say: positions that decrease are turned round, given leaders are compared
+        with those that are found, and negative gaps are refused. False for columns that were tracks before.
+
+    Returns
+    -------
+    Tracks
+        The sorted table. Its ledger says how many rows were left out, and why.
+
+    Raises
+    ------
+    InputError
+        If no rows are left, many vehicles are in two places at once, or vehicles overlap.
+    """
+    table = _table(columns, about or About())
+    for step in (_known, _sorted, _once, _lives):
+        table = step(table)
+    run = _run(table)
+    table = _lengths(table, starts(run))
+    table = _along(table, run) if checked else table
+    number, text = table.number, table.text
+    about = _referred(table.about, reference)
+    tracks = Tracks(
+        recording=text["recording"],
+        vehicle=text["vehicle"],
+        time_s=number["time_s"],
+        s_m=number["s_m"] + _TO_CENTRE[reference] * number["length_m"],
+        leader_row=np.full(len(run), UNKNOWN, dtype=np.int64),
+        start=starts(run),
+        length_m=number["length_m"],
+        about=about,
+        road=text.get("road"),
+        lane=text.get("lane"),
+        vehicle_class=text.get("class"),
+        driver=text.get("driver"),
+        d_m=number.get("d_m"),
+        width_m=number.get("width_m"),
+        measured=number["measured"] != 0.0 if "measured" in number else None,
+    )
+    tracks = led(tracks, text.get("leader"), compared=checked)
+    if checked:
+        check_gaps(tracks)
+    return tracks
+
+
+def led(tracks: Tracks, named: Labels | None, compared: bool = True) -> Tracks:
+    """Return the tracks with their leaders.
+
+    Parameters
+    ----------
+    tracks : Tracks
+        R rows.
+    named : Labels, shape (R,), or None
+        Leaders that the file names.
+    compared : bool
+        Whether the leaders that are found are compared with those that the file names.
+
+    Returns
+    -------
+    Tracks
+        With leaders, and a note that says how many of the named leaders were found.
+    """
+    if named is None:
+        return replace(tracks, leader_row=find_leaders(tracks))
+    given = given_leaders(tracks, named)
+    whose = tracks.about.leaders
+    if whose == "given" and not compared:
+        return replace(tracks, leader_row=given)
+    found = find_leaders(tracks)
+    share = agreement(found, given)
+    note = f"the next vehicle ahead is the given leader in {100.0 * share:.4g} %" if np.isfinite(share) else ""
+    if share < LEAST_AGREEMENT:
+        note = f"warning: {note}, fewer than {100.0 * LEAST_AGREEMENT:g} %; check lanes and positions (--columns)"
+    # Whoever follows a vehicle that has no row at this time follows nobody in the table.
+    named_free = named.code == (named.text.index(NOBODY) if NOBODY in named.text else len(named.text))
+    out_of_view = (named.code >= 0) & ~named_free & (given < 0)
+    leader_row = given if whose == "given" else np.where(out_of_view, UNKNOWN, found)
+    return replace(tracks, leader_row=leader_row, about=tracks.about.noting(note))
+
+
+class _Table(NamedTuple):
+    """Columns of text and of numbers, with R rows each, and where they come from."""
+
+    text: dict[str, Labels]
+    number: dict[str, Array]
+    about: About
+
+    def taken(self, rows: Mask | Ints) -> "_Table":
+        """Some of the rows."""
+        text = {name: column[rows] for name, column in self.text.items()}
+        return self._replace(text=text, number={name: column[rows] for name, column in self.number.items()})
+
+    @property
+    def source(self) -> str:
+        """Name for messages."""
+        return self.about.source or "tracks"
+
+
+def _table(columns: Columns, about: About) -> _Table:
+    text: dict[str, Labels] = {}
+    number: dict[str, Array] = {}
+    for name, column in columns.items():
+        if isinstance(column, Labels):
+            text[name] = labels(column.code, column.text)
+        elif name in (*TEXTS, "leader"):
+            array = np.asarray(column)
+            text[name] = numbered(array) if array.dtype.kind in "fiu" else labels_of(array.tolist())
+        else:
+            number[name] = np.asarray(column, dtype=np.float64)
+    text.setdefault("recording", same_label(len(number["s_m"]), "1"))
+    return _Table(text, number, about)
+
+
+def _known(table: _Table) -> _Table:
+    """Leave out rows without a time, a position or a vehicle."""
+    keep = np.ones(len(table.number["s_m"]), dtype=bool)
+    about = table.about
+    for known, said in (
+        (np.abs(table.number["time_s"]) < _LATEST_S, "no time"),
+        (np.abs(table.number["s_m"]) < _FARTHEST_M, "no position"),
+        (table.text["vehicle"].code >= 0, "no vehicle"),
+        (table.text["recording"].code >= 0, "no recording"),
+    ):
+        about = about.without(said, int(np.sum(keep & ~known)))
+        keep &= known
+    if not keep.any():
+        raise InputError(f"{table.source}: no row has a vehicle, a time and a position; give such rows")
+    return (table if keep.all() else table.taken(keep))._replace(about=about)
+
+
+def _sorted(table: _Table) -> _Table:
+    """Sort the rows by recording, vehicle and time."""
+    vehicle, time = table.text["vehicle"], table.number["time_s"]
+    if NOBODY in vehicle.text:
+        raise InputError(f"{table.source}: a vehicle is called {NOBODY!r}, which has a meaning of its own; rename it")
+    key = table.text["recording"].code.astype(np.int64) * (len(vehicle.text) + 1) + vehicle.code
+    step = np.diff(key)
+    if np.all((step > 0) | ((step == 0) & (np.diff(time) >= 0.0))):
+        return table
+    return table.taken(np.lexsort((time, key)))
+
+
+def _run(table: _Table) -> Ints:
+    """Number of the run of each row, (R,)."""
+    new = (np.diff(table.text["vehicle"].code) != 0) | (np.diff(table.text["recording"].code) != 0)
+    return np.concatenate((np.zeros(1, dtype=np.int64), np.cumsum(new)))
+
+
+def _once(table: _Table) -> _Table:
+    """Keep one row for each vehicle and time."""
+    time, s, vehicle = table.number["time_s"], table.number["s_m"], table.text["vehicle"]
+    double = np.zeros(len(s), dtype=bool)
+    double[1:] = (np.diff(time) == 0.0) & (np.diff(_run(table)) == 0)
+    if not double.any():
+        return table
+    apart = double.copy()
+    apart[1:] &= np.abs(np.diff(s)) > _SAME_M
+    if apart.sum() > _MOST_DOUBLE * len(s):
+        row = int(np.flatnonzero(apart)[0])
+        raise InputError(
+            f"{table.source}: vehicle {vehicle.at(row)} is at {s[row - 1]:g} m and at {s[row]:g} m at {time[row]:g} s:"
+            " recordings that have nothing to do with each other lie over one another; give the column recording"
+            " (--columns)"
+        )
+    about = table.about.without("second row of a vehicle at the same time", int(double.sum() - apart.sum()))
+    about = about.without("second position of a vehicle at the same time", int(apart.sum()))
+    return table.taken(~double)._replace(about=about)
+
+
+def _lives(table: _Table) -> _Table:
+    """Give a vehicle that comes back after a long time a name of its own."""
+    vehicle, time, run = table.text["vehicle"], table.number["time_s"], _run(table)
+    back = (np.diff(run) == 0) & (np.diff(time) > LONGEST_ABSENCE_S)
+    if not back.any():
+        return table
+    again = np.concatenate((np.zeros(1, dtype=np.int64), np.cumsum(back)))
+    start = starts(run)
+    life = again - np.repeat(again[start[:-1]], np.diff(start))
+    width = int(life.max()) + 1
+    unique, code = np.unique(vehicle.code.astype(np.int64) * width + life, return_inverse=True)
+    names = [vehicle.text[u // width] + (f"~{u % width + 1}" if u % width else "") for u in unique.tolist()]
+    # A name that is used again does not say which of the vehicles leads.
+    text = {name: column for name, column in table.text.items() if name != "leader"}
+    about = table.about.noting(f"numbers of vehicles are used again {int(back.sum())} times; later ones end in ~2, ~3")
+    return _sorted(_Table({**text, "vehicle": labels(code.astype(np.int32), names)}, table.number, about))
+
+
+def _lengths(table: _Table, start: Ints) -> _Table:
+    """One length [m] for each run, repeated for its rows."""
+    rows = np.diff(start)
+    if "length_m" not in table.number:
+        note = f"no lengths: every vehicle counts as {DEFAULT_LENGTH_M:g} m long"
+        usual = np.full(int(start[-1]), DEFAULT_LENGTH_M)
+        return table._replace(number={**table.number, "length_m": usual}, about=table.about.noting(note))
+    given = np.where(table.number["length_m"] > 0.0, table.number["length_m"], np.nan)
+    low, high = np.fmin.reduceat(given, start[:-1]), np.fmax.reduceat(given, start[:-1])
+    length: Array = low.copy()
+    for run in np.flatnonzero(high > low).tolist():
+        length[run] = np.nanmedian(given[start[run] : start[run + 1]])
+    varies, unknown = int(np.sum(high - low > _LENGTH_VARIES_M)), int(np.sum(np.isnan(length)))
+    about = table.about.noting(
+        f"lengths that vary by more than {_LENGTH_VARIES_M:g} m: {varies} vehicles; the median counts" * (varies > 0),
+        f"lengths that are missing: {unknown} vehicles, which count as {DEFAULT_LENGTH_M:g} m long" * (unknown > 0),
+    )
+    filled = np.repeat(np.where(np.isnan(length), DEFAULT_LENGTH_M, length), rows)
+    return table._replace(number={**table.number, "length_m": filled}, about=about)
+
+
+def _along(table: _Table, run: Ints) -> _Table:
+    """Turn positions round on lanes where most of them decrease, so that they grow along the drive."""
+    s, about = table.number["s_m"], table.about
+    group = table.text["recording"].code.astype(np.int64)
+    for name in ("road", "lane"):
+        if name in table.text:
+            group = group * (len(table.text[name].text) + 1) + table.text[name].code
+    _, group = np.unique(group, return_inverse=True)
+    step = np.where((np.diff(run) == 0) & (np.diff(group) == 0), np.diff(s), 0.0)
+    if about.ring_m > 0.0:
+        step -= about.ring_m * np.round(step / about.ring_m)
+    turned = (np.bincount(group[1:], weights=step, minlength=int(group.max()) + 1) < -_BACKWARD_M)[group]
+    if not turned.any():
+        return table
+    recording = table.text["recording"].code
+    farthest = np.full(int(recording.max()) + 1, -np.inf)
+    np.maximum.at(farthest, recording, s)
+    note = f"positions decrease along the drive in {100.0 * turned.mean():.3g} % of the rows; they were turned round"
+    number = {**table.number, "s_m": np.where(turned, farthest[recording] - s, s)}
+    return table._replace(number=number, about=about.noting(note))
+
+
+def _referred(about: About, reference: Reference) -> About:
+    """The same, with a note that positions were moved to the centres."""
+    note = f"positions are {reference} bumpers in the file; they were moved to the centres" * (reference != "centre")
+    return replace(about, reference="centre", unit="m").noting(note)

@@ -1,0 +1,184 @@
+"""Who leads whom: the next vehicle ahead in the same recording, road, lane and at the same time."""
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array, Ints, Mask
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.road import Road
+from sugiyama_ros.trajectories.labels import Labels
+from sugiyama_ros.trajectories.tracks import FREE, NOBODY, UNKNOWN, Tracks
+
+#: Two samples within a millisecond are of the same time.
+TICK_S = 1e-3
+#: Share of rows that may have a gap below zero, and share of given leaders that must be found again.
+MOST_NEGATIVE, LEAST_AGREEMENT = 0.005, 0.98
+
+
+def ticks(time_s: Array) -> Ints:
+    """Times as numbers of ticks, from 0 at the earliest, shape of ``time_s``."""
+    return np.round((time_s - time_s.min()) / TICK_S).astype(np.int64) if len(time_s) else np.zeros(0, dtype=np.int64)
+
+
+def find_leaders(tracks: Tracks) -> Ints:
+    """Find the leader of every row: the next ahead at the same time; nothing is filled in.
+
+    Parameters
+    ----------
+    tracks : Tracks
+        R rows. On a ring, positions may be wrapped.
+
+    Returns
+    -------
+    ndarray of int, shape (R,)
+        Row of the leader. The first vehicle of an open road has an unknown leader if the view has an end, and a free
+        road otherwise. A row without a lane, where others have one, has an unknown leader.
+    """
+    road = Road(tracks.about.ring_m)
+    group, there = _groups(tracks)
+    leader = np.full(len(tracks), UNKNOWN, dtype=np.int64)
+    order = np.lexsort((road.wrap(tracks.s_m), group))
+    order = order[there[order]]
+    sorted_group = group[order]
+    last = np.append(sorted_group[1:] != sorted_group[:-1], True) if len(order) else np.zeros(0, dtype=bool)
+    ahead = np.roll(order, -1)
+    if road.is_ring:
+        first = np.flatnonzero(np.roll(last, 1))
+        ahead[last] = order[first]
+        leader[order] = np.where(ahead == order, FREE, ahead)
+    else:
+        leader[order] = np.where(last, FREE if tracks.about.view == "whole" else UNKNOWN, ahead)
+    return leader
+
+
+def _groups(tracks: Tracks) -> tuple[Ints, Mask]:
+    """A number for each recording, road, lane and time (R,), and whether the row has a lane and a road (R,)."""
+    group = tracks.recording.code.astype(np.int64)
+    there = np.ones(len(tracks), dtype=bool)
+    for column in (tracks.road, tracks.lane):
+        if column is not None:
+            there &= column.code >= 0
+            group = group * (len(column.text) + 1) + column.code
+    tick = ticks(tracks.time_s)
+    _, group = np.unique(group, return_inverse=True)
+    return group * (int(tick.max(initial=0)) + 1) + tick, there
+
+
+class RowIndex:
+    """Finds the rows of runs at given times.
+
+    Parameters
+    ----------
+    tracks : Tracks
+        R rows.
+    """
+
+    def __init__(self, tracks: Tracks) -> None:
+        own = ticks(tracks.time_s)
+        self._span = int(own.max(initial=0)) + 1
+        self._key = tracks.run * self._span + own
+
+    def at(self, run: Ints, tick: Ints) -> Ints:
+        """Find rows.
+
+        Parameters
+        ----------
+        run, tick : ndarray of int, shape (n,)
+            Number of the run (below 0 for none) and time as `ticks` counts it.
+
+        Returns
+        -------
+        ndarray of int, shape (n,)
+            The row; -1 where the run has none at this time.
+        """
+        if len(self._key) == 0:
+            return np.full(len(run), -1, dtype=np.int64)
+        wanted = run * self._span + tick
+        found = np.minimum(np.searchsorted(self._key, wanted), len(self._key) - 1)
+        hit = (run >= 0) & (tick >= 0) & (tick < self._span) & (self._key[found] == wanted)
+        return np.where(hit, found, -1)
+
+
+def given_leaders(tracks: Tracks, named: Labels) -> Ints:
+    """Rows of leaders that a file names.
+
+    Parameters
+    ----------
+    tracks : Tracks
+        R rows.
+    named : Labels, shape (R,)
+        Name of the vehicle ahead, `NOBODY` on a free road; missing where it is not known.
+
+    Returns
+    -------
+    ndarray of int, shape (R,)
+        The leader's row; `UNKNOWN` also for a leader who has no row at this time.
+    """
+    names = {name: code for code, name in enumerate(tracks.vehicle.text)}
+    code = np.array([names.get(name, -1) for name in named.text] + [-1], dtype=np.int64)[named.code]
+    width = len(tracks.vehicle.text) + 1
+    runs = tracks.start[:-1]
+    known = tracks.recording.code[runs].astype(np.int64) * width + tracks.vehicle.code[runs]
+    wanted = tracks.recording.code.astype(np.int64) * width + code
+    place = np.minimum(np.searchsorted(known, wanted), max(len(known) - 1, 0))
+    run = np.where((code >= 0) & (known[place] == wanted), place, -1) if len(known) else np.full(len(tracks), -1)
+    row = RowIndex(tracks).at(run, ticks(tracks.time_s))
+    free = named.code == (named.text.index(NOBODY) if NOBODY in named.text else len(named.text))
+    return np.where(row >= 0, row, np.where(free, FREE, UNKNOWN))
+
+
+def agreement(found: Ints, given: Ints) -> float:
+    """Share of the given leaders (R,) that were found (R,), of rows in which both are known; NaN without such rows."""
+    named = (given >= 0) & (found >= 0)
+    return float(np.mean(found[named] == given[named])) if named.any() else float("nan")
+
+
+def gaps(tracks: Tracks) -> Array:
+    """Gaps [m], bumper to bumper, shape (R,); NaN where there is no leader."""
+    ahead = np.maximum(tracks.leader_row, 0)
+    headway = Road(tracks.about.ring_m).difference(tracks.s_m[ahead], tracks.s_m)
+    if tracks.about.ring_m > 0.0:
+        headway = np.where(headway < -tracks.length_m, headway + tracks.about.ring_m, headway)
+    gap = headway - 0.5 * (tracks.length_m[ahead] + tracks.length_m)
+    return np.where(tracks.leader_row >= 0, gap, np.nan)
+
+
+def check_gaps(tracks: Tracks) -> None:
+    """Refuse tracks in which vehicles overlap.
+
+    Parameters
+    ----------
+    tracks : Tracks
+        Tracks with their leaders.
+
+    Raises
+    ------
+    InputError
+        If more than 0.5 % of the gaps are below zero. The message says where the first one is and names the cure.
+    """
+    gap = gaps(tracks)
+    followed = int(np.isfinite(gap).sum())
+    negative = np.flatnonzero(gap < 0.0)
+    if followed == 0 or len(negative) <= MOST_NEGATIVE * followed:
+        return
+    row = int(negative[np.argmin(gap[negative])])
+    raise InputError(
+        f"{tracks.about.source or 'tracks'}: {100.0 * len(negative) / followed:.2g} % of the gaps are below zero, as"
+        f" {gap[row]:.1f} m behind vehicle {tracks.vehicle.at(int(tracks.leader_row[row]))} at {tracks.time_s[row]:g} s"
+        f" (vehicle {tracks.run_name(int(tracks.run[row]))}): {_cure(tracks, gap, followed)}"
+    )
+
+
+def _cure(tracks: Tracks, gap: Array, followed: int) -> str:
+    """What makes most of the gaps positive."""
+    ahead = np.maximum(tracks.leader_row, 0)
+    half = 0.5 * (tracks.length_m[ahead] - tracks.length_m)
+    for reference, shift in (("front", -half), ("rear", half)):
+        # Centres that are front bumpers in truth lie half a length further back.
+        if np.sum(gap + shift < 0.0) <= MOST_NEGATIVE * followed:
+            return f"positions look like {reference} bumpers; give --reference {reference}"
+    if tracks.lane is None:
+        return (
+            "several lanes, or recordings that have nothing to do with each other, or clocks that differ, share one"
+            " lane here; give the column lane or recording (--columns)"
+        )
+    return "check units, lengths and the reference of the positions (--columns, --reference)"

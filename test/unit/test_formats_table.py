@@ -1,0 +1,289 @@
+"""Plain tables, tracks in Parquet and folders: accepted, or refused with one line that says the cure."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.formats import sheet
+from sugiyama_ros.formats.choices import Choices, read_choices
+from sugiyama_ros.formats.registry import format_of, read_tracks, read_trajectories
+from sugiyama_ros.formats.tracks_parquet import write_tracks
+from sugiyama_ros.trajectories.time_base import is_regular, period_of
+from sugiyama_ros.trajectories.tracks import Tracks
+from sugiyama_ros.trajectories.trajectories import Trajectories
+
+HEADER = ("time_s", "vehicle", "position_m", "length_m")
+Cells = Callable[[int, int, float, float], tuple[object, ...]]
+
+
+def plain(k: int, i: int, time: float, s: float) -> tuple[object, ...]:
+    return f"{time:.1f}", k, f"{s:.3f}", 4.5
+
+
+def table(cells: Cells = plain, separator: str = ",", vehicles: int = 3, header: tuple[str, ...] = HEADER) -> str:
+    """A platoon of 200 samples; vehicle 0 is in front, 20 m between two of them, 10 m/s."""
+    lines = [separator.join(header)]
+    for k in range(vehicles):
+        for i in range(200):
+            lines.append(separator.join(map(str, cells(k, i, 0.1 * i, 20.0 * (vehicles - k) + i))))
+    return "\n".join(lines) + "\n"
+
+
+def both(path: Path, content: str) -> tuple[Tracks, Trajectories]:
+    path.write_text(content)
+    return read_tracks(path), read_trajectories(path)
+
+
+def refused(act: Callable[[Path], object], path: Path, content: str) -> str:
+    path.write_text(content)
+    with pytest.raises(InputError) as caught:
+        act(path)
+    text = str(caught.value)
+    assert "\n" not in text
+    assert path.name in text
+    return text
+
+
+@pytest.mark.parametrize(
+    ("cells", "separator", "numbers"),
+    [
+        (lambda k, i, t, s: (f"{t:.1f}", f"veh_{k + 4}", f"{s:.3f}", 4.5), ",", [4, 5, 6]),
+        (lambda k, i, t, s: (f"{t:.1f}", f"{k + 10}.0", f"{s:.3f}", 4.5), ",", [10, 11, 12]),
+        (lambda k, i, t, s: (1700000000000 + 100 * i, k, f"{s:.3f}", 4.5), ",", [0, 1, 2]),
+        (plain, ";", [0, 1, 2]),
+        (plain, "\t", [0, 1, 2]),
+        (plain, "   ", [0, 1, 2]),
+        (lambda k, i, t, s: (f"{t:.1f}".replace(".", ","), k, f"{s:.3f}".replace(".", ","), "4,5"), ";", [0, 1, 2]),
+        (lambda k, i, t, s: (f"{t:.1f}", k, "nan" if i % 17 == 3 else f"{s:.3f}", 4.5), ",", [0, 1, 2]),
+        (lambda k, i, t, s: (f"{t:.1f}", k, "" if i % 17 == 3 else f"{s:.3f}", 4.5), ",", [0, 1, 2]),
+    ],
+    ids=["veh_1", "12.0", "epoch ms", ";", "tabs", "blanks", "decimal comma", "nan", "empty"],
+)
+def test_what_users_write_is_accepted(tmp_path: Path, cells: Cells, separator: str, numbers: list[int]) -> None:
+    tracks, dense = both(tmp_path / "a.csv", table(cells, separator))
+    assert dense.vehicle.tolist() == numbers
+    assert dense.period_s == pytest.approx(0.1, abs=1e-6)
+    assert dense.position_m.shape == (200, 3)
+    np.testing.assert_array_equal(dense.leader[0], [-1, 0, 1])
+    assert tracks.runs == 3
+    assert tracks.leader.used()[:2] == tracks.vehicle.used()[:2]
+    assert len(tracks) + sum(dict(tracks.about.dropped).values()) == 600
+
+
+def test_epoch_milliseconds_are_said(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(table(lambda k, i, t, s: (1700000000000 + 100 * i, k, f"{s:.3f}", 4.5)))
+    assert "times are milliseconds in the file; they were divided by 1000" in read_tracks(path).about.notes
+
+
+def test_lengths_that_vary(tmp_path: Path) -> None:
+    path, content = (
+        tmp_path / "a.csv",
+        table(lambda k, i, t, s: (f"{t:.1f}", k, f"{s:.3f}", f"{4.5 + 0.1 * (i % 9):.1f}")),
+    )
+    assert "a.csv:3: vehicle 0 is 4.6 m long here" in refused(read_trajectories, path, content)
+    tracks = read_tracks(path)
+    assert set(tracks.length_m.tolist()) == {4.9}
+    assert any("vary by more than 0.5 m: 3 vehicles; the median counts" in note for note in tracks.about.notes)
+
+
+@pytest.mark.parametrize(
+    "cells",
+    [
+        lambda k, i, t, s: (f"{t + 0.03 * np.sin(i * k + i):.3f}", k, f"{s:.3f}", 4.5),
+        lambda k, i, t, s: (f"{t + 0.03 * k:.2f}", k, f"{s:.3f}", 4.5),
+    ],
+    ids=["jitter above 10 %", "offset clocks"],
+)
+def test_irregular_times_are_resampled(tmp_path: Path, cells: Cells) -> None:
+    path = tmp_path / "a.csv"
+    assert "sugiyama convert FILE even.parquet --period SECONDS" in refused(read_trajectories, path, table(cells))
+    tracks = read_tracks(path)
+    assert is_regular(tracks)
+    assert period_of(tracks) == 0.1
+    assert tracks.leaders_known > 0.66
+    write_tracks(tracks, tmp_path / "even.parquet")
+    assert len(read_trajectories(tmp_path / "even.parquet").vehicle) == 3
+
+
+def test_clocks_that_never_meet_are_noted(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(table(lambda k, i, t, s: (f"{t + 100 * k:.1f}", k, f"{s:.3f}", 4.5)))
+    assert any(note.startswith("warning: no vehicle has another one ahead") for note in read_tracks(path).about.notes)
+
+
+def test_a_file_that_is_mostly_empty(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    content = table(lambda k, i, t, s: (f"{t + (300 if i >= 100 else 0):.1f}", k, f"{s:.3f}", 4.5))
+    assert "200 times are there; 3200 are expected" in refused(read_trajectories, path, content)
+    tracks = read_tracks(path)
+    assert tracks.runs == 6
+    assert len(tracks) == 600
+
+
+def test_overlaid_pairs_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    same = table(lambda k, i, t, s: (f"{t:.1f}", k % 2, f"{s + 50 * k:.3f}", 4.5), vehicles=6)
+    assert "a.csv:402: vehicle 0: time goes backward" in refused(read_trajectories, path, same)
+    assert "vehicle 0 is at 120 m and at 180 m at 0 s" in refused(read_tracks, path, same)
+    crossing = table(lambda k, i, t, s: (f"{t:.1f}", k, f"{s + 3 * t * (k // 2 % 2):.3f}", 4.5), vehicles=8)
+    assert "give the column lane or recording" in refused(read_trajectories, path, crossing)
+    assert "give the column lane or recording (--columns)" in refused(read_tracks, path, crossing)
+    apart = table(
+        lambda k, i, t, s: (f"{t:.1f}", k, f"{s + 3 * t * (k // 2 % 2):.3f}", 4.5, k // 2),
+        vehicles=8,
+        header=(*HEADER, "recording"),
+    )
+    path.write_text(apart)
+    assert len(read_tracks(path).recording.used()) == 4
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("a,b\n1,2\n", "a.csv:1: no column vehicle or vehicle_id, time_s, s_m or position_m; the columns are a, b"),
+        (table().replace("19.9,2,", "19.9,veh_2,extra,"), "a.csv:601: 5 fields, the header has 4"),
+        (table(separator=";").replace("19.9;2;", "19.9;2;far;"), "a.csv:601: 5 fields, but 4 columns"),
+        (
+            table(separator=";").replace("0.3;1;43.000", "0.3;1;far"),
+            "a.csv:205: column position_m: 'far' is not a number",
+        ),
+        (table(separator=";").replace("0.3;1;43.000", "0.3;1;"), ""),
+        ("vehicle;time_s;s_m\n", "no samples"),
+        ("vehicle;time_s;s_m\na;;\n", "no row has a vehicle, a time and a position"),
+        ("vehicle;time_s;s_m\na;1;2\n", "no vehicle has two samples"),
+        ("vehicle;time_s;s_m\nfree;1;2\nfree;2;2\n", "a vehicle is called 'free'"),
+        ("vehicle;time_s;s_m\n" + "1" * 5_000_000, "not a table of positions"),
+    ],
+)
+def test_bad_tables(tmp_path: Path, content: str, said: str) -> None:
+    path = tmp_path / "a.csv"
+    if not said:
+        path.write_text(content)
+        assert read_tracks(path).about.dropped == (("no position", 1),)
+        return
+    assert said in refused(read_trajectories, path, content)
+
+
+def test_too_many_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sheet, "MAX_ROWS", 100)
+    assert "more than 100 rows; split the file" in refused(read_tracks, tmp_path / "a.csv", table(separator=";"))
+
+
+def test_a_map_of_columns(tmp_path: Path) -> None:
+    path, names = tmp_path / "mine.csv", tmp_path / "map.yaml"
+    path.write_text(
+        table(lambda k, i, t, s: (100 * i, f"car {k}", f"{s / 0.3048:.3f}", 15.0), header=("ms", "who", "feet", "long"))
+    )
+    names.write_text(
+        "vehicle: who\ntime_s: {column: ms, factor: 0.001}\ns_m: {column: feet, factor: 0.3048}\n"
+        "length_m: {column: long, factor: 0.3048}\nreference: rear\nview: whole\n"
+    )
+    choices = read_choices(names)
+    tracks = read_tracks(path, choices)
+    assert tracks.time_s[1] == pytest.approx(0.1)
+    assert tracks.s_m[0] == pytest.approx(60.0 + 0.5 * 15.0 * 0.3048, abs=1e-3)
+    assert tracks.leaders_known == 1.0
+    with pytest.raises(InputError, match=r"mine.csv:1: no column far; the columns are ms, who, feet, long"):
+        read_tracks(path, Choices({**choices.columns, "lane": ("far", 1.0)}))
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("[1, 2]", "not a map of columns"),
+        ("lane: {", "not YAML"),
+        ("speed: v", "'speed' is no column of tracks"),
+        ("lane: {name: a}", "lane: give the name of a column"),
+        ("s_m: {column: a, factor: b}", "factor of s_m 'b' is not a number"),
+        ("reference: middle", "reference 'middle' is not known; choose among centre, front, rear"),
+        ("ring_m: round", "ring_m 'round' is not a number"),
+        ("#" * 70_000, "larger than 65536 bytes"),
+    ],
+)
+def test_bad_maps(tmp_path: Path, content: str, said: str) -> None:
+    assert said in refused(read_choices, tmp_path / "map.yaml", content)
+
+
+def test_tracks_come_back_from_parquet_and_csv(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(
+        table(lambda k, i, t, s: (*plain(k, i, t, s), k // 2, "car"), header=(*HEADER, "lane", "class"), vehicles=4)
+    )
+    given = read_tracks(path)
+    for name in ("b.parquet", "b.csv"):
+        write_tracks(given, tmp_path / name)
+        back = read_tracks(tmp_path / name)
+        np.testing.assert_array_equal(back.leader_row, given.leader_row)
+        np.testing.assert_array_equal(back.s_m, given.s_m)
+        assert back.columns == given.columns
+        assert back.vehicle_class.values().tolist() == given.vehicle_class.values().tolist()
+    assert format_of(tmp_path / "b.parquet").name == "tracks"
+    assert read_tracks(tmp_path / "b.parquet").about == given.about
+
+
+def test_lanes_that_are_filled_in_say_who_leads(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(table(lambda k, i, t, s: (*plain(k, i, t, s), "", ""), header=(*HEADER, "lane", "leader")))
+    assert read_tracks(path).leaders_known == 0.0
+    path.write_text(table(lambda k, i, t, s: (*plain(k, i, t, s), "1", ""), header=(*HEADER, "lane", "leader")))
+    assert read_tracks(path).leader.values()[::200].tolist() == [None, "0", "1"]
+
+
+def test_damaged_parquet_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(table())
+    write_tracks(read_tracks(path), tmp_path / "b.parquet")
+    whole = (tmp_path / "b.parquet").read_bytes()
+    random = np.random.default_rng(4)
+    for _ in range(100):
+        damaged = bytearray(whole)
+        for place in random.integers(4, len(whole), 5).tolist():
+            damaged[place] = int(random.integers(0, 256))
+        (tmp_path / "c.parquet").write_bytes(damaged[: int(random.integers(8, len(whole) + 1))])
+        told = ""
+        try:
+            read_tracks(tmp_path / "c.parquet")
+        except InputError as error:
+            told = str(error)
+        assert "\n" not in told
+
+
+def test_other_parquet_tables_are_read_by_name(tmp_path: Path) -> None:
+    import pyarrow
+    from pyarrow import parquet
+
+    given = {
+        "vehicle": ["a"] * 60 + ["b"] * 60,
+        "time_s": [0.1 * (i % 60) for i in range(120)],
+        "s_m": [float(i) for i in range(120)],
+    }
+    parquet.write_table(pyarrow.table(given), tmp_path / "a.parquet")
+    assert format_of(tmp_path / "a.parquet").name == "table"
+    assert read_tracks(tmp_path / "a.parquet").leader.values()[0] == "b"
+
+
+def test_every_file_of_a_folder_is_a_recording(tmp_path: Path) -> None:
+    folder = tmp_path / "drives"
+    folder.mkdir()
+    (folder / "one.csv").write_text(table())
+    (folder / "two.csv").write_text(table(vehicles=2, separator=";"))
+    (folder / "notes.txt").write_text("nothing of interest\n")
+    (folder / "README.txt").write_text("read me\n")
+    tracks = read_tracks(folder)
+    assert tracks.recording.used() == ("one", "two")
+    assert tracks.runs == 5
+    assert "files of no known format were left out: notes.txt" in tracks.about.notes
+    with pytest.raises(InputError, match=r"2 recordings \(one, two\), but this command takes one"):
+        read_trajectories(folder)
+    (folder / "three.csv").write_text("a,b\n")
+    with pytest.raises(InputError, match=r"three.csv:1: no column"):
+        read_tracks(folder)
+
+
+def test_unknown_formats_are_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"format 'shp': not known; choose among mcap, mstf"):
+        read_tracks(tmp_path, name="shp")

@@ -1,0 +1,296 @@
+"""Tracks: rows are sorted and checked, leaders are found, and tables of Arrow and pandas come back unchanged."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sugiyama_ros.errors import InputError, OutputError
+from sugiyama_ros.formats.registry import read_tracks
+from sugiyama_ros.trajectories.about import About
+from sugiyama_ros.trajectories.assemble import assemble
+from sugiyama_ros.trajectories.exchange import about_of, from_frame, of_columns, to_arrow
+from sugiyama_ros.trajectories.labels import Labels, joined, labels, labels_of, numbered
+from sugiyama_ros.trajectories.leaders import find_leaders, gaps
+from sugiyama_ros.trajectories.selection import Selection, select
+from sugiyama_ros.trajectories.tracks import FREE, NOBODY, UNKNOWN, Tracks
+
+
+def columns(vehicles: int = 4, samples: int = 60, period: float = 0.1, **more: object) -> dict[str, object]:
+    """A platoon: vehicle 1 is in front, the others follow 20 m apart at 10 m/s."""
+    vehicle, step = (one.ravel() for one in np.meshgrid(np.arange(vehicles), np.arange(samples), indexing="ij"))
+    table = {"vehicle": vehicle + 1, "time_s": step * period, "s_m": 1000.0 - 20.0 * vehicle + step * period * 10.0}
+    return {**table, "length_m": np.full(len(step), 4.0), **more}
+
+
+def names(tracks: Tracks) -> list[str | None]:
+    return tracks.leader.values().tolist()
+
+
+def test_rows_are_sorted_by_recording_vehicle_and_time() -> None:
+    table = columns(12, 5)
+    shuffled = np.random.default_rng(3).permutation(60)
+    sorted_, back = assemble(table), assemble({name: np.asarray(c)[shuffled] for name, c in table.items()})
+    np.testing.assert_array_equal(back.s_m, sorted_.s_m)
+    np.testing.assert_array_equal(back.leader_row, sorted_.leader_row)
+    assert back.vehicle.text == tuple(map(str, range(1, 13)))  # 2 before 10
+    np.testing.assert_array_equal(back.start, np.arange(0, 61, 5))
+    assert back.runs == 12
+    assert repr(back) == "<Tracks: 12 vehicles in 1 recording, 60 rows, leaders known in 91.7 %, from memory>"
+
+
+def test_the_leader_is_the_next_ahead_at_the_same_time_in_the_same_lane() -> None:
+    lane = np.repeat(["a", "b", "a", "a"], 60)
+    tracks = assemble(columns(lane=lane))
+    assert names(tracks)[::60] == [None, None, "1", "3"]
+    assert (tracks.leader_row[120:180] == np.arange(60)).all()
+    np.testing.assert_allclose(gaps(tracks)[120:180], 36.0)
+
+
+def test_nothing_is_filled_in() -> None:
+    table = columns(3)
+    keep = ~((table["vehicle"] == 2) & (np.arange(180) % 60 == 30))
+    tracks = assemble({name: np.asarray(c)[keep] for name, c in table.items()})
+    assert tracks.leader.at(int(tracks.start[2]) + 29) == "2"
+    assert tracks.leader.at(int(tracks.start[2]) + 30) == "1"
+
+
+@pytest.mark.parametrize(("view", "first"), [("end", UNKNOWN), ("whole", FREE)])
+def test_the_first_vehicle_has_a_free_road_only_if_the_view_has_no_end(view: str, first: int) -> None:
+    tracks = assemble(columns(), About(view=view))
+    assert set(tracks.leader_row[:60].tolist()) == {first}
+
+
+def test_on_a_ring_the_last_leads_the_first() -> None:
+    tracks = assemble(columns(), About(ring_m=100.0))
+    assert names(tracks)[::60] == ["4", "1", "2", "3"]
+    np.testing.assert_allclose(gaps(tracks)[:60], 36.0)
+    assert set(assemble(columns(1), About(ring_m=100.0)).leader_row.tolist()) == {FREE}
+
+
+def test_a_row_without_a_lane_leads_nobody_and_follows_nobody_known() -> None:
+    lane = np.array(["a"] * 60 + [None] * 60 + ["a"] * 120, dtype=object)
+    assert names(assemble(columns(lane=lane)))[::60] == [None, None, "1", "3"]
+
+
+def test_leaders_by_brute_force() -> None:
+    random = np.random.default_rng(7)
+    rows = 3000
+    table = {
+        "recording": random.integers(0, 3, rows),
+        "vehicle": np.arange(rows),
+        "time_s": random.integers(0, 20, rows) * 0.1,
+        "s_m": random.uniform(0.0, 1e4, rows),
+        "lane": random.integers(0, 4, rows),
+        "length_m": np.full(rows, 0.1),
+    }
+    tracks = assemble(table, checked=False)
+    for row in range(rows):
+        same = (
+            (tracks.recording.code == tracks.recording.code[row])
+            & (tracks.lane.code == tracks.lane.code[row])
+            & (tracks.time_s == tracks.time_s[row])
+            & (tracks.s_m > tracks.s_m[row])
+        )
+        ahead = np.flatnonzero(same)
+        assert tracks.leader_row[row] == (ahead[np.argmin(tracks.s_m[ahead])] if len(ahead) else UNKNOWN)
+
+
+@pytest.mark.parametrize(("reference", "shift"), [("centre", 0.0), ("front", -2.0), ("rear", 2.0)])
+def test_positions_are_moved_to_the_centres(reference: str, shift: float) -> None:
+    tracks = assemble(columns(), reference=reference)
+    np.testing.assert_allclose(tracks.s_m, np.asarray(columns()["s_m"]) + shift, rtol=0.0, atol=1e-12)
+    assert tracks.about.reference == "centre"
+
+
+def test_positions_that_decrease_along_the_drive_are_turned_round() -> None:
+    table = columns(lane=np.repeat(["a", "a", "b", "b"], 60))
+    there = np.repeat([False, False, True, True], 60)
+    table["s_m"] = np.where(there, 2000.0 - np.asarray(table["s_m"]), table["s_m"])
+    tracks = assemble(table, reference="front")
+    assert names(tracks)[::60] == [None, "1", None, "3"]
+    assert (np.diff(tracks.s_m.reshape(4, 60)) > 0.0).all()
+    assert "positions decrease along the drive in 50 % of the rows; they were turned round" in tracks.about.notes
+
+
+def test_noise_at_rest_does_not_turn_a_lane_round() -> None:
+    table = columns(2)
+    table["s_m"] = np.repeat([100.0, 80.0], 60) - 0.01 * np.tile(np.arange(60), 2)
+    assert names(assemble(table))[::60] == [None, "1"]
+
+
+def test_overlapping_vehicles_are_refused_with_the_cure() -> None:
+    table = columns(40, 60)
+    with pytest.raises(InputError, match=r"below zero, as -.* m behind vehicle .* give the column lane or recording"):
+        assemble({**table, "length_m": np.full(2400, 21.0)})
+    with pytest.raises(InputError, match="check units, lengths and the reference"):
+        assemble({**table, "length_m": np.full(2400, 21.0), "lane": np.full(2400, 1)})
+    # Trucks of 16 m follow cars of 4 m, and the front bumpers are 6 m apart where they are nearest.
+    length = np.repeat(np.where(np.arange(40) % 2, 16.0, 4.0), 60)
+    front = np.asarray(table["s_m"]) - np.repeat(np.where(np.arange(40) % 2, -11.0, 0.0), 60)
+    mixed = {**table, "s_m": front, "length_m": length}
+    with pytest.raises(InputError, match="positions look like front bumpers; give --reference front"):
+        assemble(mixed)
+    assert np.nanmin(gaps(assemble(mixed, reference="front"))) > 0.0
+
+
+def test_given_leaders_are_compared_or_believed() -> None:
+    leader = np.repeat(["", "1", "2", "3"], 60).astype(object)
+    agreed = assemble(columns(leader=leader))
+    assert agreed.about.notes == ("the next vehicle ahead is the given leader in 100 %",)
+    leader[60:180] = "4"
+    (note,) = assemble(columns(leader=leader)).about.notes
+    assert note.startswith("warning: the next vehicle ahead is the given leader in 33.33 %, fewer than 98 %")
+    believed = assemble(columns(leader=np.repeat(["", NOBODY, None, "1"], 60)), About(leaders="given"))
+    assert names(believed)[::60] == [None, NOBODY, None, "1"]
+    assert believed.leader_row[::60].tolist() == [UNKNOWN, FREE, UNKNOWN, 0]
+
+
+def test_who_follows_a_vehicle_out_of_view_follows_nobody_in_the_table() -> None:
+    leader = np.repeat(["", "99", "2", "3"], 60)
+    assert names(assemble(columns(leader=leader)))[::60] == [None, None, "2", "3"]
+
+
+def test_rows_that_say_too_little_are_left_out_and_counted() -> None:
+    table = columns()
+    table["s_m"] = np.where(np.arange(240) % 10 == 3, np.nan, table["s_m"])
+    table["time_s"] = np.where(np.arange(240) % 60 == 7, np.nan, table["time_s"])
+    tracks = assemble(table)
+    assert dict(tracks.about.dropped) == {"no time": 4, "no position": 24}
+    assert len(tracks) == 212
+    with pytest.raises(InputError, match="no row has a vehicle, a time and a position"):
+        assemble({**table, "s_m": np.full(240, np.nan)})
+
+
+def test_a_vehicle_has_one_row_at_a_time() -> None:
+    table = {name: np.concatenate((c, c[:30])) for name, c in columns().items()}
+    tracks = assemble(table)
+    assert len(tracks) == 240
+    assert tracks.about.dropped == (("second row of a vehicle at the same time", 30),)
+    table["s_m"][240:] += 50.0
+    with pytest.raises(InputError, match=r"vehicle 1 is at 1000 m and at 1050 m at 0 s: .* give the column recording"):
+        assemble(table)
+
+
+def test_a_number_that_is_used_again_is_another_vehicle() -> None:
+    table = {name: np.concatenate((c, c)) for name, c in columns(2).items()}
+    table["time_s"][120:] += 100.0
+    tracks = assemble(table)
+    assert tracks.vehicle.used() == ("1", "1~2", "2", "2~2")
+    assert names(tracks)[::60] == [None, None, "1", "1~2"]
+    assert "used again 2 times" in tracks.about.notes[0]
+
+
+def test_a_vehicle_has_one_length() -> None:
+    length = np.repeat([4.0, np.nan, 5.0, 6.0], 60)
+    length[120:130] = 8.0
+    tracks = assemble(columns(length_m=length))
+    assert tracks.length_m[::60].tolist() == [4.0, 4.33, 5.0, 6.0]
+    assert set(tracks.length_m[120:180].tolist()) == {5.0}
+    assert any("vary by more than 0.5 m: 1 vehicles" in note for note in tracks.about.notes)
+    assert any("missing: 1 vehicles" in note for note in tracks.about.notes)
+
+
+def test_a_part_of_tracks_forgets_leaders_that_are_left_out() -> None:
+    tracks = assemble(
+        columns(lane=np.repeat(["a", "b", "a", "a"], 60), **{"class": np.repeat(["car", "truck"] * 2, 60)})
+    )
+    lane_a = select(tracks, Selection(lane=("a",)))
+    assert names(lane_a)[::60] == [None, "1", "3"]
+    assert names(select(tracks, Selection(without=("3",))))[::60] == [None, None, None]
+    late = select(tracks, Selection(from_s=2.0, to_s=3.0))
+    assert late.time_s.min() == 2.0
+    assert late.time_s.max() == 3.0
+    assert names(late)[-1] == "3"
+    assert dict(late.about.dropped) == {"not selected": 240 - len(late)}
+    with pytest.raises(InputError, match="--class van: does not occur; choose among car, truck"):
+        select(tracks, Selection(vehicle_class=("van",)))
+    with pytest.raises(InputError, match="--road x: does not occur; the tracks do not say it"):
+        select(tracks, Selection(road=("x",)))
+    with pytest.raises(InputError, match=r"no row is left; the times go from 0 to 5.9 s"):
+        select(tracks, Selection(from_s=7.0))
+
+
+def test_arrow_and_back() -> None:
+    about = About(source="a.csv", licence="CC0", smoothing="none").without("no time", 3).noting("a note")
+    given = assemble(columns(lane=np.full(240, 1), d_m=np.arange(240.0)), about)
+    table = to_arrow(given)
+    assert table.column_names == list(given.columns)
+    read = about_of(table.schema.metadata)
+    assert read == given.about
+    decoded = {
+        name: labels_of(table[name].to_pylist()) if isinstance(given.column(name), Labels) else table[name].to_numpy()
+        for name in table.column_names
+    }
+    back = of_columns(decoded, read)
+    assert back.about == given.about
+    for name in given.columns:
+        one, two = given.column(name), back.column(name)
+        if isinstance(one, Labels):
+            assert one.values().tolist() == two.values().tolist()
+        else:
+            np.testing.assert_array_equal(one, two)
+    np.testing.assert_array_equal(back.leader_row, given.leader_row)
+    assert about_of(None) is None
+    assert about_of({b"sugiyama_ros.tracks": b"[1"}) is None
+
+
+def test_pandas_and_back() -> None:
+    pytest.importorskip("pandas")
+    given = assemble(columns(lane=np.full(240, 1)))
+    frame = given.to_frame()
+    assert list(frame.columns) == list(given.columns)
+    back = from_frame(frame)
+    np.testing.assert_array_equal(back.s_m, given.s_m)
+    np.testing.assert_array_equal(back.leader_row, given.leader_row)
+    with pytest.raises(InputError, match="no column s_m"):
+        from_frame(frame.drop(columns="s_m"))
+    with pytest.raises(InputError, match=r"data frame: .*; give numbers"):
+        from_frame(frame.assign(s_m="far"))
+
+
+def test_rows_are_made_when_they_are_asked_for() -> None:
+    tracks = assemble(columns(2, 30))
+    rows = tracks.records()
+    assert len(rows) == 60
+    assert rows[-1] == dict(recording="1", vehicle="2", time_s=pytest.approx(2.9), s_m=1009.0, length_m=4.0, leader="1")
+    assert [row["vehicle"] for row in rows[28:32]] == ["1", "1", "2", "2"]
+    assert len(list(rows)) == 60
+    with pytest.raises(IndexError):
+        rows[60]
+    assert "60 rows in all" in tracks._repr_html_()
+
+
+def test_labels() -> None:
+    one = labels_of(["b10", None, "b2", 12.0, "b10"])
+    assert one.text == ("12", "b2", "b10")
+    assert one.values().tolist() == ["b10", None, "b2", "12", "b10"]
+    assert one.place("b2") == 1
+    assert one.place("c") == -1
+    assert one[np.array([False, True, True, False, False])].used() == ("b2",)
+    assert numbered(np.array([3.0, np.nan, 2.5])).values().tolist() == ["3", None, "2.5"]
+    assert labels(np.array([0, 1, -1], dtype=np.int32), ["x", "x"]).values().tolist() == ["x", "x", None]
+    assert joined(one, one, "-").values().tolist() == ["b10-b10", None, "b2-b2", "12-12", "b10-b10"]
+
+
+def test_a_vehicle_may_not_be_called_free() -> None:
+    with pytest.raises(InputError, match="a vehicle is called 'free'"):
+        assemble(columns(vehicle=np.repeat(["a", "b", "c", NOBODY], 60)))
+
+
+def test_leaders_of_nothing() -> None:
+    tracks = assemble(columns(1, 1))
+    assert find_leaders(tracks).tolist() == [UNKNOWN]
+
+
+def test_tracks_are_saved(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    tracks = assemble(columns())
+    for name in ("a.parquet", "a.csv", "a.png"):
+        tracks.save(tmp_path / name)
+        assert (tmp_path / name).stat().st_size > 0
+    back = read_tracks(tmp_path / "a.parquet")
+    np.testing.assert_array_equal(back.leader_row, tracks.leader_row)
+    np.testing.assert_array_equal(read_tracks(tmp_path / "a.csv").leader_row, tracks.leader_row)
+    with pytest.raises(OutputError, match=r"a.parquet: cannot be written: .*; choose another place"):
+        tracks.save(tmp_path / "none" / "a.parquet")
