@@ -19,7 +19,7 @@ from sugiyama_ros.effects.registry import ROW, switch_on
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.driver import Formulation
 from sugiyama_ros.fit.model_file import read_model
-from sugiyama_ros.fit.smooth_positions import estimated_in
+from sugiyama_ros.fit.smooth_positions import evenness
 from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.frames import from_frame
 from sugiyama_ros.formats.registry import read_tracks as tracks_of_file
@@ -213,7 +213,7 @@ def calibrate(
     >>> found.to_frame().shape
     (4, 12)
     """
-    chosen = tuple(parameters) or estimated_in(trajectories, formulation)
+    chosen = tuple(parameters) or evenness(trajectories).estimated(formulation)
     settings = Settings(formulation, chosen, regularise and formulation == "paper", profile, 0, seed)
     if effects and formulation == "paper":
         raise InputError("effects: the paper's formulation knows none; use the causal formulation")

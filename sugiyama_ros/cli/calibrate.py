@@ -79,6 +79,12 @@ class CalibrateOptions:
         """Whether all drivers are calibrated together, as one population."""
         return bool(names(self.effects)) or (self.regularise and self.formulation == "causal")
 
+    @property
+    def needs_one_lane(self) -> bool:
+        """Whether an option works on a single lane only, on which everybody is present."""
+        alone = self.formulation == "paper" or self.is_pooled or self.regularise or self.profile
+        return alone or bool(self.hops or self.classes) or self.output is not None
+
     def check(self) -> None:
         """Raise InputError for options that contradict each other."""
         if self.formulation not in ("paper", "causal"):
@@ -104,9 +110,12 @@ def calibrate(options: CalibrateOptions) -> None:
     The estimates are maximum-likelihood estimates, with their uncertainty.
     """
     options.check()
-    from sugiyama_ros.formats.registry import read_trajectories
+    from sugiyama_ros.formats.registry import format_of, read_trajectories
     from sugiyama_ros.workers import workers
 
+    if not options.needs_one_lane and format_of(options.source).is_of_tracks:
+        _calibrate_tracks(options)
+        return
     trajectories = read_trajectories(options.source, options.ring)
     began = time.monotonic()
     with progress("calibrating") as advance, workers(len(trajectories.vehicle), options.scheduler) as work:
@@ -125,6 +134,24 @@ def calibrate(options: CalibrateOptions) -> None:
         print_note(f"caution: {line}")
 
 
+def _calibrate_tracks(options: CalibrateOptions) -> None:
+    """Estimate the parameters of drivers on tracks."""
+    from sugiyama_ros.calibration.on_tracks import calibrate_tracks
+    from sugiyama_ros.formats.choices import Choices
+    from sugiyama_ros.formats.registry import read_tracks
+    from sugiyama_ros.workers import workers
+
+    tracks = read_tracks(options.source, Choices(ring_m=options.ring))
+    began = time.monotonic()
+    with progress("calibrating") as advance, workers(tracks.runs, options.scheduler) as work:
+        found = calibrate_tracks(tracks, names(options.parameters), work=work, on_progress=advance)
+    if options.as_json:
+        print_json(found.document(time.monotonic() - began))
+        return
+    print_table(found.table())
+    print_line(found.headline())
+
+
 def _calibrated(
     options: CalibrateOptions,
     trajectories: "Trajectories",
@@ -135,11 +162,11 @@ def _calibrated(
     """Drivers calibrated together, in classes, or one by one."""
     from sugiyama_ros.calibration.calibrate import each_driver, in_classes, pooled
     from sugiyama_ros.calibration.result import Settings
-    from sugiyama_ros.fit.smooth_positions import estimated_in
+    from sugiyama_ros.fit.smooth_positions import evenness
 
     settings = Settings(
         formulation="paper" if options.formulation == "paper" else "causal",
-        estimated=names(options.parameters) or estimated_in(trajectories, options.formulation),
+        estimated=names(options.parameters) or evenness(trajectories).estimated(options.formulation),
         is_regularised=options.regularise,
         profiled=options.profile,
         hops=options.hops,

@@ -7,7 +7,7 @@ import numpy as np
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import PARAMETERS, V_STAR
 from sugiyama_ros.filters import paper
-from sugiyama_ros.fit.smooth_positions import NOISES, smallest_noise
+from sugiyama_ros.fit.smooth_positions import NOISES, Evenness
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 # Largest desired speed [m/s] of the search, unless the data show at least half of it. Below about half the desired
@@ -17,13 +17,19 @@ _FASTEST = 30.0
 SMALLEST = 1e-3
 
 
-def upper_bounds(trajectories: Trajectories) -> Array:
+def fastest(trajectories: Trajectories) -> float:
+    """Return the speed [m/s] below which 99 % of the samples are."""
+    speed = paper.smoothed_speed(trajectories.road.unwrap(trajectories.position_m), 2, trajectories.period_s)
+    return float(np.nanquantile(speed, 0.99))
+
+
+def upper_bounds(speed: float) -> Array:
     """Return the upper bounds of the search; the bound of v* follows the speeds in the data.
 
     Parameters
     ----------
-    trajectories : Trajectories
-        The recording.
+    speed : float
+        High speed in the data [m/s], as ``fastest`` returns it.
 
     Returns
     -------
@@ -31,15 +37,14 @@ def upper_bounds(trajectories: Trajectories) -> Array:
         Upper bound of each parameter, in its own unit.
     """
     upper = np.array([p.upper for p in PARAMETERS])
-    speed = paper.smoothed_speed(trajectories.road.unwrap(trajectories.position_m), 2, trajectories.period_s)
-    upper[V_STAR] = min(upper[V_STAR], max(_FASTEST, 2.0 * float(np.nanquantile(speed, 0.99))))
+    upper[V_STAR] = min(upper[V_STAR], max(_FASTEST, 2.0 * speed))
     return upper
 
 
-def lower_bounds(trajectories: Trajectories) -> Array:
+def lower_bounds(even: Evenness) -> Array:
     """Return the smallest sizes (P,) of the parameters in the search; the sizes of noises follow the data."""
     lower = np.full(len(PARAMETERS), SMALLEST)
-    lower[NOISES] = smallest_noise(trajectories)
+    lower[NOISES] = even.smallest_noise
     return lower
 
 

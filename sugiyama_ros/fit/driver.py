@@ -13,22 +13,22 @@ import numpy as np
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import NAMES, SIGMA_A, index
 from sugiyama_ros.filters import paper
-from sugiyama_ros.filters.chain import CHAIN, Chain
+from sugiyama_ros.filters.chain import CHAIN
 from sugiyama_ros.filters.paper import Scored
-from sugiyama_ros.fit.bounds import LogSpace, log_space, lower_bounds, upper_bounds
-from sugiyama_ros.fit.driver_score import causal_score, regularised
+from sugiyama_ros.fit.bounds import LogSpace, fastest, log_space, lower_bounds, upper_bounds
+from sugiyama_ros.fit.driver_score import DriverChains, causal_score, regularised
 from sugiyama_ros.fit.intervals import end_of_profile, quadratic
 from sugiyama_ros.fit.scoring import Point, search
-from sugiyama_ros.fit.smooth_positions import ESTIMATED, typical
+from sugiyama_ros.fit.smooth_positions import ESTIMATED, evenness
 from sugiyama_ros.fit.standard_errors import stds
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 Formulation = Literal["paper", "causal"]
-# Acceleration noise [m/s^2] at the start. It is larger than usual estimates, because the likelihood is smoother there.
+#: Acceleration noise [m/s^2] at the start. It is larger than usual estimates, because the likelihood is smoother there.
 # The paper's likelihood has further maxima in kappa_v, within 0.4 of the maximum that this start leads to.
-_START_SIGMA_A = 1.0
+START_SIGMA_A = 1.0
 # A search ends when a step has a predicted gain below this [nats]; the causal likelihood is rough at small scales.
-_ENOUGH, _ENOUGH_CAUSAL = 1e-4, 0.02
+_ENOUGH, ENOUGH_CAUSAL = 1e-4, 0.02
 # A parameter does not count as identified if the std of its logarithm is larger than this.
 _VAGUE = 0.5
 # Number of jobs that an executor gets at a time, to limit the memory.
@@ -140,8 +140,8 @@ class Job:
     """Data of one driver, and the search for the driver's parameters.
 
     vehicle: number; start, lower, upper: start, smallest sizes and upper bounds (P,); places: places (K,) of the
-    parameters in the search; options: options of the calibration; perceived: data of the paper's formulation; chain,
-    ahead: data of the causal formulation.
+    parameters in the search; options: options of the calibration; perceived: data of the paper's formulation;
+    followed: data of the causal formulation.
     """
 
     vehicle: int
@@ -151,8 +151,7 @@ class Job:
     upper: Array
     options: SearchOptions = PLAIN
     perceived: paper.Perceived | None = None
-    chain: Chain | None = None
-    ahead: Array | None = None
+    followed: DriverChains | None = None
 
     @property
     def space(self) -> LogSpace:
@@ -163,8 +162,8 @@ class Job:
         """Return the score of the formulation without regularisation; arguments as for ``causal_score``."""
         if self.perceived is not None:
             return paper.score(self.perceived, parameters, self.places)
-        assert self.chain is not None
-        return causal_score(self.chain, self.ahead, self.places, parameters, information, central)
+        assert self.followed is not None
+        return causal_score(self.followed, self.places, parameters, information, central)
 
     def objective(self, parameters: Array, information: Array | None) -> Scored:
         """Return the score that the search maximises; arguments as for ``causal_score``."""
@@ -185,7 +184,7 @@ def carry_out(job: Job) -> Fit:
         job = replace(job, start=_hop(job))
     careful = job.careful if options.with_errors else None
     search = (job.objective, job.vehicle, job.space)
-    found = fit_driver(*search) if job.perceived is not None else fit_driver(*search, _ENOUGH_CAUSAL, careful)
+    found = fit_driver(*search) if job.perceived is not None else fit_driver(*search, ENOUGH_CAUSAL, careful)
     if options.profiled:
         found = replace(found, interval=_profile(job, found))
     if options.is_regularised:
@@ -234,7 +233,7 @@ def _fall(job: Job, found: Fit, place: int, sign: float) -> Callable[[float], fl
     def fall(distance: float) -> float:
         last[place] = found.parameters[place] * np.exp(sign * distance)
         space = log_space(last, held.places, held.lower, held.upper)
-        there = fit_driver(held.objective, held.vehicle, space, _ENOUGH_CAUSAL)
+        there = fit_driver(held.objective, held.vehicle, space, ENOUGH_CAUSAL)
         last[:] = there.parameters
         return float(np.sqrt(2.0 * max(0.0, found.log_likelihood - there.log_likelihood)))
 
@@ -314,14 +313,14 @@ class JobMaker:
     ) -> None:
         self._trajectories, self._formulation, self._known = trajectories, formulation, known
         self._places = np.array([index(name) for name in estimated])
-        self._bounds = lower_bounds(trajectories), upper_bounds(trajectories)
-        self._typical = typical(trajectories)
+        even = evenness(trajectories)
+        self._bounds, self._typical = (lower_bounds(even), upper_bounds(fastest(trajectories))), even.typical
 
     def __call__(self, driver: int) -> Job:
         """Return the search for the driver in column ``driver``."""
         trajectories, known = self._trajectories, self._known
         begin = self._typical.copy()
-        begin[SIGMA_A] = _START_SIGMA_A
+        begin[SIGMA_A] = START_SIGMA_A
         vehicle = int(trajectories.vehicle[driver])
         one = Job(vehicle, known.get(vehicle, begin), self._places, *self._bounds)
         if self._formulation == "paper":
@@ -330,7 +329,7 @@ class JobMaker:
 
         chain = chain_behind(trajectories, driver)
         ahead = [known.get(_most(chain.identity[:, m]), self._typical) for m in range(1, CHAIN)]
-        return replace(one, chain=chain, ahead=np.array(ahead))
+        return replace(one, followed=DriverChains((chain,), np.array(ahead)))
 
 
 def _most(identity: Ints) -> int:

@@ -1,8 +1,11 @@
 """Score of one driver's likelihood in the causal formulation, and the paper's regularisation."""
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import numpy as np
 
-from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.arrays import Array, Ints, Mask
 from sugiyama_ros.driver.parameters import COUNT, KAPPA_V, V_STAR
 from sugiyama_ros.filters.chain import Chain
 from sugiyama_ros.filters.paper import Scored
@@ -14,9 +17,26 @@ _PART_OF_STD, _SHORTEST_STEP, _LONGEST_STEP, _FIRST_STEP = 0.5, 5e-3, 0.05, 0.03
 REGULARISATION = ((V_STAR, 11.0, 50.0), (KAPPA_V, 0.5, 500.0))
 
 
+class DriverChains(NamedTuple):
+    """One driver in the filter: one chain or several, of different times.
+
+    Parameters
+    ----------
+    chains : tuple of Chain
+        Data of the driver and of the vehicles ahead.
+    ahead : ndarray, shape (M - 1, P), or None
+        Parameters of the drivers ahead. A chain of fewer vehicles takes the first ones.
+    scored : tuple of ndarray of bool, shape (T,)
+        Samples of each chain that count, besides those that the filter leaves out; empty if all others count.
+    """
+
+    chains: tuple[Chain, ...]
+    ahead: Array | None
+    scored: tuple[Mask, ...] = ()
+
+
 def causal_score(
-    chain: Chain,
-    ahead: Array | None,
+    followed: DriverChains,
     places: Ints,
     parameters: Array,
     information: Array | None,
@@ -26,10 +46,8 @@ def causal_score(
 
     Parameters
     ----------
-    chain : Chain
-        Data of the driver and of the vehicles ahead.
-    ahead : ndarray, shape (M - 1, P), or None
-        Parameters of the drivers ahead.
+    followed : DriverChains
+        The driver.
     places : ndarray of int, shape (K,)
         Places of the parameters in the search.
     parameters : ndarray, shape (P,)
@@ -44,9 +62,6 @@ def causal_score(
     Scored
         Log-likelihood, gradient, information and scatter.
     """
-    # Imported here: the paper's formulation does not need the causal filter, which takes long to load.
-    from sugiyama_ros.filters import causal
-
     steps = np.full(len(places), _FIRST_STEP)
     if information is not None:
         held = np.diag(information)[places] * parameters[places] ** 2
@@ -55,8 +70,7 @@ def causal_score(
     moved = np.tile(parameters, (len(signs), len(places), 1))
     for sign, rows in zip(signs, moved, strict=True):
         rows[np.arange(len(places)), places] *= np.exp(sign * steps)
-    jobs = [causal.ChainJob(chain, row, ahead) for row in (parameters, *moved.reshape(-1, len(parameters)))]
-    predicted = np.array(causal.predict_samples(jobs))
+    predicted = _predicted(followed, [parameters, *moved.reshape(-1, len(parameters))])
     density = predicted[0, 2]
     scored = np.isfinite(density)
     y, variance = predicted[0, :2, scored].T
@@ -72,6 +86,26 @@ def causal_score(
     full[block] = curvature / np.outer(scale, scale)
     scatter[block] = slopes @ slopes.T / np.outer(scale, scale)
     return Scored(float(density[scored].sum()), gradient, full, scatter)
+
+
+def _predicted(followed: DriverChains, rows: Sequence[Array]) -> Array:
+    """Innovation, its variance and its log-likelihood, (R, 3, samples of all chains), for R rows of parameters."""
+    # Imported here: the paper's formulation does not need the causal filter, which takes long to load.
+    from sugiyama_ros.filters import causal
+
+    jobs = [causal.ChainJob(c, row, _first(followed.ahead, c)) for row in rows for c in followed.chains]
+    predicted, count = causal.predict_samples(jobs), len(followed.chains)
+    found = [
+        np.concatenate([np.array(one) for one in predicted[k : k + count]], axis=1) for k in range(0, len(jobs), count)
+    ]
+    samples = np.array(found)
+    if followed.scored:
+        samples[:, 2, ~np.concatenate(followed.scored)] = np.nan
+    return samples
+
+
+def _first(ahead: Array | None, chain: Chain) -> Array | None:
+    return None if ahead is None else ahead[: chain.position_m.shape[1] - 1]
 
 
 def regularised(scored: Scored, parameters: Array) -> Scored:

@@ -18,7 +18,7 @@ from sugiyama_ros.fit.driver import calibrate
 from sugiyama_ros.fit.joint import JointFit, at_model, maximise, mixed, objectives, renewed, start_fit, warm_start
 from sugiyama_ros.fit.model import Model, coordinate
 from sugiyama_ros.fit.recording import FOLDS, Recorded
-from sugiyama_ros.fit.smooth_positions import typical
+from sugiyama_ros.fit.smooth_positions import evenness
 
 #: Prior std of a parameter's coordinate (a logarithm for most): before the spread is known; smallest; largest.
 PRIOR_STD, LEAST_STD, LARGEST_STD = 1.0, 0.05, 1.0
@@ -43,7 +43,7 @@ def start_model(data: Recorded, individual: Sequence[int]) -> Model:
     Model
         The model at the start of a search.
     """
-    rows = np.tile(ROW.with_effects(typical(data.trajectories)), (data.drivers, 1))
+    rows = np.tile(ROW.with_effects(evenness(data.trajectories).typical), (data.drivers, 1))
     return Model(rows, tuple(individual), (), (PRIOR_STD,) * len(individual), rows.copy())
 
 

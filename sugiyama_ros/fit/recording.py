@@ -10,7 +10,8 @@ from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.chain import CHAIN, Chain
 from sugiyama_ros.filters.extract import chain_behind
-from sugiyama_ros.fit.bounds import SMALLEST, lower_bounds, upper_bounds
+from sugiyama_ros.fit.bounds import SMALLEST, fastest, lower_bounds, upper_bounds
+from sugiyama_ros.fit.smooth_positions import evenness
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 #: Length [s] of the blocks of time that are held out, and number of folds that the blocks are assigned to in turn.
@@ -93,9 +94,9 @@ def prepare(trajectories: Trajectories, segment: Ints | None = None) -> Recorded
                 values, counts = np.unique(known, return_counts=True)
                 ahead[i, m - 1] = column[int(values[np.argmax(counts)])]
     lower = np.full(ROW.width, SMALLEST)
-    lower[:COUNT] = lower_bounds(trajectories)
+    lower[:COUNT] = lower_bounds(evenness(trajectories))
     upper = np.array([p.upper for p in ROW.declared])
-    upper[:COUNT] = upper_bounds(trajectories)
+    upper[:COUNT] = upper_bounds(fastest(trajectories))
     upper[RHO] = 0.99
     unbroken = np.zeros(samples, np.int64) if segment is None else segment
     return Recorded(

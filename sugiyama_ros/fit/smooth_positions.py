@@ -7,6 +7,9 @@ them. A filter with the fixed noises then believes neither its measurements nor 
 The third differences of positions show it: they are large where noise is, and small where a vehicle moves by itself.
 """
 
+from collections.abc import Iterable
+from typing import NamedTuple
+
 import numpy as np
 
 from sugiyama_ros.arrays import Array
@@ -40,89 +43,96 @@ _PART = 0.01
 _PER_MEDIAN = 1.4826
 
 
-def roughness(trajectories: Trajectories) -> float:
-    """Return the std of the third differences of the positions.
+class Evenness(NamedTuple):
+    """How evenly the vehicles of a recording move.
 
     Parameters
     ----------
-    trajectories : Trajectories
-        The recording.
+    roughness_m : float
+        Std of the third differences of the positions [m]; NaN if it is not known.
+    period_s : float
+        Time [s] between two samples.
+    """
+
+    roughness_m: float
+    period_s: float
+
+    @property
+    def is_smooth(self) -> bool:
+        """Whether the positions move more evenly than the model's fixed noises alone would let them."""
+        fixed = at_period(defaults(), self.period_s)
+        expected = _OF_POSITION * fixed[SIGMA_X] ** 2 + _OF_SPEED * (self.period_s * fixed[SIGMA_V]) ** 2
+        return self.roughness_m**2 < float(expected)
+
+    @property
+    def smallest_noise(self) -> float:
+        """Lower bound of all noises in a search, in their own units."""
+        noise = float(np.nanmax([self.roughness_m, _LEAST])) / np.sqrt(_WHITE)
+        return float(min(1e-3, _PART * noise))
+
+    @property
+    def typical(self) -> Array:
+        """Parameters (P,) of a driver of the population at the reference period, with noises that suit the recording.
+
+        Where positions are smooth, each of three noises makes a third of the third differences' variance.
+        """
+        driver = population()
+        if not self.is_smooth:
+            return driver
+        third = max(self.roughness_m, _LEAST) / np.sqrt(3.0)
+        scale = at_period(np.full(len(NAMES), 0.5), self.period_s)[SIGMA_X] / 0.5
+        driver[SIGMA_NU] = third / np.sqrt(_WHITE)
+        driver[SIGMA_X] = third / np.sqrt(_OF_POSITION) / scale
+        driver[SIGMA_V] = min(third / np.sqrt(_OF_SPEED) / self.period_s / scale, driver[SIGMA_V])
+        return driver
+
+    def estimated(self, formulation: str = "causal") -> tuple[str, ...]:
+        """Return the names of the parameters that are estimated unless the user names others.
+
+        Parameters
+        ----------
+        formulation : {"causal", "paper"}
+            Likelihood. The paper's keeps the paper's parameters.
+
+        Returns
+        -------
+        tuple of str
+            Names.
+        """
+        return ESTIMATED + FREED if formulation == "causal" and self.is_smooth else ESTIMATED
+
+
+def evenness_of(positions: Iterable[Array], period_s: float) -> Evenness:
+    """Return how evenly vehicles move.
+
+    Parameters
+    ----------
+    positions : iterable of ndarray, shape (T,)
+        Continuous positions of each vehicle [m]; NaN where missing.
+    period_s : float
+        Time [s] between two samples.
 
     Returns
     -------
-    float
-        Median over the vehicles [m], from the median of the absolute values, which spikes do not move. Vehicles that
-        stand still or are hardly seen do not count; NaN if none is left.
+    Evenness
+        The roughness is the median over the vehicles, from the median of the absolute values, which spikes do not move.
+        Vehicles that stand still or are hardly seen do not count.
     """
-    third = np.abs(np.diff(trajectories.road.unwrap(trajectories.position_m), n=3, axis=0))
     found = []
-    for one in third.T:
-        moving = one[np.isfinite(one) & (one > 0.0)]
+    for one in positions:
+        third = np.abs(np.diff(one, n=3))
+        moving = third[np.isfinite(third) & (third > 0.0)]
         if len(moving) >= _FEWEST:
             found.append(_PER_MEDIAN * float(np.median(moving)))
-    return float(np.median(found)) if found else float("nan")
+    return Evenness(float(np.median(found)) if found else float("nan"), period_s)
 
 
-def are_smooth(trajectories: Trajectories) -> bool:
-    """Return whether the positions move more evenly than the model's fixed noises alone would let them."""
-    period = trajectories.period_s
-    fixed = at_period(defaults(), period)
-    expected = _OF_POSITION * fixed[SIGMA_X] ** 2 + _OF_SPEED * (period * fixed[SIGMA_V]) ** 2
-    return roughness(trajectories) ** 2 < float(expected)
-
-
-def estimated_in(trajectories: Trajectories, formulation: str = "causal") -> tuple[str, ...]:
-    """Return the names of the parameters that are estimated unless the user names others.
-
-    Parameters
-    ----------
-    trajectories : Trajectories
-        The recording.
-    formulation : {"causal", "paper"}
-        Likelihood. The paper's keeps the paper's parameters.
-
-    Returns
-    -------
-    tuple of str
-        Names.
-    """
-    freed = formulation == "causal" and are_smooth(trajectories)
-    return ESTIMATED + FREED if freed else ESTIMATED
+def evenness(trajectories: Trajectories) -> Evenness:
+    """Return how evenly the vehicles of a recording move."""
+    return evenness_of(trajectories.road.unwrap(trajectories.position_m).T, trajectories.period_s)
 
 
 def individual_in(trajectories: Trajectories, *others: int) -> tuple[int, ...]:
     """Return the places of the noises that each driver has, then ``others``."""
-    noises = [index(name) for name in estimated_in(trajectories) if name.startswith("sigma_")]
+    noises = [index(name) for name in evenness(trajectories).estimated() if name.startswith("sigma_")]
     return (*noises, *others)
-
-
-def typical(trajectories: Trajectories) -> Array:
-    """Return a driver of the population, with noises that suit the recording.
-
-    Parameters
-    ----------
-    trajectories : Trajectories
-        The recording.
-
-    Returns
-    -------
-    ndarray, shape (P,)
-        Parameters at the reference period: of ``population``, with smaller noises where positions are smooth. Each of
-        the three noises then makes a third of the third differences' variance.
-    """
-    driver = population()
-    if not are_smooth(trajectories):
-        return driver
-    period = trajectories.period_s
-    third = max(roughness(trajectories), _LEAST) / np.sqrt(3.0)
-    scale = at_period(np.ones(len(NAMES)) * 0.5, period)[SIGMA_X] / 0.5
-    driver[SIGMA_NU] = third / np.sqrt(_WHITE)
-    driver[SIGMA_X] = third / np.sqrt(_OF_POSITION) / scale
-    driver[SIGMA_V] = min(third / np.sqrt(_OF_SPEED) / period / scale, driver[SIGMA_V])
-    return driver
-
-
-def smallest_noise(trajectories: Trajectories) -> float:
-    """Return the lower bound of all noises in a search, in their own units."""
-    noise = float(np.nanmax([roughness(trajectories), _LEAST])) / np.sqrt(_WHITE)
-    return float(min(1e-3, _PART * noise))

@@ -34,6 +34,8 @@ class Format:
     tracks : callable, optional
         Gets the path and the user's `Choices`. Returns `Tracks`: all vehicles on all lanes. Raises InputError. None
         for a format that only has one lane.
+    is_of_tracks : bool
+        Whether files hold vehicles that come and go on lanes, so that commands which can work on tracks do so.
     """
 
     name: str
@@ -42,6 +44,7 @@ class Format:
     read: Callable[[Path, float | None], Trajectories]
     summary: str
     tracks: Callable[[Path, Choices], Tracks] | None = None
+    is_of_tracks: bool = False
 
 
 def tracks_format(
@@ -67,7 +70,7 @@ def tracks_format(
     def read(path: Path, ring_m: float | None) -> Trajectories:
         return one_lane(tracks(path, Choices(ring_m=ring_m)), str(path))
 
-    return Format(name, suffixes, recognise, read, summary, tracks)
+    return Format(name, suffixes, recognise, read, summary, tracks, is_of_tracks=True)
 
 
 def has_suffix(*suffixes: str) -> Callable[[bytes, Path], bool]:

@@ -7,7 +7,7 @@ import sugiyama_ros as sg
 from sugiyama_ros.calibration.soundness import mean_nis
 from sugiyama_ros.driver.parameters import SIGMA_NU, SIGMA_V, SIGMA_X, defaults
 from sugiyama_ros.fit.bounds import SMALLEST, lower_bounds
-from sugiyama_ros.fit.smooth_positions import ESTIMATED, FREED, NOISES, are_smooth, estimated_in, roughness, typical
+from sugiyama_ros.fit.smooth_positions import ESTIMATED, FREED, NOISES, evenness
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
@@ -32,20 +32,21 @@ def recording(noise_std, vehicles=3, samples=900, period_s=0.1):
 
 def test_roughness_is_the_noise_of_third_differences():
     # third differences of white noise have 20 times its variance; 2700 of them know their std to 3 %
-    assert roughness(recording(0.05)) == pytest.approx(0.05 * np.sqrt(20.0), rel=0.1)
+    assert evenness(recording(0.05)).roughness_m == pytest.approx(0.05 * np.sqrt(20.0), rel=0.1)
 
 
 def test_a_camera_is_not_smooth_and_positions_from_a_satellite_are():
     camera = sg.simulate(vehicles=4, ring_m=45.0, duration_s=60.0, seed=1).measured
-    assert not are_smooth(camera)
-    assert estimated_in(camera) == ESTIMATED
-    assert np.array_equal(typical(camera)[[SIGMA_NU, SIGMA_X, SIGMA_V]], defaults()[[SIGMA_NU, SIGMA_X, SIGMA_V]])
-    assert (lower_bounds(camera) == SMALLEST).all()
-    smooth = recording(0.001)
-    assert are_smooth(smooth)
-    assert estimated_in(smooth) == ESTIMATED + FREED
-    assert estimated_in(smooth, "paper") == ESTIMATED
-    assert (typical(smooth)[[SIGMA_NU, SIGMA_X, SIGMA_V]] < defaults()[[SIGMA_NU, SIGMA_X, SIGMA_V]]).all()
+    even = evenness(camera)
+    assert not even.is_smooth
+    assert even.estimated() == ESTIMATED
+    assert np.array_equal(even.typical[[SIGMA_NU, SIGMA_X, SIGMA_V]], defaults()[[SIGMA_NU, SIGMA_X, SIGMA_V]])
+    assert (lower_bounds(even) == SMALLEST).all()
+    smooth = evenness(recording(0.001))
+    assert smooth.is_smooth
+    assert smooth.estimated() == ESTIMATED + FREED
+    assert smooth.estimated("paper") == ESTIMATED
+    assert (smooth.typical[[SIGMA_NU, SIGMA_X, SIGMA_V]] < defaults()[[SIGMA_NU, SIGMA_X, SIGMA_V]]).all()
     assert (lower_bounds(smooth)[NOISES] < 1e-4).all()
 
 

@@ -1,0 +1,275 @@
+"""Calibration on tracks: vehicles that come and go, on several lanes, with leaders that change or are not known.
+
+A driver's likelihood is the sum over the stretches in which the driver follows a known vehicle. Samples around the
+driver's own lane changes do not count. A driver who follows for a short time says too little about four parameters, and
+is left out. Drivers ahead count as typical drivers.
+"""
+
+import math
+from collections import defaultdict
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.driver.parameters import PARAMETERS, SIGMA_A, index
+from sugiyama_ros.drives import Drive, drives
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.filters.causal import ChainJob, predict_samples
+from sugiyama_ros.filters.chain import CHAIN
+from sugiyama_ros.fit.bounds import lower_bounds, upper_bounds
+from sugiyama_ros.fit.driver import PLAIN, START_SIGMA_A, Fit, Job, carry_out
+from sugiyama_ros.fit.driver_score import DriverChains
+from sugiyama_ros.fit.smooth_positions import Evenness, evenness_of
+from sugiyama_ros.plots import BLUE
+from sugiyama_ros.progress import OnProgress
+from sugiyama_ros.results import Result
+from sugiyama_ros.tables import TextTable
+from sugiyama_ros.trajectories.tracks import Tracks
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+#: A driver needs to follow for this long [s] to get parameters of their own.
+LEAST_FOLLOWING_S = 15.0
+# Time [s] over which the highest speed is measured.
+_SPEED_OVER_S = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class CalibratedDriver:
+    """A calibrated driver on tracks.
+
+    Parameters
+    ----------
+    recording, vehicle, vehicle_class : str
+        Who drives; empty where the tracks do not say.
+    stretches : int
+        Number of stretches in which the driver follows.
+    following_s : float
+        Time [s] that counts.
+    fit : Fit
+        The estimate.
+    nis : float
+        Mean of the squared normalised innovations; 1 for a filter that knows its own errors.
+    """
+
+    recording: str
+    vehicle: str
+    vehicle_class: str
+    stretches: int
+    following_s: float
+    fit: Fit
+    nis: float
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TracksCalibration(Result):
+    """Calibrated drivers on tracks.
+
+    Parameters
+    ----------
+    estimated : tuple of str
+        Names of the estimated parameters.
+    drivers : tuple of CalibratedDriver
+        In the order of the tracks.
+    left_out : int
+        Number of drivers who follow a known vehicle for less than ``LEAST_FOLLOWING_S``.
+    """
+
+    estimated: tuple[str, ...]
+    drivers: tuple[CalibratedDriver, ...]
+    left_out: int
+
+    def headline(self) -> str:
+        """Say how many drivers were calibrated, and for how many of them each parameter is identified."""
+        held = ", ".join(f"{n} of {sum(d.fit.identified(n) for d in self.drivers)}" for n in self.estimated)
+        total = sum(d.fit.log_likelihood for d in self.drivers)
+        few = f"; {self.left_out} follow for less than {LEAST_FOLLOWING_S:g} s" if self.left_out else ""
+        return f"{len(self.drivers)} drivers on tracks, log-likelihood {total:.1f}; identified: {held}{few}"
+
+    def records(self) -> list[dict[str, Any]]:
+        """List the drivers, as ``Calibration.records``, with what tracks say of them."""
+        return [
+            {
+                "recording": d.recording,
+                "vehicle": d.vehicle,
+                "class": d.vehicle_class,
+                "stretches": d.stretches,
+                "following_s": d.following_s,
+                **{
+                    column: value
+                    for name in self.estimated
+                    for column, value in (
+                        (name, float(d.fit.parameters[index(name)])),
+                        (f"{name}_std", float(d.fit.std[index(name)])),
+                        (f"{name}_identified", d.fit.identified(name)),
+                    )
+                },
+                "log_likelihood": d.fit.log_likelihood,
+                "nis": d.nis,
+            }
+            for d in self.drivers
+        ]
+
+    def document(self, wall_s: float) -> dict[str, Any]:
+        """Collect all results in plain types and SI units, for ``--json``; infinite standard errors are None."""
+        drivers = []
+        for d in self.drivers:
+            std = {n: float(d.fit.std[index(n)]) for n in self.estimated}
+            drivers.append(
+                {
+                    "recording": d.recording,
+                    "vehicle": d.vehicle,
+                    "class": d.vehicle_class,
+                    "stretches": d.stretches,
+                    "following_s": d.following_s,
+                    **{n: float(d.fit.parameters[index(n)]) for n in self.estimated},
+                    "log_likelihood": d.fit.log_likelihood,
+                    "nis": d.nis if math.isfinite(d.nis) else None,
+                    "std": {n: value if math.isfinite(value) else None for n, value in std.items()},
+                    "identified": {n: d.fit.identified(n) for n in self.estimated},
+                }
+            )
+        total = float(sum(d.fit.log_likelihood for d in self.drivers))
+        classes = {name: values for name, _, values in self._by_class()}
+        return {
+            "formulation": "causal",
+            "drivers": drivers,
+            "left_out": self.left_out,
+            "classes": classes,
+            "log_likelihood": total,
+            "wall_s": wall_s,
+        }
+
+    def table(self) -> TextTable:
+        """Make a table of each driver's parameters, and of the medians over each class."""
+        rows = []
+        for d in self.drivers:
+            cells = [
+                f"{d.fit.parameters[index(n)]:.3g} "
+                + (f"± {d.fit.std[index(n)]:.2g}" if d.fit.identified(n) else "(not identified)")
+                for n in self.estimated
+            ]
+            name = f"{d.recording} {d.vehicle}".strip()
+            rows.append((name, d.vehicle_class, f"{d.following_s:.0f}", *cells, f"{d.nis:.2f}"))
+        for name, count, medians in self._by_class():
+            rows.append(("median", name or "all", str(count), *(f"{medians[n]:.3g}" for n in self.estimated), ""))
+        headings = ("vehicle", "class", "following [s]", *self.estimated, "NIS")
+        return TextTable("Calibration on tracks", headings, tuple(rows), left=2)
+
+    def draw(self, figure: "Figure") -> None:
+        """Draw each estimated parameter over the time that the driver follows; open circles are not identified."""
+        axes = figure.subplots(len(self.estimated), 1, sharex=True, squeeze=False)[:, 0]
+        for one, name in zip(axes, self.estimated, strict=True):
+            for d in self.drivers:
+                face = BLUE if d.fit.identified(name) else "none"
+                one.plot(d.following_s, d.fit.parameters[index(name)], "o", color=BLUE, mfc=face, ms=4)
+            one.set(ylabel=f"{name} [{PARAMETERS[index(name)].unit}]")
+        axes[-1].set(xlabel="following [s]")
+
+    def _by_class(self) -> list[tuple[str, int, dict[str, float]]]:
+        """Name, number of drivers and medians of the identified parameters of each class; all together where one."""
+        names = sorted({d.vehicle_class for d in self.drivers})
+        found = []
+        for name in names:
+            own = [d for d in self.drivers if d.vehicle_class == name]
+            medians = {}
+            for n in self.estimated:
+                known = [float(d.fit.parameters[index(n)]) for d in own if d.fit.identified(n)]
+                medians[n] = float(np.median(known)) if known else float("nan")
+            found.append((name, len(own), medians))
+        return found
+
+
+def calibrate_tracks(
+    tracks: Tracks,
+    estimated: Sequence[str] = (),
+    *,
+    work: Executor | None = None,
+    on_progress: OnProgress = lambda done, total: None,
+) -> TracksCalibration:
+    """Calibrate every driver who follows a known vehicle for long enough, with the causal formulation.
+
+    Parameters
+    ----------
+    tracks : Tracks
+        Tracks with leaders.
+    estimated : sequence of str
+        Names of the parameters to estimate; by default those of ``Evenness.estimated``.
+    work : Executor, optional
+        Runs the searches; without an executor, the searches run one after the other.
+    on_progress : callable
+        Called after each fit with the number of finished fits and the number of all fits.
+
+    Returns
+    -------
+    TracksCalibration
+        The calibrated drivers.
+
+    Raises
+    ------
+    InputError
+        For an unknown parameter, or if no driver follows a known vehicle for long enough.
+    """
+    by_driver: dict[tuple[str, str], list[Drive]] = defaultdict(list)
+    for drive in drives(tracks):
+        by_driver[drive.stretch.recording, drive.stretch.vehicle].append(drive)
+    enough = {who: own for who, own in by_driver.items() if _following_s(own) >= LEAST_FOLLOWING_S}
+    if not enough:
+        raise InputError(
+            f"{tracks.about.source}: nobody follows a known vehicle for {LEAST_FOLLOWING_S:g} s; `sugiyama info` says"
+            " which leaders are known"
+        )
+    every = [drive for own in enough.values() for drive in own]
+    even, speed = _evenness(every), _fastest(every)
+    names = tuple(estimated) or even.estimated()
+    places = np.array([index(name) for name in names])
+    jobs = [_job(k, own, places, even, speed) for k, own in enumerate(enough.values())]
+    drivers = []
+    fits = map(carry_out, jobs) if work is None else work.map(carry_out, jobs)
+    for own, job, fit in zip(enough.values(), jobs, fits, strict=True):
+        drivers.append(_calibrated(own, job, fit))
+        on_progress(len(drivers), len(jobs))
+    return TracksCalibration(names, tuple(drivers), len(by_driver) - len(enough))
+
+
+def _following_s(own: Sequence[Drive]) -> float:
+    """Time [s] of the scored samples in which somebody is ahead."""
+    return sum(float((d.scored & (d.chain.identity[:, 1] >= 0)).sum()) * d.chain.period_s for d in own)
+
+
+def _evenness(every: Sequence[Drive]) -> Evenness:
+    return evenness_of([d.chain.position_m[:, 0] for d in every], every[0].chain.period_s)
+
+
+def _fastest(every: Sequence[Drive]) -> float:
+    """Speed [m/s] below which 99 % of the samples are."""
+    steps = max(1, round(_SPEED_OVER_S / every[0].chain.period_s))
+    ways = [d.chain.position_m[steps:, 0] - d.chain.position_m[:-steps, 0] for d in every]
+    return float(np.nanquantile(np.concatenate(ways), 0.99)) / (steps * every[0].chain.period_s)
+
+
+def _job(number: int, own: Sequence[Drive], places: Ints, even: Evenness, speed: float) -> Job:
+    typical: Array = even.typical
+    start = typical.copy()
+    start[SIGMA_A] = START_SIGMA_A
+    followed = DriverChains(tuple(d.chain for d in own), np.tile(typical, (CHAIN - 1, 1)), tuple(d.scored for d in own))
+    return Job(number, start, places, lower_bounds(even), upper_bounds(speed), PLAIN, followed=followed)
+
+
+def _calibrated(own: Sequence[Drive], job: Job, fit: Fit) -> CalibratedDriver:
+    assert job.followed is not None
+    assert job.followed.ahead is not None
+    ahead, parts = job.followed.ahead, []
+    jobs = [ChainJob(d.chain, fit.parameters, ahead[: d.chain.position_m.shape[1] - 1]) for d in own]
+    for drive, predicted in zip(own, predict_samples(jobs), strict=True):
+        counts = drive.scored & np.isfinite(predicted.log_likelihood)
+        parts.append((predicted.innovation**2 / predicted.innovation_var)[counts])
+    squares = np.concatenate(parts)
+    who = own[0].stretch
+    nis = float(squares.mean()) if len(squares) else float("nan")
+    return CalibratedDriver(who.recording, who.vehicle, who.vehicle_class, len(own), _following_s(own), fit, nis)

@@ -1,0 +1,56 @@
+"""Calibration on tracks: the same model as on a ring, for vehicles that come and go."""
+
+import json
+
+import numpy as np
+import pytest
+
+import sugiyama_ros as sg
+from sugiyama_ros.calibration.on_tracks import LEAST_FOLLOWING_S, calibrate_tracks
+from sugiyama_ros.cli import app
+from sugiyama_ros.driver.parameters import V_STAR
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.trajectories.one_lane import tracks_of
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return sg.simulate(vehicles=5, ring_m=56.0, duration_s=90.0, seed=2)
+
+
+@pytest.fixture(scope="module")
+def tracks(recording):
+    return tracks_of(recording.measured)
+
+
+def test_drivers_on_a_ring_are_the_same_on_tracks(recording, tracks):
+    on_tracks, dense = calibrate_tracks(tracks), sg.calibrate(recording.measured)
+    assert [d.vehicle for d in on_tracks.drivers] == [str(v) for v in recording.measured.vehicle]
+    assert on_tracks.estimated == dense.settings.estimated
+    for k, driver in enumerate(on_tracks.drivers):
+        # the dense calibration knows the drivers ahead from a first pass, which moves v* by a part of its error
+        error = max(dense.std[k]["v_star"], 0.1)
+        assert abs(driver.fit.parameters[V_STAR] - dense.rows[k, V_STAR]) < error
+        assert driver.nis == pytest.approx(1.0, abs=0.35)  # 270 samples know it to 9 %
+
+
+def test_drivers_who_follow_for_a_short_time_are_left_out(tracks):
+    leaves = np.asarray(tracks.time_s) < tracks.time_s[0] + LEAST_FOLLOWING_S - 2.0
+    stays = np.asarray(tracks.run) != 1
+    found = calibrate_tracks(tracks.select(stays | leaves))
+    # one vehicle leaves, and its follower follows somebody who is not known from then on
+    assert [d.vehicle for d in found.drivers] == ["2", "3", "4"]
+    assert found.left_out == 2
+    assert "2 follow for less than 15 s" in found.headline()
+    with pytest.raises(InputError, match="nobody follows a known vehicle for 15 s"):
+        calibrate_tracks(tracks.select(leaves))
+
+
+def test_the_command_calibrates_tracks(tracks, tmp_path, capsys):
+    tracks.save(tmp_path / "tracks.parquet")
+    app(["calibrate", str(tmp_path / "tracks.parquet"), "--json"], standalone_mode=False)
+    found = json.loads(capsys.readouterr().out)
+    assert [d["identified"]["v_star"] for d in found["drivers"]].count(True) >= 3
+    assert {"recording", "vehicle", "class", "stretches", "following_s", "v_star", "nis", "std"} <= set(
+        found["drivers"][0]
+    )
