@@ -10,6 +10,8 @@ from sugiyama_ros.filters.extract import chain_behind
 
 #: Mean NIS within which a filter knows its own errors well enough; 1 is right.
 LEAST_NIS, LARGEST_NIS = 0.5, 2.0
+# Part of the samples without a leader from which a vehicle follows nobody.
+_ALONE = 0.9
 #: One-step error [m] beyond which the filter has lost the vehicle.
 LARGEST_ERROR_M = 1000.0
 
@@ -64,6 +66,12 @@ def cautions(calibration: Calibration) -> list[str]:
         lines.append(
             f"{_named(vehicles[large])}: mean NIS {np.median(nis[large]):.2f} instead of 1: the model does not fit, and"
             " the standard errors are too small; `sugiyama diagnose` looks for what is missing"
+        )
+    alone = np.mean(calibration.trajectories.leader < 0, axis=0) > _ALONE
+    if alone.any():
+        lines.append(
+            f"{_named(vehicles[alone])}: follows nobody: v_star holds only if the road ahead was free, and kappa_v is"
+            " not known; `sugiyama convert` to tracks leaves such vehicles out"
         )
     return lines
 

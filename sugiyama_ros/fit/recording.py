@@ -1,10 +1,11 @@
 """Trajectories prepared for a fit: the chain of vehicles ahead of each driver, and blocks of time to hold out."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.arrays import Array, Ints, Mask
 from sugiyama_ros.driver.parameters import COUNT, RHO
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
@@ -16,6 +17,8 @@ from sugiyama_ros.trajectories.trajectories import Trajectories
 
 #: Length [s] of the blocks of time that are held out, and number of folds that the blocks are assigned to in turn.
 BLOCK_S, FOLDS = 25.0, 5
+# Part of the samples in which a driver must have a leader, to count as a driver who follows.
+_LEAST_LED = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +39,9 @@ class Recorded:
         Number of the fold in which the block is held out.
     segment : ndarray of int, shape (T,)
         Number of the unbroken part of the recording.
+    counts : ndarray of bool, shape (N,)
+        Whether a driver's samples count: False for a driver who hardly ever has a leader, and about whose following
+        they say nothing. All count if nobody has a leader.
     lower, upper : ndarray, shape (WIDTH,)
         Smallest sizes of parameters with a logarithmic coordinate, and upper bounds of the search.
     """
@@ -46,6 +52,7 @@ class Recorded:
     block: Ints
     fold: Ints
     segment: Ints
+    counts: Mask
     lower: Array
     upper: Array
 
@@ -106,9 +113,18 @@ def prepare(trajectories: Trajectories, segment: Ints | None = None) -> Recorded
         block=block,
         fold=block % FOLDS,
         segment=unbroken,
+        counts=_who_follows(chains),
         lower=lower,
         upper=upper,
     )
+
+
+def _who_follows(chains: Sequence[Chain]) -> Mask:
+    """Whether each driver has a leader in a part of the samples, (N,); all True if nobody has."""
+    there = np.array([(chain.identity[:, 0] >= 0).sum() for chain in chains])
+    led = np.array([((chain.identity[:, 0] >= 0) & (chain.identity[:, 1] >= 0)).sum() for chain in chains])
+    follows = led > _LEAST_LED * there
+    return follows if follows.any() else np.ones_like(follows)
 
 
 def _columns(trajectories: Trajectories, driver: int, m: int) -> Ints:

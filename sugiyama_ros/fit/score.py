@@ -107,8 +107,13 @@ def evaluate(data: Recorded, model: Model, work: Executor, who: Sequence[int] | 
 
 def predict_drivers(data: Recorded, model: Model, who: Iterable[int], work: Executor) -> list[DriverDensity]:
     """Predict the samples of the drivers in ``who``; returns one result for each, in this order."""
-    jobs = [job_of(data, model, i) for i in who]
-    return [one for part in work.map(predict_jobs, together(jobs)) for one in part]
+    numbers = list(who)
+    parts = work.map(predict_jobs, together([job_of(data, model, i) for i in numbers]))
+    found = [one for part in parts for one in part]
+    for i, one in zip(numbers, found, strict=True):
+        if not data.counts[i]:
+            one.log_likelihood[:] = np.nan
+    return found
 
 
 def together(drivers: Sequence[_Any]) -> list[Sequence[_Any]]:
@@ -170,4 +175,5 @@ def follow(data: Recorded, model: Model, work: Executor) -> tuple[PointwiseDensi
     y, variance, density = (np.array([o[k] for o in outputs]) for k in range(3))
     states = np.stack([o[3] for o in outputs], axis=1)
     states[~np.isfinite(variance.T)] = np.nan
+    density[~data.counts] = np.nan
     return PointwiseDensity(y, variance, density), states

@@ -155,8 +155,9 @@ def check_order(trajectories: Trajectories, where: str) -> None:
         step, column = (int(one[0]) for one in np.nonzero(headway < 0.0))
         raise InputError(
             f"{where}: vehicle {trajectories.vehicle[column]} drives through vehicle"
-            f" {trajectories.vehicle[leader[step, column]]} at {trajectories.time_s[step]:g} s: other lanes, or"
-            " recordings that have nothing to do with each other, share this lane; give the column lane or recording"
+            f" {trajectories.vehicle[leader[step, column]]} at {trajectories.time_s[step]:g} s: the road is"
+            " a ring (give --ring METRES), or other lanes or recordings share this lane (give the column lane or"
+            " recording)"
         )
 
 

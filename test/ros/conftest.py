@@ -78,15 +78,25 @@ def stage() -> Iterator[Stage]:
         stage.close()
 
 
-@pytest.fixture
-def ring_csv(tmp_path: Path) -> Path:
-    """A file of 4 vehicles on a ring of 100 m, with 200 samples of 0.5 s. It does not give the ring's length."""
-    path = tmp_path / "ring.csv"
+def write_vehicles(path: Path, lap_m: float) -> Path:
+    """Write 4 vehicles with 200 samples of 0.5 s; ``lap_m``: where positions begin anew [m]."""
     rng = np.random.default_rng(1)
     lines = ["time_s,vehicle,position_m,length_m"]
     for step in range(200):
         for vehicle in range(4):
-            position = (25.0 * vehicle + 3.0 * step + rng.normal(0.0, 0.2)) % 100.0
+            position = (25.0 * vehicle + 3.0 * step + rng.normal(0.0, 0.2)) % lap_m
             lines.append(f"{0.5 * step:.3f},{vehicle},{position:.4f},4.5")
     path.write_text("\n".join(lines) + "\n")
     return path
+
+
+@pytest.fixture
+def ring_csv(tmp_path: Path) -> Path:
+    """A file of 4 vehicles on a ring of 100 m, with 200 samples of 0.5 s. It does not give the ring's length."""
+    return write_vehicles(tmp_path / "ring.csv", 100.0)
+
+
+@pytest.fixture
+def road_csv(tmp_path: Path) -> Path:
+    """A file of 4 vehicles on an open road, with 200 samples of 0.5 s."""
+    return write_vehicles(tmp_path / "road.csv", 1e6)

@@ -23,7 +23,7 @@ WITHOUT_PARAMETERS = "keeper"
 EXECUTABLES = ("critic", "estimator", "recorder", "replay", "simulator")
 
 
-def make(executable: str, ring_csv: Path, tmp_path: Path) -> PacedNode:
+def make(executable: str, road_csv: Path, tmp_path: Path) -> PacedNode:
     """A node with only the parameters that it requires."""
     if executable == "critic":
         return Critic()
@@ -32,16 +32,16 @@ def make(executable: str, ring_csv: Path, tmp_path: Path) -> PacedNode:
     if executable == "recorder":
         return Recorder(parameter_overrides=[Parameter("output", value=str(tmp_path / "out.mcap"))])
     if executable == "replay":
-        return Replay(parameter_overrides=[Parameter("source", value=str(ring_csv))])
+        return Replay(parameter_overrides=[Parameter("source", value=str(road_csv))])
     return SimulatorNode()
 
 
 @pytest.mark.ros
 @pytest.mark.timeout(60)
 @pytest.mark.parametrize("executable", EXECUTABLES)
-def test_parameter_files_say_what_the_code_does(stage, ring_csv: Path, tmp_path: Path, executable: str) -> None:
+def test_parameter_files_say_what_the_code_does(stage, road_csv: Path, tmp_path: Path, executable: str) -> None:
     given = yaml.safe_load((ROOT / "config" / f"{executable}.yaml").read_text())["/**"]["ros__parameters"]
-    node = make(executable, ring_csv, tmp_path)
+    node = make(executable, road_csv, tmp_path)
     stage.add(node)
     for name, value in given.items():
         assert node.has_parameter(name), name

@@ -243,6 +243,6 @@ def test_namespaces_have_as_many_digits_as_needed() -> None:
 def test_a_run_that_is_refused_leaves_no_road_behind(ring_csv, tmp_path):
     """The next run of this process is in the same DDS domain and would take the road for its own."""
     with pytest.raises(OutputError):
-        run(ring_csv, tmp_path / "nowhere/refused.mcap")
+        run(ring_csv, tmp_path / "nowhere/refused.mcap", ring_m=100.0)
     kept = tmp_path / "kept.mcap"
     assert_nothing_lost(run(ring_csv, kept, ring_m=100.0), kept)

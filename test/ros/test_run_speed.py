@@ -21,9 +21,9 @@ def test_a_run_and_its_floors_are_measured() -> None:
     assert found["one_message"]["graph_s"] < found["topics_of_each_vehicle"]["graph_s"]
 
 
-def test_the_empty_graph_sends_every_message_of_a_bag(ring_csv, tmp_path) -> None:
+def test_the_empty_graph_sends_every_message_of_a_bag(road_csv, tmp_path) -> None:
     bag = tmp_path / "run.mcap"
-    assert loop(ring_csv, bag, array=False) > 0.0
+    assert loop(road_csv, bag, array=False) > 0.0
     with Bag(bag) as opened:
         assert opened.info().messages > 2000
     # it raises an error unless every message has come
