@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.arrays import Ints
 from sugiyama_ros.driver.parameters import PARAMETERS, SIGMA_A, index
 from sugiyama_ros.drives import Drive, drives
 from sugiyama_ros.errors import InputError
@@ -254,7 +254,7 @@ def _fastest(every: Sequence[Drive]) -> float:
 
 
 def _job(number: int, own: Sequence[Drive], places: Ints, even: Evenness, speed: float) -> Job:
-    typical: Array = even.typical
+    typical = even.typical(speed)
     start = typical.copy()
     start[SIGMA_A] = START_SIGMA_A
     followed = DriverChains(tuple(d.chain for d in own), np.tile(typical, (CHAIN - 1, 1)), tuple(d.scored for d in own))

@@ -26,11 +26,13 @@ from sugiyama_ros.fit.cross_validation import Gain, gain, sum_error
 from sugiyama_ros.fit.joint import JointFit, maximise, start_fit
 from sugiyama_ros.fit.model_file import stds_of
 from sugiyama_ros.fit.recording import Recorded
-from sugiyama_ros.fit.score import PointwiseDensity, filtered_states
+from sugiyama_ros.fit.score import filtered_states
 
 Outcome = Literal["adequate", "explained", "not_explained"]
 # Another law is better by this many standard errors of a paired gain, and by at least this gain [nats].
 _CLEARLY, _LEAST_GAIN = 2.0, 5.0
+# Free runs that count, and by which factor another law must be closer.
+_FREE_RUN, _FURTHER = "free_run_10s_m", 1.2
 # Probability below which the biases of a model are larger than chance makes them.
 _LEVEL = 0.01
 # Smallest std of the logarithm of the biases' sum of squares, and its weight as a number of simulated recordings.
@@ -84,8 +86,8 @@ class Evidence:
         The additions.
     located : Located
         Where the final model fails.
-    laws : mapping of str to PointwiseDensity
-        Held-out predictions of other laws, fitted in the same filter.
+    laws : mapping of str to HeldOutErrors
+        Held-out errors of other laws, fitted in the same filter.
     forces : sequence of Discovery
         Forces without a name that the final model lacks.
     simulated : sequence of Located
@@ -96,7 +98,7 @@ class Evidence:
     final: HeldOutErrors
     named: Sequence[Addition]
     located: Located
-    laws: Mapping[str, PointwiseDensity]
+    laws: Mapping[str, HeldOutErrors]
     forces: Sequence[Discovery]
     simulated: Sequence[Located]
 
@@ -117,7 +119,13 @@ def judge(data: Recorded, evidence: Evidence) -> Adequacy:
         The outcome with its reasons.
     """
     better = _better_law(data, evidence)
-    reasons = [*_laws_say(better), *_bins_say(evidence), *_spread_says(evidence.final), *_signs_say(evidence.named)]
+    reasons = [
+        *_laws_say(better),
+        *_free_runs_say(evidence),
+        *_bins_say(evidence),
+        *_spread_says(evidence.final),
+        *_signs_say(evidence.named),
+    ]
     reasons += [
         f"a force that depends on {force.covariate} is missing, by {force.strength:.2g} m/s²"
         f" ({force.gain_nats:.0f} nats)"
@@ -166,7 +174,7 @@ def simulated_failures(data: Recorded, final: JointFit, runs: int, seed: int, wo
 
 def _better_law(data: Recorded, evidence: Evidence) -> tuple[str, Gain] | None:
     """The law that predicts better than the final model by most, if it does so beyond doubt, and its gain."""
-    gains = {law: gain(data, samples, evidence.final.samples) for law, samples in evidence.laws.items()}
+    gains = {law: gain(data, errors.samples, evidence.final.samples) for law, errors in evidence.laws.items()}
     better = {law: g for law, g in gains.items() if g.nats > max(_CLEARLY * g.se, _LEAST_GAIN)}
     return max(better.items(), key=lambda one: one[1].nats, default=None)
 
@@ -176,6 +184,21 @@ def _laws_say(better: tuple[str, Gain] | None) -> list[str]:
         return []
     law, won = better
     return [f"{law} predicts held-out samples better, by {won.nats:.0f} ± {won.se:.0f} nats"]
+
+
+def _free_runs_say(evidence: Evidence) -> list[str]:
+    """Which law drives on by itself better than the final model by most, if one does so beyond doubt."""
+    own = evidence.final.summary()[_FREE_RUN]
+    errors = {
+        law: other.summary()[_FREE_RUN]
+        for law, other in evidence.laws.items()
+        if not evidence.final.no_worse_than(other)
+    }
+    better = [law for law, error in errors.items() if own > _FURTHER * error]
+    if not better:
+        return []
+    law = min(better, key=lambda name: errors[name])
+    return [f"free runs of {law} end closer: {errors[law]:.2g} m off after 10 s instead of {own:.2g} m"]
 
 
 def _bins_say(evidence: Evidence) -> list[str]:

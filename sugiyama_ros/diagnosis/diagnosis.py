@@ -229,7 +229,7 @@ def _summed_up(
         final=search.errors,
         named=search.named,
         located=where_after,
-        laws={name: errors.samples for name, errors in rivals.items() if name in LAWS},
+        laws={name: errors for name, errors in rivals.items() if name in LAWS},
         forces=forces,
         simulated=simulated_failures(search.data, search.current, search.effort.runs, search.seed, work),
     )

@@ -10,7 +10,9 @@ from dataclasses import replace
 import numpy as np
 
 from sugiyama_ros.arrays import Array
+from sugiyama_ros.driver.utility import FAR
 from sugiyama_ros.effects.registry import ROW
+from sugiyama_ros.fit.bounds import fastest
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.least_squares import Following, fit_gaps
 from sugiyama_ros.fit.model import Model
@@ -45,8 +47,35 @@ def in_filter(data: Recorded, law: str, work: Executor) -> JointFit:
     model = start_model(data, individual_in(data.trajectories, *range(places.start, places.stop)))
     for rows in (model.rows, model.ahead):
         rows[:, ROW.law] = number_of(law)
-        rows[:, places] = [ROW.declared[k].default for k in range(places.start, places.stop)]
+        rows[:, places] = start_of(law, fastest(data.trajectories))
     return fit_base(data, model.individual, work, model)
+
+
+def start_of(law: str, speed: float) -> Array:
+    """Return the parameters with which the search for a law's parameters begins.
+
+    Parameters
+    ----------
+    law : str
+        Name of the law.
+    speed : float
+        High speed in the data [m/s].
+
+    Returns
+    -------
+    ndarray, shape (K,)
+        The declared defaults. Where their free speed is below the speed in the data, all speeds among them are larger
+        in proportion: a driver far above the desired speed hardly says how much too small it is.
+    """
+    one = LAWS[law]
+    values = np.array([p.default for p in one.parameters])
+    speeds = np.linspace(0.5, 80.0, 160)
+    grows = [v for v in speeds.tolist() if one.function(FAR, v, v, values) > 0.0]
+    if not grows or max(grows) >= speed:
+        return values
+    is_speed = np.array([p.unit == "m/s" for p in one.parameters])
+    scaled = np.where(is_speed, values * speed / max(grows), values)
+    return np.asarray(np.clip(scaled, [p.lower for p in one.parameters], [p.upper for p in one.parameters]))
 
 
 def by_gaps(data: Recorded, law: str, fitted: JointFit, work: Executor) -> tuple[Model, ...]:

@@ -314,7 +314,8 @@ class JobMaker:
         self._trajectories, self._formulation, self._known = trajectories, formulation, known
         self._places = np.array([index(name) for name in estimated])
         even = evenness(trajectories)
-        self._bounds, self._typical = (lower_bounds(even), upper_bounds(fastest(trajectories))), even.typical
+        speed = fastest(trajectories)
+        self._bounds, self._typical = (lower_bounds(even), upper_bounds(speed)), even.typical(speed)
 
     def __call__(self, driver: int) -> Job:
         """Return the search for the driver in column ``driver``."""

@@ -14,6 +14,7 @@ import numpy as np
 from sugiyama_ros.driver.parameters import NAMES
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.fit.bounds import fastest
 from sugiyama_ros.fit.driver import calibrate
 from sugiyama_ros.fit.joint import JointFit, at_model, maximise, mixed, objectives, renewed, start_fit, warm_start
 from sugiyama_ros.fit.model import Model, coordinate
@@ -43,7 +44,8 @@ def start_model(data: Recorded, individual: Sequence[int]) -> Model:
     Model
         The model at the start of a search.
     """
-    rows = np.tile(ROW.with_effects(evenness(data.trajectories).typical), (data.drivers, 1))
+    typical = evenness(data.trajectories).typical(fastest(data.trajectories))
+    rows = np.tile(ROW.with_effects(typical), (data.drivers, 1))
     return Model(rows, tuple(individual), (), (PRIOR_STD,) * len(individual), rows.copy())
 
 

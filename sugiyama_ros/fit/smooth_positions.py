@@ -19,6 +19,7 @@ from sugiyama_ros.driver.parameters import (
     SIGMA_NU,
     SIGMA_V,
     SIGMA_X,
+    V_STAR,
     at_period,
     defaults,
     index,
@@ -39,6 +40,8 @@ _WHITE, _OF_POSITION, _OF_SPEED = 20.0, 6.0, 2.0
 _FEWEST, _LEAST = 8, 1e-5
 # Bound of the noises in a search, as a part of the noise that the positions show.
 _PART = 0.01
+# A speed is far above the desired speed of the population by this factor; the desired speed is then slightly above it.
+_FAR_ABOVE, _SLIGHTLY_ABOVE = 1.5, 1.1
 # Scale of the normal distribution over the median of its absolute values.
 _PER_MEDIAN = 1.4826
 
@@ -70,13 +73,25 @@ class Evenness(NamedTuple):
         noise = float(np.nanmax([self.roughness_m, _LEAST])) / np.sqrt(_WHITE)
         return float(min(1e-3, _PART * noise))
 
-    @property
-    def typical(self) -> Array:
-        """Parameters (P,) of a driver of the population at the reference period, with noises that suit the recording.
+    def typical(self, speed: float) -> Array:
+        """Return a driver of the population, with noises and a desired speed that suit the recording.
 
-        Where positions are smooth, each of three noises makes a third of the third differences' variance.
+        Where positions are smooth, each of three noises makes a third of the third differences' variance. A driver far
+        above the desired speed hardly says how much too small it is, so it starts above the speeds in the data.
+
+        Parameters
+        ----------
+        speed : float
+            High speed in the data [m/s], as ``bounds.fastest`` returns it.
+
+        Returns
+        -------
+        ndarray, shape (P,)
+            Parameters at the reference period.
         """
         driver = population()
+        if speed > _FAR_ABOVE * driver[V_STAR]:
+            driver[V_STAR] = _SLIGHTLY_ABOVE * speed
         if not self.is_smooth:
             return driver
         third = max(self.roughness_m, _LEAST) / np.sqrt(3.0)

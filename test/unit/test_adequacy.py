@@ -10,11 +10,12 @@ from sugiyama_ros.diagnosis.adequacy import Evidence, judge, told
 from sugiyama_ros.diagnosis.diagnosis import diagnose
 from sugiyama_ros.diagnosis.discover import Discovery
 from sugiyama_ros.diagnosis.errors import errors_of, held_out_errors
+from sugiyama_ros.diagnosis.rivals import start_of
 from sugiyama_ros.diagnosis.verdict import document, sentences
 from sugiyama_ros.driver.parameters import defaults
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.cross_validation import without_folds
-from sugiyama_ros.laws.registry import number_of
+from sugiyama_ros.laws.registry import LAWS, number_of
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, evenly, simulate
 
@@ -57,6 +58,7 @@ def test_a_better_law_speaks_against_the_model(own):
     better.log_likelihood[:] += 0.05
     worse = own.after.samples.copy()
     worse.log_likelihood[:] -= 0.05
+    worse, better = (replace(own.after, samples=samples) for samples in (worse, better))
     found = judge(own.data, evidence_of(own, laws={"worse": worse, "better": better}))
     assert (found.outcome, found.better_law, found.explained_share) == ("not_explained", "better", 0.0)
     assert "better predicts held-out samples better" in told(found)
@@ -104,3 +106,18 @@ def test_a_held_out_step_that_fails_is_searched_after_all(own):
         guarded = held_out_errors(own.data, broken, work, searched=False)
     assert stepped.samples.total < own.base.log_likelihood - 4.0 * 4 * CARS
     assert guarded.samples.total > stepped.samples.total
+
+
+def test_a_law_whose_free_runs_end_closer_speaks_against_the_model(own):
+    runs = own.after.runs
+    closer = replace(own.after, runs=replace(runs, coupled=runs.coupled / 2.0, single=runs.single / 2.0))
+    found = judge(own.data, evidence_of(own, laws={"closer": closer}))
+    assert found.reasons[0].startswith("free runs of closer end closer: ")
+
+
+def test_a_law_starts_at_the_speeds_of_the_data():
+    slow, fast = start_of("fvdm", 5.0), start_of("fvdm", 30.0)
+    assert np.array_equal(slow, [p.default for p in LAWS["fvdm"].parameters])
+    free = [LAWS["fvdm"].function(1e9, 29.0, 29.0, values) > 0.0 for values in (slow, fast)]
+    assert free == [False, True]
+    assert len(start_of("constant_speed", 30.0)) == 0

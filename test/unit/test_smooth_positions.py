@@ -5,7 +5,7 @@ import pytest
 
 import sugiyama_ros as sg
 from sugiyama_ros.calibration.soundness import mean_nis
-from sugiyama_ros.driver.parameters import SIGMA_NU, SIGMA_V, SIGMA_X, defaults
+from sugiyama_ros.driver.parameters import SIGMA_NU, SIGMA_V, SIGMA_X, V_STAR, defaults
 from sugiyama_ros.fit.bounds import SMALLEST, lower_bounds
 from sugiyama_ros.fit.smooth_positions import ESTIMATED, FREED, NOISES, evenness
 from sugiyama_ros.road import Road
@@ -40,14 +40,20 @@ def test_a_camera_is_not_smooth_and_positions_from_a_satellite_are():
     even = evenness(camera)
     assert not even.is_smooth
     assert even.estimated() == ESTIMATED
-    assert np.array_equal(even.typical[[SIGMA_NU, SIGMA_X, SIGMA_V]], defaults()[[SIGMA_NU, SIGMA_X, SIGMA_V]])
+    assert np.array_equal(even.typical(12.0)[[SIGMA_NU, SIGMA_X, SIGMA_V]], defaults()[[SIGMA_NU, SIGMA_X, SIGMA_V]])
     assert (lower_bounds(even) == SMALLEST).all()
     smooth = evenness(recording(0.001))
     assert smooth.is_smooth
     assert smooth.estimated() == ESTIMATED + FREED
     assert smooth.estimated("paper") == ESTIMATED
-    assert (smooth.typical[[SIGMA_NU, SIGMA_X, SIGMA_V]] < defaults()[[SIGMA_NU, SIGMA_X, SIGMA_V]]).all()
+    assert (smooth.typical(12.0)[[SIGMA_NU, SIGMA_X, SIGMA_V]] < defaults()[[SIGMA_NU, SIGMA_X, SIGMA_V]]).all()
     assert (lower_bounds(smooth)[NOISES] < 1e-4).all()
+
+
+def test_the_desired_speed_starts_above_the_speeds_of_a_motorway():
+    even = evenness(recording(0.05))
+    assert even.typical(12.0)[V_STAR] == defaults()[V_STAR]
+    assert even.typical(30.0)[V_STAR] == pytest.approx(33.0)
 
 
 def test_the_filter_knows_its_errors_on_smooth_positions():
