@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sugiyama_ros.cli.options import Json, Ring, Source
+from sugiyama_ros.cli.options import Json, Overwrite, Ring, Source
 from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table, progress, tell, to_json
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.outputs import Output, name_of_part
 from sugiyama_ros.tables import TextTable
 
 if TYPE_CHECKING:
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 def convert(
     source: Source,
     output: Annotated[Path, typer.Argument(help="MCAP file to write.")],
+    overwrite: Overwrite = False,
     ring: Ring = None,
     as_json: Json = False,
 ) -> None:
@@ -29,7 +31,7 @@ def convert(
     """
     from sugiyama_ros.formats.convert import convert as convert_file
 
-    t = convert_file(source, output, ring)
+    t = convert_file(source, Output(output, overwrite), ring)
     document = {
         "output": str(output),
         "vehicles": len(t.vehicle),
@@ -50,6 +52,7 @@ def fetch(
         bool, typer.Option("--accept-licence", help="Accept the terms of use without being asked.")
     ] = False,
     url: Annotated[str | None, typer.Option(help="Another address of the same file.")] = None,
+    overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
     """Download a public data set, check it, and convert it to MCAP."""
@@ -64,7 +67,7 @@ def fetch(
             raise InputError(f"{name}: its terms were not accepted; add --accept-licence")
         typer.confirm("Do you accept these terms?", abort=True, err=True)
     with progress("downloading") as advance:
-        fetched = download(name, directory, url, advance)
+        fetched = download(name, directory, url, advance, overwrite)
     tell(dataclasses.asdict(fetched), f"{fetched.data}\n{fetched.bag}", as_json)
 
 
@@ -134,8 +137,13 @@ def recover(
     file: Annotated[Path, typer.Argument(help="Cut or damaged MCAP file, or the .part file of a run that was killed.")],
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="File to write. By default FILE without .part, or FILE.recovered.mcap."),
+        typer.Option(
+            "--output",
+            "-o",
+            help="File to write. By default FILE without .part, or FILE.recovered.mcap.",
+        ),
     ] = None,
+    overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
     """Save the intact part of a cut or damaged MCAP file.
@@ -145,10 +153,8 @@ def recover(
     from sugiyama_ros.formats.recover import recover as salvage
 
     if output is None:
-        output = file.with_suffix("") if file.suffix == ".part" else file.with_suffix(".recovered.mcap")
-        if output.exists():
-            raise InputError(f"{output}: exists already; choose another name with --output")
-    saved = salvage(file, output)
+        output = name_of_part(file) or file.with_name(f"{file.stem}.recovered.mcap")
+    saved = salvage(file, Output(output, overwrite))
     text = (
         f"{saved.messages} messages on {saved.topics} topics saved and read back, {saved.lost_bytes} bytes lost;"
         f" in {saved.path}"

@@ -14,11 +14,12 @@ import yaml
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import COUNT, NAMES, check
 from sugiyama_ros.effects.registry import ROW, active, effect, index_of, switch_on
-from sugiyama_ros.errors import InputError, OutputError
+from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.driver_types import DriverTypes
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.model import coordinate
 from sugiyama_ros.fit.recording import FOLDS, Recorded
+from sugiyama_ros.outputs import Target, writing
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 _FORMAT = 1
@@ -65,12 +66,12 @@ class ModelFile:
         return np.array([self.rows[known[int(v)]] if int(v) in known else typical for v in vehicles])
 
 
-def write_model(path: Path, data: Recorded, fitted: JointFit) -> None:
+def write_model(target: Target, data: Recorded, fitted: JointFit) -> None:
     """Write a fitted model to a file.
 
     Parameters
     ----------
-    path : Path
+    target : Path or Output
         The file.
     data : Recorded
         The recording.
@@ -83,11 +84,11 @@ def write_model(path: Path, data: Recorded, fitted: JointFit) -> None:
         If the file cannot be written.
     """
     own, shared = stds_of(fitted)
-    write_drivers(path, data.trajectories, fitted.model.rows, own, shared, fitted.log_likelihood)
+    write_drivers(target, data.trajectories, fitted.model.rows, own, shared, fitted.log_likelihood)
 
 
 def write_drivers(
-    path: Path,
+    target: Target,
     trajectories: Trajectories,
     rows: Array,
     own_std: Sequence[Mapping[str, float]],
@@ -99,7 +100,7 @@ def write_drivers(
 
     Parameters
     ----------
-    path : Path
+    target : Path or Output
         The file.
     trajectories : Trajectories
         The fitted recording.
@@ -140,12 +141,8 @@ def write_drivers(
             {"share": float(share), "parameters": dict(zip(NAMES, row.tolist(), strict=True))}
             for share, row in zip(types.share, types.rows, strict=True)
         ]
-    beside = path.with_name(path.name + ".part")
-    try:
-        beside.write_text(yaml.dump(document, Dumper=_DUMPER, sort_keys=False, allow_unicode=True))
-        beside.replace(path)
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error.strerror}; choose another place") from None
+    with writing(target) as stream:
+        stream.write(yaml.dump(document, Dumper=_DUMPER, sort_keys=False, allow_unicode=True).encode())
 
 
 def read_model(path: Path) -> ModelFile:

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mcap.opcode import Opcode
@@ -23,7 +23,7 @@ from sugiyama_ros.formats.mcap_records import (
     content_records,
 )
 from sugiyama_ros.formats.reading import open_input
-from sugiyama_ros.formats.writing import replacing
+from sugiyama_ros.outputs import Target, output_of, writing
 
 _BLOCK = 1 << 20
 # The name of the compression, behind its length, and where it stands in a chunk record.
@@ -44,15 +44,17 @@ class Recovered:
     end_ns: int
 
 
-def recover(path: Path, out: Path) -> Recovered:
+def recover(path: Path, target: Target) -> Recovered:
     """Write every intact message of a file into a new file, and verify the new file by reading it.
 
     Chunks with a wrong checksum are left out.
 
     Parameters
     ----------
-    path, out : Path
-        Damaged file, and file to write.
+    path : Path
+        Damaged file.
+    target : Path or Output
+        File to write.
 
     Raises
     ------
@@ -61,13 +63,13 @@ def recover(path: Path, out: Path) -> Recovered:
     OutputError
         Where the new file cannot be written or cannot be read again.
     """
-    path, out = Path(path), Path(out)
-    if out.exists() and out.samefile(path):
-        raise OutputError(f"{out}: is the file to be recovered; choose another name")
+    path, output = Path(path), replace(output_of(target), inputs=(Path(path),))
+    output.check()
+    out = output.path
     with open_input(path) as stream:
         salvage = _Salvage(RecordFile(path, stream))
-        with replacing(out, ".recovered.part") as target:
-            writer = Writer(target, chunk_size=256 << 10, compression=CompressionType.ZSTD)
+        with writing(output) as recovered:
+            writer = Writer(recovered, chunk_size=256 << 10, compression=CompressionType.ZSTD)
             salvage.write(writer)
             if salvage.messages == 0:
                 raise InputError(f"{path}: holds no whole message; nothing can be recovered")

@@ -26,6 +26,8 @@ class Samples:
         self._position = array("d")
         self._columns: dict[int, int] = {}
         self._last: dict[int, float] = {}
+        # shortest time [s] between two samples of a vehicle, and where it is
+        self._closest: tuple[float, str] = (math.inf, "")
 
     def add(self, time_s: float, vehicle: int, position_m: float, where: str) -> None:
         """Add one sample; NaN for a position that is missing.
@@ -43,6 +45,9 @@ class Samples:
             raise InputError(f"{where}: time {time_s:g} s is more than ROS can count; start the times near 0")
         if len(self._time) == MAX_SAMPLES:
             raise InputError(f"{where}: more than {MAX_SAMPLES} samples; split the file")
+        if time_s - last < self._closest[0]:
+            what = f"{where}: vehicle {vehicle} has samples at {last:.9g} s and {time_s:.9g} s"
+            self._closest = (time_s - last, what)
         self._last[vehicle] = time_s
         self._time.append(time_s)
         self._column.append(self._columns.setdefault(vehicle, len(self._columns)))
@@ -64,6 +69,8 @@ class Samples:
         # Times that differ by less than a microsecond are the same instant, written with a different rounding.
         _, distinct = np.unique(np.round(time, 6), return_index=True)
         start, period, _ = regular_time_base(time[distinct], str(self._path))
+        if self._closest[0] < 0.5 * period:
+            raise InputError(f"{self._closest[1]}, but the period is {period:.4g} s; remove one of them")
         row = np.round((time - start) / period).astype(np.int64)
         steps = int(row.max()) + 1
         if steps * len(self._columns) > MAX_SAMPLES:

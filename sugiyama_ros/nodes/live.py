@@ -163,10 +163,8 @@ class View(Node):
 def serve(
     source: Path | None,
     output: Path,
+    settings: RunSettings,
     *,
-    rate: float = 1.0,
-    ring_m: float | None = None,
-    model: Path | None = None,
     host: str = LOCAL,
     port: int = 5006,
     on_ready: Callable[[str], None] = lambda url: None,
@@ -179,8 +177,8 @@ def serve(
         File of trajectories to replay; None shows the graph that runs already.
     output : Path
         MCAP file to write during a replay.
-    rate, ring_m, model
-        See `RunSettings`.
+    settings : RunSettings
+        How the replay goes.
     host, port : str, int
         Address and port on which to listen. Beyond this machine, the page asks for a token.
     on_ready : callable
@@ -195,10 +193,9 @@ def serve(
     """
     if source is not None:
         environment.isolate()
-    settings = RunSettings(rate, ring_m, model, critic=True)
     plan = Plan.read(source, output, settings) if source is not None else None
     with ros() as asked_to_stop, contextlib.ExitStack() as stack:
-        view = View(rate)
+        view = View(settings.rate)
         stack.callback(view.destroy_node)
         server, url = _server(view, host, port)
         runner = OneProcess(plan) if plan is not None else None

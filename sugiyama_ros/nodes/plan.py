@@ -10,8 +10,8 @@ from sugiyama_ros.driver.parameters import NAMES, population
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.model_file import read_model
 from sugiyama_ros.formats.registry import read_trajectories
-from sugiyama_ros.formats.writing import make_directory
 from sugiyama_ros.nodes.saved_state import file_of, read_learnt
+from sugiyama_ros.outputs import Output, make_directory
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 REPLAY, RECORDER, CRITIC = "/replay", "/recorder", "/critic"
@@ -52,6 +52,8 @@ class RunSettings:
         Directory in which the estimators keep what they have learnt.
     resume : Path, optional
         Directory with what the estimators of an earlier run have learnt, from which they go on.
+    overwrite : bool
+        Whether a file of the output's name is replaced.
     """
 
     rate: float = 0.0
@@ -60,6 +62,7 @@ class RunSettings:
     critic: bool = False
     save_state: Path | None = None
     resume: Path | None = None
+    overwrite: bool = False
 
 
 @dataclass(frozen=True)
@@ -80,6 +83,8 @@ class Plan:
         InputError, OutputError
             For files that cannot be read, and directories that cannot be made.
         """
+        inputs = (source, *([settings.model] if settings.model is not None else ()))
+        Output(output, settings.overwrite, inputs).check()
         if settings.model is not None:
             read_model(settings.model)
         if settings.save_state is not None:
@@ -153,6 +158,7 @@ class Plan:
         }
         return {
             "output": str(self.output),
+            "overwrite": self.settings.overwrite,
             "paced_topics": self.step_topics,
             "metadata": [f"{key}={value}" for key, value in about.items()],
         }

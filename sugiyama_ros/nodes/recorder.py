@@ -18,6 +18,7 @@ from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode
 from sugiyama_ros.nodes.base.pacing import Levels
 from sugiyama_ros.nodes.base.qos import DEPTH, reliable
 from sugiyama_ros.nodes.base.spin import run_node
+from sugiyama_ros.outputs import Output
 
 _POLL_S = 0.2
 # New topics that are subscribed to at one poll.
@@ -35,19 +36,20 @@ class Recorder(PacedNode):
     """Records every topic of the graph that is not hidden, with the quality of service that its publishers offer.
 
     A step counts as taken when a message has come on all paced topics. Parameters of the node: ``output``, the file;
-    ``paced_topics``, full names of the topics with one message a step (only ``measured``, if left out); ``metadata``,
-    lines ``key=value`` for the file.
+    ``overwrite``, whether to replace a file of this name; ``paced_topics``, full names of the topics with one message a
+    step (only ``measured``, if left out); ``metadata``, lines ``key=value`` for the file.
     """
 
     def __init__(self, **options: Any) -> None:
         super().__init__("recorder", **options)
         measured = self.shared("measured")
         output = self._declare("output", "", "MCAP file to write")
+        overwrite = self._declare("overwrite", False, "replace a file of this name")
         paced = self._declare("paced_topics", [measured], "full names of the topics with one message a step")
         metadata = self._declare("metadata", [""], "lines key=value to keep in the file")
         if not output:
             raise InputError("recorder: no file given; start it with -p output:=FILE.mcap")
-        self._bag = BagWriter(Path(output), dict(line.split("=", 1) for line in metadata if line))
+        self._bag = BagWriter(Output(Path(output), overwrite), dict(line.split("=", 1) for line in metadata if line))
         self._measured = measured
         self._levels = Levels({measured, *paced})
         self._step: dict[bytes, int] = {}

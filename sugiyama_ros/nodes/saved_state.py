@@ -9,8 +9,8 @@ from sugiyama_msgs.msg import DriverParameters
 
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.learnt import Learnt
-from sugiyama_ros.formats.writing import replacing
 from sugiyama_ros.nodes.base.cdr_messages import NS
+from sugiyama_ros.outputs import writing
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ def write_learnt(path: Path, kept: Kept) -> None:
         "covariance": learnt.covariance.tolist(),
         "until_ns": kept.until_ns,
     }
-    with replacing(path) as stream:
+    with writing(path) as stream:
         stream.write(json.dumps(document).encode())
 
 

@@ -11,6 +11,7 @@ PACKAGE = Path(__file__).parents[2] / "sugiyama_ros"
 #: The rooms (folders and single files), as in README. Each room may import the rooms above it, and errors.
 ORDER = (
     "arrays",
+    "outputs",
     "entry_points",
     "jit",
     "progress",
@@ -42,7 +43,7 @@ ORDER = (
 SMALL = {"entry_points", "progress", "plugins", "picture", "results", "plots", "tables"}
 #: Rooms that may import only these rooms, whatever the order allows.
 ALONE = {
-    "page": {"arrays", "formats", "plots", "progress", "results", "road", "tables", "trajectories"},
+    "page": {"arrays", "formats", "outputs", "plots", "progress", "results", "road", "tables", "trajectories"},
     "__init__": {"api", "effects", "laws"},
 }
 ROS = {"rclpy", "rcl_interfaces", "sugiyama_msgs", "std_srvs", "diagnostic_msgs", "visualization_msgs", "rosgraph_msgs"}
