@@ -29,7 +29,8 @@ def report(
 
     The page shows what was measured, what the model says, where it fails, and what is missing.
     """
-    from sugiyama_ros.page.recording import read_diagnosis, read_recording
+    from sugiyama_ros.page.diagnosis import read_diagnosis
+    from sugiyama_ros.page.recording import read_recording
     from sugiyama_ros.page.report import write_report
 
     page = output or source.with_suffix(".html")

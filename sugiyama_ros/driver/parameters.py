@@ -75,6 +75,9 @@ SIGMA_NU, SIGMA_A, V_STAR, KAPPA_V, KAPPA_1, KAPPA_C, KAPPA_D, OMEGA_2, RATIONAL
 #: Indices of the utility's parameters. The mean action depends on these parameters alone.
 UTILITY: tuple[int, ...] = (V_STAR, KAPPA_V, KAPPA_1, KAPPA_C, KAPPA_D, OMEGA_2, RATIONALITY)
 
+#: Least std of a noise with which a filter can run, in the unit of the noise.
+LEAST_NOISE = 1e-6
+
 #: Time [s] between two samples for which the defaults hold (Sugiyama experiment).
 REFERENCE_PERIOD_S = 1.0 / 3.0
 #: Periods that a driver looks ahead, at the reference period; section 3.1.
@@ -148,6 +151,30 @@ def check(parameters: NDArray[np.float64]) -> None:
             raise InputError(
                 f"parameter {p.name}: {outside[0]:g} {p.unit} is out of bounds; give {p.lower:g} to {p.upper:g}"
             )
+
+
+#: Indices of the noises. A filter divides by them and takes their logarithms.
+NOISES: tuple[int, ...] = (SIGMA_NU, SIGMA_A)
+
+
+def check_for_filter(parameters: NDArray[np.float64]) -> None:
+    """Check parameters with which a filter can run: within their bounds, and with noises above 0.
+
+    Parameters
+    ----------
+    parameters : ndarray, shape (..., P)
+        Parameters of one or more drivers; entries after the first P are not checked.
+
+    Raises
+    ------
+    InputError
+        If an entry lies outside its bounds, is NaN, or is a noise of 0.
+    """
+    check(parameters)
+    for k in NOISES:
+        if not (parameters[..., k] >= LEAST_NOISE).all():
+            p = PARAMETERS[k]
+            raise InputError(f"parameter {p.name}: a filter needs noise; give {LEAST_NOISE:g} to {p.upper:g} {p.unit}")
 
 
 def horizon_at(period_s: float) -> int:

@@ -197,6 +197,8 @@ class Effect:
     benchmark : tuple of mapping
         Strong and weak values with which the benchmark of the diagnosis hides the effect. If a place or a time is left
         out, the benchmark draws it at random.
+    ascending : tuple of (str, str)
+        Pairs of names of parameters of which the second must be larger than the first while the effect acts.
     least : mapping of str to float
         Values of parameters below which the effect makes no physical sense. A search may go below, and the verdict then
         doubts the name.
@@ -226,6 +228,7 @@ class Effect:
     sees_accelerations: bool = False
     bank: Values | None = None
     benchmark: tuple[Values, ...] = ()
+    ascending: tuple[tuple[str, str], ...] = ()
     least: Values = field(default_factory=dict)
     advice: Mapping[str, str] = field(default_factory=dict)
 

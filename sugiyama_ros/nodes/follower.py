@@ -5,7 +5,7 @@ from math import isfinite, isnan, nan
 import numpy as np
 
 from sugiyama_ros.filters.online import NOBODY, Estimate, OnlineFilter
-from sugiyama_ros.nodes.base.cdr_messages import NS, Sample
+from sugiyama_ros.nodes.base.cdr_messages import LONGEST_M, NS, Sample
 from sugiyama_ros.nodes.base.qos import DEPTH
 from sugiyama_ros.nodes.saved_state import Kept
 
@@ -13,8 +13,6 @@ from sugiyama_ros.nodes.saved_state import Kept
 LONGEST_GAP = 100
 # A sample that is late by at most so many periods is left out. A sample from further back says that time has jumped.
 _LATE = 3
-# Length [m] that no vehicle has.
-_LONGEST_M = 1000.0
 #: What is published where nothing is known, so that every topic has a message for every step.
 UNKNOWN = Estimate(
     position_m=nan,
@@ -128,7 +126,7 @@ class Follower:
             place = sample.place.get(vehicle)
             measured = nan if place is None else sample.position_m[place]
             position.append(measured if isfinite(measured) else nan)
-            if place is not None and 0.0 <= sample.length_m[place] < _LONGEST_M:
+            if place is not None and 0.0 <= sample.length_m[place] < LONGEST_M:
                 self._length_m[vehicle] = sample.length_m[place]
             length.append(self._length_m.get(vehicle, 0.0))
         return position, length
@@ -142,8 +140,8 @@ class Follower:
         place = sample.place.get(self._behind)
         if place is None:
             return nan, self._behind, self._length_m.get(self._behind, 0.0)
-        self._length_m[self._behind] = sample.length_m[place]
-        return sample.position_m[place], self._behind, sample.length_m[place]
+        self._length_m[self._behind] = sample.known_length_m(place)
+        return sample.position_m[place], self._behind, self._length_m[self._behind]
 
     def _is_known(self, stamp_ns: int, kept: Kept) -> bool:
         """Whether an earlier run has learnt from the sample: a late subscriber gets the last samples once more."""

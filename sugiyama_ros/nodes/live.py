@@ -22,7 +22,7 @@ from tornado.ioloop import IOLoop, PeriodicCallback
 from sugiyama_ros.effects.effect import RecordingExtent
 from sugiyama_ros.effects.registry import EFFECTS, effect
 from sugiyama_ros.errors import SugiyamaError
-from sugiyama_ros.nodes.base import cdr_messages, environment
+from sugiyama_ros.nodes.base import cdr_messages, environment, incoming
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.base.spin import Spinner, ros
 from sugiyama_ros.nodes.plan import REPLAY, Plan, RunSettings, estimators, namespaces
@@ -63,9 +63,15 @@ class View(Node):
         self._squares: deque[tuple[float, float, int]] = deque(maxlen=10_000)
         self._sum, self._scored = 0.0, 0
         self._latest_s = -math.inf
-        self.create_subscription(RoadMessage, "/road", self._on_road, LATCHED)
-        self.create_subscription(MeasuredPositions, "/measured", self._on_measured, STREAM, raw=True)
-        self.create_subscription(Verdict, "/verdict", self._on_verdict, STREAM)
+        self._listen(RoadMessage, "/road", incoming.road, self._on_road, LATCHED)
+        self._listen(MeasuredPositions, "/measured", incoming.sample, self._on_measured)
+        self._listen(Verdict, "/verdict", incoming.verdict, self._on_verdict)
+
+    def _listen(
+        self, kind: type, topic: str, decode: Callable[[bytes], Any], take: Callable[[Any], None], qos: Any = STREAM
+    ) -> None:
+        """Subscribe to a topic. A message that is not valid is left out; the nodes of the road tell of it."""
+        self.create_subscription(kind, topic, incoming.receiver(decode, take, lambda reason: None), qos, raw=True)
 
     def pause(self, paused: bool) -> None:
         """Call the replay's ~/pause or ~/resume."""
@@ -108,8 +114,8 @@ class View(Node):
             return
 
         def done(future: Any) -> None:
-            answer = future.result()
-            self.said = getattr(answer, "message", "")
+            answer = future.result() if future.exception() is None else None
+            self.said = getattr(answer, "message", "") if answer is not None else f"{service} has failed"
             self.destroy_client(client)
 
         client.call_async(request).add_done_callback(done)
@@ -117,25 +123,29 @@ class View(Node):
     def _on_road(self, road: RoadMessage) -> None:
         self.road, self._duration_s = Road(float(road.circumference_m)), float(road.period_s * road.steps)
 
-    def _on_measured(self, raw: bytes) -> None:
+    def _on_measured(self, sample: cdr_messages.Sample) -> None:
         if self.vehicles:
             return
-        vehicles = sorted(cdr_messages.measured(raw).place)
+        vehicles = sorted(sample.place)
         for v, space in zip(vehicles, namespaces(vehicles), strict=True):
             self._speed[v] = self._std[v] = math.nan
-            self.create_subscription(VehicleState, f"{space}/state", self._on_state, STREAM, raw=True)
-            self.create_subscription(Innovation, f"{space}/innovation", self._on_innovation, STREAM, raw=True)
+            self._listen(VehicleState, f"{space}/state", incoming.state, self._on_state)
+            self._listen(Innovation, f"{space}/innovation", incoming.innovation, self._on_innovation)
         self.space, self.driver = Log(KEPT * len(vehicles)), {v: Log(KEPT) for v in vehicles}
         self.vehicles = vehicles
 
-    def _on_state(self, raw: bytes) -> None:
-        time_s, v, position, speed, variance = cdr_messages.read_state(raw)
+    def _on_state(self, state: tuple[float, int, float, float, float]) -> None:
+        time_s, v, position, speed, variance = state
+        if v not in self.driver:
+            return
         self._speed[v], self._std[v] = speed, math.sqrt(max(variance, 0.0))
         self._now[v] = (position, speed)
         self.space.add(time_s, position, speed)
 
-    def _on_innovation(self, raw: bytes) -> None:
-        time_s, v, innovation, variance, scored = cdr_messages.read_innovation(raw)
+    def _on_innovation(self, found: tuple[float, int, float, float, bool]) -> None:
+        time_s, v, innovation, variance, scored = found
+        if v not in self.driver:
+            return
         if time_s != self._latest_s:
             if time_s < self._latest_s - 1.0:
                 self._squares.clear()

@@ -13,7 +13,7 @@ from rclpy.topic_or_service_is_hidden import topic_or_service_is_hidden
 
 from sugiyama_ros.errors import InputError, SugiyamaError
 from sugiyama_ros.formats.mcap_writer import BagWriter, Qos
-from sugiyama_ros.nodes.base import cdr_messages
+from sugiyama_ros.nodes.base import cdr_messages, incoming
 from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode
 from sugiyama_ros.nodes.base.pacing import Levels
 from sugiyama_ros.nodes.base.qos import DEPTH, reliable
@@ -57,6 +57,7 @@ class Recorder(PacedNode):
         self._known: set[str] = set()
         self._late: list[str] = []
         self._waiting_s = 0.0
+        self._is_closed = False
         self.create_timer(_POLL_S, self._on_poll, clock=self.steady)
         self.create_timer(_FLUSH_S, partial(self._guarded, self._bag.flush), clock=self.steady)
         self._on_poll()
@@ -78,7 +79,8 @@ class Recorder(PacedNode):
         return self._bag.counts
 
     def close(self) -> None:
-        """Finish the file."""
+        """Finish the file. A publisher may go on, but nothing more is recorded."""
+        self._is_closed = True
         if self.failure is not None:
             self._bag.__exit__(type(self.failure), self.failure, None)
         else:
@@ -119,7 +121,7 @@ class Recorder(PacedNode):
             package, _, name = type_name.split("/")
             message = getattr(import_module(f"{package}.msg"), name)
             channel = self._bag.topic(topic, type_name, Qos(reliability.name.lower(), durability.name.lower(), DEPTH))
-        except (ImportError, AttributeError, SugiyamaError) as error:
+        except (ImportError, AttributeError, ValueError, SugiyamaError) as error:
             self.get_logger().warning(f"{topic}: not recorded: {error}")
             return
         on_message = self._on_paced if topic in self._levels.topics else self._on_message
@@ -127,6 +129,8 @@ class Recorder(PacedNode):
         self._unheard.discard(topic)
 
     def _on_message(self, topic: str, channel: int, raw: bytes) -> None:
+        if self._is_closed:
+            return
         now = time.time_ns()
         self._guarded(self._bag.write, channel, raw, now, now)
         self.received += 1
@@ -137,7 +141,11 @@ class Recorder(PacedNode):
             return
         stamp = cdr_messages.stamp_key(raw)
         if topic == self._measured:
-            self._step[stamp] = cdr_messages.measured(raw).step
+            try:
+                self._step[stamp] = incoming.sample(raw).step
+            except incoming.RefusedError as reason:
+                self.refuse(topic, reason)
+                return
         if self._levels.reached(topic, stamp):
             self._complete(stamp)
 

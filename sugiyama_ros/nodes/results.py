@@ -10,6 +10,8 @@ import numpy as np
 
 from sugiyama_ros.formats.mcap_reader import Bag
 
+_SHOWN = {"v_star", "kappa_v", "sigma_nu", "sigma_a"}
+
 
 @dataclass(frozen=True)
 class DriverResult:
@@ -55,7 +57,9 @@ def read_run(path: Path) -> tuple[dict[str, int], tuple[DriverResult, ...]]:
         counts = {topic.name: topic.count for topic in bag.info().topics}
         for topic, _, _, message in bag.messages({n for n in counts if n.endswith(("/innovation", "/parameters"))}):
             if topic.endswith("/parameters"):
-                parameters[message.vehicle] = dict(zip(message.name, message.value.tolist(), strict=True))
+                found = dict(zip(message.name, message.value.tolist(), strict=False))
+                if found.keys() >= _SHOWN:  # else another node has published it
+                    parameters[message.vehicle] = found
             elif message.scored:
                 scores[message.vehicle].append((message.innovation_m**2, message.nis))
     return counts, tuple(_driver(v, parameters[v], np.array(scores[v])) for v in sorted(parameters))

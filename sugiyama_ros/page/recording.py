@@ -1,6 +1,5 @@
 """A recorded run as arrays over samples and vehicles."""
 
-import json
 from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.registry import read_trajectories
 from sugiyama_ros.plots import space_time
@@ -23,8 +21,7 @@ _FIELDS = {
     "state": ("speed", "acceleration", "mean_action", "gap_m", "approach_rate"),
     "innovation": ("innovation_m", "innovation_var", "nis", "scored"),
 }
-# Parts of a diagnosis that are shown.
-_ASKED = {"verdict", "candidates", "smallest_detectable", "errors", "drivers"}
+_TYPES = {"state": "VehicleState", "innovation": "Innovation", "verdict": "Verdict"}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -102,14 +99,19 @@ def read_recording(path: Path) -> Recording:
     weights: defaultdict[str, list[float]] = defaultdict(list)
     times: list[float] = []
     with Bag(path) as bag:
-        topics = {topic.name for topic in bag.info().topics}
-        wanted = {n for n in topics if n.endswith(("/state", "/innovation", "/verdict"))}
+        # other nodes may have topics that end alike, with messages of other types
+        wanted = {
+            topic.name
+            for topic in bag.info().topics
+            if topic.type == f"sugiyama_msgs/msg/{_TYPES.get(topic.name.rpartition('/')[2])}"
+        }
         for topic, _, _, message in bag.messages(wanted) if wanted else ():
             time_s = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
             if topic.endswith("/verdict"):
-                times.append(time_s)
-                for name, weight in zip(message.model, message.weight, strict=True):
-                    weights[name].append(float(weight))
+                if len(message.model) == len(message.weight):
+                    times.append(time_s)
+                    for name, weight in zip(message.model, message.weight, strict=True):
+                        weights[name].append(float(weight))
                 continue
             step, k = round((time_s - t.start_s) / t.period_s), column.get(int(message.vehicle))
             if k is None or not 0 <= step < samples:
@@ -126,16 +128,3 @@ def read_recording(path: Path) -> Recording:
         np.array(times),
         {name: np.array(values) for name, values in weights.items() if len(values) == len(times)},
     )
-
-
-def read_diagnosis(path: Path) -> dict[str, Any]:
-    """A document that `sugiyama diagnose --json` printed. Raises InputError."""
-    try:
-        document = json.loads(path.read_text())
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    except ValueError:
-        raise InputError(f"{path}: is not JSON; give what `sugiyama diagnose --json` printed") from None
-    if not isinstance(document, dict) or not set(document) >= _ASKED:
-        raise InputError(f"{path}: is no diagnosis; give what `sugiyama diagnose --json` printed")
-    return document

@@ -17,8 +17,9 @@ from bokeh.util.token import generate_jwt_token
 
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.mcap_reader import Bag
+from sugiyama_ros.page.diagnosis import read_diagnosis
 from sugiyama_ros.page.panels.missing import growth
-from sugiyama_ros.page.recording import read_diagnosis, read_recording
+from sugiyama_ros.page.recording import read_recording
 from sugiyama_ros.page.report import report, write_report
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
@@ -261,9 +262,7 @@ def test_layouts_for_other_programs_name_what_is_recorded(recorded):
     assert {"/markers", "/verdict", "/diagnostics"} <= topics
 
 
-@pytest.mark.parametrize(
-    ("text", "words"), [("{", "is not JSON"), ("[]", "is no diagnosis"), ("{}", "is no diagnosis")]
-)
+@pytest.mark.parametrize(("text", "words"), [("{", "is no JSON"), ("[]", "is no diagnosis"), ("{}", "is no diagnosis")])
 def test_a_file_that_is_no_diagnosis_is_one_clear_line(tmp_path: Path, text, words):
     (tmp_path / "d.json").write_text(text)
     with pytest.raises(InputError, match=words):
