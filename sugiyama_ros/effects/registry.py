@@ -152,10 +152,10 @@ def switched_on(rows: Array, name: str, values: Values) -> Array:
     InputError
         As ``switch_on``, and if no parameter that switches the effect on has a value other than 0.
     """
-    switches = effect(name).switches
+    changed, switches = switch_on(rows, name, values), effect(name).switches
     if not any(values.get(switch) for switch in switches):
         raise InputError(f"effect {name}: give {' or '.join(switches)}")
-    return switch_on(rows, name, values)
+    return changed
 
 
 def _check_companions(rows: Array, name: str) -> None:

@@ -78,8 +78,8 @@ def road(raw: bytes) -> RoadMessage:
 def sample(raw: bytes) -> Sample:
     """Decode MeasuredPositions, once for all nodes of a process that get the same bytes.
 
-    An infinite position is a missing one. Raises RefusedError for arrays of unequal length, numbers below 0, or a step that
-    is too large.
+    An infinite position is a missing one. Raises RefusedError for arrays of unequal length, numbers below 0, or a step
+    that is too large.
     """
     try:
         found = cdr_messages.measured(raw)
