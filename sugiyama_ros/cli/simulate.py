@@ -102,6 +102,7 @@ def _simulated(options: SimulateOptions) -> "Simulation":
         spread=options.spread,
         seed=options.seed,
     )
+    experiment.check(options.vehicles)
     return carry_out(experiment, _rows(options))
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.formats.reading import shown_name
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.trajectories import Trajectories, regular_time_base
 
@@ -87,7 +88,7 @@ class Samples:
             road=road,
             period_s=period,
             start_s=start,
-            source=self._path.name,
+            source=shown_name(self._path),
             sha256=checksum,
         )
 

@@ -84,6 +84,7 @@ class Plan:
             For files that cannot be read, and directories that cannot be made.
         """
         inputs = (source, *([settings.model] if settings.model is not None else ()))
+        _check_names(*inputs, output, settings.save_state, settings.resume)
         Output(output, settings.overwrite, inputs).check()
         if settings.model is not None:
             read_model(settings.model)
@@ -162,3 +163,12 @@ class Plan:
             "paced_topics": self.step_topics,
             "metadata": [f"{key}={value}" for key, value in about.items()],
         }
+
+
+def _check_names(*paths: Path | None) -> None:
+    """Raise InputError for a name that no parameter of a node can hold."""
+    for path in paths:
+        try:
+            str(path).encode()
+        except UnicodeEncodeError:
+            raise InputError(f"{path}: its name is not UTF-8, which ROS needs; rename it") from None

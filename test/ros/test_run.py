@@ -227,8 +227,8 @@ def test_bad_input_starts_nothing(ring_csv: Path, tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["ring.csv"]
 
 
-def test_an_output_refused_to_a_process_is_one_line(ring_csv: Path, tmp_path: Path) -> None:
-    with pytest.raises(SugiyamaError, match=r"^/recorder: ended with code 1: .*cannot be written"):
+def test_a_refused_output_starts_no_process(ring_csv: Path, tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="cannot be written"):
         run(ring_csv, tmp_path / "missing" / "out.mcap", ring_m=100.0, processes=True)
     assert children(os.getpid()) == []
 
