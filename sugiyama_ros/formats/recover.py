@@ -30,7 +30,7 @@ from sugiyama_ros.outputs import Target, output_of, writing
 _FIRST_BLOCK, _BLOCK = 1 << 12, 1 << 20
 # Bytes that are read and decompressed for a file, at most: so many, and so many for each byte of the file. A recording
 # needs less than a tenth of it; a crafted file could otherwise take hours.
-_WORK, _WORK_OF_A_BYTE = 1 << 29, 200
+_WORK, _WORK_OF_A_BYTE = 1 << 28, 200
 _CLAIMED_SIZE = struct.Struct("<16xQ")
 # The name of the compression, behind its length, and where it stands in a chunk record.
 _CHUNK_NAME = re.compile(rb"\x04\0\0\0zstd|\x03\0\0\0lz4")

@@ -10,6 +10,7 @@ import numpy as np
 
 from sugiyama_ros.formats.mcap_reader import Bag
 
+_TYPES = {"innovation": "Innovation", "parameters": "DriverParameters"}
 _SHOWN = {"v_star", "kappa_v", "sigma_nu", "sigma_a"}
 
 
@@ -54,8 +55,11 @@ def read_run(path: Path) -> tuple[dict[str, int], tuple[DriverResult, ...]]:
     scores: defaultdict[int, list[tuple[float, float]]] = defaultdict(list)
     parameters: dict[int, dict[str, float]] = {}
     with Bag(path) as bag:
-        counts = {topic.name: topic.count for topic in bag.info().topics}
-        for topic, _, _, message in bag.messages({n for n in counts if n.endswith(("/innovation", "/parameters"))}):
+        topics = bag.info().topics
+        counts = {topic.name: topic.count for topic in topics}
+        # other nodes may publish on topics that end alike, or bytes that are no message
+        wanted = {t.name for t in topics if t.type == f"sugiyama_msgs/msg/{_TYPES.get(t.name.rpartition('/')[2])}"}
+        for topic, _, _, message in bag.messages(wanted, skip_misfits=True):
             if topic.endswith("/parameters"):
                 found = dict(zip(message.name, message.value.tolist(), strict=False))
                 if found.keys() >= _SHOWN:  # else another node has published it

@@ -105,7 +105,7 @@ def read_recording(path: Path) -> Recording:
             for topic in bag.info().topics
             if topic.type == f"sugiyama_msgs/msg/{_TYPES.get(topic.name.rpartition('/')[2])}"
         }
-        for topic, _, _, message in bag.messages(wanted) if wanted else ():
+        for topic, _, _, message in bag.messages(wanted, skip_misfits=True) if wanted else ():
             time_s = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
             if topic.endswith("/verdict"):
                 if len(message.model) == len(message.weight):
