@@ -27,13 +27,15 @@ from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.base.spin import Spinner, ros
 from sugiyama_ros.nodes.plan import REPLAY, Plan, RunSettings, estimators, namespaces
 from sugiyama_ros.nodes.runners import OneProcess
-from sugiyama_ros.page.guard import Guard
+from sugiyama_ros.page.guard import Guard, log_quietly
 from sugiyama_ros.page.live import KEPT, Log, page
 from sugiyama_ros.page.panels.base import MOVING_S
 from sugiyama_ros.road import Road
 
 #: Address that only this machine reaches.
 LOCAL = "127.0.0.1"
+# Bytes that a browser may send at a time, and in the head of a request.
+_LARGEST_MESSAGE, _LARGEST_HEADER = 1 << 20, 1 << 14
 # Time [s] for which the nodes run at a stretch, and from one stretch to the next.
 _STRETCH_S, _EVERY_S = 0.01, 0.015
 
@@ -240,17 +242,23 @@ def _turns(spinner: Spinner, runner: OneProcess | None, asked_to_stop: Callable[
 
 def _server(view: View, host: str, port: int) -> tuple[Server, str]:
     """The server, which is already listening, and the address of the page."""
-    more: dict[str, Any] = {}
-    if host == LOCAL:
-        url = f"http://localhost:{port}"
-        more["allow_websocket_origin"] = [f"{name}:{port}" for name in ("localhost", LOCAL)]
-    else:
-        # the name by which a browser reaches this machine is not known; pages of other sites have no cookie
-        logging.getLogger("bokeh.server.util").setLevel(logging.ERROR)
-        guard = Guard()
-        url = f"http://{socket.gethostname() if host == '0.0.0.0' else host}:{port}/?token={guard.token}"
-        more |= {"allow_websocket_origin": ["*"], "auth_provider": guard}
+    names = {host, "localhost"} if host == LOCAL else {host, "localhost", socket.gethostname(), socket.getfqdn()}
+    guard = Guard(names, port, open_to_others=host != LOCAL)
+    shown = {LOCAL: "localhost", "0.0.0.0": socket.gethostname()}.get(host, host)
+    url = f"http://{shown}:{port}" + (f"/?token={guard.token}" if guard.token else "")
+    log_quietly()
+    # Bokeh would check the origin of a web socket by a list of names; the guard compares it with the host.
+    logging.getLogger("bokeh.server.util").setLevel(logging.ERROR)
     try:
-        return Server({"/": page(view)}, address=host, port=port, **more), url
+        server = Server(
+            {"/": page(view)},
+            address=host,
+            port=port,
+            auth_provider=guard,
+            allow_websocket_origin=["*"],
+            websocket_max_message_size=_LARGEST_MESSAGE,
+            http_server_kwargs={"max_body_size": _LARGEST_MESSAGE, "max_header_size": _LARGEST_HEADER},
+        )
     except OSError as error:
         raise SugiyamaError(f"{host}, port {port}: {error.strerror}; choose others with --host and --port") from None
+    return server, url
