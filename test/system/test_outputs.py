@@ -176,8 +176,6 @@ def test_odd_paths(here, name):
         ("--gap=-1",),
         ("--duration", "inf"),
         ("--duration", "1e12"),
-        ("--spread", "nan"),
-        ("--period", "nan"),
         ("--vehicles", "1000000000000"),
         ("--effect", "external_push:strength=1"),
     ],

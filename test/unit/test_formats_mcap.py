@@ -278,6 +278,8 @@ def test_bags_with_other_definitions(tmp_path: Path) -> None:
         "float64[] position_m": "float64[] distance",
         "int32[] vehicle": "string vehicle",
         "uint64 step": "wide step",
+        "int32[] vehicle ": "float32[] vehicle ",
+        "string source": "uint32 source",
     }
     for ours, theirs in other.items():
         with (tmp_path / "a.mcap").open("rb") as stream, (tmp_path / "b.mcap").open("wb") as out:
