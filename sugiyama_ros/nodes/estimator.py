@@ -23,7 +23,7 @@ from sugiyama_ros.nodes.base.qos import DEPTH, LATCHED
 from sugiyama_ros.nodes.base.spin import run_node
 from sugiyama_ros.nodes.driver_parameters import check_driver, declare_driver, declare_model, declare_path
 from sugiyama_ros.nodes.driver_topics import DriverTopics
-from sugiyama_ros.nodes.follower import UNKNOWN, Follower, new_counts
+from sugiyama_ros.nodes.follower import UNKNOWN, DivergedError, Follower, new_counts
 from sugiyama_ros.nodes.saved_state import Kept, file_of, kept_in, read_learnt, write_learnt
 from sugiyama_ros.road import Road
 
@@ -193,6 +193,15 @@ class Estimator(PacedNode):
         self._topics.choose_parameters(self._effects, filter_)
         self._forget()
 
+    def _replaced(self, follower: Follower) -> Follower:
+        """Begin anew with another filter, and go on counting from the same sample. A failure that was told stays."""
+        failure, self.kept = self._failure, None
+        self._restart()
+        self._failure = failure
+        assert self._follower is not None
+        self._follower.stamp_ns = follower.stamp_ns
+        return self._follower
+
     def _forget(self) -> None:
         self._topics.restart()
         self._saved_ns = None
@@ -209,6 +218,8 @@ class Estimator(PacedNode):
         try:
             estimate = self._follow(sample, follower)
         except Exception as error:
+            if isinstance(error, DivergedError):
+                follower = self._replaced(follower)
             self._fail(error, sample)
             estimate = UNKNOWN
         if estimate is not None:

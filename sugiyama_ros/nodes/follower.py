@@ -30,6 +30,10 @@ UNKNOWN = Estimate(
 )
 
 
+class DivergedError(ArithmeticError):
+    """The state of a filter is no number any more."""
+
+
 def new_counts() -> dict[str, int]:
     """What a follower counts, all 0."""
     names = ("samples", "missing", "duplicates", "late", "resets", "skipped", "changes of style")
@@ -88,6 +92,11 @@ class Follower:
         -------
         Estimate or None
             The driver's state after the sample. None for a sample that is left out: it came before, or too late.
+
+        Raises
+        ------
+        DivergedError
+            If the state is no number any more. The filter is of no use then.
         """
         periods = self._periods(sample.stamp_ns)
         if periods <= 0:
@@ -109,6 +118,8 @@ class Follower:
             before_s = time_s - skipped * self.filter.period_s
             self.filter.step([nan] * len(position), self._chain, length, before_s, (nan, self._behind, 0.0))
         estimate = self.filter.step(position, self._chain, length, time_s, self._vehicle_behind(sample))
+        if not isfinite(estimate.speed):
+            raise DivergedError("the filter has diverged and starts anew; are its effects and parameters sensible?")
         if self._kept is not None and self._is_known(sample.stamp_ns, self._kept):
             self.filter.recall(self._kept.learnt)
         return estimate

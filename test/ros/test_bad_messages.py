@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.exceptions import InvalidParameterValueException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -183,6 +183,22 @@ def test_effects_without_what_they_need_are_refused_by_estimator_and_critic(stag
             assert name in answer.message
         uneven = AddEffect.Request(effect="drag", name=["c0", "c2"], value=[1.0])
         assert "2 names, 1 values" in stage.call(AddEffect, service, uneven).message
+
+
+def test_a_filter_that_diverges_starts_anew_and_tells(stage: Any) -> None:
+    """With a drag below 0, the speed grows faster than exponentially."""
+    estimator = Estimator(namespace="/vehicle_00")
+    stage.add(estimator)
+    estimator._on_road(incoming.road(road_of()))
+    request = AddEffect.Request(effect="drag", name=["c0", "c2"], value=[-2.0, -0.1])
+    assert stage.call(AddEffect, "/vehicle_00/estimator/add_effect", request).success
+    for step in range(40):
+        estimator.take_in(incoming.sample(sample_of(step)))
+        assert estimator.filter is not None
+        assert np.isfinite(estimator.filter.learnt.mean).all()
+    assert estimator.health().level == DiagnosticStatus.ERROR
+    assert "diverged" in estimator.health().message
+    assert estimator.steps == 40
 
 
 @pytest.mark.parametrize(("name", "value"), [("sigma_nu", 0.0), ("sigma_a", 0.0), ("v_star", math.nan)])
