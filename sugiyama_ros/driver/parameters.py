@@ -6,6 +6,7 @@ an array of shape (N, P).
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -44,6 +45,33 @@ class Parameter:
     upper: float
     description: str
     axis: Literal["", "time", "place"] = ""
+
+
+def check_declared(owner: str, parameters: Sequence[Parameter]) -> None:
+    """Check the name and the parameters that an effect or a law declares, which may come from another package.
+
+    Parameters
+    ----------
+    owner : str
+        Name of the effect or the law.
+    parameters : sequence of Parameter
+        Its parameters.
+
+    Raises
+    ------
+    InputError
+        For a name that commands cannot use, or parameters with which a driver's row cannot be laid out.
+    """
+    if not isinstance(owner, str) or not owner.isidentifier():
+        raise InputError(f"{owner!r}: is no name; use letters, digits and underscores")
+    if not isinstance(parameters, tuple) or not all(isinstance(p, Parameter) for p in parameters):
+        raise InputError(f"{owner}: parameters must be a tuple of Parameter")
+    names = [p.name for p in parameters]
+    if len(set(names)) != len(names):
+        raise InputError(f"{owner}: a parameter is declared twice: {', '.join(map(str, names))}")
+    for p in parameters:
+        if not -math.inf < p.lower <= p.upper < math.inf:
+            raise InputError(f"{owner}: {p.name}: its bounds must be finite, the lower one first")
 
 
 _MEAN = "Eq. SimulatedModelParameters"

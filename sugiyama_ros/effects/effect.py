@@ -8,7 +8,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from sugiyama_ros.driver.parameters import Parameter
+from sugiyama_ros.driver.parameters import Parameter, check_declared
+from sugiyama_ros.errors import InputError
 from sugiyama_ros.jit import kernel
 
 PERCEPTION, PREFERENCE, UTILITY, ACTUATION, ENVIRONMENT, MEASUREMENT = (
@@ -231,6 +232,12 @@ class Effect:
     ascending: tuple[tuple[str, str], ...] = ()
     least: Values = field(default_factory=dict)
     advice: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        check_declared(self.name, self.parameters)
+        known = {p.name for p in self.parameters}
+        if not known or not {*self.switches, *(name for pair in self.ascending for name in pair)} <= known:
+            raise InputError(f"effect {self.name}: its strengths must be among its parameters")
 
     @property
     def switches(self) -> tuple[str, ...]:

@@ -1,5 +1,6 @@
 """Whatever other nodes send: no node ends, nothing becomes NaN, and /diagnostics tells what was dropped."""
 
+import json
 import math
 from array import array
 from pathlib import Path
@@ -24,7 +25,7 @@ from sugiyama_ros.nodes.base.samples import Positions
 from sugiyama_ros.nodes.critic import Critic
 from sugiyama_ros.nodes.estimator import Estimator
 from sugiyama_ros.nodes.recorder import Recorder
-from sugiyama_ros.nodes.saved_state import kept_in
+from sugiyama_ros.nodes.saved_state import kept_in, read_learnt
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(90)]
 PERIOD_S, RING_M = 0.5, 100.0
@@ -212,6 +213,35 @@ def test_parameters_with_which_no_filter_can_run_are_refused(stage: Any, name: s
     assert estimator.get_parameter(name).value == before
     with pytest.raises((InputError, InvalidParameterValueException), match=name):
         Estimator(namespace="/vehicle_01", parameter_overrides=[Parameter(name, value=value)])
+
+
+STATE = {"names": ["v_star", "kappa_v"], "mean": [2.0, -1.5], "covariance": [[0.1, 0.0], [0.0, 0.1]], "until_ns": 5}
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"names": ["v_star", "speed"]},
+        {"names": ["v_star", "v_star"]},
+        {"names": [["v_star"], "kappa_v"]},
+        {"names": 7},
+        {"mean": [math.nan, 0.0]},
+        {"mean": [700.0, 0.0]},
+        {"mean": [2.0]},
+        {"covariance": [[math.nan, 0.0], [0.0, 0.1]]},
+        {"covariance": [[0.1, 9.0], [9.0, 0.1]]},
+        {"covariance": "text"},
+        {"until_ns": 1e300},
+        {"until_ns": None},
+    ],
+)
+def test_a_damaged_state_is_refused(tmp_path: Path, changed: dict[str, Any]) -> None:
+    path = tmp_path / "vehicle_00.json"
+    path.write_text(json.dumps(STATE))
+    assert read_learnt(path).until_ns == 5
+    path.write_text(json.dumps(STATE | changed))
+    with pytest.raises(InputError, match="no state that an estimator has saved"):
+        read_learnt(path)
 
 
 @pytest.mark.parametrize(
