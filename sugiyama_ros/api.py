@@ -143,8 +143,7 @@ def calibrate(
     formulation : {"causal", "paper"}
         Whether perceived states are filtered, or smoothed as in the paper.
     parameters : sequence of str
-        Names of what is estimated. By default the parameters that the paper estimates and, with the causal formulation,
-        the position noise and the speed noise where the positions are smooth.
+        Names of what is estimated. By default what the paper estimates, and more noises where positions are smooth.
     effects : sequence of str
         Names of effects that are fitted with it, with drivers as draws of one population (causal formulation).
     regularise : bool
