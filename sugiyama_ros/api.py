@@ -148,11 +148,11 @@ def simulate(
     >>> hidden.measured.position_m.shape
     (31, 3)
     """
-    if vehicles < 1:
-        raise InputError(f"vehicles: {vehicles} cannot be simulated; give at least 1")
     unknown = sorted(set(settings) - set(Experiment.__dataclass_fields__))
     if unknown:
         raise InputError(f"simulate: {unknown[0]!r} is not known; give {', '.join(Experiment.__dataclass_fields__)}")
+    experiment = Experiment(**settings)
+    experiment.check(vehicles)
     rows = ROW.with_effects(defaults(vehicles))
     if model is not None:
         rows = read_model(Path(model)).rows_of(np.arange(vehicles))
@@ -160,7 +160,7 @@ def simulate(
         rows[:, index(name)] = value
     for name, values in (effects or {}).items():
         rows = switch_on(rows, name, values)
-    return carry_out(Experiment(**settings), rows)
+    return carry_out(experiment, rows)
 
 
 def calibrate(

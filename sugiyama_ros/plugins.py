@@ -81,7 +81,9 @@ def load(group: str, kind: type[_Kind]) -> dict[str, _Kind]:
     for point in entry_points(group):
         try:
             one = point.load()
-        except (Exception, SystemExit) as error:
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # a package may raise anything, and may call sys.exit
             FAILED[group, point.name] = f"{point.value} cannot be loaded: {error!r}; correct it or uninstall it"
             continue
         if isinstance(one, kind):

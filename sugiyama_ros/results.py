@@ -6,9 +6,10 @@ import math
 from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
-from sugiyama_ros.errors import InputError, OutputError
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.outputs import writing
 
 if TYPE_CHECKING:
     import pandas
@@ -92,19 +93,17 @@ class Result:
         writers = {".json": self._save_json, ".csv": self._save_csv, ".png": self._save_plot, ".pdf": self._save_plot}
         if path.suffix not in writers:
             raise InputError(f"{path}: cannot be written as {path.suffix!r}; give a name in {', '.join(writers)}")
-        try:
-            writers[path.suffix](path)
-        except OSError as error:
-            raise OutputError(f"{path}: cannot be written: {error.strerror}; choose another place") from None
+        with writing(path) as stream:
+            writers[path.suffix](stream, path.suffix[1:])
 
-    def _save_json(self, path: Path) -> None:
-        path.write_text(json.dumps(plain(list(self.records())), indent=2, allow_nan=False) + "\n")
+    def _save_json(self, stream: BinaryIO, _: str) -> None:
+        stream.write((json.dumps(plain(list(self.records())), indent=2, allow_nan=False) + "\n").encode())
 
-    def _save_csv(self, path: Path) -> None:
-        self.to_frame().to_csv(path, index=False)
+    def _save_csv(self, stream: BinaryIO, _: str) -> None:
+        stream.write(self.to_frame().to_csv(index=False).encode())
 
-    def _save_plot(self, path: Path) -> None:
-        self.plot().savefig(path, dpi=150)
+    def _save_plot(self, stream: BinaryIO, kind: str) -> None:
+        self.plot().savefig(stream, dpi=150, format=kind)
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__}: {self.headline()}>"

@@ -15,7 +15,7 @@ from sphinx.config import Config
 from typer.main import get_command
 
 import sugiyama_ros as sg
-from sugiyama_ros.cli import app as commands_app
+from sugiyama_ros.cli.app import app as commands_app
 from sugiyama_ros.driver.parameters import PARAMETERS, Parameter
 from sugiyama_ros.formats.registry import formats
 from sugiyama_ros.studies.registry import STUDIES

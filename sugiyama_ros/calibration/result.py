@@ -12,6 +12,7 @@ from sugiyama_ros.fit.classes import Classes
 from sugiyama_ros.fit.driver import Formulation
 from sugiyama_ros.fit.driver_types import DriverTypes
 from sugiyama_ros.fit.smooth_positions import ESTIMATED
+from sugiyama_ros.outputs import Target
 from sugiyama_ros.plots import BLUE
 from sugiyama_ros.results import Result
 from sugiyama_ros.tables import TextTable
@@ -85,12 +86,12 @@ class Calibration(Result):
     shared_std: Mapping[str, float]
     classes: Classes | None = None
 
-    def write(self, path: Path) -> None:
+    def write(self, target: Target) -> None:
         """Write a model file.
 
         Parameters
         ----------
-        path : Path
+        target : Path or Output
             The file, in YAML.
 
         Raises
@@ -104,7 +105,7 @@ class Calibration(Result):
         total, types = float(self.log_likelihood.sum()), None
         if self.classes is not None:
             types = DriverTypes(self.classes.share, self.classes.rows)
-        write_drivers(path, self.trajectories, self.rows, self.std, self.shared_std, total, types)
+        write_drivers(target, self.trajectories, self.rows, self.std, self.shared_std, total, types)
 
     def headline(self) -> str:
         """Say how many drivers were calibrated, and for how many of them each parameter is identified."""

@@ -1,66 +1,77 @@
 """The command line: ``sugiyama``. Arguments in, a table or one JSON document out; other rooms do the work.
 
 Tables and documents go to stdout, everything else to stderr. An error that a user can correct ends the program with one
-line and exit code 2. Each command imports what it needs when it runs, so that ``sugiyama --help`` answers at once.
+line and exit code 2, Ctrl-C with exit code 130. This file imports nothing that takes long, so that Ctrl-C while the
+commands are loaded ends the program in good order too.
 """
 
 import os
 import sys
-from typing import Annotated
 
-import typer
-
-from sugiyama_ros.cli import calibrate, data, demo, diagnose, report, run, simulate, study
 from sugiyama_ros.errors import SugiyamaError
 
-# Without rich's markup, which would take a unit such as [m] for a style and leave it out.
-app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
-for command in (
-    demo.demo,
-    run.run,
-    simulate.simulate,
-    calibrate.calibrate,
-    diagnose.diagnose,
-    study.study,
-    diagnose.compare,
-    report.report,
-    run.live,
-    data.convert,
-    data.fetch,
-    data.info,
-    data.echo,
-    data.recover,
-):
-    app.command()(command)
-
-
-def _print_version(wanted: bool) -> None:
-    if wanted:
-        from importlib import metadata
-
-        print(f"sugiyama {metadata.version('sugiyama_ros')}")
-        raise typer.Exit
-
-
-@app.callback()
-def sugiyama(
-    version: Annotated[
-        bool, typer.Option("--version", is_eager=True, callback=_print_version, help="Show the version and exit.")
-    ] = False,
-) -> None:
-    """Estimate how people drive, live or from recordings, and find out what the driver model lacks."""
+_FAILED, _REFUSED, _INTERRUPTED = 1, 2, 130
 
 
 def main() -> None:
     """Entry point of the console script."""
     # The work is shared out over drivers. Threads of the linear algebra would only take processor time from it.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    _open_standard_streams()
+    try:
+        code = _run()
+        sys.stdout.flush()
+    except SugiyamaError as error:
+        code = _refused(str(error))
+    except KeyboardInterrupt:
+        code = _INTERRUPTED
+    except BrokenPipeError:  # the program that reads the output has closed it
+        code = _FAILED
+    except OSError as error:
+        where = error.filename if error.filename is not None else "the output"
+        code = _refused(f"{where}: {error.strerror or error}; free some space, or choose another place")
+    except MemoryError:
+        code = _refused("not enough memory; give less data, or fewer vehicles")
+    _flush_or_drop()
+    sys.exit(code)
+
+
+def _run() -> int | str | None:
+    """Run the command, and return its exit code."""
+    from sugiyama_ros.cli.app import app
+
     try:
         app()
-    except SugiyamaError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(2)
-    except BrokenPipeError:
-        # the program that reads the output has closed it
+    except SystemExit as end:
+        return end.code
+    return 0
+
+
+def _refused(reason: str) -> int:
+    print(f"error: {reason}", file=sys.stderr)
+    return _REFUSED
+
+
+def _open_standard_streams() -> None:
+    """Give the program the streams that its caller has closed, and print characters that the terminal lacks as codes.
+
+    Without it, the first file that is opened would stand in the place of stdout.
+    """
+    for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # gets the lowest number that is free, which is this one
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(number, mode, closefd=False))
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _flush_or_drop() -> None:
+    """Flush stdout. What cannot be written is dropped, so that the interpreter does not try again at its end."""
+    try:
+        sys.stdout.flush()
+    except OSError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(1)

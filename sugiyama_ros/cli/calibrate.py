@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sugiyama_ros.cli.options import Json, Ring, Seed, Source, check_model_name, names, takes
+from sugiyama_ros.cli.options import Json, Overwrite, Ring, Seed, Source, model_output, names, takes
 from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table, progress
 from sugiyama_ros.errors import InputError
 
@@ -71,6 +71,7 @@ class CalibrateOptions:
         typer.Option("--scheduler", help="Dask scheduler whose workers do the work, such as tcp://host:8786."),
     ] = None
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Model file (YAML) to write.")] = None
+    overwrite: Overwrite = False
     ring: Ring = None
     as_json: Json = False
 
@@ -89,7 +90,6 @@ class CalibrateOptions:
         """Raise InputError for options that contradict each other."""
         if self.formulation not in ("paper", "causal"):
             raise InputError(f"--formulation {self.formulation}: give paper or causal")
-        check_model_name(self.output)
         if names(self.effects) and self.formulation == "paper":
             raise InputError("--effects: the paper's formulation has no effects; use --formulation causal")
         if self.is_pooled and (self.profile or self.hops):
@@ -110,6 +110,7 @@ def calibrate(options: CalibrateOptions) -> None:
     The estimates are maximum-likelihood estimates, with their uncertainty.
     """
     options.check()
+    output = model_output(options.output, options.overwrite, options.source)
     from sugiyama_ros.formats.registry import format_of, read_trajectories
     from sugiyama_ros.workers import workers
 
@@ -119,11 +120,13 @@ def calibrate(options: CalibrateOptions) -> None:
     trajectories = read_trajectories(options.source, options.ring)
     began = time.monotonic()
     with progress("calibrating") as advance, workers(len(trajectories.vehicle), options.scheduler) as work:
-        kept = options.output.with_name(options.output.name + ".fits") if options.output is not None else None
+        is_kept = output is not None and not options.is_pooled and not options.classes
+        kept = output.path.with_name(output.path.name + ".fits") if output is not None and is_kept else None
         found = _calibrated(options, trajectories, work, kept, advance)
     wall_s = time.monotonic() - began
-    if options.output is not None and kept is not None:
-        found.write(options.output)
+    if output is not None:
+        found.write(output)
+    if kept is not None:
         kept.unlink(missing_ok=True)
     doubts = _cautions(found)
     if options.as_json:

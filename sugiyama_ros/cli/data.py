@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sugiyama_ros.cli.options import Json, Ring, names, takes
+from sugiyama_ros.cli.options import Json, Overwrite, Ring, names, takes
 from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table, progress, tell, to_json
 from sugiyama_ros.cli.summary import document_of, ledger, lines_of
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.outputs import Output, name_of_part
 from sugiyama_ros.tables import TextTable
 
 if TYPE_CHECKING:
@@ -50,6 +51,7 @@ class ConvertOptions:
     period: Annotated[
         float | None, typer.Option("--period", help="Time between two samples [s], if not the file's own.")
     ] = None
+    overwrite: Overwrite = False
     as_json: Json = False
 
 
@@ -65,7 +67,7 @@ def convert(options: ConvertOptions) -> None:
         return
     from sugiyama_ros.formats.convert import convert_tracks
 
-    tracks = convert_tracks(options.source, options.output, part)
+    tracks = convert_tracks(options.source, _output(options), part)
     document = {"output": str(options.output), **document_of(tracks)}
     if options.as_json:
         print_json(document)
@@ -76,7 +78,16 @@ def convert(options: ConvertOptions) -> None:
 
 def _only_files(options: ConvertOptions) -> ConvertOptions:
     """The same files and ring, with everything else left out."""
-    return ConvertOptions(options.source, options.output, options.ring, as_json=options.as_json)
+    return ConvertOptions(
+        options.source, options.output, options.ring, overwrite=options.overwrite, as_json=options.as_json
+    )
+
+
+def _output(options: ConvertOptions) -> Output:
+    """The file to write, checked before the work begins."""
+    output = Output(options.output, options.overwrite, (options.source,))
+    output.check()
+    return output
 
 
 def _part(options: ConvertOptions) -> "Part":
@@ -105,7 +116,7 @@ def _part(options: ConvertOptions) -> "Part":
 def _convert_to_bag(options: ConvertOptions) -> None:
     from sugiyama_ros.formats.convert import convert as convert_file
 
-    t = convert_file(options.source, options.output, options.ring)
+    t = convert_file(options.source, _output(options), options.ring)
     document = {
         "output": str(options.output),
         "vehicles": len(t.vehicle),
@@ -135,6 +146,7 @@ def fetch(
         bool, typer.Option("--accept-licence", help="Accept the terms of use without being asked.")
     ] = False,
     url: Annotated[str | None, typer.Option(help="Another address of the same file.")] = None,
+    overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
     """Download a public data set, check it, and convert it to MCAP."""
@@ -149,7 +161,7 @@ def fetch(
             raise InputError(f"{name}: its terms were not accepted; add --accept-licence")
         typer.confirm("Do you accept these terms?", abort=True, err=True)
     with progress("downloading") as advance:
-        fetched = download(name, directory, url, advance)
+        fetched = download(name, directory, url, advance, overwrite)
     tell(dataclasses.asdict(fetched), f"{fetched.data}\n{fetched.bag}", as_json)
 
 
@@ -234,8 +246,13 @@ def recover(
     file: Annotated[Path, typer.Argument(help="Cut or damaged MCAP file, or the .part file of a run that was killed.")],
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="File to write. By default FILE without .part, or FILE.recovered.mcap."),
+        typer.Option(
+            "--output",
+            "-o",
+            help="File to write. By default FILE without .part, or FILE.recovered.mcap.",
+        ),
     ] = None,
+    overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
     """Save the intact part of a cut or damaged MCAP file.
@@ -245,10 +262,8 @@ def recover(
     from sugiyama_ros.formats.recover import recover as salvage
 
     if output is None:
-        output = file.with_suffix("") if file.suffix == ".part" else file.with_suffix(".recovered.mcap")
-        if output.exists():
-            raise InputError(f"{output}: exists already; choose another name with --output")
-    saved = salvage(file, output)
+        output = name_of_part(file) or file.with_name(f"{file.stem}.recovered.mcap")
+    saved = salvage(file, Output(output, overwrite))
     text = (
         f"{saved.messages} messages on {saved.topics} topics saved and read back, {saved.lost_bytes} bytes lost;"
         f" in {saved.path}"

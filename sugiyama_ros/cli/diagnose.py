@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from sugiyama_ros.cli.options import Json, ModelFile, Ring, Seed, Source, check_model_name, names
+from sugiyama_ros.cli.options import Json, ModelFile, Overwrite, Ring, Seed, Source, model_output, names
 from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.progress import stages
@@ -24,6 +24,7 @@ def diagnose(
     quick: Annotated[
         bool, typer.Option("--quick", help="Simulate fewer recordings: faster, with rougher p-values.")
     ] = False,
+    overwrite: Overwrite = False,
     ring: Ring = None,
     seed: Seed = 0,
     as_json: Json = False,
@@ -34,7 +35,7 @@ def diagnose(
     """
     if add not in (None, "auto"):
         raise InputError(f"--add {add}: is not known; give auto")
-    check_model_name(output)
+    to_write = model_output(output, overwrite, source)
     from sugiyama_ros.diagnosis import tables
     from sugiyama_ros.diagnosis.diagnosis import diagnose as find
     from sugiyama_ros.diagnosis.verdict import document, sentences
@@ -52,8 +53,8 @@ def diagnose(
             workers=os.cpu_count() or 1,
             on_progress=advance,
         )
-    if output is not None:
-        write_model(output, found.data, found.final)
+    if to_write is not None:
+        write_model(to_write, found.data, found.final)
     if as_json:
         print_json(document(found))
         return

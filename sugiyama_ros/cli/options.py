@@ -12,6 +12,7 @@ from typing import Annotated, TypeVar, get_type_hints
 import typer
 
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.outputs import Output
 
 Source = Annotated[Path, typer.Argument(help="Trajectories: a file in any known format.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document instead of text.")]
@@ -19,6 +20,7 @@ Ring = Annotated[
     float | None, typer.Option("--ring", help="Circumference of the road [m], if the file does not give it.")
 ]
 Recording = Annotated[Path, typer.Option("--output", "-o", help="MCAP file to write.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace output files that are there already.")]
 Rate = Annotated[
     str, typer.Option("--rate", help="Speed of the replay in multiples of real time, or max for as fast as possible.")
 ]
@@ -74,10 +76,23 @@ def rate_of(text: str) -> float:
     return rate
 
 
-def check_model_name(output: Path | None) -> None:
-    """Raise InputError if a model file has no YAML name."""
-    if output is not None and output.suffix not in (".yaml", ".yml"):
-        raise InputError(f"{output}: is not the name of a model file; give a name that ends in .yaml")
+def model_output(path: Path | None, overwrite: bool, source: Path) -> Output | None:
+    """The model file to write, if one is wanted. Raises InputError for a name that is not YAML, or OutputError."""
+    if path is None:
+        return None
+    if path.suffix not in (".yaml", ".yml"):
+        raise InputError(f"{path}: is not the name of a model file; give a name that ends in .yaml")
+    output = Output(path, overwrite, (source,))
+    output.check()
+    return output
+
+
+def own_output(given: Path | None, own: str, overwrite: bool, *inputs: Path | None) -> Output:
+    """The file to write: the one that was given, or else the file of the command's own name, which it may replace."""
+    used = tuple(path for path in inputs if path is not None)
+    output = Output(Path(own), True, used) if given is None else Output(given, overwrite, used)
+    output.check()
+    return output
 
 
 def need_matplotlib(option: str) -> None:

@@ -5,9 +5,10 @@ from typing import Annotated
 
 import typer
 
-from sugiyama_ros.cli.options import Json, need_matplotlib
+from sugiyama_ros.cli.options import Json, Overwrite, need_matplotlib
 from sugiyama_ros.cli.output import tell
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.outputs import Output
 
 
 def report(
@@ -20,6 +21,7 @@ def report(
     figures: Annotated[
         Path | None, typer.Option("--figures", help="Directory to write figures to, for a paper: PDF and PNG.")
     ] = None,
+    overwrite: Overwrite = False,
     show: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
     as_json: Json = False,
 ) -> None:
@@ -27,21 +29,24 @@ def report(
 
     The page shows what was measured, what the model says, where it fails, and what is missing.
     """
-    from sugiyama_ros.page.recording import read_diagnosis, read_recording
+    from sugiyama_ros.page.diagnosis import read_diagnosis
+    from sugiyama_ros.page.recording import read_recording
     from sugiyama_ros.page.report import write_report
 
     page = output or source.with_suffix(".html")
     if page.suffix != ".html":
         raise InputError(f"{page}: is not the name of a page; give a name that ends in .html")
+    to_write = Output(page, overwrite, (source, *([diagnosis] if diagnosis is not None else ())))
+    to_write.check()
     if figures is not None:
         need_matplotlib("--figures")
     found, recording = read_diagnosis(diagnosis) if diagnosis is not None else None, read_recording(source)
-    write_report(recording, found, page)
+    write_report(recording, found, to_write)
     written: list[Path] = []
     if figures is not None:
         from sugiyama_ros.page.figures import write_figures
 
-        written = write_figures(recording, found, figures)
+        written = write_figures(recording, found, figures, overwrite)
     text = f"page: {page}" + (f"; {len(written)} figures in {figures}" if written else "")
     tell({"output": str(page), "size_bytes": page.stat().st_size, "figures": written}, text, as_json)
     if show:

@@ -8,13 +8,28 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sugiyama_ros.cli.options import Json, ModelFile, Rate, Recording, Ring, Source, rate_of, takes
+from sugiyama_ros.cli.options import (
+    Json,
+    ModelFile,
+    Overwrite,
+    Rate,
+    Recording,
+    Ring,
+    Source,
+    own_output,
+    rate_of,
+    takes,
+)
 from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table, progress
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.tables import TextTable
 
 if TYPE_CHECKING:
     from sugiyama_ros.nodes.run import RunResult
+
+#: Exit code of a program that Ctrl-C has ended.
+INTERRUPTED = 130
+_LIVE = "sugiyama-live.mcap"
 
 
 @dataclass(frozen=True)
@@ -23,6 +38,7 @@ class RunOptions:
 
     source: Source
     output: Recording
+    overwrite: Overwrite = False
     rate: Rate = "max"
     processes: Annotated[bool, typer.Option("--processes", help="Run each node in a process of its own.")] = False
     ring: Ring = None
@@ -76,6 +92,7 @@ def replay(options: RunOptions) -> "RunResult":
             save_state=options.save_state,
             resume=options.resume,
             array=options.array,
+            overwrite=options.overwrite,
             on_progress=advance,
         )
 
@@ -84,6 +101,7 @@ def print_run(result: "RunResult", as_json: bool) -> None:
     """Print what the estimators know at the end of a run."""
     if as_json:
         print_json(dataclasses.asdict(result))
+        _end(result)
         return
     headings = ("vehicle", "v* [m/s]", "kappa_v [s]", "one-step RMSE [m]", "mean NIS")
     rows = tuple(
@@ -98,34 +116,54 @@ def print_run(result: "RunResult", as_json: bool) -> None:
     print_line(f"All topics are in {result.output} (sugiyama info {result.output}).")
     if result.interrupted:
         print_note("The run was interrupted: the recording ends early, but it can be read.")
+    _end(result)
 
 
-def live(
+def _end(result: "RunResult") -> None:
+    """End the program with the exit code of Ctrl-C if the run was interrupted."""
+    if result.interrupted:
+        raise typer.Exit(INTERRUPTED)
+
+
+@dataclass(frozen=True)
+class LiveOptions:
+    """Arguments and options of ``sugiyama live``."""
+
     source: Annotated[
         Path | None,
         typer.Argument(help="Trajectories to replay. Without them, the page shows the nodes that are running."),
-    ] = None,
-    output: Recording = Path("sugiyama-live.mcap"),
-    rate: Rate = "1",
-    ring: Ring = None,
-    model: ModelFile = None,
+    ] = None
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help=f"MCAP file to write. By default {_LIVE}, which each replay replaces."),
+    ] = None
+    overwrite: Overwrite = False
+    rate: Rate = "1"
+    ring: Ring = None
+    model: ModelFile = None
     host: Annotated[
         str,
         typer.Option("--host", help="Address to listen on. If other machines can reach it, the page asks for a token."),
-    ] = "127.0.0.1",
-    port: Annotated[int, typer.Option("--port", min=1024, max=65535, help="Port to listen on.")] = 5006,
-    show: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
-) -> None:
+    ] = "127.0.0.1"
+    port: Annotated[int, typer.Option("--port", min=1024, max=65535, help="Port to listen on.")] = 5006
+    show: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False
+
+
+@takes(LiveOptions)
+def live(options: LiveOptions) -> None:
     """Serve a web page that shows the topics as they arrive.
 
     Ctrl-C ends it.
     """
     from sugiyama_ros.nodes.live import serve
+    from sugiyama_ros.nodes.plan import RunSettings
 
     def ready(url: str) -> None:
         print_note(f"live page: {url} (Ctrl-C ends it)")
-        if show:
+        if options.show:
             typer.launch(url)
 
+    output = own_output(options.output, _LIVE, options.overwrite, options.source, options.model)
+    settings = RunSettings(rate_of(options.rate), options.ring, options.model, critic=True, overwrite=output.overwrite)
     print_note("starting the nodes")
-    serve(source, output, rate=rate_of(rate), ring_m=ring, model=model, host=host, port=port, on_ready=ready)
+    serve(options.source, output.path, settings, host=options.host, port=options.port, on_ready=ready)

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sugiyama_ros.cli.options import Json, ModelFile, Seed, takes
+from sugiyama_ros.cli.options import Json, ModelFile, Overwrite, Seed, takes
 from sugiyama_ros.cli.output import print_json, print_line, print_note
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.outputs import Output
 
 if TYPE_CHECKING:
     from sugiyama_ros.arrays import Array
@@ -45,6 +46,7 @@ class SimulateOptions:
         typer.Option("--effect", help="NAME:PARAMETER=VALUE[,...]: effect on all drivers. May be repeated."),
     ] = None
     model: ModelFile = None
+    overwrite: Overwrite = False
     seed: Seed = 0
     as_json: Json = False
 
@@ -59,11 +61,13 @@ def simulate(options: SimulateOptions) -> None:
     from sugiyama_ros.formats.plain_csv import write_csv
 
     output = options.output
-    writers: dict[str, Callable[[Any, Path], object]] = {".mcap": write_trajectories, ".csv": write_csv}
+    writers: dict[str, Callable[[Any, Output], object]] = {".mcap": write_trajectories, ".csv": write_csv}
     if output.suffix not in writers:
         raise InputError(f"{output}: cannot be written as {output.suffix or 'nothing'}; give a .mcap or .csv name")
+    to_write = Output(output, options.overwrite, (options.model,) if options.model is not None else ())
+    to_write.check()
     simulated = _simulated(options)
-    writers[output.suffix](simulated.measured, output)
+    writers[output.suffix](simulated.measured, to_write)
     speed = simulated.speed[len(simulated.speed) // 2 :]
     second_half = {"v_avg": speed.mean(), "v_min": speed.min(axis=1).mean(), "v_max": speed.max(axis=1).mean()}
     document = {
@@ -98,6 +102,7 @@ def _simulated(options: SimulateOptions) -> "Simulation":
         spread=options.spread,
         seed=options.seed,
     )
+    experiment.check(options.vehicles)
     return carry_out(experiment, _rows(options))
 
 

@@ -6,9 +6,10 @@ from typing import Annotated, Any
 
 import typer
 
-from sugiyama_ros.cli.options import Json, Ring, Seed, need_matplotlib
+from sugiyama_ros.cli.options import Json, Overwrite, Ring, Seed, need_matplotlib
 from sugiyama_ros.cli.output import print_json, print_line, print_table
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.outputs import Output, writing
 from sugiyama_ros.tables import TextTable
 
 
@@ -19,6 +20,7 @@ def study(
     ] = None,
     runs: Annotated[int, typer.Option("--runs", min=1, help="Number of simulated runs of each case.")] = 8,
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Picture to write: .png or .pdf.")] = None,
+    overwrite: Overwrite = False,
     ring: Ring = None,
     seed: Seed = 0,
     as_json: Json = False,
@@ -39,12 +41,15 @@ def study(
         return
     if output is not None and output.suffix not in (".png", ".pdf"):
         raise InputError(f"{output}: is not the name of a picture; give a name that ends in .png or .pdf")
+    to_write = Output(output, overwrite, (source,) if source is not None else ()) if output is not None else None
+    if to_write is not None:
+        to_write.check()
     asked = study_of(name)
     trajectories = read_trajectories(source, ring) if source is not None else None
     with workers(runs) as work:
         answer = asked.answer(Asked(trajectories, runs, seed, work))
-        if output is not None:
-            _draw(answer.draw, output)
+        if to_write is not None:
+            _draw(answer.draw, to_write)
     if as_json:
         print_json({"study": name, "paper": asked.paper, "rows": answer.rows, "seed": seed})
         return
@@ -59,13 +64,11 @@ def _table(title: str, answers: Sequence[Mapping[str, Any]]) -> TextTable:
     return TextTable(title, headings, rows)
 
 
-def _draw(draw: Callable[[Any], None], output: Path) -> None:
-    from sugiyama_ros.formats.writing import replacing
-
+def _draw(draw: Callable[[Any], None], output: Output) -> None:
     need_matplotlib("--output")
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(12, 7), layout="constrained")
     draw(figure)
-    with replacing(output) as stream:
-        figure.savefig(stream, dpi=120, format=output.suffix[1:])
+    with writing(output) as stream:
+        figure.savefig(stream, dpi=120, format=output.path.suffix[1:])

@@ -6,6 +6,7 @@ an array of shape (N, P).
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -46,6 +47,33 @@ class Parameter:
     axis: Literal["", "time", "place"] = ""
 
 
+def check_declared(owner: str, parameters: Sequence[Parameter]) -> None:
+    """Check the name and the parameters that an effect or a law declares, which may come from another package.
+
+    Parameters
+    ----------
+    owner : str
+        Name of the effect or the law.
+    parameters : sequence of Parameter
+        Its parameters.
+
+    Raises
+    ------
+    InputError
+        For a name that commands cannot use, or parameters with which a driver's row cannot be laid out.
+    """
+    if not isinstance(owner, str) or not owner.isidentifier():
+        raise InputError(f"{owner!r}: is no name; use letters, digits and underscores")
+    if not isinstance(parameters, tuple) or not all(isinstance(p, Parameter) for p in parameters):
+        raise InputError(f"{owner}: parameters must be a tuple of Parameter")
+    names = [p.name for p in parameters]
+    if len(set(names)) != len(names):
+        raise InputError(f"{owner}: a parameter is declared twice: {', '.join(map(str, names))}")
+    for p in parameters:
+        if not -math.inf < p.lower <= p.upper < math.inf:
+            raise InputError(f"{owner}: {p.name}: its bounds must be finite, the lower one first")
+
+
 _MEAN = "Eq. SimulatedModelParameters"
 _FIXED = "section 5, fixed for all drivers"
 
@@ -74,6 +102,9 @@ SIGMA_NU, SIGMA_A, V_STAR, KAPPA_V, KAPPA_1, KAPPA_C, KAPPA_D, OMEGA_2, RATIONAL
 
 #: Indices of the utility's parameters. The mean action depends on these parameters alone.
 UTILITY: tuple[int, ...] = (V_STAR, KAPPA_V, KAPPA_1, KAPPA_C, KAPPA_D, OMEGA_2, RATIONALITY)
+
+#: Least std of a noise with which a filter can run, in the unit of the noise.
+LEAST_NOISE = 1e-6
 
 #: Time [s] between two samples for which the defaults hold (Sugiyama experiment).
 REFERENCE_PERIOD_S = 1.0 / 3.0
@@ -148,6 +179,30 @@ def check(parameters: NDArray[np.float64]) -> None:
             raise InputError(
                 f"parameter {p.name}: {outside[0]:g} {p.unit} is out of bounds; give {p.lower:g} to {p.upper:g}"
             )
+
+
+#: Indices of the noises. A filter divides by them and takes their logarithms.
+NOISES: tuple[int, ...] = (SIGMA_NU, SIGMA_A)
+
+
+def check_for_filter(parameters: NDArray[np.float64]) -> None:
+    """Check parameters with which a filter can run: within their bounds, and with noises above 0.
+
+    Parameters
+    ----------
+    parameters : ndarray, shape (..., P)
+        Parameters of one or more drivers; entries after the first P are not checked.
+
+    Raises
+    ------
+    InputError
+        If an entry lies outside its bounds, is NaN, or is a noise of 0.
+    """
+    check(parameters)
+    for k in NOISES:
+        if not (parameters[..., k] >= LEAST_NOISE).all():
+            p = PARAMETERS[k]
+            raise InputError(f"parameter {p.name}: a filter needs noise; give {LEAST_NOISE:g} to {p.upper:g} {p.unit}")
 
 
 def horizon_at(period_s: float) -> int:

@@ -60,4 +60,5 @@ EFFECT = Effect(
         *(Parameter(f"force_{k}", f"f_{k}", "m/s^2", 0.0, -10.0, 10.0, f"force at knot {k}") for k in range(KNOTS)),
     ),
     function=push,
+    ascending=(("first", "last"),),
 )

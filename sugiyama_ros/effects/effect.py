@@ -8,7 +8,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from sugiyama_ros.driver.parameters import Parameter
+from sugiyama_ros.driver.parameters import Parameter, check_declared
+from sugiyama_ros.errors import InputError
 from sugiyama_ros.jit import kernel
 
 PERCEPTION, PREFERENCE, UTILITY, ACTUATION, ENVIRONMENT, MEASUREMENT = (
@@ -197,6 +198,8 @@ class Effect:
     benchmark : tuple of mapping
         Strong and weak values with which the benchmark of the diagnosis hides the effect. If a place or a time is left
         out, the benchmark draws it at random.
+    ascending : tuple of (str, str)
+        Pairs of names of parameters of which the second must be larger than the first while the effect acts.
     least : mapping of str to float
         Values of parameters below which the effect makes no physical sense. A search may go below, and the verdict then
         doubts the name.
@@ -226,8 +229,15 @@ class Effect:
     sees_accelerations: bool = False
     bank: Values | None = None
     benchmark: tuple[Values, ...] = ()
+    ascending: tuple[tuple[str, str], ...] = ()
     least: Values = field(default_factory=dict)
     advice: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        check_declared(self.name, self.parameters)
+        known = {p.name for p in self.parameters}
+        if not known or not {*self.switches, *(name for pair in self.ascending for name in pair)} <= known:
+            raise InputError(f"effect {self.name}: its strengths must be among its parameters")
 
     @property
     def switches(self) -> tuple[str, ...]:

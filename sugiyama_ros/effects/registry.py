@@ -140,4 +140,31 @@ def switch_on(rows: Array, name: str, values: Values) -> Array:
                 f" {declared.upper:g}"
             )
         changed[..., k] = value
+    _check_companions(changed, name)
     return changed
+
+
+def switched_on(rows: Array, name: str, values: Values) -> Array:
+    """Switch an effect on, as ``switch_on``, and check that it acts then.
+
+    Raises
+    ------
+    InputError
+        As ``switch_on``, and if no parameter that switches the effect on has a value other than 0.
+    """
+    changed, switches = switch_on(rows, name, values), effect(name).switches
+    if not any(values.get(switch) for switch in switches):
+        raise InputError(f"effect {name}: give {' or '.join(switches)}")
+    return changed
+
+
+def _check_companions(rows: Array, name: str) -> None:
+    """Check that an effect that acts has the parameters by which it divides, such as the distance of a force."""
+    one = effect(name)
+    acting = rows[np.any(rows[..., [ROW.index_of(name, switch) for switch in one.switches]], axis=-1)]
+    for p in one.parameters:
+        if p.lower > 0.0 and not acting[..., ROW.index_of(name, p.name)].all():
+            raise InputError(f"effect {name}: {p.name} is missing; give {p.lower:g} to {p.upper:g} {p.unit}")
+    for smaller, larger in one.ascending:
+        if not (acting[..., ROW.index_of(name, smaller)] < acting[..., ROW.index_of(name, larger)]).all():
+            raise InputError(f"effect {name}: {larger} must be larger than {smaller}")

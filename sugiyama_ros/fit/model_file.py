@@ -12,21 +12,20 @@ import numpy as np
 import yaml
 
 from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.driver.parameters import COUNT, NAMES, check
+from sugiyama_ros.documents import number, read_yaml
+from sugiyama_ros.driver.parameters import COUNT, NAMES, check_for_filter
 from sugiyama_ros.effects.registry import ROW, active, effect, index_of, switch_on
-from sugiyama_ros.errors import InputError, OutputError
+from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.driver_types import DriverTypes
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.model import coordinate
 from sugiyama_ros.fit.recording import FOLDS, Recorded
+from sugiyama_ros.outputs import Target, writing
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 _FORMAT = 1
 # libyaml, if it is installed, is ten times faster
 _DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
-_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-# Upper limit of the size; the file of a large model has a few megabytes.
-_LARGEST_BYTES = 50_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,12 +64,12 @@ class ModelFile:
         return np.array([self.rows[known[int(v)]] if int(v) in known else typical for v in vehicles])
 
 
-def write_model(path: Path, data: Recorded, fitted: JointFit) -> None:
+def write_model(target: Target, data: Recorded, fitted: JointFit) -> None:
     """Write a fitted model to a file.
 
     Parameters
     ----------
-    path : Path
+    target : Path or Output
         The file.
     data : Recorded
         The recording.
@@ -83,11 +82,11 @@ def write_model(path: Path, data: Recorded, fitted: JointFit) -> None:
         If the file cannot be written.
     """
     own, shared = stds_of(fitted)
-    write_drivers(path, data.trajectories, fitted.model.rows, own, shared, fitted.log_likelihood)
+    write_drivers(target, data.trajectories, fitted.model.rows, own, shared, fitted.log_likelihood)
 
 
 def write_drivers(
-    path: Path,
+    target: Target,
     trajectories: Trajectories,
     rows: Array,
     own_std: Sequence[Mapping[str, float]],
@@ -99,7 +98,7 @@ def write_drivers(
 
     Parameters
     ----------
-    path : Path
+    target : Path or Output
         The file.
     trajectories : Trajectories
         The fitted recording.
@@ -140,12 +139,8 @@ def write_drivers(
             {"share": float(share), "parameters": dict(zip(NAMES, row.tolist(), strict=True))}
             for share, row in zip(types.share, types.rows, strict=True)
         ]
-    beside = path.with_name(path.name + ".part")
-    try:
-        beside.write_text(yaml.dump(document, Dumper=_DUMPER, sort_keys=False, allow_unicode=True))
-        beside.replace(path)
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error.strerror}; choose another place") from None
+    with writing(target) as stream:
+        stream.write(yaml.dump(document, Dumper=_DUMPER, sort_keys=False, allow_unicode=True).encode())
 
 
 def read_model(path: Path) -> ModelFile:
@@ -156,14 +151,7 @@ def read_model(path: Path) -> ModelFile:
     InputError
         If the file is missing or invalid; the message names the field.
     """
-    try:
-        if path.stat().st_size > _LARGEST_BYTES:
-            raise InputError(f"{path}: larger than {_LARGEST_BYTES // 1_000_000} MB; is it a model file?")
-        document: Any = yaml.load(path.read_text(), Loader=_LOADER)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError):
-        raise InputError(f"{path}: is not YAML; give a file that `sugiyama diagnose --output` wrote") from None
+    document = read_yaml(path)
     if not isinstance(document, dict) or document.get("sugiyama_model") != _FORMAT:
         raise InputError(
             f"{path}: is not a model file of format {_FORMAT}; write one with `sugiyama diagnose --output`"
@@ -173,14 +161,16 @@ def read_model(path: Path) -> ModelFile:
         raise InputError(f"{path}: drivers: the file has none")
     rows, vehicles = [], []
     for vehicle, about in drivers.items():
-        where = f"{path}: drivers: {vehicle}"
+        where = f"{path}: drivers: {str(vehicle)[:40]}"
         row: Array = np.zeros(ROW.width)
         try:
-            row[:COUNT] = [float(about["parameters"][name]) for name in NAMES]
+            row[:COUNT] = [number(about["parameters"][name], name) for name in NAMES]
             for name, values in about.get("effects", {}).items():
-                row = switch_on(row, str(name), {str(p): float(v) for p, v in values.items()})
-            check(row[:COUNT])
-            vehicles.append(int(vehicle))
+                row = switch_on(row, str(name), {str(p): number(v, str(p)) for p, v in values.items()})
+            check_for_filter(row[:COUNT])
+            if type(vehicle) is not int or not 0 <= vehicle < 1 << 31:
+                raise InputError("is not the number of a vehicle; give 0 to 2147483647")
+            vehicles.append(vehicle)
         except InputError as error:
             raise InputError(f"{where}: {error}") from None
         except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -204,12 +194,12 @@ def read_model(path: Path) -> ModelFile:
 def _types(path: Path, classes: Any) -> DriverTypes:
     """Return the classes in a model file. Raises InputError."""
     try:
-        share = np.array([float(one["share"]) for one in classes])
-        rows = np.array([[float(one["parameters"][name]) for name in NAMES] for one in classes])
-        if not len(share) or not (share > 0.0).all() or not np.isfinite(share).all():
+        share = np.array([number(one["share"], "share") for one in classes])
+        rows = np.array([[number(one["parameters"][name], name) for name in NAMES] for one in classes])
+        if not len(share) or not (share > 0.0).all():
             raise ValueError("share")
         for row in rows:
-            check(row)
+            check_for_filter(row)
     except InputError as error:
         raise InputError(f"{path}: classes: {error}") from None
     except (KeyError, TypeError, ValueError) as error:

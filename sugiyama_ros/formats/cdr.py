@@ -80,6 +80,8 @@ def plain(value: Any) -> Any:
         return {name: plain(getattr(value, name)) for name in fields}
     if isinstance(value, np.ndarray):
         return value.tolist()
+    if isinstance(value, bytes):  # of a message that cannot be decoded
+        return value.hex()
     return [plain(element) for element in value] if isinstance(value, list) else value
 
 

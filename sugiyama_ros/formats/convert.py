@@ -1,6 +1,6 @@
 """Conversion of trajectory files to bags, and of files and folders to tables of tracks."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from sugiyama_ros.errors import InputError
@@ -9,6 +9,7 @@ from sugiyama_ros.formats.mcap_writer import LATCHED_TOPIC, BagWriter, Qos
 from sugiyama_ros.formats.measured import MEASURED_TYPE, ROAD_TYPE, messages
 from sugiyama_ros.formats.registry import read_tracks, read_trajectories
 from sugiyama_ros.formats.tracks_parquet import write_tracks
+from sugiyama_ros.outputs import Target, output_of
 from sugiyama_ros.trajectories.one_lane import one_lane
 from sugiyama_ros.trajectories.selection import Selection, select
 from sugiyama_ros.trajectories.time_base import on_time_base
@@ -16,13 +17,15 @@ from sugiyama_ros.trajectories.tracks import Tracks
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 
-def convert(source: Path, out: Path, ring_m: float | None = None) -> Trajectories:
+def convert(source: Path, target: Target, ring_m: float | None = None) -> Trajectories:
     """Convert a trajectory file to a bag with the topics /road and /measured.
 
     Parameters
     ----------
-    source, out : Path
-        File to read, in any known format, and bag to write.
+    source : Path
+        File to read, in any known format.
+    target : Path or Output
+        Bag to write.
     ring_m : float, optional
         Circumference [m] of the ring, where the file does not say it; 0 for an open road.
 
@@ -36,15 +39,17 @@ def convert(source: Path, out: Path, ring_m: float | None = None) -> Trajectorie
     InputError, OutputError
         For a file that cannot be read, or a bag that cannot be written.
     """
+    output = replace(output_of(target), inputs=(Path(source),))
+    output.check()
     trajectories = read_trajectories(source, ring_m)
-    write_trajectories(trajectories, out)
+    write_trajectories(trajectories, output)
     return trajectories
 
 
-def write_trajectories(trajectories: Trajectories, out: Path) -> None:
+def write_trajectories(trajectories: Trajectories, target: Target) -> None:
     """Write a bag with the topics /road and /measured. Stamps and log times are the times of the samples."""
     about = {"source": trajectories.source, "sha256": trajectories.sha256}
-    with BagWriter(out, about) as bag:
+    with BagWriter(target, about) as bag:
         channels = {
             ROAD_TYPE: bag.topic("/road", ROAD_TYPE, LATCHED_TOPIC),
             MEASURED_TYPE: bag.topic("/measured", MEASURED_TYPE, Qos()),
@@ -75,13 +80,15 @@ class Part:
     period_s: float | None = None
 
 
-def convert_tracks(source: Path, out: Path, part: Part) -> Tracks:
+def convert_tracks(source: Path, target: Target, part: Part) -> Tracks:
     """Convert a file or a folder to tracks, or a part of it on one lane to a bag.
 
     Parameters
     ----------
-    source, out : Path
-        File or folder to read; ``.parquet``, ``.csv`` or ``.mcap`` to write.
+    source : Path
+        File or folder to read.
+    target : Path or Output
+        ``.parquet``, ``.csv`` or ``.mcap`` to write.
     part : Part
         Which part is wanted.
 
@@ -95,13 +102,14 @@ def convert_tracks(source: Path, out: Path, part: Part) -> Tracks:
     InputError, OutputError
         For a file that cannot be read, or one that cannot be written.
     """
+    out = output_of(target).path
     if out.suffix.lower() not in (".parquet", ".csv", ".mcap"):
         raise InputError(f"{out}: cannot be written as {out.suffix or 'nothing'}; give a .parquet, .csv or .mcap name")
     tracks = select(read_tracks(source, part.choices, part.name), part.selection)
     if part.period_s is not None:
         tracks = on_time_base(tracks, part.period_s)
     if out.suffix.lower() == ".mcap":
-        write_trajectories(one_lane(tracks, str(source)), out)
+        write_trajectories(one_lane(tracks, str(source)), target)
     else:
-        write_tracks(tracks, out)
+        write_tracks(tracks, target)
     return tracks

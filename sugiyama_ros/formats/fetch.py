@@ -1,6 +1,7 @@
 """Download a public data set, verify, unpack and convert it."""
 
 import http.client
+import tempfile
 import time
 import urllib.error
 import urllib.request
@@ -9,12 +10,13 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.catalogue import CATALOGUE, DataSet
 from sugiyama_ros.formats.convert import convert
-from sugiyama_ros.formats.reading import open_input, sha256
-from sugiyama_ros.formats.writing import not_written, replacing
+from sugiyama_ros.formats.reading import sha256
+from sugiyama_ros.outputs import Output, make_directory, not_written, writing
 from sugiyama_ros.progress import OnProgress
 
 _TIMEOUT_S = 20.0
@@ -32,7 +34,13 @@ class Fetched:
     bag: Path
 
 
-def fetch(name: str, directory: Path, url: str | None = None, on_progress: OnProgress | None = None) -> Fetched:
+def fetch(
+    name: str,
+    directory: Path,
+    url: str | None = None,
+    on_progress: OnProgress | None = None,
+    overwrite: bool = False,
+) -> Fetched:
     """Download a data set of the catalogue into a directory, verify and unpack it, and convert it to a bag.
 
     The caller asks the user to accept the licence. A file that is incomplete or wrong is never left under its name.
@@ -47,6 +55,8 @@ def fetch(name: str, directory: Path, url: str | None = None, on_progress: OnPro
         Another address of the same file.
     on_progress : callable, optional
         Called with the bytes so far and in all.
+    overwrite : bool
+        Whether files of an earlier download are replaced.
 
     Raises
     ------
@@ -59,23 +69,22 @@ def fetch(name: str, directory: Path, url: str | None = None, on_progress: OnPro
         raise InputError(f"{name}: not in the catalogue; it has {', '.join(CATALOGUE)}")
     data_set = CATALOGUE[name]
     directory = Path(directory)
-    data = directory / data_set.member
-    archive = directory / f"{name}.zip"
+    make_directory(directory)
+    data = Output(directory / data_set.member, overwrite)
+    bag = Output(data.path.with_suffix(".mcap"), overwrite)
+    data.check()
+    bag.check()
     try:
-        directory.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=directory) as archive:
+            for block in _downloaded(url or data_set.url, data_set, on_progress):
+                archive.write(block)
+            content = _unpacked(archive, f"{name}.zip", data_set)
     except OSError as error:
         raise not_written(directory, error) from None
-    try:
-        with replacing(archive) as stream:
-            for block in _downloaded(url or data_set.url, data_set, on_progress):
-                stream.write(block)
-        with replacing(data) as stream:
-            stream.write(_unpacked(archive, data_set))
-    finally:
-        archive.unlink(missing_ok=True)
-    bag = data.with_suffix(".mcap")
-    convert(data, bag)
-    return Fetched(data, bag)
+    with writing(data) as stream:
+        stream.write(content)
+    convert(data.path, bag)
+    return Fetched(data.path, bag.path)
 
 
 def _downloaded(url: str, data_set: DataSet, on_progress: OnProgress | None) -> Iterator[bytes]:
@@ -102,26 +111,25 @@ def _downloaded(url: str, data_set: DataSet, on_progress: OnProgress | None) -> 
         raise InputError(f"{url}: cannot be reached ({reason}); check the network and the address") from None
 
 
-def _unpacked(archive: Path, data_set: DataSet) -> bytes:
+def _unpacked(archive: BinaryIO, name: str, data_set: DataSet) -> bytes:
     """Content of the wanted file in a verified archive. Only its content is used, never its path."""
-    with open_input(archive) as stream:
-        size, found = archive.stat().st_size, sha256(stream)
-        if (size, found) != (data_set.size_bytes, data_set.sha256):
-            raise InputError(
-                f"{archive.name}: not the expected file: {size} bytes, SHA-256 {found}; expected {data_set.size_bytes},"
-                f" {data_set.sha256}; the download broke off or the file has changed: try again, or report it"
-            )
-        try:
-            with zipfile.ZipFile(stream) as unzipped:
-                names = [name for name in unzipped.namelist() if name.endswith(".data")]
-                wanted = [name for name in names if name.endswith(data_set.member)]
-                if len(wanted) != 1:
-                    have = ", ".join(names[:20]) or "no .data file"
-                    raise InputError(f"{archive.name}: has not one {data_set.member} but {have}; report it")
-                with unzipped.open(wanted[0]) as member:
-                    content = member.read(_MAX_UNPACKED + 1)
-        except (zipfile.BadZipFile, zlib.error, RuntimeError, NotImplementedError, EOFError) as error:
-            raise InputError(f"{archive.name}: cannot be unpacked: {error}; report it") from None
+    size, found = archive.seek(0, 2), sha256(archive)
+    if (size, found) != (data_set.size_bytes, data_set.sha256):
+        raise InputError(
+            f"{name}: not the expected file: {size} bytes, SHA-256 {found}; expected {data_set.size_bytes},"
+            f" {data_set.sha256}; the download broke off or the file has changed: try again, or report it"
+        )
+    try:
+        with zipfile.ZipFile(archive) as unzipped:
+            members = [one for one in unzipped.namelist() if one.endswith(".data")]
+            wanted = [one for one in members if one.endswith(data_set.member)]
+            if len(wanted) != 1:
+                have = ", ".join(members[:20]) or "no .data file"
+                raise InputError(f"{name}: has not one {data_set.member} but {have}; report it")
+            with unzipped.open(wanted[0]) as member:
+                content = member.read(_MAX_UNPACKED + 1)
+    except (zipfile.BadZipFile, zlib.error, RuntimeError, NotImplementedError, EOFError) as error:
+        raise InputError(f"{name}: cannot be unpacked: {error}; report it") from None
     if len(content) > _MAX_UNPACKED:
-        raise InputError(f"{archive.name}: {wanted[0]} has more than {_MAX_UNPACKED} bytes unpacked; not used")
+        raise InputError(f"{name}: {wanted[0]} has more than {_MAX_UNPACKED} bytes unpacked; not used")
     return content

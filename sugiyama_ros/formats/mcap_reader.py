@@ -130,10 +130,11 @@ class Bag:
             metadata=metadata,
         )
 
-    def messages(self, topics: Collection[str] | None = None) -> Iterator[BagMessage]:
+    def messages(self, topics: Collection[str] | None = None, *, skip_misfits: bool = False) -> Iterator[BagMessage]:
         """Messages of some topics, or of all topics, in the order in which they were recorded.
 
-        Raises InputError for a topic that is not in the bag.
+        Raises InputError for a topic that is not in the bag, and for a message that does not fit its definition, unless
+        such messages are skipped.
         """
         decoders: dict[int, Decoder | None] = {}
         for number, message in enumerate(self._selected(topics)):
@@ -145,6 +146,8 @@ class Bag:
                 try:
                     found = found._replace(message=decode(message.data))
                 except ValueError as error:
+                    if skip_misfits:
+                        continue
                     raise InputError(
                         f"{self.path}: message {number} ({found.topic!r}): does not fit its definition: {error}"
                     ) from None

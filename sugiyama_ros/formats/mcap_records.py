@@ -217,8 +217,8 @@ def content_records(content: bytes, where: str) -> Iterator[tuple[int, Any]]:
         start = position + HEAD.size
         opcode, length = HEAD.unpack_from(content, position) if start <= len(content) else (0, len(content))
         position = start + length
-        if position > len(content):
-            raise InputError(f"{where}: a record inside does not end within the chunk; the file is damaged")
+        if position > len(content) or opcode == 0:
+            raise InputError(f"{where}: a record inside is none, or does not end within the chunk; the file is damaged")
         if opcode == Opcode.MESSAGE:
             if length < MESSAGE.size:
                 raise InputError(f"{where}: a message without its head; the file is damaged")

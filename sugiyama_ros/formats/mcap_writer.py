@@ -1,18 +1,15 @@
 """Writer of MCAP files that rosbag2, Foxglove, Lichtblick and PlotJuggler read."""
 
-import errno
-import os
 import time
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
 from types import TracebackType
 
 from sugiyama_ros.errors import InputError, OutputError
 from sugiyama_ros.formats.definitions import full_text, type_hash
 from sugiyama_ros.formats.mcap_record_writer import RecordWriter
+from sugiyama_ros.outputs import Draft, Target, not_written
 
 #: Chunks are closed at this size [bytes]; small chunks limit what a crash can lose.
 _CHUNK_SIZE = 256 << 10
@@ -52,13 +49,13 @@ LATCHED_TOPIC = Qos(durability="transient_local", depth=1)
 class BagWriter:
     """Writes serialized messages to an MCAP file; use it in a ``with`` block.
 
-    The file appears under its name when the block ends without an error. Until then the messages are in ``FILE.part``;
-    after a crash, ``sugiyama recover`` makes a complete file from it. An error in the block removes this
-    file. If the disk fails, the messages that were flushed before stay.
+    The file appears under its name when the block ends without an error. Until then the messages are in ``part``, such
+    as ``FILE.3f9a1c07.part``; after a crash, ``sugiyama recover`` makes a complete file from it. An error in the block
+    removes this file. If the disk fails, the messages that were flushed before stay.
 
     Parameters
     ----------
-    path : Path
+    target : Path or Output
         The file.
     metadata : mapping, optional
         Parameters, data source and checksum of the run, kept in a record named ``sugiyama``.
@@ -71,28 +68,19 @@ class BagWriter:
         For a topic or a time that is not valid.
     """
 
-    def __init__(self, path: Path, metadata: Mapping[str, str] | None = None) -> None:
-        self.path = Path(path)
-        self.part = self.path.with_name(self.path.name + ".part")
+    def __init__(self, target: Target, metadata: Mapping[str, str] | None = None) -> None:
+        self._draft = Draft(target)
+        self.path, self.part = self._draft.path, self._draft.part
         self._counts: list[int] = []
         self._topics: dict[str, tuple[int, str]] = {}
         self._schemas: dict[str, int] = {}
         self._dirty = False
         self._kept = False
         self._flushed_s = time.monotonic()
-        try:
-            # Never overwrite the file of another writer, or a file that can be recovered after a crash.
-            self._stream = self.part.open("xb")
-        except FileExistsError:
-            raise OutputError(
-                f"{self.part}: left by a run that did not end, or in use; `sugiyama recover` it, or delete it"
-            ) from None
-        except OSError as error:
-            raise self._failed(error) from None
         release = _version()
         about = {"version": release, **(metadata or {})}
         try:
-            self._writer = RecordWriter(self._stream, _CHUNK_SIZE, f"sugiyama_ros {release}", about)
+            self._writer = RecordWriter(self._draft.stream, _CHUNK_SIZE, f"sugiyama_ros {release}", about)
         except OSError as error:
             self._discard()
             raise self._failed(error) from None
@@ -140,7 +128,7 @@ class BagWriter:
             return
         try:
             self._writer.flush()
-            os.fsync(self._stream.fileno())
+            self._draft.sync()
         except OSError as error:
             raise self._failed(error) from None
         self._dirty = False
@@ -150,10 +138,7 @@ class BagWriter:
         """Finish the file and give it its name."""
         try:
             self._writer.finish()
-            self._stream.flush()
-            os.fsync(self._stream.fileno())
-            self._stream.close()
-            self.part.replace(self.path)
+            self._draft.finish()
         except OSError as error:
             failed = self._failed(error)
             self._discard()
@@ -161,17 +146,15 @@ class BagWriter:
 
     def _discard(self) -> None:
         """Remove the unfinished file, but keep what was flushed before a disk failed."""
-        # A full disk refuses the rest of the buffer, but the file is closed.
-        with suppress(OSError):
-            self._stream.close()
-        if not self._kept:
-            self.part.unlink(missing_ok=True)
+        if self._kept:
+            self._draft.close()
+        else:
+            self._draft.discard()
 
     def _failed(self, error: OSError) -> OutputError:
         """Error to raise where the disk refuses to write."""
-        cure = "free some space" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "choose another place"
         kept = f"; what was flushed before is in {self.part} (`sugiyama recover`)" if self._kept else ""
-        return OutputError(f"{self.path}: cannot be written: {error.strerror}; {cure}{kept}")
+        return OutputError(f"{not_written(self.path, error)}{kept}")
 
     def __enter__(self) -> "BagWriter":
         return self

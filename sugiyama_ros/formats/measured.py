@@ -10,7 +10,7 @@ import numpy as np
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.format import Format
 from sugiyama_ros.formats.mcap_records import MAGIC
-from sugiyama_ros.formats.reading import open_input, sha256
+from sugiyama_ros.formats.reading import open_input, sha256, shown_name
 from sugiyama_ros.formats.samples import MAX_SAMPLES, agreed_road
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 ROAD_TYPE = "sugiyama_msgs/msg/Road"
 MEASURED_TYPE = "sugiyama_msgs/msg/MeasuredPositions"
+#: Largest number of a vehicle, which ROS sends in 32 bits.
+_LAST_VEHICLE = 2**31 - 1
 #: Frame in the headers of all messages: positions along the road.
 FRAME = "road"
 
@@ -129,7 +131,7 @@ def _collected(bag: "Bag", topics: dict[str, str], ring_m: float | None) -> Traj
         if topics[message.topic] == MEASURED_TYPE:
             columns.add(content)
         elif road is None:
-            road = content
+            road = _checked(content)
         elif (road.circumference_m, road.period_s) != (content.circumference_m, content.period_s):
             raise InputError(f"{path}: {message.topic!r}: the road changes; record one road in one bag")
     if road is None:
@@ -137,6 +139,13 @@ def _collected(bag: "Bag", topics: dict[str, str], ring_m: float | None) -> Traj
     with open_input(path) as stream:
         checksum = road.sha256 or sha256(stream)
     return columns.trajectories(road, ring_m, checksum)
+
+
+def _checked(road: Any) -> Any:
+    """A message on ``road``. Raises TypeError where a field is of another type than in this package's definition."""
+    if not isinstance(road.source, str) or not isinstance(road.sha256, str):
+        raise TypeError
+    return road
 
 
 def _header(time_ns: int) -> dict[str, Any]:
@@ -171,6 +180,8 @@ class _Columns:
         if message.step - self._first[0] >= MAX_SAMPLES:
             raise InputError(f"{where}: more than {MAX_SAMPLES} steps; split the bag")
         vehicles = message.vehicle.tolist()
+        if not all(type(vehicle) is int and 0 <= vehicle <= _LAST_VEHICLE for vehicle in vehicles):
+            raise InputError(f"{where}: a vehicle's number is not within 0 to {_LAST_VEHICLE}; number the vehicles")
         if not len(vehicles) == len(message.position_m) == len(message.length_m):
             raise InputError(f"{where}: its arrays differ in length; the publisher is faulty")
         if len(set(vehicles)) != len(vehicles):
@@ -214,7 +225,7 @@ class _Columns:
             road=agreed,
             period_s=road.period_s,
             start_s=first_s,
-            source=road.source or self._path.name,
+            source=road.source or shown_name(self._path),
             sha256=checksum,
         )
 

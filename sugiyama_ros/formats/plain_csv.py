@@ -13,7 +13,7 @@ from sugiyama_ros.formats.reading import lines, number, open_input, sha256
 from sugiyama_ros.formats.samples import Samples, agreed_road
 from sugiyama_ros.formats.sheet import MISSING
 from sugiyama_ros.formats.table import read_table
-from sugiyama_ros.formats.writing import replacing
+from sugiyama_ros.outputs import Target, writing
 from sugiyama_ros.trajectories.one_lane import check_order
 from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M, Trajectories
 
@@ -80,12 +80,12 @@ def read_csv(path: Path, ring_m: float | None = None) -> Trajectories:
     return trajectories
 
 
-def write_csv(trajectories: Trajectories, path: Path) -> None:
+def write_csv(trajectories: Trajectories, target: Target) -> None:
     """Write trajectories so that ``read_csv`` gives them back; missing samples have an empty position.
 
     Raises OutputError where the file cannot be written.
     """
-    with replacing(path) as stream:
+    with writing(target) as stream:
         stream.write(b"time_s,vehicle,position_m,length_m\n")
         vehicles = list(zip(trajectories.vehicle.tolist(), trajectories.length_m.tolist(), strict=True))
         for time, positions, present in zip(

@@ -17,8 +17,14 @@ def open_input(path: Path) -> BinaryIO:
         if path.exists() and not path.is_file():
             raise InputError(f"{path}: not a regular file; give a file")
         return path.open("rb")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}; check the name and the permissions") from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"{path}: cannot be read: {reason}; check the name and the permissions") from None
+
+
+def shown_name(path: Path) -> str:
+    """Name of a file as text; a question mark stands for each byte that is not UTF-8."""
+    return path.name.encode(errors="replace").decode()
 
 
 def lines(path: Path, stream: BinaryIO) -> Iterator[str]:

@@ -1,9 +1,10 @@
 """Recovery of the intact messages of a cut or damaged MCAP file."""
 
 import re
+import struct
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mcap.opcode import Opcode
@@ -23,9 +24,14 @@ from sugiyama_ros.formats.mcap_records import (
     content_records,
 )
 from sugiyama_ros.formats.reading import open_input
-from sugiyama_ros.formats.writing import replacing
+from sugiyama_ros.outputs import Target, output_of, writing
 
-_BLOCK = 1 << 20
+# Blocks in which the next chunk is looked for: they grow from the first size to the second.
+_FIRST_BLOCK, _BLOCK = 1 << 12, 1 << 20
+# Bytes that are read and decompressed for a file, at most: so many, and so many for each byte of the file. A recording
+# needs less than a tenth of it; a crafted file could otherwise take hours.
+_WORK, _WORK_OF_A_BYTE = 1 << 28, 200
+_CLAIMED_SIZE = struct.Struct("<16xQ")
 # The name of the compression, behind its length, and where it stands in a chunk record.
 _CHUNK_NAME = re.compile(rb"\x04\0\0\0zstd|\x03\0\0\0lz4")
 _NAME_AT = HEAD.size + 28
@@ -44,15 +50,17 @@ class Recovered:
     end_ns: int
 
 
-def recover(path: Path, out: Path) -> Recovered:
+def recover(path: Path, target: Target) -> Recovered:
     """Write every intact message of a file into a new file, and verify the new file by reading it.
 
     Chunks with a wrong checksum are left out.
 
     Parameters
     ----------
-    path, out : Path
-        Damaged file, and file to write.
+    path : Path
+        Damaged file.
+    target : Path or Output
+        File to write.
 
     Raises
     ------
@@ -61,13 +69,13 @@ def recover(path: Path, out: Path) -> Recovered:
     OutputError
         Where the new file cannot be written or cannot be read again.
     """
-    path, out = Path(path), Path(out)
-    if out.exists() and out.samefile(path):
-        raise OutputError(f"{out}: is the file to be recovered; choose another name")
+    path, output = Path(path), replace(output_of(target), inputs=(Path(path),))
+    output.check()
+    out = output.path
     with open_input(path) as stream:
         salvage = _Salvage(RecordFile(path, stream))
-        with replacing(out, ".recovered.part") as target:
-            writer = Writer(target, chunk_size=256 << 10, compression=CompressionType.ZSTD)
+        with writing(output) as recovered:
+            writer = Writer(recovered, chunk_size=256 << 10, compression=CompressionType.ZSTD)
             salvage.write(writer)
             if salvage.messages == 0:
                 raise InputError(f"{path}: holds no whole message; nothing can be recovered")
@@ -87,6 +95,7 @@ class _Salvage:
         self._described = Descriptions(file.path)
         self._new_schema: dict[int, int] = {}
         self._new_channel: dict[int, int] = {}
+        self._left = _WORK + _WORK_OF_A_BYTE * file.size
         self.messages = 0
         self.lost_bytes = 0
 
@@ -118,7 +127,7 @@ class _Salvage:
             self._copy_message(self._file.message(record), writer)
         elif record.opcode == Opcode.CHUNK:
             where = f"{self._file.path}: chunk at offset {record.offset}"
-            for opcode, content in content_records(self._file.chunk(record), where):
+            for opcode, content in content_records(self._chunk(record), where):
                 if opcode == Opcode.MESSAGE:
                     self._copy_message(content, writer)
                 else:
@@ -161,16 +170,31 @@ class _Salvage:
                 return
             offset, before = record.end, offset
 
+    def _chunk(self, record: Record) -> bytes:
+        """Content of a chunk. Raises InputError if it is damaged, or if too much has been read already."""
+        (claimed,) = _CLAIMED_SIZE.unpack(self._file.read(record.offset + HEAD.size, _CLAIMED_SIZE.size))
+        self._spend(record.length + claimed)
+        return self._file.chunk(record)
+
+    def _spend(self, size: int) -> None:
+        """Note that ``size`` bytes are read. Raises InputError if these are too many for the file."""
+        if size > self._left:
+            raise InputError(f"{self._file.path}: takes too much work to recover; the rest is left out")
+        self._left -= size
+
     def _next_chunk(self, offset: int) -> int:
         """Offset of the next intact compressed chunk; the end of the file if there is none."""
-        while offset < self._file.size:
-            block = self._file.read(offset, min(_BLOCK + _NAME_AT + 8, self._file.size - offset))
+        size = _FIRST_BLOCK
+        while offset < self._file.size and self._left > size:
+            self._left -= size
+            block = self._file.read(offset, min(size + _NAME_AT + 8, self._file.size - offset))
             for name in _CHUNK_NAME.finditer(block, _NAME_AT):
                 start = offset + name.start() - _NAME_AT
                 with suppress(InputError):
                     record = self._file.record(start)
                     if record.opcode == Opcode.CHUNK:
-                        self._file.chunk(record)
+                        self._chunk(record)
                         return start
-            offset += _BLOCK
+            offset += size
+            size = min(2 * size, _BLOCK)
         return self._file.size

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.formats.reading import shown_name
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.trajectories import Trajectories, regular_time_base
 
@@ -26,6 +27,8 @@ class Samples:
         self._position = array("d")
         self._columns: dict[int, int] = {}
         self._last: dict[int, float] = {}
+        # shortest time [s] between two samples of a vehicle, and where it is
+        self._closest: tuple[float, str] = (math.inf, "")
 
     def add(self, time_s: float, vehicle: int, position_m: float, where: str) -> None:
         """Add one sample; NaN for a position that is missing.
@@ -43,6 +46,9 @@ class Samples:
             raise InputError(f"{where}: time {time_s:g} s is more than ROS can count; start the times near 0")
         if len(self._time) == MAX_SAMPLES:
             raise InputError(f"{where}: more than {MAX_SAMPLES} samples; split the file")
+        if time_s - last < self._closest[0]:
+            what = f"{where}: vehicle {vehicle} has samples at {last:.9g} s and {time_s:.9g} s"
+            self._closest = (time_s - last, what)
         self._last[vehicle] = time_s
         self._time.append(time_s)
         self._column.append(self._columns.setdefault(vehicle, len(self._columns)))
@@ -64,6 +70,8 @@ class Samples:
         # Times that differ by less than a microsecond are the same instant, written with a different rounding.
         _, distinct = np.unique(np.round(time, 6), return_index=True)
         start, period, _ = regular_time_base(time[distinct], str(self._path))
+        if self._closest[0] < 0.5 * period:
+            raise InputError(f"{self._closest[1]}, but the period is {period:.4g} s; remove one of them")
         row = np.round((time - start) / period).astype(np.int64)
         steps = int(row.max()) + 1
         if steps * len(self._columns) > MAX_SAMPLES:
@@ -80,7 +88,7 @@ class Samples:
             road=road,
             period_s=period,
             start_s=start,
-            source=self._path.name,
+            source=shown_name(self._path),
             sha256=checksum,
         )
 

@@ -9,7 +9,7 @@ from sugiyama_ros.formats.choices import MAPPED, Choices
 from sugiyama_ros.formats.columns import is_number
 from sugiyama_ros.formats.format import tracks_format
 from sugiyama_ros.formats.sheet import head_of, read_sheet, sheet_of
-from sugiyama_ros.formats.writing import replacing
+from sugiyama_ros.outputs import Target, output_of, writing
 from sugiyama_ros.trajectories.exchange import about_of, of_columns, to_arrow, write_parquet
 from sugiyama_ros.trajectories.tracks import Tracks
 
@@ -51,14 +51,14 @@ def read_tracks_parquet(path: Path, choices: Choices) -> Tracks:
     return of_columns(dict(read_sheet(sheet, numbers, names - numbers)), about)
 
 
-def write_tracks(tracks: Tracks, path: Path) -> None:
+def write_tracks(tracks: Tracks, target: Target) -> None:
     """Write tracks as Parquet, or as CSV if the name ends in ``.csv``.
 
     Parameters
     ----------
     tracks : Tracks
         The tracks.
-    path : Path
+    target : Path or Output
         File to write.
 
     Raises
@@ -66,8 +66,8 @@ def write_tracks(tracks: Tracks, path: Path) -> None:
     OutputError
         If the file cannot be written.
     """
-    with replacing(path) as stream:
-        if path.suffix.lower() == ".csv":
+    with writing(target) as stream:
+        if output_of(target).path.suffix.lower() == ".csv":
             _write_csv(tracks, stream)
         else:
             write_parquet(tracks, stream)

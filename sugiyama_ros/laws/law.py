@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from sugiyama_ros.driver.parameters import Parameter
+from sugiyama_ros.driver.parameters import Parameter, check_declared
 from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.jit import kernel
 
@@ -40,6 +40,9 @@ class Law:
     source: str
     parameters: tuple[Parameter, ...]
     function: LawFunction
+
+    def __post_init__(self) -> None:
+        check_declared(self.name, self.parameters)
 
 
 @kernel

@@ -10,16 +10,18 @@ from sugiyama_msgs.msg import Verdict
 from sugiyama_msgs.srv import AddEffect
 
 from sugiyama_ros.driver.parameters import NAMES, population
+from sugiyama_ros.effects.registry import ROW, switched_on
+from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.bank import Bank, strengths
 from sugiyama_ros.filters.chain import CHAIN
 from sugiyama_ros.filters.online import NOBODY, warm_up
 from sugiyama_ros.formats.measured import FRAME
-from sugiyama_ros.nodes.base import cdr_messages
+from sugiyama_ros.nodes.base import cdr_messages, incoming
 from sugiyama_ros.nodes.base.measured_feed import MeasuredFeed, subscribe_measured
 from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.base.spin import run_node
-from sugiyama_ros.nodes.driver_parameters import declare_driver
+from sugiyama_ros.nodes.driver_parameters import check_driver, declare_driver
 from sugiyama_ros.nodes.plan import estimators, namespaces
 from sugiyama_ros.road import Road
 
@@ -44,6 +46,7 @@ class Critic(PacedNode):
         super().__init__("critic", **options)
         warm_up()
         declare_driver(self, population())
+        check_driver(self)
         self._forget_s = float(
             self.declare_parameter("forget_s", 120.0, ParameterDescriptor(description="memory of the scores [s]")).value
         )
@@ -55,7 +58,7 @@ class Critic(PacedNode):
         self._failure = ""
         self._to_verdict = self.create_publisher(Verdict, "verdict", STREAM)
         self.create_service(AddEffect, "~/add_effect", self._on_add_effect)
-        self.create_subscription(RoadMessage, self.shared("road"), self._on_road, LATCHED)
+        self.listen(RoadMessage, self.shared("road"), incoming.road, self._on_road, LATCHED)
         subscribe_measured(self, self.take_in, feed)
 
     def health(self) -> Health:
@@ -100,11 +103,11 @@ class Critic(PacedNode):
                 self._chains[vehicle] = sample.chain(vehicle, CHAIN)
             places = [sample.place.get(v) for v in self._chains[vehicle]]
             position = [nan if p is None else sample.position_m[p] for p in places]
-            length = [0.0 if p is None else sample.length_m[p] for p in places]
+            length = [0.0 if p is None else sample.known_length_m(p) for p in places]
             behind, rear = NOBODY, sample.behind(vehicle)
             if rear >= 0:
                 p = sample.place[rear]
-                behind = sample.position_m[p], rear, sample.length_m[p]
+                behind = sample.position_m[p], rear, sample.known_length_m(p)
             time_s = sample.stamp_ns / cdr_messages.NS
             self._bank.step(vehicle, position, self._chains[vehicle], length, time_s, behind)
         if sample.stamp_ns - self._told_ns >= _VERDICT_EVERY_NS or sample.step + 1 == road.steps:
@@ -127,19 +130,26 @@ class Critic(PacedNode):
 
     def _on_add_effect(self, request: AddEffect.Request, response: AddEffect.Response) -> AddEffect.Response:
         """Pass the request on to every running estimator. An estimator that refuses it is logged."""
+        try:
+            values = incoming.effect_values(request.effect, request.name, request.value)
+            switched_on(ROW.with_effects(population()), request.effect, values)
+        except (incoming.RefusedError, InputError) as error:
+            response.message = str(error)
+            return response
         names = estimators(namespaces(self._chains)) if self._chains else []
         clients = [self.create_client(AddEffect, f"{name}/add_effect") for name in names]
         ready = [client for client in clients if client.service_is_ready() or client.wait_for_service(1.0)]
         for client in ready:
             future = client.call_async(request)
-            future.add_done_callback(lambda done: self._on_answer(done.result()))
+            future.add_done_callback(self._on_answer)
         response.success = bool(ready) and len(ready) == len(clients)
         response.message = "" if response.success else f"{len(ready)} of {len(clients)} estimators answer"
         return response
 
-    def _on_answer(self, answer: AddEffect.Response) -> None:
-        if not answer.success:
-            self.get_logger().error(answer.message)
+    def _on_answer(self, done: Any) -> None:
+        answer = done.result() if done.exception() is None else None
+        if answer is None or not answer.success:
+            self.get_logger().error(answer.message if answer is not None else str(done.exception()))
 
 
 def main() -> None:

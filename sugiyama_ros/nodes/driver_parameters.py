@@ -3,14 +3,38 @@
 from pathlib import Path
 
 import numpy as np
-from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
+from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
+from rclpy.parameter import Parameter as RosParameter
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.driver.parameters import PARAMETERS, population
+from sugiyama_ros.driver.parameters import NAMES, PARAMETERS, check_for_filter, population
 from sugiyama_ros.effects.registry import ROW
+from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.driver_types import DriverTypes
 from sugiyama_ros.fit.model_file import read_model
+
+
+def check_driver(node: Node) -> None:
+    """Refuse parameters of a driver with which a filter cannot run, now and whenever they are set.
+
+    Raises
+    ------
+    InputError
+        For a value that the node was started with.
+    """
+    check_for_filter(np.array([node.get_parameter(name).value for name in NAMES]))
+
+    def on_set(changed: list[RosParameter]) -> SetParametersResult:
+        wanted = {p.name: p.value for p in changed}
+        row = [wanted.get(name, node.get_parameter(name).value) for name in NAMES]
+        try:
+            check_for_filter(np.array(row, dtype=np.float64))
+        except (InputError, TypeError, ValueError) as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    node.add_on_set_parameters_callback(on_set)
 
 
 def declare_driver(node: Node, default: Array) -> None:

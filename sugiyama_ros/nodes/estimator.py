@@ -12,18 +12,19 @@ from sugiyama_msgs.srv import AddEffect, RemoveEffect
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import NAMES
-from sugiyama_ros.effects.registry import ROW, active, effect, switch_on
+from sugiyama_ros.effects.registry import ROW, active, switched_on
 from sugiyama_ros.errors import InputError, SugiyamaError
 from sugiyama_ros.filters.online import Estimate, OnlineFilter, warm_up
+from sugiyama_ros.nodes.base import incoming
 from sugiyama_ros.nodes.base.cdr_messages import NS, Sample
 from sugiyama_ros.nodes.base.measured_feed import MeasuredFeed, subscribe_measured
 from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode
 from sugiyama_ros.nodes.base.qos import DEPTH, LATCHED
 from sugiyama_ros.nodes.base.spin import run_node
 from sugiyama_ros.nodes.driver_array import DriverArrayTopic
-from sugiyama_ros.nodes.driver_parameters import declare_driver, declare_model, declare_path
+from sugiyama_ros.nodes.driver_parameters import check_driver, declare_driver, declare_model, declare_path
 from sugiyama_ros.nodes.driver_topics import DriverTopics
-from sugiyama_ros.nodes.follower import UNKNOWN, Follower, new_counts
+from sugiyama_ros.nodes.follower import UNKNOWN, DivergedError, Follower, new_counts
 from sugiyama_ros.nodes.saved_state import Kept, file_of, kept_in, read_learnt, write_learnt
 from sugiyama_ros.road import Road
 
@@ -65,9 +66,10 @@ class Estimator(PacedNode):
             "array_topic", "whether to publish on `drivers`, in one message with other drivers"
         )
         if self._is_asking:
-            self.create_subscription(DriverParameters, "_kept_parameters", self._on_kept, LATCHED)
+            self.listen(DriverParameters, "_kept_parameters", incoming.parameters, self._on_kept, LATCHED)
             self._patience = self.create_timer(_PATIENCE_S, self._on_kept, clock=self.steady)
         declare_driver(self, row)
+        check_driver(self)
         self.add_post_set_parameters_callback(lambda _: self._begin_anew())
         self._effects = row
         self._road: RoadMessage | None = None
@@ -80,7 +82,7 @@ class Estimator(PacedNode):
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(AddEffect, "~/add_effect", self._on_add_effect)
         self.create_service(RemoveEffect, "~/remove_effect", self._on_remove_effect)
-        self.create_subscription(RoadMessage, self.shared("road"), self._on_road, LATCHED)
+        self.listen(RoadMessage, self.shared("road"), incoming.road, self._on_road, LATCHED)
         subscribe_measured(self, self.take_in, feed)
 
     @property
@@ -143,7 +145,10 @@ class Estimator(PacedNode):
             self._is_asking = False
             self._patience.cancel()
             if message is not None:
-                self.kept = kept_in(message)
+                try:
+                    self.kept = kept_in(message)
+                except ValueError as error:
+                    self.refuse("_kept_parameters", error)
                 self._restart()
             self._go_on()
 
@@ -155,15 +160,10 @@ class Estimator(PacedNode):
 
     def _on_add_effect(self, request: AddEffect.Request, response: AddEffect.Response) -> AddEffect.Response:
         try:
-            if len(request.name) != len(request.value):
-                raise InputError(f"effect {request.effect}: {len(request.name)} names, {len(request.value)} values")
-            values = dict(zip(request.name, request.value, strict=True))
-            effects = switch_on(self._effects, request.effect, values)
-            if not any(values.get(name) for name in effect(request.effect).switches):
-                raise InputError(f"effect {request.effect}: give {' or '.join(effect(request.effect).switches)}")
-            self._take_effects(effects)
+            values = incoming.effect_values(request.effect, request.name, request.value)
+            self._take_effects(switched_on(self._effects, request.effect, values))
             response.success = True
-        except InputError as error:
+        except (InputError, ValueError) as error:
             response.message = str(error)
         return response
 
@@ -202,6 +202,15 @@ class Estimator(PacedNode):
         self._topics.choose_parameters(self._effects, filter_)
         self._forget()
 
+    def _replaced(self, follower: Follower) -> Follower:
+        """Begin anew with another filter, and go on counting from the same sample. A failure that was told stays."""
+        failure, self.kept = self._failure, None
+        self._restart()
+        self._failure = failure
+        assert self._follower is not None
+        self._follower.stamp_ns = follower.stamp_ns
+        return self._follower
+
     def _forget(self) -> None:
         self._topics.restart()
         self._saved_ns = None
@@ -218,6 +227,8 @@ class Estimator(PacedNode):
         try:
             estimate = self._follow(sample, follower)
         except Exception as error:
+            if isinstance(error, DivergedError):
+                follower = self._replaced(follower)
             self._fail(error, sample)
             estimate = UNKNOWN
         change = follower.filter.change_of_style if estimate is not None else None

@@ -5,7 +5,7 @@ from math import isfinite, isnan, nan
 import numpy as np
 
 from sugiyama_ros.filters.online import NOBODY, Estimate, OnlineFilter
-from sugiyama_ros.nodes.base.cdr_messages import NS, Sample
+from sugiyama_ros.nodes.base.cdr_messages import LONGEST_M, NS, Sample
 from sugiyama_ros.nodes.base.qos import DEPTH
 from sugiyama_ros.nodes.saved_state import Kept
 
@@ -13,8 +13,6 @@ from sugiyama_ros.nodes.saved_state import Kept
 LONGEST_GAP = 100
 # A sample that is late by at most so many periods is left out. A sample from further back says that time has jumped.
 _LATE = 3
-# Length [m] that no vehicle has.
-_LONGEST_M = 1000.0
 #: What is published where nothing is known, so that every topic has a message for every step.
 UNKNOWN = Estimate(
     position_m=nan,
@@ -30,6 +28,10 @@ UNKNOWN = Estimate(
     log_likelihood=nan,
     scored=False,
 )
+
+
+class DivergedError(ArithmeticError):
+    """The state of a filter is no number any more."""
 
 
 def new_counts() -> dict[str, int]:
@@ -90,6 +92,11 @@ class Follower:
         -------
         Estimate or None
             The driver's state after the sample. None for a sample that is left out: it came before, or too late.
+
+        Raises
+        ------
+        DivergedError
+            If the state is no number any more. The filter is of no use then.
         """
         periods = self._periods(sample.stamp_ns)
         if periods <= 0:
@@ -111,6 +118,8 @@ class Follower:
             before_s = time_s - skipped * self.filter.period_s
             self.filter.step([nan] * len(position), self._chain, length, before_s, (nan, self._behind, 0.0))
         estimate = self.filter.step(position, self._chain, length, time_s, self._vehicle_behind(sample))
+        if not isfinite(estimate.speed):
+            raise DivergedError("the filter has diverged and starts anew; are its effects and parameters sensible?")
         if self._kept is not None and self._is_known(sample.stamp_ns, self._kept):
             self.filter.recall(self._kept.learnt)
         return estimate
@@ -129,7 +138,7 @@ class Follower:
             if place is not None:
                 if isfinite(sample.position_m[place]):
                     measured = sample.position_m[place]
-                if 0.0 <= sample.length_m[place] < _LONGEST_M:
+                if 0.0 <= sample.length_m[place] < LONGEST_M:
                     self._length_m[vehicle] = sample.length_m[place]
             position.append(measured)
             length.append(self._length_m.get(vehicle, 0.0))
@@ -144,8 +153,8 @@ class Follower:
         place = sample.place.get(self._behind)
         if place is None:
             return nan, self._behind, self._length_m.get(self._behind, 0.0)
-        self._length_m[self._behind] = sample.length_m[place]
-        return sample.position_m[place], self._behind, sample.length_m[place]
+        self._length_m[self._behind] = sample.known_length_m(place)
+        return sample.position_m[place], self._behind, self._length_m[self._behind]
 
     def _is_known(self, stamp_ns: int, kept: Kept) -> bool:
         """Whether an earlier run has learnt from the sample: a late subscriber gets the last samples once more."""

@@ -22,18 +22,20 @@ from tornado.ioloop import IOLoop, PeriodicCallback
 from sugiyama_ros.effects.effect import RecordingExtent
 from sugiyama_ros.effects.registry import EFFECTS, effect
 from sugiyama_ros.errors import SugiyamaError
-from sugiyama_ros.nodes.base import cdr_messages, environment
+from sugiyama_ros.nodes.base import cdr_messages, environment, incoming
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.base.spin import Spinner, ros
 from sugiyama_ros.nodes.plan import REPLAY, Plan, RunSettings, estimators, namespaces
 from sugiyama_ros.nodes.runners import OneProcess
-from sugiyama_ros.page.guard import Guard
+from sugiyama_ros.page.guard import Guard, log_quietly
 from sugiyama_ros.page.live import KEPT, Log, page
 from sugiyama_ros.page.panels.base import MOVING_S
 from sugiyama_ros.road import Road
 
 #: Address that only this machine reaches.
 LOCAL = "127.0.0.1"
+# Bytes that a browser may send at a time, and in the head of a request.
+_LARGEST_MESSAGE, _LARGEST_HEADER = 1 << 20, 1 << 14
 # Time [s] for which the nodes run at a stretch, and from one stretch to the next.
 _STRETCH_S, _EVERY_S = 0.01, 0.015
 
@@ -63,9 +65,15 @@ class View(Node):
         self._squares: deque[tuple[float, float, int]] = deque(maxlen=10_000)
         self._sum, self._scored = 0.0, 0
         self._latest_s = -math.inf
-        self.create_subscription(RoadMessage, "/road", self._on_road, LATCHED)
-        self.create_subscription(MeasuredPositions, "/measured", self._on_measured, STREAM, raw=True)
-        self.create_subscription(Verdict, "/verdict", self._on_verdict, STREAM)
+        self._listen(RoadMessage, "/road", incoming.road, self._on_road, LATCHED)
+        self._listen(MeasuredPositions, "/measured", incoming.sample, self._on_measured)
+        self._listen(Verdict, "/verdict", incoming.verdict, self._on_verdict)
+
+    def _listen(
+        self, kind: type, topic: str, decode: Callable[[bytes], Any], take: Callable[[Any], None], qos: Any = STREAM
+    ) -> None:
+        """Subscribe to a topic. A message that is not valid is left out; the nodes of the road tell of it."""
+        self.create_subscription(kind, topic, incoming.receiver(decode, take, lambda reason: None), qos, raw=True)
 
     def pause(self, paused: bool) -> None:
         """Call the replay's ~/pause or ~/resume."""
@@ -108,8 +116,8 @@ class View(Node):
             return
 
         def done(future: Any) -> None:
-            answer = future.result()
-            self.said = getattr(answer, "message", "")
+            answer = future.result() if future.exception() is None else None
+            self.said = getattr(answer, "message", "") if answer is not None else f"{service} has failed"
             self.destroy_client(client)
 
         client.call_async(request).add_done_callback(done)
@@ -117,25 +125,29 @@ class View(Node):
     def _on_road(self, road: RoadMessage) -> None:
         self.road, self._duration_s = Road(float(road.circumference_m)), float(road.period_s * road.steps)
 
-    def _on_measured(self, raw: bytes) -> None:
+    def _on_measured(self, sample: cdr_messages.Sample) -> None:
         if self.vehicles:
             return
-        vehicles = sorted(cdr_messages.measured(raw).place)
+        vehicles = sorted(sample.place)
         for v, space in zip(vehicles, namespaces(vehicles), strict=True):
             self._speed[v] = self._std[v] = math.nan
-            self.create_subscription(VehicleState, f"{space}/state", self._on_state, STREAM, raw=True)
-            self.create_subscription(Innovation, f"{space}/innovation", self._on_innovation, STREAM, raw=True)
+            self._listen(VehicleState, f"{space}/state", incoming.state, self._on_state)
+            self._listen(Innovation, f"{space}/innovation", incoming.innovation, self._on_innovation)
         self.space, self.driver = Log(KEPT * len(vehicles)), {v: Log(KEPT) for v in vehicles}
         self.vehicles = vehicles
 
-    def _on_state(self, raw: bytes) -> None:
-        time_s, v, position, speed, variance = cdr_messages.read_state(raw)
+    def _on_state(self, state: tuple[float, int, float, float, float]) -> None:
+        time_s, v, position, speed, variance = state
+        if v not in self.driver:
+            return
         self._speed[v], self._std[v] = speed, math.sqrt(max(variance, 0.0))
         self._now[v] = (position, speed)
         self.space.add(time_s, position, speed)
 
-    def _on_innovation(self, raw: bytes) -> None:
-        time_s, v, innovation, variance, _, scored = cdr_messages.read_innovation(raw)
+    def _on_innovation(self, found: cdr_messages.ReadInnovation) -> None:
+        time_s, v, innovation, variance, _, scored = found
+        if v not in self.driver:
+            return
         if time_s != self._latest_s:
             if time_s < self._latest_s - 1.0:
                 self._squares.clear()
@@ -163,10 +175,8 @@ class View(Node):
 def serve(
     source: Path | None,
     output: Path,
+    settings: RunSettings,
     *,
-    rate: float = 1.0,
-    ring_m: float | None = None,
-    model: Path | None = None,
     host: str = LOCAL,
     port: int = 5006,
     on_ready: Callable[[str], None] = lambda url: None,
@@ -179,8 +189,8 @@ def serve(
         File of trajectories to replay; None shows the graph that runs already.
     output : Path
         MCAP file to write during a replay.
-    rate, ring_m, model
-        See `RunSettings`.
+    settings : RunSettings
+        How the replay goes.
     host, port : str, int
         Address and port on which to listen. Beyond this machine, the page asks for a token.
     on_ready : callable
@@ -195,10 +205,9 @@ def serve(
     """
     if source is not None:
         environment.isolate()
-    settings = RunSettings(rate, ring_m, model, critic=True)
     plan = Plan.read(source, output, settings) if source is not None else None
     with ros() as asked_to_stop, contextlib.ExitStack() as stack:
-        view = View(rate)
+        view = View(settings.rate)
         stack.callback(view.destroy_node)
         server, url = _server(view, host, port)
         runner = OneProcess(plan) if plan is not None else None
@@ -233,17 +242,23 @@ def _turns(spinner: Spinner, runner: OneProcess | None, asked_to_stop: Callable[
 
 def _server(view: View, host: str, port: int) -> tuple[Server, str]:
     """The server, which is already listening, and the address of the page."""
-    more: dict[str, Any] = {}
-    if host == LOCAL:
-        url = f"http://localhost:{port}"
-        more["allow_websocket_origin"] = [f"{name}:{port}" for name in ("localhost", LOCAL)]
-    else:
-        # the name by which a browser reaches this machine is not known; pages of other sites have no cookie
-        logging.getLogger("bokeh.server.util").setLevel(logging.ERROR)
-        guard = Guard()
-        url = f"http://{socket.gethostname() if host == '0.0.0.0' else host}:{port}/?token={guard.token}"
-        more |= {"allow_websocket_origin": ["*"], "auth_provider": guard}
+    names = {host, "localhost"} if host == LOCAL else {host, "localhost", socket.gethostname(), socket.getfqdn()}
+    guard = Guard(names, port, open_to_others=host != LOCAL)
+    shown = {LOCAL: "localhost", "0.0.0.0": socket.gethostname()}.get(host, host)
+    url = f"http://{shown}:{port}" + (f"/?token={guard.token}" if guard.token else "")
+    log_quietly()
+    # Bokeh would check the origin of a web socket by a list of names; the guard compares it with the host.
+    logging.getLogger("bokeh.server.util").setLevel(logging.ERROR)
     try:
-        return Server({"/": page(view)}, address=host, port=port, **more), url
+        server = Server(
+            {"/": page(view)},
+            address=host,
+            port=port,
+            auth_provider=guard,
+            allow_websocket_origin=["*"],
+            websocket_max_message_size=_LARGEST_MESSAGE,
+            http_server_kwargs={"max_body_size": _LARGEST_MESSAGE, "max_header_size": _LARGEST_HEADER},
+        )
     except OSError as error:
         raise SugiyamaError(f"{host}, port {port}: {error.strerror}; choose others with --host and --port") from None
+    return server, url

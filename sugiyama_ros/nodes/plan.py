@@ -10,9 +10,9 @@ from sugiyama_ros.driver.parameters import NAMES, population
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.model_file import read_model
 from sugiyama_ros.formats.registry import read_trajectories
-from sugiyama_ros.formats.writing import make_directory
 from sugiyama_ros.nodes.driver_array import TOPIC
 from sugiyama_ros.nodes.saved_state import file_of, read_learnt
+from sugiyama_ros.outputs import Output, make_directory
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 REPLAY, RECORDER, CRITIC = "/replay", "/recorder", "/critic"
@@ -55,6 +55,8 @@ class RunSettings:
         Directory with what the estimators of an earlier run have learnt, from which they go on.
     array : bool
         Whether all drivers are in one message for each sample, on ``/drivers``, instead of on topics of each vehicle.
+    overwrite : bool
+        Whether a file of the output's name is replaced.
     """
 
     rate: float = 0.0
@@ -64,6 +66,7 @@ class RunSettings:
     save_state: Path | None = None
     resume: Path | None = None
     array: bool = False
+    overwrite: bool = False
 
 
 @dataclass(frozen=True)
@@ -84,6 +87,9 @@ class Plan:
         InputError, OutputError
             For files that cannot be read, and directories that cannot be made.
         """
+        inputs = (source, *([settings.model] if settings.model is not None else ()))
+        _check_names(*inputs, output, settings.save_state, settings.resume)
+        Output(output, settings.overwrite, inputs).check()
         if settings.model is not None:
             read_model(settings.model)
         if settings.save_state is not None:
@@ -158,6 +164,16 @@ class Plan:
         }
         return {
             "output": str(self.output),
+            "overwrite": self.settings.overwrite,
             "paced_topics": self.step_topics,
             "metadata": [f"{key}={value}" for key, value in about.items()],
         }
+
+
+def _check_names(*paths: Path | None) -> None:
+    """Raise InputError for a name that no parameter of a node can hold."""
+    for path in paths:
+        try:
+            str(path).encode()
+        except UnicodeEncodeError:
+            raise InputError(f"{path}: its name is not UTF-8, which ROS needs; rename it") from None

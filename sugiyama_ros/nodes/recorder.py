@@ -13,11 +13,12 @@ from rclpy.topic_or_service_is_hidden import topic_or_service_is_hidden
 
 from sugiyama_ros.errors import InputError, SugiyamaError
 from sugiyama_ros.formats.mcap_writer import BagWriter, Qos
-from sugiyama_ros.nodes.base import cdr_messages
+from sugiyama_ros.nodes.base import cdr_messages, incoming
 from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode
 from sugiyama_ros.nodes.base.pacing import Levels
 from sugiyama_ros.nodes.base.qos import DEPTH, reliable
 from sugiyama_ros.nodes.base.spin import run_node
+from sugiyama_ros.outputs import Output
 
 _POLL_S = 0.2
 # New topics that are subscribed to at one poll.
@@ -41,19 +42,20 @@ class Recorder(PacedNode):
     """Records every topic of the graph that is not hidden, with the quality of service that its publishers offer.
 
     A step counts as taken when a message has come on all paced topics. Parameters of the node: ``output``, the file;
-    ``paced_topics``, full names of the topics with one message a step (only ``measured``, if left out); ``metadata``,
-    lines ``key=value`` for the file.
+    ``overwrite``, whether to replace a file of this name; ``paced_topics``, full names of the topics with one message a
+    step (only ``measured``, if left out); ``metadata``, lines ``key=value`` for the file.
     """
 
     def __init__(self, **options: Any) -> None:
         super().__init__("recorder", **options)
         measured = self.shared("measured")
         output = self._declare("output", "", "MCAP file to write")
+        overwrite = self._declare("overwrite", False, "replace a file of this name")
         paced = self._declare("paced_topics", [measured], "full names of the topics with one message a step")
         metadata = self._declare("metadata", [""], "lines key=value to keep in the file")
         if not output:
             raise InputError("recorder: no file given; start it with -p output:=FILE.mcap")
-        self._bag = BagWriter(Path(output), dict(line.split("=", 1) for line in metadata if line))
+        self._bag = BagWriter(Output(Path(output), overwrite), dict(line.split("=", 1) for line in metadata if line))
         self._measured = measured
         self._levels = Levels({measured, *paced})
         self._step: dict[bytes, int] = {}
@@ -61,6 +63,7 @@ class Recorder(PacedNode):
         self._known: set[str] = set()
         self._late: list[str] = []
         self._waiting_s = 0.0
+        self._is_closed = False
         self.create_timer(_POLL_S, self._on_poll, clock=self.steady)
         self.create_timer(_FLUSH_S, partial(self._guarded, self._bag.flush), clock=self.steady)
         self._on_poll()
@@ -82,7 +85,8 @@ class Recorder(PacedNode):
         return self._bag.counts
 
     def close(self) -> None:
-        """Finish the file."""
+        """Finish the file. A publisher may go on, but nothing more is recorded."""
+        self._is_closed = True
         if self.failure is not None:
             self._bag.__exit__(type(self.failure), self.failure, None)
         else:
@@ -122,7 +126,7 @@ class Recorder(PacedNode):
         try:
             message = message_type(type_name)
             channel = self._bag.topic(topic, type_name, Qos(reliability.name.lower(), durability.name.lower(), DEPTH))
-        except (ImportError, AttributeError, SugiyamaError) as error:
+        except (ImportError, AttributeError, ValueError, SugiyamaError) as error:
             self.get_logger().warning(f"{topic}: not recorded: {error}")
             return
         on_message = self._on_paced if topic in self._levels.topics else self._on_message
@@ -130,6 +134,8 @@ class Recorder(PacedNode):
         self._unheard.discard(topic)
 
     def _on_message(self, topic: str, channel: int, raw: bytes) -> None:
+        if self._is_closed:
+            return
         now = time.time_ns()
         self._guarded(self._bag.write, channel, raw, now, now)
         self.received += 1
@@ -140,7 +146,11 @@ class Recorder(PacedNode):
             return
         stamp = cdr_messages.stamp_key(raw)
         if topic == self._measured:
-            self._step[stamp] = cdr_messages.measured(raw).step
+            try:
+                self._step[stamp] = incoming.sample(raw).step
+            except incoming.RefusedError as reason:
+                self.refuse(topic, reason)
+                return
         if self._levels.reached(topic, stamp):
             self._complete(stamp)
 

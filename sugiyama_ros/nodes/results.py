@@ -8,11 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rclpy.serialization import deserialize_message
-from sugiyama_msgs.msg import DriverArray, DriverParameters
+from sugiyama_msgs.msg import DriverArray
 
 from sugiyama_ros.formats.mcap_reader import Bag
-from sugiyama_ros.nodes.base import cdr_messages
+from sugiyama_ros.nodes.base import incoming
+from sugiyama_ros.nodes.base.incoming import RefusedError
+
+# Parameters of every driver; a message without them is of another node.
+_SHOWN = {"v_star", "kappa_v", "sigma_nu", "sigma_a"}
 
 
 @dataclass(frozen=True)
@@ -77,7 +80,10 @@ class _Read:
         self._last_array: dict[int, DriverArray] = {}
 
     def _innovation(self, _: str, raw: bytes) -> None:
-        message = cdr_messages.read_innovation(raw)
+        try:
+            message = incoming.innovation(raw)
+        except RefusedError:
+            return
         if message.scored:
             self._scores[message.vehicle].append((message.innovation_m**2, message.nis))
 
@@ -85,7 +91,10 @@ class _Read:
         self._last[topic] = raw
 
     def _array(self, _: str, raw: bytes) -> None:
-        message = deserialize_message(raw, DriverArray)
+        try:
+            message = incoming.drivers(raw)
+        except RefusedError:
+            return
         scores = zip(message.vehicle, message.scored, message.innovation_m, message.nis, strict=True)
         for vehicle, scored, innovation_m, nis in scores:
             self._last_array[vehicle] = message
@@ -95,8 +104,12 @@ class _Read:
     def drivers(self) -> Iterator[DriverResult]:
         """Every driver."""
         for raw in self._last.values():
-            one = deserialize_message(raw, DriverParameters)
-            yield _driver(one.vehicle, one.name, one.value, self._scores[one.vehicle])
+            try:
+                one = incoming.parameters(raw)
+            except RefusedError:
+                continue
+            if set(one.name) >= _SHOWN:
+                yield _driver(one.vehicle, one.name, np.array(one.value), self._scores[one.vehicle])
         for vehicle, array in self._last_array.items():
             values = np.reshape(array.value, (len(array.vehicle), len(array.name)))
             yield _driver(vehicle, array.name, values[list(array.vehicle).index(vehicle)], self._scores[vehicle])

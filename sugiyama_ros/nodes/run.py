@@ -10,7 +10,7 @@ from sugiyama_msgs.msg import Progress
 
 from sugiyama_ros.errors import SugiyamaError
 from sugiyama_ros.filters.online import warm_up
-from sugiyama_ros.nodes.base import environment
+from sugiyama_ros.nodes.base import environment, incoming
 from sugiyama_ros.nodes.base.qos import PROGRESS_IN
 from sugiyama_ros.nodes.base.spin import Spinner, ros
 from sugiyama_ros.nodes.plan import RECORDER, REPLAY, Plan, RunSettings
@@ -66,7 +66,9 @@ class _Monitor(Node):
         self.heard = 0
         self.joined_s = self.moved_s = time.monotonic()
         self.last: dict[str, Progress] = {}
-        self.create_subscription(Progress, "/_progress", self._on_progress, PROGRESS_IN)
+        # what is no Progress comes from no node of this run
+        on_progress = incoming.receiver(incoming.progress, self._on_progress, lambda reason: None)
+        self.create_subscription(Progress, "/_progress", on_progress, PROGRESS_IN, raw=True)
 
     @property
     def steps(self) -> int:

@@ -1,16 +1,22 @@
 """What an estimator has learnt, in a file or from a keeper. An estimator that starts later can go on from it."""
 
 import json
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from sugiyama_msgs.msg import DriverParameters
 
+from sugiyama_ros.documents import read_json
+from sugiyama_ros.driver.parameters import NAMES, PARAMETERS
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.learnt import Learnt
-from sugiyama_ros.formats.writing import replacing
 from sugiyama_ros.nodes.base.cdr_messages import NS
+from sugiyama_ros.outputs import writing
+
+# An estimator may learn a value beyond the declared bounds, but not by more than this factor; smallest logarithm.
+_BEYOND, _LEAST = 100.0, -20.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,12 +33,12 @@ def file_of(directory: Path, vehicle: int) -> Path:
 
 
 def kept_in(message: DriverParameters) -> Kept:
-    """What an estimator had learnt when it published the message."""
+    """What an estimator had learnt when it published the message. Raises ValueError where nobody can have learnt it."""
     places = np.flatnonzero(message.estimated)
     value = np.array(message.value)[places]
     covariance = np.array(message.covariance).reshape(2 * [len(message.value)])[np.ix_(places, places)]
     learnt = Learnt(tuple(message.name[k] for k in places), np.log(value), covariance / np.outer(value, value))
-    return Kept(learnt, message.header.stamp.sec * NS + message.header.stamp.nanosec)
+    return _checked(Kept(learnt, message.header.stamp.sec * NS + message.header.stamp.nanosec))
 
 
 def write_learnt(path: Path, kept: Kept) -> None:
@@ -44,22 +50,37 @@ def write_learnt(path: Path, kept: Kept) -> None:
         "covariance": learnt.covariance.tolist(),
         "until_ns": kept.until_ns,
     }
-    with replacing(path) as stream:
+    with writing(path) as stream:
         stream.write(json.dumps(document).encode())
 
 
 def read_learnt(path: Path) -> Kept:
     """Read a file that ``write_learnt`` has written. Raises InputError."""
+    document = read_json(path)
     try:
-        document = json.loads(path.read_text())
-        names = tuple(map(str, document["names"]))
         mean, covariance = (np.array(document[name], dtype=np.float64) for name in ("mean", "covariance"))
-        if mean.shape != (len(names),) or covariance.shape != 2 * mean.shape or not np.isfinite(mean).all():
-            raise ValueError
-        np.linalg.cholesky(covariance)
-        until_ns = int(document["until_ns"])
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}; give a directory of --save-state") from None
-    except (KeyError, TypeError, ValueError):
-        raise InputError(f"{path}: is no state that an estimator has saved; give a directory of --save-state") from None
-    return Kept(Learnt(names, mean, covariance), until_ns)
+        return _checked(Kept(Learnt(tuple(document["names"]), mean, covariance), int(document["until_ns"])))
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        why = f" ({error})" if isinstance(error, ValueError) else ""
+        raise InputError(
+            f"{path}: is no state that an estimator has saved{why}; give a directory of --save-state"
+        ) from None
+
+
+def _checked(kept: Kept) -> Kept:
+    """What was learnt, if an estimator can have learnt it; else ValueError."""
+    names, mean, covariance = kept.learnt.names, kept.learnt.mean, kept.learnt.covariance
+    if unknown := [name for name in names if name not in NAMES]:
+        raise ValueError(f"{unknown[0]!r} is not the name of a parameter")
+    if len(set(names)) != len(names) or mean.shape != (len(names),) or covariance.shape != 2 * mean.shape:
+        raise ValueError("its arrays differ in length")
+    if not np.isfinite(covariance).all() or not np.allclose(covariance, covariance.T):
+        raise ValueError("its covariance is no covariance")
+    np.linalg.cholesky(covariance)
+    for name, logarithm in zip(names, mean.tolist(), strict=True):
+        p = PARAMETERS[NAMES.index(name)]
+        if not _LEAST < logarithm < math.log(_BEYOND * p.upper) or math.exp(logarithm) < p.lower / _BEYOND:
+            raise ValueError(f"{name} is far out of bounds")
+    if not abs(kept.until_ns) < 1 << 63:
+        raise ValueError("its time is out of bounds")
+    return kept

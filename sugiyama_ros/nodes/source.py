@@ -11,7 +11,7 @@ from sugiyama_msgs.msg import Road as RoadMessage
 from visualization_msgs.msg import MarkerArray
 
 from sugiyama_ros.formats.measured import FRAME
-from sugiyama_ros.nodes.base import cdr_messages
+from sugiyama_ros.nodes.base import cdr_messages, incoming
 from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode
 from sugiyama_ros.nodes.base.pacing import Pace
 from sugiyama_ros.nodes.base.qos import LATCHED, PROGRESS_IN, STREAM, WINDOW
@@ -69,7 +69,7 @@ class Source(PacedNode):
         self._to_measured = self.create_publisher(MeasuredPositions, "measured", STREAM)
         self._to_clock = self.create_publisher(Clock, "/clock", STREAM)
         self._to_markers = self.create_publisher(MarkerArray, "markers", STREAM)
-        self.create_subscription(Progress, self.shared("_progress"), self._on_progress, PROGRESS_IN)
+        self.listen(Progress, self.shared("_progress"), incoming.progress, self._on_progress, PROGRESS_IN)
         for service, callback in (("pause", self._on_pause), ("resume", self._on_resume), ("step", self._on_step)):
             self.create_service(Trigger, f"~/{service}", callback)
         self.add_post_set_parameters_callback(lambda _: self._on_parameters())

@@ -7,16 +7,19 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from sugiyama_ros.formats.writing import make_directory, replacing
+from sugiyama_ros.outputs import Output, make_directory, writing
 from sugiyama_ros.page.panels.base import BLUE, COLOURS, GREEN, GREY, ORANGE, VERMILION
 from sugiyama_ros.page.panels.measured import speeds
 from sugiyama_ros.page.panels.missing import error_growth
 from sugiyama_ros.page.recording import Recording
 
 _SIZE_IN, _DOTS_PER_IN = (6.0, 3.6), 200
+_KINDS = ("pdf", "png")
 
 
-def write_figures(r: Recording, diagnosis: Mapping[str, Any] | None, directory: Path) -> list[Path]:
+def write_figures(
+    r: Recording, diagnosis: Mapping[str, Any] | None, directory: Path, overwrite: bool = True
+) -> list[Path]:
     """Write all figures that the data allow, each as a PDF and a PNG file.
 
     Parameters
@@ -27,6 +30,8 @@ def write_figures(r: Recording, diagnosis: Mapping[str, Any] | None, directory: 
         Document of `sugiyama diagnose --json`.
     directory : Path
         Where to write; made if it is not there.
+    overwrite : bool
+        Whether figures that are there already are replaced.
 
     Returns
     -------
@@ -49,16 +54,16 @@ def write_figures(r: Recording, diagnosis: Mapping[str, Any] | None, directory: 
         drawings["free_runs"] = lambda axes: _growth(axes, diagnosis)
         drawings["before_and_after"] = lambda axes: _before_and_after(axes, diagnosis)
     make_directory(directory)
-    written = []
+    outputs = {(name, kind): Output(directory / f"{name}.{kind}", overwrite) for name in drawings for kind in _KINDS}
+    for output in outputs.values():
+        output.check()
     for name, draw in drawings.items():
         figure = Figure(figsize=_SIZE_IN, layout="constrained")
         draw(figure.add_subplot())
-        for kind in ("pdf", "png"):
-            path = directory / f"{name}.{kind}"
-            with replacing(path) as stream:
+        for kind in _KINDS:
+            with writing(outputs[name, kind]) as stream:
                 figure.savefig(stream, format=kind, dpi=_DOTS_PER_IN)
-            written.append(path)
-    return written
+    return [output.path for output in outputs.values()]
 
 
 def _space_time(axes: Any, r: Recording) -> None:

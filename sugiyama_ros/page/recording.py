@@ -1,6 +1,5 @@
 """A recorded run as arrays over samples and vehicles."""
 
-import json
 from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.registry import read_trajectories
 from sugiyama_ros.plots import space_time
@@ -30,8 +28,6 @@ _KINDS = {
     "sugiyama_msgs/msg/DriverArray": "drivers",
     "sugiyama_msgs/msg/Verdict": "verdict",
 }
-# Parts of a diagnosis that are shown.
-_ASKED = {"verdict", "candidates", "smallest_detectable", "errors", "drivers"}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -110,13 +106,14 @@ def read_recording(path: Path) -> Recording:
     times: list[float] = []
     with Bag(path) as bag:
         wanted = {topic.name for topic in bag.info().topics if topic.type in _KINDS}
-        for _, type_name, _, message in bag.messages(wanted) if wanted else ():
+        for _, type_name, _, message in bag.messages(wanted, skip_misfits=True) if wanted else ():
             time_s = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
             kind = _KINDS[type_name]
             if kind == "verdict":
-                times.append(time_s)
-                for name, weight in zip(message.model, message.weight, strict=True):
-                    weights[name].append(float(weight))
+                if len(message.model) == len(message.weight):
+                    times.append(time_s)
+                    for name, weight in zip(message.model, message.weight, strict=True):
+                        weights[name].append(float(weight))
                 continue
             step = round((time_s - t.start_s) / t.period_s)
             if 0 <= step < samples:
@@ -150,16 +147,3 @@ def _enter_all(message: Any, _: str, step: int, series: dict[str, Array], column
         series[name][step, columns] = getattr(message, name)[at]
     speed_var = message.state_covariance.reshape(-1, 9)[at, 4]
     series["speed_std"][step, columns] = np.sqrt(np.maximum(speed_var, 0.0))
-
-
-def read_diagnosis(path: Path) -> dict[str, Any]:
-    """A document that `sugiyama diagnose --json` printed. Raises InputError."""
-    try:
-        document = json.loads(path.read_text())
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    except ValueError:
-        raise InputError(f"{path}: is not JSON; give what `sugiyama diagnose --json` printed") from None
-    if not isinstance(document, dict) or not set(document) >= _ASKED:
-        raise InputError(f"{path}: is no diagnosis; give what `sugiyama diagnose --json` printed")
-    return document

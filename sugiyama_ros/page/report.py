@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from html import escape
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,7 @@ from bokeh.embed import components
 from bokeh.models import Select, UIElement
 from bokeh.resources import Resources
 
-from sugiyama_ros.formats.writing import replacing
+from sugiyama_ros.outputs import Target, writing
 from sugiyama_ros.page.panels import measured, missing, model
 from sugiyama_ros.page.panels.model import Quantity
 from sugiyama_ros.page.recording import Recording
@@ -30,7 +29,7 @@ td, th { padding: .2rem .8rem; text-align: right; } td:first-child, th:first-chi
 """
 
 
-def write_report(recording: Recording, diagnosis: Mapping[str, Any] | None, output: Path) -> None:
+def write_report(recording: Recording, diagnosis: Mapping[str, Any] | None, output: Target) -> None:
     """Write the page of a recorded run.
 
     Parameters
@@ -39,7 +38,7 @@ def write_report(recording: Recording, diagnosis: Mapping[str, Any] | None, outp
         The run.
     diagnosis : mapping or None
         Document of `sugiyama diagnose --json`.
-    output : Path
+    output : Path or Output
         HTML file to write.
 
     Raises
@@ -48,7 +47,7 @@ def write_report(recording: Recording, diagnosis: Mapping[str, Any] | None, outp
         Where the file cannot be written.
     """
     page = report(recording, diagnosis)
-    with replacing(output) as stream:
+    with writing(output) as stream:
         stream.write(page.encode())
 
 

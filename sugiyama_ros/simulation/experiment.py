@@ -7,6 +7,7 @@ import numpy as np
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.formats.samples import MAX_SAMPLES
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Clock, Simulation, Simulator, platoon, simulate
 from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M
@@ -42,6 +43,30 @@ class Experiment:
     spread: float = 0.0
     seed: int = 0
 
+    def check(self, vehicles: int) -> None:
+        """Check that a number of vehicles can be simulated.
+
+        Raises
+        ------
+        InputError
+            For a number that is not finite or makes no sense, or more samples than a file may have.
+        """
+        for name, value, lower, upper in (
+            ("vehicles", vehicles, 1, MAX_SAMPLES),
+            ("duration", self.duration_s, 0.0, 1e9),
+            ("gap", self.gap_m, 0.0, 1e6),
+            ("period", self.period_s, 1e-3, 1e3),
+            ("spread", self.spread, 0.0, 10.0),
+        ):
+            if not lower <= value <= upper:
+                raise InputError(f"{name}: {value:g} cannot be simulated; give {lower:g} to {upper:g}")
+        samples = vehicles * (int(self.duration_s / self.period_s) + 1)
+        if samples > MAX_SAMPLES:
+            raise InputError(
+                f"{vehicles} vehicles for {self.duration_s:g} s: {samples} samples are more than {MAX_SAMPLES}; give"
+                " fewer vehicles, a shorter duration or a longer period"
+            )
+
 
 def carry_out(experiment: Experiment, rows: Array) -> Simulation:
     """Simulate an experiment.
@@ -61,8 +86,9 @@ def carry_out(experiment: Experiment, rows: Array) -> Simulation:
     Raises
     ------
     InputError
-        If the vehicles do not fit on the ring.
+        If the vehicles do not fit on the ring, or `Experiment.check` fails.
     """
+    experiment.check(len(rows))
     vehicles, rows = len(rows), rows.copy()
     rng = np.random.default_rng(experiment.seed)
     if experiment.spread > 0.0:

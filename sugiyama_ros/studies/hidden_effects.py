@@ -18,6 +18,7 @@ from pathlib import Path
 from sugiyama_ros.diagnosis.diagnosis import diagnose
 from sugiyama_ros.effects.discovered_force import COVARIATES
 from sugiyama_ros.effects.effect import Values
+from sugiyama_ros.outputs import writing
 from sugiyama_ros.studies.hiding import STRENGTHS, hide_all
 from sugiyama_ros.studies.judgement import FORM, FORMS, NONE, PAIR, PAIRS, Judgement
 from sugiyama_ros.studies.judgement_report import report
@@ -126,7 +127,8 @@ def main() -> None:
                 continue
             print(json.dumps(asdict(outcomes[-1])), flush=True)
     if given.output:
-        given.output.write_text(report(outcomes))
+        with writing(given.output) as stream:
+            stream.write(report(outcomes).encode())
 
 
 if __name__ == "__main__":

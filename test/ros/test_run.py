@@ -159,8 +159,7 @@ def kill_when_running(output: Path, wanted: str) -> threading.Thread:
     """Kill the child of this process whose command line contains ``wanted`` as soon as the run writes its file."""
 
     def kill() -> None:
-        part = output.with_name(output.name + ".part")
-        while not (part.exists() and part.stat().st_size > 10_000):
+        while not any(part.stat().st_size > 10_000 for part in output.parent.glob(f"{output.name}.*.part")):
             time.sleep(0.05)
         for pid in children(os.getpid()):
             if wanted in command_line(pid):
@@ -191,7 +190,7 @@ def test_a_killed_recorder_leaves_what_it_had_written(ring_csv: Path, tmp_path: 
     with pytest.raises(SugiyamaError, match=r"^/recorder: ended with code -9"):
         run(ring_csv, output, ring_m=100.0, rate=10.0, processes=True)
     assert not output.exists()
-    assert output.with_name("out.mcap.part").exists()
+    assert len(list(output.parent.glob("out.mcap.*.part"))) == 1
 
 
 @pytest.mark.parametrize("processes", [False, True])
@@ -229,8 +228,8 @@ def test_bad_input_starts_nothing(ring_csv: Path, tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["ring.csv"]
 
 
-def test_an_output_refused_to_a_process_is_one_line(ring_csv: Path, tmp_path: Path) -> None:
-    with pytest.raises(SugiyamaError, match=r"^/recorder: ended with code 1: .*cannot be written"):
+def test_a_refused_output_starts_no_process(ring_csv: Path, tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="cannot be written"):
         run(ring_csv, tmp_path / "missing" / "out.mcap", ring_m=100.0, processes=True)
     assert children(os.getpid()) == []
 

@@ -290,7 +290,7 @@ def test_a_collision_is_reported(sugiyama, here):
     code, out, _ = sugiyama(*command, "--json")
     (collision,) = json.loads(out)["collisions"]
     assert code == 0
-    code, _, err = sugiyama(*command)
+    code, _, err = sugiyama(*command, "--overwrite")
     where = f"vehicle {collision['vehicle']} into {collision['leader']} at {collision['time_s']:.1f} s"
     assert (code, err) == (0, f"collision: {where}; the run ends there\n")
 

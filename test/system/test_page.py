@@ -1,5 +1,6 @@
 """The page, in a real browser where there is one: all panels, no error in its console, nothing from the network."""
 
+import contextlib
 import json
 import re
 import shutil
@@ -17,8 +18,9 @@ from bokeh.util.token import generate_jwt_token
 
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.mcap_reader import Bag
+from sugiyama_ros.page.diagnosis import read_diagnosis
 from sugiyama_ros.page.panels.missing import growth
-from sugiyama_ros.page.recording import read_diagnosis, read_recording
+from sugiyama_ros.page.recording import read_recording
 from sugiyama_ros.page.report import report, write_report
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
@@ -212,6 +214,13 @@ def test_adding_the_true_effect_lowers_the_error_on_the_page(tmp_path):
     assert mean[1] < 0.96 * mean[0]
 
 
+def junk(host, port, content):
+    """Send bytes that are no request."""
+    with socket.create_connection((host, port), timeout=10) as connection, contextlib.suppress(OSError):
+        connection.sendall(content)
+        connection.recv(100)
+
+
 def test_beyond_this_machine_the_page_asks_for_a_token(recorded, tmp_path):
     command = [SUGIYAMA, "live", recorded.parent / "sim.mcap", "--host", "127.0.0.2", "--port", "5107"]
     command += ["-o", tmp_path / "live.mcap"]
@@ -225,6 +234,14 @@ def test_beyond_this_machine_the_page_asks_for_a_token(recorded, tmp_path):
         connection.close()
         return answer.status, body
 
+    def headers_of(path):
+        connection = HTTPConnection("127.0.0.2", 5107, timeout=10)
+        connection.request("GET", path)
+        answer = connection.getresponse()
+        answer.read()
+        connection.close()
+        return answer.headers
+
     try:
         served.stderr.readline()
         path = re.search(r"127.0.0.2:5107(\S+)", served.stderr.readline()).group(1)
@@ -236,10 +253,27 @@ def test_beyond_this_machine_the_page_asks_for_a_token(recorded, tmp_path):
         key = {"Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==", "Sec-WebSocket-Protocol": protocol}
         assert b"ACK" not in ask("/ws", **socket_headers, **key)[1]
         assert ask(path)[0] == 200
+        # with the token, only under the server's own names, and from its own page
+        here = "127.0.0.2:5107"
+        for headers in ({"Host": "evil.example:5107"}, {"Host": "127.0.0.2:80"}, {"Origin": "http://127.0.0.2:8000"}):
+            assert ask(path, **headers)[0] == 403
+        assert ask(path, Host=here, Origin=f"http://{here}")[0] == 200
+        headers = headers_of(path)
+        assert headers["Content-Security-Policy"] == "frame-ancestors 'none'"
+        cookie = headers["Set-Cookie"]
+        assert cookie.startswith("sugiyama_token_5107=")
+        assert {"HttpOnly", "SameSite=Strict"} <= set(cookie.split("; "))
+        # junk is refused, and not repeated in the log
+        for _ in range(50):
+            ask("/" + "x" * 5000)
+        junk("127.0.0.2", 5107, b"\xff" * 100_000)
+        assert ask(path)[0] == 200
     finally:
         served.send_signal(signal.SIGINT)
         assert served.wait(30) == 0
+        logged = served.stderr.read()
         served.stderr.close()
+    assert len(logged) < 10 * 300
 
 
 def test_layouts_for_other_programs_name_what_is_recorded(recorded):
@@ -261,9 +295,7 @@ def test_layouts_for_other_programs_name_what_is_recorded(recorded):
     assert {"/markers", "/verdict", "/diagnostics"} <= topics
 
 
-@pytest.mark.parametrize(
-    ("text", "words"), [("{", "is not JSON"), ("[]", "is no diagnosis"), ("{}", "is no diagnosis")]
-)
+@pytest.mark.parametrize(("text", "words"), [("{", "is no JSON"), ("[]", "is no diagnosis"), ("{}", "is no diagnosis")])
 def test_a_file_that_is_no_diagnosis_is_one_clear_line(tmp_path: Path, text, words):
     (tmp_path / "d.json").write_text(text)
     with pytest.raises(InputError, match=words):

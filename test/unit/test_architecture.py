@@ -11,6 +11,8 @@ PACKAGE = Path(__file__).parents[2] / "sugiyama_ros"
 #: The rooms (folders and single files), as in README. Each room may import the rooms above it, and errors.
 ORDER = (
     "arrays",
+    "outputs",
+    "documents",
     "entry_points",
     "jit",
     "progress",
@@ -43,7 +45,9 @@ ORDER = (
 SMALL = {"entry_points", "progress", "plugins", "picture", "results", "plots", "tables"}
 #: Rooms that may import only these rooms, whatever the order allows.
 ALONE = {
-    "page": {"arrays", "formats", "plots", "progress", "results", "road", "tables", "trajectories"},
+    "page": set(
+        ["arrays", "documents", "formats", "outputs", "plots", "progress", "results", "road", "tables", "trajectories"]
+    ),
     "__init__": {"api", "effects", "laws"},
 }
 ROS = {"rclpy", "rcl_interfaces", "sugiyama_msgs", "std_srvs", "diagnostic_msgs", "visualization_msgs", "rosgraph_msgs"}

@@ -123,6 +123,23 @@ def test_what_may_go_wrong(server: dict[str, bytes], tmp_path: Path, monkeypatch
     assert "cannot be unpacked" in refused(tmp_path)
 
 
+def test_files_of_the_user_stay(server: dict[str, bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also after a download that fails: an archive of the same name, and what an earlier download has brought."""
+    mine = tmp_path / "sugiyama2008.zip"
+    mine.write_bytes(b"mine")
+    offer(server, monkeypatch, b"no zip at all")
+    with pytest.raises(InputError, match="cannot be unpacked"):
+        fetch.fetch("sugiyama2008", tmp_path)
+    offer(server, monkeypatch, zipped(**{"case1.data": DATA}))
+    fetch.fetch("sugiyama2008", tmp_path)
+    (tmp_path / "case1.data").write_bytes(b"edited")
+    with pytest.raises(OutputError, match="exists already"):
+        fetch.fetch("sugiyama2008", tmp_path)
+    assert (mine.read_bytes(), (tmp_path / "case1.data").read_bytes()) == (b"mine", b"edited")
+    assert fetch.fetch("sugiyama2008", tmp_path, overwrite=True).data.read_bytes() == DATA
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["case1.data", "case1.mcap", "sugiyama2008.zip"]
+
+
 def test_an_unknown_name_and_a_bad_place(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="not in the catalogue; it has sugiyama2008"):
         fetch.fetch("sugiyama", tmp_path)

@@ -21,6 +21,8 @@ from sugiyama_ros.formats.measured import FRAME
 from sugiyama_ros.nodes.base.samples import Positions
 
 NS = 1_000_000_000
+#: Length [m] that no vehicle has.
+LONGEST_M = 1000.0
 
 # Encapsulation (CDR, little endian); stamp, frame, vehicle; then the fields, which need no further alignment.
 _HEAD = "<4s i I I 5s 3x i"
@@ -52,19 +54,23 @@ class Sample(NamedTuple):
             numbers.append(-1 if leader in numbers else leader)
         return numbers
 
+    def known_length_m(self, place: int) -> float:
+        """Length [m] of the vehicle at a place; 0 if what was sent is no length."""
+        length_m = self.length_m[place]
+        return length_m if 0.0 <= length_m < LONGEST_M else 0.0
+
     def behind(self, vehicle: int) -> int:
         """Number of the vehicle whose leader is ``vehicle``; -1 if there is none."""
         return next((number for number, place in self.place.items() if self.leader[place] == vehicle), -1)
 
 
-@lru_cache(maxsize=4)
 def measured(raw: bytes) -> Sample:
-    """Decode a MeasuredPositions message, once for all nodes of a process that get the same bytes.
+    """Decode a MeasuredPositions message.
 
-    Raises ValueError where the bytes are in a format other than plain little-endian CDR.
+    Raises ValueError or struct.error where the bytes are cut off, or in a format other than plain little-endian CDR.
     """
-    if raw[1] != 1:
-        raise ValueError(f"measured positions in CDR format {raw[1]}, not in little-endian plain CDR")
+    if raw[:2] != b"\0\1":
+        raise ValueError(f"measured positions in CDR format {raw[:2].hex()}, not in little-endian plain CDR")
     sec, nanosec, frame = struct.unpack_from("<iII", raw, 4)
     at = 4 + _aligned(12 + frame, 8)
     (step,) = struct.unpack_from("<Q", raw, at)
@@ -131,7 +137,7 @@ def innovation(stamp_ns: int, vehicle: int, estimate: Estimate) -> bytes:
 
 def read_state(raw: bytes) -> tuple[float, int, float, float, float]:
     """Time [s], vehicle, position [m], speed [m/s] and its variance of a VehicleState from an estimator."""
-    _, sec, nanosec, _, _, vehicle, position, speed, _, *rest = _STATE.unpack_from(raw)
+    _, sec, nanosec, _, _, vehicle, position, speed, _, *rest = _unpacked(_STATE, raw)
     return sec + 1e-9 * nanosec, vehicle, position, speed, rest[4]
 
 
@@ -148,7 +154,7 @@ class ReadInnovation(NamedTuple):
 
 def read_innovation(raw: bytes) -> ReadInnovation:
     """Read an Innovation from an estimator."""
-    _, sec, nanosec, _, _, vehicle, value, variance, nis, _, scored = _INNOVATION.unpack_from(raw)
+    _, sec, nanosec, _, _, vehicle, value, variance, nis, _, scored = _unpacked(_INNOVATION, raw)
     return ReadInnovation(sec + 1e-9 * nanosec, vehicle, value, variance, nis, scored)
 
 
@@ -191,6 +197,14 @@ class Parameters:
         for at, numbers in filled:
             self._bytes[at : at + numbers.nbytes] = numbers.tobytes()
         return bytes(self._bytes)
+
+
+def _unpacked(layout: struct.Struct, raw: bytes) -> tuple[Any, ...]:
+    """Fields of a message from an estimator. Raises ValueError or struct.error for bytes of another kind."""
+    found = layout.unpack_from(raw)
+    if (found[0], found[4]) != (_ENCAPSULATION, _FRAME_BYTES):
+        raise ValueError("is no message of an estimator")
+    return found
 
 
 def _head(stamp_ns: int, vehicle: int) -> tuple[bytes, int, int, int, bytes, int]:

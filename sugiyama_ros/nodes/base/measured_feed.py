@@ -6,7 +6,8 @@ from typing import Any
 from rclpy.node import Node
 from sugiyama_msgs.msg import MeasuredPositions
 
-from sugiyama_ros.nodes.base.cdr_messages import Sample, measured
+from sugiyama_ros.nodes.base.cdr_messages import Sample
+from sugiyama_ros.nodes.base.incoming import RefusedError, receiver, sample
 from sugiyama_ros.nodes.base.node import PacedNode
 from sugiyama_ros.nodes.base.qos import STREAM
 
@@ -21,23 +22,26 @@ class MeasuredFeed(Node):
 
     def __init__(self, **options: Any) -> None:
         super().__init__("measured_feed", start_parameter_services=False, enable_rosout=False, **options)
-        self._listeners: list[TakeIn] = []
-        self.create_subscription(MeasuredPositions, "measured", self._on_measured, STREAM, raw=True)
+        self._listeners: list[tuple[PacedNode, TakeIn]] = []
+        on_measured = receiver(sample, self._on_measured, self._on_refused)
+        self.create_subscription(MeasuredPositions, "measured", on_measured, STREAM, raw=True)
 
-    def listen(self, take_in: TakeIn) -> None:
-        """Hand every sample from now on to ``take_in``."""
-        self._listeners.append(take_in)
+    def hand_to(self, node: PacedNode, take_in: TakeIn) -> None:
+        """Hand every sample from now on to ``take_in`` of a node, and tell the node of messages that are dropped."""
+        self._listeners.append((node, take_in))
 
-    def _on_measured(self, raw: bytes) -> None:
-        sample = measured(raw)
-        for take_in in self._listeners:
-            take_in(sample)
+    def _on_measured(self, found: Sample) -> None:
+        for _, take_in in self._listeners:
+            take_in(found)
+
+    def _on_refused(self, reason: RefusedError) -> None:
+        for node, _ in self._listeners:
+            node.refuse("measured", reason)
 
 
 def subscribe_measured(node: PacedNode, take_in: TakeIn, feed: MeasuredFeed | None) -> None:
     """Hand every sample to ``take_in``: from the feed of the process, or else from a subscription of the node."""
     if feed is not None:
-        feed.listen(take_in)
-        return
-    topic = node.shared("measured")
-    node.create_subscription(MeasuredPositions, topic, lambda raw: take_in(measured(raw)), STREAM, raw=True)
+        feed.hand_to(node, take_in)
+    else:
+        node.listen(MeasuredPositions, node.shared("measured"), sample, take_in, STREAM)

@@ -2,7 +2,8 @@
 
 import re
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -10,9 +11,11 @@ from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
 from sugiyama_msgs.msg import Progress
 
 from sugiyama_ros.errors import SugiyamaError
+from sugiyama_ros.nodes.base.incoming import receiver
 from sugiyama_ros.nodes.base.qos import PROGRESS_OUT, STREAM, WINDOW
 
 _BEAT_S = 0.1
@@ -47,6 +50,9 @@ class PacedNode(Node):
         self._told: tuple[int, int] | None = None
         self._told_s = self._reported_s = 0.0
         self._level = OK
+        #: Messages that were dropped, and why the last one was.
+        self.refused, self._reason = 0, ""
+        self._told_refused = 0
         self._to_progress = self.create_publisher(Progress, self.shared("_progress"), PROGRESS_OUT)
         self._to_diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", STREAM)
         self.create_timer(_BEAT_S, self.beat, clock=self.steady)
@@ -59,6 +65,20 @@ class PacedNode(Node):
         """Publish a message, or its bytes, on a topic that is recorded."""
         publisher.publish(message)
         self.published += 1
+
+    def listen(
+        self, kind: type, topic: str, decode: Callable[[bytes], Any], take: Callable[[Any], None], qos: QoSProfile
+    ) -> None:
+        """Subscribe to a topic. A message that ``decode`` refuses is counted and dropped."""
+        callback = receiver(decode, take, partial(self.refuse, topic))
+        self.create_subscription(kind, topic, callback, qos, raw=True)
+
+    def refuse(self, topic: str, reason: Exception) -> None:
+        """Count a message that is dropped. The reason is logged once, and told with the health."""
+        if not self.refused:
+            self.get_logger().warning(f"{topic}: message dropped: {reason}")
+        self.refused += 1
+        self._reason = f"{topic}: {reason}"
 
     def announce(self) -> None:
         """Ask the source to wait for this node from now on."""
@@ -80,6 +100,11 @@ class PacedNode(Node):
         """Publish the health now."""
         level, message, values = self.health()
         self._level, self._reported_s = level, time.monotonic()
+        if self.refused:
+            values = {**values, "refused messages": self.refused, "last refused": self._reason}
+        if self.refused > self._told_refused:
+            level, message = max(level, WARN), f"{message}; message dropped: {self._reason}"
+            self._told_refused = self.refused
         pairs = [KeyValue(key=k, value=str(v)) for k, v in values.items()]
         name = self.get_fully_qualified_name()
         array = DiagnosticArray(

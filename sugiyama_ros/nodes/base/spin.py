@@ -26,6 +26,7 @@ except ImportError:  # older than Jazzy's seventh patch
 RUNNER = "SUGIYAMA_RUNNER"
 _SLICE_S = 0.02
 _QUIET_S = 0.2
+_LONGEST_S = 3.0
 _TAKE_DOWN_S = 3
 
 
@@ -71,9 +72,13 @@ class Spinner:
             self._executor.spin_once(timeout_sec=min(left, _SLICE_S))
 
     def until_quiet(self, count: Callable[[], int]) -> None:
-        """Execute callbacks until ``count`` has not changed for a while, so that nothing is under way any more."""
-        seen, since = count(), time.monotonic()
-        while time.monotonic() - since < _QUIET_S:
+        """Execute callbacks until ``count`` has not changed for a while, so that nothing is under way any more.
+
+        A publisher that goes on for ever is not waited for.
+        """
+        seen = count()
+        began = since = time.monotonic()
+        while time.monotonic() - since < _QUIET_S and since - began < _LONGEST_S:
             self._executor.spin_once(timeout_sec=_SLICE_S)
             if count() != seen:
                 seen, since = count(), time.monotonic()

@@ -44,6 +44,8 @@ def from_above(road: Road, position_m: Array) -> tuple[Array, Array]:
 
 def legend_above(plot: Any) -> None:
     """A legend that hides nothing, and in which a click hides a line."""
+    if not plot.legend:  # nothing is drawn
+        return
     plot.legend.click_policy = "hide"
     plot.legend.orientation = "horizontal"
     plot.legend.label_text_font_size = "11px"

@@ -81,6 +81,6 @@ def growth(diagnosis: Mapping[str, Any]) -> UIElement:
 
 def error_growth(errors: Mapping[str, Any], run: str) -> tuple[list[float], list[float]]:
     """Horizons [s] in ascending order, and errors [m] of free runs of one kind."""
-    known = ((re.fullmatch(rf"{run}_([\d.]+)s_m", key), value) for key, value in errors.items())
+    known = ((re.fullmatch(rf"{run}_(\d+(?:\.\d+)?)s_m", key), value) for key, value in errors.items())
     pairs = sorted((float(match[1]), float(value)) for match, value in known if match and value is not None)
     return [0.0, *(h for h, _ in pairs)], [0.0, *(value for _, value in pairs)]

@@ -1,0 +1,44 @@
+"""The commands. Each command imports what it needs when it runs, so that ``sugiyama --help`` answers at once."""
+
+from typing import Annotated
+
+import typer
+
+from sugiyama_ros.cli import calibrate, data, demo, diagnose, report, run, simulate, study
+
+# Without rich's markup, which would take a unit such as [m] for a style and leave it out.
+app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+for command in (
+    demo.demo,
+    run.run,
+    simulate.simulate,
+    calibrate.calibrate,
+    diagnose.diagnose,
+    study.study,
+    diagnose.compare,
+    report.report,
+    run.live,
+    data.convert,
+    data.fetch,
+    data.info,
+    data.echo,
+    data.recover,
+):
+    app.command()(command)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from importlib import metadata
+
+        print(f"sugiyama {metadata.version('sugiyama_ros')}")
+        raise typer.Exit
+
+
+@app.callback()
+def sugiyama(
+    version: Annotated[
+        bool, typer.Option("--version", is_eager=True, callback=_print_version, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    """Estimate how people drive, live or from recordings, and find out what the driver model lacks."""

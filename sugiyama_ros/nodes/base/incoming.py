@@ -1,0 +1,167 @@
+"""The one place that decodes and checks what other nodes send. A message that is not valid is dropped, with a reason.
+
+The middleware hands over bytes, because a message that it cannot decode would end the node. A function of this module
+decodes them and raises `RefusedError` if they are no valid message.
+"""
+
+import struct
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from math import isfinite, nan
+from typing import Any
+
+import numpy as np
+from rclpy.serialization import deserialize_message
+from sugiyama_msgs.msg import DriverArray, DriverParameters, Progress, Verdict
+from sugiyama_msgs.msg import Road as RoadMessage
+
+from sugiyama_ros.nodes.base import cdr_messages
+from sugiyama_ros.nodes.base.cdr_messages import Sample
+
+#: Steps of a recording, at most; counts of steps stay exact in a double.
+MOST_STEPS = 1 << 53
+#: Time [s] between two samples, and circumference [m] of a ring, for which the model makes sense.
+PERIODS_S, RINGS_M = (1e-3, 1e3), (1.0, 1e7)
+
+
+class RefusedError(ValueError):
+    """A message that is not used. The text says why."""
+
+
+def receiver(
+    decode: Callable[[bytes], Any], take: Callable[[Any], None], refuse: Callable[[RefusedError], None]
+) -> Callable[[bytes], None]:
+    """Make the callback of a subscription to bytes.
+
+    Parameters
+    ----------
+    decode : callable
+        Makes a message of the bytes. Raises RefusedError.
+    take : callable
+        Gets each valid message.
+    refuse : callable
+        Gets the reason for each other one.
+
+    Returns
+    -------
+    callable
+        For ``create_subscription(..., raw=True)``.
+    """
+
+    def receive(raw: bytes) -> None:
+        try:
+            message = decode(raw)
+        except RefusedError as reason:
+            refuse(reason)
+            return
+        take(message)
+
+    return receive
+
+
+def road(raw: bytes) -> RoadMessage:
+    """Decode a Road. Raises RefusedError for a road on which nobody can drive, or samples without a period."""
+    message = _decoded(raw, RoadMessage)
+    period_s, ring_m = message.period_s, message.circumference_m
+    if not PERIODS_S[0] <= period_s <= PERIODS_S[1]:
+        raise RefusedError(f"a period of {period_s:g} s is not within {PERIODS_S[0]:g} to {PERIODS_S[1]:g} s")
+    if ring_m != 0.0 and not RINGS_M[0] <= ring_m <= RINGS_M[1]:
+        raise RefusedError(
+            f"a ring of {ring_m:g} m is not within {RINGS_M[0]:g} to {RINGS_M[1]:g} m, or 0 for an open road"
+        )
+    if message.steps > MOST_STEPS:
+        raise RefusedError(f"{message.steps} steps are more than a recording has")
+    return message
+
+
+@lru_cache(maxsize=4)
+def sample(raw: bytes) -> Sample:
+    """Decode MeasuredPositions, once for all nodes of a process that get the same bytes.
+
+    An infinite position is a missing one. Raises RefusedError for arrays of unequal length, numbers below 0, or a step
+    that is too large.
+    """
+    try:
+        found = cdr_messages.measured(raw)
+    except (ValueError, IndexError, struct.error) as error:
+        raise RefusedError(str(error)) from None
+    count = len(found.position_m)
+    vehicles = max(found.place.values(), default=-1) + 1
+    if not count == len(found.leader) == len(found.length_m) == len(found.place) == vehicles:
+        raise RefusedError("its arrays differ in length, or a vehicle occurs twice")
+    if min(found.place, default=0) < 0:
+        raise RefusedError(f"{min(found.place)} is not the number of a vehicle")
+    if found.step >= MOST_STEPS:
+        raise RefusedError(f"step {found.step} is more than a recording has")
+    return found._replace(position_m=[p if isfinite(p) else nan for p in found.position_m])
+
+
+def progress(raw: bytes) -> Progress:
+    """Decode a Progress. Raises RefusedError."""
+    return _decoded(raw, Progress)
+
+
+def parameters(raw: bytes) -> DriverParameters:
+    """Decode DriverParameters. Raises RefusedError for uneven arrays, or estimates that are not positive numbers."""
+    message = _decoded(raw, DriverParameters)
+    count = len(message.name)
+    if not count == len(message.value) == len(message.estimated) or len(message.covariance) != count * count:
+        raise RefusedError("its arrays differ in length")
+    value = np.array(message.value)[np.array(message.estimated, dtype=bool)]
+    if not ((value > 0.0) & np.isfinite(value)).all() or not np.isfinite(message.covariance).all():
+        raise RefusedError("an estimate is no positive number, or its covariance is no number")
+    return message
+
+
+def verdict(raw: bytes) -> Verdict:
+    """Decode a Verdict. Raises RefusedError for uneven arrays, or a weight that is no number."""
+    message = _decoded(raw, Verdict)
+    if not len(message.model) == len(message.weight) == len(message.strength):
+        raise RefusedError("its arrays differ in length")
+    if not all(map(isfinite, (*message.weight, *message.strength))):
+        raise RefusedError("a weight or a strength is no number")
+    return message
+
+
+def state(raw: bytes) -> tuple[float, int, float, float, float]:
+    """Decode a VehicleState from an estimator, as ``cdr_messages.read_state``. Raises RefusedError."""
+    return _read(raw, cdr_messages.read_state)
+
+
+def drivers(raw: bytes) -> DriverArray:
+    """Decode a DriverArray. Raises RefusedError for uneven arrays, or without the parameters that every driver has."""
+    message = _decoded(raw, DriverArray)
+    count, names = len(message.vehicle), len(message.name)
+    each = (message.scored, message.innovation_m, message.nis)
+    if any(len(values) != count for values in each) or len(message.value) != count * names:
+        raise RefusedError("its arrays differ in length")
+    return message
+
+
+def innovation(raw: bytes) -> cdr_messages.ReadInnovation:
+    """Decode an Innovation from an estimator, as ``cdr_messages.read_innovation``. Raises RefusedError."""
+    return _read(raw, cdr_messages.read_innovation)
+
+
+def effect_values(effect: str, names: Sequence[str], values: Sequence[float]) -> dict[str, float]:
+    """Values of an effect's parameters, by name, from a request. Raises RefusedError for uneven or repeated names."""
+    if len(names) != len(values) or len(set(names)) != len(names):
+        raise RefusedError(f"effect {effect}: {len(names)} names, {len(values)} values; give each name one value")
+    return dict(zip(names, values, strict=True))
+
+
+def _read(raw: bytes, read: Callable[[bytes], Any]) -> Any:
+    try:
+        return read(raw)
+    except (ValueError, struct.error) as error:
+        raise RefusedError(str(error)) from None
+
+
+def _decoded(raw: bytes, kind: type) -> Any:
+    """A message from bytes in plain CDR."""
+    if raw[:2] not in (b"\0\0", b"\0\1"):
+        raise RefusedError("is not in plain CDR")
+    try:
+        return deserialize_message(raw, kind)
+    except Exception:  # the middleware's own class, which it does not export
+        raise RefusedError(f"cannot be decoded as {kind.__name__}") from None

@@ -1,0 +1,304 @@
+"""The one place that opens files for writing. A file appears under its name only when it is whole.
+
+A file is written under a random name beside its own name, such as ``out.csv.3f9a1c07.part``. It is flushed to the disk
+and renamed at the end. After an error, the file under the name is the old one, whole, or none.
+"""
+
+import os
+import re
+import secrets
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+from sugiyama_ros.errors import OutputError
+
+#: Longest part [bytes] of a name that is kept in the name of the unfinished file; file systems allow 255 in all.
+_MOST_OF_A_NAME = 235
+_PART = re.compile(r"(?P<name>.+?)(?:\.[0-9a-f]{8})?\.part", re.DOTALL)
+_KINDS = {
+    stat.S_IFDIR: "a directory",
+    stat.S_IFLNK: "a link",
+    stat.S_IFIFO: "a pipe",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+}
+
+
+@dataclass(frozen=True)
+class Output:
+    """A file to write.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    overwrite : bool
+        Whether a regular file of this name is replaced.
+    inputs : tuple of Path
+        Files that are read. None of them may be the output.
+    """
+
+    path: Path
+    overwrite: bool = False
+    inputs: tuple[Path, ...] = ()
+
+    def check(self) -> None:
+        """Check that the file may be written. A command that takes long calls this first.
+
+        Raises
+        ------
+        OutputError
+            For a name that is no regular file, an input, or an existing file that may not be replaced.
+        """
+        if not _is_there(self.path):
+            if not os.access(self.path.parent, os.W_OK | os.X_OK):
+                reason = "Permission denied" if self.path.parent.is_dir() else "No such directory"
+                raise OutputError(f"{self.path}: cannot be written: {reason}; choose another place")
+            return
+        for source in self.inputs:
+            with suppress(OSError, ValueError):
+                if source.samefile(self.path):
+                    raise OutputError(f"{self.path}: is also read by this command; give another name for the output")
+        if not self.overwrite:
+            raise _exists(self.path)
+
+
+#: What the functions that write accept. A plain path stands for an output that may be replaced.
+Target = Path | Output
+
+
+def output_of(target: Target) -> Output:
+    """Return the output for a target; a regular file under a plain path is replaced."""
+    return target if isinstance(target, Output) else Output(Path(target), overwrite=True)
+
+
+class Draft:
+    """A file that is being written, under a random name beside its own.
+
+    Parameters
+    ----------
+    target : Path or Output
+        The file.
+
+    Attributes
+    ----------
+    path, part : Path
+        The file, and the unfinished file.
+    stream : binary file
+        Where to write.
+
+    Raises
+    ------
+    OutputError
+        If the file may not be written. All methods raise OSError where the disk refuses.
+    """
+
+    def __init__(self, target: Target) -> None:
+        self._output = output_of(target)
+        self.path = self._output.path
+        self._output.check()
+        try:
+            self.part, self.stream = _begun(self.path)
+        except (OSError, ValueError) as error:
+            raise not_written(self.path, error) from None
+
+    def sync(self) -> None:
+        """Bring everything to the disk."""
+        self.stream.flush()
+        os.fsync(self.stream.fileno())
+
+    def finish(self) -> None:
+        """Bring everything to the disk, and give the file its name.
+
+        Raises
+        ------
+        OutputError
+            If a file of this name has appeared since the beginning. What was written is then kept in ``part``.
+        """
+        self.sync()
+        self.stream.close()
+        try:
+            self._output.check()
+            if self._output.overwrite:
+                self.part.replace(self.path)
+            else:
+                _name_new(self.part, self.path)
+        except OutputError as error:
+            raise OutputError(f"{error}; what was written is in {self.part}") from None
+        _sync_folder(self.path.parent)
+
+    def discard(self) -> None:
+        """Remove what was written."""
+        self.close()
+        with suppress(OSError):
+            self.part.unlink(missing_ok=True)
+
+    def close(self) -> None:
+        """Close the unfinished file, and leave it where it is."""
+        # A full disk refuses the rest of the buffer, but the file is closed.
+        with suppress(OSError):
+            self.stream.close()
+
+
+@contextmanager
+def writing(target: Target) -> Iterator[BinaryIO]:
+    """Write a file that gets its name when the block ends, and is removed if the block fails.
+
+    Parameters
+    ----------
+    target : Path or Output
+        The file.
+
+    Yields
+    ------
+    binary file
+        Where to write.
+
+    Raises
+    ------
+    OutputError
+        If the file may not or cannot be written.
+
+    Examples
+    --------
+    >>> from tempfile import mkdtemp
+    >>> path = Path(mkdtemp()) / "a.txt"
+    >>> with writing(path) as stream:
+    ...     _ = stream.write(b"whole")
+    >>> path.read_text()
+    'whole'
+    """
+    draft = Draft(target)
+    try:
+        yield draft.stream
+        draft.finish()
+    except OutputError:
+        if not draft.stream.closed:
+            draft.discard()
+        raise
+    except OSError as error:
+        draft.discard()
+        raise not_written(draft.path, error) from None
+    except BaseException:
+        draft.discard()
+        raise
+
+
+def not_written(path: Path, error: OSError | ValueError) -> OutputError:
+    """Return the error to raise for a place that cannot be written."""
+    reason = getattr(error, "strerror", None) or error
+    return OutputError(f"{path}: cannot be written: {reason}; free some space there, or choose another place")
+
+
+def make_directory(path: Path) -> None:
+    """Make a directory if it does not exist. Raises OutputError."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except (OSError, ValueError) as error:
+        raise not_written(path, error) from None
+
+
+def name_of_part(part: Path) -> Path | None:
+    """Return the name that an unfinished file would have got; None if it is no unfinished file.
+
+    Parameters
+    ----------
+    part : Path
+        Such as ``out.mcap.3f9a1c07.part``.
+
+    Returns
+    -------
+    Path or None
+        Such as ``out.mcap``.
+    """
+    found = _PART.fullmatch(part.name)
+    return part.with_name(found["name"]) if found else None
+
+
+def open_regular(path: Path, flags: int) -> int:
+    """Open a regular file, or make it with ``os.O_CREAT``; never a pipe, a device or a link.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    flags : int
+        Flags of ``os.open``.
+
+    Returns
+    -------
+    int
+        File descriptor.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be opened.
+    OutputError
+        If the name is no regular file.
+    """
+    _is_there(path)
+    # without O_NONBLOCK, a pipe that appears now would be waited for
+    return os.open(path, flags | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK, 0o666)
+
+
+def _is_there(path: Path) -> bool:
+    """Whether a regular file of the name exists. Raises OutputError for anything else of the name."""
+    try:
+        kind = stat.S_IFMT(path.lstat().st_mode)
+    except FileNotFoundError:
+        return False
+    except (OSError, ValueError) as error:
+        raise not_written(path, error) from None
+    if kind != stat.S_IFREG:
+        raise OutputError(f"{path}: is {_KINDS.get(kind, 'no regular file')}; give the name of a file")
+    return True
+
+
+def _exists(path: Path) -> OutputError:
+    return OutputError(f"{path}: exists already; choose another name, or replace it with --overwrite")
+
+
+def _begun(path: Path) -> tuple[Path, BinaryIO]:
+    """A new file beside ``path``, which nobody else has."""
+    name = os.fsdecode(os.fsencode(path.name)[:_MOST_OF_A_NAME])
+    flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+    while True:
+        part = path.with_name(f"{name}.{secrets.token_hex(4)}.part")
+        with suppress(FileExistsError):
+            number = os.open(part, flags, 0o666)
+            break
+    try:
+        return part, os.fdopen(number, "w+b")
+    except OSError:
+        os.close(number)
+        part.unlink()
+        raise
+
+
+def _name_new(part: Path, path: Path) -> None:
+    """Rename ``part``; raises OutputError instead of replacing a file."""
+    try:
+        os.link(part, path, follow_symlinks=False)
+    except FileExistsError:
+        raise _exists(path) from None
+    except OSError:  # a file system without hard links; whether the name is free was checked a moment ago
+        part.replace(path)
+    else:
+        with suppress(OSError):
+            part.unlink()
+
+
+def _sync_folder(folder: Path) -> None:
+    """Bring the names in a folder to the disk, on file systems that can."""
+    with suppress(OSError):
+        number = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            os.fsync(number)
+        finally:
+            os.close(number)

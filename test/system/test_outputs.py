@@ -1,0 +1,192 @@
+"""Outputs and odd circumstances as a user meets them: one line and exit code 2, and no file is lost."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from sugiyama_ros.formats.mcap_reader import Bag
+
+pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
+SUGIYAMA = str(Path(sys.executable).with_name("sugiyama"))
+GOOD = "time_s,vehicle,position_m\n" + "".join(f"{0.5 * t},{v},{20 * v + 4 * t}\n" for t in range(40) for v in range(3))
+OLD = b"old, and whole"
+
+
+def sugiyama(*arguments, **options):
+    options = {"capture_output": True, "timeout": 120, "check": False} | options
+    return subprocess.run([SUGIYAMA, *arguments], **options)
+
+
+def refused(done, *words):
+    """The command was refused with one line, which contains the words."""
+    said = done.stderr.decode()
+    assert (done.returncode, said.count("\n"), said[:7]) == (2, 1, "error: "), said
+    assert all(word in said for word in words), said
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "good.csv").write_text(GOOD)
+    assert sugiyama("convert", "good.csv", "good.mcap", "--ring", "80").returncode == 0
+    return tmp_path
+
+
+#: Commands that write, with the name of their output.
+WRITE = {
+    "convert": ("convert", "good.csv", "out.mcap"),
+    "simulate": ("simulate", "-o", "out.mcap", "--duration", "5"),
+    "report": ("report", "good.mcap", "-o", "out.html"),
+    "recover": ("recover", "good.mcap", "-o", "out.mcap"),
+    "run": ("run", "good.mcap", "-o", "out.mcap"),
+    "calibrate": ("calibrate", "good.mcap", "-o", "out.yaml"),
+    "diagnose": ("diagnose", "good.mcap", "-o", "out.yaml"),
+    "study": ("study", "jam", "-o", "out.png"),
+    "demo": ("demo", "-o", "out.mcap"),
+    "live": ("live", "good.mcap", "-o", "out.mcap"),
+}
+
+
+@pytest.mark.parametrize("command", WRITE)
+def test_an_existing_output_is_refused_before_the_work_begins(here, command):
+    output = here / next(word for word in WRITE[command] if word.startswith("out."))
+    output.write_bytes(OLD)
+    began = time.monotonic()
+    refused(sugiyama(*WRITE[command]), output.name, "exists already", "--overwrite")
+    assert time.monotonic() - began < 20
+    output.unlink()
+    os.mkfifo(output)
+    refused(sugiyama(*WRITE[command], "--overwrite"), output.name, "is a pipe")
+    assert output.is_fifo()
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("convert", "good.mcap", "good.mcap"),
+        ("convert", "good.csv", "good.csv"),
+        ("run", "good.mcap", "-o", "good.mcap"),
+        ("live", "good.mcap", "-o", "good.mcap"),
+        ("demo", "--data", "good.mcap", "-o", "good.mcap"),
+        ("report", "good.mcap", "-o", "link.html"),
+        ("recover", "good.mcap", "-o", "good.mcap"),
+    ],
+)
+def test_an_input_is_never_replaced(here, arguments):
+    before = (here / "good.mcap").read_bytes()
+    (here / "link.html").hardlink_to(here / "good.mcap")
+    refused(sugiyama(*arguments, "--overwrite"), "also read by this command")
+    assert ((here / "good.mcap").read_bytes(), (here / "good.csv").read_text()) == (before, GOOD)
+
+
+def test_overwrite_replaces_and_a_part_of_somebody_stays(here):
+    (here / "out.csv.part").write_bytes(OLD)
+    for overwrite in ((), ("--overwrite",)):
+        assert sugiyama("simulate", "-o", "out.csv", "--duration", "5", *overwrite).returncode == 0
+    assert (here / "out.csv.part").read_bytes() == OLD
+    assert not list(here.glob("out.csv.*.part"))
+
+
+def test_fits_of_a_calibration_never_replace_another_file(here):
+    (here / "out.yaml.fits").write_bytes(OLD)
+    refused(sugiyama("calibrate", "good.mcap", "-o", "out.yaml"), "out.yaml.fits", "no checkpoint")
+    assert (here / "out.yaml.fits").read_bytes() == OLD
+
+
+@pytest.mark.parametrize("mode", [(), ("--json",)])
+def test_an_interrupted_run_ends_with_130_and_a_whole_file(here, mode):
+    assert (
+        sugiyama("simulate", "-o", "long.mcap", "--vehicles", "3", "--ring", "60", "--duration", "100").returncode == 0
+    )
+    command = [SUGIYAMA, "run", "long.mcap", "-o", "out.mcap", "--rate", "4", *mode]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as running:
+        while not any(part.stat().st_size > 3000 for part in here.glob("out.mcap.*.part")):
+            assert running.poll() is None, running.stderr.read()
+            time.sleep(0.05)
+        running.send_signal(signal.SIGINT)
+        _, said = running.communicate(timeout=60)
+    assert running.returncode == 130
+    assert b"Traceback" not in said
+    with Bag(here / "out.mcap") as bag:
+        assert bag.info().messages > 0
+
+
+@pytest.mark.parametrize("after_s", [0.15, 0.4, 1.0])
+def test_ctrl_c_while_a_command_is_loaded_ends_it_with_130(here, after_s):
+    with subprocess.Popen([SUGIYAMA, "diagnose", "good.mcap"], stderr=subprocess.PIPE) as running:
+        time.sleep(after_s)
+        running.send_signal(signal.SIGINT)
+        _, said = running.communicate(timeout=60)
+    # before the program has begun, the interpreter itself ends, with the signal
+    assert running.returncode in (130, -signal.SIGINT)
+    if running.returncode == 130:
+        assert b"Traceback" not in said
+
+
+def test_a_full_stdout_is_one_line(here):
+    for arguments in (("info", "good.mcap"), ("echo", "good.mcap", "/measured"), ("--help",)):
+        with Path("/dev/full").open("wb") as full:
+            refused(sugiyama(*arguments, stdout=full, stderr=subprocess.PIPE, capture_output=False), "No space left")
+
+
+def test_a_closed_stdout_is_no_error_and_no_file_takes_its_place(here):
+    done = subprocess.run(
+        ["bash", "-c", f"{SUGIYAMA} simulate -o out.csv --duration 5 >&-"], capture_output=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert (here / "out.csv").read_text().startswith("time_s,vehicle")
+
+
+def test_a_terminal_without_unicode_is_no_error(here):
+    environment = os.environ | {"PYTHONIOENCODING": "ascii", "LC_ALL": "C"}
+    (here / "Straße.csv").write_text(GOOD)
+    done = sugiyama("convert", "Straße.csv", "Straße.mcap", env=environment)
+    assert done.returncode == 0, done.stderr
+    assert b"Stra\\xdfe.mcap" in done.stdout
+    assert sugiyama("info", "Straße.mcap", env=environment).returncode == 0
+
+
+def test_names_that_are_not_utf8(here):
+    name = os.fsdecode(b"b\xff")
+    (here / f"{name}.csv").write_text(GOOD)
+    assert sugiyama("convert", f"{name}.csv", f"{name}.mcap").returncode == 0
+    with Bag(here / f"{name}.mcap") as bag:
+        assert bag.info().metadata["sugiyama"]["source"] == "b?.csv"
+    refused(sugiyama("run", f"{name}.mcap", "-o", "out.mcap"), "not UTF-8")
+
+
+@pytest.mark.parametrize("name", ["", ".", "/", "x" * 300 + ".mcap", "good.csv/out.mcap", "missing/out.mcap"])
+def test_odd_paths(here, name):
+    refused(sugiyama("convert", "good.csv", name))
+    refused(sugiyama("convert", name, "out.mcap"))
+    refused(sugiyama("info", name))
+    assert sorted(p.name for p in here.iterdir()) == ["good.csv", "good.mcap"]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("--gap", "nan"),
+        ("--gap", "inf"),
+        ("--gap=-1",),
+        ("--duration", "inf"),
+        ("--duration", "1e12"),
+        ("--vehicles", "1000000000000"),
+        ("--effect", "external_push:strength=1"),
+    ],
+)
+def test_simulations_without_end_or_sense_are_refused(here, arguments):
+    refused(sugiyama("simulate", "-o", "out.mcap", *arguments))
+    assert not (here / "out.mcap").exists()
+
+
+@pytest.mark.parametrize("option", ["--model", "--diagnosis"])
+def test_a_pipe_as_a_document_is_refused(here, option):
+    os.mkfifo(here / "pipe")
+    command = ("run", "good.mcap", "-o", "out.mcap") if option == "--model" else ("report", "good.mcap")
+    refused(sugiyama(*command, option, "pipe"), "not a regular file")

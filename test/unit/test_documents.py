@@ -1,0 +1,144 @@
+"""Documents that are damaged, crafted or of another kind are refused with one line, in bounded time and memory."""
+
+import copy
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sugiyama_ros.driver.parameters import NAMES, defaults
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.fit.model_file import read_model
+from sugiyama_ros.page.diagnosis import read_diagnosis
+from sugiyama_ros.page.panels import missing
+
+PARAMETERS = dict(zip(NAMES, defaults().tolist(), strict=True))
+MODEL = {
+    "sugiyama_model": 1,
+    "data": {"source": "a", "sha256": "b"},
+    "drivers": {0: {"parameters": PARAMETERS, "effects": {"drag": {"c0": 0.3}}}},
+    "classes": [{"share": 1.0, "parameters": PARAMETERS}],
+}
+ALIASES = "a: &a [x, x]\nb: &b [*a, *a, *a, *a, *a, *a, *a, *a]\nc: [*b, *b, *b, *b, *b, *b]\n"
+DIAGNOSIS: dict[str, Any] = {
+    "verdict": {
+        "effects": [
+            {"name": "drag", "heldout_gain_nats": 5.0, "heldout_gain_se": 1.0, "indistinguishable": ["limited_power"]}
+        ]
+    },
+    "candidates": [{"name": "drag", "heldout_gain_nats": 5.0, "heldout_gain_se": None}],
+    "smallest_detectable": [{"name": "reaction_delay", "parameter": "delay", "value": 0.05}],
+    "errors": {"before": {"one_step_rmse_m": 0.4, "free_run_2s_m": 0.5}, "after": {"one_step_rmse_m": 0.39}},
+    "drivers": [{"vehicle": 0, "single_car_10s_before_m": 2.0, "single_car_10s_after_m": None}],
+}
+JUNK = (None, True, "text", 7, -1.5, math.nan, math.inf, 10**400, [], {}, [[]], {"a": 1}, ["x"] * 3)
+
+
+def yaml_of(value: Any) -> str:
+    """JSON is YAML, except for NaN, infinite numbers and keys that are numbers."""
+    text = json.dumps(value).replace("NaN", ".nan").replace("Infinity", ".inf")
+    return text.replace('"0":', "0:")
+
+
+def places(document: Any, at: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """Paths to everything in a document."""
+    inside = (
+        document.items() if isinstance(document, dict) else enumerate(document) if isinstance(document, list) else ()
+    )
+    return [at, *(place for key, value in inside for place in places(value, (*at, key)))]
+
+
+def changed(document: Any, place: tuple[Any, ...], value: Any) -> Any:
+    if not place:
+        return value
+    document = copy.deepcopy(document)
+    inside = document
+    for key in place[:-1]:
+        inside = inside[key]
+    inside[place[-1]] = value
+    return document
+
+
+def read_or_refuse(read: Any, path: Path) -> Any:
+    """What is read, or None; any other error than an InputError with one line fails the test."""
+    found, said = None, f"{path}: "
+    try:
+        found = read(path)
+    except InputError as error:
+        said = str(error)
+    assert said.startswith(str(path))
+    assert "\n" not in said
+    return found
+
+
+def test_a_model_is_read_or_refused_whatever_stands_in_each_field(tmp_path: Path) -> None:
+    path = tmp_path / "model.yaml"
+    path.write_text(yaml_of(MODEL))
+    assert read_model(path).effects == ("drag",)
+    refused = 0
+    for place in places(MODEL):
+        for value in JUNK:
+            path.write_text(yaml_of(changed(MODEL, place, value)))
+            model = read_or_refuse(read_model, path)
+            refused += model is None
+            assert model is None or np.isfinite(model.rows).all()
+    assert refused > 300
+
+
+@pytest.mark.parametrize("key", [".inf", ".nan", "-1", "1.5", "4294967296", "1" + "0" * 400, "true", "null", "text"])
+def test_a_vehicle_has_a_number_that_ros_can_send(tmp_path: Path, key: str) -> None:
+    path = tmp_path / "model.yaml"
+    path.write_text(yaml_of(MODEL).replace("{0:", "{" + key + ":"))
+    with pytest.raises(InputError, match="drivers"):
+        read_model(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[" * 100_000, "deep"),
+        ("{a: " * 5000, "deep"),
+        (ALIASES, "aliases"),
+        ("a: 2001-99-99", "is no YAML"),
+        ("\t", "YAML"),
+    ],
+)
+def test_crafted_yaml(tmp_path: Path, text: str, words: str) -> None:
+    path = tmp_path / "model.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=words):
+        read_model(path)
+
+
+@pytest.mark.parametrize("name", ["sigma_nu", "sigma_a"])
+def test_a_model_without_noise_is_refused(tmp_path: Path, name: str) -> None:
+    path = tmp_path / "model.yaml"
+    path.write_text(yaml_of(changed(MODEL, ("drivers", 0, "parameters", name), 0.0)))
+    with pytest.raises(InputError, match=f"{name}: a filter needs noise"):
+        read_model(path)
+
+
+def test_a_diagnosis_is_read_or_refused_whatever_stands_in_each_field(tmp_path: Path) -> None:
+    path = tmp_path / "diagnosis.json"
+    refused = 0
+    for place in places(DIAGNOSIS):
+        for value in JUNK:
+            path.write_text(json.dumps(changed(DIAGNOSIS, place, value)))
+            found = read_or_refuse(read_diagnosis, path)
+            refused += found is None
+            if found is not None:
+                missing.candidates(found), missing.growth(found), missing.before_and_after(found)
+    assert refused > 200
+    path.write_text(json.dumps(DIAGNOSIS))
+    assert read_diagnosis(path) == DIAGNOSIS
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, "{", "", "\0"])
+def test_crafted_json(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "diagnosis.json"
+    path.write_text(text)
+    with pytest.raises(InputError, match="is no JSON"):
+        read_diagnosis(path)

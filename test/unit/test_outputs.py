@@ -1,0 +1,287 @@
+"""Files are written in one place: what it refuses, and that every failure leaves the old or the new file whole."""
+
+import errno
+import os
+import socket
+import stat
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sugiyama_ros.errors import OutputError
+from sugiyama_ros.fit.checkpoint import Checkpoint
+from sugiyama_ros.formats.convert import write_trajectories
+from sugiyama_ros.formats.plain_csv import write_csv
+from sugiyama_ros.outputs import Output, name_of_part, writing
+from sugiyama_ros.road import Road
+from sugiyama_ros.trajectories.trajectories import Trajectories
+
+OLD = b"old, and whole"
+
+
+def ring(steps: int = 200) -> Trajectories:
+    position = np.arange(steps)[:, None] * 0.5 + np.array([0.0, 30.0, 60.0])
+    return Trajectories(position % 100.0, np.full(3, 4.5), np.arange(3), Road(100.0), 0.5, 0.0, "model", "ab")
+
+
+def write(output: Output, content: bytes = b"new") -> None:
+    with writing(output) as stream:
+        stream.write(content)
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(p.name for p in folder.iterdir())
+
+
+def make_fifo(path: Path) -> None:
+    os.mkfifo(path)
+
+
+def make_socket(path: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as made:
+        here = Path.cwd()
+        os.chdir(path.parent)  # the name of a socket may not be long
+        try:
+            made.bind(path.name)
+        finally:
+            os.chdir(here)
+
+
+def make_link(path: Path) -> None:
+    (path.parent / "elsewhere").write_bytes(OLD)
+    path.symlink_to("elsewhere")
+
+
+def make_dangling_link(path: Path) -> None:
+    path.symlink_to("nowhere")
+
+
+@pytest.mark.parametrize(
+    ("make", "what"),
+    [
+        (make_fifo, "a pipe"),
+        (make_socket, "a socket"),
+        (make_link, "a link"),
+        (make_dangling_link, "a link"),
+        (Path.mkdir, "a directory"),
+    ],
+)
+def test_what_is_no_regular_file_is_refused_and_stays(tmp_path: Path, make: Callable[[Path], Any], what: str) -> None:
+    path = tmp_path / "out.csv"
+    make(path)
+    before, kind = names(tmp_path), path.lstat().st_mode
+    with pytest.raises(OutputError, match=f"is {what}; give the name of a file"):
+        write(Output(path, overwrite=True))
+    assert (names(tmp_path), path.lstat().st_mode) == (before, kind)
+
+
+def test_devices_are_refused() -> None:
+    with pytest.raises(OutputError, match="is a device"):
+        write(Output(Path("/dev/full"), overwrite=True))
+    assert stat.S_ISCHR(Path("/dev/full").stat().st_mode)
+
+
+@pytest.mark.parametrize("name", ["", ".", "/", "..", "x" * 300, "a\0b"])
+def test_paths_that_are_no_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(OutputError) as caught:
+        write(Output(Path(name)))
+    assert "\n" not in str(caught.value)
+    assert names(tmp_path) == []
+
+
+def test_an_existing_file_needs_overwrite(tmp_path: Path) -> None:
+    path = tmp_path / "out.csv"
+    path.write_bytes(OLD)
+    with pytest.raises(OutputError, match=r"exists already.*--overwrite"):
+        write(Output(path))
+    assert path.read_bytes() == OLD
+    write(Output(path, overwrite=True))
+    assert (path.read_bytes(), names(tmp_path)) == (b"new", ["out.csv"])
+
+
+@pytest.mark.parametrize("name", ["in.csv", "./in.csv", "hard.csv"])
+def test_an_input_is_never_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    source = tmp_path / "in.csv"
+    source.write_bytes(OLD)
+    (tmp_path / "hard.csv").hardlink_to(source)
+    with pytest.raises(OutputError, match="also read by this command"):
+        write(Output(Path(name), overwrite=True, inputs=(source,)))
+    assert source.read_bytes() == OLD
+
+
+def test_a_file_that_appears_in_the_meantime_stays_and_nothing_is_lost(tmp_path: Path) -> None:
+    path = tmp_path / "out.csv"
+
+    def write_while_it_appears() -> None:
+        with writing(Output(path)) as stream:
+            stream.write(b"new")
+            path.write_bytes(OLD)
+
+    with pytest.raises(OutputError, match="what was written is in") as caught:
+        write_while_it_appears()
+    assert path.read_bytes() == OLD
+    (part,) = tmp_path.glob("*.part")
+    assert part.read_bytes() == b"new"
+    assert str(part) in str(caught.value)
+
+
+def test_files_of_others_beside_the_output_stay(tmp_path: Path) -> None:
+    (tmp_path / "mine").write_bytes(OLD)
+    (tmp_path / "out.csv.part").symlink_to("mine")
+    write(Output(tmp_path / "out.csv"))
+    assert (tmp_path / "mine").read_bytes() == OLD
+    assert names(tmp_path) == ["mine", "out.csv", "out.csv.part"]
+
+
+def test_the_longest_name_can_be_written(tmp_path: Path) -> None:
+    path = tmp_path / ("ä" * 127)
+    write(Output(path))
+    assert names(tmp_path) == [path.name]
+
+
+def test_the_file_has_the_usual_permissions(tmp_path: Path) -> None:
+    before = os.umask(0o027)
+    try:
+        write(Output(tmp_path / "out.csv"))
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "out.csv").stat().st_mode) == 0o640
+
+
+@pytest.mark.parametrize(
+    ("part", "name"),
+    [("a.mcap.3f9a1c07.part", "a.mcap"), ("a.mcap.part", "a.mcap"), ("a.mcap", None), (".part", None)],
+)
+def test_the_name_of_an_unfinished_file(part: str, name: str | None) -> None:
+    assert name_of_part(Path("folder") / part) == (Path("folder") / name if name else None)
+
+
+# --- fault injection: every call to the operating system fails once
+
+
+class Disk:
+    """Counts the calls that may fail, and lets call number ``failing`` fail."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, failing: int) -> None:
+        self.calls: list[str] = []
+        self._failing = failing
+        for module, name in ((os, "fsync"), (os, "link"), (os, "open"), (os, "fdopen"), (Path, "replace")):
+            monkeypatch.setattr(module, name, self._fails(name, getattr(module, name)))
+
+    def _call(self, name: str) -> None:
+        self.calls.append(name)
+        if len(self.calls) - 1 == self._failing:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    def _fails(self, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*arguments: Any, **options: Any) -> Any:
+            self._call(name)
+            made = function(*arguments, **options)
+            return Stream(made, self._call) if name == "fdopen" else made
+
+        return call
+
+
+class Stream:
+    """A file whose writes may fail."""
+
+    def __init__(self, stream: Any, call: Callable[[str], None]) -> None:
+        self._stream, self._call = stream, call
+
+    def write(self, data: bytes) -> int:
+        self._call("write")
+        return int(self._stream.write(data))
+
+    def flush(self) -> None:
+        self._call("flush")
+        self._stream.flush()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+WRITERS = {
+    "csv": lambda target: write_csv(ring(20), target),
+    "bag": lambda target: write_trajectories(ring(), target),
+    "plain": lambda target: write(target, b"new" * 1000),
+}
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+@pytest.mark.parametrize("writer", WRITERS)
+def test_every_failure_leaves_the_old_or_the_new_file_whole(tmp_path: Path, writer: str, overwrite: bool) -> None:
+    path = tmp_path / "out"
+    WRITERS[writer](Output(path))
+    new = path.read_bytes()
+    failing, seen = 0, set()
+    while True:
+        path.unlink()
+        if overwrite:
+            path.write_bytes(OLD)
+        with pytest.MonkeyPatch.context() as monkeypatch:
+            disk = Disk(monkeypatch, failing)
+            try:
+                WRITERS[writer](Output(path, overwrite))
+                error = None
+            except OutputError as caught:
+                error = caught
+        if len(disk.calls) <= failing:
+            break
+        seen.add(disk.calls[failing])
+        there = path.read_bytes() if path.exists() else None
+        assert there in ((OLD, new) if overwrite else (None, new)), (failing, disk.calls[failing])
+        assert (there == new) == (error is None), (failing, disk.calls[failing])
+        assert names(tmp_path) in ([], ["out"]), (failing, disk.calls[failing])
+        if there is None:
+            path.write_bytes(OLD)
+        failing += 1
+    assert path.read_bytes() == new
+    assert seen >= {"open", "fdopen", "write", "flush", "fsync", "replace" if overwrite else "link"}
+    assert failing >= 7
+
+
+# --- checkpoints of a calibration
+
+ABOUT = {"sha256": "ab", "hops": [0, 1]}
+
+
+def test_a_checkpoint_never_replaces_a_file_of_another_kind(tmp_path: Path) -> None:
+    path = tmp_path / "model.yaml.fits"
+    for content in (b"my notes\n", b'{"my": "notes"}\n', b"no end of line"):
+        path.write_bytes(content)
+        with pytest.raises(OutputError, match="is no checkpoint"), Checkpoint(path, ABOUT):
+            pass
+        assert path.read_bytes() == content
+    path.unlink()
+    os.mkfifo(path)
+    with pytest.raises(OutputError, match="is a pipe"), Checkpoint(path, ABOUT):
+        pass
+
+
+@pytest.mark.parametrize(
+    "damaged",
+    [b"[]\n", b"null\n", b"[" * 60_000 + b"\n", b'["pass 1", "x", [], 0, [], [], []]\n', b"\xff\xfe\n", b'["pa'],
+)
+def test_a_damaged_line_ends_a_checkpoint(tmp_path: Path, damaged: bytes) -> None:
+    path = tmp_path / "model.yaml.fits"
+    with Checkpoint(path, ABOUT):
+        pass
+    whole = path.read_bytes()
+    path.write_bytes(whole + damaged)
+    with Checkpoint(path, ABOUT) as checkpoint:
+        assert list(checkpoint.resume("pass 1", lambda skip: iter(()))) == []
+    assert path.read_bytes() == whole
+
+
+def test_a_checkpoint_of_another_calibration_is_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "model.yaml.fits"
+    with Checkpoint(path, ABOUT):
+        pass
+    with Checkpoint(path, ABOUT | {"sha256": "cd"}):
+        pass
+    assert path.read_bytes() == b'{"hops": [0, 1], "sha256": "cd"}\n'
