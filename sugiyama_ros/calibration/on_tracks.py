@@ -157,7 +157,8 @@ class TracksCalibration(Result):
             name = f"{d.recording} {d.vehicle}".strip()
             rows.append((name, d.vehicle_class, f"{d.following_s:.0f}", *cells, f"{d.nis:.2f}"))
         for name, count, medians in self._by_class():
-            rows.append(("median", name or "all", str(count), *(f"{medians[n]:.3g}" for n in self.estimated), ""))
+            cells = ["" if (m := medians[n]) is None else f"{m:.3g}" for n in self.estimated]
+            rows.append(("median", name or "all", str(count), *cells, ""))
         headings = ("vehicle", "class", "following [s]", *self.estimated, "NIS")
         return TextTable("Calibration on tracks", headings, tuple(rows), left=2)
 
@@ -171,16 +172,16 @@ class TracksCalibration(Result):
             one.set(ylabel=f"{name} [{PARAMETERS[index(name)].unit}]")
         axes[-1].set(xlabel="following [s]")
 
-    def _by_class(self) -> list[tuple[str, int, dict[str, float]]]:
-        """Name, number of drivers and medians of the identified parameters of each class; all together where one."""
+    def _by_class(self) -> list[tuple[str, int, dict[str, float | None]]]:
+        """Name, number of drivers and medians of the identified parameters of each class; None without any."""
         names = sorted({d.vehicle_class for d in self.drivers})
         found = []
         for name in names:
             own = [d for d in self.drivers if d.vehicle_class == name]
-            medians = {}
+            medians: dict[str, float | None] = {}
             for n in self.estimated:
                 known = [float(d.fit.parameters[index(n)]) for d in own if d.fit.identified(n)]
-                medians[n] = float(np.median(known)) if known else float("nan")
+                medians[n] = float(np.median(known)) if known else None
             found.append((name, len(own), medians))
         return found
 

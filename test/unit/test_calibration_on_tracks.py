@@ -1,6 +1,7 @@
 """Calibration on tracks: the same model as on a ring, for vehicles that come and go."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -44,6 +45,15 @@ def test_drivers_who_follow_for_a_short_time_are_left_out(tracks):
     assert "2 follow for less than 15 s" in found.headline()
     with pytest.raises(InputError, match="nobody follows a known vehicle for 15 s"):
         calibrate_tracks(tracks.select(leaves))
+
+
+def test_a_class_without_an_identified_parameter_has_no_median(tracks):
+    found = calibrate_tracks(tracks, ["sigma_nu", "v_star"])
+    unknown = [replace(d, fit=replace(d.fit, std=np.full_like(d.fit.std, np.inf))) for d in found.drivers]
+    document = replace(found, drivers=tuple(unknown)).document(0.0)
+    assert document["classes"] == {"": {"sigma_nu": None, "v_star": None}}
+    assert document["drivers"][0]["std"] == {"sigma_nu": None, "v_star": None}
+    json.dumps(document, allow_nan=False)
 
 
 def test_the_command_calibrates_tracks(tracks, tmp_path, capsys):
