@@ -8,7 +8,7 @@ import pytest
 
 import sugiyama_ros as sg
 from sugiyama_ros.calibration.on_tracks import LEAST_FOLLOWING_S, calibrate_tracks
-from sugiyama_ros.cli import app
+from sugiyama_ros.cli.app import app
 from sugiyama_ros.driver.parameters import V_STAR
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.trajectories.one_lane import tracks_of
