@@ -267,13 +267,13 @@ def _compared(
     s = errors.samples
     scored = np.isfinite(s.log_likelihood)
     normal = np.where(scored, s.innovation_m / np.sqrt(s.innovation_var), np.nan)
-    nis = np.nanmean(np.square(normal), axis=1)
+    nis = np.nanmean(np.square(normal[scored.any(axis=1)]), axis=1)
     return Compared(
         name=name,
         errors=errors,
         gain=gain(data, s, base.samples) if base is not None else None,
-        nis_mean=float(np.nanmean(nis)),
-        nis_std_error=float(np.nanstd(nis) / np.sqrt(max(len(nis) - 1, 1))),
+        nis_mean=float(np.mean(nis)),
+        nis_std_error=float(np.std(nis) / np.sqrt(max(len(nis) - 1, 1))),
         autocorrelation=tuple(float(np.nanmean(normal[:, k:] * normal[:, :-k])) for k in range(1, _LAGS + 1)),
         band=float(1.96 / np.sqrt(max(scored.sum(), 1))),
         collective=of_road,

@@ -189,6 +189,5 @@ def _run(jobs: Sequence[ChainJob], adaptation: Adaptation, trace: Trace) -> Pred
 
 
 def _stacked(chains: Sequence[Chain], name: str) -> Any:
-    """Stack an array of all chains along a new first axis; a view if there is one chain."""
-    arrays = [getattr(chain, name) for chain in chains]
-    return arrays[0][None] if len(arrays) == 1 else np.stack(arrays)
+    """Stack an array of all chains along a new first axis, always as a new array: views would be compiled anew."""
+    return np.stack([getattr(chain, name) for chain in chains])
