@@ -121,13 +121,18 @@ def _told(b: Bin) -> str:
     return f"{b.covariate} {value} ({b.bias:+.2f} std)"
 
 
+def _quantity(value: float, unit: str) -> str:
+    """A value with its unit; a pure number has none."""
+    return f"{value:.3g}" if unit in ("", "1") else f"{value:.3g} {unit}"
+
+
 def sentences(d: Diagnosis) -> list[str]:
     """Return the verdict in words, one line for each finding."""
     lines = [told(d.adequacy)]
     if not d.named:
         lines.append("Nothing that is missing can be detected in these data.")
         shown = [
-            f"{name} ({p.name} {d.smallest[name]:.3g} {p.unit})"
+            f"{name} ({p.name} {_quantity(d.smallest[name], p.unit)})"
             for name in d.smallest
             for p in [effect(name).parameters[0]]
         ]
@@ -135,7 +140,7 @@ def sentences(d: Diagnosis) -> list[str]:
     for n in d.named:
         units = {p.name: p.unit for p in EFFECTS[n.name].parameters} if n.name in EFFECTS else {}
         units |= {p.name: p.unit for p in ROW.declared if p.name in n.parameters and p.name not in units}
-        values = ", ".join(f"{k} {v:.3g} {units.get(k, '')}".rstrip() for k, v in n.parameters.items())
+        values = ", ".join(f"{k} {_quantity(v, units.get(k, ''))}" for k, v in n.parameters.items())
         lines.append(
             f"{n.name} ({values}): held-out gain {n.heldout.nats:.0f} ± {n.heldout.se:.0f} nats, p {n.p_value:.1g};"
             f" 10-s free run {n.before.summary()['free_run_10s_m']:.2f} -> {n.after.summary()['free_run_10s_m']:.2f} m."
