@@ -17,13 +17,13 @@ from scipy.stats import t as student
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.addition import Addition
-from sugiyama_ros.diagnosis.bootstrap import resample, seeds
+from sugiyama_ros.diagnosis.bootstrap import resampled_fit, seeds
 from sugiyama_ros.diagnosis.discover import Discovery
 from sugiyama_ros.diagnosis.errors import HeldOutErrors
 from sugiyama_ros.diagnosis.locate import Located, locate
 from sugiyama_ros.effects.registry import EFFECTS
 from sugiyama_ros.fit.cross_validation import Gain, gain, sum_error
-from sugiyama_ros.fit.joint import JointFit, maximise, start_fit
+from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.model_file import stds_of
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.score import filtered_states
@@ -165,9 +165,7 @@ def simulated_failures(data: Recorded, final: JointFit, runs: int, seed: int, wo
     """
     states, found = filtered_states(data, final.model, work), []
     for rng in seeds(seed, runs):
-        simulated = resample(data, final.model, states, rng)
-        start = start_fit(simulated, final.model, work)
-        fitted = maximise(simulated, start, work, iterations=_FEW_STEPS, renewals=0)
+        simulated, fitted = resampled_fit(data, final, states, rng, work, _FEW_STEPS)
         found.append(locate(simulated, fitted.model, fitted.samples, work))
     return tuple(found)
 

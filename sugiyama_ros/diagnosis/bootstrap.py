@@ -1,11 +1,13 @@
 """Parametric bootstrap: recordings simulated from the fitted model, which show what chance alone gives."""
 
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from dataclasses import replace
 
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.fit.joint import JointFit, maximise, start_fit
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import Recorded, prepare
 from sugiyama_ros.simulation.simulator import Clock, Simulator
@@ -57,6 +59,34 @@ def resample(data: Recorded, model: Model, states: Array, rng: np.random.Generat
     empty = np.all(np.isnan(measured), axis=1)
     measured[empty] = t.position_m[empty]
     return prepare(replace(t, position_m=measured, source="simulated from the fitted model"), segment)
+
+
+def resampled_fit(
+    data: Recorded, fitted: JointFit, states: Array, rng: np.random.Generator, work: Executor, steps: int
+) -> tuple[Recorded, JointFit]:
+    """Simulate a recording from a fit, and fit the model to it by a few steps from the truth.
+
+    Parameters
+    ----------
+    data, states, rng
+        As for ``resample``.
+    fitted : JointFit
+        The fit to the recording.
+    work : Executor
+        Runs the filters.
+    steps : int
+        Maximum number of steps.
+
+    Returns
+    -------
+    simulated : Recorded
+        The simulated recording.
+    fit : JointFit
+        The fit to it.
+    """
+    simulated = resample(data, fitted.model, states, rng)
+    start = start_fit(simulated, fitted.model, work)
+    return simulated, maximise(simulated, start, work, iterations=steps, renewals=0)
 
 
 def _lead(simulator: Simulator, order: Ints, position: Array, speed: Array) -> None:

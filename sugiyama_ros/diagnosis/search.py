@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from sugiyama_ros.diagnosis.addition import Addition, advice_for, parameters_of
-from sugiyama_ros.diagnosis.bootstrap import resample, seeds
+from sugiyama_ros.diagnosis.bootstrap import resampled_fit, seeds
 from sugiyama_ros.diagnosis.candidacy import (
     LEAST_GAIN,
     UNKNOWN,
@@ -25,7 +25,7 @@ from sugiyama_ros.diagnosis.discover import Discovery, discover
 from sugiyama_ros.diagnosis.errors import HeldOutErrors, held_out_errors
 from sugiyama_ros.diagnosis.screen import FULL, QUICK, Screened, closer, forecast, refine, screen, screen_again
 from sugiyama_ros.fit.cross_validation import Gain, gain, held_out_nearly, sum_error
-from sugiyama_ros.fit.joint import JointFit, maximise, objective, start_fit, warm_start
+from sugiyama_ros.fit.joint import JointFit, objective, warm_start
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import filtered_states
 from sugiyama_ros.progress import OnStage
@@ -287,9 +287,7 @@ class Search:
         states = filtered_states(data, current.model, work)
 
         def one_run(rng: np.random.Generator) -> list[float]:
-            simulated = resample(data, current.model, states, rng)
-            start = start_fit(simulated, current.model, work)
-            fitted = maximise(simulated, start, work, iterations=_FEW_STEPS, renewals=0)
+            simulated, fitted = resampled_fit(data, current, states, rng, work, _FEW_STEPS)
             looks = (screen(simulated, fitted, candidate, work, self.effort) for candidate in chosen)
             return [closer(simulated, look, work).gain for look in looks]
 

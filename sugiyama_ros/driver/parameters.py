@@ -181,10 +181,6 @@ def check(parameters: NDArray[np.float64]) -> None:
             )
 
 
-#: Indices of the noises. A filter divides by them and takes their logarithms.
-NOISES: tuple[int, ...] = (SIGMA_NU, SIGMA_A)
-
-
 def check_for_filter(parameters: NDArray[np.float64]) -> None:
     """Check parameters with which a filter can run: within their bounds, and with noises above 0.
 
@@ -199,7 +195,8 @@ def check_for_filter(parameters: NDArray[np.float64]) -> None:
         If an entry lies outside its bounds, is NaN, or is a noise of 0.
     """
     check(parameters)
-    for k in NOISES:
+    # a filter divides by these and takes their logarithms
+    for k in (SIGMA_NU, SIGMA_A):
         if not (parameters[..., k] >= LEAST_NOISE).all():
             p = PARAMETERS[k]
             raise InputError(f"parameter {p.name}: a filter needs noise; give {LEAST_NOISE:g} to {p.upper:g} {p.unit}")

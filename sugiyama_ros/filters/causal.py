@@ -111,11 +111,7 @@ def predict_samples(jobs: Sequence[ChainJob]) -> list[Predicted]:
     list of Predicted
         For each job the innovation, its variance and its log-likelihood, (T,) each.
     """
-    found: dict[int, Predicted] = {}
-    for numbers, adaptation in _side_by_side(jobs):
-        predicted = _run([jobs[i] for i in numbers], adaptation, _no_trace())
-        found |= {i: Predicted(*(values[k] for values in predicted)) for k, i in enumerate(numbers)}
-    return [found[i] for i in range(len(jobs))]
+    return [predicted for predicted, _ in _filtered(jobs, with_states=False)]
 
 
 def predict_states(jobs: Sequence[ChainJob]) -> list[tuple[Array, Array, Array, Array]]:
@@ -132,14 +128,20 @@ def predict_states(jobs: Sequence[ChainJob]) -> list[tuple[Array, Array, Array, 
         For each job the first three as in ``Filtered``, (T,) each, and the driver's own four entries of the state after
         the update with each sample, (T, STATE).
     """
-    found: dict[int, tuple[Array, Array, Array, Array]] = {}
+    return [(*predicted, states) for predicted, states in _filtered(jobs, with_states=True)]
+
+
+def _filtered(jobs: Sequence[ChainJob], *, with_states: bool) -> list[tuple[Predicted, Array]]:
+    """Filter drivers, side by side where they can; the predictions and the own states (T, STATE), or (0, STATE)."""
+    found: dict[int, tuple[Predicted, Array]] = {}
     for numbers, adaptation in _side_by_side(jobs):
         samples, vehicles = jobs[numbers[0]].chain.position_m.shape
-        means = np.empty((len(numbers), samples, STATE * vehicles + len(adaptation.names)))
+        kept = len(numbers) if with_states else 0
+        means = np.empty((kept, samples, STATE * vehicles + len(adaptation.names)))
         predicted = _run([jobs[i] for i in numbers], adaptation, _no_trace()._replace(means=means))
         for k, i in enumerate(numbers):
-            y, variance, density = (values[k] for values in predicted)
-            found[i] = y, variance, density, means[k, :, :STATE].copy()
+            own = means[k, :, :STATE].copy() if with_states else np.empty((0, STATE))
+            found[i] = Predicted(*(values[k] for values in predicted)), own
     return [found[i] for i in range(len(jobs))]
 
 

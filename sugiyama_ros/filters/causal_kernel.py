@@ -104,19 +104,19 @@ def _state(c: int, filters: _Filters) -> State:
 
 
 @kernel(allocates=False)
-def _drivers(c: int, filters: _Filters, shared: _Shared) -> Drivers:
-    return Drivers(filters.parameters[c], shared.adapted, filters.prior_mean[c], shared.prior_var)
-
-
-@kernel(allocates=False)
-def _workspace(c: int, filters: _Filters, shared: _Shared) -> Workspace:
+def _parts(
+    c: int, t: int, time_s: float, observed: Observed, filters: _Filters, shared: _Shared
+) -> tuple[State, Drivers, Moment, Workspace]:
+    """Return what the functions of ``linearisation`` take, of chain c at sample t."""
+    drivers = Drivers(filters.parameters[c], shared.adapted, filters.prior_mean[c], shared.prior_var)
+    moment = Moment(observed.length[c, t], observed.rear[c, t], time_s)
     own = filters.places[c], filters.root[c], filters.points[c]
-    return Workspace(*own, shared.chosen, shared.slope, shared.held_slope)
+    return _state(c, filters), drivers, moment, Workspace(*own, shared.chosen, shared.slope, shared.held_slope)
 
 
 @kernel(allocates=False)
 def _update(state: State, gain: Array, y: float, step: float, shrink: float, live: Ints) -> None:
-    """Take in an innovation; gain: (4 M + A,), P H'; step, shrink: as ``robust`` returns them."""
+    """Take in an innovation; gain: (4 M + A,), P H'; step, shrink: as ``weights`` returns them."""
     mean, covariance = state.mean, state.covariance
     for i in live:
         mean[i] += gain[i] * step * y
@@ -210,18 +210,15 @@ def _filter(
         time_s, used = start_s + t * scene.period_s, 0
         for c in range(count):
             _take_in(c, t, observed, filters, shared, scene, predicted)
-            moment = Moment(observed.length[c, t], observed.rear[c, t], time_s)
-            state, drivers, workspace = _state(c, filters), _drivers(c, filters, shared), _workspace(c, filters, shared)
+            state, drivers, moment, workspace = _parts(c, t, time_s, observed, filters, shared)
             used = aim_all(state, drivers, moment, scene, workspace, lanes, used)
         consider(used, scene, lanes)
         for c in range(count):
-            moment = Moment(observed.length[c, t], observed.rear[c, t], time_s)
-            state, drivers, workspace = _state(c, filters), _drivers(c, filters, shared), _workspace(c, filters, shared)
+            state, drivers, moment, workspace = _parts(c, t, time_s, observed, filters, shared)
             add_all_components(state, drivers, moment, scene, workspace, lanes)
         decide(used, lanes)
         for c in range(count):
-            moment = Moment(observed.length[c, t], observed.rear[c, t], time_s)
-            state, drivers, workspace = _state(c, filters), _drivers(c, filters, shared), _workspace(c, filters, shared)
+            state, drivers, moment, workspace = _parts(c, t, time_s, observed, filters, shared)
             action = conclude(state, drivers, moment, scene, workspace, lanes, shared.linearised)
             _record(c, t, state, action, shared.linearised.next_mean[1], scene.period_s, trace)
             _predict(state, shared)
@@ -276,7 +273,7 @@ def run(
             filters.covariance[c, STATE * vehicles + k, STATE * vehicles + k] = drivers.prior_var[k]
     shared = _Shared(
         lanes_for(count * points_of(vehicles, a), actions, scene.period_s),
-        linearised_for(_live(drivers.parameters, size, len(trace.covariances) > 0), size),
+        linearised_for(_live(drivers.parameters, size, len(trace.means) > 0), size),
         one.chosen,
         one.slope,
         one.held_slope,
@@ -292,7 +289,8 @@ def run(
 def _live(parameters: Array, size: int, everything: bool) -> Ints:
     """Return the entries of a state of ``size`` entries whose covariances matter; parameters: (C, M, WIDTH).
 
-    Nothing depends on what drivers hold, unless they remember it or feel accelerations.
+    Nothing depends on what drivers hold, unless they remember it or feel accelerations, or unless ``everything`` is
+    recorded.
     """
     count, vehicles, _ = parameters.shape
     for c in range(count):

@@ -22,12 +22,9 @@ from sugiyama_ros.effects.control import (
     remembers,
     seeks,
 )
-from sugiyama_ros.filters.points import look_around, rows_of, seen_at, side_of, surroundings
+from sugiyama_ros.filters.points import KNOWN_VAR, look_around, rows_of, seen_at, side_of, surroundings
 from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Lanes, Moment, Scene, State, Workspace
 from sugiyama_ros.jit import kernel
-
-# Smallest variance of a wanted change of the acceleration.
-_KNOWN_VAR = 1e-12
 
 
 class Expected(NamedTuple):
@@ -94,7 +91,8 @@ def add_components(
         block, lane = lanes.blocks[(first + point) // LANES], UTILITIES + (first + point) % LANES
         for k in range(len(actions)):
             block[lane + LANES * k] += component(perceived, actions[k], scene.period_s, scene.horizon, driver)
-        find_best(block, len(actions))
+    for b in range(first // LANES, (first + 2 * size - 1) // LANES + 1):
+        find_best(lanes.blocks[b], len(actions))
 
 
 @kernel(allocates=False)
@@ -206,7 +204,7 @@ def _carried_out(m: int, meant: Expected, state: State, row: Array, period: floa
     slope -= held_slope
     held = STATE * m + 3
     held_slope[held] -= 1.0
-    variance: float = max(_variance_along(held_slope, state.covariance) + meant.held_var, _KNOWN_VAR)
+    variance: float = max(_variance_along(held_slope, state.covariance) + meant.held_var, KNOWN_VAR)
     change, share, left = expect_change(meant.held - state.mean[held], variance, row, period)
     held_slope *= share
     held_slope[held] += 1.0

@@ -20,8 +20,8 @@ from sugiyama_ros.effects.effect import Seen
 from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Lanes, Moment, Scene, State, Workspace
 from sugiyama_ros.jit import kernel
 
-# Variance below which a direction of what the driver sees counts as known; keeps the Cholesky factor invertible.
-_KNOWN_VAR = 1e-12
+#: Variance below which a direction of what the driver sees counts as known; keeps the Cholesky factor invertible.
+KNOWN_VAR = 1e-12
 
 
 @kernel(allocates=False)
@@ -62,7 +62,7 @@ def _root(covariance: Array, places: Ints, size: int, root: Array) -> None:
                 entry += covariance[minus, places[1, j]]
             for k in range(j):
                 entry -= root[i, k] * root[j, k]
-            root[i, j] = math.sqrt(max(entry, _KNOWN_VAR)) if i == j else entry / root[j, j]
+            root[i, j] = math.sqrt(max(entry, KNOWN_VAR)) if i == j else entry / root[j, j]
         for j in range(i + 1, size):
             root[i, j] = 0.0
 

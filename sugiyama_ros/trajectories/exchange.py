@@ -2,7 +2,7 @@
 
 import json
 from dataclasses import asdict, fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
@@ -50,11 +50,11 @@ def to_arrow(tracks: Tracks) -> "pyarrow.Table":
     return pyarrow.table(columns).replace_schema_metadata({KEY: about.encode()})
 
 
-def write_parquet(tracks: Tracks, where: Any) -> None:
-    """Write tracks as Parquet into a file that is open for writing, or to a path."""
+def write_parquet(tracks: Tracks, stream: BinaryIO) -> None:
+    """Write tracks as Parquet into a file that is open for writing."""
     from pyarrow import parquet
 
-    parquet.write_table(to_arrow(tracks), where, compression="zstd", row_group_size=_GROUP)
+    parquet.write_table(to_arrow(tracks), stream, compression="zstd", row_group_size=_GROUP)
 
 
 def about_of(metadata: dict[bytes, bytes] | None) -> About | None:

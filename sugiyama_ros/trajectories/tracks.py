@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sugiyama_ros.arrays import Array, Ints, Mask
-from sugiyama_ros.errors import OutputError
+from sugiyama_ros.outputs import writing
 from sugiyama_ros.plots import space_time
 from sugiyama_ros.results import Result, needs
 from sugiyama_ros.trajectories.about import About
@@ -207,10 +207,8 @@ class Tracks(Result):
             return
         from sugiyama_ros.trajectories.exchange import write_parquet
 
-        try:
-            write_parquet(self, path)
-        except OSError as error:
-            raise OutputError(f"{path}: cannot be written: {error.strerror or error}; choose another place") from None
+        with writing(path) as stream:
+            write_parquet(self, stream)
 
     def draw(self, figure: "Figure") -> None:
         """Draw the positions of the longest recording over time, coloured by speed."""

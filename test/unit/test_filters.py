@@ -15,9 +15,10 @@ from sugiyama_ros.driver.parameters import (
     population,
 )
 from sugiyama_ros.driver.utility import ACTIONS, mean_action
+from sugiyama_ros.effects.registry import ROW, switch_on
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters import paper, paper_kalman
-from sugiyama_ros.filters.causal import filter_chain, log_likelihood
+from sugiyama_ros.filters.causal import ChainJob, filter_chain, log_likelihood, predict_states
 from sugiyama_ros.filters.chain import Adaptation
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.online import ADAPT, OnlineFilter
@@ -276,3 +277,15 @@ def test_only_the_utilitys_parameters_can_be_adapted():
         Adaptation(("sigma_nu",), (0.1,))
     with pytest.raises(InputError, match="give one each"):
         Adaptation(("v_star",))
+
+
+def test_states_are_the_same_alone_and_side_by_side(jam):
+    """A driver beside others, some of whom remember what they hold, has the state that ``filter_chain`` gives."""
+    jobs = [ChainJob(chain_behind(jam.measured, i), ROW.with_effects(population())) for i in range(5)]
+    lagging = switch_on(jobs[1].parameters, "actuation_lag", {"time_constant": 0.3})
+    jobs[1] = jobs[1]._replace(parameters=lagging, ahead=np.stack([lagging, lagging]))
+    for job, (y, variance, density, states) in zip(jobs, predict_states(jobs), strict=True):
+        alone = filter_chain(job.chain, job.parameters, ahead=job.ahead)
+        for ours, theirs in ((y, alone.innovation_m), (variance, alone.innovation_var), (states, alone.mean[:, :4])):
+            assert np.array_equal(ours, theirs, equal_nan=True)
+        assert np.array_equal(density, alone.sample_log_likelihood, equal_nan=True)

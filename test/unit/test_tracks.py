@@ -294,3 +294,20 @@ def test_tracks_are_saved(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_tracks(tmp_path / "a.csv").leader_row, tracks.leader_row)
     with pytest.raises(OutputError, match=r"a.parquet: cannot be written: .*; choose another place"):
         tracks.save(tmp_path / "none" / "a.parquet")
+
+
+def test_a_table_that_cannot_be_written_leaves_the_old_one_whole(tmp_path: Path, monkeypatch) -> None:
+    from sugiyama_ros.trajectories import exchange
+
+    def half(_: Tracks, stream) -> None:
+        stream.write(b"PAR1")
+        raise OSError(28, "No space left on device")
+
+    path = tmp_path / "tracks.parquet"
+    assemble(columns(), About()).save(path)
+    old = path.read_bytes()
+    monkeypatch.setattr(exchange, "write_parquet", half)
+    with pytest.raises(OutputError, match="No space left"):
+        assemble(columns(), About()).save(path)
+    assert path.read_bytes() == old
+    assert list(tmp_path.iterdir()) == [path]
