@@ -4,14 +4,15 @@ Every compiled function of this package is decorated with `kernel`. ``python -m 
 what each option is worth, by compiling the causal filter without it. Time without an option over time with all of them,
 on one thread (CPU) and with the drivers on two threads (least of 25 rounds, 2 cores, numba 0.68, November 2026):
 
-=======  ==========  ===========
-without  one thread  two threads
-=======  ==========  ===========
-numpy    1.93        1.88
-nrt      1.09        1.13
-inline   1.03        1.22
-nogil    0.99        1.92
-=======  ==========  ===========
+============  ==========  ===========
+without       one thread  two threads
+============  ==========  ===========
+numpy         2.88        2.69
+nrt           2.34        2.15
+into_callers  1.25        1.23
+inline        0.97        1.00
+nogil         1.01        1.92
+============  ==========  ===========
 
 Compiled code is kept where numba keeps it: in ``__pycache__`` beside the source, in NUMBA_CACHE_DIR if that is set, or
 in the user's cache folder. numba compiles a function anew when its own file changes, but not when a function that it

@@ -72,10 +72,10 @@ def main() -> None:
             command = [sys.executable, "-m", "sugiyama_ros.studies.compiler", option]
             output = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
         found[option] = json.loads(output)
-    print(f"{'without':<10}{'CPU time':>12}{'two threads':>14}")
+    print(f"{'without':<14}{'CPU time':>12}{'two threads':>14}")
     for option, figures in found.items():
         ratios = [figures[name] / found[""][name] for name in ("cpu_s", "two_threads_s")]
-        print(f"{option or 'nothing':<10}{ratios[0]:>12.2f}{ratios[1]:>14.2f}")
+        print(f"{option or 'nothing':<14}{ratios[0]:>12.2f}{ratios[1]:>14.2f}")
 
 
 if __name__ == "__main__":
