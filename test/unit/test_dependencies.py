@@ -46,9 +46,10 @@ def pins(python: str, *files: str) -> dict[str, str]:
     found: dict[str, str] = {}
     for file in files:
         for line in (ROOT / file).read_text().splitlines():
-            if not line or line.startswith("#"):
+            if not line or line.startswith(("#", "    --hash=sha256:")):
                 continue
-            one = Requirement(line.partition(" #")[0])
+            assert line.endswith(" \\"), f"{line}: has no checksum; run .ci/hashes.py"
+            one = Requirement(line.removesuffix(" \\"))
             if one.marker is not None and not one.marker.evaluate({"python_version": python}):
                 continue
             (pin,) = one.specifier
