@@ -8,7 +8,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .NOTPARALLEL:
-.PHONY: help demo test lint docs bench
+.PHONY: help demo test lint docs bench fuzz
 
 # What another environment that is active in the shell would mix into ours: Python's, and ROS's.
 unexport PYTHONPATH PYTHONHOME VIRTUAL_ENV PIP_USER PIP_TARGET PIP_PREFIX
@@ -24,6 +24,7 @@ help:
 	make lint   set up, then check style and types
 	make docs   set up, then build the documentation: docs/_build/html/index.html
 	make bench  set up, then measure the speed; it takes some minutes
+	make fuzz   set up, then read damaged files; FUZZ_EXAMPLES=2000 of each kind take half an hour
 	The first run sets up .venv and takes some minutes. PYTHON=python3.12 chooses the Python of a new .venv.
 	END
 
@@ -35,6 +36,12 @@ test: $(DONE)/compiled $(DONE)/tools
 
 bench: $(DONE)/compiled $(DONE)/tools
 	@.venv/bin/python -m sugiyama_ros.studies.speed
+
+# FUZZ_EXAMPLES: damaged files of each kind. What breaks a reader stays in .hypothesis/ and is tried first the next time.
+FUZZ_EXAMPLES ?= 2000
+
+fuzz: $(DONE)/compiled $(DONE)/tools
+	@FUZZ_EXAMPLES=$(FUZZ_EXAMPLES) .venv/bin/python -m pytest --timeout 7200 test/fuzz
 
 lint: $(DONE)/package $(DONE)/tools
 	@.venv/bin/ruff check .

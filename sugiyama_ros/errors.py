@@ -4,9 +4,26 @@ The text of an error is one line. It says where the error happened (file, line o
 it. The command line prints the text and exits with code 2. The user never sees a traceback for such an error.
 """
 
+import re
+
+#: Longest text of an error; the middle of a longer one is left out, so that the place and the cure stay.
+_LONGEST = 1000
+
 
 class SugiyamaError(Exception):
-    """Base class of all errors that a user can cause."""
+    """Base class of all errors that a user can cause.
+
+    Parameters
+    ----------
+    text : str
+        What the user reads. Names from files may be in it: control characters, such as ends of lines, become spaces,
+        and the middle of a very long text is left out.
+    """
+
+    def __init__(self, text: str) -> None:
+        line = re.sub(r"[\x00-\x1f\x7f\x85\u2028\u2029]+", " ", text)
+        half = _LONGEST // 2
+        super().__init__(line if len(line) <= _LONGEST else f"{line[:half]} ... {line[-half:]}")
 
 
 class InputError(SugiyamaError):

@@ -1,8 +1,15 @@
 """What all tests share: code is compiled before the first test that starts nodes or programs."""
 
+import os
+
 import pytest
+from hypothesis import settings
 
 from sugiyama_ros.compile import compile_all
+
+# The fuzzer tries FUZZ_EXAMPLES damaged files of each kind; `make fuzz` sets it.
+settings.register_profile("suite", deadline=None, max_examples=int(os.environ.get("FUZZ_EXAMPLES", "25")))
+settings.load_profile("suite")
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import yaml
 
+from sugiyama_ros.documents import number
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.reading import open_input
 from sugiyama_ros.trajectories.about import Reference, View
@@ -65,7 +66,7 @@ def read_choices(path: Path) -> Choices:
         raise InputError(f"{path}: larger than {_LARGEST_MAP} bytes; give a map of columns")
     try:
         said = yaml.safe_load(content)
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError, OverflowError) as error:
         raise InputError(
             f"{path}: not YAML: {' '.join(str(error).split())[:200]}; give lines like 'lane: Lane_ID'"
         ) from None
@@ -77,7 +78,7 @@ def read_choices(path: Path) -> Choices:
     return Choices(
         columns={name: _column(path, name, said[name]) for name in MAPPED if name in said},
         reference=_one_of(path, "reference", said.get("reference"), _REFERENCES),
-        ring_m=_number(path, "ring_m", said["ring_m"]) if "ring_m" in said else None,
+        ring_m=number(said["ring_m"], f"{path}: ring_m") if "ring_m" in said else None,
         view=_one_of(path, "view", said.get("view"), _VIEWS),
     )
 
@@ -94,15 +95,9 @@ def _one_of(where: object, name: str, value: Any, known: tuple[Any, ...]) -> Any
     return value
 
 
-def _number(where: object, name: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InputError(f"{where}: {name} {str(value)[:40]!r} is not a number; give one")
-    return float(value)
-
-
 def _column(path: Path, name: str, said: Any) -> tuple[str, float]:
     if isinstance(said, dict) and set(said) <= {"column", "factor"} and "column" in said:
-        return str(said["column"]), _number(path, f"factor of {name}", said.get("factor", 1.0))
+        return str(said["column"]), number(said.get("factor", 1.0), f"{path}: factor of {name}")
     if isinstance(said, dict | list):
         raise InputError(f"{path}: {name}: give the name of a column, or {{column: NAME, factor: NUMBER}}")
     return str(said), 1.0

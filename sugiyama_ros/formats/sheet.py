@@ -274,9 +274,12 @@ def _parquet_sheet(path: Path) -> Sheet | None:
 
     try:
         with parquet.ParquetFile(path) as file:
-            return Sheet(path, tuple(file.schema_arrow.names), separator="")
+            names = tuple(file.schema_arrow.names)
     except (pyarrow.ArrowException, OSError, ValueError):
         return None
+    if double := [name for name in names if names.count(name) > 1]:
+        raise InputError(f"{path}: has {names.count(double[0])} columns {double[0]}; rename all but one")
+    return Sheet(path, names, separator="")
 
 
 def _parquet_batches(sheet: Sheet, names: set[str]) -> Iterator[Any]:

@@ -68,7 +68,7 @@ def read_sumo(path: Path, choices: Choices) -> Tracks:
     if "length_m" not in columns:
         columns["length_m"] = np.full(len(lane), DEFAULT_LENGTH_M)
         about = about.noting(f"lengths are not in the file: every vehicle counts as {DEFAULT_LENGTH_M:g} m long")
-    edges, columns["lane"] = _edges(lane)
+    edges, columns["lane"] = _edges(lane, path)
     time, speed = np.asarray(columns["time_s"]), np.asarray(columns.pop("speed_m"))
     placed = along_edges(Edges(edges, vehicle.code, time, np.asarray(columns["s_m"]), speed))
     columns["s_m"] = placed.s_m
@@ -78,14 +78,14 @@ def read_sumo(path: Path, choices: Choices) -> Tracks:
     return put_together(columns, about, choices, reference="front")
 
 
-def _edges(lane: Labels) -> tuple[Labels, Labels]:
+def _edges(lane: Labels, path: Path) -> tuple[Labels, Labels]:
     """Edge and number of the lane of each row, (R,), from names like ``E1_0``."""
     parts = [text.rpartition("_") for text in lane.text]
     if any(not edge or not number.isdigit() for edge, _, number in parts):
         bad = next(
             text for text, (edge, _, number) in zip(lane.text, parts, strict=True) if not edge or not number.isdigit()
         )
-        raise InputError(f"lane {bad[:40]!r}: does not end in _ and a number, as lanes of SUMO do; check the file")
+        raise InputError(f"{path}: lane {bad[:40]!r}: does not end in _ and a number, as SUMO's lanes do; correct it")
     return labels(lane.code, [edge for edge, _, _ in parts]), labels(lane.code, [number for _, _, number in parts])
 
 

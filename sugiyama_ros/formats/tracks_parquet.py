@@ -48,7 +48,9 @@ def read_tracks_parquet(path: Path, choices: Choices) -> Tracks:
         about = replace(about, ring_m=choices.ring_m)
     names = {name for name in MAPPED if name in sheet.names}
     numbers = {name for name in names if is_number(name)}
-    return of_columns(dict(read_sheet(sheet, numbers, names - numbers)), about)
+    # Errors name the file that is read; the tracks keep the name of their source.
+    tracks = of_columns(dict(read_sheet(sheet, numbers, names - numbers)), replace(about, source=str(path)))
+    return replace(tracks, about=replace(tracks.about, source=about.source))
 
 
 def write_tracks(tracks: Tracks, target: Target) -> None:

@@ -31,6 +31,8 @@ _MOST_DOUBLE = 0.01
 _SAME_M = 0.01
 #: Lengths [m] of a vehicle that differ by more are noted.
 _LENGTH_VARIES_M = 0.5
+#: Length [m] beyond which a number is taken for damage.
+_LONGEST_M = 1000.0
 #: Times [s] and positions [m] beyond which a number is taken for damage: the year 2106, and light's way in a second.
 _LATEST_S, _FARTHEST_M = 2.0**32, 3e8
 #: Way [m] that all vehicles of a lane together go backward, for the lane to be turned round: more than noise at rest.
@@ -247,7 +249,8 @@ def _lengths(table: _Table, start: Ints) -> _Table:
         note = f"no lengths: every vehicle counts as {DEFAULT_LENGTH_M:g} m long"
         usual = np.full(int(start[-1]), DEFAULT_LENGTH_M)
         return table._replace(number={**table.number, "length_m": usual}, about=table.about.noting(note))
-    given = np.where(table.number["length_m"] > 0.0, table.number["length_m"], np.nan)
+    given = table.number["length_m"]
+    given = np.where((given > 0.0) & (given < _LONGEST_M), given, np.nan)
     low, high = np.fmin.reduceat(given, start[:-1]), np.fmax.reduceat(given, start[:-1])
     length: Array = low.copy()
     for run in np.flatnonzero(high > low).tolist():

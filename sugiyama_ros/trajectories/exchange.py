@@ -1,13 +1,14 @@
 """Tracks as tables of Arrow and of pandas, and back."""
 
 import json
+import math
 from dataclasses import asdict, fields, replace
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO, get_args
 
 import numpy as np
 
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.trajectories.about import About
+from sugiyama_ros.trajectories.about import About, Leaders, Reference, View
 from sugiyama_ros.trajectories.assemble import Column, assemble
 from sugiyama_ros.trajectories.labels import Labels, labels
 from sugiyama_ros.trajectories.tracks import NUMBERS, TEXTS, Tracks
@@ -66,9 +67,22 @@ def about_of(metadata: dict[bytes, bytes] | None) -> About | None:
         known = {one.name: said[one.name] for one in fields(About) if one.name in said}
         known["dropped"] = tuple((str(reason), int(rows)) for reason, rows in known.get("dropped", ()))
         known["notes"] = tuple(map(str, known.get("notes", ())))
-        return About(**known)
+        about = About(**known)
     except (ValueError, TypeError, RecursionError):
         return None
+    return about if _is_valid(about) else None
+
+
+def _is_valid(about: About) -> bool:
+    """Whether what a file says about its tracks has the right types and values."""
+    texts = (about.unit, about.smoothing, about.source, about.sha256, about.licence)
+    choices = ((about.reference, Reference), (about.view, View), (about.leaders, Leaders))
+    return (
+        all(isinstance(text, str) for text in texts)
+        and all(chosen in get_args(known) for chosen, known in choices)
+        and isinstance(about.ring_m, int | float)
+        and 0.0 <= about.ring_m < math.inf
+    )
 
 
 def of_columns(columns: dict[str, Column], about: About) -> Tracks:

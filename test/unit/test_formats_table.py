@@ -1,16 +1,19 @@
 """Plain tables, tracks in Parquet and folders: accepted, or refused with one line that says the cure."""
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from pyarrow import parquet
 
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats import sheet
 from sugiyama_ros.formats.choices import Choices, read_choices
 from sugiyama_ros.formats.registry import format_of, read_tracks, read_trajectories
 from sugiyama_ros.formats.tracks_parquet import write_tracks
+from sugiyama_ros.trajectories.exchange import KEY
 from sugiyama_ros.trajectories.time_base import is_regular, period_of
 from sugiyama_ros.trajectories.tracks import Tracks
 from sugiyama_ros.trajectories.trajectories import Trajectories
@@ -198,14 +201,44 @@ def test_a_map_of_columns(tmp_path: Path) -> None:
         ("lane: {", "not YAML"),
         ("speed: v", "'speed' is no column of tracks"),
         ("lane: {name: a}", "lane: give the name of a column"),
-        ("s_m: {column: a, factor: b}", "factor of s_m 'b' is not a number"),
+        ("s_m: {column: a, factor: b}", "factor of s_m: 'b' is no finite number"),
         ("reference: middle", "reference 'middle' is not known; choose among centre, front, rear"),
-        ("ring_m: round", "ring_m 'round' is not a number"),
+        ("ring_m: round", "ring_m: 'round' is no finite number"),
+        ("ring_m: " + "9" * 400, "is no finite number"),
         ("#" * 70_000, "larger than 65536 bytes"),
     ],
 )
 def test_bad_maps(tmp_path: Path, content: str, said: str) -> None:
     assert said in refused(read_choices, tmp_path / "map.yaml", content)
+
+
+def test_a_parquet_file_with_two_columns_of_one_name_is_refused(tmp_path: Path) -> None:
+    source, path = tmp_path / "a.csv", tmp_path / "a.parquet"
+    source.write_text(table())
+    write_tracks(read_tracks(source), path)
+    tracks = parquet.read_table(path)
+    parquet.write_table(tracks.append_column("s_m", tracks.column("s_m")), path)
+    with pytest.raises(InputError, match=r"a.parquet: has 2 columns s_m; rename all but one"):
+        read_tracks(path)
+
+
+@pytest.mark.parametrize(("name", "value"), [("ring_m", float("inf")), ("view", "side"), ("source", 1)])
+def test_tracks_that_say_odd_things_of_themselves_are_refused(tmp_path: Path, name: str, value: object) -> None:
+    source, path = tmp_path / "a.csv", tmp_path / "a.parquet"
+    source.write_text(table())
+    write_tracks(read_tracks(source), path)
+    tracks = parquet.read_table(path)
+    said = json.loads(tracks.schema.metadata[KEY]) | {name: value}
+    parquet.write_table(tracks.replace_schema_metadata({KEY: json.dumps(said)}), path)
+    with pytest.raises(InputError, match=r"a.parquet: does not say that it holds tracks"):
+        read_tracks(path, name="tracks")
+
+
+def test_an_error_is_one_line_whatever_a_file_holds(tmp_path: Path) -> None:
+    rows = [f'{0.1 * i:.1f},"a\n{"b" * 5000}",{20.0 * k + i},5' for k in (1, 2) for i in range(80)]
+    text = refused(read_tracks, tmp_path / "a.csv", "\n".join([",".join(HEADER), *rows, ""]))
+    assert text.endswith("give the column recording (--columns)")
+    assert len(text) < 1100
 
 
 def test_tracks_come_back_from_parquet_and_csv(tmp_path: Path) -> None:

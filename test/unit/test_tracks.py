@@ -184,6 +184,7 @@ def test_a_number_that_is_used_again_is_another_vehicle() -> None:
 def test_a_vehicle_has_one_length() -> None:
     length = np.repeat([4.0, np.nan, 5.0, 6.0], 60)
     length[120:130] = 8.0
+    length[130:132] = np.inf, 1e308
     tracks = assemble(columns(length_m=length))
     assert tracks.length_m[::60].tolist() == [4.0, 4.33, 5.0, 6.0]
     assert set(tracks.length_m[120:180].tolist()) == {5.0}
