@@ -123,9 +123,9 @@ def has_components(row: Array) -> bool:
 
 
 @kernel(allocates=False)
-def component(perceived: Seen, action: float, period: float, horizon: int, row: Array) -> float:
+def component(perceived: Seen, action: float, period: float, horizon: int, row: Array, driver: Preferences) -> float:
     """Return what effects add to the utility of an action [m/s^2]; the other arguments as for ``intend``."""
-    return float(_valued(perceived, action, period, horizon, row))
+    return float(_valued(perceived, action, period, horizon, row, driver))
 
 
 @kernel(allocates=False)
@@ -171,7 +171,7 @@ def intend(seen: Seen, row: Array, scratch: Array, period: float, horizon: int) 
         utilities(gap, speed, leader_speed, driver, scratch, period, horizon)
         if has_components(row):
             for k in range(scratch.shape[1]):
-                scratch[UTILITY_ROW, k] += component(perceived, scratch[GRID_ROW, k], period, horizon, row)
+                scratch[UTILITY_ROW, k] += component(perceived, scratch[GRID_ROW, k], period, horizon, row, driver)
         action = boltzmann_mean(scratch, driver[-1])
     else:
         action = law_acceleration(gap, speed, leader_speed, row)

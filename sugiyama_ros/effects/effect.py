@@ -217,6 +217,8 @@ class Effect:
         doubts the name.
     advice : mapping of str to str
         What to record to tell the effect from another effect, by the name of the other effect.
+    knows_preferences : bool
+        Whether the function of a component of the utility takes the driver's ``Preferences`` after its other arguments.
     fixed : tuple of str
         Names of parameters that a search leaves as they are at its start.
     forms : tuple of Effect
@@ -250,6 +252,7 @@ class Effect:
     ascending: tuple[tuple[str, str], ...] = ()
     least: Values = field(default_factory=dict)
     advice: Mapping[str, str] = field(default_factory=dict)
+    knows_preferences: bool = False
     fixed: tuple[str, ...] = ()
     forms: tuple["Effect", ...] = ()
 

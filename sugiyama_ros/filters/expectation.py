@@ -18,6 +18,7 @@ from sugiyama_ros.effects.control import (
     expect_change,
     law_acceleration,
     perceive,
+    prefer,
     remembers,
     seeks,
 )
@@ -86,9 +87,12 @@ def add_components(
         look_around(work, size, point)
         seen = seen_at(here, work, m, size, view, drivers.parameters, scene)
         perceived = perceive(seen, driver)
+        preferences = prefer(perceived, driver)
         block, lane = lanes.blocks[(first + point) // LANES], UTILITIES + (first + point) % LANES
         for k in range(len(actions)):
-            block[lane + LANES * k] += component(perceived, actions[k], scene.period_s, scene.horizon, driver)
+            block[lane + LANES * k] += component(
+                perceived, actions[k], scene.period_s, scene.horizon, driver, preferences
+            )
     for b in range(first // LANES, (first + 2 * size - 1) // LANES + 1):
         find_best(lanes.blocks[b], len(actions))
 

@@ -11,6 +11,9 @@ from sugiyama_ros.filters.points import ALONE, FEELING, RECALLING, aim, view_of
 from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Lanes, Linearised, Moment, Scene, State, Workspace
 from sugiyama_ros.jit import kernel
 
+# The noise of a driver is at least this part of their sigma_a: a filter that is too sure could not be corrected.
+_LEAST_FACTOR = 0.02
+
 
 @kernel(allocates=False)
 def linearise(
@@ -110,7 +113,7 @@ def conclude(
             if m == 0:
                 own_action = expected.held
             rho = parameters[m, RHO]
-            shock_std = parameters[m, SIGMA_A] * noise_factor(mean[v], parameters[m])
+            shock_std = parameters[m, SIGMA_A] * max(noise_factor(mean[v], parameters[m]), _LEAST_FACTOR)
         next_mean[x], next_mean[v] = advance(mean[x], mean[v], action + mean[n], period)
         next_mean[n] = rho * mean[n]
         jacobian[n, n] = rho
