@@ -34,7 +34,7 @@ _UTILITY = Effect(
     summary="a component of the utility: the risk that the car behind runs into the driver's car",
     source="the paper's phi2, for the car behind",
     parameters=(Parameter("weight", "w_r", "1", 0.0, 0.0, 10.0, "weight beside the risk of the leader"),),
-    starts=at({"weight": 0.03}, {"weight": 0.3}),
+    starts=at({"weight": 0.003}, {"weight": 0.03}),
     function=component,
     knows_preferences=True,
 )

@@ -25,10 +25,10 @@ def perceive(seen: Seen, p: Array) -> tuple[float, float, float]:
 
 @kernel
 def component(seen: Seen, action: float, period: float, horizon: int, p: Array, driver: Preferences) -> float:
-    """Compute the risk of the second vehicle ahead, at half the sum of both gaps, beside the risk of the leader."""
+    """Compute the risk of the second vehicle ahead, at the share ``p[1]`` of the sum of both gaps."""
     if math.isinf(seen.second_gap):
         return 0.0
-    gap = 0.5 * (seen.gap + seen.second_gap)
+    gap = float(p[1]) * (seen.gap + seen.second_gap)
     return float(p[0] * driver[5] * risk_ahead(gap, seen.speed, seen.second_speed, action, period, horizon, driver))
 
 
@@ -36,10 +36,13 @@ _UTILITY = Effect(
     name="second_leader_utility",
     stage=UTILITY,
     title="fear of the second vehicle ahead",
-    summary="a component of the utility: the risk of the second vehicle ahead, at half the sum of both gaps",
+    summary="a component of the utility: the risk of the second vehicle ahead",
     source="the paper's phi2, for the second vehicle ahead",
-    parameters=(Parameter("weight", "w_2", "1", 0.0, 0.0, 10.0, "weight beside the risk of the leader"),),
-    starts=at({"weight": 0.03}, {"weight": 0.3}),
+    parameters=(
+        Parameter("weight", "w_2", "1", 0.0, 0.0, 10.0, "weight beside the risk of the leader"),
+        Parameter("share", "s_2", "1", 0.0, 0.2, 1.0, "share of the sum of both gaps that counts as the gap"),
+    ),
+    starts=at({"weight": 0.01, "share": 0.5}, {"weight": 0.1, "share": 0.5}, {"weight": 0.1, "share": 0.9}),
     function=component,
     reach=2,
     knows_preferences=True,

@@ -21,7 +21,7 @@ ACTING = {
     "reaction_delay_others": {"delay": 0.5},
     "reaction_delay_all": {"delay": 0.5},
     "second_leader": {"weight": 0.6},
-    "second_leader_utility": {"weight": 0.6},
+    "second_leader_utility": {"weight": 0.6, "share": 0.5},
     "gap_offset": {"offset": 0.5},
     "perception_threshold": {"threshold": 1.0},
     "slow_patch": {"reduction": 0.2, "centre": 50.0, "width": 60.0},
