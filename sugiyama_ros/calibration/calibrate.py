@@ -92,7 +92,7 @@ def _about(trajectories: Trajectories, settings: Settings) -> dict[str, Any]:
         "ring_m": trajectories.road.circumference_m,
         "formulation": settings.formulation,
         "estimated": list(settings.estimated),
-        "regularised": settings.is_regularised,
+        "regularised": settings.strength if settings.is_regularised else 0.0,
         "profiled": settings.profiled,
         "hops": [settings.hops, settings.seed],
     }
@@ -113,6 +113,7 @@ def _one_pass(
             hops=settings.hops,
             seed=settings.seed,
             with_errors=is_last,
+            strength=settings.strength,
         ),
         starts=starts,
         work=work,

@@ -40,6 +40,8 @@ class Settings:
         Number of basin-hopping steps before the search.
     seed : int
         Seed of the random numbers.
+    strength : float
+        Factor of the penalty's weights.
     """
 
     formulation: Formulation = "causal"
@@ -48,6 +50,7 @@ class Settings:
     profiled: bool = False
     hops: int = 0
     seed: int = 0
+    strength: float = 1.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sugiyama_ros.cli.options import Json, Overwrite, Ring, Seed, Source, model_output, names, takes
+from sugiyama_ros.cli.options import Json, Overwrite, RegulariseStrength, Ring, Seed, Source, model_output, names, takes
 from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table, progress
 from sugiyama_ros.errors import InputError
 
@@ -47,6 +47,7 @@ class CalibrateOptions:
             "--regularise", help="causal: the drivers are draws from one population. paper: add the paper's penalty."
         ),
     ] = False
+    regularise_strength: RegulariseStrength = 1.0
     profile: Annotated[
         bool,
         typer.Option(
@@ -96,6 +97,8 @@ class CalibrateOptions:
             raise InputError(
                 "--profile and --hops: are for drivers calibrated one by one; leave out --effects and --regularise"
             )
+        if self.regularise_strength != 1.0 and not (self.regularise and self.formulation == "paper"):
+            raise InputError("--regularise-strength: give --regularise and --formulation paper, too")
         if self.classes and (self.is_pooled or self.profile or self.hops or self.regularise):
             raise InputError(
                 "--classes: the drivers of a class share all parameters; leave out --effects, --regularise, --profile"
@@ -174,6 +177,7 @@ def _calibrated(
         profiled=options.profile,
         hops=options.hops,
         seed=options.seed,
+        strength=options.regularise_strength,
     )
     if options.is_pooled:
         return pooled(trajectories, settings, names(options.effects), work)

@@ -27,6 +27,12 @@ Rate = Annotated[
 ModelFile = Annotated[
     Path | None, typer.Option("--model", help="Model file (YAML), written by diagnose -o or calibrate -o.")
 ]
+RegulariseStrength = Annotated[
+    float,
+    typer.Option(
+        "--regularise-strength", min=0.0, help="Factor of the weights of the paper's penalty; 1 as in the paper."
+    ),
+]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of the random numbers.")]
 
 _Options = TypeVar("_Options")

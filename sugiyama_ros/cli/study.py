@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from sugiyama_ros.cli.options import Json, Overwrite, Ring, Seed, need_matplotlib
+from sugiyama_ros.cli.options import Json, Overwrite, RegulariseStrength, Ring, Seed, need_matplotlib
 from sugiyama_ros.cli.output import print_json, print_line, print_table
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.outputs import Output, writing
@@ -23,6 +23,15 @@ def study(
     overwrite: Overwrite = False,
     ring: Ring = None,
     seed: Seed = 0,
+    regularise_strength: RegulariseStrength = 1.0,
+    full_noise_at: Annotated[
+        float,
+        typer.Option(
+            "--full-noise-at",
+            min=0.0,
+            help="Let the acceleration noise of estimated drivers grow with the speed, up to this speed [m/s].",
+        ),
+    ] = 0.0,
     as_json: Json = False,
 ) -> None:
     """Answer a question of the paper again.
@@ -47,7 +56,7 @@ def study(
     asked = study_of(name)
     trajectories = read_trajectories(source, ring) if source is not None else None
     with workers(runs) as work:
-        answer = asked.answer(Asked(trajectories, runs, seed, work))
+        answer = asked.answer(Asked(trajectories, runs, seed, work, regularise_strength, full_noise_at))
         if to_write is not None:
             _draw(answer.draw, to_write)
     if as_json:

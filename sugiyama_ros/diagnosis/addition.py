@@ -36,6 +36,8 @@ class Addition:
         Held-out errors without and with the addition.
     fit : JointFit
         The model with the addition.
+    form : str
+        Name of the effect that was added: one form of the mechanism ``name``.
     """
 
     name: str
@@ -48,6 +50,7 @@ class Addition:
     before: HeldOutErrors
     after: HeldOutErrors
     fit: JointFit
+    form: str
 
 
 def advice_for(name: str, others: Iterable[str]) -> tuple[str, ...]:
@@ -76,6 +79,6 @@ def advice_for(name: str, others: Iterable[str]) -> tuple[str, ...]:
 
 def parameters_of(fitted: JointFit, candidate: Candidate) -> dict[str, float]:
     """Return the values of a candidate's parameters by name; the median over the drivers for individual parameters."""
-    places = sorted({*candidate.places, *candidate.starts[0]})
+    places = candidate.entries
     rows = np.median(fitted.model.rows[:, places], axis=0)
     return {ROW.declared[k].name: float(v) for k, v in zip(places, rows, strict=True)}

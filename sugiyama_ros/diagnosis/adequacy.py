@@ -247,10 +247,10 @@ def _signs_say(named: Sequence[Addition]) -> list[str]:
     shared = stds_of(named[-1].fit)[1]
     found = []
     for one in named:
-        limits = EFFECTS[one.name].least if one.name in EFFECTS else {}
+        limits = EFFECTS[one.form].least if one.form in EFFECTS else {}
         for name, least in limits.items():
             value = one.parameters.get(name, least)
-            if value < least - _SURELY * shared.get(f"{one.name}.{name}", shared.get(name, 0.0)):
+            if value < least - _SURELY * shared.get(f"{one.form}.{name}", shared.get(name, 0.0)):
                 found.append(f"{one.name} has a sign that makes no physical sense: {name} is {value:.3g}")
     return found
 

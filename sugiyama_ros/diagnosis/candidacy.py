@@ -59,7 +59,7 @@ class Candidacy:
     @property
     def score(self) -> float:
         """Gain minus the mean gain by chance [nats]."""
-        return self.gain - self.expected
+        return self.gain - self.expected - self.candidate.elsewhere
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +113,7 @@ class NullGains:
         squares = float(np.sum(np.square(gains - gains.mean())))
         known = len(gains) - 1 + _COMMON
         spread = float(np.sqrt((squares + _COMMON * common**2) / known * (1.0 + 1.0 / len(gains))))
-        p_alone = float(student.sf((look.gain - expected) / spread, known))
+        p_alone = float(student.sf((look.gain - candidate.elsewhere - expected) / spread, known))
         return Candidacy(
             look=look,
             fit=look.fit,
@@ -165,9 +165,11 @@ def smallest_detectable(looks: Sequence[Screened], null: NullGains) -> dict[str,
     """
     found = {}
     for look in looks:
-        if look.candidate.kind == "constants" or look.loss <= 0.0 or not look.candidate.starts[0]:
+        if look.candidate.kind == "constants" or look.candidate.glanced:
             continue
-        start = look.loss_at[look.candidate.places[0]]
+        if look.loss <= 0.0 or not look.candidate.starts[0]:
+            continue
+        start = float(np.max(look.loss_at[look.candidate.places[0]]))
         scaled = start * float(np.sqrt(null.needed / look.loss))
         # a smaller limit is a stronger effect
         if effect(look.candidate.name).is_limit:

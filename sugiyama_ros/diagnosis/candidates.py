@@ -1,14 +1,15 @@
 """Candidates for what is missing from the model: freed constants, faults of the measurement, and physical effects."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import index
-from sugiyama_ros.effects.effect import MEASUREMENT, RecordingExtent
-from sugiyama_ros.effects.registry import EFFECTS, ROW, index_of
+from sugiyama_ros.effects.effect import MEASUREMENT, UTILITY, RecordingExtent
+from sugiyama_ros.effects.registry import EFFECTS, MECHANISM, ROW, index_of
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.population import LARGEST_STD
@@ -29,8 +30,8 @@ class Candidate:
         What the candidate changes.
     places : tuple of int
         Entries of the rows that become free.
-    starts : tuple of dict of int to float
-        Starts of the search: values by place.
+    starts : tuple of dict of int to float or ndarray
+        Starts of the search: values by place, of all drivers or of each, (N,).
     individual : bool
         Whether every driver has individual values.
     summary : str
@@ -39,16 +40,33 @@ class Candidate:
         Places of parameters to which the change of the samples is proportional, to first order.
     is_noise : bool
         Whether the candidate changes only noises.
+    mechanism : str
+        Name of the mechanism, of which the candidate may be one form among others; ``name`` if left out.
+    glanced : bool
+        Whether the candidate is screened only if a glance promises something.
+    elsewhere : float
+        Gain [nats] that the choice of a place or of a car brings by chance (look-elsewhere effect).
     """
 
     name: str
     kind: Kind
     places: tuple[int, ...]
-    starts: tuple[dict[int, float], ...]
+    starts: tuple[dict[int, float | Array], ...]
     individual: bool = False
     summary: str = ""
     strengths: tuple[int, ...] = ()
     is_noise: bool = False
+    mechanism: str = ""
+    glanced: bool = False
+    elsewhere: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "mechanism", self.mechanism or self.name)
+
+    @property
+    def entries(self) -> list[int]:
+        """Entries of the rows that the candidate sets: those that become free, and those that stay at their start."""
+        return sorted({*self.places, *self.starts[0]})
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -124,12 +142,14 @@ def candidates(recording: RecordingExtent, drivers: int) -> tuple[Candidate, ...
             Candidate(
                 name=e.name,
                 kind="measurement" if e.stage == MEASUREMENT else "effect",
-                places=tuple(range(ROW.places[e.name].start, ROW.places[e.name].stop)),
+                places=tuple(index_of(e.name, p.name) for p in e.parameters if p.name not in e.fixed),
                 starts=tuple({index_of(e.name, p): v for p, v in values.items()} for values in starts),
                 individual=e.individual,
                 summary=e.summary,
                 strengths=strengths if has_signs else (),
                 is_noise=e.is_noise,
+                mechanism=MECHANISM[e.name],
+                glanced=e.stage == UTILITY or MECHANISM[e.name] != e.name,
             )
         )
     return tuple(found)
@@ -169,7 +189,7 @@ def recording_of(data: Recorded) -> RecordingExtent:
     return RecordingExtent(t.start_s, t.start_s + t.duration_s, t.road.circumference_m, first, last)
 
 
-def added(model: Model, candidate: Candidate, start: dict[int, float]) -> Model:
+def added(model: Model, candidate: Candidate, start: Mapping[int, float | Array]) -> Model:
     """Return the model with the entries of a candidate freed.
 
     Parameters
@@ -178,8 +198,8 @@ def added(model: Model, candidate: Candidate, start: dict[int, float]) -> Model:
         The model.
     candidate : Candidate
         What becomes free.
-    start : dict of int to float
-        Start of the search: values by place.
+    start : mapping of int to float or ndarray, shape (N,)
+        Start of the search: values by place, of all drivers or of each.
 
     Returns
     -------

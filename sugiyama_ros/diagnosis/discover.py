@@ -88,7 +88,7 @@ def discover(data: Recorded, fitted: JointFit, work: Executor) -> list[tuple[Dis
             if len(values) < 100:
                 continue
             low, high = (float(q) for q in np.quantile(values, _INNER))
-        start = {_FIRST: float(number), _FIRST + 1: low, _FIRST + 2: high}
+        start: dict[int, float | Array] = {_FIRST: float(number), _FIRST + 1: low, _FIRST + 2: high}
         look = screen(data, fitted, Candidate("discovered_force", "effect", _FORCES, (start,)), work)
         force = look.fit.model.rows[0, list(_FORCES)]
         ring = covariate == "place" and t.road.is_ring

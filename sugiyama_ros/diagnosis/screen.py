@@ -86,7 +86,7 @@ class Screened:
     gain: float
     predicted_gain: float
     loss: float
-    loss_at: dict[int, float]
+    loss_at: dict[int, float | Array]
 
 
 def screen(data: Recorded, base: JointFit, candidate: Candidate, work: Executor, effort: Effort = FULL) -> Screened:
@@ -115,18 +115,18 @@ def screen(data: Recorded, base: JointFit, candidate: Candidate, work: Executor,
     new = {}
     if len(candidate.strengths) == 1:
         # between zero and the start, the change of the samples is proportional to the strength
-        new = {k: _differences(base.samples, at, float(model.rows[0, k]), model.rows) for k in candidate.strengths}
+        new = {k: differences(base.samples, at, float(model.rows[0, k]), model.rows) for k in candidate.strengths}
     for k in (*model.individual, *model.shared):
         if k not in known and k not in new:
             new[k] = _column(data, model, at, k, work)
-    fitted = JointFit(model, at, _joined(data, base, model, at, new))
+    fitted = JointFit(model, at, joined(data, base, model, at, new))
     look = Screened(candidate=candidate, fit=fitted, gain=0.0, predicted_gain=0.0, loss=loss, loss_at=loss_at)
     return _first_steps(data, base, look, work, effort)
 
 
 def _best_start(
     data: Recorded, base: JointFit, candidate: Candidate, work: Executor, drivers: int
-) -> tuple[Model, PointwiseDensity, float, dict[int, float]]:
+) -> tuple[Model, PointwiseDensity, float, dict[int, float | Array]]:
     """The start with the largest predicted likelihood, the samples there, and loss and loss_at as in ``Screened``.
 
     drivers: number of drivers on whom the starts are compared, or up to twice as many.
@@ -158,7 +158,7 @@ def screen_again(
     """Screen a candidate again from the end of an earlier look, which was taken with the model ``before``."""
     model = _carried_over(before, look, base)
     at = evaluate(data, model, work)
-    again = replace(look, fit=JointFit(model, at, _joined(data, base, model, at, _columns(look.fit))))
+    again = replace(look, fit=JointFit(model, at, joined(data, base, model, at, _columns(look.fit))))
     return _first_steps(data, base, again, work, effort)
 
 
@@ -200,7 +200,7 @@ def _carried_over(before: JointFit, look: Screened, current: JointFit) -> Model:
     candidate = look.candidate
     model = added(current.model, candidate, candidate.starts[0])
     rows = model.rows.copy()
-    rows[:, candidate.places] = look.fit.model.rows[:, candidate.places]
+    rows[:, candidate.entries] = look.fit.model.rows[:, candidate.entries]
     own = list(before.model.individual)
     shift = coordinate(look.fit.model.rows[:, own], own) - coordinate(before.model.rows[:, own], own)
     rows[:, own] = value(coordinate(rows[:, own], own) + shift, own)
@@ -231,7 +231,7 @@ def forecast(data: Recorded, before: JointFit, look: Screened, current: JointFit
     candidate = look.candidate
     model = added(current.model, candidate, {})
     rows = model.rows.copy()
-    rows[:, candidate.places] = look.fit.model.rows[:, candidate.places]
+    rows[:, candidate.entries] = look.fit.model.rows[:, candidate.entries]
     model = replace(model, rows=rows)
     now, then, with_it = current.samples, before.samples, look.fit.samples
     y = now.innovation_m + with_it.innovation_m - then.innovation_m
@@ -240,7 +240,7 @@ def forecast(data: Recorded, before: JointFit, look: Screened, current: JointFit
     for i, row in enumerate(rows):
         weigh_samples(y[i], variance[i], row, np.empty_like(y[i]), density[i])
     density[np.isnan(now.log_likelihood)] = np.nan
-    here = _joined(data, current, model, PointwiseDensity(y, variance, density), _columns(look.fit))
+    here = joined(data, current, model, PointwiseDensity(y, variance, density), _columns(look.fit))
     everywhere = range(FOLDS)
     reached = objective(here, model, everywhere) + solve(here, model, everywhere, 1e-3).predicted_gain
     return reached - objective(current.slopes, current.model, everywhere)
@@ -267,7 +267,7 @@ def _strongest(
     here: PointwiseDensity,
     candidate: Candidate,
     tried: Sequence[tuple[float, Model, PointwiseDensity]],
-) -> dict[int, float]:
+) -> dict[int, float | Array]:
     """The start with the largest predicted gain after scaling its strengths to fit the samples; values by place.
 
     The changes of the samples at a start serve as derivatives, so no filter runs. here: samples of the base model, for
@@ -276,8 +276,8 @@ def _strongest(
     steps, (ray, *_) = [], candidate.strengths
     model = replace(base.model, shared=(*base.model.shared, ray))
     for _, start, there in tried:
-        new = {ray: _differences(here, there, 1.0, start.rows)}
-        steps.append(solve(_joined(data, base, model, here, new), model, range(FOLDS), 1e-3))
+        new = {ray: differences(here, there, 1.0, start.rows)}
+        steps.append(solve(joined(data, base, model, here, new), model, range(FOLDS), 1e-3))
     best = int(np.argmax([step.predicted_gain for step in steps]))
     scale = float(steps[best].shared[-1])
     return {
@@ -286,18 +286,18 @@ def _strongest(
     }
 
 
-def _joined(
+def joined(
     data: Recorded, base: JointFit, model: Model, at: PointwiseDensity, new: dict[int, list[tuple[Array, Array, Array]]]
 ) -> tuple[Slopes, ...]:
     """Slopes at a model near ``base``: derivatives of ``base``, and ``new`` derivatives by the other parameters."""
     known, places = [*base.model.individual, *base.model.shared], (*model.individual, *model.shared)
-    joined = []
+    found = []
     for i, (s, row) in enumerate(zip(base.slopes, model.rows, strict=True)):
         rows = [
             [old[known.index(k)] if k in known else new[k][i][j] for k in places] for j, old in enumerate(s.derivatives)
         ]
-        joined.append(sums(at.of(i), Derivatives(*map(np.array, rows)), row, data.fold))
-    return tuple(joined)
+        found.append(sums(at.of(i), Derivatives(*map(np.array, rows)), row, data.fold))
+    return tuple(found)
 
 
 def _columns(fitted: JointFit) -> dict[int, list[tuple[Array, Array, Array]]]:
@@ -314,10 +314,10 @@ def _column(
     step = float(difference_steps(data, [place])[0])
     rows = model.rows.copy()
     rows[:, place] = value(coordinates + step, [place])[:, 0]
-    return _differences(at, evaluate(data, replace(model, rows=rows), work), step, model.rows)
+    return differences(at, evaluate(data, replace(model, rows=rows), work), step, model.rows)
 
 
-def _differences(
+def differences(
     at: PointwiseDensity, there: PointwiseDensity, step: float, rows: Array
 ) -> list[tuple[Array, Array, Array]]:
     """Difference quotients of every driver's samples, as in ``Slopes``, (T,) each; rows: (N, WIDTH)."""

@@ -23,6 +23,8 @@ from sugiyama_ros.diagnosis.candidacy import (
 from sugiyama_ros.diagnosis.candidates import Candidate, candidates, recording_of
 from sugiyama_ros.diagnosis.discover import Discovery, discover
 from sugiyama_ros.diagnosis.errors import HeldOutErrors, held_out_errors
+from sugiyama_ros.diagnosis.glance import glance
+from sugiyama_ros.diagnosis.push import push_candidate
 from sugiyama_ros.diagnosis.screen import FULL, QUICK, Screened, closer, forecast, refine, screen, screen_again
 from sugiyama_ros.fit.cross_validation import Gain, gain, held_out_nearly, sum_error
 from sugiyama_ros.fit.joint import JointFit, objective, warm_start
@@ -43,6 +45,8 @@ _LATER_LOOKS = 8
 _CLEARLY, _LEAST_DIFFERENCE = 1.645, 3.0
 # A gain above this [nats] is not checked against simulations.
 _OBVIOUS = 60.0
+# A candidate is screened if a glance at it predicts more than this gain [nats].
+_PROMISE = 10.0
 # Number of steps of a search that starts at the truth.
 _FEW_STEPS = 4
 
@@ -97,8 +101,9 @@ class Search:
     ) -> None:
         self.data, self.base, self.quick, self.seed = data, base, quick, seed
         self._work, self._on_progress = work, on_progress
-        self._possible = candidates(recording_of(data), data.drivers)
-        self.searched = tuple(c.name for c in self._possible)
+        push = push_candidate(data, base.samples)
+        self._possible = (*candidates(recording_of(data), data.drivers), *((push,) if push else ()))
+        self.searched = tuple(dict.fromkeys(c.mechanism for c in self._possible))
         self._seen: dict[str, tuple[JointFit, Screened]] = {}
         self.effort = QUICK if quick else FULL
         self.current = base
@@ -125,7 +130,7 @@ class Search:
         grown: list[Addition] = []
         predicted = self._gains(supported)
         for one in sorted(supported, key=lambda one: -predicted[one.candidate.name].nats):
-            is_rival = not grown or (one.candidate.name in grown[0].indistinguishable and not self.quick)
+            is_rival = not grown or (one.candidate.mechanism in grown[0].indistinguishable and not self.quick)
             if is_rival and self._predicts_more(one, now):
                 rivals = self._indistinguishable(one, scored)
                 named = self._grow(one.candidate, one.fit, one.p_value, rivals)
@@ -149,9 +154,9 @@ class Search:
     def _look_at_all(self) -> list[Candidacy]:
         """Screen the candidates, and fit the most promising ones in full; the best candidate first."""
         is_first = not self._seen
-        chosen: Sequence[Candidate] = self._possible if is_first else self._worth_a_look()
+        chosen: Sequence[Candidate] = self._promising() if is_first else self._worth_a_look()
         title = f"round {len(self.named) + 1}"
-        looks = at_once(self._look, chosen, f"{title}: candidates", self._on_progress)
+        looks = _best_forms(at_once(self._look, chosen, f"{title}: candidates", self._on_progress))
         promising = self._shortlist(looks)
         again = at_once(self._look_closer, [looks[k] for k in promising], f"{title}: looking closer", self._on_progress)
         for k, look in zip(promising, again, strict=True):
@@ -194,12 +199,12 @@ class Search:
         It is known at this point that something is missing, so the p-value of a rival needs no correction.
         """
         by_best = held_out_nearly(self.data, best.fit)
-        names = []
+        names: list[str] = []
         for one in scored:
-            if one.refined and one.candidate.name != best.candidate.name:
+            if one.refined and one.candidate.mechanism not in (best.candidate.mechanism, *names):
                 behind = gain(self.data, by_best, held_out_nearly(self.data, one.fit))
                 if behind.nats < max(_CLEARLY * sum_error(behind.drivers), _LEAST_DIFFERENCE):
-                    names.append(one.candidate.name)
+                    names.append(one.candidate.mechanism)
         return tuple(names)
 
     def _nearly(self, fitted: JointFit) -> HeldOutErrors:
@@ -220,11 +225,12 @@ class Search:
         if won.nats < sum_error(won.drivers):
             return None
         return Addition(
-            name=candidate.name,
+            name=candidate.mechanism,
+            form=candidate.name,
             kind=candidate.kind,
             parameters=parameters_of(grown, candidate),
             indistinguishable=rivals,
-            advice=advice_for(candidate.name, rivals),
+            advice=advice_for(candidate.mechanism, rivals),
             p_value=p_value,
             heldout=won,
             before=before,
@@ -238,7 +244,7 @@ class Search:
             return False
         self.current, self.errors = one.fit, one.after
         self.named.append(one)
-        self._possible = tuple(c for c in self._possible if c.name != one.name)
+        self._possible = tuple(c for c in self._possible if c.mechanism != one.name)
         return True
 
     def _judge(self, look: Screened, null: NullGains | None = None) -> Candidacy:
@@ -259,9 +265,23 @@ class Search:
             chosen += [k for k in freed if looks[k].candidate.is_noise and k not in chosen]
         return chosen
 
+    def _promising(self) -> list[Candidate]:
+        """The candidates, but of those that get a glance first only those whose glance promises something."""
+
+        def promises(candidate: Candidate) -> bool:
+            gain = glance(self.data, self.current, candidate, self._work, self.effort)
+            return gain > _PROMISE + candidate.elsewhere
+
+        glanced = [c for c in self._possible if c.glanced]
+        title = f"round {len(self.named) + 1}: first glances"
+        promised = at_once(promises, glanced, title, self._on_progress)
+        left = {c.name for c, yes in zip(glanced, promised, strict=True) if not yes}
+        return [c for c in self._possible if c.name not in left]
+
     def _worth_a_look(self) -> list[Candidate]:
         """The candidates with the largest predicted gains over the current model, from earlier looks."""
-        order = sorted(self._possible, key=lambda c: -forecast(self.data, *self._seen[c.name], self.current))
+        seen = [c for c in self._possible if c.name in self._seen]
+        order = sorted(seen, key=lambda c: -forecast(self.data, *self._seen[c.name], self.current))
         return order[:_LATER_LOOKS]
 
     def _look(self, candidate: Candidate) -> Screened:
@@ -305,6 +325,16 @@ class Search:
 def _rise(current: JointFit, fitted: JointFit) -> float:
     everywhere = range(FOLDS)
     return objective(fitted.slopes, fitted.model, everywhere) - objective(current.slopes, current.model, everywhere)
+
+
+def _best_forms(looks: Sequence[Screened]) -> list[Screened]:
+    """The looks at the form of each mechanism that gains most."""
+    best: dict[str, Screened] = {}
+    for look in looks:
+        mechanism = look.candidate.mechanism
+        if mechanism not in best or look.gain > best[mechanism].gain:
+            best[mechanism] = look
+    return list(best.values())
 
 
 def _obvious(look: Screened) -> bool:

@@ -70,6 +70,7 @@ def _named(n: Addition, d: Diagnosis) -> dict[str, Any]:
     before, after = n.before.summary(), n.after.summary()
     return {
         "name": n.name,
+        "form": n.form,
         "kind": n.kind,
         "parameters": n.parameters,
         "indistinguishable": list(n.indistinguishable),
@@ -138,12 +139,14 @@ def sentences(d: Diagnosis) -> list[str]:
         ]
         lines.append("Effects of this strength would usually have shown: " + ", ".join(shown) + "." if shown else "")
     for n in d.named:
-        units = {p.name: p.unit for p in EFFECTS[n.name].parameters} if n.name in EFFECTS else {}
+        units = {p.name: p.unit for p in EFFECTS[n.form].parameters} if n.form in EFFECTS else {}
         units |= {p.name: p.unit for p in ROW.declared if p.name in n.parameters and p.name not in units}
+        form = f"as {n.form}: " if n.form != n.name else ""
         values = ", ".join(f"{k} {_quantity(v, units.get(k, ''))}" for k, v in n.parameters.items())
         lines.append(
-            f"{n.name} ({values}): held-out gain {n.heldout.nats:.0f} ± {n.heldout.se:.0f} nats, p {n.p_value:.1g};"
-            f" 10-s free run {n.before.summary()['free_run_10s_m']:.2f} -> {n.after.summary()['free_run_10s_m']:.2f} m."
+            f"{n.name} ({form}{values}): held-out gain {n.heldout.nats:.0f} ± {n.heldout.se:.0f} nats,"
+            f" p {n.p_value:.1g}; 10-s free run {n.before.summary()['free_run_10s_m']:.2f} ->"
+            f" {n.after.summary()['free_run_10s_m']:.2f} m."
         )
         if n.indistinguishable:
             advice = f" To tell them apart: {'; '.join(n.advice)}." if n.advice else ""

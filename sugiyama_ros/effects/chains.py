@@ -11,6 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.driver.utility import Preferences
 from sugiyama_ros.effects.effect import Effect, Seen, with_view
 from sugiyama_ros.effects.registry import EFFECTS, ROW
 from sugiyama_ros.jit import kernel
@@ -110,7 +111,7 @@ def then_prefer(before: Hook, effect: Effect) -> Hook:
 
 
 @kernel(cached=False)
-def nothing_valued(seen: Seen, action: float, period: float, horizon: int, row: Array) -> float:
+def nothing_valued(seen: Seen, action: float, period: float, horizon: int, row: Array, driver: Preferences) -> float:
     """Add nothing to the utility."""
     return 0.0
 
@@ -121,13 +122,20 @@ def then_value(before: Hook, effect: Effect) -> Hook:
     component: Any = effect.function
 
     @kernel(cached=False)
-    def valued(seen: Seen, action: float, period: float, horizon: int, row: Array) -> float:
-        total = before(seen, action, period, horizon, row)
+    def valued(seen: Seen, action: float, period: float, horizon: int, row: Array, driver: Preferences) -> float:
+        total = before(seen, action, period, horizon, row, driver)
         if row[switch] == 0.0 and row[other] == 0.0:
             return float(total)
         return float(total + component(seen, action, period, horizon, row[first:last]))
 
-    return valued
+    @kernel(cached=False)
+    def knowing(seen: Seen, action: float, period: float, horizon: int, row: Array, driver: Preferences) -> float:
+        total = before(seen, action, period, horizon, row, driver)
+        if row[switch] == 0.0 and row[other] == 0.0:
+            return float(total)
+        return float(total + component(seen, action, period, horizon, row[first:last], driver))
+
+    return knowing if effect.knows_preferences else valued
 
 
 @kernel(cached=False)

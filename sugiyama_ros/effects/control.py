@@ -2,6 +2,8 @@
 
 import math
 
+import numpy as np
+
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.utility import (
     GRID_ROW,
@@ -14,7 +16,7 @@ from sugiyama_ros.driver.utility import (
 from sugiyama_ros.effects import chains
 from sugiyama_ros.effects.chains import Hook, any_of, chain, having, switches
 from sugiyama_ros.effects.effect import ACTUATION, ENVIRONMENT, MEASUREMENT, PERCEPTION, PREFERENCE, UTILITY, Seen
-from sugiyama_ros.effects.registry import ROW
+from sugiyama_ros.effects.registry import EFFECTS, ROW
 from sugiyama_ros.jit import kernel
 from sugiyama_ros.laws.law import LawFunction
 from sugiyama_ros.laws.registry import ADAPTIVE_SEEK, LAWS
@@ -34,7 +36,8 @@ _expected = chain(chains.all_expected, chains.then_expect, _REMEMBER)
 _factor = chain(chains.no_factor, chains.then_factor, _NOISE)
 _PERCEIVING, _PREFERRING, _VALUING = switches(_PERCEIVE), switches(_PREFER), switches(_VALUE)
 _ACTUATING, _PUSHING, _REMEMBERING, _NOISY = (switches(e) for e in (_ACTUATE, _PUSH, _REMEMBER, _NOISE))
-_FEELING = switches(e for e in _PERCEIVE if e.sees_accelerations)
+_FEELING = switches(e for e in (*_PERCEIVE, *_VALUE) if e.sees_accelerations)
+_LOOKING_BACK = np.array([ROW.places[e.name].start for e in EFFECTS.values() if e.looks_back], dtype=np.int64)
 
 
 @kernel(cached=False)
@@ -120,9 +123,9 @@ def has_components(row: Array) -> bool:
 
 
 @kernel(allocates=False)
-def component(perceived: Seen, action: float, period: float, horizon: int, row: Array) -> float:
+def component(perceived: Seen, action: float, period: float, horizon: int, row: Array, driver: Preferences) -> float:
     """Return what effects add to the utility of an action [m/s^2]; the other arguments as for ``intend``."""
-    return float(_valued(perceived, action, period, horizon, row))
+    return float(_valued(perceived, action, period, horizon, row, driver))
 
 
 @kernel(allocates=False)
@@ -168,7 +171,7 @@ def intend(seen: Seen, row: Array, scratch: Array, period: float, horizon: int) 
         utilities(gap, speed, leader_speed, driver, scratch, period, horizon)
         if has_components(row):
             for k in range(scratch.shape[1]):
-                scratch[UTILITY_ROW, k] += component(perceived, scratch[GRID_ROW, k], period, horizon, row)
+                scratch[UTILITY_ROW, k] += component(perceived, scratch[GRID_ROW, k], period, horizon, row, driver)
         action = boltzmann_mean(scratch, driver[-1])
     else:
         action = law_acceleration(gap, speed, leader_speed, row)
@@ -231,3 +234,12 @@ def remembers(row: Array) -> bool:
 def feels_accelerations(row: Array) -> bool:
     """Whether the driver reacts to accelerations, which a filter does not know exactly, for a row (width,)."""
     return any_of(_FEELING, row)
+
+
+@kernel(allocates=False)
+def looks_back(row: Array) -> float:
+    """Return how far the driver of a row (width,) looks back [s]; 0 for a driver who sees what there is now."""
+    longest = 0.0
+    for k in _LOOKING_BACK:
+        longest = max(longest, row[k])
+    return longest

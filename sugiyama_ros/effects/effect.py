@@ -39,6 +39,9 @@ class Seen(NamedTuple):
         the second vehicle.
     rear_gap, rear_speed : float
         Gap [m] between the follower and the car, infinite without a follower, and speed [m/s] of the follower.
+    past_gap, past_speed, past_leader_speed : float
+        Gap [m], speed [m/s] and leader's speed [m/s] one reaction time ago. Without an effect that looks back, these
+        are the gap and the speeds of now.
     """
 
     gap: float
@@ -53,6 +56,9 @@ class Seen(NamedTuple):
     second_speed: float
     rear_gap: float
     rear_speed: float
+    past_gap: float
+    past_speed: float
+    past_leader_speed: float
 
 
 @kernel
@@ -71,6 +77,9 @@ def with_view(seen: Seen, gap: float, speed: float, leader_speed: float) -> Seen
         second_speed=seen.second_speed,
         rear_gap=seen.rear_gap,
         rear_speed=seen.rear_speed,
+        past_gap=seen.past_gap,
+        past_speed=seen.past_speed,
+        past_leader_speed=seen.past_leader_speed,
     )
 
 
@@ -193,6 +202,9 @@ class Effect:
         Number of vehicles ahead that the driver looks at.
     sees_accelerations : bool
         Whether the function depends on accelerations, so that a filter must know their distribution.
+    looks_back : bool
+        Whether the function depends on the past (``past_gap`` and the like of `Seen`). The first parameter of the
+        effect is then the time [s] that the driver looks back.
     bank : mapping of str to float, optional
         Values at which the live diagnosis runs a filter with the effect; left out if the effect takes no part.
     benchmark : tuple of mapping
@@ -205,6 +217,13 @@ class Effect:
         doubts the name.
     advice : mapping of str to str
         What to record to tell the effect from another effect, by the name of the other effect.
+    knows_preferences : bool
+        Whether the function of a component of the utility takes the driver's ``Preferences`` after its other arguments.
+    fixed : tuple of str
+        Names of parameters that a search leaves as they are at its start.
+    forms : tuple of Effect
+        Further forms of the same mechanism, with names of their own. A search tries them too, and a verdict then names
+        the mechanism, and says which form fits best.
     """
 
     name: str
@@ -227,17 +246,23 @@ class Effect:
     is_limit: bool = False
     reach: int = 1
     sees_accelerations: bool = False
+    looks_back: bool = False
     bank: Values | None = None
     benchmark: tuple[Values, ...] = ()
     ascending: tuple[tuple[str, str], ...] = ()
     least: Values = field(default_factory=dict)
     advice: Mapping[str, str] = field(default_factory=dict)
+    knows_preferences: bool = False
+    fixed: tuple[str, ...] = ()
+    forms: tuple["Effect", ...] = ()
 
     def __post_init__(self) -> None:
         check_declared(self.name, self.parameters)
         known = {p.name for p in self.parameters}
         if not known or not {*self.switches, *(name for pair in self.ascending for name in pair)} <= known:
             raise InputError(f"effect {self.name}: its strengths must be among its parameters")
+        if any(form.forms for form in self.forms):
+            raise InputError(f"effect {self.name}: a form has no forms of its own")
 
     @property
     def switches(self) -> tuple[str, ...]:

@@ -11,6 +11,8 @@ from sugiyama_ros.jit import kernel
 @kernel
 def push(seen: Seen, p: Array) -> float:
     """Compute a Gaussian pulse [m/s^2] in time, with height ``p[0]``, centre ``p[1]`` [s] and std ``p[2]`` [s]."""
+    if p[3] != 0.0:
+        return 0.0
     off = (seen.time - p[1]) / p[2]
     return p[0] * math.exp(-0.5 * off * off) if abs(off) < 6.0 else 0.0
 
@@ -25,6 +27,7 @@ EFFECT = Effect(
         Parameter("strength", "f", "m/s^2", 0.0, -20.0, 20.0, "acceleration at the peak of the push"),
         Parameter("time", "t_0", "s", 0.0, -1e12, 1e12, "time of the recording at which the push is strongest", "time"),
         Parameter("duration", "d", "s", 0.0, 0.1, 60.0, "duration of the push, as a std in time"),
+        Parameter("spared", "", "1", 0.0, 0.0, 1.0, "1 for a car that is not pushed"),
     ),
     function=push,
     individual=True,

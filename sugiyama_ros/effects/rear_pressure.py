@@ -4,7 +4,9 @@ import math
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
-from sugiyama_ros.effects.effect import ACTUATION, Effect, Seen, at
+from sugiyama_ros.driver.utility import Preferences
+from sugiyama_ros.effects.effect import ACTUATION, UTILITY, Effect, Seen, at
+from sugiyama_ros.effects.risk import risk_behind
 from sugiyama_ros.jit import kernel
 
 
@@ -16,6 +18,26 @@ def actuate(acceleration: float, seen: Seen, p: Array) -> float:
     return acceleration + float(p[0]) * math.exp(-max(seen.rear_gap, 0.0) / p[1])
 
 
+@kernel
+def component(seen: Seen, action: float, period: float, horizon: int, p: Array, driver: Preferences) -> float:
+    """Compute the risk that the follower runs into the car, as the driver judges the risk of the leader."""
+    if math.isinf(seen.rear_gap):
+        return 0.0
+    risk = risk_behind(seen.rear_gap, seen.speed, seen.rear_speed, action, period, horizon, driver)
+    return float(p[0] * driver[5] * risk)
+
+
+_UTILITY = Effect(
+    name="rear_pressure_utility",
+    stage=UTILITY,
+    title="fear of the car behind",
+    summary="a component of the utility: the risk that the car behind runs into the driver's car",
+    source="the paper's phi2, for the car behind",
+    parameters=(Parameter("weight", "w_r", "1", 0.0, 0.0, 10.0, "weight beside the risk of the leader"),),
+    starts=at({"weight": 0.003}, {"weight": 0.03}),
+    function=component,
+    knows_preferences=True,
+)
 EFFECT = Effect(
     name="rear_pressure",
     stage=ACTUATION,
@@ -31,5 +53,6 @@ EFFECT = Effect(
     function=actuate,
     bank={"strength": 1.0, "distance": 3.0},
     benchmark=({"strength": 1.5, "distance": 2.5}, {"strength": 0.6, "distance": 2.5}),
+    forms=(_UTILITY,),
     advice={"reaction_delay": "record cars without a follower too"},
 )

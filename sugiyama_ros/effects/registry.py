@@ -16,10 +16,10 @@ from sugiyama_ros.laws.registry import LAWS
 
 #: Group of the entry points by which other packages add effects.
 GROUP = "sugiyama_ros.effects"
-#: Effects by name. Effects of one stage act in this order.
+#: Effects by name, each followed by its further forms. Effects of one stage act in this order.
 EFFECTS: Mapping[str, Effect] = {
-    name: effect
-    for name, effect in plugins.registered(
+    form.name: form
+    for effect in plugins.registered(
         GROUP,
         Effect,
         (
@@ -30,6 +30,9 @@ EFFECTS: Mapping[str, Effect] = {
             "slow_patch",
             "preference_switch",
             "preference_drift",
+            "harshness",
+            "roughness",
+            "averaged_reward",
             "rear_pressure",
             "comfort_limits",
             "limited_power",
@@ -45,8 +48,13 @@ EFFECTS: Mapping[str, Effect] = {
             "uneven_noise",
         ),
         "EFFECT",
-    ).items()
-    if effect.stage in STAGES
+    ).values()
+    for form in (effect, *effect.forms)
+    if form.stage in STAGES
+}
+#: The mechanism of each effect, by the name of the effect: an effect with further forms gives its name to all of them.
+MECHANISM: Mapping[str, str] = {name: name for name in EFFECTS} | {
+    form.name: effect.name for effect in EFFECTS.values() for form in effect.forms
 }
 #: Where every parameter stands in a driver's row.
 ROW = RowLayout.of(

@@ -17,16 +17,34 @@ def noise_factor(speed: float, p: Array) -> float:
     return math.exp(p[0] * (min(max(speed, 0.0), 8.0 * REFERENCE_SPEED) / REFERENCE_SPEED - 1.0))
 
 
+@kernel
+def fading(speed: float, p: Array) -> float:
+    """Compute the factor of the paper: it grows from 0 at standstill to 1 at the speed ``p[0]`` [m/s]."""
+    return float(min(max(speed, 0.0) / p[0], 1.0))
+
+
+_FADING = Effect(
+    name="speed_dependent_noise_fading",
+    stage=ACTUATION,
+    title="steady hand at low speed",
+    summary="the acceleration noise grows in proportion to the speed, up to one speed, and is the same above",
+    source="paper, section 6 (footnote on the noise at low speed)",
+    parameters=(Parameter("full_speed", "v_n", "m/s", 0.0, 0.0, 50.0, "speed from which on the noise is whole"),),
+    starts=at({"full_speed": 1.0}, {"full_speed": 4.0}),
+    noise_factor=fading,
+    is_noise=True,
+)
 EFFECT = Effect(
     name="speed_dependent_noise",
     stage=ACTUATION,
     title="unsteadiness that depends on the speed",
     summary="the acceleration noise grows (or shrinks) with the speed",
-    source="paper, section 5.1 (footnote on the noise at standstill)",
+    source="after the paper, section 6 (footnote on the noise at low speed)",
     parameters=(Parameter("exponent", "e_n", "1", 0.0, -3.0, 3.0, "growth of log sigma_a over 5 m/s of speed"),),
     starts=at({"exponent": 0.2}, {"exponent": -0.2}),
     noise_factor=noise_factor,
     is_noise=True,
     bank={"exponent": 0.3},
     benchmark=({"exponent": 0.6}, {"exponent": 0.25}),
+    forms=(_FADING,),
 )

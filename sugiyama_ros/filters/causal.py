@@ -29,6 +29,7 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.filters.causal_kernel import Observed, Predicted, Trace, run
 from sugiyama_ros.filters.chain import NOT_ADAPTED, Adaptation, Chain, adaptation_of, chain_parameters
+from sugiyama_ros.filters.past import periods_back
 from sugiyama_ros.filters.state import STATE, drivers_at, scene_at
 
 # Filters that run side by side: the points of four drivers who adapt nothing fill three blocks of lanes.
@@ -184,6 +185,7 @@ def _run(jobs: Sequence[ChainJob], adaptation: Adaptation, trace: Trace) -> Pred
         ACTIONS,
         one.start_s,
         scene_at(one.period_s, one.circumference_m, adaptation.relaxation_s),
+        max(periods_back(some, one.period_s) for some in rows),
         predicted,
         trace,
     )

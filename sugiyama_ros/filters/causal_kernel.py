@@ -14,6 +14,7 @@ from sugiyama_ros.effects.control import feels_accelerations, remembers
 from sugiyama_ros.filters.expectation import consider, decide
 from sugiyama_ros.filters.linearisation import add_all_components, aim_all, conclude
 from sugiyama_ros.filters.measurement import log_density, measurement, noise_var_at, weights
+from sugiyama_ros.filters.past import begin_past, entries_of_past, forget_past
 from sugiyama_ros.filters.state import (
     MOVING,
     STATE,
@@ -133,6 +134,7 @@ def _take_in(
     mean, covariance, known = state.mean, state.covariance, state.known
     position, identity, gain = observed.position[c], observed.identity[c], shared.gain
     circumference = scene.circumference_m
+    drivers = Drivers(parameters, shared.adapted, filters.prior_mean[c], shared.prior_var)
     predicted.innovation[c, t], predicted.innovation_var[c, t] = np.nan, np.nan
     predicted.log_likelihood[c, t] = np.nan
     filters.settled[c] += 1
@@ -140,6 +142,7 @@ def _take_in(
         waited[m] += 1
         if identity[t, m] < 0 or (t > 0 and identity[t, m] != identity[t - 1, m]):
             forget_vehicle(m, state)
+            forget_past(m, state, drivers)
             if m == 0:
                 filters.settled[c] = 0
         if identity[t, m] < 0:
@@ -154,6 +157,8 @@ def _take_in(
         if known[m] != MOVING:
             start_vehicle(m, position[t, m], waited[m] * scene.period_s, state, parameters, scene)
             waited[m] = 0
+            if known[m] == MOVING:
+                begin_past(m, state, drivers, scene.period_s)
             continue
         y = position[t, m] - mean[x] - off
         if circumference > 0.0:
@@ -182,13 +187,12 @@ def _predict(state: State, shared: _Shared) -> None:
 @kernel(allocates=False)
 def _record(c: int, t: int, state: State, action: float, next_speed: float, period_s: float, trace: Trace) -> None:
     """Fill in the trace after the update with a sample."""
-    size = len(state.mean)
     if len(trace.means) > 0:
-        for i in range(size):
+        for i in range(trace.means.shape[2]):
             trace.means[c, t, i] = state.mean[i]
     if len(trace.covariances) > 0:
-        for i in range(size):
-            for j in range(size):
+        for i in range(trace.covariances.shape[2]):
+            for j in range(trace.covariances.shape[2]):
                 trace.covariances[c, t, i, j] = state.covariance[i, j]
         trace.motion[c, t, 0], trace.motion[c, t, 1] = (next_speed - state.mean[1]) / period_s, action
 
@@ -231,6 +235,7 @@ def run(
     actions: Array,
     start_s: float,
     scene: Scene,
+    periods_back: int,
     predicted: Predicted,
     trace: Trace,
 ) -> None:
@@ -249,12 +254,15 @@ def run(
         Time of the first sample [s].
     scene
         Period and road.
+    periods_back
+        Largest number of periods that any of the drivers looks back.
     predicted, trace
         Filled, (C, T) each. The log-likelihood is also NaN where a sample does not count.
     """
     count, _, vehicles = observed.position.shape
     adapted, a = drivers.adapted, len(drivers.adapted)
-    size, one = STATE * vehicles + a, workspace_for(vehicles, a)
+    past = entries_of_past(vehicles, periods_back)
+    size, one = STATE * vehicles + a + past, workspace_for(vehicles, a, past)
     filters = _Filters(
         np.zeros((count, size)),
         np.zeros((count, size, size)),

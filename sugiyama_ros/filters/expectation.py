@@ -16,14 +16,14 @@ from sugiyama_ros.effects.control import (
     acts_on_intention,
     component,
     expect_change,
-    feels_accelerations,
     law_acceleration,
     perceive,
+    prefer,
     remembers,
     seeks,
 )
-from sugiyama_ros.filters.points import KNOWN_VAR, look_around, rows_of, seen_at, side_of, surroundings
-from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Lanes, Moment, Scene, State, Workspace
+from sugiyama_ros.filters.points import KNOWN_VAR, look_around, rows_of, seen_at, side_of, surroundings, view_of
+from sugiyama_ros.filters.state import STATE, Drivers, Lanes, Moment, Scene, State, Workspace
 from sugiyama_ros.jit import kernel
 
 
@@ -81,16 +81,18 @@ def add_components(
     driver, actions = drivers.parameters[m], lanes.grid.actions
     size, first = workspace.points[m, 0], workspace.points[m, 1]
     work = workspace.root[rows_of(m, workspace)[1] :]
-    led = state.known[m + 1] == MOVING
-    delayed = led and feels_accelerations(driver)
+    view = view_of(m, state, drivers)
     here = surroundings(m, state, drivers.parameters, moment, scene)
     for point in range(2 * size):
         look_around(work, size, point)
-        seen = seen_at(here, work, m, size, led, delayed, drivers.parameters, scene)
+        seen = seen_at(here, work, m, size, view, drivers.parameters, scene)
         perceived = perceive(seen, driver)
+        preferences = prefer(perceived, driver)
         block, lane = lanes.blocks[(first + point) // LANES], UTILITIES + (first + point) % LANES
         for k in range(len(actions)):
-            block[lane + LANES * k] += component(perceived, actions[k], scene.period_s, scene.horizon, driver)
+            block[lane + LANES * k] += component(
+                perceived, actions[k], scene.period_s, scene.horizon, driver, preferences
+            )
     for b in range(first // LANES, (first + 2 * size - 1) // LANES + 1):
         find_best(lanes.blocks[b], len(actions))
 
@@ -158,12 +160,11 @@ def _choose(
     driver, chosen = drivers.parameters[m], workspace.chosen
     size, first = workspace.points[m, 0], workspace.points[m, 1]
     work = workspace.root[rows_of(m, workspace)[1] :]
-    led = state.known[m + 1] == MOVING
-    delayed, by_law = led and feels_accelerations(driver), not seeks(driver)
+    view, by_law = view_of(m, state, drivers), not seeks(driver)
     here = surroundings(m, state, drivers.parameters, moment, scene)
     for point in range(2 * size):
         look_around(work, size, point)
-        seen = seen_at(here, work, m, size, led, delayed, drivers.parameters, scene)
+        seen = seen_at(here, work, m, size, view, drivers.parameters, scene)
         if by_law:
             perceived = perceive(seen, driver)
             action = law_acceleration(perceived.gap, perceived.speed, perceived.leader_speed, driver)

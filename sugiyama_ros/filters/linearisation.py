@@ -2,14 +2,17 @@
 
 import math
 
-from sugiyama_ros.arrays import Ints
 from sugiyama_ros.driver.advance import advance
 from sugiyama_ros.driver.parameters import RHO, SIGMA_A, SIGMA_V, SIGMA_X
-from sugiyama_ros.effects.control import feels_accelerations, has_components, noise_factor, remembers
+from sugiyama_ros.effects.control import has_components, noise_factor, remembers
 from sugiyama_ros.filters.expectation import add_components, consider, decide, expected_action
-from sugiyama_ros.filters.points import aim
+from sugiyama_ros.filters.past import note_recalled, recalled_at, shift
+from sugiyama_ros.filters.points import ALONE, FEELING, RECALLING, aim, view_of
 from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Lanes, Linearised, Moment, Scene, State, Workspace
 from sugiyama_ros.jit import kernel
+
+# The noise of a driver is at least this part of their sigma_a: a filter that is too sure could not be corrected.
+_LEAST_FACTOR = 0.02
 
 
 @kernel(allocates=False)
@@ -110,28 +113,32 @@ def conclude(
             if m == 0:
                 own_action = expected.held
             rho = parameters[m, RHO]
-            shock_std = parameters[m, SIGMA_A] * noise_factor(mean[v], parameters[m])
+            shock_std = parameters[m, SIGMA_A] * max(noise_factor(mean[v], parameters[m]), _LEAST_FACTOR)
         next_mean[x], next_mean[v] = advance(mean[x], mean[v], action + mean[n], period)
         next_mean[n] = rho * mean[n]
         jacobian[n, n] = rho
         noise[n, n] = shock_std**2
-        _note_columns(m, known, drivers, out)
+        _note_columns(m, state, drivers, out)
+    shift(state, drivers, out)
     return own_action
 
 
 @kernel(allocates=False)
-def _note_columns(m: int, known: Ints, drivers: Drivers, out: Linearised) -> None:
+def _note_columns(m: int, state: State, drivers: Drivers, out: Linearised) -> None:
     """Note which entries of the rows of a moving vehicle in F may differ from 0."""
     x, v, n, b = STATE * m, STATE * m + 1, STATE * m + 2, STATE * m + 3
-    columns, counts = out.columns, out.counts
+    known, columns, counts = state.known, out.columns, out.counts
     columns[x, 0], columns[x, 1], counts[x] = x, v, 2
     columns[n, 0], counts[n] = n, 1
     columns[v, 0], columns[v, 1], columns[v, 2], counts[v], counts[b] = x, v, n, 3, 0
     if m == len(known) - 1:
         return
-    if known[m + 1] == MOVING:
+    view = view_of(m, state, drivers)
+    if view == RECALLING:
+        note_recalled(recalled_at(m, state, drivers), v, out)
+    elif view != ALONE:
         columns[v, 3], columns[v, 4], counts[v] = x + STATE, v + STATE, 5
-        if feels_accelerations(drivers.parameters[m]):
+        if view == FEELING:
             columns[v, 5], counts[v] = n + STATE, 6
     if remembers(drivers.parameters[m]):
         columns[v, counts[v]] = b

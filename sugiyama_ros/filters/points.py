@@ -15,33 +15,51 @@ import numpy as np
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.lanes import LANES, put
 from sugiyama_ros.driver.parameters import RHO, UTILITY
-from sugiyama_ros.effects.control import feels_accelerations, perceive, prefer, seeks
+from sugiyama_ros.effects.control import feels_accelerations, looks_back, perceive, prefer, seeks
 from sugiyama_ros.effects.effect import Seen
+from sugiyama_ros.filters.past import recall, recalled_at
 from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Lanes, Moment, Scene, State, Workspace
 from sugiyama_ros.jit import kernel
 
 #: Variance below which a direction of what the driver sees counts as known; keeps the Cholesky factor invertible.
 KNOWN_VAR = 1e-12
+#: What a driver looks at: nobody ahead; the vehicle ahead; also at accelerations; at the vehicle ahead as it was.
+ALONE, LED, FEELING, RECALLING = range(4)
 
 
 @kernel(allocates=False)
-def _look(m: int, led: bool, delayed: bool, vehicles: int, adapted: int, places: Ints) -> int:
+def view_of(m: int, state: State, drivers: Drivers) -> int:
+    """Return what driver m looks at: ALONE, LED, FEELING or RECALLING."""
+    if state.known[m + 1] != MOVING:
+        return ALONE
+    if recalled_at(m, state, drivers) >= 0:
+        return RECALLING
+    return FEELING if feels_accelerations(drivers.parameters[m]) else LED
+
+
+@kernel(allocates=False)
+def _look(m: int, view: int, recalled: int, vehicles: int, adapted: int, places: Ints) -> int:
     """Fill in what the action of driver m depends on, and return the number of these quantities.
 
     Each is an entry of the state less another one. places: (2, at least 5 + A), the entry to add and the entry to take
     off, or -1. The quantities are the gap (without lengths), the own and the leader's speed, or the own speed alone
-    where there is no leader. A driver with a reaction delay also depends on the noises of both, which are part of the
-    accelerations. Then follow the logarithms of the adapted parameters.
+    where there is no leader. A driver who feels accelerations also depends on the noises of both, which are part of the
+    accelerations. A driver who recalls, from entry ``recalled`` on, depends on the gap of then, the own speed of now,
+    and both speeds of then. Then follow the logarithms of the adapted parameters.
     """
     x, v = STATE * m, STATE * m + 1
-    seen = (5 if delayed else 3) if led else 1
     places[1] = -1
-    if led:
-        places[0, 0], places[0, 1], places[0, 2], places[1, 0] = x + STATE, v, v + STATE, x
-        if delayed:
-            places[0, 3], places[0, 4] = x + 2, x + STATE + 2
-    else:
+    if view == ALONE:
+        seen = 1
         places[0, 0] = v
+    elif view == RECALLING:
+        seen = 4
+        places[0, 0], places[0, 1], places[0, 2], places[0, 3] = recalled, v, recalled + 2, recalled + 1
+    else:
+        seen = 5 if view == FEELING else 3
+        places[0, 0], places[0, 1], places[0, 2], places[1, 0] = x + STATE, v, v + STATE, x
+        if view == FEELING:
+            places[0, 3], places[0, 4] = x + 2, x + STATE + 2
     for k in range(adapted):
         places[0, seen + k] = STATE * vehicles + k
     return seen + adapted
@@ -101,15 +119,15 @@ def aim(
     adapted = drivers.adapted if m == 0 else drivers.adapted[:0]
     place, row = rows_of(m, workspace)
     places, work = workspace.places[place : place + 2], workspace.root[row:]
-    led = known[m + 1] == MOVING
-    delayed = led and feels_accelerations(driver)
-    size = _look(m, led, delayed, len(known), len(adapted), places)
+    recalled = recall(m, state, drivers, scene.period_s)
+    view = view_of(m, state, drivers)
+    size = _look(m, view, recalled, len(known), len(adapted), places)
     workspace.points[m, 0], workspace.points[m, 1] = size, free
     _root(state.covariance, places, size, work)
     centre = size
     for i in range(size):
         work[centre, i] = mean[places[0, i]] - (mean[places[1, i]] if places[1, i] >= 0 else 0.0)
-    if led:
+    if view != ALONE:
         work[centre, 0] -= 0.5 * (moment.length[m] + moment.length[m + 1])
     if not seeks(driver):
         return free
@@ -120,7 +138,7 @@ def aim(
         for k in range(len(adapted)):
             driver[UTILITY[adapted[k]]] = math.exp(work[look, first_adapted + k])
         block, lane = lanes.blocks[(free + point) // LANES], (free + point) % LANES
-        perceived = perceive(seen_at(here, work, m, size, led, delayed, drivers.parameters, scene), driver)
+        perceived = perceive(seen_at(here, work, m, size, view, drivers.parameters, scene), driver)
         wanted = prefer(perceived, driver)
         put(block, lane, perceived.gap, perceived.speed, perceived.leader_speed, wanted)
     for k in range(len(adapted)):
@@ -167,6 +185,9 @@ def surroundings(m: int, state: State, parameters: Array, moment: Moment, scene:
         if scene.circumference_m > 0.0:
             headway -= scene.circumference_m * math.floor(headway / scene.circumference_m)
         rear_gap, rear_speed = headway - 0.5 * (length[m] + rear[2]), rear[1]
+    acceleration = mean[x + 3] + parameters[m, RHO] * mean[x + 2]
+    # where the chain holds no past: as far as the present accelerations tell
+    ago = looks_back(parameters[m])
     return Seen(
         gap=gap,
         speed=mean[x + 1],
@@ -174,27 +195,35 @@ def surroundings(m: int, state: State, parameters: Array, moment: Moment, scene:
         position=mean[x],
         time=moment.time_s,
         circumference=scene.circumference_m,
-        acceleration=mean[x + 3] + parameters[m, RHO] * mean[x + 2],
+        acceleration=acceleration,
         leader_acceleration=leader_acceleration,
         second_gap=second_gap,
         second_speed=second_speed,
         rear_gap=rear_gap,
         rear_speed=rear_speed,
+        past_gap=gap - ago * (leader_speed - mean[x + 1]),
+        past_speed=mean[x + 1] - ago * acceleration,
+        past_leader_speed=leader_speed - ago * leader_acceleration,
     )
 
 
 @kernel(allocates=False)
-def seen_at(
-    here: Seen, work: Array, m: int, size: int, led: bool, delayed: bool, parameters: Array, scene: Scene
-) -> Seen:
+def seen_at(here: Seen, work: Array, m: int, size: int, view: int, parameters: Array, scene: Scene) -> Seen:
     """Return what driver m sees at the point of the cubature that ``look_around`` has filled in."""
     centre, look = size, size + 1
-    if led:
-        gap, speed, leader_speed = work[look, 0], work[look, 1], work[look, 2]
-    else:
-        gap, speed, leader_speed = np.inf, work[look, 0], 0.0
     acceleration, leader_acceleration = here.acceleration, here.leader_acceleration
-    if delayed:
+    if view == ALONE:
+        gap, speed, leader_speed = np.inf, work[look, 0], 0.0
+    elif view == RECALLING:
+        gap, speed, leader_speed = here.gap, work[look, 1], here.leader_speed
+    else:
+        gap, speed, leader_speed = work[look, 0], work[look, 1], work[look, 2]
+    past_gap = gap + (here.past_gap - here.gap) if view != ALONE else gap
+    past_speed = speed + (here.past_speed - here.speed)
+    past_leader_speed = leader_speed + (here.past_leader_speed - here.leader_speed)
+    if view == RECALLING:
+        past_gap, past_leader_speed, past_speed = work[look, 0], work[look, 2], work[look, 3]
+    if view == FEELING:
         leader_rho = parameters[m + 1, RHO] if m + 2 < len(parameters) else scene.last_rho
         acceleration += parameters[m, RHO] * (work[look, 3] - work[centre, 3])
         leader_acceleration += leader_rho * (work[look, 4] - work[centre, 4])
@@ -211,4 +240,7 @@ def seen_at(
         second_speed=here.second_speed,
         rear_gap=here.rear_gap,
         rear_speed=here.rear_speed,
+        past_gap=past_gap,
+        past_speed=past_speed,
+        past_leader_speed=past_leader_speed,
     )

@@ -62,8 +62,8 @@ def scene_at(period_s: float, circumference_m: float, relaxation_s: float = math
 class State(NamedTuple):
     """What is known of a chain of M vehicles with A adapted parameters, as a normal distribution.
 
-    mean: (4 M + A,), four entries for each vehicle, then the logarithms of the adapted parameters; covariance:
-    (4 M + A, 4 M + A); known: (M,), each UNKNOWN, POSITION or MOVING.
+    mean: (4 M + A,), four entries for each vehicle, then the logarithms of the adapted parameters, and then, if drivers
+    look back, the entries of ``past``; covariance: (4 M + A, 4 M + A); known: (M,), each UNKNOWN, POSITION or MOVING.
     """
 
     mean: Array
@@ -163,9 +163,12 @@ def points_of(vehicles: int, adapted: int) -> int:
 
 
 @kernel
-def workspace_for(vehicles: int, adapted: int) -> Workspace:
-    """Return the workspace of a chain of M ``vehicles`` with A ``adapted`` parameters, for one step after the other."""
-    size, most, drivers = STATE * vehicles + adapted, 5 + adapted, max(vehicles - 1, 1)
+def workspace_for(vehicles: int, adapted: int, past: int) -> Workspace:
+    """Return the workspace of a chain of M ``vehicles`` with A ``adapted`` parameters, for one step after the other.
+
+    past: entries of the state for what drivers recall.
+    """
+    size, most, drivers = STATE * vehicles + adapted + past, 5 + adapted, max(vehicles - 1, 1)
     places, root = np.zeros((2 * drivers, most), np.int64), np.zeros((drivers * (3 + most), most))
     chosen = np.zeros((2, 2 * most))
     return Workspace(places, root, np.zeros((drivers, 2), np.int64), chosen, np.zeros(size), np.zeros(size))
@@ -197,4 +200,4 @@ def arrays_for(vehicles: int, adapted: int, actions: Array, period_s: float) -> 
     """
     size = STATE * vehicles + adapted
     lanes = lanes_for(points_of(vehicles, adapted), actions, period_s)
-    return workspace_for(vehicles, adapted), lanes, linearised_for(np.arange(size), size)
+    return workspace_for(vehicles, adapted, 0), lanes, linearised_for(np.arange(size), size)

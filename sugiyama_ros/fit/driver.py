@@ -43,7 +43,8 @@ class SearchOptions:
 
     is_regularised: whether to add the paper's regularisation; profiled: whether intervals come from the profile
     likelihood; hops: number of hops of scipy's basinhopping before the search; seed: seed of the hops; with_errors:
-    whether to compute the standard errors of the causal formulation, which takes as long as a search.
+    whether to compute the standard errors of the causal formulation, which takes as long as a search; strength: factor
+    of the regularisation.
     """
 
     is_regularised: bool = False
@@ -51,6 +52,7 @@ class SearchOptions:
     hops: int = 0
     seed: int = 0
     with_errors: bool = True
+    strength: float = 1.0
 
 
 #: The search without further options.
@@ -168,7 +170,7 @@ class Job:
     def objective(self, parameters: Array, information: Array | None) -> Scored:
         """Return the score that the search maximises; arguments as for ``causal_score``."""
         scored = self.score(parameters, information)
-        return regularised(scored, parameters) if self.options.is_regularised else scored
+        return regularised(scored, parameters, self.options.strength) if self.options.is_regularised else scored
 
     def careful(self, parameters: Array, _: Array | None) -> Scored:
         """Return the score from central differences, whose steps follow from a newly computed information."""

@@ -108,7 +108,7 @@ def _first(ahead: Array | None, chain: Chain) -> Array | None:
     return None if ahead is None else ahead[: chain.position_m.shape[1] - 1]
 
 
-def regularised(scored: Scored, parameters: Array) -> Scored:
+def regularised(scored: Scored, parameters: Array, strength: float = 1.0) -> Scored:
     """Add the paper's regularisation, Eq. Regularized_SSM_Likelihood, to a score.
 
     Parameters
@@ -117,6 +117,8 @@ def regularised(scored: Scored, parameters: Array) -> Scored:
         Score without regularisation.
     parameters : ndarray, shape (P,)
         Parameters at which the score holds.
+    strength : float
+        Factor of the paper's weights.
 
     Returns
     -------
@@ -125,7 +127,7 @@ def regularised(scored: Scored, parameters: Array) -> Scored:
     """
     value, gradient, information = scored.log_likelihood, scored.gradient.copy(), scored.information.copy()
     for k, centre, weight in REGULARISATION:
-        off = parameters[k] - centre
+        off, weight = parameters[k] - centre, strength * weight
         value -= weight * off * off
         gradient[k] -= 2.0 * weight * off
         information[k, k] += 2.0 * weight

@@ -29,7 +29,7 @@ class Collective:
     wave_speed : float
         Speed [m/s] of waves, negative against the direction of traffic; NaN if there is no wave.
     queue_vehicles : float
-        Mean number of vehicles slower than ``QUEUE_SPEED``.
+        Mean number of vehicles in a queue: slower than ``QUEUE_SPEED``, unless another speed was asked for.
     period_s : float
         Time [s] between two waves that pass the same driver; NaN if no wave returns.
     """
@@ -42,7 +42,9 @@ class Collective:
     period_s: float
 
 
-def collective(speed: Array, headway_m: Array, leader: Ints, period_s: float) -> Collective:
+def collective(
+    speed: Array, headway_m: Array, leader: Ints, period_s: float, queue_speed: float = QUEUE_SPEED
+) -> Collective:
     """Compute the collective measures of a recording or a simulation.
 
     Parameters
@@ -55,6 +57,8 @@ def collective(speed: Array, headway_m: Array, leader: Ints, period_s: float) ->
         Columns of the leaders; -1 without a leader.
     period_s : float
         Time [s] between two samples.
+    queue_speed : float
+        Speed [m/s] below which a vehicle is in a queue.
 
     Returns
     -------
@@ -69,7 +73,7 @@ def collective(speed: Array, headway_m: Array, leader: Ints, period_s: float) ->
         least_speed=float(np.mean(np.nanmin(known, axis=1))),
         largest_speed=float(np.mean(np.nanmax(known, axis=1))),
         wave_speed=wave_speed(speed, headway_m, leader, period_s),
-        queue_vehicles=float(np.mean((known < QUEUE_SPEED).sum(axis=1))),
+        queue_vehicles=float(np.mean((known < queue_speed).sum(axis=1))),
         period_s=wave_period(speed, period_s),
     )
 

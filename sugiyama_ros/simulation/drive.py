@@ -1,12 +1,13 @@
 """What all drivers on a road see and do: one period of the forward problem."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.utility import scratch_for
-from sugiyama_ros.effects.control import carry_out, intend
+from sugiyama_ros.effects.control import carry_out, intend, looks_back
 from sugiyama_ros.effects.effect import Seen
 from sugiyama_ros.jit import kernel
 
@@ -24,12 +25,15 @@ class Traffic(NamedTuple):
         Accelerations [m/s^2] that the drivers made their cars do in the last period.
     acceleration : ndarray, shape (N,)
         Accelerations [m/s^2] of the cars in the last period.
+    past : ndarray, shape (H, 2, N)
+        Positions and speeds one period ago, two periods ago, and so on, for drivers who look back.
     """
 
     position: Array
     speed: Array
     held: Array
     acceleration: Array
+    past: Array
 
 
 class Order(NamedTuple):
@@ -95,6 +99,46 @@ def see(driver: int, leader: int, traffic: Traffic, order: Order) -> tuple[float
 
 
 @kernel
+def begin(position: Array, speed: Array, held: Array, acceleration: Array, rows: Array, period: float) -> Traffic:
+    """Return traffic that begins now, with a past in which every vehicle kept its speed.
+
+    The past is as long as the drivers of ``rows`` (N, width) look back; the other arguments as in ``Traffic``.
+    """
+    periods = 0
+    for i in range(len(rows)):
+        periods = max(periods, math.ceil(looks_back(rows[i]) / period))
+    past = np.empty((periods, 2, len(speed)))
+    for k in range(periods):
+        past[k, 0] = position - (k + 1) * period * speed
+        past[k, 1] = speed
+    return Traffic(position, speed, held, acceleration, past)
+
+
+@kernel
+def remember(traffic: Traffic) -> None:
+    """Put what there is now into the past, one period before the vehicles move; changed in place."""
+    past = traffic.past
+    for k in range(len(past) - 1, 0, -1):
+        past[k] = past[k - 1]
+    if len(past) > 0:
+        past[0, 0], past[0, 1] = traffic.position, traffic.speed
+
+
+@kernel
+def _then(i: int, ago: float, traffic: Traffic) -> tuple[float, float]:
+    """Return position [m] and speed [m/s] of vehicle i some periods ago, by straight lines between the periods."""
+    past = traffic.past
+    late = min(math.ceil(ago), len(past))
+    early, share = late - 1, ago - (late - 1)
+    x, v = past[late - 1, 0, i], past[late - 1, 1, i]
+    if early == 0:
+        x_after, v_after = traffic.position[i], traffic.speed[i]
+    else:
+        x_after, v_after = past[early - 1, 0, i], past[early - 1, 1, i]
+    return x_after + share * (x - x_after), v_after + share * (v - v_after)
+
+
+@kernel
 def drive(
     traffic: Traffic,
     order: Order,
@@ -140,6 +184,13 @@ def drive(
         if follower[i] >= 0:
             rear_gap, _ = see(follower[i], i, traffic, order)
             rear_speed = speed[follower[i]]
+        past_gap, past_speed, past_leader_speed = gap, speed[i], leader_speed
+        ago = looks_back(rows[i]) / setting.period
+        if ago > 0.0:
+            own, past_speed = _then(i, ago, traffic)
+            if leader[i] >= 0:
+                other, past_leader_speed = _then(leader[i], ago, traffic)
+                past_gap = gap + (other - traffic.position[leader[i]]) - (own - position[i])
         seen = Seen(
             gap=gap,
             speed=speed[i],
@@ -153,6 +204,9 @@ def drive(
             second_speed=second_speed,
             rear_gap=rear_gap,
             rear_speed=rear_speed,
+            past_gap=past_gap,
+            past_speed=past_speed,
+            past_leader_speed=past_leader_speed,
         )
         meant, pushed[i] = intend(seen, rows[i], scratch, setting.period, setting.horizon)
         out[i] = carry_out(meant, traffic.held[i], rows[i], setting.period)

@@ -10,7 +10,7 @@ from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.advance import advance
 from sugiyama_ros.driver.parameters import RHO
 from sugiyama_ros.jit import kernel
-from sugiyama_ros.simulation.drive import Order, Setting, Traffic, drive
+from sugiyama_ros.simulation.drive import Order, Setting, Traffic, begin, drive, remember
 
 
 @kernel
@@ -40,9 +40,10 @@ def run_coupled(
     vehicles = len(x)
     held, pushed = np.empty(vehicles), np.empty(vehicles)
     acceleration = b + rows[:, RHO] * n
-    traffic = Traffic(x, v, b, acceleration)
+    traffic = begin(x, v, b, acceleration, rows, setting.period)
     for k in range(len(out)):
         drive(traffic, order, rows, actions, time, setting, held, pushed)
+        remember(traffic)
         for i in range(vehicles):
             acceleration[i] = held[i] + pushed[i] + n[i]
             x[i], v[i] = advance(x[i], v[i], acceleration[i], setting.period)
@@ -105,11 +106,14 @@ def run_single(
     held, pushed = np.empty(1), np.empty(1)
     x, v, n, b = recorded[0, i, 0], recorded[0, i, 1], recorded[0, i, 2], recorded[0, i, 3]
     a = b + rows[i, RHO] * n
+    past = begin(recorded[0, near, 0], recorded[0, near, 1], held, held, rows_near, setting.period).past
     for k in range(len(out)):
         xs, vs, bs = recorded[k, near, 0].copy(), recorded[k, near, 1].copy(), recorded[k, near, 3].copy()
         accelerations = bs + recorded[k, near, 2]
         xs[0], vs[0], bs[0], accelerations[0] = x, v, b, a
-        drive(Traffic(xs, vs, bs, accelerations), order_near, rows_near, actions, time, setting, held, pushed)
+        traffic = Traffic(xs, vs, bs, accelerations, past)
+        drive(traffic, order_near, rows_near, actions, time, setting, held, pushed)
+        remember(traffic)
         a = held[0] + pushed[0] + n
         x, v = advance(x, v, a, setting.period)
         n *= rows[i, RHO]

@@ -35,7 +35,7 @@ from sugiyama_ros.formats.plain_csv import write_csv
 from sugiyama_ros.plots import space_time
 from sugiyama_ros.results import Result
 from sugiyama_ros.road import Road
-from sugiyama_ros.simulation.drive import Order, Setting, Traffic, drive, see
+from sugiyama_ros.simulation.drive import Order, Setting, Traffic, begin, drive, remember, see
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 if TYPE_CHECKING:
@@ -205,6 +205,8 @@ class Simulator:
         self._rng = rng
         self._rng_of_effects = rng.spawn(1)[0]
         self._mood: dict[str, Array] = {}
+        start = self.position_m, self.speed, self.held, self.acceleration
+        self._past = begin(*start, self.parameters, self.period_s).past
         self._touching = self.gap_m <= 0.0
         if self._touching.any():
             i = int(np.argmax(self._touching))
@@ -218,7 +220,7 @@ class Simulator:
 
     @property
     def _traffic(self) -> Traffic:
-        return Traffic(self.position_m, self.speed, self.held, self.acceleration)
+        return Traffic(self.position_m, self.speed, self.held, self.acceleration, self._past)
 
     @property
     def _order(self) -> Order:
@@ -237,6 +239,7 @@ class Simulator:
         shock = self._rng.standard_normal((3, len(self.position_m)))
         p = self.parameters
         factor = np.array([noise_factor(v, row) for v, row in zip(self.speed, p, strict=True)])
+        remember(self._traffic)
         position, speed = advance(self.position_m, self.speed, self.acceleration, self.period_s)
         self.position_m, self.speed = position + p[:, SIGMA_X] * shock[0], speed + p[:, SIGMA_V] * shock[1]
         self.noise = p[:, RHO] * self.noise + p[:, SIGMA_A] * factor * shock[2]

@@ -120,6 +120,6 @@ def _answer(asked: Asked) -> Answer:
 STUDY = Study(
     name="types",
     question="Are there types of drivers?",
-    paper="Four broadly meaningful clusters (section 5.2).",
+    paper="Four broadly meaningful clusters (section 5.3).",
     answer=_answer,
 )

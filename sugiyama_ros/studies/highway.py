@@ -8,7 +8,7 @@ from sugiyama_ros.studies.study import Answer, Asked, Study
 
 def _answer(asked: Asked) -> Answer:
     """Simulate three times the road and the desired speed, with kappa_v times 3 and kappa_c times 5."""
-    rows = mean_driver(estimated(asked.measured)) if asked.trajectories is not None else alike()
+    rows = mean_driver(estimated(asked)) if asked.trajectories is not None else alike()
     rows[:, V_STAR] *= 3.0
     rows[:, KAPPA_V] *= 3.0
     rows[:, KAPPA_C] *= 5.0

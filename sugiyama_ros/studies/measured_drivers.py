@@ -29,7 +29,8 @@ def _answer(asked: Asked) -> Answer:
     t = asked.measured
     rows: list[Row] = []
     for name, formulation, is_regularised in _VARIANTS:
-        found = each_driver(t, Settings(formulation, is_regularised=is_regularised), work=asked.work)
+        settings = Settings(formulation, is_regularised=is_regularised, strength=asked.strength)
+        found = each_driver(t, settings, work=asked.work)
         row: dict[str, Any] = {"formulation": name}
         for parameter in ESTIMATED:
             known = np.array([one[parameter] for one in found.identified])
@@ -64,7 +65,7 @@ STUDY = Study(
     question="What are the measured drivers like?",
     paper=(
         "Means 0.263 m, 10.26 m/s, 0.215 s; sigma_a up to five times 0.273 m/s²; v* up to 14 m/s"
-        " (sections 4.1 and 5.1)."
+        " (sections 5.1 and 5.2)."
     ),
     answer=_answer,
 )

@@ -3,16 +3,18 @@
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import SIGMA_A, defaults
+from sugiyama_ros.effects.registry import ROW, switch_on
 from sugiyama_ros.fit.driver import SearchOptions, calibrate
 from sugiyama_ros.road import Road
-from sugiyama_ros.simulation.collective import Collective, collective
+from sugiyama_ros.simulation.collective import QUEUE_SPEED, Collective, collective
 from sugiyama_ros.simulation.simulator import Clock, Simulation, Simulator, evenly, platoon, simulate
+from sugiyama_ros.studies.study import Asked
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 #: The ring and the cars of the experiment, the duration of a run, and its last part, which is evaluated; SI units.
@@ -21,6 +23,8 @@ RING_M, CARS, LENGTH_M, DURATION_S, LAST_S = 230.0, 22, 4.33, 500.0, 150.0
 JAM_GAP_M = 2.0
 #: Factors of sigma_a in simulations with estimated drivers: in the paper (section 6), and with only a few collisions.
 PAPERS_FACTOR, FACTOR = 0.5, 0.25
+#: Speed [m/s] from which on the noise is whole, if it grows with the speed (a footnote of section 6).
+FULL_NOISE_AT = 5.0
 # A road has a wave if the slowest vehicle, in the mean over time, has less than this part of the speed of the fastest.
 _SLOW = 0.5
 
@@ -37,19 +41,24 @@ class Ring:
         Seed of the random generator.
     jammed : bool
         Whether the cars start as a platoon; otherwise they start with equal gaps.
-    ring_m, length_m : float
-        Circumference of the ring and length of a car [m].
+    ring_m : float
+        Circumference of the ring [m].
+    length_m : float or ndarray, shape (N,)
+        Length of the cars [m].
     period_s, duration_s : float
         Time between two samples, and duration of the run [s].
+    queue_speed : float
+        Speed [m/s] below which a car is in a queue.
     """
 
     drivers: Array
     seed: int
     jammed: bool = False
     ring_m: float = RING_M
-    length_m: float = LENGTH_M
+    length_m: float | Array = LENGTH_M
     period_s: float = 1.0 / 3.0
     duration_s: float = DURATION_S
+    queue_speed: float = QUEUE_SPEED
 
 
 @dataclass(frozen=True)
@@ -77,7 +86,7 @@ class Outcome:
 def run(ring: Ring) -> Simulation:
     """Simulate one ring. The cars start from rest."""
     cars = len(ring.drivers)
-    length, road = np.full(cars, ring.length_m), Road(ring.ring_m)
+    length, road = np.full(cars, ring.length_m, dtype=np.float64), Road(ring.ring_m)
     start = platoon(length, JAM_GAP_M) if ring.jammed else evenly(length, road)
     rng = np.random.default_rng(ring.seed)
     return simulate(Simulator(ring.drivers, length, start, road, rng, clock=Clock(ring.period_s)), ring.duration_s)
@@ -121,7 +130,7 @@ def outcome(ring: Ring) -> Outcome:
     speed, position = s.speed[-last:], s.position_m[-last:]
     leader = np.tile(np.roll(np.arange(len(ring.drivers)), -1), (len(speed), 1))
     headway = np.mod(np.roll(position, -1, axis=1) - position, ring.ring_m)
-    road = collective(speed, headway, leader, ring.period_s)
+    road = collective(speed, headway, leader, ring.period_s, ring.queue_speed)
     wave = road.least_speed < _SLOW * road.largest_speed
     flow = 3600.0 * len(ring.drivers) / ring.ring_m * road.mean_speed
     return Outcome(road, wave and not s.collisions, bool(s.collisions), flow)
@@ -137,25 +146,45 @@ def alike(cars: int = CARS) -> Array:
     return defaults(cars)
 
 
-def estimated(trajectories: Trajectories, factor: float = FACTOR) -> Array:
-    """Estimate drivers for simulations as the paper does (sections 4.4 and 6).
+def estimated(asked: Asked, factor: float | None = None) -> Array:
+    """Estimate drivers for simulations as the paper does (sections 5.1 and 6).
 
     Parameters
     ----------
-    trajectories : Trajectories
-        Measured drivers.
-    factor : float
-        Factor of the acceleration noise.
+    asked : Asked
+        Measured drivers, the strength of the regularisation, and how the noise depends on the speed.
+    factor : float, optional
+        Factor of the acceleration noise. By default the paper's, if the noise depends on the speed, or else ``FACTOR``.
 
     Returns
     -------
-    ndarray, shape (N, P)
-        Regularised estimates.
+    ndarray, shape (N, width)
+        Rows of regularised estimates.
     """
-    fits = calibrate(trajectories, "paper", options=SearchOptions(is_regularised=True))
-    rows = np.array([fit.parameters for fit in fits])
+    if factor is None:
+        factor = PAPERS_FACTOR if asked.full_noise_at else FACTOR
+    options = SearchOptions(is_regularised=True, strength=asked.strength)
+    fits = calibrate(asked.measured, "paper", options=options)
+    rows = ROW.with_effects(np.array([fit.parameters for fit in fits]))
     rows[:, SIGMA_A] *= factor
-    return rows
+    return fading(rows, asked.full_noise_at)
+
+
+def fading(rows: Array, full_noise_at: float) -> Array:
+    """Let the acceleration noise of rows (N, width) grow with the speed, up to a speed [m/s]; not at all up to 0."""
+    return switch_on(rows, "speed_dependent_noise_fading", {"full_speed": full_noise_at}) if full_noise_at else rows
+
+
+class Site(NamedTuple):
+    """Where measured drivers drive: circumference of the ring [m], and length of each car (N,) [m]."""
+
+    ring_m: float
+    length_m: Array
+
+
+def site_of(measured: Trajectories) -> Site:
+    """Return where measured drivers drive; drivers of an open road get the ring of the experiment."""
+    return Site(measured.road.circumference_m or RING_M, measured.length_m)
 
 
 def changed(drivers: Array, place: int, value: float | Array, first_only: bool = False) -> Array:

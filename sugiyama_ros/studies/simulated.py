@@ -1,26 +1,29 @@
 """Do the estimated drivers make the measured waves?"""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.compare import collective_of
 from sugiyama_ros.studies.cases import compare
-from sugiyama_ros.studies.rings import FACTOR, PAPERS_FACTOR, RING_M, Ring, alike, estimated
+from sugiyama_ros.studies.rings import FACTOR, FULL_NOISE_AT, PAPERS_FACTOR, Ring, alike, estimated, site_of
 from sugiyama_ros.studies.study import Answer, Asked, Study
 
 
 def _answer(asked: Asked) -> Answer:
     """Simulate the estimated drivers on the measured ring, from equal gaps and out of a jam."""
-    ring_m = asked.measured.road.circumference_m or RING_M
+    site = site_of(asked.measured)._asdict()
     cases: dict[str, Callable[[int], Ring]] = {}
-    for factor in (PAPERS_FACTOR, FACTOR):
-        drivers = estimated(asked.measured, factor)
+    full_at = asked.full_noise_at or FULL_NOISE_AT
+    for factor, fading_at in ((PAPERS_FACTOR, 0.0), (FACTOR, 0.0), (PAPERS_FACTOR, full_at)):
+        drivers = estimated(replace(asked, full_noise_at=fading_at), factor)
+        law = f", whole from {fading_at:g} m/s on" if fading_at else ""
         for jammed, start in ((False, "equal gaps"), (True, "out of a jam")):
 
             def make(seed: int, drivers: Array = drivers, jammed: bool = jammed) -> Ring:
-                return Ring(drivers, seed, jammed=jammed, ring_m=ring_m)
+                return Ring(drivers, seed, jammed=jammed, **site)
 
-            cases[f"{start}, sigma_a times {factor:g}"] = make
+            cases[f"{start}, sigma_a times {factor:g}{law}"] = make
     cases["paper's mean parameters, out of a jam"] = lambda seed: Ring(alike(), seed, jammed=True)
     answer = compare(asked, cases)
     measured = collective_of(asked.measured)

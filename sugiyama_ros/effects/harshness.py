@@ -1,0 +1,24 @@
+"""Drivers dislike hard braking and hard acceleration."""
+
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.driver.parameters import Parameter
+from sugiyama_ros.effects.effect import UTILITY, Effect, Seen, at
+from sugiyama_ros.jit import kernel
+
+
+@kernel
+def component(seen: Seen, action: float, period: float, horizon: int, p: Array) -> float:
+    """Compute the cost of holding an action: its square, in units of 4 m/s^2."""
+    return float(-p[0] * action * action / 16.0)
+
+
+EFFECT = Effect(
+    name="harshness",
+    stage=UTILITY,
+    title="dislike of hard braking",
+    summary="a component of the utility: -w a²/16",
+    source="Naumann, Sun, Zhan and Tomizuka, ICRA (2020), as the paper proposes in section 3.2",
+    parameters=(Parameter("weight", "w_h", "1", 0.0, 0.0, 100.0, "weight beside the reward of the desired speed"),),
+    starts=at({"weight": 0.01}, {"weight": 0.1}),
+    function=component,
+)
