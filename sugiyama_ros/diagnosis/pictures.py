@@ -1,11 +1,15 @@
-"""What a diagnosis hands on for pictures: the recording, driven by the model before and after the additions."""
+"""What a diagnosis hands on for pages and pictures: names for people, and the recording driven by the model."""
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sugiyama_ros.arrays import Array
+from sugiyama_ros.driver.parameters import Parameter
+from sugiyama_ros.effects.registry import EFFECTS, ROW
+from sugiyama_ros.laws.registry import LAWS
 
 if TYPE_CHECKING:
     from sugiyama_ros.diagnosis.diagnosis import Diagnosis
@@ -36,6 +40,49 @@ def drives(d: "Diagnosis") -> dict[str, Any]:
         "block": d.data.block[::every].tolist(),
         "before": _rows(d.before.block_position_m[::every]),
         "after": _rows(d.after.block_position_m[::every]),
+    }
+
+
+def about(d: "Diagnosis") -> dict[str, Any]:
+    """Explain every name that the document mentions: effects, constants and laws.
+
+    Parameters
+    ----------
+    d : Diagnosis
+        The diagnosis.
+
+    Returns
+    -------
+    dict
+        For each name: ``title``, ``summary``, ``is_noise``, and for each of the ``parameters`` its unit, its meaning,
+        and whether it is a ``place`` or a ``time``.
+    """
+    declared: dict[str, Any] = {p.name: p for p in ROW.declared}
+    found = {
+        one.candidate.name: _explained(
+            one.candidate.name.replace("_", " "),
+            one.candidate.summary,
+            [declared[name] for name in one.candidate.parameters],
+            is_noise=one.candidate.is_noise,
+        )
+        for one in d.scored
+    }
+    for name, e in EFFECTS.items():
+        if name in found or name in d.smallest or name in d.searched:
+            found[name] = _explained(e.title, e.summary, e.parameters, is_noise=e.is_noise)
+    laws = {name: _explained(law.title, law.summary, law.parameters) for name, law in LAWS.items()}
+    return {**found, **laws}
+
+
+def _explained(title: str, summary: str, parameters: Sequence[Parameter], *, is_noise: bool = False) -> dict[str, Any]:
+    return {
+        "title": title,
+        "summary": summary,
+        "is_noise": is_noise,
+        "parameters": {
+            p.name: {"unit": "" if p.unit == "1" else p.unit, "meaning": p.description, "axis": p.axis}
+            for p in parameters
+        },
     }
 
 

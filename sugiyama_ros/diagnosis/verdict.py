@@ -9,7 +9,7 @@ from sugiyama_ros.diagnosis.addition import Addition, parameters_of
 from sugiyama_ros.diagnosis.adequacy import told, who
 from sugiyama_ros.diagnosis.diagnosis import Diagnosis
 from sugiyama_ros.diagnosis.locate import Bin, Located
-from sugiyama_ros.diagnosis.pictures import drives
+from sugiyama_ros.diagnosis.pictures import about, drives
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
 from sugiyama_ros.effects.registry import EFFECTS, ROW, effect
 from sugiyama_ros.fit.model_file import stds_of
@@ -61,6 +61,7 @@ def document(d: Diagnosis) -> dict[str, Any]:
         "errors": {"before": d.before.summary(), "after": d.after.summary(), **d.rivals, **d.floor},
         "drivers": _drivers(d),
         "free_run": drives(d),
+        "about": about(d),
         "vehicles": d.data.drivers,
         "samples": len(d.data.fold),
         "bootstrap_runs": d.bootstrap_runs,
