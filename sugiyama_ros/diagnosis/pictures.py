@@ -54,8 +54,8 @@ def about(d: "Diagnosis") -> dict[str, Any]:
     Returns
     -------
     dict
-        For each name: ``title``, ``summary``, ``is_noise``, and for each of the ``parameters`` its unit, its meaning,
-        and whether it is a ``place`` or a ``time``.
+        For each name: ``kind`` (effect, constants or law), ``title``, ``summary``, and for each of the ``parameters``
+        its unit, its meaning, and whether it is a ``place`` or a ``time``.
     """
     declared: dict[str, Any] = {p.name: p for p in ROW.declared}
     found = {
@@ -63,22 +63,21 @@ def about(d: "Diagnosis") -> dict[str, Any]:
             one.candidate.name.replace("_", " "),
             one.candidate.summary,
             [declared[name] for name in one.candidate.parameters],
-            is_noise=one.candidate.is_noise,
+            "constants",
         )
         for one in d.scored
+        if one.candidate.name not in EFFECTS
     }
-    for name, e in EFFECTS.items():
-        if name in found or name in d.smallest or name in d.searched:
-            found[name] = _explained(e.title, e.summary, e.parameters, is_noise=e.is_noise)
-    laws = {name: _explained(law.title, law.summary, law.parameters) for name, law in LAWS.items()}
-    return {**found, **laws}
+    effects = {name: _explained(e.title, e.summary, e.parameters, "effect") for name, e in EFFECTS.items()}
+    laws = {name: _explained(law.title, law.summary, law.parameters, "law") for name, law in LAWS.items()}
+    return {**found, **effects, **laws}
 
 
-def _explained(title: str, summary: str, parameters: Sequence[Parameter], *, is_noise: bool = False) -> dict[str, Any]:
+def _explained(title: str, summary: str, parameters: Sequence[Parameter], kind: str) -> dict[str, Any]:
     return {
         "title": title,
         "summary": summary,
-        "is_noise": is_noise,
+        "kind": kind,
         "parameters": {
             p.name: {"unit": "" if p.unit == "1" else p.unit, "meaning": p.description, "axis": p.axis}
             for p in parameters

@@ -24,6 +24,7 @@ def document(d: Diagnosis) -> dict[str, Any]:
         "verdict": {
             "adequacy": {**asdict(d.adequacy), "reasons": list(d.adequacy.reasons)},
             "effects": [_named(n, d) for n in d.named],
+            "told": sentences(d),
             "searched": list(d.searched),
             "none_detectable": not d.named,
             "discovered": [
