@@ -12,6 +12,7 @@ from sugiyama_ros.diagnosis.adequacy import Adequacy, Evidence, judge, simulated
 from sugiyama_ros.diagnosis.candidacy import Candidacy
 from sugiyama_ros.diagnosis.discover import Discovery
 from sugiyama_ros.diagnosis.errors import HeldOutErrors, errors_of, held_out_errors
+from sugiyama_ros.diagnosis.floor import floor_of
 from sugiyama_ros.diagnosis.free_runs import HORIZONS_S
 from sugiyama_ros.diagnosis.locate import Located, locate
 from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter
@@ -60,6 +61,8 @@ class Diagnosis(Result):
         Strength from which each effect would usually have shown, by name.
     rivals : dict of str to dict
         Held-out errors of other laws, by name.
+    floor : dict of str to dict
+        Errors of ``final`` on a recording that it simulates, under the name ``floor``: no model can do better.
     adequacy : Adequacy
         Whether the data give reason to doubt ``final``.
     searched : tuple of str
@@ -87,6 +90,7 @@ class Diagnosis(Result):
     where_after: Located
     smallest: dict[str, float]
     rivals: dict[str, dict[str, float]]
+    floor: dict[str, dict[str, float]]
     adequacy: Adequacy
     searched: tuple[str, ...]
     bootstrap_runs: int
@@ -247,6 +251,7 @@ def _summed_up(
         where_after=where_after,
         smallest=search.smallest,
         rivals={name: errors.summary() for name, errors in rivals.items()},
+        floor={"floor": floor_of(search.data, search.current, search.seed, work).summary()},
         adequacy=judge(search.data, evidence),
         searched=search.searched,
         bootstrap_runs=search.effort.runs,

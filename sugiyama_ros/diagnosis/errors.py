@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.diagnosis.block_runs import run_blocks
 from sugiyama_ros.diagnosis.free_runs import HORIZONS_S, FreeRuns, free_runs, rmse
 from sugiyama_ros.fit.cross_validation import of_folds, searched_without_folds, without_folds
 from sugiyama_ros.fit.joint import JointFit
@@ -31,10 +33,13 @@ class HeldOutErrors:
         One-step predictions.
     runs : FreeRuns
         Free runs.
+    block_position_m : ndarray, shape (T, N)
+        Positions [m] in free runs through each block of time, as ``run_blocks`` returns them.
     """
 
     samples: PointwiseDensity
     runs: FreeRuns
+    block_position_m: Array
 
     @property
     def loglik_per_sample(self) -> float:
@@ -163,4 +168,5 @@ def errors_of(data: Recorded, models: Sequence[Model], work: Executor) -> HeldOu
     """
     followed = [follow(data, model, work) for model in models]
     samples = of_folds(data, [samples for samples, _ in followed])
-    return HeldOutErrors(samples, free_runs(data, models, [states for _, states in followed], work))
+    states = [states for _, states in followed]
+    return HeldOutErrors(samples, free_runs(data, models, states, work), run_blocks(data, models, states))

@@ -125,9 +125,7 @@ def _drive_on(data: Recorded, rows: Array, recorded: Array, k: int, leader: Ints
     recorded: (steps, N, 4) filtered states from sample k on; leader: (N,).
     """
     t, ring = data.trajectories, data.trajectories.road.circumference_m
-    headway = np.where(leader >= 0, recorded[0, leader, 0] - recorded[0, :, 0], 0.0)
-    turn = np.nan_to_num(ring * np.floor(headway / ring)) if ring else np.zeros(data.drivers)
-    order = Order(leader, turn, t.length_m)
+    order = _order(data, recorded[0], leader)
     setting = Setting(t.period_s, horizon_at(t.period_s), ring)
     start_s = t.start_s + k * t.period_s
     coupled, single = (np.empty((len(recorded), data.drivers, 2)) for _ in range(2))
@@ -135,6 +133,44 @@ def _drive_on(data: Recorded, rows: Array, recorded: Array, k: int, leader: Ints
     for i in range(data.drivers):
         run_single(i, recorded, order, rows, ACTIONS, start_s, setting, single)
     return coupled, single
+
+
+def drive_all(data: Recorded, model: Model, start: Array, k: int, steps: int) -> Array:
+    """Let all vehicles drive by a model from the state of one sample on.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    model : Model
+        The model.
+    start : ndarray, shape (N, 4)
+        Filtered state at the start.
+    k : int
+        Sample of the start.
+    steps : int
+        Number of samples to drive.
+
+    Returns
+    -------
+    ndarray, shape (steps, N)
+        Positions [m] as they would be measured, not wrapped.
+    """
+    t, ring = data.trajectories, data.trajectories.road.circumference_m
+    leader = np.where(np.isfinite(start[t.leader[k], 0]), t.leader[k], -1)
+    rows, setting = at_period(model.rows, t.period_s), Setting(t.period_s, horizon_at(t.period_s), ring)
+    out = np.empty((steps, data.drivers, 2))
+    order = _order(data, start, leader)
+    run_coupled(start.T.copy(), order, rows, ACTIONS, t.start_s + k * t.period_s, setting, out)
+    return _as_measured(out[:, :, 0], rows, ring)
+
+
+def _order(data: Recorded, start: Array, leader: Ints) -> Order:
+    """Who follows whom from a state (N, 4) on, and how many turns of the ring the leader is ahead."""
+    ring = data.trajectories.road.circumference_m
+    headway = np.where(leader >= 0, start[leader, 0] - start[:, 0], 0.0)
+    turn = np.nan_to_num(ring * np.floor(headway / ring)) if ring else np.zeros(data.drivers)
+    return Order(leader, turn, data.trajectories.length_m)
 
 
 def _as_measured(position: Array, rows: Array, ring: float) -> Array:

@@ -6,13 +6,14 @@ covariate, the mean of the normalised innovations is then a normal variable with
 Bins are flagged at a false-discovery rate of 5 % over all bins together (Benjamini and Hochberg 1995).
 """
 
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import norm
 
-from sugiyama_ros.arrays import Array
+from sugiyama_ros.arrays import Array, Mask
 from sugiyama_ros.diagnosis.discover import covariates_of
 from sugiyama_ros.driver.parameters import RHO
 from sugiyama_ros.fit.model import Model
@@ -75,6 +76,8 @@ class Map:
         Edges of the bins, SI units.
     bias : ndarray, shape (A, B)
         Mean of the normalised innovations; NaN where there are too few samples.
+    flagged : ndarray of bool, shape (A, B)
+        Whether the bias counts as a failure, at the false-discovery rate RATE over the bins of the map.
     """
 
     first: str
@@ -82,6 +85,7 @@ class Map:
     first_edges: Array
     second_edges: Array
     bias: Array
+    flagged: Mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,21 +195,27 @@ def _bin(name: str, label: str, low: float, high: float, values: Array, after: A
 
 
 def _with_flags(bins: list[Bin]) -> list[Bin]:
-    """Benjamini and Hochberg's step-up procedure over all bins."""
-    ordered = sorted(b.p_value for b in bins)
-    passed = [p for k, p in enumerate(ordered, 1) if p <= RATE * k / len(bins)]
-    threshold = max(passed, default=-1.0)
+    threshold = _threshold([b.p_value for b in bins])
     return [replace(b, flagged=b.p_value <= threshold) for b in bins]
+
+
+def _threshold(p_values: Sequence[float]) -> float:
+    """Largest p-value that passes Benjamini and Hochberg's step-up procedure; -1 if none does."""
+    passed = [p for k, p in enumerate(sorted(p_values), 1) if p <= RATE * k / len(p_values)]
+    return max(passed, default=-1.0)
 
 
 def _map(first: str, second: str, before: dict[str, Array], after: Array) -> Map:
     edges = [_edges(name, before[name]) for name in (first, second)]
     shape = tuple(max(len(e) - 1, 0) for e in edges)
-    bias = np.full(shape, np.nan)
+    bias, flagged = np.full(shape, np.nan), np.zeros(shape, dtype=np.bool_)
     if all(shape):
         known = np.isfinite(before[first]) & np.isfinite(before[second]) & np.isfinite(after)
         pairs = (before[first][known], before[second][known])
         count = np.histogram2d(*pairs, bins=edges)[0]
         total = np.histogram2d(*pairs, bins=edges, weights=after[known])[0]
-        bias[count >= _FEWEST] = total[count >= _FEWEST] / count[count >= _FEWEST]
-    return Map(first, second, edges[0], edges[1], bias)
+        full = count >= _FEWEST
+        bias[full] = total[full] / count[full]
+        p_value = 2.0 * norm.sf(np.abs(bias[full]) * np.sqrt(count[full]))
+        flagged[full] = p_value <= _threshold(p_value.tolist())
+    return Map(first, second, edges[0], edges[1], bias, flagged)

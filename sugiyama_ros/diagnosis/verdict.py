@@ -9,7 +9,10 @@ from sugiyama_ros.diagnosis.addition import Addition, parameters_of
 from sugiyama_ros.diagnosis.adequacy import told, who
 from sugiyama_ros.diagnosis.diagnosis import Diagnosis
 from sugiyama_ros.diagnosis.locate import Bin, Located
+from sugiyama_ros.diagnosis.pictures import about, drives
+from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
 from sugiyama_ros.effects.registry import EFFECTS, ROW, effect
+from sugiyama_ros.fit.model_file import stds_of
 
 # Maximum number of bins that the sentences mention.
 _WORST = 3
@@ -21,6 +24,7 @@ def document(d: Diagnosis) -> dict[str, Any]:
         "verdict": {
             "adequacy": {**asdict(d.adequacy), "reasons": list(d.adequacy.reasons)},
             "effects": [_named(n, d) for n in d.named],
+            "told": sentences(d),
             "searched": list(d.searched),
             "none_detectable": not d.named,
             "discovered": [
@@ -55,8 +59,10 @@ def document(d: Diagnosis) -> dict[str, Any]:
             {"name": name, "parameter": effect(name).parameters[0].name, "value": value}
             for name, value in d.smallest.items()
         ],
-        "errors": {"before": d.before.summary(), "after": d.after.summary(), **d.rivals},
+        "errors": {"before": d.before.summary(), "after": d.after.summary(), **d.rivals, **d.floor},
         "drivers": _drivers(d),
+        "free_run": drives(d),
+        "about": about(d),
         "vehicles": d.data.drivers,
         "samples": len(d.data.fold),
         "bootstrap_runs": d.bootstrap_runs,
@@ -73,6 +79,7 @@ def _named(n: Addition, d: Diagnosis) -> dict[str, Any]:
         "form": n.form,
         "kind": n.kind,
         "parameters": n.parameters,
+        "parameters_std": _stds(n),
         "indistinguishable": list(n.indistinguishable),
         "advice": list(n.advice),
         "who": who(n, d.data.trajectories.vehicle.tolist()),
@@ -83,6 +90,13 @@ def _named(n: Addition, d: Diagnosis) -> dict[str, Any]:
         "free_run_rmse_before_m": before["free_run_10s_m"],
         "free_run_rmse_after_m": after["free_run_10s_m"],
     }
+
+
+def _stds(n: Addition) -> dict[str, float]:
+    """Standard deviations of the parameters that all drivers share, by name."""
+    shared = stds_of(n.fit)[1]
+    found = {name: shared.get(f"{n.name}.{name}", shared.get(name)) for name in n.parameters}
+    return {name: std for name, std in found.items() if std is not None}
 
 
 def _where(located: Located) -> dict[str, Any]:
@@ -97,6 +111,7 @@ def _where(located: Located) -> dict[str, Any]:
                 "first_edges": m.first_edges.tolist(),
                 "second_edges": m.second_edges.tolist(),
                 "bias": [[None if np.isnan(b) else float(b) for b in row] for row in m.bias],
+                "flagged": m.flagged.tolist(),
             }
             for m in located.maps
         ],
@@ -106,14 +121,19 @@ def _where(located: Located) -> dict[str, Any]:
 def _drivers(d: Diagnosis) -> list[dict[str, Any]]:
     """Held-out gain of the additions and single-car errors before and after, for each driver."""
     before, after = d.before.by_driver(), d.after.by_driver()
+    own, stds = d.final.model.rows, stds_of(d.final)[0]
     return [
         {
             "vehicle": int(v),
             "heldout_gain_nats": a[0] - b[0],
             "single_car_10s_before_m": b[1],
             "single_car_10s_after_m": a[1],
+            "v_star": float(row[V_STAR]),
+            "v_star_std": std.get("v_star"),
+            "kappa_v": float(row[KAPPA_V]),
+            "kappa_v_std": std.get("kappa_v"),
         }
-        for v, b, a in zip(d.data.trajectories.vehicle, before, after, strict=True)
+        for v, b, a, row, std in zip(d.data.trajectories.vehicle, before, after, own, stds, strict=True)
     ]
 
 

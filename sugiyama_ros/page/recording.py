@@ -1,9 +1,9 @@
 """A recorded run as arrays over samples and vehicles."""
 
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -27,7 +27,22 @@ _KINDS = {
     "sugiyama_msgs/msg/Innovation": "innovation",
     "sugiyama_msgs/msg/DriverArray": "drivers",
     "sugiyama_msgs/msg/Verdict": "verdict",
+    "sugiyama_msgs/msg/DriverParameters": "parameters",
+    "sugiyama_msgs/msg/StyleChange": "change",
+    "sugiyama_msgs/msg/DriverType": "type",
+    "sugiyama_msgs/msg/TrueParameters": "truth",
 }
+# Parameters that the page shows over time.
+_ADAPTED = ("v_star", "v_star_std", "kappa_v", "kappa_v_std")
+
+
+class StyleChanged(NamedTuple):
+    """A driver has changed style at a time [s]: a parameter was multiplied by a factor."""
+
+    time_s: float
+    vehicle: int
+    name: str
+    factor: float
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -42,11 +57,18 @@ class Recording(Result):
         Time of each sample [s].
     series : dict of arrays (T, N)
         What the estimators published, in SI units; NaN where nothing was published. Names: speed, speed_std,
-        acceleration, mean_action, gap_m, approach_rate, innovation_m, innovation_var, nis, scored.
+        acceleration, mean_action, gap_m, approach_rate, innovation_m, innovation_var, nis, scored, and the parameters
+        v_star, v_star_std, kappa_v, kappa_v_std.
     verdict_s : array (K,)
         Time of each verdict [s].
     weights : dict of arrays (K,)
         Posterior probability of each model.
+    changes : tuple of StyleChanged
+        Changes of style, in the order in which they were published.
+    types : dict of arrays (C,)
+        Probabilities that a driver belongs to each class, at the end, by vehicle; empty without classes.
+    truth : dict of dict
+        True parameters of simulated drivers, by vehicle and name; empty where the bag does not say them.
     """
 
     trajectories: Trajectories
@@ -54,6 +76,9 @@ class Recording(Result):
     series: dict[str, Array]
     verdict_s: Array
     weights: dict[str, Array]
+    changes: tuple[StyleChanged, ...] = ()
+    types: dict[int, Array] = field(default_factory=dict)
+    truth: dict[int, dict[str, float]] = field(default_factory=dict)
 
     def headline(self) -> str:
         """Say what was recorded, and how large the one-step errors are."""
@@ -96,54 +121,108 @@ class Recording(Result):
 
 def read_recording(path: Path) -> Recording:
     """Read a bag that `sugiyama run` recorded, or a file of trajectories in a bag. Raises InputError."""
-    trajectories = read_trajectories(path, None)
-    t = trajectories
-    samples, vehicles = t.position_m.shape
-    names = ["speed_std", *(name for fields in _FIELDS.values() for name in fields)]
-    series: dict[str, Array] = {name: np.full((samples, vehicles), np.nan) for name in names}
-    column = {int(v): k for k, v in enumerate(t.vehicle)}
-    weights: defaultdict[str, list[float]] = defaultdict(list)
-    times: list[float] = []
+    t = read_trajectories(path, None)
+    reading = _Reading(t)
     with Bag(path) as bag:
         wanted = {topic.name for topic in bag.info().topics if topic.type in _KINDS}
         for _, type_name, _, message in bag.messages(wanted, skip_misfits=True) if wanted else ():
-            time_s = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
-            kind = _KINDS[type_name]
-            if kind == "verdict":
-                if len(message.model) == len(message.weight):
-                    times.append(time_s)
-                    for name, weight in zip(message.model, message.weight, strict=True):
-                        weights[name].append(float(weight))
-                continue
-            step = round((time_s - t.start_s) / t.period_s)
-            if 0 <= step < samples:
-                enter = _enter_all if kind == "drivers" else _enter
-                enter(message, kind, step, series, column)
+            reading.take(_KINDS[type_name], message)
+    for values in (reading.series[name] for name in _ADAPTED):
+        _hold(values)
     return Recording(
         t,
-        np.asarray(t.start_s + np.arange(samples) * t.period_s, dtype=np.float64),
-        series,
-        np.array(times),
-        {name: np.array(values) for name, values in weights.items() if len(values) == len(times)},
+        np.asarray(t.start_s + np.arange(len(t.position_m)) * t.period_s, dtype=np.float64),
+        reading.series,
+        np.array(reading.verdict_s),
+        {name: np.array(values) for name, values in reading.weights.items() if len(values) == len(reading.verdict_s)},
+        tuple(reading.changes),
+        {v: np.array(p) for v, p in sorted(reading.types.items())},
+        dict(sorted(reading.truth.items())),
     )
 
 
-def _enter(message: Any, kind: str, step: int, series: dict[str, Array], column: dict[int, int]) -> None:
-    """Enter a state or an innovation of one driver into the series."""
-    k = column.get(int(message.vehicle))
-    if k is None:
-        return
-    for name in _FIELDS[kind]:
-        series[name][step, k] = getattr(message, name)
-    if kind == "state":
-        series["speed_std"][step, k] = np.sqrt(max(float(message.covariance[4]), 0.0))
+class _Reading:
+    """Enters the messages of a bag, one after another."""
+
+    def __init__(self, trajectories: Trajectories) -> None:
+        self._t = trajectories
+        shape = trajectories.position_m.shape
+        names = ["speed_std", *_ADAPTED, *(name for fields in _FIELDS.values() for name in fields)]
+        self.series: dict[str, Array] = {name: np.full(shape, np.nan) for name in names}
+        self._column = {int(v): k for k, v in enumerate(trajectories.vehicle)}
+        self.weights: defaultdict[str, list[float]] = defaultdict(list)
+        self.verdict_s: list[float] = []
+        self.changes: list[StyleChanged] = []
+        self.types: dict[int, list[float]] = {}
+        self.truth: dict[int, dict[str, float]] = {}
+
+    def take(self, kind: str, message: Any) -> None:
+        """Enter one message."""
+        time_s = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+        if kind == "verdict":
+            if len(message.model) == len(message.weight):
+                self.verdict_s.append(time_s)
+                for name, weight in zip(message.model, message.weight, strict=True):
+                    self.weights[name].append(float(weight))
+        elif kind == "drivers":
+            self._take_all(self._step(time_s), message)
+        elif int(message.vehicle) in self._column:
+            self._take_one(kind, time_s, message)
+
+    def _step(self, time_s: float) -> int | None:
+        step = round((time_s - self._t.start_s) / self._t.period_s)
+        return step if 0 <= step < len(self._t.position_m) else None
+
+    def _take_one(self, kind: str, time_s: float, message: Any) -> None:
+        """Enter what a message says of one driver."""
+        vehicle, step = int(message.vehicle), self._step(time_s)
+        k = self._column[vehicle]
+        if kind == "change":
+            self.changes.append(StyleChanged(time_s, vehicle, str(message.name), float(message.factor)))
+        elif kind == "type":
+            self.types[vehicle] = [float(p) for p in message.probability]
+        elif kind == "truth":
+            self.truth[vehicle] = dict(zip(message.name, map(float, message.value), strict=False))
+        elif step is None:
+            return
+        elif kind == "parameters":
+            names = list(message.name)
+            covariance = np.asarray(message.covariance, dtype=np.float64)
+            if len(covariance) == len(names) ** 2:
+                std = np.sqrt(np.maximum(covariance.reshape(len(names), len(names)).diagonal(), 0.0))
+                self._adapted(step, [k], names, np.array([message.value]), std[None])
+        else:
+            for name in _FIELDS[kind]:
+                self.series[name][step, k] = getattr(message, name)
+            if kind == "state":
+                self.series["speed_std"][step, k] = np.sqrt(max(float(message.covariance[4]), 0.0))
+
+    def _take_all(self, step: int | None, message: Any) -> None:
+        """Enter what a message says of all drivers."""
+        if step is None:
+            return
+        at = [k for k, vehicle in enumerate(message.vehicle.tolist()) if vehicle in self._column]
+        columns = [self._column[vehicle] for vehicle in message.vehicle[at].tolist()]
+        for name in (*_FIELDS["state"], *_FIELDS["innovation"]):
+            self.series[name][step, columns] = getattr(message, name)[at]
+        speed_var = message.state_covariance.reshape(-1, 9)[at, 4]
+        self.series["speed_std"][step, columns] = np.sqrt(np.maximum(speed_var, 0.0))
+        names, estimated = list(message.name), np.flatnonzero(message.estimated)
+        value = message.value.reshape(-1, len(names))[at]
+        covariance = message.parameter_covariance.reshape(-1, len(estimated), len(estimated))[at]
+        std = np.zeros_like(value)
+        std[:, estimated] = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))
+        self._adapted(step, columns, names, value, std)
+
+    def _adapted(self, step: int, columns: list[int], names: list[str], value: Array, std: Array) -> None:
+        """Enter the parameters that the page shows; value and std: (drivers, names)."""
+        for name in ("v_star", "kappa_v"):
+            if name in names:
+                self.series[name][step, columns] = value[:, names.index(name)]
+                self.series[f"{name}_std"][step, columns] = std[:, names.index(name)]
 
 
-def _enter_all(message: Any, _: str, step: int, series: dict[str, Array], column: dict[int, int]) -> None:
-    """Enter states and innovations of all drivers into the series."""
-    at = [k for k, vehicle in enumerate(message.vehicle.tolist()) if vehicle in column]
-    columns = [column[vehicle] for vehicle in message.vehicle[at].tolist()]
-    for name in (*_FIELDS["state"], *_FIELDS["innovation"]):
-        series[name][step, columns] = getattr(message, name)[at]
-    speed_var = message.state_covariance.reshape(-1, 9)[at, 4]
-    series["speed_std"][step, columns] = np.sqrt(np.maximum(speed_var, 0.0))
+def _hold(values: Array) -> None:
+    """Hold what was published once a second until it is published again, (T, N) in place."""
+    latest = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(len(values))[:, None], 0), axis=0)
+    values[:] = np.take_along_axis(values, latest, axis=0)

@@ -1,32 +1,35 @@
-"""The page as one file that needs no network: data, model, where the model fails, and what is missing."""
+"""The report as one file that needs no network: what was measured, the verdict, and what it rests on, top down."""
 
 from collections.abc import Mapping, Sequence
 from html import escape
-from typing import Any
+from typing import Any, NamedTuple
 
-import numpy as np
 from bokeh.embed import components
-from bokeh.models import Select, UIElement
+from bokeh.models import UIElement
 from bokeh.resources import Resources
 
 from sugiyama_ros.outputs import Target, writing
-from sugiyama_ros.page.panels import measured, missing, model
-from sugiyama_ros.page.panels.model import Quantity
+from sugiyama_ros.page import html
+from sugiyama_ros.page.card import card, name_of
+from sugiyama_ros.page.panels import drivers, measured, missing, space_time, worth
+from sugiyama_ros.page.panels.bias import bias_maps
+from sugiyama_ros.page.panels.chosen import Chosen
 from sugiyama_ros.page.recording import Recording
+from sugiyama_ros.page.style import STYLE
 
-_STYLE = """
-:root { color-scheme: light dark; }
-body { font: 16px/1.5 system-ui, sans-serif; margin: 0 auto; max-width: 1280px; padding: 0 1rem 3rem; }
-.panels { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 440px), 1fr)); gap: 1rem; }
-.panel { min-width: 0; }
-h1 { font-size: 1.5rem; } h2 { font-size: 1.2rem; margin: 2rem 0 .5rem; }
-table { border-collapse: collapse; } tr { border-bottom: 1px solid #8884; }
-td, th { padding: .2rem .8rem; text-align: right; } td:first-child, th:first-child { text-align: left; }
-@media (prefers-color-scheme: dark) {
-  body { background: #111; color: #ddd; }
-  .panel { background: #fff; color: #111; color-scheme: light; filter: invert(.92) hue-rotate(180deg); }
-}
-"""
+
+class Section(NamedTuple):
+    """A section of the page.
+
+    Panels stand in ``columns``, a class of the style sheet; ``text`` stands above them, ``beside`` is one more cell.
+    """
+
+    name: str
+    title: str
+    text: str
+    panels: Sequence[UIElement]
+    columns: str = ""
+    beside: str = ""
 
 
 def write_report(recording: Recording, diagnosis: Mapping[str, Any] | None, output: Target) -> None:
@@ -53,103 +56,95 @@ def write_report(recording: Recording, diagnosis: Mapping[str, Any] | None, outp
 
 def report(r: Recording, diagnosis: Mapping[str, Any] | None) -> str:
     """The page as HTML, with all scripts in it."""
-    t = r.trajectories
-    select = Select(
-        title="driver",
-        value=f"vehicle {t.vehicle[0]}",
-        options=[f"vehicle {v}" for v in t.vehicle],
-        width=200,
-    )
-    sections: list[tuple[str, str, Sequence[UIElement]]] = [
-        ("What was measured", "", [measured.space_time(r), measured.speed_profile(r), measured.ring(r)])
-    ]
-    if r.has_estimates:
-        s = r.series
-        time = np.broadcast_to(r.time_s[:, None], t.position_m.shape)
-        place = t.road.wrap(t.position_m) if t.road.is_ring else t.position_m
-        sections += [
-            ("What the model says", "", [model.error_over_time(r), model.driver(r, select)]),
-            (
-                "Where it fails",
-                "Where the mean of the one-step error stays away from 0, the model lacks something.",
-                [
-                    model.bias_map(
-                        r,
-                        "Bias over speed and gap",
-                        Quantity(s["speed"], "speed [m/s]", 12),
-                        Quantity(s["gap_m"], "gap [m]", 12),
-                    ),
-                    model.bias_map(
-                        r,
-                        "Bias over time and place",
-                        Quantity(time, "time [s]", 25),
-                        Quantity(place, "position [m]", 16),
-                    ),
-                    model.by_driver(r, select),
-                ],
-            ),
-        ]
-    panels: list[UIElement] = [model.weights(r)] if r.weights else []
+    chosen = Chosen(r.trajectories.vehicle)
+    sections = _measured(r, diagnosis, chosen)
     if diagnosis is not None:
-        panels.append(missing.candidates(diagnosis))
-        sections.append(("What is missing", _told(diagnosis), panels))
-        sections.append(
-            ("After adding it", _errors(diagnosis), [missing.growth(diagnosis), missing.before_and_after(diagnosis)])
-        )
+        sections += _diagnosed(r, diagnosis, chosen)
+    if r.has_estimates:
+        sections.append(_drivers(r, diagnosis, chosen))
+    sections.append(Section("how", "How it was done", html.how(r, diagnosis), (), ""))
+    chosen.connect()
+    return _page(r, diagnosis, sections, chosen)
+
+
+def _measured(r: Recording, d: Mapping[str, Any] | None, chosen: Chosen) -> list[Section]:
+    first = space_time.measured(r, chosen)
+    driven = space_time.simulated(r, d, first) if d is not None else []
+    about = (
+        "<p>Colours are speeds, the same in all pictures. The model starts anew from the measured state at each dotted"
+        " line, and then drives all cars on its own, without noise; it was fitted without the block that it drives.</p>"
+    )
+    columns = {3: "three", 2: ""}.get(1 + len(driven), "one")
+    found = [Section("seen", "Measured and simulated" if driven else "What was measured",
+                     about if driven else "", [first, *driven], columns)]  # fmt: skip
+    more = [measured.speed_profile(r), measured.ring(r, chosen)]
+    found.append(Section("road", "The road", "", more, "side"))
+    return found
+
+
+def _diagnosed(r: Recording, d: Mapping[str, Any], chosen: Chosen) -> list[Section]:
+    vehicles = r.trajectories.vehicle.tolist()
+    maps = bias_maps(d, r.trajectories.road.circumference_m)
+    legend = (
+        "<p>Mean one-step error in predicted standard deviations: violet where cars are ahead of the prediction, orange"
+        " where they are behind. Black outline: more than chance makes. Grey: too few samples. Dashed: what was"
+        " found.</p>"
+    )
+    text = html.failing(d)
+    return [
+        Section("fails", "Where it fails", (legend if maps else "") + text, maps, "four" if len(maps) == 4 else ""),
+        Section(
+            "missing", "What is missing",
+            "<p>Red: added (▸), and what cannot be told apart from it in these data.</p>" + html.told(d),
+            [missing.candidates(d)], "side", html.detectable(d),
+        ),
+        Section("worth", "What it is worth", html.errors(d), [worth.growth(d), worth.by_driver(d, chosen, vehicles)],
+                "side"),
+    ]  # fmt: skip
+
+
+def _drivers(r: Recording, d: Mapping[str, Any] | None, chosen: Chosen) -> Section:
+    panels = [
+        drivers.against_each_other(r, d, chosen),
+        drivers.over_time(r, "v_star", chosen),
+        drivers.over_time(r, "kappa_v", chosen),
+        *drivers.in_detail(r, chosen),
+    ]
+    text = "<p>The estimators learn these while they listen; click a driver in any picture, or choose one above.</p>"
+    if r.truth:
+        text += "<p>The drivers are simulated: the truth is drawn in green.</p>"
+    if r.types:
+        rows = [[str(v), *(f"{p:.2f}" for p in of)] for v, of in r.types.items()]
+        classes = len(next(iter(r.types.values())))
+        text += html.table(["vehicle", *(f"probability of class {k}" for k in range(classes))], rows)
+    if r.changes:
+        text += f"<p>{len(r.changes)} changes of style were noticed (triangles).</p>"
+    if r.weights:
+        panels += [drivers.error_over_time(r), drivers.weights(r)]
     else:
-        hint = "<p>To see what is missing, add the document that <code>sugiyama diagnose --json</code> prints.</p>"
-        sections.append(("What is missing", hint, panels))
-    return _page(r, sections)
+        panels.append(drivers.error_over_time(r))
+    return Section("drivers", "The drivers", text, panels, "side four" if len(panels) % 4 == 0 else "side")
 
 
-def _page(r: Recording, sections: Sequence[tuple[str, str, Sequence[UIElement]]]) -> str:
-    t = r.trajectories
-    models = {f"{i}-{k}": panel for i, (_, _, found) in enumerate(sections) for k, panel in enumerate(found)}
-    script, divs = components(models)
-    body = []
-    for i, (title, text, found) in enumerate(sections):
-        inside = "".join(f'<div class="panel">{divs[f"{i}-{k}"]}</div>' for k in range(len(found)))
-        body.append(f'<section><h2>{escape(title)}</h2>{text}<div class="panels">{inside}</div></section>')
-    road = f"a ring of {t.road.circumference_m:g} m" if t.road.is_ring else "an open road"
-    about = f"{len(t.vehicle)} vehicles, {t.duration_s:.0f} s, a sample every {t.period_s:.3g} s, on {road}"
+def _page(r: Recording, d: Mapping[str, Any] | None, sections: Sequence[Section], chosen: Chosen) -> str:
+    models: dict[str, UIElement] = {f"{one.name}-{k}": panel for one in sections for k, panel in enumerate(one.panels)}
+    script, divs = components({"choose": chosen.select, **models})
+    body = "".join(_section(one, divs) for one in sections)
+    links = "".join(f'<a href="#{one.name}">{escape(one.title)}</a>' for one in sections)
     scripts = Resources(mode="inline", components=["bokeh", "bokeh-widgets"]).render()
+    title = escape(name_of(r))
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(t.source or 'recording')}</title><link rel=icon href='data:,'><style>{_STYLE}</style>{scripts}"
-        f"</head><body><h1>{escape(t.source or 'recording')}</h1><p>{escape(about)}</p>{''.join(body)}{script}"
+        f"<title>{title}</title><link rel=icon href='data:,'><style>{STYLE}</style></head><body>"
+        f'{card(r, d)}<nav>{links}<div class="choose">driver {divs["choose"]}</div></nav>{body}{scripts}{script}'
         "</body></html>"
     )
 
 
-def _told(diagnosis: Mapping[str, Any]) -> str:
-    """The verdict as text."""
-    lines = []
-    for n in diagnosis["verdict"]["effects"]:
-        text = f"{n['name']}: held-out gain {n['heldout_gain_nats']:.0f} ± {n['heldout_gain_se']:.0f} nats"
-        if n["indistinguishable"]:
-            text += f"; cannot be told apart from {', '.join(n['indistinguishable'])}"
-        lines.append(f"<li>{escape(text)}</li>")
-    found = f"<ul>{''.join(lines)}</ul>" if lines else "<p>Nothing that is missing can be detected in these data.</p>"
-    least = ", ".join(f"{s['name']} ({s['parameter']} {s['value']:.2g})" for s in diagnosis["smallest_detectable"])
-    return found + (f"<p>What these data would usually have shown: {escape(least)}.</p>" if least else "")
-
-
-def _errors(diagnosis: Mapping[str, Any]) -> str:
-    """Held-out errors of all models as a table."""
-    columns = {
-        "one_step_rmse_m": "one step [m]",
-        "free_run_10s_m": "free run 10 s [m]",
-        "single_car_10s_m": "single car 10 s [m]",
-        "loglik_per_sample": "nats per sample",
-    }
-    head = "".join(f"<th>{escape(c)}</th>" for c in ("model", *columns.values()))
-    rows = []
-    for name, errors in diagnosis["errors"].items():
-        cells = "".join(f"<td>{_number(errors.get(key))}</td>" for key in columns)
-        rows.append(f"<tr><td>{escape(str(name))}</td>{cells}</tr>")
-    return f"<table><tr>{head}</tr>{''.join(rows)}</table>"
-
-
-def _number(value: Any) -> str:
-    return "" if value is None else f"{float(value):.3f}"
+def _section(one: Section, divs: Mapping[str, str]) -> str:
+    inside = "".join(f'<div class="panel">{divs[f"{one.name}-{k}"]}</div>' for k in range(len(one.panels)))
+    if one.beside:
+        inside += f'<div class="text">{one.beside}</div>'
+    grid = f'<div class="panels {one.columns}">{inside}</div>' if inside else ""
+    return f'<section id="{one.name}"><h2>{escape(one.title)}</h2>{one.text}{grid}</section>'

@@ -1,8 +1,14 @@
-"""What all panels share: colours that colour-blind readers can tell apart, an empty figure, a legend."""
+"""What all panels share: colours that colour-blind readers can tell apart, an empty figure, a legend, a colour bar.
+
+Text and lines of the axes are of a grey that can be read on white and on black. So a page needs no second set of
+colours.
+"""
 
 from typing import Any
 
 import numpy as np
+from bokeh.models import BasicTicker, ColorBar, LinearColorMapper
+from bokeh.palettes import Cividis256
 from bokeh.plotting import figure
 
 from sugiyama_ros.arrays import Array
@@ -10,27 +16,74 @@ from sugiyama_ros.road import Road
 
 # Okabe and Ito's colours.
 BLUE, ORANGE, GREEN, VERMILION, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#777777"
+SKY, PURPLE = "#56B4E9", "#CC79A7"
 #: Colours of the models that are compared.
-COLOURS = (GREY, BLUE, VERMILION, ORANGE, GREEN, "#56B4E9", "#CC79A7", "#000000")
+COLOURS = (GREY, BLUE, VERMILION, ORANGE, GREEN, SKY, PURPLE, "#8C6D31", "#9A9A00")
+#: Colour of a place without data, and of lines of a grid.
+EMPTY, _GRID = "#8080802e", "#80808040"
+#: Colour of the driver who is chosen.
+CHOSEN = VERMILION
 #: Time [s] over which the one-step error is averaged.
 MOVING_S = 10.0
 #: Precision of the numbers in the page.
 SINGLE = np.float32
-_HEIGHT = 320
+#: Height of a panel [pixels].
+HEIGHT = 320
 _TOOLS = "pan,wheel_zoom,box_zoom,reset,save"
 
 
 def panel(title: str, x: str, y: str, **more: Any) -> Any:
     """An empty figure that fills the width of its place on the page."""
-    return figure(
-        title=title,
-        x_axis_label=x,
-        y_axis_label=y,
-        height=_HEIGHT,
-        sizing_mode="stretch_width",
-        tools=_TOOLS,
-        output_backend="canvas",
-        **more,
+    plot = figure(
+        **{
+            "title": title,
+            "x_axis_label": x,
+            "y_axis_label": y,
+            "height": HEIGHT,
+            "sizing_mode": "stretch_width",
+            "tools": _TOOLS,
+            "output_backend": "canvas",
+            "background_fill_color": None,
+            "border_fill_color": None,
+            "outline_line_color": _GRID,
+            "min_border_right": 12,
+            **more,
+        }
+    )
+    plot.toolbar.autohide = True
+    plot.toolbar.logo = None
+    plot.title.text_color = GREY
+    plot.title.text_font_size = "14px"
+    plot.grid.grid_line_color = _GRID
+    for name in ("axis_label_text_color", "major_label_text_color", "axis_line_color", "major_tick_line_color",
+                 "minor_tick_line_color"):  # fmt: skip
+        setattr(plot.axis, name, GREY)
+    plot.axis.axis_label_text_font_style = "normal"
+    plot.axis.axis_label_text_font_size = plot.axis.major_label_text_font_size = "12px"
+    return plot
+
+
+def speed_colours(fastest: float) -> LinearColorMapper:
+    """Colours of speeds from 0 to ``fastest`` [m/s]."""
+    return LinearColorMapper(Cividis256, low=0.0, high=max(fastest, 1.0), nan_color=EMPTY)
+
+
+def colour_bar(plot: Any, colours: LinearColorMapper, title: str) -> None:
+    """Add a bar that explains the colours."""
+    plot.add_layout(
+        ColorBar(
+            color_mapper=colours,
+            ticker=BasicTicker(desired_num_ticks=5),
+            title=title,
+            width=12,
+            padding=4,
+            background_fill_color=None,
+            title_text_color=GREY,
+            title_text_font_size="12px",
+            title_text_font_style="normal",
+            major_label_text_color=GREY,
+        ),
+        "right",
     )
 
 
@@ -46,7 +99,12 @@ def legend_above(plot: Any) -> None:
     """A legend that hides nothing, and in which a click hides a line."""
     if not plot.legend:  # nothing is drawn
         return
-    plot.legend.click_policy = "hide"
-    plot.legend.orientation = "horizontal"
-    plot.legend.label_text_font_size = "11px"
-    plot.add_layout(plot.legend[0], "above")
+    legend = plot.legend[0]
+    legend.click_policy = "hide"
+    legend.orientation = "horizontal"
+    legend.ncols = 3 if len(legend.items) > 3 else "auto"
+    legend.label_text_font_size = "12px"
+    legend.label_text_color = GREY
+    legend.background_fill_color = legend.border_line_color = None
+    legend.padding, legend.spacing = 2, 6
+    plot.add_layout(legend, "above")

@@ -1,51 +1,31 @@
-"""Panels of what was measured: positions, speeds, the road from above."""
+"""Panels of what was measured: speeds, and the road from above."""
 
 import numpy as np
 from bokeh.layouts import column, row
-from bokeh.models import (
-    BasicTicker,
-    Button,
-    ColorBar,
-    ColumnDataSource,
-    CustomJS,
-    HoverTool,
-    LinearColorMapper,
-    Slider,
-    UIElement,
-)
-from bokeh.palettes import Cividis256
+from bokeh.models import Button, ColumnDataSource, CustomJS, DataRange1d, HoverTool, Slider, UIElement
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.page.panels.base import BLUE, GREEN, GREY, ORANGE, SINGLE, from_above, legend_above, panel
+from sugiyama_ros.page.panels.base import (
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    SINGLE,
+    VERMILION,
+    from_above,
+    legend_above,
+    panel,
+    speed_colours,
+)
+from sugiyama_ros.page.panels.chosen import Chosen
 from sugiyama_ros.page.recording import Recording
-
-
-def space_time(r: Recording) -> UIElement:
-    """Position over time of every vehicle, coloured by speed."""
-    t = r.trajectories
-    position = t.road.wrap(t.position_m) if t.road.is_ring else t.position_m
-    speed = speeds(r)
-    known = np.isfinite(position)
-    time = np.broadcast_to(r.time_s[:, None], position.shape)
-    source = ColumnDataSource(
-        {
-            "time": time[known].astype(SINGLE),
-            "position": position[known].astype(SINGLE),
-            "speed": speed[known].astype(SINGLE),
-        }
-    )
-    colours = LinearColorMapper(Cividis256, low=0.0, high=float(np.nanquantile(speed, 0.99)), nan_color=GREY)
-    plot = panel("Where everybody was, and how fast", "time [s]", "position [m]")
-    plot.scatter("time", "position", source=source, size=2, color={"field": "speed", "transform": colours})
-    plot.add_layout(ColorBar(color_mapper=colours, ticker=BasicTicker(), title="speed [m/s]"), "right")
-    return plot
 
 
 def speed_profile(r: Recording) -> UIElement:
     """Mean, least and largest speed of all vehicles."""
     speed = speeds(r)
     whole = np.isfinite(speed).any(axis=1)
-    plot = panel("Speeds of all vehicles", "time [s]", "speed [m/s]")
+    plot = panel("Speeds of all vehicles", "time [s]", "speed [m/s]", y_range=DataRange1d(start=0.0))
     for label, of, colour in (("largest", np.nanmax, ORANGE), ("mean", np.nanmean, BLUE), ("least", np.nanmin, GREEN)):
         plot.line(
             r.time_s[whole],
@@ -58,7 +38,7 @@ def speed_profile(r: Recording) -> UIElement:
     return plot
 
 
-def ring(r: Recording) -> UIElement:
+def ring(r: Recording, chosen: Chosen) -> UIElement:
     """The road from above, at a time that a slider or a button chooses."""
     t = r.trajectories
     speed = speeds(r)
@@ -71,9 +51,13 @@ def ring(r: Recording) -> UIElement:
     }
     all_frames = ColumnDataSource({name: values.ravel() for name, values in frames.items()})
     shown = ColumnDataSource({**{n: v[0] for n, v in frames.items()}, "vehicle": [str(v) for v in t.vehicle]})
-    colours = LinearColorMapper(Cividis256, low=0.0, high=float(np.nanquantile(speed, 0.99)), nan_color=GREY)
     plot = panel("The road from above", "x [m]", "y [m]", match_aspect=t.road.is_ring)
-    plot.scatter("x", "y", source=shown, size=12, line_color="black", color={"field": "speed", "transform": colours})
+    if t.road.is_ring:
+        plot.line(*from_above(t.road, np.linspace(0.0, t.road.circumference_m, 181)), color=GREY, line_alpha=0.5)
+    colour = {"field": "speed", "transform": speed_colours(fastest(r))}
+    plot.scatter("x", "y", source=shown, size=12, line_color=GREY, fill_color=colour, nonselection_fill_alpha=1.0,
+                 nonselection_line_alpha=1.0, selection_line_color=VERMILION, selection_line_width=3)  # fmt: skip
+    chosen.points(plot, shown, list(range(len(t.vehicle))))
     plot.add_tools(HoverTool(tooltips=[("vehicle", "@vehicle"), ("speed", "@speed{0.0} m/s")]))
     last = len(frames["x"]) - 1
     slider = Slider(start=0, end=max(last, 1), value=0, title="sample", sizing_mode="stretch_width")
@@ -100,6 +84,18 @@ def ring(r: Recording) -> UIElement:
         )
     )
     return column(plot, row(play, slider, sizing_mode="stretch_width"), sizing_mode="stretch_width")
+
+
+def places(r: Recording) -> Array:
+    """Measured positions (T, N) [m], wrapped on a ring."""
+    t = r.trajectories
+    return t.road.wrap(t.position_m) if t.road.is_ring else t.position_m
+
+
+def fastest(r: Recording) -> float:
+    """Speed [m/s] that hardly any sample exceeds: the end of the colours."""
+    speed = speeds(r)
+    return max(float(np.nanquantile(speed, 0.99)), 1.0) if np.isfinite(speed).any() else 1.0
 
 
 def speeds(r: Recording) -> Array:

@@ -1,86 +1,54 @@
-"""Panels of a diagnosis: what may be missing, and the errors after it was added."""
+"""Panel of what is missing: the candidates with their gains."""
 
-import math
-import re
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from bokeh.models import (
-    ColumnDataSource,
-    FactorRange,
-    Span,
-    UIElement,
-    Whisker,
-)
+from bokeh.models import ColumnDataSource, FactorRange, HoverTool, Span, UIElement, Whisker
 
-from sugiyama_ros.page.panels.base import (
-    BLUE,
-    COLOURS,
-    GREY,
-    VERMILION,
-    legend_above,
-    panel,
-)
+from sugiyama_ros.page.panels.base import BLUE, GREY, HEIGHT, VERMILION, panel
+from sugiyama_ros.page.words import chance, title_of
 
 _MOST_SHOWN = 12
 
 
 def candidates(diagnosis: Mapping[str, Any]) -> UIElement:
-    """Held-out gain of every candidate, with its standard error."""
-    best = diagnosis["candidates"][:_MOST_SHOWN][::-1]
-    names = [c["name"] for c in best]
-    gain, se = (np.array([float(c[key] or 0.0) for c in best]) for key in ("heldout_gain_nats", "heldout_gain_se"))
-    added = {n["name"] for n in diagnosis["verdict"]["effects"]}
+    """Held-out gain of every candidate, with its standard error; the set that cannot be told apart in one colour."""
+    effects = diagnosis["verdict"]["effects"]
+    added = {n["name"] for n in effects}
+    together = added | {other for n in effects for other in n["indistinguishable"]}
+    best = [c for c in diagnosis["candidates"] if c["heldout_gain_nats"] is not None]
+    kept = [c for k, c in enumerate(best) if k < _MOST_SHOWN or c["name"] in together][::-1]
+    names = [_label(diagnosis, c, added) for c in kept]
+    gain, se = (np.array([float(c[key] or 0.0) for c in kept]) for key in ("heldout_gain_nats", "heldout_gain_se"))
     source = ColumnDataSource(
         {
             "name": names,
             "gain": gain,
             "low": gain - se,
             "high": gain + se,
-            "colour": [VERMILION if n in added else BLUE for n in names],
+            "p": [chance(c.get("p_value")) or "not computed" for c in kept],
+            "colour": [VERMILION if c["name"] in together else BLUE for c in kept],
         }
     )
     plot = panel(
-        "What may be missing; red: added", "held-out gain [nats]", "candidate", y_range=FactorRange(factors=names)
+        "Held-out gain over the base model, ± one standard error",
+        "held-out gain [nats]",
+        "",
+        y_range=FactorRange(factors=names),
+        height=max(HEIGHT, 60 + 24 * len(kept)),
     )
-    plot.hbar("name", right="gain", source=source, height=0.7, color="colour")
-    plot.add_layout(Whisker(base="name", lower="low", upper="high", source=source, dimension="width"))
+    bars = plot.hbar("name", right="gain", source=source, height=0.7, color="colour")
+    whisker = Whisker(base="name", lower="low", upper="high", source=source, dimension="width", line_color=GREY)
+    whisker.upper_head.line_color = whisker.lower_head.line_color = GREY
+    plot.add_layout(whisker)
     plot.add_layout(Span(location=0.0, dimension="height", line_color=GREY))
+    plot.add_tools(HoverTool(renderers=[bars], tooltips=[("", "@name"), ("gain", "@gain{0} nats"), ("", "@p")]))
+    plot.min_border_right = 20
     return plot
 
 
-def before_and_after(diagnosis: Mapping[str, Any]) -> UIElement:
-    """Error of every driver, before and after the effects that were found are added."""
-    of = diagnosis["drivers"]
-    names = [str(d["vehicle"]) for d in of]
-    plot = panel(
-        "Before and after: 10-s free run of one car", "vehicle", "error [m]", x_range=FactorRange(factors=names)
-    )
-    for label, key, colour in (
-        ("before", "single_car_10s_before_m", GREY),
-        ("after", "single_car_10s_after_m", BLUE),
-    ):
-        values = [math.nan if d[key] is None else float(d[key]) for d in of]
-        plot.scatter(names, values, size=9, color=colour, legend_label=label)
-    legend_above(plot)
-    plot.xaxis.major_label_orientation = math.pi / 4
-    return plot
-
-
-def growth(diagnosis: Mapping[str, Any]) -> UIElement:
-    """Error of free runs over time, for every model."""
-    plot = panel("Free runs: all cars (line), one car behind its measured leader (dashed)", "after [s]", "error [m]")
-    for (name, errors), colour in zip(diagnosis["errors"].items(), COLOURS, strict=False):
-        for run, dash in (("free_run", "solid"), ("single_car", "dashed")):
-            seconds, values = error_growth(errors, run)
-            plot.line(seconds, values, color=colour, line_dash=dash, line_width=2, legend_label=name.replace("_", " "))
-    legend_above(plot)
-    return plot
-
-
-def error_growth(errors: Mapping[str, Any], run: str) -> tuple[list[float], list[float]]:
-    """Horizons [s] in ascending order, and errors [m] of free runs of one kind."""
-    known = ((re.fullmatch(rf"{run}_(\d+(?:\.\d+)?)s_m", key), value) for key, value in errors.items())
-    pairs = sorted((float(match[1]), float(value)) for match, value in known if match and value is not None)
-    return [0.0, *(h for h, _ in pairs)], [0.0, *(value for _, value in pairs)]
+def _label(diagnosis: Mapping[str, Any], candidate: Mapping[str, Any], added: set[str]) -> str:
+    title = title_of(diagnosis, candidate["name"])
+    p = chance(candidate.get("p_value"))
+    return ("▸ " if candidate["name"] in added else "") + title + (f" ({p})" if p else "")

@@ -1,0 +1,89 @@
+"""What a diagnosis hands on for pages and pictures: names for people, and the recording driven by the model."""
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.driver.parameters import Parameter
+from sugiyama_ros.effects.registry import EFFECTS, ROW
+from sugiyama_ros.laws.registry import LAWS
+
+if TYPE_CHECKING:
+    from sugiyama_ros.diagnosis.diagnosis import Diagnosis
+
+# Time between two samples of a picture [s], and largest number of points of one run in the document.
+_EVERY_S, _MOST = 0.6, 20_000
+
+
+def drives(d: "Diagnosis") -> dict[str, Any]:
+    """Return free runs through all blocks of time with the model before and after the additions, thinned out.
+
+    Parameters
+    ----------
+    d : Diagnosis
+        The diagnosis.
+
+    Returns
+    -------
+    dict
+        ``time_s`` (T,), ``block`` (T,), and the positions [m] ``before`` and ``after`` (T, N), wrapped on a ring; None
+        where a vehicle is not there. In each block the model starts anew from the measured state.
+    """
+    t = d.data.trajectories
+    samples, vehicles = t.position_m.shape
+    every = max(1, round(_EVERY_S / t.period_s), math.ceil(samples * vehicles / _MOST))
+    return {
+        "time_s": [round(t.start_s + k * t.period_s, 3) for k in range(0, samples, every)],
+        "block": d.data.block[::every].tolist(),
+        "before": _rows(d.before.block_position_m[::every]),
+        "after": _rows(d.after.block_position_m[::every]),
+    }
+
+
+def about(d: "Diagnosis") -> dict[str, Any]:
+    """Explain every name that the document mentions: effects, constants and laws.
+
+    Parameters
+    ----------
+    d : Diagnosis
+        The diagnosis.
+
+    Returns
+    -------
+    dict
+        For each name: ``kind`` (effect, constants or law), ``title``, ``summary``, and for each of the ``parameters``
+        its unit, its meaning, and whether it is a ``place`` or a ``time``.
+    """
+    declared: dict[str, Any] = {p.name: p for p in ROW.declared}
+    found = {
+        one.candidate.name: _explained(
+            one.candidate.name.replace("_", " "),
+            one.candidate.summary,
+            [declared[name] for name in one.candidate.parameters],
+            "constants",
+        )
+        for one in d.scored
+        if one.candidate.name not in EFFECTS
+    }
+    effects = {name: _explained(e.title, e.summary, e.parameters, "effect") for name, e in EFFECTS.items()}
+    laws = {name: _explained(law.title, law.summary, law.parameters, "law") for name, law in LAWS.items()}
+    return {**found, **effects, **laws}
+
+
+def _explained(title: str, summary: str, parameters: Sequence[Parameter], kind: str) -> dict[str, Any]:
+    return {
+        "title": title,
+        "summary": summary,
+        "kind": kind,
+        "parameters": {
+            p.name: {"unit": "" if p.unit == "1" else p.unit, "meaning": p.description, "axis": p.axis}
+            for p in parameters
+        },
+    }
+
+
+def _rows(position_m: Array) -> list[list[float | None]]:
+    return [[round(x, 1) if np.isfinite(x) else None for x in row] for row in position_m.tolist()]

@@ -1,0 +1,139 @@
+"""Tables and texts of the report as HTML, out of the document of a diagnosis."""
+
+import platform
+from collections.abc import Mapping, Sequence
+from html import escape
+from importlib import metadata
+from typing import Any
+
+from sugiyama_ros.page.recording import Recording
+from sugiyama_ros.page.words import Document, model_name, quantity, title_of
+
+_COLUMNS = {
+    "one_step_rmse_m": "one step [m]",
+    "free_run_2s_m": "all cars 2 s [m]",
+    "free_run_10s_m": "10 s [m]",
+    "single_car_2s_m": "one car 2 s [m]",
+    "single_car_10s_m": "10 s [m]",
+    "loglik_per_sample": "nats per sample",
+}
+_SMALL = ("one_step_rmse_m", "loglik_per_sample")
+_UNITS = {"speed": "m/s", "approach_rate": "m/s", "gap": "m", "rear_gap": "m", "place": "m", "time": "s"}
+_PACKAGES = ("sugiyama_ros", "numpy", "scipy", "numba", "bokeh")
+# Bias [std] below which a regime is not worth a word.
+_SMALLEST = 0.02
+
+
+def table(headings: Sequence[str], rows: Sequence[Sequence[str]], *, left: bool = False) -> str:
+    """A table; the first column is aligned to the left, or all columns."""
+    head = "".join(f"<th>{escape(h)}</th>" for h in headings)
+    body = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
+    kind = " left" if left else ""
+    return f'<div class="scroll{kind}"><table><tr>{head}</tr>{body}</table></div>'
+
+
+def errors(d: Document) -> str:
+    """Held-out errors of all models."""
+    rows = [
+        [model_name(name), *(_number(found.get(key), 3 if key in _SMALL else 2) for key in _COLUMNS)]
+        for name, found in d["errors"].items()
+    ]
+    return table(["held-out errors", *_COLUMNS.values()], rows)
+
+
+def _number(value: Any, digits: int) -> str:
+    return "" if value is None else f"{float(value):.{digits}f}"
+
+
+def told(d: Document) -> str:
+    """The sentences of the command line."""
+    lines = d["verdict"].get("told", [])
+    return f"<ul>{''.join(f'<li>{escape(line.strip())}</li>' for line in lines)}</ul>" if lines else ""
+
+
+def failing(d: Document) -> str:
+    """In which regimes the model fails, and in which bins most of all, in words."""
+    where = d.get("where")
+    if not where:
+        return ""
+    whens = ("before", "after") if d["verdict"]["effects"] else ("before",)
+    regimes = {when: {b["label"]: b for b in where[when]["bins"] if b["covariate"] == "regime"} for when in whens}
+    rows = [[f"while {label}", *(_bias(regimes[when].get(label)) for when in whens)] for label in regimes["before"]]
+    lines = []
+    for when in whens:
+        flagged = where[when]["flagged"]
+        worst = "; ".join(_bin(b) for b in flagged[:3])
+        text = f"{'Before' if when == 'before' else 'With what was added'}: biased in {len(flagged)} of"
+        lines.append(f"{text} {len(where[when]['bins'])} bins" + (f", most of all at {worst}." if worst else "."))
+    headings = ["regime", "before", "with what was added"] if len(whens) > 1 else ["regime", "bias"]
+    return "".join(f"<p>{escape(line)}</p>" for line in lines) + table(headings, rows, left=True)
+
+
+def _bias(b: Mapping[str, Any] | None) -> str:
+    if b is None:
+        return "too few samples"
+    bias = float(b["bias"])
+    if abs(bias) < _SMALLEST and not b["flagged"]:
+        return "right"
+    says = f"cars are {'ahead of' if bias > 0.0 else 'behind'} the prediction by {abs(bias):.2f} std"
+    return says + (" (flagged)" if b["flagged"] else "")
+
+
+def _bin(b: Mapping[str, Any]) -> str:
+    name = str(b["covariate"]).replace("_", " ")
+    value = b["label"] or f"{b['low']:.3g} to {b['high']:.3g} {_UNITS.get(b['covariate'], '')}".strip()
+    return f"{name} {value} ({b['bias']:+.2f} std)"
+
+
+def detectable(d: Document) -> str:
+    """What these data would usually have shown, and what was not searched for."""
+    rows = []
+    for one in d["smallest_detectable"]:
+        if not one["value"]:
+            continue
+        declared = d.get("about", {}).get(one["name"], {}).get("parameters", {}).get(one["parameter"], {})
+        meaning = str(declared.get("meaning", one["parameter"].replace("_", " "))).split(";")[0]
+        size = quantity(float(one["value"]), str(declared.get("unit", "")))
+        rows.append([title_of(d, one["name"]), f"{meaning}: {size}"])
+    text = ""
+    if rows:
+        text += "<h3>What these data would usually have shown, from this size on</h3>"
+        text += table(["effect", "smallest size"], rows, left=True)
+    searched = set(d["verdict"].get("searched", []))
+    missed = [name for name, one in d.get("about", {}).items() if one.get("kind") == "effect" and name not in searched]
+    if searched and missed:
+        names = ", ".join(title_of(d, name) for name in missed)
+        text += f"<p>Not searched for: {escape(names)}. What is not in the catalogue is not searched for either.</p>"
+    return text
+
+
+def how(r: Recording, d: Document | None) -> str:
+    """Commands, versions, checksums, seeds and licences."""
+    t = r.trajectories
+    rows = [
+        ["measured", t.source or "not known"],
+        ["checksum (SHA-256)", t.sha256 or "not known"],
+        ["commands", "sugiyama run FILE -o run.mcap; sugiyama report run.mcap"],
+    ]
+    if d is not None:
+        quick = " --quick" if d.get("quick") else ""
+        rows += [
+            ["", f"sugiyama diagnose FILE{quick} --seed {d.get('seed', 0)} --json > d.json; report --diagnosis d.json"],
+            ["p-values", f"from {d.get('bootstrap_runs', '?')} simulated recordings, seed {d.get('seed', '?')}"],
+            ["held out", "five interleaved folds of 25-s blocks; no sample is predicted by a model that has seen it"],
+        ]
+    rows += [
+        [
+            "versions",
+            ", ".join(f"{name} {_version(name)}" for name in _PACKAGES) + f", Python {platform.python_version()}",
+        ],
+        ["licences", "sugiyama_ros: MIT; Bokeh, in this page: BSD-3-Clause; the data: as their source says"],
+    ]
+    return table(["what", "how"], rows, left=True)
+
+
+def _version(name: str) -> str:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return "not installed"

@@ -1,0 +1,103 @@
+"""Maps of the bias, before and after the additions, with what was found drawn in."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from bokeh.models import BoxAnnotation, ColumnDataSource, HoverTool, LinearColorMapper, Range1d, Span, UIElement
+from bokeh.palettes import PuOr11
+
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.page.panels.base import EMPTY, VERMILION, colour_bar, panel
+
+_UNITS = {"speed": "m/s", "gap": "m", "place": "m", "time": "s"}
+_NAMES = {"place": "position"}
+# Bias [std] at the ends of the colours.
+_END = 0.5
+
+
+def bias_maps(diagnosis: Mapping[str, Any], ring_m: float) -> list[UIElement]:
+    """For each pair of covariates, the map before and, if something was added, the map after."""
+    where = diagnosis.get("where", {})
+    added = bool(diagnosis["verdict"]["effects"])
+    found = []
+    for k, before in enumerate(where.get("before", {}).get("maps", [])):
+        plot = _bias_map(before, "before" if added else "")
+        _draw_found(plot, before, diagnosis, ring_m)
+        found.append(plot)
+        if added:
+            after = _bias_map(where["after"]["maps"][k], "with what was added", plot)
+            _draw_found(after, before, diagnosis, ring_m)
+            found.append(after)
+    return found
+
+
+def _axes(one: Mapping[str, Any]) -> tuple[str, str]:
+    """Covariates of the horizontal and the vertical axis; time runs to the right."""
+    return (one["second"], one["first"]) if one["second"] == "time" else (one["first"], one["second"])
+
+
+def _bias_map(one: Mapping[str, Any], when: str, beside: Any = None) -> Any:
+    x, y = _axes(one)
+    labels = [f"{_NAMES.get(name, name)} [{_UNITS.get(name, '')}]" for name in (x, y)]
+    ranges = {"x_range": beside.x_range, "y_range": beside.y_range} if beside is not None else {}
+    first, second = (np.array(one[f"{name}_edges"], dtype=np.float64) for name in ("first", "second"))
+    if beside is None:
+        across, up = (second, first) if y == one["first"] else (first, second)
+        ranges = {"x_range": _range(across), "y_range": _range(up)}
+    title = f"Bias over {_NAMES.get(x, x)} and {_NAMES.get(y, y)}" + (f", {when}" if when else "")
+    plot = panel(title, *labels, background_fill_color=EMPTY, **ranges)
+    bias = np.array(one["bias"], dtype=np.float64).reshape(max(len(first) - 1, 0), -1)
+    flagged = np.array(one.get("flagged", np.zeros(bias.shape)), dtype=np.bool_).reshape(bias.shape)
+    i, j = np.nonzero(np.isfinite(bias))
+    across, up, a, b = (second, first, j, i) if y == one["first"] else (first, second, i, j)
+    source = ColumnDataSource(
+        {
+            "left": across[a],
+            "right": across[a + 1],
+            "bottom": up[b],
+            "top": up[b + 1],
+            "bias": bias[i, j],
+            "line": np.where(flagged[i, j], "#000000", "#00000000"),
+            "says": np.where(flagged[i, j], "flagged", "within chance"),
+        }
+    )
+    colours = LinearColorMapper(PuOr11, low=-_END, high=_END)
+    quads = plot.quad("left", "right", "bottom", "top", source=source, line_color="line", line_width=1.5,
+                      fill_color={"field": "bias", "transform": colours})  # fmt: skip
+    colour_bar(plot, colours, "std")
+    plot.add_tools(HoverTool(renderers=[quads], tooltips=[("bias", "@bias{0.00} std"), ("", "@says")]))
+    return plot
+
+
+def _range(edges: Array) -> Range1d:
+    """The edges from end to end; a last bin that is far wider than the others is cut off."""
+    if len(edges) < 3:
+        return Range1d(0.0, 1.0)
+    return Range1d(float(edges[0]), float(min(edges[-1], edges[-2] + 0.3 * (edges[-2] - edges[0]))))
+
+
+def _draw_found(plot: Any, one: Mapping[str, Any], diagnosis: Mapping[str, Any], ring_m: float) -> None:
+    """Draw places, times and ranges of what was found into a map."""
+    axes = _axes(one)
+    for effect in diagnosis["verdict"]["effects"]:
+        declared = diagnosis.get("about", {}).get(effect["name"], {}).get("parameters", {})
+        values = effect.get("parameters", {})
+        for name, value in values.items():
+            axis = declared.get(name, {}).get("axis")
+            if axis == "time" and "time" in axes:
+                plot.add_layout(Span(location=value, dimension="height", line_color=VERMILION, line_width=2))
+            elif axis == "place" and "place" in axes:
+                for shift in (-ring_m, 0.0, ring_m) if ring_m else (0.0,):
+                    half = 0.5 * float(values.get("width", 0.0))
+                    _band(plot, "place", axes, value + shift - half, value + shift + half)
+    for force in diagnosis["verdict"].get("discovered", []):
+        if force["covariate"] in axes:
+            knots, size = np.array(force["knots"]), np.abs(np.array(force["force"]))
+            strong = knots[size >= 0.5 * size.max()]
+            _band(plot, force["covariate"], axes, float(strong.min()), float(strong.max()))
+
+
+def _band(plot: Any, covariate: str, axes: tuple[str, str], low: float, high: float) -> None:
+    ends = {"left": low, "right": high} if covariate == axes[0] else {"bottom": low, "top": high}
+    plot.add_layout(BoxAnnotation(**ends, fill_color=None, line_color=VERMILION, line_width=2.5, line_dash="dashed"))

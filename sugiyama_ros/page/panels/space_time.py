@@ -1,0 +1,80 @@
+"""Space-time diagrams: measured, and simulated before and after, with one colour scale."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from bokeh.models import ColumnDataSource, LinearColorMapper, Span, UIElement
+
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.page.panels.base import CHOSEN, EMPTY, SINGLE, colour_bar, panel, speed_colours
+from sugiyama_ros.page.panels.chosen import Chosen
+from sugiyama_ros.page.panels.measured import fastest, places, speeds
+from sugiyama_ros.page.recording import Recording
+from sugiyama_ros.road import Road
+
+# Number of points of one diagram, at most.
+_MOST = 20_000
+
+
+def measured(r: Recording, chosen: Chosen) -> UIElement:
+    """Position over time of every vehicle, coloured by speed, with the driver who is chosen as a line."""
+    every = max(1, -(-r.trajectories.position_m.size // _MOST))
+    place, speed = places(r)[::every], speeds(r)[::every]
+    time = np.broadcast_to(r.time_s[::every, None], place.shape)
+    plot, source, known = _diagram("Measured", time, place, speed, speed_colours(fastest(r)))
+    chosen.points(plot, source, np.broadcast_to(np.arange(place.shape[1]), place.shape)[known].tolist())
+    jump = np.zeros(place.shape, dtype=np.bool_)
+    if r.trajectories.road.is_ring:
+        jump[1:] = np.abs(np.diff(place, axis=0)) > 0.5 * r.trajectories.road.circumference_m
+    line = chosen.series(time=time, position=np.where(jump, np.nan, place))
+    plot.line("time", "position", source=line, color=CHOSEN, line_width=2)
+    return plot
+
+
+def simulated(r: Recording, diagnosis: Mapping[str, Any], measured_plot: Any) -> list[UIElement]:
+    """The same road, driven by the model before and after the additions; it starts anew in each block of time."""
+    run = diagnosis.get("free_run")
+    if not run:
+        return []
+    colours = speed_colours(fastest(r))
+    time_s, block = np.array(run["time_s"], dtype=np.float64), np.array(run["block"])
+    starts = time_s[1:][np.diff(block) > 0]
+    found = []
+    names = [("before", "The model drives, before"), ("after", "The model drives, with what was added")]
+    for name, title in names if diagnosis["verdict"]["effects"] else [("before", "The model drives")]:
+        place = np.array(run[name], dtype=np.float64)
+        speed = _speeds(r.trajectories.road, time_s, block, place)
+        time = np.broadcast_to(time_s[:, None], place.shape)
+        plot, *_ = _diagram(
+            title, time, place, speed, colours, x_range=measured_plot.x_range, y_range=measured_plot.y_range
+        )
+        for start in starts.tolist():
+            plot.add_layout(Span(location=start, dimension="height", line_color=EMPTY, line_dash="dotted"))
+        found.append(plot)
+    return found
+
+
+def _speeds(road: Road, time_s: Array, block: Array, place: Array) -> Array:
+    """Speeds (T, N) [m/s] from differences of positions inside the blocks."""
+    speed = np.full_like(place, np.nan)
+    speed[:-1] = road.difference(place[1:], place[:-1]) / np.diff(time_s)[:, None]
+    last = np.flatnonzero(np.diff(block) > 0)
+    for k in (*last.tolist(), len(place) - 1):
+        speed[k] = speed[k - 1]
+    return speed
+
+
+def _diagram(
+    title: str, time: Array, place: Array, speed: Array, colours: LinearColorMapper, **ranges: Any
+) -> tuple[Any, ColumnDataSource, Array]:
+    known = np.isfinite(place)
+    source = ColumnDataSource(
+        {name: values[known].astype(SINGLE) for name, values in (("time", time), ("position", place), ("speed", speed))}
+    )
+    plot = panel(title, "time [s]", "position [m]", **ranges)
+    colour = {"field": "speed", "transform": colours}
+    plot.scatter("time", "position", source=source, size=3, line_color=None, fill_color=colour,
+                 nonselection_fill_alpha=1.0)  # fmt: skip
+    colour_bar(plot, colours, "m/s")
+    return plot, source, known

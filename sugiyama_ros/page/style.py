@@ -1,0 +1,54 @@
+"""The style sheet of the report: light and dark, 800 to 1920 pixels wide, and on paper."""
+
+STYLE = """
+:root { color-scheme: light dark; --back: #fff; --text: #1b1b1b; --soft: #f3f4f6; --line: #8884; --note: #5c5c5c;
+  --good: #00704f; --bad: #b34700; --blue: #0072B2; }
+@media (prefers-color-scheme: dark) { :root { --back: #141414; --text: #e4e4e4; --soft: #202124; --note: #a5a5a5;
+  --good: #35c79b; --bad: #ff9149; --blue: #56B4E9; } }
+* { box-sizing: border-box; }
+body { font: 15px/1.45 system-ui, sans-serif; margin: 0 auto; max-width: 1840px; padding: .8rem 1rem 3rem;
+  background: var(--back); color: var(--text); }
+h1 { font-size: 1.25rem; margin: 0 0 .2rem; overflow-wrap: anywhere; }
+h2 { font-size: 1.2rem; margin: 1.6rem 0 .3rem; }
+h3 { font-size: .95rem; margin: .6rem 0 .2rem; } p { margin: .25rem 0; }
+.note { color: var(--note); font-size: .85rem; }
+.card { display: grid; grid-template-columns: minmax(220px, 1fr) 2.6fr; gap: 1rem; }
+.card > * { background: var(--soft); border-radius: 8px; padding: .8rem 1rem; min-width: 0; }
+.what { display: flex; flex-direction: column; }
+.card img { width: 100%; min-height: 110px; height: 110px; flex: 1; image-rendering: pixelated; border-radius: 4px; }
+.badge { display: inline-block; margin: 0; padding: .05rem .7rem; border-radius: 1rem; color: var(--back);
+  background: var(--note); font-weight: 600; } .adequate .badge, .explained .badge { background: var(--good); }
+.not_explained .badge { background: var(--bad); }
+.headline { font-size: 1.35rem; line-height: 1.25; font-weight: 600; margin: .4rem 0; }
+dl { display: grid; grid-template-columns: max-content 1fr; gap: .15rem .9rem; margin: .4rem 0 0; }
+dt { color: var(--note); } dd { margin: 0; min-width: 0; overflow-wrap: anywhere; }
+.card .tiles { grid-column: 1 / -1; display: grid; grid-template-columns: repeat(3, 1fr); gap: 1rem; padding: 0;
+  background: none; }
+.tile { background: var(--soft); border-radius: 8px; padding: .5rem 1rem .7rem; min-width: 0; }
+.tile .number { font-size: 1.3rem; font-weight: 600; white-space: nowrap; }
+.tile table { width: 100%; font-size: .85rem; } .tile td { padding: .08rem .4rem .08rem 0; white-space: nowrap; }
+.bar { width: 45%; } div.bar { width: 100%; background: var(--line); border-radius: 3px; }
+.bar i { display: block; height: .75rem; background: #777; border-radius: 3px; min-width: 1px; }
+.after .bar i, div.bar i { background: var(--blue); }
+.before td:first-child, .after td:first-child { font-weight: 600; }
+nav { position: sticky; top: 0; z-index: 5; display: flex; flex-wrap: wrap; align-items: center; gap: .2rem 1.1rem;
+  background: var(--back); border-bottom: 1px solid var(--line); padding: .3rem 0; margin-top: .8rem; }
+nav a { color: inherit; } nav .choose { margin-left: auto; display: flex; align-items: center; gap: .5rem; }
+.panels { display: grid; grid-template-columns: repeat(2, minmax(0, 1fr)); gap: .6rem 1rem; }
+.panel { min-width: 0; } .wide { grid-column: 1 / -1; } section { scroll-margin-top: 5rem; }
+.three { grid-template-columns: repeat(3, minmax(0, 1fr)); } .one { grid-template-columns: minmax(0, 1fr); }
+.text { align-self: start; font-size: .9rem; } .scroll { overflow-x: auto; }
+table { border-collapse: collapse; } section tr { border-bottom: 1px solid var(--line); }
+section td, section th { padding: .15rem .8rem .15rem 0; text-align: right; vertical-align: top; }
+section td:first-child, section th:first-child, section .left td, section .left th
+  { text-align: left; }
+@media (max-width: 1099px) { .three { grid-template-columns: minmax(0, 1fr); }
+  .panels.side { grid-template-columns: minmax(0, 1fr); } .tile .number { font-size: 1.05rem; }
+  .tile { padding: .5rem .6rem; } .tile td:first-child { white-space: normal; } .bar { min-width: 3rem; }
+  .card { grid-template-columns: minmax(200px, 1fr) 2fr; } }
+@media (min-width: 1600px) { .four { grid-template-columns: repeat(4, minmax(0, 1fr)); } }
+@media (max-width: 640px) { .card, .card .tiles, .panels { grid-template-columns: minmax(0, 1fr) !important; } }
+@media print { nav { display: none; } body { max-width: none; font-size: 11px; }
+  .panel, .card > * { break-inside: avoid; }
+  h2 { break-after: avoid; } }
+"""

@@ -1,0 +1,127 @@
+"""A diagnosis in plain words, out of its document: what is missing, how large, how sure, and what to do."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+Document = Mapping[str, Any]
+_LAWS = {"idm": "IDM", "fvdm": "FVDM", "ovm": "OVM"}
+#: Outcomes of a verdict: sign and words.
+OUTCOMES = {
+    "adequate": ("✓", "The model is adequate"),
+    "explained": ("✓", "What was missing is explained"),
+    "not_explained": ("✗", "Not explained"),
+}
+
+
+def title_of(d: Document, name: str) -> str:
+    """Name for people of an effect, a group of constants or a law."""
+    explained = d.get("about", {}).get(name)
+    return str(explained["title"]) if explained else name.replace("_", " ")
+
+
+def summary_of(d: Document, name: str) -> str:
+    """Explanation of a name in one line; empty where the document has none."""
+    return str(d.get("about", {}).get(name, {}).get("summary", ""))
+
+
+def model_name(name: str) -> str:
+    """Name of a model in tables and legends."""
+    known = {"before": "base model", "after": "with what was added", "floor": "floor (pure noise)"}
+    if name in known:
+        return known[name]
+    law = name.removesuffix("_least_squares")
+    return _LAWS.get(law, law.replace("_", " ")) + (", fitted to gaps" if law != name else "")
+
+
+def quantity(value: float, unit: str = "", std: float | None = None) -> str:
+    """A value with its standard deviation and its unit."""
+    if std is None or not (math.isfinite(std) and std > 0.0):
+        text = f"{value:.3g}"
+    else:
+        digits = min(max(-math.floor(math.log10(std)), 0), 5)
+        text = f"{value:.{digits}f} ± {std:.{digits}f}"
+    return f"{text} {unit}".strip()
+
+
+def size_of(d: Document, effect: Document) -> str:
+    """The size of an addition: each parameter with its meaning, its standard deviation and its unit."""
+    meanings = d.get("about", {}).get(effect["name"], {}).get("parameters", {})
+    stds = effect.get("parameters_std", {})
+    parts = []
+    for name, value in effect.get("parameters", {}).items():
+        meaning = meanings.get(name, {})
+        # what follows a semicolon is where the declaration comes from
+        words = str(meaning.get("meaning", name.replace("_", " "))).split(";")[0]
+        parts.append(f"{words}: {quantity(float(value), str(meaning.get('unit', '')), stds.get(name))}")
+    return "; ".join(parts)
+
+
+def chance(p_value: float | None) -> str:
+    """A p-value for people."""
+    if p_value is None:
+        return ""
+    return "p < 0.001" if p_value < 1e-3 else f"p {p_value:.2g}"
+
+
+def headline(d: Document) -> str:
+    """The verdict as one plain sentence."""
+    effects = [title_of(d, n["name"]) for n in d["verdict"]["effects"]]
+    outcome = d["verdict"].get("adequacy", {}).get("outcome")
+    found = _and(effects)
+    if not effects:
+        if outcome == "not_explained":
+            return "The model fails, and nothing in the catalogue explains it."
+        if outcome == "adequate":
+            return "Nothing is missing: nothing in these data speaks against the model as it is."
+        return "Nothing that is missing can be detected in these data."
+    if outcome == "not_explained":
+        helps = "helps, but does" if len(effects) == 1 else "help, but do"
+        return f"The model lacks more than what was found: {found} {helps} not explain these data."
+    end = " With it, nothing in these data speaks against the model." if outcome == "explained" else ""
+    return f"The model lacks this: {found}.{end}"
+
+
+def how_sure(d: Document) -> list[str]:
+    """How certain each addition is."""
+    lines = []
+    for n in d["verdict"]["effects"]:
+        gain, se = float(n["heldout_gain_nats"]), float(n["heldout_gain_se"])
+        times = f", {gain / se:.1f} standard errors" if se > 0.0 else ""
+        text = f"{title_of(d, n['name'])}: held-out gain {gain:.0f} ± {se:.0f} nats{times}"
+        if p := chance(n.get("p_value")):
+            text += f"; by chance {p}"
+        if n["indistinguishable"]:
+            text += f"; cannot be told apart from {_and([title_of(d, o) for o in n['indistinguishable']], 'or')}"
+        lines.append(text + ".")
+    return lines
+
+
+def reasons(d: Document) -> list[str]:
+    """What speaks against the final model."""
+    return [str(reason) for reason in d["verdict"].get("adequacy", {}).get("reasons", [])]
+
+
+def what_to_do(d: Document) -> str:
+    """What to do after the verdict."""
+    effects, adequacy = d["verdict"]["effects"], d["verdict"].get("adequacy", {})
+    advice = [text for n in effects for text in n.get("advice", ())]
+    if advice:
+        return f"To tell them apart, {'; '.join(advice)}."
+    if adequacy.get("outcome") == "not_explained":
+        better = adequacy.get("better_law")
+        use = (
+            f" {model_name(str(better))} predicts these data better; use it where prediction counts." if better else ""
+        )
+        return f"Do not take the names for causes. Look below where the model still fails.{use}"
+    if effects:
+        return (
+            "Add it: sugiyama diagnose FILE --add auto -o model.yaml, then give --model model.yaml to other commands."
+        )
+    return (
+        "Use the model as it is. The table of what these data would have shown says how small a missing effect may be."
+    )
+
+
+def _and(names: list[str], word: str = "and") -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {word} {names[-1]}" if names else ""
