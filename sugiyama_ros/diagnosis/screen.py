@@ -296,7 +296,7 @@ def _joined(
         rows = [
             [old[known.index(k)] if k in known else new[k][i][j] for k in places] for j, old in enumerate(s.derivatives)
         ]
-        joined.append(sums(at.of(i), Derivatives(*map(np.array, rows)), row, data.fold))
+        joined.append(sums(at.of(i), Derivatives(*map(np.array, rows)), row, data.fold[i]))
     return tuple(joined)
 
 

@@ -191,6 +191,8 @@ class Effect:
         Whether a smaller first parameter makes the effect stronger.
     reach : int
         Number of vehicles ahead that the driver looks at.
+    looks_back : bool
+        Whether the driver looks at the vehicle behind.
     sees_accelerations : bool
         Whether the function depends on accelerations, so that a filter must know their distribution.
     bank : mapping of str to float, optional
@@ -226,6 +228,7 @@ class Effect:
     is_noise: bool = False
     is_limit: bool = False
     reach: int = 1
+    looks_back: bool = False
     sees_accelerations: bool = False
     bank: Values | None = None
     benchmark: tuple[Values, ...] = ()

@@ -28,6 +28,7 @@ EFFECT = Effect(
     ),
     starts=at({"strength": 0.3, "distance": 2.0}, {"strength": 0.3, "distance": 6.0}),
     least={"strength": 0.0},
+    looks_back=True,
     function=actuate,
     bank={"strength": 1.0, "distance": 3.0},
     benchmark=({"strength": 1.5, "distance": 2.5}, {"strength": 0.6, "distance": 2.5}),
