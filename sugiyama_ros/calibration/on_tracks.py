@@ -6,7 +6,6 @@ is left out. Drivers ahead count as typical drivers.
 """
 
 import math
-from collections import defaultdict
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
@@ -16,14 +15,14 @@ import numpy as np
 
 from sugiyama_ros.arrays import Ints
 from sugiyama_ros.driver.parameters import PARAMETERS, SIGMA_A, index
-from sugiyama_ros.drives import Drive, drives
-from sugiyama_ros.errors import InputError
+from sugiyama_ros.drives import Drive
 from sugiyama_ros.filters.causal import ChainJob, predict_samples
 from sugiyama_ros.filters.chain import CHAIN
 from sugiyama_ros.fit.bounds import lower_bounds, upper_bounds
 from sugiyama_ros.fit.driver import PLAIN, START_SIGMA_A, Fit, Job, carry_out
 from sugiyama_ros.fit.driver_score import DriverChains
-from sugiyama_ros.fit.smooth_positions import Evenness, evenness_of
+from sugiyama_ros.fit.smooth_positions import Evenness
+from sugiyama_ros.fit.stretched import LEAST_FOLLOWING_S, evenness_on, fastest_on, followers, following_s
 from sugiyama_ros.plots import BLUE
 from sugiyama_ros.progress import OnProgress
 from sugiyama_ros.results import Result
@@ -32,11 +31,6 @@ from sugiyama_ros.trajectories.tracks import Tracks
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-#: A driver needs to follow for this long [s] to get parameters of their own.
-LEAST_FOLLOWING_S = 15.0
-# Time [s] over which the highest speed is measured.
-_SPEED_OVER_S = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,42 +210,18 @@ def calibrate_tracks(
     InputError
         For an unknown parameter, or if no driver follows a known vehicle for long enough.
     """
-    by_driver: dict[tuple[str, str], list[Drive]] = defaultdict(list)
-    for drive in drives(tracks):
-        by_driver[drive.stretch.recording, drive.stretch.vehicle].append(drive)
-    enough = {who: own for who, own in by_driver.items() if _following_s(own) >= LEAST_FOLLOWING_S}
-    if not enough:
-        raise InputError(
-            f"{tracks.about.source}: nobody follows a known vehicle for {LEAST_FOLLOWING_S:g} s; `sugiyama info` says"
-            " which leaders are known"
-        )
-    every = [drive for own in enough.values() for drive in own]
-    even, speed = _evenness(every), _fastest(every)
+    found = followers(tracks)
+    every = [drive for own in found.enough for drive in own]
+    even, speed = evenness_on(every), fastest_on(every)
     names = tuple(estimated) or even.estimated()
     places = np.array([index(name) for name in names])
-    jobs = [_job(k, own, places, even, speed) for k, own in enumerate(enough.values())]
+    jobs = [_job(k, own, places, even, speed) for k, own in enumerate(found.enough)]
     drivers = []
     fits = map(carry_out, jobs) if work is None else work.map(carry_out, jobs)
-    for own, job, fit in zip(enough.values(), jobs, fits, strict=True):
+    for own, job, fit in zip(found.enough, jobs, fits, strict=True):
         drivers.append(_calibrated(own, job, fit))
         on_progress(len(drivers), len(jobs))
-    return TracksCalibration(names, tuple(drivers), len(by_driver) - len(enough))
-
-
-def _following_s(own: Sequence[Drive]) -> float:
-    """Time [s] of the scored samples in which somebody is ahead."""
-    return sum(float((d.scored & (d.chain.identity[:, 1] >= 0)).sum()) * d.chain.period_s for d in own)
-
-
-def _evenness(every: Sequence[Drive]) -> Evenness:
-    return evenness_of([d.chain.position_m[:, 0] for d in every], every[0].chain.period_s)
-
-
-def _fastest(every: Sequence[Drive]) -> float:
-    """Speed [m/s] below which 99 % of the samples are."""
-    steps = max(1, round(_SPEED_OVER_S / every[0].chain.period_s))
-    ways = [d.chain.position_m[steps:, 0] - d.chain.position_m[:-steps, 0] for d in every]
-    return float(np.nanquantile(np.concatenate(ways), 0.99)) / (steps * every[0].chain.period_s)
+    return TracksCalibration(names, tuple(drivers), len(found.few))
 
 
 def _job(number: int, own: Sequence[Drive], places: Ints, even: Evenness, speed: float) -> Job:
@@ -273,4 +243,4 @@ def _calibrated(own: Sequence[Drive], job: Job, fit: Fit) -> CalibratedDriver:
     squares = np.concatenate(parts)
     who = own[0].stretch
     nis = float(squares.mean()) if len(squares) else float("nan")
-    return CalibratedDriver(who.recording, who.vehicle, who.vehicle_class, len(own), _following_s(own), fit, nis)
+    return CalibratedDriver(who.recording, who.vehicle, who.vehicle_class, len(own), following_s(own), fit, nis)

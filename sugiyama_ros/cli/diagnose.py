@@ -40,12 +40,12 @@ def diagnose(
     from sugiyama_ros.diagnosis.diagnosis import diagnose as find
     from sugiyama_ros.diagnosis.verdict import document, sentences
     from sugiyama_ros.fit.model_file import write_model
-    from sugiyama_ros.formats.registry import read_trajectories
+    from sugiyama_ros.formats.registry import read_recording
 
-    trajectories = read_trajectories(source, ring)
+    recording = read_recording(source, ring)
     with stages() as advance:
         found = find(
-            trajectories,
+            recording,
             seed=seed,
             quick=quick,
             most=8 if add else 3,
@@ -82,18 +82,19 @@ def compare(
     from sugiyama_ros.diagnosis.compare import compare as compare_models
     from sugiyama_ros.diagnosis.comparison_document import document
     from sugiyama_ros.fit.model_file import read_model
-    from sugiyama_ros.formats.registry import read_trajectories
+    from sugiyama_ros.formats.registry import read_recording
 
     given = read_model(model) if model is not None else None
-    trajectories = read_trajectories(source, ring)
+    recording = read_recording(source, ring)
     with stages() as advance:
         compared = compare_models(
-            trajectories, names(effects), given, seed=seed, workers=os.cpu_count() or 1, on_progress=advance
+            recording, names(effects), given, seed=seed, workers=os.cpu_count() or 1, on_progress=advance
         )
     if as_json:
         print_json(document(compared))
         return
     print_table(tables.held_out_errors(compared.models))
     print_table(tables.details(compared.models))
-    print_table(tables.collective(compared.measured, compared.models))
+    if compared.measured is not None:
+        print_table(tables.collective(compared.measured, compared.models))
     print_line(f"white innovations have an autocorrelation within ± {compared.models[0].band:.3f}")

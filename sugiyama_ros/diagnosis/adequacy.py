@@ -31,8 +31,8 @@ from sugiyama_ros.fit.score import filtered_states
 Outcome = Literal["adequate", "explained", "not_explained"]
 # Another law is better by this many standard errors of a paired gain, and by at least this gain [nats].
 _CLEARLY, _LEAST_GAIN = 2.0, 5.0
-# Free runs that count, and by which factor another law must be closer.
-_FREE_RUN, _FURTHER = "free_run_10s_m", 1.2
+# Factor by which free runs of another law must be closer.
+_FURTHER = 1.2
 # Probability below which the biases of a model are larger than chance makes them.
 _LEVEL = 0.01
 # Smallest std of the logarithm of the biases' sum of squares, and its weight as a number of simulated recordings.
@@ -186,11 +186,9 @@ def _laws_say(better: tuple[str, Gain] | None) -> list[str]:
 
 def _free_runs_say(evidence: Evidence) -> list[str]:
     """Which law drives on by itself better than the final model by most, if one does so beyond doubt."""
-    own = evidence.final.summary()[_FREE_RUN]
+    own = evidence.final.free_run_10s_m
     errors = {
-        law: other.summary()[_FREE_RUN]
-        for law, other in evidence.laws.items()
-        if not evidence.final.no_worse_than(other)
+        law: other.free_run_10s_m for law, other in evidence.laws.items() if not evidence.final.no_worse_than(other)
     }
     better = [law for law, error in errors.items() if own > _FURTHER * error]
     if not better:

@@ -27,17 +27,22 @@ def run_blocks(data: Recorded, models: Sequence[Model], states: Sequence[Array])
     -------
     ndarray, shape (T, N)
         Positions [m], wrapped on a ring; NaN while the filter settles, and for vehicles that were not there at the
-        start of the block.
+        start of the block, and on tracks, where nobody says who drives before and after a stretch.
     """
-    position = np.full(data.trajectories.position_m.shape, np.nan)
-    parts = np.flatnonzero(np.diff(data.block) | np.diff(data.segment)) + 1
+    around = data.vicinity
+    position = np.full((data.samples, data.drivers), np.nan)
+    if not around.is_whole_road:
+        return position
+    # On one road, all drivers have the same blocks, folds and segments.
+    block, fold_at, segment = data.block[0], data.fold[0], data.segment[0]
+    parts = np.flatnonzero(np.diff(block) | np.diff(segment)) + 1
     for first, end in zip((0, *parts.tolist()), (*parts.tolist(), len(position)), strict=True):
         k = max(first, SETTLING + 4) if first == 0 else first
         if k + 1 >= end:
             continue
-        fold = int(data.fold[first])
+        fold = int(fold_at[first])
         state = states[fold]
         position[k] = state[k, :, 0]
         position[k + 1 : end] = drive_all(data, models[fold], state[k], k, end - k - 1)
-    wrapped: Array = data.trajectories.road.wrap(position)
-    return np.where(np.isfinite(data.trajectories.position_m), wrapped, np.nan)
+    wrapped: Array = around.road.wrap(position)
+    return np.where(np.isfinite(around.position_m), wrapped, np.nan)

@@ -7,18 +7,23 @@ from dataclasses import replace
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.driver.parameters import at_period
 from sugiyama_ros.fit.joint import JointFit, maximise, start_fit
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import Recorded, prepare
+from sugiyama_ros.fit.stretched import driven_anew
+from sugiyama_ros.simulation.behind import RecordedTraffic, drive_behind
 from sugiyama_ros.simulation.simulator import Clock, Simulator
+from sugiyama_ros.trajectories.trajectories import Trajectories
 
 
 def resample(data: Recorded, model: Model, states: Array, rng: np.random.Generator) -> Recorded:
     """Simulate a recording with the road, the vehicles and the times of a given recording.
 
-    The simulation starts from the first state of the recording. Vehicles without a leader move as recorded. After a
-    collision, or where vehicles enter, leave or change their order, the simulation restarts from the recorded state,
-    and the new recording has a break there.
+    On tracks, each driver drives anew behind the measured vehicles ahead. On a whole road, the simulation starts from
+    the first state of the recording. Vehicles without a leader move as recorded. After a collision, or where vehicles
+    enter, leave or change their order, the simulation restarts from the recorded state, and the new recording has a
+    break there.
 
     Parameters
     ----------
@@ -26,7 +31,7 @@ def resample(data: Recorded, model: Model, states: Array, rng: np.random.Generat
         The recording.
     model : Model
         The model fitted to the recording.
-    states : ndarray, shape (T, N, 4)
+    states : ndarray, shape (T, V, 4)
         Filtered states, as ``fit.score.filtered_states`` returns them.
     rng : numpy.random.Generator
         Generator of all noises.
@@ -37,6 +42,8 @@ def resample(data: Recorded, model: Model, states: Array, rng: np.random.Generat
         The simulated recording.
     """
     t = data.trajectories
+    if t is None:
+        return _behind_measured(data, model, states, rng)
     position, speed = states[:, :, 0], states[:, :, 1]
     samples, vehicles = position.shape
     measured, segment = np.full((samples, vehicles), np.nan), np.zeros(samples, dtype=np.int64)
@@ -52,13 +59,20 @@ def resample(data: Recorded, model: Model, states: Array, rng: np.random.Generat
             _lead(simulator, order, position[k], speed[k])
         if simulator is None or collided:
             segment[k:] += 1
-            simulator, order = _start(data, model, k, position[k], speed[k], known[k] & t.present[k], rng)
+            simulator, order = _start(t, model, k, position[k], speed[k], known[k] & t.present[k], rng)
         if simulator is not None:
             measured[k, order] = simulator.measure()
     # keep the recorded positions of samples that could not be simulated
     empty = np.all(np.isnan(measured), axis=1)
     measured[empty] = t.position_m[empty]
     return prepare(replace(t, position_m=measured, source="simulated from the fitted model"), segment)
+
+
+def _behind_measured(data: Recorded, model: Model, states: Array, rng: np.random.Generator) -> Recorded:
+    """Tracks on which each driver drives anew behind the measured vehicles ahead."""
+    around = data.vicinity
+    recorded = RecordedTraffic(states, around.leader, around.length_m, data.segment, around.road, around.period_s)
+    return driven_anew(data, *drive_behind(recorded, at_period(model.rows, around.period_s), rng))
 
 
 def resampled_fit(
@@ -96,12 +110,11 @@ def _lead(simulator: Simulator, order: Ints, position: Array, speed: Array) -> N
 
 
 def _start(
-    data: Recorded, model: Model, k: int, position: Array, speed: Array, there: Array, rng: np.random.Generator
+    t: Trajectories, model: Model, k: int, position: Array, speed: Array, there: Array, rng: np.random.Generator
 ) -> tuple[Simulator | None, Ints]:
     """A simulator that starts from the recorded state of sample k, or None if too little is known; columns of its
     vehicles.
     """
-    t = data.trajectories
     columns = np.flatnonzero(there)
     if len(columns) < max(1, int(0.5 * t.present[k].sum())):
         return None, columns

@@ -8,7 +8,7 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import index
-from sugiyama_ros.effects.effect import MEASUREMENT, UTILITY, RecordingExtent
+from sugiyama_ros.effects.effect import MEASUREMENT, UTILITY, Effect, RecordingExtent
 from sugiyama_ros.effects.registry import EFFECTS, MECHANISM, ROW, index_of
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.model import Model
@@ -16,6 +16,8 @@ from sugiyama_ros.fit.population import LARGEST_STD
 from sugiyama_ros.fit.recording import Recorded
 
 Kind = Literal["effect", "measurement", "constants"]
+# A recording on which every effect that is searched for at all has a start.
+_A_RING = RecordingExtent(0.0, 100.0, 100.0, 0.0, 100.0)
 
 
 @dataclass(frozen=True)
@@ -105,21 +107,20 @@ _CONSTANTS = (
 )
 
 
-def candidates(recording: RecordingExtent, drivers: int) -> tuple[Candidate, ...]:
+def candidates(data: Recorded) -> tuple[Candidate, ...]:
     """Return all candidates that make sense for a recording.
 
     Parameters
     ----------
-    recording : RecordingExtent
-        What the search may know about the recording.
-    drivers : int
-        Number of drivers.
+    data : Recorded
+        The recording.
 
     Returns
     -------
     tuple of Candidate
         The constants first, then the effects.
     """
+    extent = recording_of(data)
     found = [
         Candidate(
             name=c.name,
@@ -133,8 +134,8 @@ def candidates(recording: RecordingExtent, drivers: int) -> tuple[Candidate, ...
         for c in _CONSTANTS
     ]
     for e in EFFECTS.values():
-        starts = e.starts(recording)
-        if not starts or drivers <= e.reach:
+        starts = e.starts(extent)
+        if not starts or _why_not(e, data):
             continue
         strengths = tuple(index_of(e.name, name) for name in e.switches)
         has_signs = not e.individual and all(ROW.declared[k].lower < 0.0 for k in strengths)
@@ -153,6 +154,28 @@ def candidates(recording: RecordingExtent, drivers: int) -> tuple[Candidate, ...
             )
         )
     return tuple(found)
+
+
+def not_searched(data: Recorded) -> dict[str, str]:
+    """Return the effects that this recording cannot show, with the reason, by name."""
+    return {name: why for name, e in EFFECTS.items() if e.starts(_A_RING) and (why := _why_not(e, data))}
+
+
+def _why_not(e: Effect, data: Recorded) -> str:
+    """Why a search for an effect makes no sense for a recording; empty if it does."""
+    around, axes = data.vicinity, {p.axis for p in e.parameters}
+    if not e.starts(recording_of(data)):
+        return "the road is no ring"
+    if around.is_whole_road:
+        return "too few vehicles" if data.drivers <= e.reach else ""
+    ahead = np.median([chain.position_m.shape[1] - 1 for chain in data.chains])
+    reasons = {
+        "stretches of different drivers have no time in common": "time" in axes,
+        "recordings have no places in common": "place" in axes and not around.has_places,
+        "nothing is assumed of the vehicle behind": e.sees_rear,
+        "the leader's leader is not known": e.reach > ahead,
+    }
+    return next((reason for reason, holds in reasons.items() if holds), "")
 
 
 def named(data: Recorded, names: Sequence[str]) -> list[Candidate]:
@@ -175,7 +198,7 @@ def named(data: Recorded, names: Sequence[str]) -> list[Candidate]:
     InputError
         For an unknown name.
     """
-    possible = {c.name: c for c in candidates(recording_of(data), data.drivers)}
+    possible = {c.name: c for c in candidates(data)}
     for name in names:
         if name not in possible:
             raise InputError(f"effect {name!r}: cannot be added here; choose among {', '.join(possible)}")
@@ -184,9 +207,9 @@ def named(data: Recorded, names: Sequence[str]) -> list[Candidate]:
 
 def recording_of(data: Recorded) -> RecordingExtent:
     """Return what a search may know about a recording."""
-    t = data.trajectories
-    first, last = float(np.nanmin(t.position_m)), float(np.nanmax(t.position_m))
-    return RecordingExtent(t.start_s, t.start_s + t.duration_s, t.road.circumference_m, first, last)
+    around = data.vicinity
+    first, last = float(np.nanmin(around.position_m)), float(np.nanmax(around.position_m))
+    return RecordingExtent(*around.first_last_s, around.road.circumference_m, first, last)
 
 
 def added(model: Model, candidate: Candidate, start: Mapping[int, float | Array]) -> Model:

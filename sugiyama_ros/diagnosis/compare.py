@@ -19,14 +19,16 @@ from sugiyama_ros.fit.joint import JointFit, fit
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.model_file import ModelFile
 from sugiyama_ros.fit.population import fit_base
-from sugiyama_ros.fit.recording import FOLDS, Recorded, prepare
+from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import filtered_states
-from sugiyama_ros.fit.smooth_positions import individual_in
+from sugiyama_ros.fit.stretched import prepared
+from sugiyama_ros.fit.vicinity import Vicinity
 from sugiyama_ros.laws.registry import RIVALS
 from sugiyama_ros.plots import bars
 from sugiyama_ros.progress import OnStage
 from sugiyama_ros.results import Result
 from sugiyama_ros.simulation.collective import Collective, collective
+from sugiyama_ros.trajectories.tracks import Tracks
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 if TYPE_CHECKING:
@@ -78,17 +80,17 @@ class Comparison(Result):
     ----------
     models : tuple of Compared
         The base model first, the floor last.
-    trajectories : Trajectories
-        The recording that the models were compared on.
-    measured : Collective
-        Collective measures of the recording.
+    vicinity : Vicinity
+        The drivers of the recording that the models were compared on.
+    measured : Collective or None
+        Collective measures of the recording; None for tracks.
     seed : int
         Seed of the simulations.
     """
 
     models: tuple[Compared, ...]
-    trajectories: Trajectories
-    measured: Collective
+    vicinity: Vicinity
+    measured: Collective | None
     seed: int
 
     def headline(self) -> str:
@@ -116,7 +118,7 @@ class Comparison(Result):
     def draw(self, figure: "Figure") -> None:
         """Draw the errors of free runs after 10 s, and the gains over the base model."""
         left, right = figure.subplots(1, 2)
-        errors = [one.errors.summary()["free_run_10s_m"] for one in self.models]
+        errors = [one.errors.free_run_10s_m for one in self.models]
         bars(left, [one.name for one in self.models], errors, [0.0] * len(errors), "error after 10 s [m]")
         gains = [(one.name, one.gain) for one in self.models if one.gain is not None]
         names, values = [name for name, _ in gains], [gain.nats for _, gain in gains]
@@ -124,7 +126,7 @@ class Comparison(Result):
 
 
 def compare(
-    trajectories: Trajectories,
+    recording: Trajectories | Tracks,
     effects: Sequence[str] = (),
     model: ModelFile | None = None,
     *,
@@ -138,8 +140,8 @@ def compare(
 
     Parameters
     ----------
-    trajectories : Trajectories
-        The recording.
+    recording : Trajectories or Tracks
+        The recording: a whole road, or tracks of vehicles that come and go.
     effects : sequence of str
         Names of effects to add to the base model.
     model : ModelFile, optional
@@ -162,12 +164,12 @@ def compare(
         For an unknown effect or a recording that is too short.
     """
     with ThreadPoolExecutor(workers) as work:
-        data = prepare(trajectories)
+        data = prepared(recording)
         chosen = named(data, effects)
         steps = 2 + sum(1 + has_parameters(law) for law in RIVALS) + len(effects) + (model is not None)
         comparison = _Models(data, seed, steps, work, on_progress)
         comparison.begin("base")
-        base = fit_base(data, individual_in(trajectories, V_STAR, KAPPA_V), work)
+        base = fit_base(data, data.even.individual(V_STAR, KAPPA_V), work)
         comparison.add_fitted("base", base)
         comparison.add_effects(base, chosen)
         if model is not None:
@@ -177,7 +179,8 @@ def compare(
         comparison.begin("floor")
         found = (*comparison.found, _floor(data, base, seed, work))
         on_progress("done", steps, steps)
-    return Comparison(found, trajectories, collective_of(trajectories), seed)
+    measured = collective_of(data.trajectories) if data.trajectories is not None else None
+    return Comparison(found, data.vicinity, measured, seed)
 
 
 class _Models:
@@ -210,7 +213,7 @@ class _Models:
     def add_file(self, model: ModelFile) -> None:
         """Add a model from a file without a fit."""
         self.begin("model file")
-        rows = model.rows_of(self._data.trajectories.vehicle)
+        rows = model.rows_of(np.array(self._data.vicinity.numbers))
         given = Model(rows, (), (), (), rows)
         self._add(f"file: {', '.join(model.effects) or 'base'}", [given] * FOLDS, given)
 
@@ -226,7 +229,7 @@ class _Models:
     def _add(self, name: str, models: Sequence[Model], simulated: Model | None) -> None:
         base = self.found[0].errors if self.found else None
         of_road = {}
-        if simulated is not None:
+        if simulated is not None and self._data.trajectories is not None:
             of_road = _simulated_collective(self._data, simulated, self._seed, self._work)
         self.found.append(_compared(name, self._data, models, base, of_road, self._work))
 
@@ -248,7 +251,7 @@ def _simulated_collective(
     """Mean and standard deviation of the collective measures, over simulations of the whole recording."""
     states = filtered_states(data, model, work)
     runs = [resample(data, model, states, rng).trajectories for rng in seeds(seed, _SIMULATIONS)]
-    found = [asdict(one) for one in work.map(collective_of, runs)]
+    found = [asdict(one) for one in work.map(collective_of, [run for run in runs if run is not None])]
     return {
         name: (float(np.mean([one[name] for one in found])), float(np.std([one[name] for one in found], ddof=1)))
         for name in found[0]

@@ -4,7 +4,7 @@ from dataclasses import asdict
 from typing import Any
 
 from sugiyama_ros.diagnosis.compare import Compared, Comparison
-from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.fit.vicinity import Vicinity
 
 
 def document(comparison: Comparison) -> dict[str, Any]:
@@ -21,21 +21,21 @@ def document(comparison: Comparison) -> dict[str, Any]:
         ``models``, ``measured`` and ``seed``.
     """
     return {
-        "models": [_model(one, comparison.trajectories) for one in comparison.models],
-        "measured": asdict(comparison.measured),
+        "models": [_model(one, comparison.vicinity) for one in comparison.models],
+        "measured": asdict(comparison.measured) if comparison.measured is not None else None,
         "seed": comparison.seed,
     }
 
 
-def _model(one: Compared, trajectories: Trajectories) -> dict[str, Any]:
+def _model(one: Compared, vicinity: Vicinity) -> dict[str, Any]:
     return {
         "name": one.name,
         **one.errors.summary(),
         **one.errors.details(),
         "collective": {name: {"mean": mean, "std": std} for name, (mean, std) in one.collective.items()},
         "drivers": [
-            {"vehicle": int(vehicle), "log_likelihood": log_likelihood, "single_car_10s_m": error}
-            for vehicle, (log_likelihood, error) in zip(trajectories.vehicle, one.errors.by_driver(), strict=True)
+            {**name.document(), "log_likelihood": log_likelihood, "single_car_10s_m": error}
+            for name, (log_likelihood, error) in zip(vicinity.names, one.errors.by_driver(), strict=True)
         ],
         "heldout_gain_nats": one.gain.nats if one.gain else 0.0 if one.name == "base" else None,
         "heldout_gain_se": one.gain.se if one.gain else None,

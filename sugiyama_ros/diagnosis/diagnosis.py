@@ -23,12 +23,13 @@ from sugiyama_ros.fit.cross_validation import Gain
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.model_file import write_model
 from sugiyama_ros.fit.population import fit_base
-from sugiyama_ros.fit.recording import Recorded, prepare
-from sugiyama_ros.fit.smooth_positions import individual_in
+from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.fit.stretched import prepared
 from sugiyama_ros.laws.registry import LAWS, RIVALS
 from sugiyama_ros.plots import bars
 from sugiyama_ros.progress import OnStage
 from sugiyama_ros.results import Result
+from sugiyama_ros.trajectories.tracks import Tracks
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 if TYPE_CHECKING:
@@ -132,7 +133,8 @@ class Diagnosis(Result):
         bars(left, names, gains, [r["heldout_gain_se"] for r in best], "held-out gain [nats]")
         for label, errors in (("before", self.before), ("after", self.after)):
             summary = errors.summary()
-            values = [0.0, *(summary[f"free_run_{h:g}s_m"] for h in HORIZONS_S)]
+            runs = "free_run" if self.data.vicinity.is_whole_road else "single_car"
+            values = [0.0, *(summary[f"{runs}_{h:g}s_m"] for h in HORIZONS_S)]
             right.plot([0.0, *HORIZONS_S], values, "o-", label=label)
         right.set(xlabel="time ahead [s]", ylabel="error of free runs [m]", ylim=(0.0, None))
         right.legend()
@@ -160,7 +162,7 @@ class Diagnosis(Result):
 
 
 def diagnose(
-    trajectories: Trajectories,
+    recording: Trajectories | Tracks,
     *,
     seed: int = 0,
     quick: bool = False,
@@ -174,8 +176,8 @@ def diagnose(
 
     Parameters
     ----------
-    trajectories : Trajectories
-        The recording.
+    recording : Trajectories or Tracks
+        The recording: a whole road, or tracks of vehicles that come and go.
     seed : int
         Seed of the simulated recordings.
     quick : bool
@@ -204,11 +206,11 @@ def diagnose(
     began = time.monotonic()
     with ThreadPoolExecutor(workers) as work, ThreadPoolExecutor(len(RIVALS)) as aside:
         on_progress("fitting the base model", 0, 1)
-        data = prepare(trajectories)
+        data = prepared(recording)
         # runs beside the search, which cannot always use all workers
         rival = partial(_rival, data, work, quick)
         others = aside.map(rival, [] if verdict_only else RIVALS)
-        base = fit_base(data, individual_in(trajectories, V_STAR, KAPPA_V), work)
+        base = fit_base(data, data.even.individual(V_STAR, KAPPA_V), work)
         search = Search(data, base, quick, seed, work, on_progress=on_progress)
         forces = _grow(search, most, with_forces=not (quick or verdict_only), add_forces=add_forces)
         on_progress("rival models", 0, 1)

@@ -72,14 +72,18 @@ def discover(data: Recorded, fitted: JointFit, work: Executor) -> list[tuple[Dis
     """
     seen = covariates_of(data, filtered_states(data, fitted.model, work))
     found = []
+    around = data.vicinity
+    unknown = () if around.is_whole_road else ("time", "rear_gap") + ("place",) * (not around.has_places)
     for number, covariate in enumerate(COVARIATES, 1):
-        t = data.trajectories
+        if covariate in unknown:
+            continue
+        road = around.road
         if covariate == "place":
-            low, high = 0.0, t.road.circumference_m
-            if not t.road.is_ring:
-                low, high = (float(q) for q in np.nanquantile(t.position_m, _INNER))
+            low, high = 0.0, road.circumference_m
+            if not road.is_ring:
+                low, high = (float(q) for q in np.nanquantile(around.position_m, _INNER))
         elif covariate == "time":
-            low, high = t.start_s, t.start_s + t.duration_s
+            low, high = around.first_last_s
         elif covariate == "leader_acceleration":
             low, high = -3.0, 3.0
         else:
@@ -91,7 +95,7 @@ def discover(data: Recorded, fitted: JointFit, work: Executor) -> list[tuple[Dis
         start: dict[int, float | Array] = {_FIRST: float(number), _FIRST + 1: low, _FIRST + 2: high}
         look = screen(data, fitted, Candidate("discovered_force", "effect", _FORCES, (start,)), work)
         force = look.fit.model.rows[0, list(_FORCES)]
-        ring = covariate == "place" and t.road.is_ring
+        ring = covariate == "place" and road.is_ring
         knots = low + (high - low) * np.arange(KNOTS) / (KNOTS if ring else KNOTS - 1)
         p_value = min(1.0, len(COVARIATES) * float(chi2.sf(2.0 * max(look.gain, 0.0) / _INFLATION, KNOTS - 1)))
         discovery = Discovery(
@@ -113,7 +117,7 @@ def covariates_of(data: Recorded, state: Array) -> tuple[Array, ...]:
     ----------
     data : Recorded
         The recording.
-    state : ndarray, shape (T, N, 4)
+    state : ndarray, shape (T, V, 4)
         Filtered states.
 
     Returns
@@ -121,15 +125,15 @@ def covariates_of(data: Recorded, state: Array) -> tuple[Array, ...]:
     tuple of ndarray, shape (T, N)
         Gap [m], speed [m/s], approach rate [m/s], gap behind [m] and gap of the leader [m]; NaN where unknown.
     """
-    t = data.trajectories
-    x, v = t.road.wrap(state[:, :, 0]), state[:, :, 1]
-    leader = t.leader
+    around, drivers = data.vicinity, data.drivers
+    x, v = around.road.wrap(state[:, :, 0]), state[:, :, 1]
+    leader, length = around.leader, around.length_m
     led = leader >= 0
     ahead_x, ahead_v = np.take_along_axis(x, leader, axis=1), np.take_along_axis(v, leader, axis=1)
-    gap = t.road.space_headway(ahead_x, x) - 0.5 * (t.length_m[leader] + t.length_m)
+    gap = around.road.space_headway(ahead_x, x) - 0.5 * (np.take_along_axis(length, leader, axis=1) + length)
     gap = np.where(led, gap, np.nan)
     second = np.where(led, np.take_along_axis(gap, leader, axis=1), np.nan)
     rear = np.full_like(gap, np.nan)
-    samples, drivers = np.nonzero(led)
-    rear[samples, leader[samples, drivers]] = gap[samples, drivers]
-    return gap, v, np.where(led, v - ahead_v, np.nan), rear, second
+    samples, columns = np.nonzero(led)
+    rear[samples, leader[samples, columns]] = gap[samples, columns]
+    return tuple(one[:, :drivers] for one in (gap, v, np.where(led, v - ahead_v, np.nan), rear, second))

@@ -56,6 +56,12 @@ class HeldOutErrors:
         totals = np.nansum(self.samples.log_likelihood, axis=1)
         return [(float(total), rmse(self.runs.single[:, -1, i])) for i, total in enumerate(totals)]
 
+    @property
+    def free_run_10s_m(self) -> float:
+        """Error of position [m] after 10 s of free run, of coupled runs if there are any, else of single cars."""
+        coupled = rmse(self.runs.coupled[:, -1])
+        return coupled if np.isfinite(coupled) else rmse(self.runs.single[:, -1])
+
     def no_worse_than(self, other: "HeldOutErrors") -> bool:
         """Whether the free runs are at most 5 % worse, or worse by at most two paired standard errors over starts.
 
@@ -65,13 +71,15 @@ class HeldOutErrors:
         pairs = ((self.runs.coupled, other.runs.coupled), (self.runs.single, other.runs.single))
         by_horizon = []
         for ours, theirs in pairs:
+            if not np.isfinite(theirs).any():
+                continue
             for k in range(len(HORIZONS_S)):
                 change = np.square(ours[:, k]) - np.square(theirs[:, k])
                 known = np.maximum(np.isfinite(change).sum(axis=1), 1)
                 by_horizon.append(np.nansum(change, axis=1) / known / rmse(theirs[:, k]) ** 2)
-        changes = np.mean(by_horizon, axis=0)
-        if len(changes) < 2:
+        if not by_horizon or len(by_horizon[0]) < 2:
             return True
+        changes = np.mean(by_horizon, axis=0)
         mean, se = float(np.mean(changes)), float(np.std(changes, ddof=1) / np.sqrt(len(changes)))
         return not mean > max(2.0 * se, (1.0 + _TOLERANCE) ** 2 - 1.0)
 

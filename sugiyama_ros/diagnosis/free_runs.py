@@ -7,10 +7,11 @@ leader.
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.arrays import Array, Ints, Mask
 from sugiyama_ros.driver.parameters import at_period, horizon_at
 from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.effects.sensing import displacements
@@ -33,7 +34,8 @@ class FreeRuns:
     Parameters
     ----------
     coupled, single : ndarray, shape (S, H, N)
-        Errors of positions [m]. In a single run, the error of the gap is the negative error of the position.
+        Errors of positions [m]; NaN where a driver does not start, and for coupled runs on tracks. In a single run, the
+        error of the gap is the negative error of the position.
     coupled_speed, single_speed : ndarray, shape (S, H, N)
         Errors of speeds [m/s] against the filtered speeds.
     coupled_gap : ndarray, shape (S, H, N)
@@ -59,13 +61,15 @@ class FreeRuns:
 def free_runs(data: Recorded, models: Sequence[Model], states: Sequence[Array], work: Executor) -> FreeRuns:
     """Start a free run every 2.5 s, with the model that was fitted without the fold of the start.
 
+    On tracks, the runs are of single cars behind their measured leaders, and end where the leader changes.
+
     Parameters
     ----------
     data : Recorded
         The recording.
     models : sequence of Model
         For every fold, the model fitted without the fold.
-    states : sequence of ndarray, shape (T, N, 4)
+    states : sequence of ndarray, shape (T, V, 4)
         Filtered states of each of the models, as ``filtered_states`` returns them.
     work : Executor
         Carries out the runs.
@@ -75,12 +79,15 @@ def free_runs(data: Recorded, models: Sequence[Model], states: Sequence[Array], 
     FreeRuns
         Errors at the horizons.
     """
-    t = data.trajectories
-    steps = np.array([max(1, round(h / t.period_s)) for h in HORIZONS_S])
-    starts = np.arange(SETTLING + 4, len(t.position_m) - steps[-1], max(1, round(_EVERY_S / t.period_s)))
-    starts = starts[data.segment[starts - SETTLING] == data.segment[starts + steps[-1]]]
-    rows = [at_period(model.rows, t.period_s) for model in models]
-    jobs = [(data, rows[f], states[f], int(k), steps) for k, f in zip(starts, data.fold[starts], strict=True)]
+    around = data.vicinity
+    steps = np.array([max(1, round(h / around.period_s)) for h in HORIZONS_S])
+    starts = np.arange(SETTLING + 4, data.samples - steps[-1], max(1, round(_EVERY_S / around.period_s)))
+    unbroken = data.segment[:, starts - SETTLING] == data.segment[:, starts + steps[-1]]
+    if not around.is_whole_road:
+        unbroken &= data.scored[:, starts]
+    starts, unbroken = starts[unbroken.any(axis=0)], unbroken[:, unbroken.any(axis=0)]
+    rows = [at_period(model.rows, around.period_s) for model in models]
+    jobs = [_Start(data, rows, states, int(k), steps, who) for k, who in zip(starts, unbroken.T, strict=True)]
     errors = list(work.map(_from_start, jobs))
     empty = np.empty((0, len(steps), data.drivers))
     fields = [np.array([e[j] for e in errors]) if errors else empty for j in range(7)]
@@ -97,20 +104,47 @@ def free_runs(data: Recorded, models: Sequence[Model], states: Sequence[Array], 
     )
 
 
-def _from_start(job: tuple[Recorded, Array, Array, int, Ints]) -> tuple[Array, ...]:
-    """Fields of FreeRuns for the run that starts at one sample, (H, N) each."""
-    data, rows, state, k, steps = job
-    t, ring = data.trajectories, data.trajectories.road.circumference_m
-    leader = np.where(np.isfinite(state[k, t.leader[k], 0]), t.leader[k], -1)
-    coupled, single = _drive_on(data, rows, state[k : k + steps[-1]], k, leader)
+class _Start(NamedTuple):
+    """A start of free runs: the sample k, the horizons in samples, and the drivers (N,) who start there.
+
+    rows, states: of the model without each fold.
+    """
+
+    data: Recorded
+    rows: Sequence[Array]
+    states: Sequence[Array]
+    k: int
+    steps: Ints
+    who: Mask
+
+
+def _from_start(job: _Start) -> tuple[Array, ...]:
+    """Fields of FreeRuns for the runs that start at one sample, (H, N) each; NaN for drivers who do not start there."""
+    data, drivers = job.data, job.data.drivers
+    fold = data.fold[:, job.k]
+    fields = [np.full((len(job.steps), drivers), np.nan) for _ in range(7)]
+    for f in np.unique(fold[job.who]).tolist():
+        chosen = job.who & (fold == f)
+        of_fold = _of_fold(data, job.rows[f], job.states[f], job.k, job.steps, chosen)
+        for field, found in zip(fields, of_fold, strict=True):
+            field[:, chosen] = found[:, :drivers][:, chosen]
+    return tuple(fields)
+
+
+def _of_fold(data: Recorded, rows: Array, state: Array, k: int, steps: Ints, who: Mask) -> tuple[Array, ...]:
+    """Fields of FreeRuns for the vehicles in all columns, (H, V) each; they hold for the drivers in ``who`` (N,)."""
+    around, ring = data.vicinity, data.vicinity.road.circumference_m
+    leader = np.where(np.isfinite(state[k, around.leader[k], 0]), around.leader[k], -1)
+    coupled, single = _drive_on(data, rows, state[k : k + steps[-1]], k, leader, who)
     coupled, single = coupled[steps - 1], single[steps - 1]
-    measured, speed = t.position_m[k + steps], state[k + steps, :, 1]
-    errors = t.road.difference(_as_measured(coupled[:, :, 0], rows, ring), measured)
-    led = leader >= 0
-    gap = t.road.space_headway(measured[:, leader], measured) - 0.5 * (t.length_m[leader] + t.length_m)
+    measured, speed = around.position_m[k + steps], state[k + steps, :, 1]
+    everybody = np.resize(rows, (len(leader), rows.shape[1]))
+    errors = around.road.difference(_as_measured(coupled[:, :, 0], everybody, ring), measured)
+    led, length = leader >= 0, around.length_m[k]
+    gap = around.road.space_headway(measured[:, leader], measured) - 0.5 * (length[leader] + length)
     return (
         errors,
-        t.road.difference(_as_measured(single[:, :, 0], rows, ring), measured),
+        around.road.difference(_as_measured(single[:, :, 0], everybody, ring), measured),
         coupled[:, :, 1] - speed,
         single[:, :, 1] - speed,
         np.where(led, errors[:, leader] - errors, np.nan),
@@ -119,24 +153,26 @@ def _from_start(job: tuple[Recorded, Array, Array, int, Ints]) -> tuple[Array, .
     )
 
 
-def _drive_on(data: Recorded, rows: Array, recorded: Array, k: int, leader: Ints) -> tuple[Array, Array]:
-    """Positions [m] and speeds [m/s] of the coupled and the single runs from sample k on, (steps, N, 2) each.
+def _drive_on(data: Recorded, rows: Array, recorded: Array, k: int, leader: Ints, who: Mask) -> tuple[Array, Array]:
+    """Positions [m] and speeds [m/s] of the coupled and the single runs from sample k on, (steps, V, 2) each.
 
-    recorded: (steps, N, 4) filtered states from sample k on; leader: (N,).
+    recorded: (steps, V, 4) filtered states from sample k on; leader: (V,); who: (N,). Coupled runs need a whole road.
     """
-    t, ring = data.trajectories, data.trajectories.road.circumference_m
-    order = _order(data, recorded[0], leader)
-    setting = Setting(t.period_s, horizon_at(t.period_s), ring)
-    start_s = t.start_s + k * t.period_s
-    coupled, single = (np.empty((len(recorded), data.drivers, 2)) for _ in range(2))
-    run_coupled(recorded[0].T.copy(), order, rows, ACTIONS, start_s, setting, coupled)
-    for i in range(data.drivers):
-        run_single(i, recorded, order, rows, ACTIONS, start_s, setting, single)
+    around = data.vicinity
+    order = _order(data, recorded[0], k, leader)
+    setting = Setting(around.period_s, horizon_at(around.period_s), around.road.circumference_m)
+    start_s = float(around.time_s[k, np.argmax(who)])
+    everybody = np.resize(rows, (len(leader), rows.shape[1]))
+    coupled, single = (np.full((len(recorded), len(leader), 2), np.nan) for _ in range(2))
+    if around.is_whole_road:
+        run_coupled(recorded[0].T.copy(), order, everybody, ACTIONS, start_s, setting, coupled)
+    for i in np.flatnonzero(who):
+        run_single(i, recorded, order, everybody, ACTIONS, start_s, setting, single)
     return coupled, single
 
 
 def drive_all(data: Recorded, model: Model, start: Array, k: int, steps: int) -> Array:
-    """Let all vehicles drive by a model from the state of one sample on.
+    """Let all vehicles of a road drive by a model from the state of one sample on.
 
     Parameters
     ----------
@@ -156,21 +192,22 @@ def drive_all(data: Recorded, model: Model, start: Array, k: int, steps: int) ->
     ndarray, shape (steps, N)
         Positions [m] as they would be measured, not wrapped.
     """
-    t, ring = data.trajectories, data.trajectories.road.circumference_m
-    leader = np.where(np.isfinite(start[t.leader[k], 0]), t.leader[k], -1)
-    rows, setting = at_period(model.rows, t.period_s), Setting(t.period_s, horizon_at(t.period_s), ring)
+    around, ring = data.vicinity, data.vicinity.road.circumference_m
+    leader = np.where(np.isfinite(start[around.leader[k], 0]), around.leader[k], -1)
+    setting = Setting(around.period_s, horizon_at(around.period_s), ring)
+    rows = at_period(model.rows, around.period_s)
     out = np.empty((steps, data.drivers, 2))
-    order = _order(data, start, leader)
-    run_coupled(start.T.copy(), order, rows, ACTIONS, t.start_s + k * t.period_s, setting, out)
+    order = _order(data, start, k, leader)
+    run_coupled(start.T.copy(), order, rows, ACTIONS, float(around.time_s[k, 0]), setting, out)
     return _as_measured(out[:, :, 0], rows, ring)
 
 
-def _order(data: Recorded, start: Array, leader: Ints) -> Order:
-    """Who follows whom from a state (N, 4) on, and how many turns of the ring the leader is ahead."""
-    ring = data.trajectories.road.circumference_m
+def _order(data: Recorded, start: Array, k: int, leader: Ints) -> Order:
+    """Who follows whom from a state (V, 4) at sample k on, and how many turns of the ring the leader is ahead."""
+    ring = data.vicinity.road.circumference_m
     headway = np.where(leader >= 0, start[leader, 0] - start[:, 0], 0.0)
-    turn = np.nan_to_num(ring * np.floor(headway / ring)) if ring else np.zeros(data.drivers)
-    return Order(leader, turn, data.trajectories.length_m)
+    turn = np.nan_to_num(ring * np.floor(headway / ring)) if ring else np.zeros(len(leader))
+    return Order(leader, turn, data.vicinity.length_m[k])
 
 
 def _as_measured(position: Array, rows: Array, ring: float) -> Array:

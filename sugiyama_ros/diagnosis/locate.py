@@ -137,10 +137,10 @@ def locate(data: Recorded, model: Model, samples: PointwiseDensity, work: Execut
     for name, values in before.items():
         edges = _edges(name, values)
         bins += [b for k in range(len(edges) - 1) if (b := _bin(name, "", edges[k], edges[k + 1], values, after))]
-    for k, vehicle in enumerate(data.trajectories.vehicle):
+    for k, driver in enumerate(data.vicinity.names):
         only = np.where(np.arange(data.drivers)[:, None] == k, 0.5, np.nan) * np.ones_like(after)
-        bins += [b for b in (_bin("vehicle", str(vehicle), 0.0, 1.0, only, after),) if b]
-    regime = _regime(model, states).T[:, :-1]
+        bins += [b for b in (_bin("vehicle", driver.shown, 0.0, 1.0, only, after),) if b]
+    regime = _regime(model, states[:, : data.drivers]).T[:, :-1]
     for k, label in enumerate(_REGIMES):
         bins += [b for b in (_bin("regime", label, float(k), k + 1.0, regime, after),) if b]
     maps = (_map("speed", "gap", before, after), _map("place", "time", before, after))
@@ -148,12 +148,14 @@ def locate(data: Recorded, model: Model, samples: PointwiseDensity, work: Execut
 
 
 def _covariates(data: Recorded, states: Array) -> dict[str, Array]:
-    """Covariates by name, (T, N) each, of filtered states (T, N, 4)."""
-    t = data.trajectories
+    """Covariates by name, (T, N) each, of filtered states (T, V, 4)."""
+    around = data.vicinity
     gap, speed, approach, rear_gap, _ = covariates_of(data, states)
-    time = np.tile((t.start_s + t.period_s * np.arange(len(gap)))[:, None], (1, data.drivers))
-    place = t.road.wrap(states[:, :, 0])
-    return {"gap": gap, "speed": speed, "approach_rate": approach, "rear_gap": rear_gap, "place": place, "time": time}
+    place = around.road.wrap(states[:, : data.drivers, 0])
+    found = {"gap": gap, "speed": speed, "approach_rate": approach, "rear_gap": rear_gap, "place": place}
+    if not around.has_places:
+        found["place"] = np.full_like(place, np.nan)
+    return {**found, "time": around.time_s}
 
 
 def _regime(model: Model, states: Array) -> Array:

@@ -30,14 +30,16 @@ def drives(d: "Diagnosis") -> dict[str, Any]:
     -------
     dict
         ``time_s`` (T,), ``block`` (T,), and the positions [m] ``before`` and ``after`` (T, N), wrapped on a ring; None
-        where a vehicle is not there. In each block the model starts anew from the measured state.
+        where a vehicle is not there. In each block the model starts anew from the measured state. On tracks there is
+        no road to show, and the lists are empty.
     """
-    t = d.data.trajectories
-    samples, vehicles = t.position_m.shape
-    every = max(1, round(_EVERY_S / t.period_s), math.ceil(samples * vehicles / _MOST))
+    around = d.data.vicinity
+    if not around.is_whole_road:
+        return {"time_s": [], "block": [], "before": [], "after": []}
+    every = max(1, round(_EVERY_S / around.period_s), math.ceil(around.position_m.size / _MOST))
     return {
-        "time_s": [round(t.start_s + k * t.period_s, 3) for k in range(0, samples, every)],
-        "block": d.data.block[::every].tolist(),
+        "time_s": np.round(around.time_s[::every, 0], 3).tolist(),
+        "block": d.data.block[0, ::every].tolist(),
         "before": _rows(d.before.block_position_m[::every]),
         "after": _rows(d.after.block_position_m[::every]),
     }

@@ -31,14 +31,16 @@ def push_candidate(data: Recorded, samples: PointwiseDensity) -> Candidate | Non
     -------
     Candidate or None
         The push, with the gain that the choice of the car and of the moment brings by chance; None where nothing is
-        predicted.
+        predicted, and on tracks, where a push would need a time that all stretches share.
     """
-    t = data.trajectories
+    around = data.vicinity
+    if not around.is_whole_road:
+        return None
     scored = np.isfinite(samples.log_likelihood)
     z = np.where(scored, samples.innovation_m / np.sqrt(samples.innovation_var), 0.0)
     places, best = 0.0, (0.0, 0, 0, 0.0)
     for run_s in _RUNS_S:
-        length = max(1, round(run_s / t.period_s))
+        length = max(1, round(run_s / around.period_s))
         if length >= z.shape[1]:
             continue
         strength = _runs(z, length)
@@ -57,7 +59,7 @@ def push_candidate(data: Recorded, samples: PointwiseDensity) -> Candidate | Non
     start: dict[int, float | Array] = {
         index["strength"]: math.copysign(_START, value),
         # the innovations of a pushed car are of one sign from the push on, until the filter has understood
-        index["time"]: t.start_s + at * t.period_s,
+        index["time"]: float(around.time_s[at, car]),
         index["duration"]: 0.5 * run_s,
         index["spared"]: spared,
     }

@@ -12,14 +12,12 @@ import numpy as np
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.utility import FAR
 from sugiyama_ros.effects.registry import ROW
-from sugiyama_ros.fit.bounds import fastest
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.least_squares import Following, fit_gaps
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.population import fit_base, start_model
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import filtered_states
-from sugiyama_ros.fit.smooth_positions import individual_in
 from sugiyama_ros.laws.registry import LAWS, number_of
 
 # The gaps of a driver are fitted only if there are more samples than this.
@@ -44,10 +42,10 @@ def in_filter(data: Recorded, law: str, work: Executor) -> JointFit:
         The fitted law.
     """
     places = ROW.law_places[law]
-    model = start_model(data, individual_in(data.trajectories, *range(places.start, places.stop)))
+    model = start_model(data, data.even.individual(*range(places.start, places.stop)))
     for rows in (model.rows, model.ahead):
         rows[:, ROW.law] = number_of(law)
-        rows[:, places] = start_of(law, fastest(data.trajectories))
+        rows[:, places] = start_of(law, data.speed)
     return fit_base(data, model.individual, work, model)
 
 
@@ -112,28 +110,33 @@ def by_gaps(data: Recorded, law: str, fitted: JointFit, work: Executor) -> tuple
 def _fit_driver(job: tuple[Recorded, str, Array, int, Array]) -> Array:
     """Parameters (F, K) of one driver, fitted without each fold; the start where too few samples remain."""
     data, law, states, i, start = job
-    t = data.trajectories
-    leader, samples = t.leader[:, i], np.arange(len(data.fold))
+    around = data.vicinity
+    leader, samples = around.leader[:, i], np.arange(data.samples)
     way = states[samples, leader, 0] - states[:, i, 0]
-    if t.road.is_ring:
-        way = np.mod(way, t.road.circumference_m)
+    if around.road.is_ring:
+        way = np.mod(way, around.road.circumference_m)
+    led = leader >= 0
+    length = around.length_m[samples, leader]
+    usual = np.median(length[led]) if led.any() else 0.0
+    # a leader of another length stands where a leader of the usual length would leave the same gap
+    ahead = states[:, i, 0] + way + 0.5 * (usual - length)
     following = Following(
         position_m=states[:, i, 0],
         speed=states[:, i, 1],
-        leader_position_m=np.where(leader >= 0, states[:, i, 0] + way, np.nan),
+        leader_position_m=np.where(led, ahead, np.nan),
         leader_speed=states[samples, leader, 1],
-        half_lengths_m=0.5 * float(t.length_m[i] + np.median(t.length_m[leader])),
-        period_s=t.period_s,
-        source=f"{t.source}: vehicle {t.vehicle[i]}",
+        half_lengths_m=0.5 * float(around.length_m[:, i].max() + usual),
+        period_s=around.period_s,
+        source=f"{around.source}: vehicle {around.names[i].shown}",
     )
     # the simulated car restarts with every block, because the first sample of a block is left out
-    inside = np.diff(data.block, prepend=-1) == 0
+    inside = (np.diff(data.block[i], prepend=-1) == 0) & (np.diff(data.segment[i], prepend=0) == 0)
     known = np.isfinite(following.states).all(axis=1) & inside
     one = LAWS[law]
     if known.sum() <= _FEWEST:
         return np.tile(start, (FOLDS, 1))
     everywhere = fit_gaps(one, following, known).parameters
-    masks = [known & (data.fold != f) for f in range(FOLDS)]
+    masks = [known & (data.fold[i] != f) for f in range(FOLDS)]
     return np.array([fit_gaps(one, following, m, everywhere).parameters if m.sum() > _FEWEST else start for m in masks])
 
 

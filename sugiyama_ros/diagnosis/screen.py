@@ -296,7 +296,7 @@ def joined(
         rows = [
             [old[known.index(k)] if k in known else new[k][i][j] for k in places] for j, old in enumerate(s.derivatives)
         ]
-        found.append(sums(at.of(i), Derivatives(*map(np.array, rows)), row, data.fold))
+        found.append(sums(at.of(i), Derivatives(*map(np.array, rows)), row, data.fold[i]))
     return tuple(found)
 
 

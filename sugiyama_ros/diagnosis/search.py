@@ -20,7 +20,7 @@ from sugiyama_ros.diagnosis.candidacy import (
     chance_scale,
     smallest_detectable,
 )
-from sugiyama_ros.diagnosis.candidates import Candidate, candidates, recording_of
+from sugiyama_ros.diagnosis.candidates import Candidate, candidates
 from sugiyama_ros.diagnosis.discover import Discovery, discover
 from sugiyama_ros.diagnosis.errors import HeldOutErrors, held_out_errors
 from sugiyama_ros.diagnosis.glance import glance
@@ -102,7 +102,7 @@ class Search:
         self.data, self.base, self.quick, self.seed = data, base, quick, seed
         self._work, self._on_progress = work, on_progress
         push = push_candidate(data, base.samples)
-        self._possible = (*candidates(recording_of(data), data.drivers), *((push,) if push else ()))
+        self._possible = (*candidates(data), *((push,) if push else ()))
         self.searched = tuple(dict.fromkeys(c.mechanism for c in self._possible))
         self._seen: dict[str, tuple[JointFit, Screened]] = {}
         self.effort = QUICK if quick else FULL

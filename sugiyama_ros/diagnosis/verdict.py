@@ -7,6 +7,7 @@ import numpy as np
 
 from sugiyama_ros.diagnosis.addition import Addition, parameters_of
 from sugiyama_ros.diagnosis.adequacy import told, who
+from sugiyama_ros.diagnosis.candidates import not_searched
 from sugiyama_ros.diagnosis.diagnosis import Diagnosis
 from sugiyama_ros.diagnosis.locate import Bin, Located
 from sugiyama_ros.diagnosis.pictures import about, drives
@@ -26,6 +27,7 @@ def document(d: Diagnosis) -> dict[str, Any]:
             "effects": [_named(n, d) for n in d.named],
             "told": sentences(d),
             "searched": list(d.searched),
+            "not_searched": [{"name": name, "reason": reason} for name, reason in not_searched(d.data).items()],
             "none_detectable": not d.named,
             "discovered": [
                 {
@@ -64,7 +66,7 @@ def document(d: Diagnosis) -> dict[str, Any]:
         "free_run": drives(d),
         "about": about(d),
         "vehicles": d.data.drivers,
-        "samples": len(d.data.fold),
+        "samples": d.data.samples if d.data.vicinity.is_whole_road else int(d.data.scored.sum()),
         "bootstrap_runs": d.bootstrap_runs,
         "quick": d.quick,
         "seed": d.seed,
@@ -73,7 +75,6 @@ def document(d: Diagnosis) -> dict[str, Any]:
 
 
 def _named(n: Addition, d: Diagnosis) -> dict[str, Any]:
-    before, after = n.before.summary(), n.after.summary()
     return {
         "name": n.name,
         "form": n.form,
@@ -82,13 +83,13 @@ def _named(n: Addition, d: Diagnosis) -> dict[str, Any]:
         "parameters_std": _stds(n),
         "indistinguishable": list(n.indistinguishable),
         "advice": list(n.advice),
-        "who": who(n, d.data.trajectories.vehicle.tolist()),
+        "who": who(n, d.data.vicinity.numbers),
         "explained_share": d.adequacy.explained_share,
         "p_value": n.p_value,
         "heldout_gain_nats": n.heldout.nats,
         "heldout_gain_se": n.heldout.se,
-        "free_run_rmse_before_m": before["free_run_10s_m"],
-        "free_run_rmse_after_m": after["free_run_10s_m"],
+        "free_run_rmse_before_m": n.before.free_run_10s_m,
+        "free_run_rmse_after_m": n.after.free_run_10s_m,
     }
 
 
@@ -124,7 +125,7 @@ def _drivers(d: Diagnosis) -> list[dict[str, Any]]:
     own, stds = d.final.model.rows, stds_of(d.final)[0]
     return [
         {
-            "vehicle": int(v),
+            **name.document(),
             "heldout_gain_nats": a[0] - b[0],
             "single_car_10s_before_m": b[1],
             "single_car_10s_after_m": a[1],
@@ -133,7 +134,7 @@ def _drivers(d: Diagnosis) -> list[dict[str, Any]]:
             "kappa_v": float(row[KAPPA_V]),
             "kappa_v_std": std.get("kappa_v"),
         }
-        for v, b, a, row, std in zip(d.data.trajectories.vehicle, before, after, own, stds, strict=True)
+        for name, b, a, row, std in zip(d.data.vicinity.names, before, after, own, stds, strict=True)
     ]
 
 
@@ -165,12 +166,15 @@ def sentences(d: Diagnosis) -> list[str]:
         values = ", ".join(f"{k} {_quantity(v, units.get(k, ''))}" for k, v in n.parameters.items())
         lines.append(
             f"{n.name} ({form}{values}): held-out gain {n.heldout.nats:.0f} ± {n.heldout.se:.0f} nats,"
-            f" p {n.p_value:.1g}; 10-s free run {n.before.summary()['free_run_10s_m']:.2f} ->"
-            f" {n.after.summary()['free_run_10s_m']:.2f} m."
+            f" p {n.p_value:.1g}; 10-s free run {n.before.free_run_10s_m:.2f} ->"
+            f" {n.after.free_run_10s_m:.2f} m."
         )
         if n.indistinguishable:
             advice = f" To tell them apart: {'; '.join(n.advice)}." if n.advice else ""
             lines.append(f"  Cannot be told apart from: {', '.join(n.indistinguishable)}.{advice}")
+    left_out = not_searched(d.data)
+    if left_out and not d.data.vicinity.is_whole_road:
+        lines.append("Not searched: " + ", ".join(f"{name} ({reason})" for name, reason in left_out.items()) + ".")
     for located, of in ((d.where_before, "The base model"), (d.where_after, "The model with the additions")):
         if located is d.where_after and not d.named:
             continue

@@ -200,6 +200,8 @@ class Effect:
         Whether a smaller first parameter makes the effect stronger.
     reach : int
         Number of vehicles ahead that the driver looks at.
+    sees_rear : bool
+        Whether the driver looks at the vehicle behind.
     sees_accelerations : bool
         Whether the function depends on accelerations, so that a filter must know their distribution.
     looks_back : bool
@@ -245,6 +247,7 @@ class Effect:
     is_noise: bool = False
     is_limit: bool = False
     reach: int = 1
+    sees_rear: bool = False
     sees_accelerations: bool = False
     looks_back: bool = False
     bank: Values | None = None

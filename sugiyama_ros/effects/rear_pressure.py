@@ -35,6 +35,7 @@ _UTILITY = Effect(
     source="the paper's phi2, for the car behind",
     parameters=(Parameter("weight", "w_r", "1", 0.0, 0.0, 10.0, "weight beside the risk of the leader"),),
     starts=at({"weight": 0.003}, {"weight": 0.03}),
+    sees_rear=True,
     function=component,
     knows_preferences=True,
 )
@@ -50,6 +51,7 @@ EFFECT = Effect(
     ),
     starts=at({"strength": 0.3, "distance": 2.0}, {"strength": 0.3, "distance": 6.0}),
     least={"strength": 0.0},
+    sees_rear=True,
     function=actuate,
     bank={"strength": 1.0, "distance": 3.0},
     benchmark=({"strength": 1.5, "distance": 2.5}, {"strength": 0.6, "distance": 2.5}),

@@ -116,7 +116,7 @@ def predict_samples(jobs: Sequence[ChainJob]) -> list[Predicted]:
 
 
 def predict_states(jobs: Sequence[ChainJob]) -> list[tuple[Array, Array, Array, Array]]:
-    """Return how well each sample of some drivers is predicted, and the drivers' states.
+    """Return how well each sample of some drivers is predicted, and the states of their chains.
 
     Parameters
     ----------
@@ -126,14 +126,14 @@ def predict_states(jobs: Sequence[ChainJob]) -> list[tuple[Array, Array, Array, 
     Returns
     -------
     list of (innovation_m, innovation_var, sample_log_likelihood, state)
-        For each job the first three as in ``Filtered``, (T,) each, and the driver's own four entries of the state after
-        the update with each sample, (T, STATE).
+        For each job the first three as in ``Filtered``, (T,) each, and the four entries of the state of each of the M
+        vehicles after the update with each sample, own first, (T, STATE M).
     """
     return [(*predicted, states) for predicted, states in _filtered(jobs, with_states=True)]
 
 
 def _filtered(jobs: Sequence[ChainJob], *, with_states: bool) -> list[tuple[Predicted, Array]]:
-    """Filter drivers, side by side where they can; the predictions and the own states (T, STATE), or (0, STATE)."""
+    """Filter drivers, side by side where they can; the predictions and the states (T, STATE M), or nothing."""
     found: dict[int, tuple[Predicted, Array]] = {}
     for numbers, adaptation in _side_by_side(jobs):
         samples, vehicles = jobs[numbers[0]].chain.position_m.shape
@@ -141,8 +141,8 @@ def _filtered(jobs: Sequence[ChainJob], *, with_states: bool) -> list[tuple[Pred
         means = np.empty((kept, samples, STATE * vehicles + len(adaptation.names)))
         predicted = _run([jobs[i] for i in numbers], adaptation, _no_trace()._replace(means=means))
         for k, i in enumerate(numbers):
-            own = means[k, :, :STATE].copy() if with_states else np.empty((0, STATE))
-            found[i] = Predicted(*(values[k] for values in predicted)), own
+            moving = means[k, :, : STATE * vehicles].copy() if with_states else np.empty((0, 0))
+            found[i] = Predicted(*(values[k] for values in predicted)), moving
     return [found[i] for i in range(len(jobs))]
 
 

@@ -105,12 +105,12 @@ def of_folds(data: Recorded, by_model: Sequence[PointwiseDensity]) -> PointwiseD
     PointwiseDensity
         Predictions of all samples.
     """
-    known = unknown(data.drivers, len(data.fold))
+    known = unknown(data.drivers, data.samples)
     for f, samples in enumerate(by_model):
         mask = data.fold == f
-        known.innovation_m[:, mask] = samples.innovation_m[:, mask]
-        known.innovation_var[:, mask] = samples.innovation_var[:, mask]
-        known.log_likelihood[:, mask] = samples.log_likelihood[:, mask]
+        known.innovation_m[mask] = samples.innovation_m[mask]
+        known.innovation_var[mask] = samples.innovation_var[mask]
+        known.log_likelihood[mask] = samples.log_likelihood[mask]
     return known
 
 
@@ -134,11 +134,11 @@ def held_out_nearly(data: Recorded, fitted: JointFit) -> PointwiseDensity:
     places = [*fitted.model.individual, *fitted.model.shared]
     at = coordinate(fitted.model.rows[:, places], places)
     without = np.array([_without(data, fitted, f).rows[:, places] for f in range(FOLDS)])
-    changes = (coordinate(without, places) - at)[data.fold]
+    changes = coordinate(without, places) - at
     near = fitted.samples.copy()
     for i, (s, row) in enumerate(zip(fitted.slopes, fitted.model.rows, strict=True)):
         y, variance, density = near.of(i)
-        off_y, off_variance, off_density = (np.einsum("tk,kt->t", changes[:, i], d) for d in s.derivatives)
+        off_y, off_variance, off_density = (np.einsum("tk,kt->t", changes[data.fold[i], i], d) for d in s.derivatives)
         most = _MOST_OFF * np.sqrt(variance)
         y += np.clip(off_y, -most, most)
         variance[:] = np.clip(variance + off_variance, variance / _MOST_WIDER, variance * _MOST_WIDER)
@@ -184,7 +184,7 @@ def gain(data: Recorded, better: PointwiseDensity, than: PointwiseDensity) -> Ga
     """
     difference = better.log_likelihood - than.log_likelihood
     by_driver = np.nansum(difference, axis=1)
-    blocks = np.array([np.nansum(difference[:, data.block == b]) for b in np.unique(data.block)])
+    blocks = np.bincount(data.block.ravel(), weights=np.nan_to_num(difference).ravel())
     return Gain(float(by_driver.sum()), max(sum_error(by_driver), sum_error(blocks)), tuple(by_driver.tolist()))
 
 

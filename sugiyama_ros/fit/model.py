@@ -88,14 +88,14 @@ def leaders(data: Recorded, model: Model, driver: int) -> Array:
     Returns
     -------
     ndarray, shape (M - 1, WIDTH)
-        Rows of the vehicles ahead; the row of the median driver for an unknown vehicle.
+        Rows of the vehicles in the driver's chain ahead; the row of the median driver for an unknown vehicle.
     """
     ahead = data.ahead[driver]
     rows: Array = model.ahead[ahead]
     if ahead.min() < 0:
         rows[ahead < 0] = np.median(model.ahead, axis=0)
     rows[:, model.shared] = model.rows[driver, model.shared]
-    return rows
+    return rows[: data.chains[driver].position_m.shape[1] - 1]
 
 
 def coordinate(values: Array, places: Sequence[int]) -> Array:
@@ -144,12 +144,13 @@ def reach(data: Recorded, places: Sequence[int]) -> Array:
     ndarray, shape (K,)
         Longest step of each parameter, in its own unit.
     """
-    t = data.trajectories
-    road = t.road.circumference_m or float(np.nanmax(t.position_m) - np.nanmin(t.position_m))
+    around = data.vicinity
+    road = around.road.circumference_m or float(np.nanmax(around.position_m) - np.nanmin(around.position_m))
+    first_s, last_s = around.first_last_s
     longest = np.array([0.2 * (ROW.declared[k].upper - ROW.declared[k].lower) for k in places])
     for j, k in enumerate(places):
         if ROW.declared[k].axis == "time":
-            longest[j] = 0.05 * t.duration_s
+            longest[j] = 0.05 * (last_s - first_s)
         elif ROW.declared[k].axis == "place":
             longest[j] = 0.1 * road
     return longest

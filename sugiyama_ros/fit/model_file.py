@@ -20,6 +20,7 @@ from sugiyama_ros.fit.driver_types import DriverTypes
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.model import coordinate
 from sugiyama_ros.fit.recording import FOLDS, Recorded
+from sugiyama_ros.fit.vicinity import Vicinity
 from sugiyama_ros.outputs import Target, writing
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
@@ -82,12 +83,12 @@ def write_model(target: Target, data: Recorded, fitted: JointFit) -> None:
         If the file cannot be written.
     """
     own, shared = stds_of(fitted)
-    write_drivers(target, data.trajectories, fitted.model.rows, own, shared, fitted.log_likelihood)
+    write_drivers(target, data.vicinity, fitted.model.rows, own, shared, fitted.log_likelihood)
 
 
 def write_drivers(
     target: Target,
-    trajectories: Trajectories,
+    of: Trajectories | Vicinity,
     rows: Array,
     own_std: Sequence[Mapping[str, float]],
     shared_std: Mapping[str, float],
@@ -100,8 +101,8 @@ def write_drivers(
     ----------
     target : Path or Output
         The file.
-    trajectories : Trajectories
-        The fitted recording.
+    of : Trajectories or Vicinity
+        The drivers of the fitted recording.
     rows : ndarray, shape (N, WIDTH)
         Row of each driver.
     own_std, shared_std : sequence of mapping and mapping, of str to float
@@ -117,7 +118,8 @@ def write_drivers(
         If the file cannot be written.
     """
     drivers = {}
-    for vehicle, row, std in zip(trajectories.vehicle.tolist(), rows, own_std, strict=True):
+    numbers = of.numbers if isinstance(of, Vicinity) else of.vehicle.tolist()
+    for vehicle, row, std in zip(numbers, rows, own_std, strict=True):
         drivers[vehicle] = {
             "parameters": {name: float(v) for name, v in zip(NAMES, row, strict=False)},
             "std": dict(std),
@@ -129,7 +131,7 @@ def write_drivers(
     document = {
         "sugiyama_model": _FORMAT,
         "version": version("sugiyama_ros"),
-        "data": {"source": trajectories.source, "sha256": trajectories.sha256, "log_likelihood": log_likelihood},
+        "data": {"source": of.source, "sha256": of.sha256, "log_likelihood": log_likelihood},
         "effects": list(active(rows)),
         "shared_std": dict(shared_std),
         "drivers": drivers,

@@ -14,12 +14,10 @@ import numpy as np
 from sugiyama_ros.driver.parameters import NAMES
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.fit.bounds import fastest
 from sugiyama_ros.fit.driver import calibrate
 from sugiyama_ros.fit.joint import JointFit, at_model, maximise, mixed, objectives, renewed, start_fit, warm_start
 from sugiyama_ros.fit.model import Model, coordinate
 from sugiyama_ros.fit.recording import FOLDS, Recorded
-from sugiyama_ros.fit.smooth_positions import evenness
 
 #: Prior std of a parameter's coordinate (a logarithm for most): before the spread is known; smallest; largest.
 PRIOR_STD, LEAST_STD, LARGEST_STD = 1.0, 0.05, 1.0
@@ -44,7 +42,7 @@ def start_model(data: Recorded, individual: Sequence[int]) -> Model:
     Model
         The model at the start of a search.
     """
-    typical = evenness(data.trajectories).typical(fastest(data.trajectories))
+    typical = data.even.typical(data.speed)
     rows = np.tile(ROW.with_effects(typical), (data.drivers, 1))
     return Model(rows, tuple(individual), (), (PRIOR_STD,) * len(individual), rows.copy())
 
@@ -101,6 +99,8 @@ def _by_paper(data: Recorded, model: Model, work: Executor) -> Model | None:
     A parameter that the data of a driver do not determine becomes the median over the drivers whose data determine it,
     if there are any.
     """
+    if data.trajectories is None:
+        return None
     names = [NAMES[k] for k in model.individual]
     try:
         fits = list(calibrate(data.trajectories, "paper", names, work=work))

@@ -1,4 +1,4 @@
-"""Trajectories prepared for a fit: the chain of vehicles ahead of each driver, and blocks of time to hold out."""
+"""A recording prepared for a fit: the chain of vehicles ahead of each driver, and blocks of time to hold out."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +12,8 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.chain import CHAIN, Chain
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.fit.bounds import SMALLEST, fastest, lower_bounds, upper_bounds
-from sugiyama_ros.fit.smooth_positions import evenness
+from sugiyama_ros.fit.smooth_positions import Evenness, evenness
+from sugiyama_ros.fit.vicinity import DriverName, Vicinity
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 #: Length [s] of the blocks of time that are held out, and number of folds that the blocks are assigned to in turn.
@@ -23,43 +24,56 @@ _LEAST_LED = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """Trajectories prepared for the filter, N vehicles at T samples.
+    """A recording prepared for the filter, N drivers at T samples.
 
     Parameters
     ----------
-    trajectories : Trajectories
-        The recording.
+    vicinity : Vicinity
+        The drivers and the vehicles around them.
     chains : tuple of Chain
         Each driver with the vehicles ahead.
     ahead : ndarray of int, shape (N, M - 1)
-        Columns of the vehicles that are ahead in most samples; -1 for none.
-    block : ndarray of int, shape (T,)
+        Numbers of the drivers who are ahead in most samples; -1 for none, or for somebody who is no driver here.
+    block : ndarray of int, shape (N, T)
         Number of the block of time.
-    fold : ndarray of int, shape (T,)
+    fold : ndarray of int, shape (N, T)
         Number of the fold in which the block is held out.
-    segment : ndarray of int, shape (T,)
-        Number of the unbroken part of the recording.
-    counts : ndarray of bool, shape (N,)
-        Whether a driver's samples count: False for a driver who hardly ever has a leader, and about whose following
-        they say nothing. All count if nobody has a leader.
+    segment : ndarray of int, shape (N, T)
+        Number of the unbroken part of the driver's record.
+    scored : ndarray of bool, shape (N, T)
+        Whether a sample counts.
+    even : Evenness
+        How evenly the vehicles move.
+    speed : float
+        High speed in the data [m/s].
     lower, upper : ndarray, shape (WIDTH,)
         Smallest sizes of parameters with a logarithmic coordinate, and upper bounds of the search.
+    trajectories : Trajectories or None
+        The recording, where it is one road on which everybody is recorded; None for tracks.
     """
 
-    trajectories: Trajectories
+    vicinity: Vicinity
     chains: tuple[Chain, ...]
     ahead: Ints
     block: Ints
     fold: Ints
     segment: Ints
-    counts: Mask
+    scored: Mask
+    even: Evenness
+    speed: float
     lower: Array
     upper: Array
+    trajectories: Trajectories | None = None
 
     @property
     def drivers(self) -> int:
         """Number of drivers."""
         return len(self.chains)
+
+    @property
+    def samples(self) -> int:
+        """Number T of samples."""
+        return self.fold.shape[1]
 
 
 def prepare(trajectories: Trajectories, segment: Ints | None = None) -> Recorded:
@@ -91,6 +105,68 @@ def prepare(trajectories: Trajectories, segment: Ints | None = None) -> Recorded
         (np.arange(samples) * trajectories.period_s / block_s).astype(np.int64), round(duration / block_s) - 1
     )
     chains = tuple(chain_behind(trajectories, i, segment=segment) for i in range(drivers))
+    unbroken = np.zeros(samples, np.int64) if segment is None else segment
+    even, speed = evenness(trajectories), fastest(trajectories)
+    lower, upper = bounds_of(even, speed)
+    return Recorded(
+        vicinity=_vicinity(trajectories),
+        chains=chains,
+        ahead=_ahead(trajectories),
+        block=np.tile(block, (drivers, 1)),
+        fold=np.tile(block % FOLDS, (drivers, 1)),
+        segment=np.tile(unbroken, (drivers, 1)),
+        scored=np.tile(_who_follows(chains)[:, None], (1, samples)),
+        even=even,
+        speed=speed,
+        lower=lower,
+        upper=upper,
+        trajectories=trajectories,
+    )
+
+
+def bounds_of(even: Evenness, speed: float) -> tuple[Array, Array]:
+    """Return the bounds of a search over rows.
+
+    Parameters
+    ----------
+    even : Evenness
+        How evenly the vehicles move.
+    speed : float
+        High speed in the data [m/s].
+
+    Returns
+    -------
+    lower, upper : ndarray, shape (WIDTH,)
+        Smallest sizes of parameters with a logarithmic coordinate, and upper bounds.
+    """
+    lower = np.full(ROW.width, SMALLEST)
+    lower[:COUNT] = lower_bounds(even)
+    upper = np.array([p.upper for p in ROW.declared])
+    upper[:COUNT] = upper_bounds(speed)
+    upper[RHO] = 0.99
+    return lower, upper
+
+
+def _vicinity(t: Trajectories) -> Vicinity:
+    samples, drivers = t.position_m.shape
+    return Vicinity(
+        names=tuple(DriverName(number) for number in t.vehicle.tolist()),
+        position_m=t.position_m,
+        length_m=np.tile(t.length_m, (samples, 1)),
+        leader=t.leader,
+        time_s=np.tile((t.start_s + t.period_s * np.arange(samples))[:, None], (1, drivers)),
+        road=t.road,
+        period_s=t.period_s,
+        is_whole_road=True,
+        has_places=True,
+        source=t.source,
+        sha256=t.sha256,
+    )
+
+
+def _ahead(trajectories: Trajectories) -> Ints:
+    """Columns of the vehicles ahead of each driver in most samples, (N, CHAIN - 1), or -1."""
+    drivers = len(trajectories.vehicle)
     column = {int(v): k for k, v in enumerate(trajectories.vehicle)}
     ahead = np.full((drivers, CHAIN - 1), -1)
     for i in range(drivers):
@@ -100,23 +176,7 @@ def prepare(trajectories: Trajectories, segment: Ints | None = None) -> Recorded
             if len(known):
                 values, counts = np.unique(known, return_counts=True)
                 ahead[i, m - 1] = column[int(values[np.argmax(counts)])]
-    lower = np.full(ROW.width, SMALLEST)
-    lower[:COUNT] = lower_bounds(evenness(trajectories))
-    upper = np.array([p.upper for p in ROW.declared])
-    upper[:COUNT] = upper_bounds(fastest(trajectories))
-    upper[RHO] = 0.99
-    unbroken = np.zeros(samples, np.int64) if segment is None else segment
-    return Recorded(
-        trajectories=trajectories,
-        chains=chains,
-        ahead=ahead,
-        block=block,
-        fold=block % FOLDS,
-        segment=unbroken,
-        counts=_who_follows(chains),
-        lower=lower,
-        upper=upper,
-    )
+    return ahead
 
 
 def _who_follows(chains: Sequence[Chain]) -> Mask:

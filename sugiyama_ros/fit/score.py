@@ -7,8 +7,10 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from sugiyama_ros.arrays import Array
+from sugiyama_ros.arrays import Array, Mask
 from sugiyama_ros.filters import causal
+from sugiyama_ros.filters.chain import Chain
+from sugiyama_ros.filters.state import STATE
 from sugiyama_ros.fit.model import Model, leaders
 from sugiyama_ros.fit.recording import Recorded
 
@@ -99,7 +101,7 @@ def evaluate(data: Recorded, model: Model, work: Executor, who: Sequence[int] | 
         Predictions of all samples; NaN for drivers who are not in ``who``.
     """
     chosen = range(data.drivers) if who is None else who
-    samples = unknown(data.drivers, len(data.fold))
+    samples = unknown(data.drivers, data.samples)
     for i, at in zip(chosen, predict_drivers(data, model, chosen, work), strict=True):
         samples.put(i, at)
     return samples
@@ -111,8 +113,7 @@ def predict_drivers(data: Recorded, model: Model, who: Iterable[int], work: Exec
     parts = work.map(predict_jobs, together([job_of(data, model, i) for i in numbers]))
     found = [one for part in parts for one in part]
     for i, one in zip(numbers, found, strict=True):
-        if not data.counts[i]:
-            one.log_likelihood[:] = np.nan
+        one.log_likelihood[~data.scored[i]] = np.nan
     return found
 
 
@@ -132,7 +133,7 @@ def job_of(data: Recorded, model: Model, driver: int) -> causal.ChainJob:
 
 
 def filtered_states(data: Recorded, model: Model, work: Executor) -> Array:
-    """Return the filtered states of all drivers.
+    """Return the filtered states of all drivers and of the vehicles around them.
 
     Parameters
     ----------
@@ -145,8 +146,9 @@ def filtered_states(data: Recorded, model: Model, work: Executor) -> Array:
 
     Returns
     -------
-    ndarray, shape (T, N, 4)
-        Position [m], speed [m/s], noise [m/s^2] and held acceleration [m/s^2]; NaN where unknown.
+    ndarray, shape (T, V, 4)
+        Position [m], speed [m/s], noise [m/s^2] and held acceleration [m/s^2] of the vehicles in the columns of the
+        recording's vicinity; NaN where unknown.
     """
     return follow(data, model, work)[1]
 
@@ -167,13 +169,24 @@ def follow(data: Recorded, model: Model, work: Executor) -> tuple[PointwiseDensi
     -------
     samples : PointwiseDensity
         Predictions of all samples.
-    states : ndarray, shape (T, N, 4)
+    states : ndarray, shape (T, V, 4)
         Filtered states, as ``filtered_states`` returns them.
     """
     jobs = [job_of(data, model, i) for i in range(data.drivers)]
     outputs = [one for part in work.map(causal.predict_states, together(jobs)) for one in part]
     y, variance, density = (np.array([o[k] for o in outputs]) for k in range(3))
-    states = np.stack([o[3] for o in outputs], axis=1)
-    states[~np.isfinite(variance.T)] = np.nan
-    density[~data.counts] = np.nan
+    states = np.full((*data.vicinity.leader.shape, STATE), np.nan)
+    for i, (chain, predicted) in enumerate(zip(data.chains, outputs, strict=True)):
+        for m, column in enumerate(data.vicinity.columns(i, chain.position_m.shape[1])):
+            known = np.isfinite(variance[i]) & _moves(chain, m)
+            states[known, column] = predicted[3][known, STATE * m : STATE * (m + 1)]
+    density[~data.scored] = np.nan
     return PointwiseDensity(y, variance, density), states
+
+
+def _moves(chain: Chain, m: int) -> Mask:
+    """Whether the speed of vehicle m of a chain is known at each sample: there are two positions of this vehicle."""
+    identity, seen = chain.identity[:, m], np.cumsum(np.isfinite(chain.position_m[:, m]))
+    is_new = np.diff(identity, prepend=-2) != 0
+    before = np.maximum.accumulate(np.where(is_new, np.concatenate(([0], seen[:-1])), 0))
+    return np.asarray((identity >= 0) & (seen - before >= 2))

@@ -164,12 +164,12 @@ class _Asked(NamedTuple):
     steps: Array
 
 
-def _slopes_of(task: tuple[Sequence[_Asked], tuple[int, ...], tuple[int, ...], Ints]) -> list[Slopes]:
+def _slopes_of(task: tuple[Sequence[_Asked], tuple[int, ...], tuple[int, ...], Sequence[Ints]]) -> list[Slopes]:
     """Score and information of some drivers by difference quotients; all their filters run side by side."""
-    drivers, individual, shared, fold = task
+    drivers, individual, shared, folds = task
     moved = predict_jobs([job for asked in drivers for job in _moved(asked, individual, shared)])
     found = []
-    for number, (job, at, steps) in enumerate(drivers):
+    for number, ((job, at, steps), fold) in enumerate(zip(drivers, folds, strict=True)):
         dy, dvar, direct = (np.empty((len(steps), len(fold))) for _ in range(3))
         there = moved[number * len(steps) : (number + 1) * len(steps)]
         for k, (step, (y, variance, density)) in enumerate(zip(steps, there, strict=True)):
@@ -260,7 +260,8 @@ def slopes_of(
     """
     chosen = range(data.drivers) if who is None else who
     asked = [_Asked(job_of(data, model, i), samples.of(i), steps[i]) for i in chosen]
-    tasks = [(part, model.individual, model.shared, data.fold) for part in together(asked)]
+    folds = together([data.fold[i] for i in chosen])
+    tasks = [(part, model.individual, model.shared, fold) for part, fold in zip(together(asked), folds, strict=True)]
     return [one for part in work.map(_slopes_of, tasks) for one in part]
 
 

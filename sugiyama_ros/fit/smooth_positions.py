@@ -116,6 +116,11 @@ class Evenness(NamedTuple):
         """
         return ESTIMATED + FREED if formulation == "causal" and self.is_smooth else ESTIMATED
 
+    def individual(self, *others: int) -> tuple[int, ...]:
+        """Return the places of the noises that each driver has, then ``others``."""
+        noises = [index(name) for name in self.estimated() if name.startswith("sigma_")]
+        return (*noises, *others)
+
 
 def evenness_of(positions: Iterable[Array], period_s: float) -> Evenness:
     """Return how evenly vehicles move.
@@ -145,9 +150,3 @@ def evenness_of(positions: Iterable[Array], period_s: float) -> Evenness:
 def evenness(trajectories: Trajectories) -> Evenness:
     """Return how evenly the vehicles of a recording move."""
     return evenness_of(trajectories.road.unwrap(trajectories.position_m).T, trajectories.period_s)
-
-
-def individual_in(trajectories: Trajectories, *others: int) -> tuple[int, ...]:
-    """Return the places of the noises that each driver has, then ``others``."""
-    noises = [index(name) for name in evenness(trajectories).estimated() if name.startswith("sigma_")]
-    return (*noises, *others)

@@ -11,7 +11,7 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.format import Format
 from sugiyama_ros.formats.sheet import head_of
-from sugiyama_ros.trajectories.one_lane import tracks_of
+from sugiyama_ros.trajectories.one_lane import tracks_of, whole_road
 from sugiyama_ros.trajectories.tracks import Tracks
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
@@ -108,6 +108,33 @@ def read_tracks(path: Path, choices: Choices | None = None, name: str = "auto") 
     if chosen.tracks is not None:
         return chosen.tracks(path, choices)
     return tracks_of(chosen.read(path, choices.ring_m))
+
+
+def read_recording(path: Path, ring_m: float | None = None) -> Trajectories | Tracks:
+    """Read a file for a fit: as a whole road where everybody's leader is known throughout, else as tracks.
+
+    Parameters
+    ----------
+    path : Path
+        The file or the folder.
+    ring_m : float, optional
+        Circumference [m] of the ring, where the file does not say it; 0 for an open road.
+
+    Returns
+    -------
+    Trajectories or Tracks
+        `Trajectories` also for formats that only have one lane.
+
+    Raises
+    ------
+    InputError
+        As for `read_trajectories`.
+    """
+    path = Path(path)
+    if not format_of(path).is_of_tracks:
+        return read_trajectories(path, ring_m)
+    tracks = read_tracks(path, Choices(ring_m=ring_m))
+    return whole_road(tracks) or tracks
 
 
 def format_of(path: Path) -> Format:

@@ -23,11 +23,10 @@ from sugiyama_ros.driver.parameters import (
     at_period,
     check,
     horizon_at,
-    index,
 )
 from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.effects.control import noise_factor
-from sugiyama_ros.effects.registry import EFFECTS, ROW
+from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.effects.sensing import displacements, noise_std_factors, spoil
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.convert import write_trajectories
@@ -36,12 +35,11 @@ from sugiyama_ros.plots import space_time
 from sugiyama_ros.results import Result
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.drive import Order, Setting, Traffic, begin, drive, remember, see
+from sugiyama_ros.simulation.wandering import Wandering
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-_WANDERING = tuple(e for e in EFFECTS.values() if e.wanders)
 
 
 @dataclass(frozen=True)
@@ -204,7 +202,7 @@ class Simulator:
         self.start_s = clock.start_s
         self._rng = rng
         self._rng_of_effects = rng.spawn(1)[0]
-        self._mood: dict[str, Array] = {}
+        self._wandering = Wandering(self.parameters, clock.period_s, self._rng_of_effects)
         start = self.position_m, self.speed, self.held, self.acceleration
         self._past = begin(*start, self.parameters, self.period_s).past
         self._touching = self.gap_m <= 0.0
@@ -253,7 +251,7 @@ class Simulator:
 
     def _accelerate(self) -> None:
         """Compute the accelerations of the coming period."""
-        rows = self._wandering()
+        rows = self._wandering.next_rows()
         held: Array = np.empty(len(rows))
         pushed: Array = np.empty(len(rows))
         time = self.start_s + self.step_number * self.period_s
@@ -261,21 +259,6 @@ class Simulator:
         drive(self._traffic, self._order, rows, ACTIONS, time, setting, held, pushed)
         self.held = held
         self.acceleration = held + pushed + self.noise
-
-    def _wandering(self) -> Array:
-        """Rows with the preferences of this moment; preferences that wander are Ornstein-Uhlenbeck processes."""
-        rows = self.parameters
-        for effect in _WANDERING:
-            std, time = self.parameters[:, ROW.places[effect.name]].T[:2]
-            if not std.any():
-                continue
-            mood = self._mood.setdefault(effect.name, np.zeros((len(effect.wanders), len(rows))))
-            memory: Array = np.exp(-self.period_s / np.where(std > 0.0, time, 1.0)) * (self.step_number > 0)
-            fresh = self._rng_of_effects.standard_normal(mood.shape)
-            mood[:] = memory * mood + std * np.sqrt(1.0 - np.square(memory)) * fresh
-            rows = rows.copy()
-            rows[:, [index(name) for name in effect.wanders]] *= np.exp(mood.T)
-        return rows
 
 
 def platoon(length_m: Array, gap_m: float) -> Array:

@@ -23,6 +23,8 @@ MOST_CELLS, EMPTIEST = 20_000_000, 20
 _UNKNOWN_ROWS = 0.02
 #: Share of samples in which a leader may be behind, and samples from which on this is judged.
 _BEHIND, _ENOUGH_SAMPLES = 0.02, 50
+#: Part of the time that vehicles of a whole road are there.
+_PRESENT = 0.9
 _NUMBER = re.compile(r"\d{1,9}")
 
 
@@ -67,7 +69,7 @@ def one_lane(tracks: Tracks, where: str) -> Trajectories:
     dense = Trajectories(
         position_m=road.wrap(position),
         length_m=regular.length_m[regular.start[:-1]],
-        vehicle=_numbers(regular),
+        vehicle=numbers_of(regular),
         road=road,
         period_s=period,
         start_s=start,
@@ -76,6 +78,28 @@ def one_lane(tracks: Tracks, where: str) -> Trajectories:
     )
     _check_leaders(regular, dense, step, where)
     return dense
+
+
+def whole_road(tracks: Tracks) -> Trajectories | None:
+    """Tracks as a dense table, if they are one lane on which everybody is recorded nearly all the time.
+
+    Parameters
+    ----------
+    tracks : Tracks
+        Tracks with leaders.
+
+    Returns
+    -------
+    Trajectories or None
+        None where leaders are not known, vehicles come and go, or `one_lane` refuses the tracks.
+    """
+    if np.mean(tracks.leader_row == UNKNOWN) > _UNKNOWN_ROWS:
+        return None
+    try:
+        dense = one_lane(tracks, tracks.about.source)
+    except InputError:
+        return None
+    return dense if dense.present.mean() >= _PRESENT else None
 
 
 def _one_of(tracks: Tracks, column: Labels, many: str, option: str, where: str) -> None:
@@ -87,7 +111,7 @@ def _one_of(tracks: Tracks, column: Labels, many: str, option: str, where: str) 
         )
 
 
-def _numbers(tracks: Tracks) -> Ints:
+def numbers_of(tracks: Tracks) -> Ints:
     """A number for each run, (V,)."""
     names = [tracks.vehicle.at(int(row)) for row in tracks.start[:-1]]
     found = [_NUMBER.findall(name) for name in names]

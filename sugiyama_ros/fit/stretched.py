@@ -1,0 +1,287 @@
+"""Tracks prepared for a fit: each driver with all stretches, one after the other, behind measured vehicles."""
+
+from collections import Counter, defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.drives import Drive, drives
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.filters.chain import CHAIN, Chain
+from sugiyama_ros.fit.recording import BLOCK_S, FOLDS, Recorded, bounds_of, prepare
+from sugiyama_ros.fit.smooth_positions import Evenness, evenness_of
+from sugiyama_ros.fit.vicinity import DriverName, Vicinity
+from sugiyama_ros.road import Road
+from sugiyama_ros.trajectories.one_lane import numbers_of
+from sugiyama_ros.trajectories.time_base import on_time_base
+from sugiyama_ros.trajectories.tracks import Tracks
+from sugiyama_ros.trajectories.trajectories import Trajectories
+
+_Kind = TypeVar("_Kind", bound=np.generic)
+#: A driver needs to follow for this long [s] to get parameters of their own.
+LEAST_FOLLOWING_S = 15.0
+# Time [s] over which the highest speed is measured.
+_SPEED_OVER_S = 1.0
+# Empty samples between two stretches: as many as anything looks back.
+_BETWEEN = 10
+# Shortest block [s] that is held out, where a driver is recorded for long enough.
+_SHORT_BLOCK_S = 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class Followers:
+    """The drivers on tracks who follow a known vehicle.
+
+    Parameters
+    ----------
+    enough : tuple of tuple of Drive
+        The stretches of each driver who follows for at least ``LEAST_FOLLOWING_S``.
+    few : tuple of tuple of Drive
+        The stretches of each of the other drivers.
+    """
+
+    enough: tuple[tuple[Drive, ...], ...]
+    few: tuple[tuple[Drive, ...], ...]
+
+
+def followers(tracks: Tracks) -> Followers:
+    """Find the drivers who follow a known vehicle.
+
+    Parameters
+    ----------
+    tracks : Tracks
+        Tracks with leaders.
+
+    Returns
+    -------
+    Followers
+        The drivers in the order of the tracks.
+
+    Raises
+    ------
+    InputError
+        If nobody follows a known vehicle for ``LEAST_FOLLOWING_S``.
+    """
+    by_driver: dict[tuple[str, str], list[Drive]] = defaultdict(list)
+    for drive in drives(tracks):
+        by_driver[drive.stretch.recording, drive.stretch.vehicle].append(drive)
+    own = [tuple(one) for one in by_driver.values()]
+    found = Followers(
+        tuple(one for one in own if following_s(one) >= LEAST_FOLLOWING_S),
+        tuple(one for one in own if following_s(one) < LEAST_FOLLOWING_S),
+    )
+    if not found.enough:
+        raise InputError(
+            f"{tracks.about.source}: nobody follows a known vehicle for {LEAST_FOLLOWING_S:g} s; `sugiyama info` says"
+            " which leaders are known"
+        )
+    return found
+
+
+def following_s(own: Sequence[Drive]) -> float:
+    """Return the time [s] of the scored samples in which somebody is ahead of a driver."""
+    return sum(float((d.scored & (d.chain.identity[:, 1] >= 0)).sum()) * d.chain.period_s for d in own)
+
+
+def evenness_on(every: Sequence[Drive]) -> Evenness:
+    """Return how evenly drivers move on their stretches."""
+    return evenness_of([d.chain.position_m[:, 0] for d in every], every[0].chain.period_s)
+
+
+def fastest_on(every: Sequence[Drive]) -> float:
+    """Return the speed [m/s] below which 99 % of the samples of stretches are."""
+    steps = max(1, round(_SPEED_OVER_S / every[0].chain.period_s))
+    ways = [d.chain.position_m[steps:, 0] - d.chain.position_m[:-steps, 0] for d in every]
+    return float(np.nanquantile(np.concatenate(ways), 0.99)) / (steps * every[0].chain.period_s)
+
+
+def prepare_tracks(tracks: Tracks) -> Recorded:
+    """Prepare tracks for a fit.
+
+    Parameters
+    ----------
+    tracks : Tracks
+        Tracks with leaders.
+
+    Returns
+    -------
+    Recorded
+        The drivers who follow for at least ``LEAST_FOLLOWING_S``, each on all their stretches. Blocks of time are parts
+        of a driver's own record. A segment ends where the leader changes.
+
+    Raises
+    ------
+    InputError
+        If nobody follows for long enough.
+    """
+    tracks = on_time_base(tracks)
+    drivers = followers(tracks).enough
+    every = [drive for own in drivers for drive in own]
+    even, speed = evenness_on(every), fastest_on(every)
+    chains = _chains(drivers)
+    samples = len(chains[0].position_m)
+    block = np.array([_blocks(chain) for chain in chains])
+    fold = block % FOLDS
+    block[1:] += np.cumsum(block.max(axis=1) + 1)[:-1, None]
+    lower, upper = bounds_of(even, speed)
+    return Recorded(
+        vicinity=_vicinity(tracks, drivers, chains),
+        chains=chains,
+        ahead=_ahead(drivers),
+        block=block,
+        fold=fold,
+        segment=np.array([_segments(chain) for chain in chains]),
+        scored=np.array([_joined([d.scored for d in own], samples, False) for own in drivers]),
+        even=even,
+        speed=speed,
+        lower=lower,
+        upper=upper,
+    )
+
+
+def prepared(recording: Trajectories | Tracks) -> Recorded:
+    """Prepare a whole road or tracks for a fit, as ``prepare`` and ``prepare_tracks`` do."""
+    return prepare_tracks(recording) if isinstance(recording, Tracks) else prepare(recording)
+
+
+def driven_anew(data: Recorded, position_m: Array, segment: Ints) -> Recorded:
+    """Return a recording in which the drivers have driven otherwise behind the same vehicles.
+
+    Parameters
+    ----------
+    data : Recorded
+        Tracks, prepared for a fit.
+    position_m : ndarray, shape (T, N)
+        New measured positions [m] of the drivers.
+    segment : ndarray of int, shape (N, T)
+        Number of the unbroken part; the filter restarts where it changes.
+
+    Returns
+    -------
+    Recorded
+        The new recording.
+    """
+    around, chains = data.vicinity, []
+    largest = max(int(chain.identity.max()) for chain in data.chains) + 1
+    for i, chain in enumerate(data.chains):
+        position, identity = chain.position_m.copy(), chain.identity.copy()
+        position[:, 0] = position_m[:, i]
+        identity[:, 0] = np.where(identity[:, 0] >= 0, identity[:, 0] + largest * (1 + segment[i]), -1)
+        chains.append(replace(chain, position_m=position, identity=identity))
+    positions = np.concatenate([position_m, around.position_m[:, around.drivers :]], axis=1)
+    new = replace(around, position_m=positions, source="simulated from the fitted model")
+    return replace(data, vicinity=new, chains=tuple(chains), segment=segment)
+
+
+def _chains(drivers: Sequence[Sequence[Drive]]) -> tuple[Chain, ...]:
+    """One chain for each driver: the stretches one after the other, all chains of the same length.
+
+    The leader's leader is in a chain where it is known on all stretches.
+    """
+    samples = max(sum(len(d.scored) + _BETWEEN for d in own) for own in drivers) - _BETWEEN
+    return tuple(_chain(own, samples) for own in drivers)
+
+
+def _chain(own: Sequence[Drive], samples: int) -> Chain:
+    vehicles = min(CHAIN, *(d.chain.position_m.shape[1] for d in own))
+    # every stretch is another vehicle for the filter, even if it is the same driver behind the same leader
+    step = 1 + max(int(d.chain.identity.max()) for d in own)
+    identity = [np.where(d.chain.identity >= 0, d.chain.identity + k * step, -1) for k, d in enumerate(own)]
+    return Chain(
+        position_m=_joined([d.chain.position_m[:, :vehicles] for d in own], samples, np.nan),
+        identity=_joined([one[:, :vehicles] for one in identity], samples, -1),
+        length_m=_joined([d.chain.length_m[:, :vehicles] for d in own], samples, 0.0),
+        rear=np.full((samples, 3), np.nan),
+        period_s=own[0].chain.period_s,
+        start_s=own[0].chain.start_s,
+        circumference_m=own[0].chain.circumference_m,
+    )
+
+
+def _joined(parts: Sequence[NDArray[_Kind]], samples: int, empty: float | bool) -> NDArray[_Kind]:
+    """Parts (n, ...) one after the other, with `_BETWEEN` empty samples between them, filled up to ``samples``."""
+    joined = np.full((samples, *parts[0].shape[1:]), empty, dtype=parts[0].dtype)
+    at = 0
+    for part in parts:
+        joined[at : at + len(part)] = part
+        at += len(part) + _BETWEEN
+    return joined
+
+
+def _blocks(chain: Chain) -> Ints:
+    """Number of the block of each sample, (T,), from 0; the samples after the last one are in the last block."""
+    there = chain.identity[:, 0] >= 0
+    duration_s = float(there.sum()) * chain.period_s
+    block_s = min(BLOCK_S, max(duration_s / (2 * FOLDS), min(_SHORT_BLOCK_S, duration_s / FOLDS)))
+    driven_s = np.maximum(np.cumsum(there) - 1, 0) * chain.period_s
+    return np.asarray(np.minimum(driven_s // block_s, max(round(duration_s / block_s), 1) - 1), dtype=np.int64)
+
+
+def _segments(chain: Chain) -> Ints:
+    """Number of the unbroken part of each sample, (T,): same stretch, same leader."""
+    changed = (np.diff(chain.identity[:, :2], axis=0, prepend=chain.identity[:1, :2]) != 0).any(axis=1)
+    return np.asarray(np.cumsum(changed), dtype=np.int64)
+
+
+def _ahead(drivers: Sequence[Sequence[Drive]]) -> Ints:
+    """Numbers of the drivers who are ahead in most samples, (N, CHAIN - 1), or -1."""
+    number = {_run(own): i for i, own in enumerate(drivers)}
+    ahead = np.full((len(drivers), CHAIN - 1), -1)
+    for i, own in enumerate(drivers):
+        for m in range(1, CHAIN):
+            runs = [d.chain.identity[:, m] for d in own if d.chain.identity.shape[1] > m]
+            known = Counter(run for one in runs for run in one.tolist() if run >= 0)
+            if known:
+                ahead[i, m - 1] = number.get(known.most_common(1)[0][0], -1)
+    return ahead
+
+
+def _run(own: Sequence[Drive]) -> int:
+    """Number of the driver's run in the tracks."""
+    return int(own[0].chain.identity[:, 0].max())
+
+
+def _vicinity(tracks: Tracks, drivers: Sequence[Sequence[Drive]], chains: Sequence[Chain]) -> Vicinity:
+    count, samples = len(chains), len(chains[0].position_m)
+    columns = CHAIN * count
+    position, length = np.full((samples, columns), np.nan), np.zeros((samples, columns))
+    leader = np.full((samples, columns), -1)
+    for i, chain in enumerate(chains):
+        for m in range(chain.position_m.shape[1]):
+            position[:, i + m * count], length[:, i + m * count] = chain.position_m[:, m], chain.length_m[:, m]
+            if m > 0:
+                leader[:, i + (m - 1) * count] = np.where(chain.identity[:, m] >= 0, i + m * count, -1)
+    numbers = numbers_of(tracks)
+    names = []
+    for own in drivers:
+        who = own[0].stretch
+        names.append(DriverName(int(numbers[_run(own)]), who.recording, who.vehicle, who.vehicle_class))
+    return Vicinity(
+        names=_short(names),
+        position_m=position,
+        length_m=length,
+        leader=leader,
+        time_s=np.stack([_times(own, samples) for own in drivers], axis=1),
+        road=Road(tracks.about.ring_m),
+        period_s=chains[0].period_s,
+        is_whole_road=False,
+        has_places=len({one.recording for one in names}) == 1 and (tracks.road is None or len(tracks.road.used()) == 1),
+        source=tracks.about.source,
+        sha256=tracks.about.sha256,
+    )
+
+
+def _short(names: Sequence[DriverName]) -> tuple[DriverName, ...]:
+    """The names without the recording, where there is only one."""
+    several = len(Counter(one.recording for one in names)) > 1
+    return tuple(one if several else replace(one, recording="") for one in names)
+
+
+def _times(own: Sequence[Drive], samples: int) -> Array:
+    """Times [s] of a driver's samples, (T,); NaN between stretches."""
+    parts: list[Array] = [d.chain.start_s + d.chain.period_s * np.arange(len(d.scored), dtype=np.float64) for d in own]
+    return _joined(parts, samples, np.nan)

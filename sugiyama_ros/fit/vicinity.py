@@ -1,0 +1,106 @@
+"""What the drivers of a recording are, and which vehicles are around them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.road import Road
+
+
+@dataclass(frozen=True)
+class DriverName:
+    """How documents and tables call a driver.
+
+    Parameters
+    ----------
+    number : int
+        Number of the vehicle; no other driver of the recording has it.
+    recording, vehicle, vehicle_class : str
+        Names in the tracks; empty where the file has none.
+    """
+
+    number: int
+    recording: str = ""
+    vehicle: str = ""
+    vehicle_class: str = ""
+
+    @property
+    def shown(self) -> str:
+        """Name in tables."""
+        return f"{self.recording} {self.vehicle}".strip() or str(self.number)
+
+    def document(self) -> dict[str, int | str]:
+        """Return what is known, for a JSON document."""
+        if not self.vehicle:
+            return {"vehicle": self.number}
+        return {
+            "vehicle": self.number,
+            "recording": self.recording,
+            "name": self.vehicle,
+            "class": self.vehicle_class,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Vicinity:
+    """N drivers at T samples, and the vehicles that they see, in V columns; the drivers come first.
+
+    On one road where everybody is recorded, the drivers see one another, and V is N. On tracks, each driver has two
+    further columns: the vehicles ahead, as measured. There each driver has their own samples, which skip the time
+    between stretches.
+
+    Parameters
+    ----------
+    names : tuple of DriverName
+        Names of the drivers.
+    position_m : ndarray, shape (T, V)
+        Measured positions [m]; NaN where missing.
+    length_m : ndarray, shape (T, V)
+        Lengths [m].
+    leader : ndarray of int, shape (T, V)
+        Column of the vehicle ahead; -1 where there is none.
+    time_s : ndarray, shape (T, N)
+        Times [s] of each driver's samples.
+    road : Road
+        The road.
+    period_s : float
+        Time [s] between two samples.
+    is_whole_road : bool
+        Whether the drivers are all vehicles of one road.
+    has_places : bool
+        Whether equal positions are equal places: False for recordings of different roads.
+    source, sha256 : str
+        Name and checksum of the file.
+    """
+
+    names: tuple[DriverName, ...]
+    position_m: Array
+    length_m: Array
+    leader: Ints
+    time_s: Array
+    road: Road
+    period_s: float
+    is_whole_road: bool
+    has_places: bool
+    source: str
+    sha256: str
+
+    @property
+    def drivers(self) -> int:
+        """Number N of drivers."""
+        return len(self.names)
+
+    @property
+    def numbers(self) -> list[int]:
+        """Numbers of the drivers' vehicles."""
+        return [one.number for one in self.names]
+
+    def columns(self, driver: int, vehicles: int) -> list[int]:
+        """Columns that the states of a driver's chain of ``vehicles`` vehicles fill, the driver first."""
+        return [driver] if self.is_whole_road else [driver + m * self.drivers for m in range(vehicles)]
+
+    @property
+    def first_last_s(self) -> tuple[float, float]:
+        """Times [s] of the first and the last sample."""
+        return float(np.nanmin(self.time_s)), float(np.nanmax(self.time_s))
