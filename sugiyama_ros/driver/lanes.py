@@ -4,6 +4,10 @@ The formulas are the formulas of ``utility``, which takes one moment at a time. 
 several moments. A moment is a lane: what one driver sees and prefers. Lanes do not depend on each other, so that the
 result of a lane is the same whatever stands beside it.
 
+The reward of a speed is a Gaussian of the action, and the actions are evenly spaced. So the ratio of one reward to the
+reward before changes by a constant factor, and only few rewards need an exponential. Rounding errors add up, so the
+rewards begin anew after some actions.
+
 A block is one array with the rows of LANES lanes, one after the other, and then the utilities of the actions. All
 places in a block are constants. Compilers then know that two rows do not overlap, and make vector instructions.
 """
@@ -13,8 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.driver.exponential import exponential
-from sugiyama_ros.driver.utility import FAR, Preferences, backward_penalty, collision_penalty, gap_scale
+from sugiyama_ros.driver.exponential import exponential, multiply_add
+from sugiyama_ros.driver.utility import FAR, Preferences, backward_penalty
 from sugiyama_ros.jit import kernel
 
 #: Number of lanes in a block. Compilers make no vector instructions of shorter loops, which they unroll.
@@ -25,8 +29,14 @@ _V_STAR, _KAPPA_V, _KAPPA_1, _KAPPA_C, _KAPPA_D, _OMEGA_2, _RATIONALITY = (LANES
 _NEAR, _SCALE, _UTILITY, _BEST, _BACKWARD, _PER_SPEED, _OPENING, _PARTITION, MEAN = (
     LANES * row for row in range(10, 19)
 )
+_REWARD, _GROWTH, _CURVE, _IS_STEEP, _SOON, _LATE = (LANES * row for row in range(19, 25))
 #: Where the utilities of the actions begin, LANES numbers for each action.
-UTILITIES = 19 * LANES
+UTILITIES = 25 * LANES
+# Number of rewards that follow from one another before one is computed anew.
+_STRETCH = 14
+# The reward of a speed that is more than this many widths away from the desired speed is below 1e-170, and no other
+# reward can follow from it. Lanes in which it occurs take the exponential for every action.
+_STEEP = 20.0
 # What an unused lane sees and prefers: nothing that takes long or overflows.
 _UNUSED = (FAR, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, -1.0, 1.0)
 
@@ -37,7 +47,7 @@ class ActionGrid(NamedTuple):
     Parameters
     ----------
     actions : ndarray, shape (K,)
-        Accelerations [m/s^2].
+        Accelerations [m/s^2], evenly spaced.
     backward : ndarray, shape (K,)
         Factor of the cost of driving backward after one period of each action; ``backward_penalty`` is exponential.
     braking : int
@@ -51,7 +61,7 @@ class ActionGrid(NamedTuple):
 
 @kernel
 def grid_for(actions: Array, period: float) -> ActionGrid:
-    """Return the actions (K,) [m/s^2] that drivers consider, with what does not depend on the driver."""
+    """Return the evenly spaced actions (K,) [m/s^2] that drivers consider, with what does not depend on the driver."""
     braking = 0
     for k in range(len(actions)):
         if actions[k] < 0.0:
@@ -101,35 +111,49 @@ def value_actions(block: Array, grid: ActionGrid, period: float, horizon: int) -
     horizon : int
         Periods of look-ahead.
     """
-    _begin(block)
-    for k in range(len(grid.actions)):
-        action = grid.actions[k]
+    actions = grid.actions
+    first, last = actions[0], actions[len(actions) - 1]
+    step = (last - first) / max(len(actions) - 1, 1)
+    _begin(block, period, horizon, step)
+    any_steep = _find_steep(block, first, last, period)
+    for k in range(len(actions)):
+        action = actions[k]
         _look_at_ends(block, action, period, horizon)
         # Where a driver does not brake, the gap is a concave function of the time and its scale a convex one. Their
         # ratio is then smallest at one end of the look-ahead, or not positive there, which counts as no gap.
         if k < grid.braking:
             for tau in range(2, horizon, 2):
                 _look_between(block, action, period, tau, tau + 1)
-        _value(block, action, period, grid.backward[k])
+        if k % _STRETCH == 0:
+            _reward(block, action, period, step)
+        if any_steep:
+            _reward_steep(block, action, period)
+        _value(block, grid.backward[k])
         _keep(block, UTILITIES + LANES * k)
 
 
 @kernel(vectorised=True)
-def _begin(block: Array) -> None:
+def _begin(block: Array, period: float, horizon: int, step: float) -> None:
     """Compute what all actions share."""
     for t in range(LANES):
         block[_BEST + t] = -np.inf
         block[_BACKWARD + t] = backward_penalty(block[_SPEED + t])
-        block[_PER_SPEED + t] = 1.0 / (block[_KAPPA_1 + t] * block[_V_STAR + t])
-        block[_OPENING + t] = block[_LEADER_SPEED + t] - block[_SPEED + t]
+        per_speed = 1.0 / (block[_KAPPA_1 + t] * block[_V_STAR + t])
+        width = period * step * per_speed
+        block[_PER_SPEED + t] = per_speed
+        block[_CURVE + t] = exponential(-2.0 * width * width)
+        opening = block[_LEADER_SPEED + t] - block[_SPEED + t]
+        block[_OPENING + t] = opening
+        block[_SOON + t] = multiply_add(period, opening, block[_GAP + t])
+        block[_LATE + t] = multiply_add(period * horizon, opening, block[_GAP + t])
 
 
 @kernel(vectorised=True)
 def _look_at_ends(block: Array, action: float, period: float, horizon: int) -> None:
     """Find the gap and the scale with the smaller ratio: one period ahead, or ``horizon`` periods ahead."""
     for t in range(LANES):
-        near, scale = _ahead(block, t, action, period, 1)
-        far, wide = _ahead(block, t, action, period, horizon)
+        near, far = block[_SOON + t], block[_LATE + t] - _way(action, period, horizon)
+        scale, wide = _scale(block, t, period * action), _scale(block, t, period * horizon * action)
         closer = far * scale < near * wide
         block[_NEAR + t] = far if closer else near
         block[_SCALE + t] = wide if closer else scale
@@ -140,33 +164,76 @@ def _look_between(block: Array, action: float, period: float, first: int, second
     """Go on with the gap and the scale with the smallest ratio, ``first`` and ``second`` periods ahead."""
     for t in range(LANES):
         near, scale = block[_NEAR + t], block[_SCALE + t]
-        for_first, wide = _ahead(block, t, action, period, first)
+        for_first = multiply_add(period * first, block[_OPENING + t], block[_GAP + t] - _way(action, period, first))
+        wide = _scale(block, t, period * first * action)
         closer = for_first * scale < near * wide
         near, scale = for_first if closer else near, wide if closer else scale
-        for_second, wide = _ahead(block, t, action, period, second)
+        for_second = multiply_add(period * second, block[_OPENING + t], block[_GAP + t] - _way(action, period, second))
+        wide = _scale(block, t, period * second * action)
         closer = for_second * scale < near * wide
         block[_NEAR + t] = for_second if closer else near
         block[_SCALE + t] = wide if closer else scale
 
 
 @kernel(vectorised=True)
-def _ahead(block: Array, t: int, action: float, period: float, tau: int) -> tuple[float, float]:
-    """Compute the gap [m] of lane t and its scale [m] ``tau`` periods ahead, as ``utility.gap_and_scale`` does."""
-    speed, leader_speed = block[_SPEED + t] + period * tau * action, block[_LEADER_SPEED + t]
-    scale = gap_scale(speed, leader_speed, block[_KAPPA_C + t], block[_KAPPA_V + t], block[_KAPPA_D + t])
-    way = period * period * action * (0.5 * tau * (tau - 1))
-    return block[_GAP + t] + period * tau * block[_OPENING + t] - way, scale
+def _way(action: float, period: float, tau: int) -> float:
+    """Compute the way [m] that an action adds in ``tau`` periods, by Euler's rule."""
+    return period * period * action * (0.5 * tau * (tau - 1))
 
 
 @kernel(vectorised=True)
-def _value(block: Array, action: float, period: float, backward: float) -> None:
-    """Compute the utility of one action in every lane."""
+def _scale(block: Array, t: int, faster: float) -> float:
+    """Compute the scale [m] of the gap of lane t at a speed that is so much larger [m/s], as ``utility.gap_scale``."""
+    speed, closing = block[_SPEED + t] + faster, faster - block[_OPENING + t]
+    closing = closing if closing > 0.0 else 0.0
+    steady = multiply_add(block[_KAPPA_V + t], abs(speed), block[_KAPPA_C + t])
+    return multiply_add(block[_KAPPA_D + t], closing, steady)
+
+
+@kernel(vectorised=True)
+def _find_steep(block: Array, first: float, last: float, period: float) -> bool:
+    """Find the lanes in which some rewards are too small for other rewards to follow from; whether there are any."""
+    count = 0.0
     for t in range(LANES):
-        short = (block[_SPEED + t] + period * action - block[_V_STAR + t]) * block[_PER_SPEED + t]
-        risk = collision_penalty(block[_NEAR + t] / block[_SCALE + t])
-        utility = exponential(-short * short) + block[_OMEGA_2 + t] * risk - block[_BACKWARD + t] * backward
+        off = block[_SPEED + t] - block[_V_STAR + t]
+        most = max(-(off + period * first), off + period * last) * block[_PER_SPEED + t]
+        block[_IS_STEEP + t] = 1.0 if most > _STEEP else 0.0
+        count += block[_IS_STEEP + t]
+    return count > 0.0
+
+
+@kernel(vectorised=True)
+def _reward(block: Array, action: float, period: float, step: float) -> None:
+    """Compute the reward of the speed after one period of an action, and its ratio to the reward of the next action."""
+    for t in range(LANES):
+        off = (block[_SPEED + t] + period * action - block[_V_STAR + t]) * block[_PER_SPEED + t]
+        width = period * step * block[_PER_SPEED + t]
+        block[_REWARD + t] = exponential(-off * off)
+        block[_GROWTH + t] = exponential(-width * (2.0 * off + width))
+
+
+@kernel(vectorised=True)
+def _reward_steep(block: Array, action: float, period: float) -> None:
+    """Compute the reward of the speed after one period of an action in the lanes where it cannot follow from others."""
+    for t in range(LANES):
+        off = (block[_SPEED + t] + period * action - block[_V_STAR + t]) * block[_PER_SPEED + t]
+        block[_REWARD + t] = exponential(-off * off) if block[_IS_STEEP + t] > 0.0 else block[_REWARD + t]
+
+
+@kernel(vectorised=True)
+def _value(block: Array, backward: float) -> None:
+    """Compute the utility of one action in every lane, and go on to the reward of the next action."""
+    for t in range(LANES):
+        ratio = block[_NEAR + t] / block[_SCALE + t]
+        # -x (x + 2), as utility.collision_penalty, with one operation less
+        beyond = 1.0 + (ratio if ratio > 0.0 else 0.0)
+        risk = exponential(multiply_add(-beyond, beyond, 1.0))
+        known = multiply_add(-backward, block[_BACKWARD + t], block[_REWARD + t])
+        utility = multiply_add(block[_OMEGA_2 + t], risk, known)
         block[_UTILITY + t] = utility
         block[_BEST + t] = utility if utility > block[_BEST + t] else block[_BEST + t]
+        block[_REWARD + t] *= block[_GROWTH + t]
+        block[_GROWTH + t] *= block[_CURVE + t]
 
 
 @kernel(vectorised=True)
@@ -196,6 +263,6 @@ def average_actions(block: Array, actions: Array) -> None:
         for t in range(LANES):
             weight = exponential(block[_RATIONALITY + t] * (block[at + t] - block[_BEST + t]))
             block[_PARTITION + t] += weight
-            block[MEAN + t] += weight * actions[k]
+            block[MEAN + t] = multiply_add(weight, actions[k], block[MEAN + t])
     for t in range(LANES):
         block[MEAN + t] /= block[_PARTITION + t]

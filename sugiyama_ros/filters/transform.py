@@ -23,21 +23,31 @@ def transform(symmetric: Array, linearised: Linearised, half: Array) -> None:
     jacobian, columns, counts, live = linearised.jacobian, linearised.columns, linearised.counts, linearised.live
     size = len(symmetric)
     for i in live:
+        k = columns[i, 0]
+        factor = jacobian[i, k]
         for j in range(size):
-            half[i, j] = 0.0
-        for c in range(counts[i]):
+            half[i, j] = factor * symmetric[k, j]
+        for c in range(1, counts[i]):
             k = columns[i, c]
             factor = jacobian[i, k]
             for j in range(size):
                 half[i, j] += factor * symmetric[k, j]
     for a in range(len(live)):
-        i = live[a]
-        for d in range(a + 1):
-            j = live[d]
-            total = 0.0
-            for c in range(counts[j]):
-                k = columns[j, c]
-                total += half[i, k] * jacobian[j, k]
+        j = live[a]
+        k, count = columns[j, 0], counts[j]
+        factor = jacobian[j, k]
+        if count == 1:
+            for d in range(a, len(live)):
+                i = live[d]
+                symmetric[i, j] = symmetric[j, i] = half[i, k] * factor
+            continue
+        other = columns[j, 1]
+        other_factor = jacobian[j, other]
+        for d in range(a, len(live)):
+            i = live[d]
+            total = half[i, k] * factor + half[i, other] * other_factor
+            for c in range(2, count):
+                total += half[i, columns[j, c]] * jacobian[j, columns[j, c]]
             symmetric[i, j] = symmetric[j, i] = total
 
 
