@@ -1,17 +1,18 @@
 """Executors for work in independent parts: threads or processes of this machine, or a Dask cluster."""
 
 import os
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import get_context
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.progress import OnStage
 
 # Number of items that are under way at the same time. They share the same workers.
 _AT_ONCE = 3
+_Common = TypeVar("_Common")
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 # From this number of parts on, processes are worth the time to start them: threads wait for each other's Python code.
@@ -65,6 +66,70 @@ def _cluster(scheduler: str) -> Iterator[Executor]:
     with client:
         # another worker can repeat the work of a worker that dies: a part depends only on the data sent with it
         yield client.get_executor(pure=False, retries=3)
+
+
+@contextmanager
+def helpers(scheduler: str | None = None) -> Iterator[int | Executor]:
+    """Yield who helps with a diagnosis: the number of processors of this machine, or the executor of a Dask cluster.
+
+    Raises
+    ------
+    InputError
+        As ``workers``.
+    """
+    if scheduler is None:
+        yield os.cpu_count() or 1
+        return
+    with _cluster(scheduler) as executor:
+        yield executor
+
+
+@contextmanager
+def here_or_there(workers: int | Executor) -> Iterator[tuple[ThreadPoolExecutor, Executor | None]]:
+    """Open threads of this machine, beside a cluster that may be there.
+
+    Parameters
+    ----------
+    workers : int or Executor
+        Number of threads; or the executor of a cluster, for as many threads as there are processors.
+
+    Yields
+    ------
+    here : ThreadPoolExecutor
+        The threads.
+    there : Executor or None
+        The cluster.
+    """
+    threads = workers if isinstance(workers, int) else len(os.sched_getaffinity(0))
+    with ThreadPoolExecutor(threads) as here:
+        yield here, None if isinstance(workers, int) else workers
+
+
+def send(
+    there: Executor, function: Callable[[_Common, _Item], _Result], common: _Common, items: Iterable[_Item]
+) -> list[Future[_Result]]:
+    """Start work on a Dask cluster.
+
+    Parameters
+    ----------
+    there : Executor
+        The cluster.
+    function : callable
+        Called with ``common`` and one item.
+    common : object
+        What all calls need; it is sent once to each worker.
+    items : iterable
+        The items.
+
+    Returns
+    -------
+    list of Future
+        One for each item.
+    """
+    from distributed import default_client
+
+    sent: Any = default_client().scatter(common, broadcast=True)
+    return [there.submit(function, sent, item) for item in items]
 
 
 def at_once(

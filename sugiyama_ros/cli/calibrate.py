@@ -9,7 +9,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sugiyama_ros.cli.options import Json, Overwrite, RegulariseStrength, Ring, Seed, Source, model_output, names, takes
+from sugiyama_ros.cli.options import (
+    Json,
+    Overwrite,
+    RegulariseStrength,
+    Ring,
+    Scheduler,
+    Seed,
+    Source,
+    model_output,
+    names,
+    takes,
+)
 from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table, progress
 from sugiyama_ros.errors import InputError
 
@@ -67,10 +78,7 @@ class CalibrateOptions:
         ),
     ] = 0
     seed: Seed = 0
-    scheduler: Annotated[
-        str | None,
-        typer.Option("--scheduler", help="Dask scheduler whose workers do the work, such as tcp://host:8786."),
-    ] = None
+    scheduler: Scheduler = None
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Model file (YAML) to write.")] = None
     overwrite: Overwrite = False
     ring: Ring = None

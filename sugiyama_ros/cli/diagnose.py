@@ -1,12 +1,11 @@
 """``sugiyama diagnose`` and ``sugiyama compare``."""
 
-import os
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from sugiyama_ros.cli.options import Json, ModelFile, Overwrite, Ring, Seed, Source, model_output, names
+from sugiyama_ros.cli.options import Json, ModelFile, Overwrite, Ring, Scheduler, Seed, Source, model_output, names
 from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.progress import stages
@@ -27,6 +26,7 @@ def diagnose(
     overwrite: Overwrite = False,
     ring: Ring = None,
     seed: Seed = 0,
+    scheduler: Scheduler = None,
     as_json: Json = False,
 ) -> None:
     """Find out what the model lacks.
@@ -41,16 +41,17 @@ def diagnose(
     from sugiyama_ros.diagnosis.verdict import document, sentences
     from sugiyama_ros.fit.model_file import write_model
     from sugiyama_ros.formats.registry import read_recording
+    from sugiyama_ros.workers import helpers
 
     recording = read_recording(source, ring)
-    with stages() as advance:
+    with stages() as advance, helpers(scheduler) as workers:
         found = find(
             recording,
             seed=seed,
             quick=quick,
             most=8 if add else 3,
             add_forces=add is not None,
-            workers=os.cpu_count() or 1,
+            workers=workers,
             on_progress=advance,
         )
     if to_write is not None:
@@ -72,6 +73,7 @@ def compare(
     model: ModelFile = None,
     ring: Ring = None,
     seed: Seed = 0,
+    scheduler: Scheduler = None,
     as_json: Json = False,
 ) -> None:
     """Compare the model with measurements and with other models.
@@ -83,13 +85,12 @@ def compare(
     from sugiyama_ros.diagnosis.comparison_document import document
     from sugiyama_ros.fit.model_file import read_model
     from sugiyama_ros.formats.registry import read_recording
+    from sugiyama_ros.workers import helpers
 
     given = read_model(model) if model is not None else None
     recording = read_recording(source, ring)
-    with stages() as advance:
-        compared = compare_models(
-            recording, names(effects), given, seed=seed, workers=os.cpu_count() or 1, on_progress=advance
-        )
+    with stages() as advance, helpers(scheduler) as workers:
+        compared = compare_models(recording, names(effects), given, seed=seed, workers=workers, on_progress=advance)
     if as_json:
         print_json(document(compared))
         return

@@ -19,6 +19,10 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON document inst
 Ring = Annotated[
     float | None, typer.Option("--ring", help="Circumference of the road [m], if the file does not give it.")
 ]
+Scheduler = Annotated[
+    str | None,
+    typer.Option("--scheduler", help="Dask scheduler whose workers do the work, such as tcp://host:8786."),
+]
 Recording = Annotated[Path, typer.Option("--output", "-o", help="MCAP file to write.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace output files that are there already.")]
 Rate = Annotated[

@@ -1,8 +1,9 @@
 """Comparison of models on the same held-out samples, with paired standard errors and the floor of the base model."""
 
+import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from concurrent.futures import Executor, ThreadPoolExecutor
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -30,6 +31,7 @@ from sugiyama_ros.results import Result
 from sugiyama_ros.simulation.collective import Collective, collective
 from sugiyama_ros.trajectories.tracks import Tracks
 from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.workers import here_or_there, send
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -131,7 +133,7 @@ def compare(
     model: ModelFile | None = None,
     *,
     seed: int = 0,
-    workers: int = 4,
+    workers: int | Executor = 4,
     on_progress: OnStage = lambda what, done, total: None,
 ) -> "Comparison":
     """Compare models: the base model with and without effects, a model from a file, the rivals, and the floor.
@@ -148,8 +150,8 @@ def compare(
         A model to compare without a fit.
     seed : int
         Seed of the simulations.
-    workers : int
-        Number of threads.
+    workers : int or Executor
+        Number of threads; or the executor of a Dask cluster, whose workers then fit the other laws.
     on_progress : callable
         Called with the name of the stage, the number of steps done, and the number of all steps.
 
@@ -163,10 +165,11 @@ def compare(
     InputError
         For an unknown effect or a recording that is too short.
     """
-    with ThreadPoolExecutor(workers) as work:
+    with here_or_there(workers) as (work, cluster):
         data = prepared(recording)
+        sent = send(cluster, _rival_there, (data, seed), RIVALS) if cluster is not None else []
         chosen = named(data, effects)
-        steps = 2 + sum(1 + has_parameters(law) for law in RIVALS) + len(effects) + (model is not None)
+        steps = 2 + len(RIVALS) + len(effects) + (model is not None)
         comparison = _Models(data, seed, steps, work, on_progress)
         comparison.begin("base")
         base = fit_base(data, data.even.individual(V_STAR, KAPPA_V), work)
@@ -174,10 +177,12 @@ def compare(
         comparison.add_effects(base, chosen)
         if model is not None:
             comparison.add_file(model)
-        for law in RIVALS:
-            comparison.add_rival(law)
+        for k, law in enumerate(RIVALS):
+            comparison.begin(law)
+            comparison.found += sent[k].result() if sent else _rival(data, law, seed, work)
         comparison.begin("floor")
-        found = (*comparison.found, _floor(data, base, seed, work))
+        first = comparison.found[0]
+        found = (first, *(_beside(data, one, first) for one in comparison.found[1:]), _floor(data, base, seed, work))
         on_progress("done", steps, steps)
     measured = collective_of(data.trajectories) if data.trajectories is not None else None
     return Comparison(found, data.vicinity, measured, seed)
@@ -217,21 +222,32 @@ class _Models:
         given = Model(rows, (), (), (), rows)
         self._add(f"file: {', '.join(model.effects) or 'base'}", [given] * FOLDS, given)
 
-    def add_rival(self, law: str) -> None:
-        """Add a rival, fitted in the filter and, if it has parameters, also by least squares on gaps."""
-        self.begin(law)
-        fitted = in_filter(self._data, law, self._work)
-        self.add_fitted(law, fitted)
-        if has_parameters(law):
-            self.begin(f"{law}, least squares")
-            self._add(f"{law}_least_squares", by_gaps(self._data, law, fitted, self._work), None)
+    def _add(self, name: str, models: Sequence[Model], simulated: Model) -> None:
+        self.found.append(
+            _compared(name, self._data, models, _of_road(self._data, simulated, self._seed, self._work), self._work)
+        )
 
-    def _add(self, name: str, models: Sequence[Model], simulated: Model | None) -> None:
-        base = self.found[0].errors if self.found else None
-        of_road = {}
-        if simulated is not None and self._data.trajectories is not None:
-            of_road = _simulated_collective(self._data, simulated, self._seed, self._work)
-        self.found.append(_compared(name, self._data, models, base, of_road, self._work))
+
+def _rival(data: Recorded, law: str, seed: int, work: Executor) -> list[Compared]:
+    """A rival law, fitted in the filter and, if it has parameters, also by least squares on gaps."""
+    fitted = in_filter(data, law, work)
+    models = without_folds(data, fitted, work, searched=True)
+    found = [_compared(law, data, models, _of_road(data, fitted.model, seed, work), work)]
+    if has_parameters(law):
+        found.append(_compared(f"{law}_least_squares", data, by_gaps(data, law, fitted, work), {}, work))
+    return found
+
+
+def _rival_there(common: tuple[Recorded, int], law: str) -> list[Compared]:
+    """What ``_rival`` returns, on a worker of a cluster; common: the recording and the seed."""
+    data, seed = common
+    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as work:
+        return _rival(data, law, seed, work)
+
+
+def _beside(data: Recorded, one: Compared, base: Compared) -> Compared:
+    """A model with its gain over the base model."""
+    return replace(one, gain=gain(data, one.errors.samples, base.errors.samples))
 
 
 def collective_of(trajectories: Trajectories) -> Collective:
@@ -245,10 +261,10 @@ def collective_of(trajectories: Trajectories) -> Collective:
     return collective(speed, headway, np.where(led, t.leader, -1), t.period_s)
 
 
-def _simulated_collective(
-    data: Recorded, model: Model, seed: int, work: ThreadPoolExecutor
-) -> dict[str, tuple[float, float]]:
-    """Mean and standard deviation of the collective measures, over simulations of the whole recording."""
+def _of_road(data: Recorded, model: Model, seed: int, work: Executor) -> dict[str, tuple[float, float]]:
+    """Mean and standard deviation of the collective measures, over simulations of a whole road; nothing for tracks."""
+    if data.trajectories is None:
+        return {}
     states = filtered_states(data, model, work)
     runs = [resample(data, model, states, rng).trajectories for rng in seeds(seed, _SIMULATIONS)]
     found = [asdict(one) for one in work.map(collective_of, [run for run in runs if run is not None])]
@@ -259,12 +275,7 @@ def _simulated_collective(
 
 
 def _compared(
-    name: str,
-    data: Recorded,
-    models: Sequence[Model],
-    base: HeldOutErrors | None,
-    of_road: dict[str, tuple[float, float]],
-    work: ThreadPoolExecutor,
+    name: str, data: Recorded, models: Sequence[Model], of_road: dict[str, tuple[float, float]], work: Executor
 ) -> Compared:
     errors = errors_of(data, models, work)
     s = errors.samples
@@ -274,7 +285,7 @@ def _compared(
     return Compared(
         name=name,
         errors=errors,
-        gain=gain(data, s, base.samples) if base is not None else None,
+        gain=None,
         nis_mean=float(np.mean(nis)),
         nis_std_error=float(np.std(nis) / np.sqrt(max(len(nis) - 1, 1))),
         autocorrelation=tuple(float(np.nanmean(normal[:, k:] * normal[:, :-k])) for k in range(1, _LAGS + 1)),
@@ -283,7 +294,7 @@ def _compared(
     )
 
 
-def _floor(data: Recorded, base: JointFit, seed: int, work: ThreadPoolExecutor) -> Compared:
+def _floor(data: Recorded, base: JointFit, seed: int, work: Executor) -> Compared:
     simulated = resample(data, base.model, filtered_states(data, base.model, work), seeds(seed, 1)[0])
     fitted = fit(simulated, base.model, work)
-    return _compared("floor", simulated, without_folds(simulated, fitted, work, searched=True), None, {}, work)
+    return _compared("floor", simulated, without_folds(simulated, fitted, work, searched=True), {}, work)

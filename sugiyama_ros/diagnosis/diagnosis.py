@@ -1,9 +1,9 @@
 """A diagnosis: what is missing from the model, where the model fails, and how it compares with other laws."""
 
+import os
 import time
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,9 +31,13 @@ from sugiyama_ros.progress import OnStage
 from sugiyama_ros.results import Result
 from sugiyama_ros.trajectories.tracks import Tracks
 from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.workers import here_or_there, send
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+# Number of other laws that are fitted at the same time beside the search: more would only take memory.
+_ASIDE = 2
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -169,7 +173,7 @@ def diagnose(
     most: int = 3,
     verdict_only: bool = False,
     add_forces: bool = False,
-    workers: int = 4,
+    workers: int | Executor = 4,
     on_progress: OnStage = lambda what, done, total: None,
 ) -> Diagnosis:
     """Find what is missing from the model.
@@ -188,8 +192,8 @@ def diagnose(
         Whether to leave out the rivals and the forces without a name.
     add_forces : bool
         Whether to add the best force without a name at the end.
-    workers : int
-        Number of threads.
+    workers : int or Executor
+        Number of threads; or the executor of a Dask cluster, whose workers then fit the other laws.
     on_progress : callable
         Called with the name of the stage, the number of steps done, and the number of all steps.
 
@@ -204,17 +208,20 @@ def diagnose(
         If the recording is too short.
     """
     began = time.monotonic()
-    with ThreadPoolExecutor(workers) as work, ThreadPoolExecutor(len(RIVALS)) as aside:
+    with here_or_there(workers) as (work, cluster), ThreadPoolExecutor(_ASIDE) as aside:
         on_progress("fitting the base model", 0, 1)
         data = prepared(recording)
         # runs beside the search, which cannot always use all workers
-        rival = partial(_rival, data, work, quick)
-        others = aside.map(rival, [] if verdict_only else RIVALS)
+        laws = () if verdict_only else RIVALS
+        if cluster is None:
+            others = [aside.submit(_rival, data, work, quick, law) for law in laws]
+        else:
+            others = send(cluster, _rival_there, (data, quick), laws)
         base = fit_base(data, data.even.individual(V_STAR, KAPPA_V), work)
         search = Search(data, base, quick, seed, work, on_progress=on_progress)
         forces = _grow(search, most, with_forces=not (quick or verdict_only), add_forces=add_forces)
         on_progress("rival models", 0, 1)
-        rivals = {name: errors for found in others for name, errors in found.items()}
+        rivals = {name: errors for found in others for name, errors in found.result().items()}
         on_progress("judging the model", 0, 1)
         on_progress("finding where the model fails", 0, 1)
         return _summed_up(search, forces, rivals, work, began)
@@ -276,6 +283,13 @@ def _grow(search: Search, most: int, *, with_forces: bool, add_forces: bool) -> 
         # a new force may make other candidates supported
         is_growing = add_forces and search.add_force(forces)
     return [force for force, _ in forces]
+
+
+def _rival_there(common: tuple[Recorded, bool], law: str) -> dict[str, HeldOutErrors]:
+    """What ``_rival`` returns, on a worker of a cluster; common: the recording, and whether the diagnosis is quick."""
+    data, quick = common
+    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as work:
+        return _rival(data, work, quick, law)
 
 
 def _rival(data: Recorded, work: ThreadPoolExecutor, quick: bool, law: str) -> dict[str, HeldOutErrors]:

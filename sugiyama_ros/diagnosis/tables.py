@@ -10,16 +10,17 @@ from sugiyama_ros.diagnosis.diagnosis import Diagnosis
 from sugiyama_ros.simulation.collective import Collective
 from sugiyama_ros.tables import TextTable
 
-_ERRORS = (
-    "one-step [m]",
-    "free run 2 s [m]",
-    "5 s",
-    "10 s",
-    "single car 2 s [m]",
-    "5 s",
-    "10 s",
-    "nats per sample",
-)
+# Heading of each error in a summary.
+_ERRORS = {
+    "one_step_rmse_m": "one-step [m]",
+    "free_run_2s_m": "free run 2 s [m]",
+    "free_run_5s_m": "5 s",
+    "free_run_10s_m": "10 s",
+    "single_car_2s_m": "single car 2 s [m]",
+    "single_car_5s_m": "5 s",
+    "single_car_10s_m": "10 s",
+    "loglik_per_sample": "nats per sample",
+}
 # Errors that get a third decimal place.
 _SMALL = ("one_step_rmse_m", "loglik_per_sample")
 # Heading and name of each further error.
@@ -30,6 +31,8 @@ _DETAILS = {
     "speed [m/s]": "speed_mps",
     "time gap [s]": "time_gap_s",
 }
+# Kinds of free runs, in words.
+_RUNS = {"free_run": "coupled", "single_car": "of a single car"}
 _COLLECTIVE = ("mean speed [m/s]", "least", "largest", "wave speed [m/s]", "queue [vehicles]", "period [s]")
 
 
@@ -38,8 +41,9 @@ def steps(diagnosis: Diagnosis) -> TextTable:
     models = [("base model", diagnosis.before.summary())]
     models += [(f"+ {added.name}", added.after.summary()) for added in diagnosis.named]
     models += list(diagnosis.rivals.items())
-    rows = tuple((name, *_error_cells(summary)) for name, summary in models)
-    return TextTable("Held-out errors, step by step", ("model", *_ERRORS), rows, left=1)
+    names = _known([summary for _, summary in models])
+    rows = tuple((name, *_error_cells(summary, names)) for name, summary in models)
+    return TextTable("Held-out errors, step by step", ("model", *(_ERRORS[name] for name in names)), rows, left=1)
 
 
 def by_driver(drivers: Sequence[Mapping[str, Any]]) -> TextTable:
@@ -47,7 +51,7 @@ def by_driver(drivers: Sequence[Mapping[str, Any]]) -> TextTable:
     headings = ("vehicle", "held-out gain [nats]", "single car 10 s [m]", "after")
     rows = tuple(
         (
-            str(d["vehicle"]),
+            f"{d.get('recording', '')} {d.get('name', d['vehicle'])}".strip(),
             f"{d['heldout_gain_nats']:.1f}",
             f"{d['single_car_10s_before_m']:.2f}",
             f"{d['single_car_10s_after_m']:.2f}",
@@ -59,28 +63,28 @@ def by_driver(drivers: Sequence[Mapping[str, Any]]) -> TextTable:
 
 def held_out_errors(compared: Sequence[Compared]) -> TextTable:
     """Return the held-out errors of each model, its gain over the base model, and statistics of its innovations."""
-    rows = []
+    rows, names = [], _known([one.errors.summary() for one in compared])
     for one in compared:
         gain = f"{one.gain.nats:.0f} ± {one.gain.se:.0f}" if one.gain else ""
         nis = f"{one.nis_mean:.2f} ± {one.nis_std_error:.2f}"
-        rows.append((one.name, *_error_cells(one.errors.summary()), gain, nis, f"{one.autocorrelation[0]:+.3f}"))
-    headings = ("model", *_ERRORS, "gain [nats]", "mean NIS", "autocorrelation")
+        rows.append((one.name, *_error_cells(one.errors.summary(), names), gain, nis, f"{one.autocorrelation[0]:+.3f}"))
+    headings = ("model", *(_ERRORS[name] for name in names), "gain [nats]", "mean NIS", "autocorrelation")
     return TextTable("Held-out errors", headings, tuple(rows), left=1)
 
 
 def details(compared: Sequence[Compared]) -> TextTable:
     """Return errors of gap, speed and time gap after 10 s, in free runs of all cars and of a single car."""
-    rows = []
-    for one in compared:
-        figures = one.errors.details()
+    rows, every = [], [one.errors.details() for one in compared]
+    runs = [run for run in _RUNS if any(math.isfinite(figures[f"{run}_10s_gap_m"]) for figures in every)]
+    for one, figures in zip(compared, every, strict=True):
         values = [
             figures.get(f"{run}_10s_{name}", math.nan) * (100.0 if name == "gap_relative" else 1.0)
-            for run in ("free_run", "single_car")
+            for run in runs
             for name in _DETAILS.values()
         ]
         rows.append((one.name, *(f"{v:.2f}" if abs(v) < 10.0 else f"{v:.0f}" for v in values)))
-    title = "Held-out errors of 10-s free runs: coupled, and of a single car"
-    return TextTable(title, ("model", *_DETAILS, *_DETAILS), tuple(rows), left=1)
+    title = "Held-out errors of 10-s free runs: " + ", and ".join(_RUNS[run] for run in runs)
+    return TextTable(title, ("model", *[*_DETAILS] * len(runs)), tuple(rows), left=1)
 
 
 def collective(measured: Collective, compared: Sequence[Compared]) -> TextTable:
@@ -94,5 +98,10 @@ def collective(measured: Collective, compared: Sequence[Compared]) -> TextTable:
     return TextTable("Collective measures: recorded and simulated", ("", *_COLLECTIVE), tuple(rows), left=1)
 
 
-def _error_cells(summary: Mapping[str, float]) -> list[str]:
-    return [f"{value:.3f}" if name in _SMALL else f"{value:.2f}" for name, value in summary.items()]
+def _known(summaries: Sequence[Mapping[str, float]]) -> list[str]:
+    """Names of the errors that at least one model has: tracks have no coupled runs."""
+    return [name for name in _ERRORS if any(math.isfinite(one[name]) for one in summaries)]
+
+
+def _error_cells(summary: Mapping[str, float], names: Sequence[str]) -> list[str]:
+    return [f"{summary[name]:.3f}" if name in _SMALL else f"{summary[name]:.2f}" for name in names]

@@ -1,0 +1,178 @@
+"""Diagnosis and comparison on tracks: vehicles that come and go, on several lanes, behind measured leaders."""
+
+import json
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sugiyama_ros as sg
+from sugiyama_ros.cli.app import app
+from sugiyama_ros.diagnosis.bootstrap import resample, seeds
+from sugiyama_ros.diagnosis.candidates import candidates, not_searched
+from sugiyama_ros.diagnosis.compare import compare
+from sugiyama_ros.diagnosis.diagnosis import diagnose
+from sugiyama_ros.diagnosis.errors import errors_of
+from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.fit.model import Model
+from sugiyama_ros.fit.recording import FOLDS, prepare
+from sugiyama_ros.fit.score import evaluate, filtered_states
+from sugiyama_ros.fit.stretched import LEAST_FOLLOWING_S, prepare_tracks
+from sugiyama_ros.trajectories.assemble import assemble
+from sugiyama_ros.trajectories.one_lane import tracks_of, whole_road
+from sugiyama_ros.workers import workers
+
+INDIVIDUAL = (V_STAR, KAPPA_V)
+PERIOD_S = 0.5
+
+
+@pytest.fixture(scope="module")
+def work():
+    with ThreadPoolExecutor(2) as pool:
+        yield pool
+
+
+@pytest.fixture(scope="module")
+def ring():
+    return sg.simulate(vehicles=6, ring_m=66.0, duration_s=80.0, seed=4)
+
+
+@pytest.fixture(scope="module")
+def two_lanes():
+    """Two lanes of an open road; the trucks of lane 1 are 12 m long, and one car leaves after 50 s."""
+    columns = {name: [] for name in ("vehicle", "time_s", "s_m", "lane", "class", "length_m")}
+    for lane in (0, 1):
+        t = sg.simulate(vehicles=4, ring_m=0.0, duration_s=70.0, period_s=PERIOD_S, seed=lane).measured
+        for k in range(4):
+            is_truck = lane == 1 and k % 2 == 0
+            stays = t.time_s < (50.0 if (lane, k) == (0, 0) else np.inf)
+            count = int(stays.sum())
+            columns["vehicle"] += [f"v{lane}{k}"] * count
+            columns["time_s"] += t.time_s[stays].tolist()
+            # trucks are longer to the front: the gap ahead of them shrinks, and the gaps stay positive
+            columns["s_m"] += (t.position_m[stays, k] + 20.0 * k).tolist()
+            columns["lane"] += [str(lane)] * count
+            columns["class"] += ["truck" if is_truck else "car"] * count
+            columns["length_m"] += [12.0 if is_truck else 4.3] * count
+    arrays = {name: np.array(one) if name.endswith("_m") or name == "time_s" else one for name, one in columns.items()}
+    return assemble(arrays)
+
+
+def of_truth(data, run):
+    rows = run.parameters
+    return Model(rows, INDIVIDUAL, (), (1.0, 1.0), rows)
+
+
+def test_a_ring_has_the_same_likelihood_as_tracks(ring, work):
+    dense, on_tracks = prepare(ring.measured), prepare_tracks(tracks_of(ring.measured))
+    model = of_truth(dense, ring)
+    known, found = (evaluate(data, model, work).log_likelihood for data in (dense, on_tracks))
+    assert np.array_equal(np.isfinite(known), np.isfinite(found))
+    assert found == pytest.approx(known, abs=1e-9, nan_ok=True)
+
+
+def test_single_cars_drive_on_alike_on_a_ring_and_on_tracks(ring, work):
+    """The leader is filtered in the follower's chain on tracks, and in the leader's own chain on the ring."""
+    found = []
+    for data in (prepare(ring.measured), prepare_tracks(tracks_of(ring.measured))):
+        model = of_truth(data, ring)
+        found.append(errors_of(data, [model] * FOLDS, work))
+    dense, on_tracks = (one.summary()["single_car_5s_m"] for one in found)
+    assert on_tracks == pytest.approx(dense, rel=0.2)
+    assert np.isfinite(found[0].runs.coupled).all()
+    assert np.isnan(found[1].runs.coupled).all()
+    assert found[1].free_run_10s_m == found[1].summary()["single_car_10s_m"]
+    assert not found[1].no_worse_than(replace(found[1], runs=replace(found[1].runs, single=0.5 * found[1].runs.single)))
+
+
+def test_drivers_who_drive_anew_know_their_own_errors(ring, work):
+    data = prepare_tracks(tracks_of(ring.measured))
+    model = of_truth(data, ring)
+    states = filtered_states(data, model, work)
+    anew = resample(data, model, states, seeds(7, 1)[0])
+    samples = evaluate(anew, model, work)
+    scored = np.isfinite(samples.log_likelihood)
+    nis = (samples.innovation_m**2 / samples.innovation_var)[scored]
+    # mean of n squares of normal variables has a std of sqrt(2 / n); collisions and restarts cost a few samples
+    assert len(nis) > 0.8 * 6 * 235
+    assert nis.mean() == pytest.approx(1.0, abs=5.0 * np.sqrt(2.0 / len(nis)))
+    assert np.nanstd(anew.vicinity.position_m[:, :6] - data.vicinity.position_m[:, :6]) > 0.5
+    assert np.array_equal(anew.vicinity.position_m[:, 6:], data.vicinity.position_m[:, 6:], equal_nan=True)
+
+
+def test_a_segment_ends_where_the_leader_changes_or_leaves(ring):
+    tracks = tracks_of(ring.measured)
+    time_s, run = np.asarray(tracks.time_s), np.asarray(tracks.run)
+    # vehicle 3 leaves after 40 s: from then on nobody knows what vehicle 2 follows
+    left = tracks.select((run != 3) | (time_s < time_s[0] + 40.0))
+    data = prepare_tracks(left)
+    names = [name.vehicle for name in data.vicinity.names]
+    two = names.index("2")
+    assert 110 < data.scored[two].sum() < 125
+    assert [len(set(fold[scored].tolist())) for fold, scored in zip(data.fold, data.scored, strict=True)] == [
+        FOLDS
+    ] * len(names)
+    assert len(np.unique(data.segment[two][data.scored[two]])) == 1
+
+
+def test_only_a_road_on_which_everybody_is_known_is_a_whole_road(ring, two_lanes):
+    tracks = tracks_of(ring.measured)
+    assert whole_road(tracks).vehicle.tolist() == ring.measured.vehicle.tolist()
+    time_s, run = np.asarray(tracks.time_s), np.asarray(tracks.run)
+    assert whole_road(tracks.select((run != 3) | (time_s < time_s[0] + 40.0))) is None
+    assert whole_road(two_lanes) is None
+
+
+def test_what_tracks_cannot_show_is_not_searched(two_lanes, ring):
+    data = prepare_tracks(two_lanes)
+    missing = not_searched(data)
+    assert {"rear_pressure", "preference_switch", "sensor_eccentricity"} <= set(missing)
+    assert not set(missing) & {c.name for c in candidates(data)}
+    assert {"reaction_delay", "road_grade", "comfort_limits"} <= {c.name for c in candidates(data)}
+    assert not_searched(prepare(ring.measured)) == {}
+
+
+def test_the_commands_work_on_two_lanes(two_lanes, tmp_path, capsys):
+    two_lanes.save(tmp_path / "lanes.parquet")
+    app(["diagnose", str(tmp_path / "lanes.parquet"), "--quick", "--json"], standalone_mode=False)
+    found = json.loads(capsys.readouterr().out)
+    assert [d["name"] for d in found["drivers"]] == ["v00", "v01", "v02", "v10", "v11", "v12"]
+    assert len({d["vehicle"] for d in found["drivers"]}) == 6
+    assert {d["class"] for d in found["drivers"]} == {"car", "truck"}
+    base = found["errors"]["before"]
+    assert base["free_run_10s_m"] is None
+    assert 0.0 < base["single_car_10s_m"] < found["errors"]["constant_speed"]["single_car_10s_m"]
+    assert {one["name"] for one in found["verdict"]["not_searched"]} >= {"rear_pressure"}
+
+
+def test_a_model_of_another_law_on_tracks_is_told(two_lanes):
+    compared = compare(two_lanes, workers=2)
+    names = [one.name for one in compared.models]
+    assert names[0] == "base"
+    assert names[-1] == "floor"
+    assert compared.measured is None
+    constant = compared.models[names.index("constant_speed")]
+    assert constant.gain.nats < -2.0 * constant.gain.se
+    assert all(np.isfinite(one.errors.summary()["single_car_10s_m"]) for one in compared.models)
+
+
+def test_a_cluster_gives_the_same_numbers(ring):
+    distributed = pytest.importorskip("distributed")
+    tracks = tracks_of(ring.measured)
+    with (
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster,
+        workers(2, cluster.scheduler_address) as there,
+    ):
+        spread = diagnose(tracks, quick=True, most=0, workers=there)
+    alone = diagnose(tracks, quick=True, most=0, workers=2)
+    assert spread.rivals == alone.rivals
+    assert spread.before.summary()["single_car_10s_m"] == alone.before.summary()["single_car_10s_m"]
+
+
+def test_drivers_need_to_follow_for_long_enough(ring):
+    tracks = tracks_of(ring.measured)
+    short = np.asarray(tracks.time_s) < tracks.time_s[0] + LEAST_FOLLOWING_S - 2.0
+    with pytest.raises(InputError, match="nobody follows"):
+        prepare_tracks(tracks.select(short))
