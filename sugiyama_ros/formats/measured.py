@@ -21,6 +21,13 @@ ROAD_TYPE = "sugiyama_msgs/msg/Road"
 MEASURED_TYPE = "sugiyama_msgs/msg/MeasuredPositions"
 #: Largest number of a vehicle, which ROS sends in 32 bits.
 _LAST_VEHICLE = 2**31 - 1
+#: The fields that trajectories on one lane do not have.
+_UNKNOWN = {
+    "lane": np.zeros(0, np.int32),
+    "d_m": np.zeros(0),
+    "stamp_offset_s": np.zeros(0),
+    "position_var": np.zeros(0),
+}
 #: Frame in the headers of all messages: positions along the road.
 FRAME = "road"
 
@@ -78,6 +85,7 @@ def messages(trajectories: Trajectories) -> Iterator[tuple[str, int, bytes]]:
                 leader=np.where(ahead >= 0, vehicle[ahead], np.int32(-1)),
                 position_m=trajectories.position_m[step, here],
                 length_m=trajectories.length_m[here],
+                **_UNKNOWN,
             ),
         )
 

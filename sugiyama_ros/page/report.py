@@ -11,11 +11,12 @@ from bokeh.resources import Resources
 from sugiyama_ros.outputs import Target, writing
 from sugiyama_ros.page import html
 from sugiyama_ros.page.card import card, name_of
-from sugiyama_ros.page.panels import drivers, measured, missing, space_time, worth
+from sugiyama_ros.page.panels import drivers, measured, missing, space_time, truth, worth
 from sugiyama_ros.page.panels.bias import bias_maps
 from sugiyama_ros.page.panels.chosen import Chosen
 from sugiyama_ros.page.recording import Recording
 from sugiyama_ros.page.style import STYLE
+from sugiyama_ros.page.truth import SHOWN, AgainstTruth
 
 
 class Section(NamedTuple):
@@ -32,7 +33,9 @@ class Section(NamedTuple):
     beside: str = ""
 
 
-def write_report(recording: Recording, diagnosis: Mapping[str, Any] | None, output: Target) -> None:
+def write_report(
+    recording: Recording, diagnosis: Mapping[str, Any] | None, output: Target, against: AgainstTruth | None = None
+) -> None:
     """Write the page of a recorded run.
 
     Parameters
@@ -43,18 +46,20 @@ def write_report(recording: Recording, diagnosis: Mapping[str, Any] | None, outp
         Document of `sugiyama diagnose --json`.
     output : Path or Output
         HTML file to write.
+    against : AgainstTruth, optional
+        Estimates compared with the truth, if the drivers were simulated.
 
     Raises
     ------
     OutputError
         Where the file cannot be written.
     """
-    page = report(recording, diagnosis)
+    page = report(recording, diagnosis, against)
     with writing(output) as stream:
         stream.write(page.encode())
 
 
-def report(r: Recording, diagnosis: Mapping[str, Any] | None) -> str:
+def report(r: Recording, diagnosis: Mapping[str, Any] | None, against: AgainstTruth | None = None) -> str:
     """The page as HTML, with all scripts in it."""
     chosen = Chosen(r.trajectories.vehicle)
     sections = _measured(r, diagnosis, chosen)
@@ -62,6 +67,13 @@ def report(r: Recording, diagnosis: Mapping[str, Any] | None) -> str:
         sections += _diagnosed(r, diagnosis, chosen)
     if r.has_estimates:
         sections.append(_drivers(r, diagnosis, chosen))
+    if against is not None:
+        told = "".join(f"<li>{escape(line)}</li>" for line in against.lines())
+        sections.append(
+            Section(
+                "truth", "Against the truth", f"<ul>{told}</ul>", [truth.estimates(against, name) for name in SHOWN]
+            )
+        )
     sections.append(Section("how", "How it was done", html.how(r, diagnosis), (), ""))
     chosen.connect()
     return _page(r, diagnosis, sections, chosen)

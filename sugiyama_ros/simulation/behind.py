@@ -66,7 +66,7 @@ def drive_behind(recorded: RecordedTraffic, rows: Array, rng: np.random.Generato
     samples, drivers = len(recorded.state), len(rows)
     everybody = np.resize(rows, (recorded.leader.shape[1], rows.shape[1]))
     rng_of_effects = rng.spawn(1)[0]
-    wandering = Wandering(everybody[:drivers], recorded.period_s, rng_of_effects)
+    wandering = Wandering(recorded.period_s, rng_of_effects)
     setting = Setting(recorded.period_s, horizon_at(recorded.period_s), recorded.road.circumference_m)
     own, there = np.zeros((5, drivers)), np.zeros(drivers, np.bool_)
     measured, begins = np.full((samples, drivers), np.nan), np.zeros((drivers, samples), np.bool_)
@@ -83,7 +83,7 @@ def drive_behind(recorded: RecordedTraffic, rows: Array, rng: np.random.Generato
         own[:4, again], own[4, again] = recorded.state[k, :drivers][again].T, 0.0
         begins[:, k] = again
         there = can_drive[k]
-        everybody[:drivers] = wandering.next_rows()
+        everybody[:drivers] = wandering.next_rows(rows)
         past[:k, :, np.resize(again, len(everybody))] = np.nan
         past[k] = recorded.state[k, :, :2].T
         past[k, :, :drivers] = own[:2]

@@ -14,23 +14,24 @@ class Wandering:
 
     Parameters
     ----------
-    rows : ndarray, shape (N, width)
-        Rows of the drivers at the period of the samples.
     period_s : float
         Time [s] between two samples.
     rng : numpy.random.Generator
         Generator of the random changes.
     """
 
-    def __init__(self, rows: Array, period_s: float, rng: np.random.Generator) -> None:
-        self._rows, self._period_s, self._rng = rows, period_s, rng
+    def __init__(self, period_s: float, rng: np.random.Generator) -> None:
+        self._period_s, self._rng = period_s, rng
         self._mood: dict[str, Array] = {}
 
-    def next_rows(self) -> Array:
-        """Return the rows with the preferences of the next moment, (N, width)."""
-        rows = self._rows
+    def next_rows(self, drivers: Array) -> Array:
+        """Return the rows (N, width) of the drivers, at the period of the samples, with the preferences of the moment.
+
+        The rows that are given stay as they are.
+        """
+        rows = drivers
         for effect in _WANDERING:
-            std, time = self._rows[:, ROW.places[effect.name]].T[:2]
+            std, time = drivers[:, ROW.places[effect.name]].T[:2]
             if not std.any():
                 continue
             is_first = effect.name not in self._mood

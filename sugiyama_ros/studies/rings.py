@@ -13,7 +13,8 @@ from sugiyama_ros.effects.registry import ROW, switch_on
 from sugiyama_ros.fit.driver import SearchOptions, calibrate
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.collective import QUEUE_SPEED, Collective, collective
-from sugiyama_ros.simulation.simulator import Clock, Simulation, Simulator, evenly, platoon, simulate
+from sugiyama_ros.simulation.result import Simulation
+from sugiyama_ros.simulation.simulator import Clock, Simulator, evenly, platoon, simulate
 from sugiyama_ros.studies.study import Asked
 from sugiyama_ros.trajectories.trajectories import Trajectories
 

@@ -47,6 +47,12 @@ def sample_of(step: int, vehicles: list[int] | None = None, leaders: int = 3) ->
     return bytes(serialize_message(message))
 
 
+def optional(**fields: list[Any]) -> bytes:
+    """A sample with optional fields."""
+    given = Positions([0, 1, 2], [1, 2, 0], [0.0, 30.0, 60.0], [4.5] * 3, **fields)
+    return cdr_messages.measured_positions(0, 0, given)
+
+
 GOOD = sample_of(0)
 BAD_ROADS = {
     "zeros": road_of(0.0, 0.0, 0),
@@ -71,6 +77,10 @@ BAD_SAMPLES = {
     "vehicle below 0": sample_of(5, [-1, 1, 2]),
     "a vehicle twice": sample_of(5, [1, 1, 2]),
     "uneven": sample_of(5, leaders=2),
+    "uneven lanes": optional(lane=[1]),
+    "uneven variances": optional(position_var=[1.0] * 4),
+    "a stamp that is no number": optional(stamp_offset_s=[0.0, math.nan, 0.0]),
+    "a stamp far away": optional(stamp_offset_s=[0.0, 0.0, 1e9]),
 }
 
 
@@ -87,6 +97,12 @@ def test_bad_samples_are_refused(what: str) -> None:
     with pytest.raises(incoming.RefusedError, match=r"\w"):
         incoming.sample(BAD_SAMPLES[what])
     assert incoming.sample(GOOD).place == {0: 0, 1: 1, 2: 2}
+
+
+def test_optional_fields_that_are_no_numbers_are_unknown() -> None:
+    found = incoming.sample(optional(d_m=[1.0, math.nan, 2.0], position_var=[0.04, -1.0, math.inf]))
+    assert found.position_var[0] == 0.04
+    assert all(math.isnan(found.position_var[k]) for k in (1, 2))
 
 
 def test_random_bytes_never_raise_anything_else() -> None:

@@ -52,6 +52,33 @@ def test_measured_positions_are_read(frame: str, vehicles: int) -> None:
     assert sample.length_m == message.length_m.tolist()
 
 
+OPTIONAL = ("lane", "d_m", "stamp_offset_s", "position_var")
+
+
+@pytest.mark.parametrize("known", [(), OPTIONAL, *((name,) for name in OPTIONAL), OPTIONAL[1:3]])
+@pytest.mark.parametrize("vehicles", [1, 2, 3])
+def test_optional_fields_are_written_and_read(vehicles: int, known: tuple[str, ...]) -> None:
+    rng = np.random.default_rng(vehicles)
+    given = {
+        name: (rng.integers(0, 9, vehicles) if name == "lane" else rng.normal(size=vehicles)).tolist() for name in known
+    }
+    needed = [list(range(vehicles)), [-1] * vehicles, [1.0] * vehicles, [4.5] * vehicles]
+    raw = cdr_messages.measured_positions(5, 7, Positions(*needed, **given))
+    message = deserialize_message(raw, MeasuredPositions)
+    for sample in (cdr_messages.measured(raw), cdr_messages.measured(serialize_message(message))):
+        for name in OPTIONAL:
+            assert list(getattr(sample, name)) == getattr(message, name).tolist() == given.get(name, [])
+
+
+@pytest.mark.parametrize("vehicles", [0, 1, 2, 3])
+@pytest.mark.parametrize("padding", [0, 1, 3])
+def test_messages_of_the_older_definition_are_read(vehicles: int, padding: int) -> None:
+    needed = Positions(list(range(vehicles)), [-1] * vehicles, [1.0] * vehicles, [4.5] * vehicles)
+    raw = cdr_messages.measured_positions(5, 7, needed)
+    assert cdr_messages.measured(raw[:-16] + bytes(padding))[:6] == cdr_messages.measured(raw)[:6]
+    assert cdr_messages.measured(raw[:-16]).lane == ()
+
+
 @pytest.mark.parametrize("vehicles", [0, 1, 2, 22])
 def test_measured_positions_are_written(vehicles: int) -> None:
     rng = np.random.default_rng(vehicles)

@@ -52,6 +52,10 @@ def test_a_message_there_and_back() -> None:
         leader=np.array([2, -1], dtype=np.int32),
         position_m=np.array([0.5, np.nan]),
         length_m=np.array([4.0, 5.0]),
+        lane=np.array([1, -1], dtype=np.int32),
+        d_m=np.array([0.25, -3.5]),
+        stamp_offset_s=np.zeros(0),
+        position_var=np.zeros(0),
     )
     decode = decoder(MEASURED, full_text(MEASURED))
     assert decode is not None
@@ -63,6 +67,10 @@ def test_a_message_there_and_back() -> None:
         "vehicle": [1, 2],
         "leader": [2, -1],
         "length_m": [4.0, 5.0],
+        "lane": [1, -1],
+        "d_m": [0.25, -3.5],
+        "stamp_offset_s": [],
+        "position_var": [],
     }
     for broken in (data[:-1], data[:30], b"", b"\0\3\0\0" + data[4:]):
         with pytest.raises(ValueError, match=r".") as caught:

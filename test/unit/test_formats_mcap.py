@@ -298,6 +298,30 @@ def test_bags_with_other_definitions(tmp_path: Path) -> None:
         refused(tmp_path / "b.mcap")
 
 
+def test_bags_of_the_older_definition(tmp_path: Path) -> None:
+    """Before there were lanes, the message ended with the lengths."""
+    write_trajectories(ring(), tmp_path / "a.mcap")
+    with (tmp_path / "a.mcap").open("rb") as stream, (tmp_path / "b.mcap").open("wb") as out:
+        writer = Writer(out)
+        writer.start(profile="ros2")
+        numbers: dict[str, int] = {}
+        for schema, channel, message in make_reader(stream).iter_messages():
+            assert schema is not None
+            text, _, others = schema.data.decode().partition("=" * 80)
+            data = message.data
+            if channel.topic == "/measured":
+                text = text[: text.index("# What not every source knows")]
+                data = data[:-16]  # four empty sequences
+            if channel.topic not in numbers:
+                of = writer.register_schema(schema.name, "ros2msg", f"{text}{'=' * 80}{others}".encode())
+                numbers[channel.topic] = writer.register_channel(channel.topic, "cdr", of)
+            writer.add_message(numbers[channel.topic], message.log_time, data, message.publish_time)
+        writer.finish()
+    new, old = (read_trajectories(tmp_path / f"{name}.mcap") for name in "ab")
+    assert np.array_equal(old.position_m, new.position_m)
+    assert np.array_equal(old.length_m, new.length_m)
+
+
 def test_times_before_0_cannot_be_recorded(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("time_s,vehicle,position_m\n-1,1,0\n0,1,1\n1,1,2\n")
     with pytest.raises(InputError, match="no times before 0"):

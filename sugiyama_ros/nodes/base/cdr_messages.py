@@ -30,12 +30,17 @@ _ENCAPSULATION = b"\0\1\0\0"
 _FRAME_BYTES = FRAME.encode() + b"\0"
 _CLOCK = struct.Struct("<4s i I")
 _MARK = 1.2345678901234567e-300
+# types of the sequences of MeasuredPositions that may be empty or absent
+_OPTIONAL = ("<i4", "<f8", "<f8", "<f8")
 _STATE = struct.Struct(_HEAD + "3d 9d 3d")
 _INNOVATION = struct.Struct(_HEAD + "4d ?")
 
 
 class Sample(NamedTuple):
-    """A MeasuredPositions message: lists with one entry for each vehicle; ``place`` is the entry of each number."""
+    """A MeasuredPositions message: lists with one entry for each vehicle; ``place`` is the entry of each number.
+
+    From ``lane`` on, the sequences are empty where the source does not know them.
+    """
 
     stamp_ns: int
     step: int
@@ -43,6 +48,10 @@ class Sample(NamedTuple):
     position_m: list[float]
     length_m: list[float]
     place: dict[int, int]
+    lane: Sequence[int] = ()
+    d_m: Sequence[float] = ()
+    stamp_offset_s: Sequence[float] = ()
+    position_var: Sequence[float] = ()
 
     def chain(self, vehicle: int, length: int) -> list[int]:
         """``length`` numbers: ``vehicle``, its leader, the leader's leader and so on; -1 where there is none."""
@@ -65,7 +74,7 @@ class Sample(NamedTuple):
 
 
 def measured(raw: bytes) -> Sample:
-    """Decode a MeasuredPositions message.
+    """Decode a MeasuredPositions message, also one of the older definition, which ends with the lengths.
 
     Raises ValueError or struct.error where the bytes are cut off, or in a format other than plain little-endian CDR.
     """
@@ -78,22 +87,35 @@ def measured(raw: bytes) -> Sample:
     leader, at = _sequence(raw, at, "<i4")
     position, at = _sequence(raw, at, "<f8")
     length, at = _sequence(raw, at, "<f8")
-    return Sample(sec * NS + nanosec, step, leader, position, length, {v: k for k, v in enumerate(vehicle)})
+    place = {v: k for k, v in enumerate(vehicle)}
+    optional: list[list[Any]] = []
+    if len(raw) >= 4 + _aligned(at - 4, 4) + 4:
+        for dtype in _OPTIONAL:
+            found, at = _sequence(raw, at, dtype)
+            optional.append(found)
+    return Sample(sec * NS + nanosec, step, leader, position, length, place, *optional)
 
 
 def measured_positions(stamp_ns: int, step: int, positions: Positions) -> bytes:
     """A MeasuredPositions message of sample number ``step``."""
-    vehicle, leader, position, length = positions
-    count = len(vehicle)
     *head, _ = _head(stamp_ns, 0)
-    return _layout(count).pack(*head, step, count, *vehicle, count, *leader, count, *position, count, *length)
+    arrays: tuple[Sequence[float], ...] = positions
+    numbers = [number for values in arrays for number in (len(values), *values)]
+    return _layout(*map(len, arrays)).pack(*head, step, *numbers)
 
 
 @lru_cache(maxsize=16)
-def _layout(vehicles: int) -> struct.Struct:
-    """Layout of a MeasuredPositions message. Nothing is aligned for an empty sequence."""
-    n = vehicles
-    return struct.Struct(f"<4s i I I 5s 7x Q I{n}i I{n}i" + (f"I 4x {n}d I 4x {n}d" if n else "I I"))
+def _layout(*counts: int) -> struct.Struct:
+    """Layout of a MeasuredPositions message whose sequences have so many entries."""
+    layout = "<4s i I I 5s 7x Q"
+    for count, dtype in zip(counts, ("<i4", "<i4", "<f8", "<f8", *_OPTIONAL), strict=True):
+        # CDR counts from behind the encapsulation. Nothing is aligned for an empty sequence.
+        at = struct.calcsize(layout) - 4
+        first = _aligned(at, 4) + 4
+        size = int(dtype[-1])
+        gap = _aligned(first, size) - first if count else 0
+        layout += f" {_aligned(at, 4) - at}x I {gap}x {count}{'i' if size == 4 else 'd'}"
+    return struct.Struct(layout)
 
 
 def clock(stamp_ns: int) -> bytes:

@@ -22,6 +22,8 @@ from sugiyama_ros.nodes.base.cdr_messages import Sample
 MOST_STEPS = 1 << 53
 #: Time [s] between two samples, and circumference [m] of a ring, for which the model makes sense.
 PERIODS_S, RINGS_M = (1e-3, 1e3), (1.0, 1e7)
+#: Time [s] between the stamps of a vehicle and of its sample, at most.
+MOST_OFFSET_S = 60.0
 
 
 class RefusedError(ValueError):
@@ -78,8 +80,9 @@ def road(raw: bytes) -> RoadMessage:
 def sample(raw: bytes) -> Sample:
     """Decode MeasuredPositions, once for all nodes of a process that get the same bytes.
 
-    An infinite position is a missing one. Raises RefusedError for arrays of unequal length, numbers below 0, or a step
-    that is too large.
+    An infinite position is a missing one, and a variance that is not a positive number is unknown. Raises RefusedError
+    for arrays of unequal length, numbers below 0, a step that is too large, or a vehicle measured at another time than
+    the sample.
     """
     try:
         found = cdr_messages.measured(raw)
@@ -93,7 +96,15 @@ def sample(raw: bytes) -> Sample:
         raise RefusedError(f"{min(found.place)} is not the number of a vehicle")
     if found.step >= MOST_STEPS:
         raise RefusedError(f"step {found.step} is more than a recording has")
-    return found._replace(position_m=[p if isfinite(p) else nan for p in found.position_m])
+    optional = (found.lane, found.d_m, found.stamp_offset_s, found.position_var)
+    if any(len(values) not in (0, count) for values in optional):
+        raise RefusedError("its arrays differ in length")
+    if not all(abs(offset) <= MOST_OFFSET_S for offset in found.stamp_offset_s):
+        raise RefusedError(f"a vehicle's stamp is not within {MOST_OFFSET_S:g} s of the header's")
+    return found._replace(
+        position_m=[p if isfinite(p) else nan for p in found.position_m],
+        position_var=[v if isfinite(v) and v > 0.0 else nan for v in found.position_var],
+    )
 
 
 def progress(raw: bytes) -> Progress:
@@ -145,8 +156,13 @@ def innovation(raw: bytes) -> cdr_messages.ReadInnovation:
 
 def effect_values(effect: str, names: Sequence[str], values: Sequence[float]) -> dict[str, float]:
     """Values of an effect's parameters, by name, from a request. Raises RefusedError for uneven or repeated names."""
+    return named_values(f"effect {effect}", names, values)
+
+
+def named_values(what: str, names: Sequence[str], values: Sequence[float]) -> dict[str, float]:
+    """Values of something by name, from a request. Raises RefusedError for uneven or repeated names."""
     if len(names) != len(values) or len(set(names)) != len(names):
-        raise RefusedError(f"effect {effect}: {len(names)} names, {len(values)} values; give each name one value")
+        raise RefusedError(f"{what}: {len(names)} names, {len(values)} values; give each name one value")
     return dict(zip(names, values, strict=True))
 
 

@@ -1,5 +1,6 @@
 """Samples of positions, recorded or simulated, which a source sends."""
 
+from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 from sugiyama_ros.road import Road
@@ -14,12 +15,19 @@ class Positions(NamedTuple):
         Number of the vehicle, and number of its leader (-1 without a leader).
     position_m, length_m : list of float
         Position [m] (NaN if missing) and length [m].
+    lane, d_m, stamp_offset_s, position_var : sequence, optional
+        Lane, position [m] across the road, time [s] at which the vehicle was measured after the sample's own, and
+        variance [m^2] of the position; each is empty where the source does not know it.
     """
 
     vehicle: list[int]
     leader: list[int]
     position_m: list[float]
     length_m: list[float]
+    lane: Sequence[int] = ()
+    d_m: Sequence[float] = ()
+    stamp_offset_s: Sequence[float] = ()
+    position_var: Sequence[float] = ()
 
 
 class PositionSamples(Protocol):
