@@ -24,6 +24,7 @@ from sugiyama_ros.filters.online_state import (
     memory_for,
     online_arrays,
 )
+from sugiyama_ros.filters.state import STATE
 from sugiyama_ros.road import Road
 
 
@@ -110,6 +111,10 @@ class CompiledKalman:
         self._put(model)
         self.rows[0, : len(NAMES)] = learnt
         linearise_again(self.memory, self.layout)
+
+    def speed_of(self, m: int, vehicle: int) -> float:
+        """Return the speed [m/s] of vehicle number m of the chain; 0 if it is another vehicle, or not known."""
+        return float(self.x[STATE * m + 1]) if self.arrays.book.identity[m] == vehicle else 0.0
 
     def saved(self) -> tuple[Array, tuple[str, float] | None]:
         """Return all that the filter knows now, for ``restore``."""

@@ -121,6 +121,9 @@ class Engine(Protocol):
             Time since the sample before, in periods of the model: one step of ``any_time.steps_between``.
         """
 
+    def speed_of(self, m: int, vehicle: int) -> float:
+        """Return the speed [m/s] of vehicle number m of the chain; 0 if it is another vehicle, or not known."""
+
     def saved(self) -> Any:
         """Return all that the filter knows now, for ``restore``."""
 

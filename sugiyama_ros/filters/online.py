@@ -196,6 +196,10 @@ class OnlineFilter:
         """Names of the parameters that are adapted."""
         return adapted_names(self.kalman)
 
+    def speed_of(self, m: int, vehicle: int) -> float:
+        """Return the speed [m/s] of vehicle number m of the chain as known now; 0 if it is not this vehicle yet."""
+        return self.kalman.speed_of(m, vehicle)
+
     @property
     def looks_back(self) -> bool:
         """Whether the driver has effects, which may depend on the vehicle behind."""

@@ -62,6 +62,10 @@ class ReadableKalman(ChainKalman):
         mean_action = self.linearise(Moment(lengths, np.array(rear), time_s))
         return self._estimate(*scores, mean_action, 0.5 * float(lengths[:2].sum()))
 
+    def speed_of(self, m: int, vehicle: int) -> float:
+        """Return the speed [m/s] of vehicle number m of the chain; 0 if it is another vehicle, or not known."""
+        return float(self.x[STATE * m + 1]) if self._identity[m] == vehicle else 0.0
+
     def saved(self) -> dict[str, Any]:
         """Return all that the filter knows now, for ``restore``."""
         return copy.deepcopy(self.__dict__)

@@ -7,7 +7,7 @@ from functools import partial
 from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.clock import Clock, ClockType
+from rclpy.clock import Clock, ClockType, JumpHandle, JumpThreshold
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -53,6 +53,7 @@ class PacedNode(Node):
         #: Messages that were dropped, and why the last one was.
         self.refused, self._reason = 0, ""
         self._told_refused = 0
+        self._jumps: list[JumpHandle] = []
         self._to_progress = self.create_publisher(Progress, self.shared("_progress"), PROGRESS_OUT)
         self._to_diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", STREAM)
         self.create_timer(_BEAT_S, self.beat, clock=self.steady)
@@ -72,6 +73,11 @@ class PacedNode(Node):
         """Subscribe to a topic. A message that ``decode`` refuses is counted and dropped."""
         callback = receiver(decode, take, partial(self.refuse, topic))
         self.create_subscription(kind, topic, callback, qos, raw=True)
+
+    def on_clock_jump(self, callback: Callable[[], None]) -> None:
+        """Call back when the time of the recording, /clock, has jumped back; nothing happens on the system's clock."""
+        threshold = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False)
+        self._jumps.append(self.get_clock().create_jump_callback(threshold, post_callback=lambda _: callback()))
 
     def refuse(self, topic: str, reason: Exception) -> None:
         """Count a message that is dropped. The reason is logged once, and told with the health."""
