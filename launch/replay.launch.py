@@ -41,7 +41,7 @@ def nodes(context: LaunchContext) -> list[Node]:
             )
             for namespace in plan.namespaces
         ),
-        Node(package=package, executable="replay", parameters=[config / "replay.yaml", plan.replay]),
+        Node(package=package, executable="replay", parameters=[config / "replay.yaml", plan.sending]),
     ]
 
 

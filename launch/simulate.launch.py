@@ -13,8 +13,9 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchContext, LaunchDescription
+from sugiyama_ros.formats.truth import namespaces
 from sugiyama_ros.nodes.base import environment
-from sugiyama_ros.nodes.plan import estimators, namespaces, step_topics
+from sugiyama_ros.nodes.plan import estimators, step_topics
 
 
 def nodes(context: LaunchContext) -> list[Node]:

@@ -14,8 +14,8 @@ from sugiyama_ros.diagnosis import compare as comparison
 from sugiyama_ros.diagnosis import diagnosis
 from sugiyama_ros.diagnosis.compare import Comparison
 from sugiyama_ros.diagnosis.diagnosis import Diagnosis
-from sugiyama_ros.driver.parameters import defaults, index
-from sugiyama_ros.effects.registry import ROW, switch_on
+from sugiyama_ros.driver.parameters import defaults
+from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.driver import Formulation
 from sugiyama_ros.fit.model_file import read_model
@@ -27,8 +27,8 @@ from sugiyama_ros.formats.registry import read_trajectories
 from sugiyama_ros.page import recording
 from sugiyama_ros.page.recording import Recording
 from sugiyama_ros.progress import stages
-from sugiyama_ros.simulation.experiment import Experiment, carry_out
-from sugiyama_ros.simulation.simulator import Simulation
+from sugiyama_ros.simulation.experiment import Experiment, carry_out, changed
+from sugiyama_ros.simulation.result import Simulation
 from sugiyama_ros.trajectories.about import About
 from sugiyama_ros.trajectories.exchange import from_frame as tracks_of_frame
 from sugiyama_ros.trajectories.tracks import Tracks
@@ -129,7 +129,7 @@ def simulate(
         Model file with parameters and effects of each driver.
     **settings
         Fields of `sugiyama_ros.simulation.experiment.Experiment`: ring_m [m] (0 for an open road), duration_s [s],
-        gap_m [m], period_s [s], horizon, spread and seed.
+        gap_m [m], period_s [s], horizon, spread, seed, start ("jam" or "equal") and length_m [m].
 
     Returns
     -------
@@ -156,11 +156,7 @@ def simulate(
     rows = ROW.with_effects(defaults(vehicles))
     if model is not None:
         rows = read_model(Path(model)).rows_of(np.arange(vehicles))
-    for name, value in (parameters or {}).items():
-        rows[:, index(name)] = value
-    for name, values in (effects or {}).items():
-        rows = switch_on(rows, name, values)
-    return carry_out(experiment, rows)
+    return carry_out(experiment, changed(rows, parameters or {}, effects or {}))
 
 
 def calibrate(

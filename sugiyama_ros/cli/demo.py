@@ -51,7 +51,7 @@ def demo(
     """
     recording = own_output(output, _OWN, overwrite, data)
     if data is not None:
-        print_run(replay(RunOptions(data, recording.path, recording.overwrite, ring=ring)), as_json)
+        print_run(replay(RunOptions(recording.path, data, recording.overwrite, ring=ring)), as_json)
         return
     from sugiyama_ros.diagnosis.verdict import document
     from sugiyama_ros.page.recording import read_recording
@@ -124,7 +124,7 @@ def _before_and_after(
     with tempfile.TemporaryDirectory() as directory:
         source, model = Path(directory) / "simulated.mcap", Path(directory) / "model.yaml"
         write_trajectories(trajectories, source)
-        before = _to_the_end(RunOptions(source, Path(directory) / "before.mcap"))
+        before = _to_the_end(RunOptions(Path(directory) / "before.mcap", source))
         with stages() as advance:
             found = find(
                 trajectories,
@@ -136,7 +136,7 @@ def _before_and_after(
                 on_progress=advance,
             )
         write_model(model, found.data, found.final)
-        return before, found, _to_the_end(RunOptions(source, output.path, output.overwrite, model=model))
+        return before, found, _to_the_end(RunOptions(output.path, source, output.overwrite, model=model))
 
 
 def _to_the_end(options: RunOptions) -> "RunResult":

@@ -27,6 +27,14 @@ Rate = Annotated[
 ModelFile = Annotated[
     Path | None, typer.Option("--model", help="Model file (YAML), written by diagnose -o or calibrate -o.")
 ]
+SetParameter = Annotated[
+    list[str] | None, typer.Option("--set", help="NAME=VALUE: parameter of all drivers. May be repeated.")
+]
+AddEffect = Annotated[
+    list[str] | None,
+    typer.Option("--effect", help="NAME:PARAMETER=VALUE[,...]: effect on all drivers. May be repeated."),
+]
+Start = Annotated[str, typer.Option("--start", help="Start in a jam, or on a ring with equal gaps: jam or equal.")]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of the random numbers.")]
 
 _Options = TypeVar("_Options")

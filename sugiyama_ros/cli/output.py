@@ -4,7 +4,7 @@ import json
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.box import HEAVY_HEAD
 from rich.console import Console
@@ -14,6 +14,9 @@ from rich.table import Table
 
 from sugiyama_ros.results import plain
 from sugiyama_ros.tables import TextTable
+
+if TYPE_CHECKING:
+    from sugiyama_ros.page.truth import AgainstTruth
 
 # Columns of a table that is printed to a pipe, or on a narrower terminal: other programs want unbroken lines.
 _WIDTH = 200
@@ -44,6 +47,13 @@ def print_table(table: TextTable, boxed: bool = True) -> None:
 def print_json(document: Any) -> None:
     """Print one JSON document."""
     sys.stdout.write(to_json(document, indent=2) + "\n")
+
+
+def print_against(found: "AgainstTruth") -> None:
+    """Print estimates and the truth."""
+    print_table(found.table())
+    for line in found.lines():
+        print_line(line)
 
 
 def tell(document: Any, text: str, as_json: bool) -> None:

@@ -1,12 +1,13 @@
 """``sugiyama report``."""
 
+import dataclasses
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from sugiyama_ros.cli.options import Json, Overwrite, need_matplotlib
-from sugiyama_ros.cli.output import tell
+from sugiyama_ros.cli.output import print_against, tell
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.outputs import Output
 
@@ -27,11 +28,13 @@ def report(
 ) -> None:
     """Write an HTML page about a recorded run.
 
-    The page shows what was measured, what the model says, where it fails, and what is missing.
+    The page shows what was measured, what the model says, where it fails, and what is missing. If the drivers were
+    simulated, estimates are compared with the truth.
     """
     from sugiyama_ros.page.diagnosis import read_diagnosis
     from sugiyama_ros.page.recording import read_recording
     from sugiyama_ros.page.report import write_report
+    from sugiyama_ros.page.truth import against_truth
 
     page = output or source.with_suffix(".html")
     if page.suffix != ".html":
@@ -41,13 +44,19 @@ def report(
     if figures is not None:
         need_matplotlib("--figures")
     found, recording = read_diagnosis(diagnosis) if diagnosis is not None else None, read_recording(source)
-    write_report(recording, found, to_write)
+    against = against_truth(source, recording)
+    write_report(recording, found, to_write, against)
     written: list[Path] = []
     if figures is not None:
         from sugiyama_ros.page.figures import write_figures
 
         written = write_figures(recording, found, figures, overwrite)
     text = f"page: {page}" + (f"; {len(written)} figures in {figures}" if written else "")
-    tell({"output": str(page), "size_bytes": page.stat().st_size, "figures": written}, text, as_json)
+    document = {"output": str(page), "size_bytes": page.stat().st_size, "figures": written}
+    if against is not None:
+        document["truth"] = dataclasses.asdict(against)
+        if not as_json:
+            print_against(against)
+    tell(document, text, as_json)
     if show:
         typer.launch(str(page))

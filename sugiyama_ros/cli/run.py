@@ -9,23 +9,25 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sugiyama_ros.cli.options import (
+    AddEffect,
     Json,
     ModelFile,
     Overwrite,
     Rate,
     Recording,
     Ring,
-    Source,
+    SetParameter,
     own_output,
     rate_of,
     takes,
 )
-from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table, progress
+from sugiyama_ros.cli.output import print_against, print_json, print_line, print_note, print_table, progress
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.tables import TextTable
 
 if TYPE_CHECKING:
     from sugiyama_ros.nodes.run import RunResult
+    from sugiyama_ros.nodes.run_source import FromSimulator
 
 #: Exit code of a program that Ctrl-C has ended.
 INTERRUPTED = 130
@@ -36,10 +38,24 @@ _LIVE = "sugiyama-live.mcap"
 class RunOptions:
     """Arguments and options of ``sugiyama run``."""
 
-    source: Source
     output: Recording
+    source: Annotated[
+        Path | None, typer.Argument(help="Trajectories: a file in any known format. With --simulate, none.")
+    ] = None
     overwrite: Overwrite = False
     rate: Rate = "max"
+    simulate: Annotated[
+        bool, typer.Option("--simulate", help="Simulate drivers, and compare the estimates with the truth.")
+    ] = False
+    vehicles: Annotated[int | None, typer.Option(min=1, max=1000, help="With --simulate: number of vehicles.")] = None
+    duration: Annotated[float | None, typer.Option(min=1.0, help="With --simulate: duration [s].")] = None
+    spread: Annotated[
+        float | None,
+        typer.Option(min=0.0, max=1.0, help="With --simulate: relative std of v_star and kappa_v over the drivers."),
+    ] = None
+    seed: Annotated[int | None, typer.Option(min=0, help="With --simulate: seed of the random numbers.")] = None
+    parameter: SetParameter = None
+    effect: AddEffect = None
     processes: Annotated[bool, typer.Option("--processes", help="Run each node in a process of its own.")] = False
     ring: Ring = None
     model: ModelFile = None
@@ -60,7 +76,7 @@ class RunOptions:
 
 @takes(RunOptions)
 def run(options: RunOptions) -> None:
-    """Replay trajectories as ROS topics, and estimate the drivers.
+    """Replay trajectories, or simulate drivers, as ROS topics, and estimate the drivers.
 
     Each driver has an estimator of their own. All topics are recorded.
     """
@@ -80,9 +96,10 @@ def replay(options: RunOptions) -> "RunResult":
     finally:
         gc.freeze()
         gc.enable()
-    with progress("replaying") as advance:
+    source = _source(options)
+    with progress("simulating" if options.simulate else "replaying") as advance:
         return run_nodes(
-            options.source,
+            source,
             options.output,
             rate=rate,
             processes=options.processes,
@@ -97,10 +114,50 @@ def replay(options: RunOptions) -> "RunResult":
         )
 
 
+def _source(options: RunOptions) -> "Path | FromSimulator":
+    """The file to replay, or the drivers to simulate. Raises InputError where the options do not say which."""
+    from sugiyama_ros.effects.texts import read_parameter
+    from sugiyama_ros.nodes.run_source import FromSimulator
+    from sugiyama_ros.simulation.experiment import Experiment
+
+    asked = {
+        "--vehicles": options.vehicles,
+        "--duration": options.duration,
+        "--spread": options.spread,
+        "--seed": options.seed,
+        "--set": options.parameter,
+        "--effect": options.effect,
+    }
+    if not options.simulate:
+        if options.source is None:
+            raise InputError("run: no file given; give trajectories, or --simulate")
+        for name, value in asked.items():
+            if value is not None:
+                raise InputError(f"{name}: is for simulated drivers; add --simulate, or leave it out")
+        return options.source
+    if options.source is not None:
+        raise InputError(f"{options.source}: simulated drivers need no file; leave it out, or leave out --simulate")
+    usual = Experiment()
+    experiment = Experiment(
+        ring_m=usual.ring_m if options.ring is None else options.ring,
+        duration_s=options.duration or usual.duration_s,
+        spread=options.spread or usual.spread,
+        seed=options.seed or usual.seed,
+    )
+    vehicles = options.vehicles if options.vehicles is not None else 22
+    experiment.check(vehicles)
+    changes = dict(read_parameter(text, "--set") for text in options.parameter or ())
+    return FromSimulator(vehicles, experiment, changes=changes, effects=tuple(options.effect or ()))
+
+
 def print_run(result: "RunResult", as_json: bool) -> None:
     """Print what the estimators know at the end of a run."""
+    from sugiyama_ros.page.truth import against_truth
+
+    against = against_truth(result.output)
     if as_json:
-        print_json(dataclasses.asdict(result))
+        truth = {} if against is None else {"truth": dataclasses.asdict(against)}
+        print_json({**dataclasses.asdict(result), **truth})
         _end(result)
         return
     headings = ("vehicle", "v* [m/s]", "kappa_v [s]", "one-step RMSE [m]", "mean NIS")
@@ -109,6 +166,8 @@ def print_run(result: "RunResult", as_json: bool) -> None:
         for d in result.drivers
     )
     print_table(TextTable("What the estimators know at the end", headings, rows))
+    if against is not None:
+        print_against(against)
     print_line(
         f"{result.steps} steps of {result.vehicles} vehicles at {result.real_time_factor:.0f} times real time;"
         f" {result.messages_recorded} messages recorded, {result.messages_lost} lost."

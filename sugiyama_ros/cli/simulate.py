@@ -1,21 +1,20 @@
 """``sugiyama simulate``."""
 
 import dataclasses
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sugiyama_ros.cli.options import Json, ModelFile, Overwrite, Seed, takes
+from sugiyama_ros.cli.options import AddEffect, Json, ModelFile, Overwrite, Seed, SetParameter, Start, takes
 from sugiyama_ros.cli.output import print_json, print_line, print_note
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.outputs import Output
 
 if TYPE_CHECKING:
     from sugiyama_ros.arrays import Array
-    from sugiyama_ros.simulation.simulator import Simulation
+    from sugiyama_ros.simulation.result import Simulation
 
 
 @dataclass(frozen=True)
@@ -38,13 +37,9 @@ class SimulateOptions:
         float,
         typer.Option(min=0.0, max=1.0, help="Relative standard deviation of v_star and kappa_v over the drivers."),
     ] = 0.0
-    parameter: Annotated[
-        list[str] | None, typer.Option("--set", help="NAME=VALUE: parameter of all drivers. May be repeated.")
-    ] = None
-    effect: Annotated[
-        list[str] | None,
-        typer.Option("--effect", help="NAME:PARAMETER=VALUE[,...]: effect on all drivers. May be repeated."),
-    ] = None
+    start: Start = "jam"
+    parameter: SetParameter = None
+    effect: AddEffect = None
     model: ModelFile = None
     overwrite: Overwrite = False
     seed: Seed = 0
@@ -55,19 +50,21 @@ class SimulateOptions:
 def simulate(options: SimulateOptions) -> None:
     """Simulate drivers on a ring or an open road.
 
-    The file has the positions that a camera would measure.
+    The file has the positions that a camera would measure. An MCAP file also has the truth about each vehicle.
     """
-    from sugiyama_ros.formats.convert import write_trajectories
     from sugiyama_ros.formats.plain_csv import write_csv
+    from sugiyama_ros.formats.truth import write_simulated
 
     output = options.output
-    writers: dict[str, Callable[[Any, Output], object]] = {".mcap": write_trajectories, ".csv": write_csv}
-    if output.suffix not in writers:
+    if output.suffix not in (".mcap", ".csv"):
         raise InputError(f"{output}: cannot be written as {output.suffix or 'nothing'}; give a .mcap or .csv name")
     to_write = Output(output, options.overwrite, (options.model,) if options.model is not None else ())
     to_write.check()
     simulated = _simulated(options)
-    writers[output.suffix](simulated.measured, to_write)
+    if output.suffix == ".mcap":
+        write_simulated(simulated.measured, simulated.truth, to_write)
+    else:
+        write_csv(simulated.measured, to_write)
     speed = simulated.speed[len(simulated.speed) // 2 :]
     second_half = {"v_avg": speed.mean(), "v_min": speed.min(axis=1).mean(), "v_max": speed.max(axis=1).mean()}
     document = {
@@ -101,6 +98,7 @@ def _simulated(options: SimulateOptions) -> "Simulation":
         horizon=options.horizon,
         spread=options.spread,
         seed=options.seed,
+        start=options.start,
     )
     experiment.check(options.vehicles)
     return carry_out(experiment, _rows(options))
@@ -110,24 +108,17 @@ def _rows(options: SimulateOptions) -> "Array":
     """Parameters (N, WIDTH) of the drivers: the paper's or a model file's, changed by --set and --effect."""
     import numpy as np
 
-    from sugiyama_ros.driver.parameters import defaults, index
-    from sugiyama_ros.effects.registry import ROW, switch_on
+    from sugiyama_ros.driver.parameters import defaults
+    from sugiyama_ros.effects.registry import ROW
+    from sugiyama_ros.effects.texts import read_effect, read_parameter
     from sugiyama_ros.fit.model_file import read_model
+    from sugiyama_ros.simulation.experiment import changed
 
     rows = ROW.with_effects(defaults(options.vehicles))
     if options.model is not None:
         rows = read_model(options.model).rows_of(np.arange(options.vehicles))
     for text in options.parameter or ():
-        name, _, value = text.partition("=")
-        try:
-            rows[:, index(name)] = float(value)
-        except ValueError:
-            raise InputError(f"--set {text}: is not NAME=VALUE with a number as value") from None
+        rows = changed(rows, dict([read_parameter(text, "--set")]), {})
     for text in options.effect or ():
-        name, _, pairs = text.partition(":")
-        try:
-            values = {k: float(v) for k, _, v in (pair.partition("=") for pair in pairs.split(","))}
-        except ValueError:
-            raise InputError(f"--effect {text}: is not NAME:PARAMETER=VALUE[,PARAMETER=VALUE]") from None
-        rows = switch_on(rows, name, values)
+        rows = changed(rows, {}, dict([read_effect(text, "--effect")]))
     return rows

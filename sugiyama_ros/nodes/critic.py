@@ -16,13 +16,14 @@ from sugiyama_ros.filters.bank import Bank, strengths
 from sugiyama_ros.filters.chain import CHAIN
 from sugiyama_ros.filters.online import NOBODY, warm_up
 from sugiyama_ros.formats.measured import FRAME
+from sugiyama_ros.formats.truth import namespaces
 from sugiyama_ros.nodes.base import cdr_messages, incoming
 from sugiyama_ros.nodes.base.measured_feed import MeasuredFeed, subscribe_measured
 from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.base.spin import run_node
 from sugiyama_ros.nodes.driver_parameters import check_driver, declare_driver
-from sugiyama_ros.nodes.plan import estimators, namespaces
+from sugiyama_ros.nodes.plan import estimators
 from sugiyama_ros.road import Road
 
 _VERDICT_EVERY_NS = 5 * cdr_messages.NS

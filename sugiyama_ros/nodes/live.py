@@ -22,10 +22,11 @@ from tornado.ioloop import IOLoop, PeriodicCallback
 from sugiyama_ros.effects.effect import RecordingExtent
 from sugiyama_ros.effects.registry import EFFECTS, effect
 from sugiyama_ros.errors import SugiyamaError
+from sugiyama_ros.formats.truth import namespaces
 from sugiyama_ros.nodes.base import cdr_messages, environment, incoming
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.base.spin import Spinner, ros
-from sugiyama_ros.nodes.plan import REPLAY, Plan, RunSettings, estimators, namespaces
+from sugiyama_ros.nodes.plan import REPLAY, Plan, RunSettings, estimators
 from sugiyama_ros.nodes.runners import OneProcess
 from sugiyama_ros.page.guard import Guard, log_quietly
 from sugiyama_ros.page.live import KEPT, Log, page

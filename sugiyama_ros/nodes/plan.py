@@ -10,19 +10,13 @@ from sugiyama_ros.driver.parameters import NAMES, population
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.model_file import read_model
 from sugiyama_ros.formats.registry import read_trajectories
+from sugiyama_ros.formats.truth import namespaces
 from sugiyama_ros.nodes.driver_array import TOPIC
+from sugiyama_ros.nodes.run_source import FromFile, FromSimulator, RunSource
 from sugiyama_ros.nodes.saved_state import file_of, read_learnt
 from sugiyama_ros.outputs import Output, make_directory
-from sugiyama_ros.trajectories.trajectories import Trajectories
 
-REPLAY, RECORDER, CRITIC = "/replay", "/recorder", "/critic"
-
-
-def namespaces(vehicles: Iterable[int]) -> list[str]:
-    """Namespace of each vehicle, /vehicle_07; with as many digits as the largest number needs, at least two."""
-    numbers = list(vehicles)
-    width = max(2, len(str(max(numbers, default=0))))
-    return [f"/vehicle_{number:0{width}}" for number in numbers]
+REPLAY, RECORDER, CRITIC = FromFile.node, "/recorder", "/critic"
 
 
 def estimators(spaces: Iterable[str]) -> list[str]:
@@ -71,32 +65,35 @@ class RunSettings:
 
 @dataclass(frozen=True)
 class Plan:
-    """Replay ``source``, which holds ``trajectories``, and record everything in ``output``."""
+    """Send what ``source`` holds, and record everything in ``output``."""
 
-    trajectories: Trajectories
-    source: Path
+    source: RunSource
     output: Path
     settings: RunSettings
 
     @classmethod
-    def read(cls, source: Path, output: Path, settings: RunSettings) -> "Plan":
-        """Read a file of trajectories, and check what the settings name.
+    def read(cls, source: Path | FromSimulator, output: Path, settings: RunSettings) -> "Plan":
+        """Read a file of trajectories, unless drivers are simulated, and check what the settings name.
 
         Raises
         ------
         InputError, OutputError
             For files that cannot be read, and directories that cannot be made.
         """
-        inputs = (source, *([settings.model] if settings.model is not None else ()))
+        given = (source if isinstance(source, Path) else source.model, settings.model)
+        inputs = tuple(path for path in given if path is not None)
         _check_names(*inputs, output, settings.save_state, settings.resume)
         Output(output, settings.overwrite, inputs).check()
         if settings.model is not None:
             read_model(settings.model)
         if settings.save_state is not None:
             make_directory(settings.save_state)
-        plan = cls(read_trajectories(source, settings.ring_m), source, output, settings)
+        if isinstance(source, Path):
+            plan = cls(FromFile(source, read_trajectories(source, settings.ring_m)), output, settings)
+        else:
+            plan = cls(source, output, settings)
         if settings.resume is not None:
-            vehicles = plan.trajectories.vehicle.tolist()
+            vehicles = plan.source.vehicles
             saved = [path for v in vehicles if (path := file_of(settings.resume, v)).exists()]
             if not saved:
                 raise InputError(
@@ -107,14 +104,9 @@ class Plan:
         return plan
 
     @property
-    def steps(self) -> int:
-        """Samples in the recording."""
-        return len(self.trajectories.position_m)
-
-    @property
     def namespaces(self) -> list[str]:
         """Namespace of each vehicle."""
-        return namespaces(self.trajectories.vehicle.tolist())
+        return namespaces(self.source.vehicles)
 
     @property
     def estimators(self) -> list[str]:
@@ -124,7 +116,8 @@ class Plan:
     @property
     def step_topics(self) -> list[str]:
         """Full names of the topics with one message a step."""
-        return ["/clock", "/measured", f"/{TOPIC}"] if self.settings.array else step_topics(self.namespaces)
+        own = ["/clock", "/measured", f"/{TOPIC}"] if self.settings.array else step_topics(self.namespaces)
+        return [*own, *self.source.topics]
 
     @property
     def estimator(self) -> dict[str, Any]:
@@ -136,15 +129,14 @@ class Plan:
 
     @property
     def followers(self) -> list[str]:
-        """Full names of the nodes that follow the replay; without the recorder."""
+        """Full names of the nodes that follow the source; without the recorder."""
         return [*self.estimators, *([CRITIC] if self.settings.critic else [])]
 
     @property
-    def replay(self) -> dict[str, Any]:
-        """Parameters of the replay."""
+    def sending(self) -> dict[str, Any]:
+        """Parameters of the source."""
         return {
-            "source": str(self.source),
-            "ring": self.trajectories.road.circumference_m,
+            **self.source.parameters,
             "rate": float(self.settings.rate),
             "wait_for": [RECORDER, *self.followers],
         }
@@ -152,12 +144,10 @@ class Plan:
     @property
     def recorder(self) -> dict[str, Any]:
         """Parameters of the recorder."""
-        t = self.trajectories
         about = {
-            "source": t.source,
-            "sha256": t.sha256,
-            "vehicles": len(t.vehicle),
-            "steps": len(t.position_m),
+            **self.source.about,
+            "vehicles": len(self.source.vehicles),
+            "steps": self.source.steps,
             "rate": self.settings.rate or "max",
             "model": str(self.settings.model or ""),
             "start_parameters": json.dumps(dict(zip(NAMES, population().tolist(), strict=True))),

@@ -13,8 +13,9 @@ from sugiyama_ros.filters.online import warm_up
 from sugiyama_ros.nodes.base import environment, incoming
 from sugiyama_ros.nodes.base.qos import PROGRESS_IN
 from sugiyama_ros.nodes.base.spin import Spinner, ros
-from sugiyama_ros.nodes.plan import RECORDER, REPLAY, Plan, RunSettings
+from sugiyama_ros.nodes.plan import RECORDER, Plan, RunSettings
 from sugiyama_ros.nodes.results import DriverResult, read_run
+from sugiyama_ros.nodes.run_source import FromSimulator
 from sugiyama_ros.nodes.runners import OneProcess, Processes
 from sugiyama_ros.progress import OnProgress
 
@@ -61,7 +62,8 @@ class RunResult:
 class _Monitor(Node):
     """Receives how far every node has come, and how much it has published."""
 
-    def __init__(self) -> None:
+    def __init__(self, source: str) -> None:
+        self._source = source
         super().__init__("monitor", start_parameter_services=False)
         self.heard = 0
         self.joined_s = self.moved_s = time.monotonic()
@@ -73,34 +75,34 @@ class _Monitor(Node):
     @property
     def steps(self) -> int:
         """Steps that all nodes have taken."""
-        return self.last[REPLAY].steps if REPLAY in self.last else 0
+        return self.last[self._source].steps if self._source in self.last else 0
 
     def _on_progress(self, message: Progress) -> None:
         self.heard += 1
         before = self.last.get(message.node)
         if before is None:
             self.joined_s = time.monotonic()
-        elif message.node == REPLAY and message.steps > before.steps:
+        elif message.node == self._source and message.steps > before.steps:
             self.moved_s = time.monotonic()
         self.last[message.node] = message
 
 
 def run(
-    source: Path,
+    source: Path | FromSimulator,
     output: Path,
     *,
     processes: bool = False,
     on_progress: OnProgress | None = None,
     **settings: Any,
 ) -> RunResult:
-    """Replay a recording through one estimator for each driver, and record everything in one file.
+    """Replay a recording, or simulate drivers, with one estimator for each driver, and record everything in one file.
 
     SIGINT or SIGTERM ends the run early, in good order; call this function in the main thread, where signals come.
 
     Parameters
     ----------
-    source : Path
-        File of trajectories.
+    source : Path or FromSimulator
+        File of trajectories, or drivers to simulate.
     output : Path
         MCAP file to write.
     processes : bool
@@ -125,16 +127,16 @@ def run(
     warm_up()  # first, so that compiling does not count as time that a node is not heard of
     began = time.monotonic()
     with ros() as asked_to_stop:
-        monitor = _Monitor()
+        monitor = _Monitor(plan.source.node)
         runners = Processes(plan) if processes else OneProcess(plan)
         spinner = Spinner([monitor, *runners.nodes])
         try:
-            while not asked_to_stop() and monitor.steps < plan.steps:
+            while not asked_to_stop() and monitor.steps < plan.source.steps:
                 spinner.slice()
                 runners.check()
                 _check_started(plan, monitor, began)
                 if on_progress is not None:
-                    on_progress(monitor.steps, plan.steps)
+                    on_progress(monitor.steps, plan.source.steps)
         finally:
             runners.stop(spinner)
             wall_s = time.monotonic() - began
@@ -149,7 +151,7 @@ def run(
 
 def _check_started(plan: Plan, monitor: _Monitor, began_s: float) -> None:
     """Raise SugiyamaError where a node has not been heard of for too long."""
-    missing = {REPLAY, RECORDER, *plan.followers} - set(monitor.last)
+    missing = {plan.source.node, RECORDER, *plan.followers} - set(monitor.last)
     if missing and time.monotonic() - began_s > START_S:
         raise SugiyamaError(f"{min(missing)}: not heard of after {START_S:.0f} s; is the machine overloaded?")
 
@@ -168,7 +170,7 @@ def _result(plan: Plan, monitor: _Monitor, wall_s: float, interrupted: bool) -> 
         messages_recorded=recorded,
         messages_lost=max(0, published - recorded, short),
         wall_s=wall_s,
-        real_time_factor=plan.trajectories.period_s * monitor.steps / max(monitor.moved_s - monitor.joined_s, 1e-9),
+        real_time_factor=plan.source.period_s * monitor.steps / max(monitor.moved_s - monitor.joined_s, 1e-9),
         output=plan.output,
         interrupted=interrupted,
         drivers=drivers,

@@ -20,9 +20,8 @@ from sugiyama_ros.nodes.base.spin import RUNNER, Spinner
 from sugiyama_ros.nodes.critic import Critic
 from sugiyama_ros.nodes.driver_array import DriverArrayTopic
 from sugiyama_ros.nodes.estimator import Estimator
-from sugiyama_ros.nodes.plan import CRITIC, RECORDER, REPLAY, Plan
+from sugiyama_ros.nodes.plan import CRITIC, RECORDER, Plan
 from sugiyama_ros.nodes.recorder import Recorder
-from sugiyama_ros.nodes.replay import Replay
 
 #: Longest time [s] that nodes get to come to an orderly end.
 STOP_S = 15.0
@@ -39,8 +38,8 @@ class OneProcess:
         own = _overrides(plan.estimator)
         self._feed, array = MeasuredFeed(), DriverArrayTopic()
         try:
-            self._replay = Replay(plan.trajectories, parameter_overrides=_overrides(plan.replay))
-            self._paced.append(self._replay)
+            self._source = plan.source.start(_overrides(plan.sending))
+            self._paced.append(self._source)
             self._paced += (Estimator(self._feed, array, namespace=n, parameter_overrides=own) for n in plan.namespaces)
             if plan.settings.critic:
                 self._paced.append(Critic(self._feed))
@@ -49,7 +48,7 @@ class OneProcess:
             self._recorder = Recorder(parameter_overrides=_overrides(plan.recorder))
             self._paced.append(self._recorder)
         except SugiyamaError:
-            # a replay that stays alive would send its road to other runs of this process
+            # a source that stays alive would send its road to other runs of this process
             self.close()
             raise
 
@@ -66,8 +65,8 @@ class OneProcess:
 
     def stop(self, spinner: Spinner) -> None:
         """Stop the source first and the recorder last, so that everything sent is in the file."""
-        self._replay.finish()
-        spinner.until(lambda: all(node.steps == self._replay.next_step for node in self._followers), STOP_S)
+        self._source.finish()
+        spinner.until(lambda: all(node.steps == self._source.next_step for node in self._followers), STOP_S)
         for node in [*self._followers, self._recorder]:
             node.finish()
         spinner.until(lambda: self._recorder.received == sum(node.published for node in self._paced), STOP_S)
@@ -94,7 +93,8 @@ class Processes:
             self._start(name, "estimator", plan.estimator)
         if plan.settings.critic:
             self._start(CRITIC, "critic", {})
-        self._start(REPLAY, "replay", plan.replay)
+        self._source = plan.source.node
+        self._start(self._source, plan.source.module, plan.sending)
 
     def check(self) -> None:
         """Raise SugiyamaError if a process has ended without being asked to, or with a failure."""
@@ -109,11 +109,11 @@ class Processes:
     def stop(self, spinner: Spinner) -> None:
         """Stop the source first and the recorder last. Kill a process that does not end."""
         self._stopped = True
-        self._interrupt(REPLAY)
+        self._interrupt(self._source)
         spinner.until(lambda: False, _LAST_STEPS_S)
-        estimators = [name for name in self._children if name not in (REPLAY, RECORDER)]
+        estimators = [name for name in self._children if name not in (self._source, RECORDER)]
         self._interrupt(*estimators)
-        self._wait_for(spinner, REPLAY, *estimators)
+        self._wait_for(spinner, self._source, *estimators)
         self._interrupt(RECORDER)
         self._wait_for(spinner, RECORDER)
 

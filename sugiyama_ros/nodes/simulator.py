@@ -1,75 +1,105 @@
 """Simulated vehicles as a source of measured positions."""
 
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.parameter import Parameter as RosParameter
+from sugiyama_msgs.srv import SetDriver
 
-from sugiyama_ros.driver.parameters import NAMES, defaults
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.driver.parameters import COUNT, NAMES, defaults
+from sugiyama_ros.effects.registry import ROW
+from sugiyama_ros.effects.texts import read_effect
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.fit.model_file import read_model
+from sugiyama_ros.nodes.base import incoming
+from sugiyama_ros.nodes.base.cdr_messages import NS
+from sugiyama_ros.nodes.base.incoming import RefusedError
 from sugiyama_ros.nodes.base.node import ERROR, Health
 from sugiyama_ros.nodes.base.samples import Positions
 from sugiyama_ros.nodes.base.spin import run_node
-from sugiyama_ros.nodes.driver_parameters import declare_driver
-from sugiyama_ros.nodes.source import Source
-from sugiyama_ros.road import Road
-from sugiyama_ros.simulation.simulator import Clock, Simulator, platoon
-from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M
+from sugiyama_ros.nodes.driver_parameters import declare_driver, declare_path
+from sugiyama_ros.nodes.source import Source, answer
+from sugiyama_ros.nodes.true_topics import TrueTopics
+from sugiyama_ros.simulation.experiment import Experiment, changed, set_up
+from sugiyama_ros.simulation.result import parameters_of
+from sugiyama_ros.simulation.simulator import Simulator
+from sugiyama_ros.trajectories.truth import TrueDriver
 
 
-class Simulated:
-    """A running simulation as samples. It only goes forward."""
+class SimulatedPositions:
+    """A running simulation as samples. It only goes forward. ``steps`` is 0 if it has no end."""
 
     start_s = 0.0
-    steps = 0
     source = "adaptiveSeek"
     sha256 = ""
 
-    def __init__(self, simulator: Simulator) -> None:
-        self._simulator = simulator
+    def __init__(self, simulator: Simulator, steps: int) -> None:
+        self.simulator = simulator
         self.road, self.period_s = simulator.road, simulator.period_s
+        self.steps = steps
         self.collisions = 0
 
     def at(self, step: int) -> Positions:
         """Sample number ``step``, which is the current sample or the next."""
-        s = self._simulator
+        s = self.simulator
         if step > s.step_number:
             self.collisions += len(s.step())
         return Positions(list(range(len(s.length_m))), s.leader.tolist(), s.measure().tolist(), s.length_m.tolist())
 
+    def motion(self) -> Array:
+        """True position [m], speed [m/s], acceleration [m/s^2] and gap [m] of each vehicle, (N, 4)."""
+        s = self.simulator
+        return np.stack([s.road.wrap(s.position_m), s.speed, s.acceleration, s.gap_m], axis=1)
+
 
 class SimulatorNode(Source):
-    """Simulates drivers, and sends the positions that a camera would measure.
+    """Simulates drivers, and sends the positions that a camera would measure, and the truth.
 
-    The drivers are identical and start from rest, in a jam. Parameters of the node: ``vehicles``, ``ring``,
-    ``start_gap``, ``period``, ``seed``, the parameters of a driver, and the parameters of `Source`.
+    The drivers are those of the file ``model``, or else drivers as in the paper. A parameter of a driver that is given
+    at the start, or set later, holds for all drivers; the service ``~/set_driver`` changes one of them. Other
+    parameters of the node: ``vehicles``, ``ring``, ``start``, ``start_gap``, ``lengths``, ``period``, ``duration``,
+    ``spread``, ``effects``, ``seed``, and the parameters of `Source`.
     """
 
-    samples: Simulated
+    samples: SimulatedPositions
 
     def __init__(self, **options: Any) -> None:
         super().__init__("simulator", **options)
+        self._truth = TrueTopics(self, range(len(self.samples.simulator.length_m)))
+        self._tell_drivers(range(len(self.samples.simulator.length_m)))
+        self.create_service(SetDriver, "~/set_driver", self._on_set_driver)
+        self.add_post_set_parameters_callback(self._on_set)
 
-    def open(self) -> Simulated:
+    def open(self) -> SimulatedPositions:
         """A simulation with the node's parameters."""
-        declare_driver(self, defaults())
-        whole = self._integer
+        whole, real, texts = self._integer, self._real, self._texts
         vehicles = whole("vehicles", 22, 1, 1000, "number of vehicles")
-        ring_m = self._real("ring", 230.0, 0.0, 1e5, "circumference [m]; 0: an open road")
-        gap_m = self._real("start_gap", 2.0, 0.1, 1e3, "gap [m] between vehicles at the start")
-        period_s = self._real("period", 1.0 / 3.0, 0.05, 1.0, "time [s] between samples")
-        seed = whole("seed", 0, 0, 2**31 - 1, "seed of the noise")
-        length_m = np.full(vehicles, DEFAULT_LENGTH_M)
-        driver = np.array([self.get_parameter(name).value for name in NAMES])
-        return Simulated(
-            Simulator(
-                np.tile(driver, (vehicles, 1)),
-                length_m,
-                platoon(length_m, gap_m),
-                Road(ring_m),
-                np.random.default_rng(seed),
-                clock=Clock(period_s),
-            )
+        about = ParameterDescriptor(description="start in a jam, or with equal gaps on a ring", read_only=True)
+        start = str(self.declare_parameter("start", "jam", about).value)
+        about = ParameterDescriptor(description="length of each vehicle, or of all [m]; 0: the usual", read_only=True)
+        given = [float(length) for length in self.declare_parameter("lengths", [0.0], about).value]
+        experiment = Experiment(
+            ring_m=real("ring", 230.0, 0.0, 1e5, "circumference [m]; 0: an open road"),
+            duration_s=real("duration", 0.0, 0.0, 1e6, "time [s] after which the simulation ends; 0: never"),
+            gap_m=real("start_gap", 2.0, 0.1, 1e3, "gap [m] between vehicles at the start, in a jam"),
+            period_s=real("period", 1.0 / 3.0, 0.05, 1.0, "time [s] between samples"),
+            spread=real("spread", 0.0, 0.0, 1.0, "relative std of v_star and kappa_v over the drivers"),
+            seed=whole("seed", 0, 0, 2**31 - 1, "seed of the noise"),
+            start=start,
+            length_m=() if given == [0.0] else tuple(given),
         )
+        model = declare_path(self, "model", "model file (YAML) with drivers and effects")
+        effects = dict(read_effect(text, "effects") for text in texts("effects", "NAME:PARAMETER=VALUE[,...], each"))
+        rows = changed(self._drivers(vehicles, model), {}, effects)
+        return SimulatedPositions(set_up(experiment, rows), experiment.samples if experiment.duration_s else 0)
+
+    def send_more(self, stamp_ns: int) -> None:
+        """Send the truth."""
+        self._truth.send_motion(stamp_ns, self.samples.motion())
 
     def health(self) -> Health:
         """ERROR once vehicles have collided, because the model is not valid after that; else as `Source`."""
@@ -77,6 +107,48 @@ class SimulatorNode(Source):
         if collisions:
             return Health(ERROR, f"{collisions} collisions", {"step": self.next_step, "collisions": collisions})
         return super().health()
+
+    def _drivers(self, vehicles: int, model: Path | None) -> Array:
+        """Rows (N, WIDTH) of the drivers at the start."""
+        rows = ROW.with_effects(defaults(vehicles))
+        if model is not None:
+            rows = read_model(model).rows_of(np.arange(vehicles))
+        usual = np.median(rows[:, :COUNT], axis=0)
+        declare_driver(self, usual)
+        for k, name in enumerate(NAMES):
+            value = self.get_parameter(name).value
+            if value != usual[k]:
+                rows[:, k] = value
+        return rows
+
+    def _on_set(self, parameters: Sequence[RosParameter]) -> None:
+        """Change all drivers, if a parameter of drivers was set."""
+        wanted = {p.name: float(p.value) for p in parameters if p.name in NAMES}
+        if wanted:
+            s = self.samples.simulator
+            s.change(changed(s.drivers, wanted, {}))
+            self._tell_drivers(range(len(s.length_m)))
+
+    def _on_set_driver(self, request: SetDriver.Request, response: SetDriver.Response) -> SetDriver.Response:
+        s, vehicle = self.samples.simulator, request.vehicle
+        try:
+            if not 0 <= vehicle < len(s.length_m):
+                raise RefusedError(f"vehicle {vehicle}: not on the road; give 0 to {len(s.length_m) - 1}")
+            values = incoming.named_values(f"vehicle {vehicle}", request.name, request.value)
+            rows = s.drivers.copy()
+            rows[vehicle] = _changed_driver(rows[vehicle], values)
+            s.change(rows)
+        except (InputError, RefusedError) as error:
+            return answer(response, str(error))
+        self._tell_drivers([vehicle])
+        return answer(response)
+
+    def _tell_drivers(self, vehicles: Sequence[int]) -> None:
+        """Tell with which parameters some drivers drive from the next sample on."""
+        time_s = self.samples.start_s + self.next_step * self.samples.period_s
+        for vehicle in vehicles:
+            drive = TrueDriver(time_s, vehicle, parameters_of(self.samples.simulator.drivers[vehicle]))
+            self._truth.send_parameters(round(time_s * NS), drive)
 
     def _integer(self, name: str, default: int, lower: int, upper: int, description: str) -> int:
         bounds = IntegerRange(from_value=lower, to_value=upper)
@@ -87,6 +159,23 @@ class SimulatorNode(Source):
         bounds = FloatingPointRange(from_value=lower, to_value=upper)
         about = ParameterDescriptor(description=description, floating_point_range=[bounds], read_only=True)
         return float(self.declare_parameter(name, default, about).value)
+
+    def _texts(self, name: str, description: str) -> list[str]:
+        about = ParameterDescriptor(description=description, read_only=True)
+        return [str(text) for text in self.declare_parameter(name, [""], about).value if text]
+
+
+def _changed_driver(row: Array, values: Mapping[str, float]) -> Array:
+    """A driver's row (WIDTH,) with other values, by ``parameter`` or ``effect.parameter``. Raises InputError."""
+    effects: dict[str, dict[str, float]] = {}
+    own: dict[str, float] = {}
+    for name, value in values.items():
+        effect, dot, parameter = name.partition(".")
+        if dot:
+            effects.setdefault(effect, {})[parameter] = value
+        else:
+            own[name] = value
+    return changed(row[None], own, effects)[0]
 
 
 def main() -> None:

@@ -81,6 +81,9 @@ class Source(PacedNode):
         """The samples to send, from the node's parameters. Raises InputError if there are none."""
         raise NotImplementedError
 
+    def send_more(self, stamp_ns: int) -> None:
+        """Send what belongs to a sample besides the measured positions."""
+
     def health(self) -> Health:
         """ERROR while a subscriber is no longer waited for, WARN while a subscriber is missing."""
         values = {"step": self.next_step, "steps": self.samples.steps, "paused": self._paused}
@@ -132,6 +135,7 @@ class Source(PacedNode):
         stamp_ns = round((samples.start_s + step * samples.period_s) * cdr_messages.NS)
         self.send(self._to_clock, cdr_messages.clock(stamp_ns))
         self.send(self._to_measured, cdr_messages.measured_positions(stamp_ns, step, positions))
+        self.send_more(stamp_ns)
         self.next_step += 1
         self._pace.sent()
         now = time.monotonic()

@@ -10,9 +10,10 @@ from bokeh.models import Select, UIElement
 from bokeh.resources import Resources
 
 from sugiyama_ros.outputs import Target, writing
-from sugiyama_ros.page.panels import measured, missing, model
+from sugiyama_ros.page.panels import measured, missing, model, truth
 from sugiyama_ros.page.panels.model import Quantity
 from sugiyama_ros.page.recording import Recording
+from sugiyama_ros.page.truth import SHOWN, AgainstTruth
 
 _STYLE = """
 :root { color-scheme: light dark; }
@@ -29,7 +30,9 @@ td, th { padding: .2rem .8rem; text-align: right; } td:first-child, th:first-chi
 """
 
 
-def write_report(recording: Recording, diagnosis: Mapping[str, Any] | None, output: Target) -> None:
+def write_report(
+    recording: Recording, diagnosis: Mapping[str, Any] | None, output: Target, against: AgainstTruth | None = None
+) -> None:
     """Write the page of a recorded run.
 
     Parameters
@@ -40,18 +43,20 @@ def write_report(recording: Recording, diagnosis: Mapping[str, Any] | None, outp
         Document of `sugiyama diagnose --json`.
     output : Path or Output
         HTML file to write.
+    against : AgainstTruth, optional
+        Estimates compared with the truth, if the drivers were simulated.
 
     Raises
     ------
     OutputError
         Where the file cannot be written.
     """
-    page = report(recording, diagnosis)
+    page = report(recording, diagnosis, against)
     with writing(output) as stream:
         stream.write(page.encode())
 
 
-def report(r: Recording, diagnosis: Mapping[str, Any] | None) -> str:
+def report(r: Recording, diagnosis: Mapping[str, Any] | None, against: AgainstTruth | None = None) -> str:
     """The page as HTML, with all scripts in it."""
     t = r.trajectories
     select = Select(
@@ -89,6 +94,9 @@ def report(r: Recording, diagnosis: Mapping[str, Any] | None) -> str:
                 ],
             ),
         ]
+    if against is not None:
+        told = "".join(f"<li>{escape(line)}</li>" for line in against.lines())
+        sections.append(("Against the truth", f"<ul>{told}</ul>", [truth.estimates(against, name) for name in SHOWN]))
     panels: list[UIElement] = [model.weights(r)] if r.weights else []
     if diagnosis is not None:
         panels.append(missing.candidates(diagnosis))

@@ -1,15 +1,18 @@
 """A simulated experiment: vehicles start from rest, one behind another, on a ring or an open road."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
+from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, index
+from sugiyama_ros.effects.registry import switch_on
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.samples import MAX_SAMPLES
 from sugiyama_ros.road import Road
-from sugiyama_ros.simulation.simulator import Clock, Simulation, Simulator, platoon, simulate
+from sugiyama_ros.simulation.result import Simulation
+from sugiyama_ros.simulation.simulator import Clock, Simulator, evenly, platoon, simulate
 from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M
 
 
@@ -33,6 +36,10 @@ class Experiment:
         Standard deviation, over the drivers, of the logarithms of the desired speed and of the risk premium.
     seed : int
         Seed of all random numbers.
+    start : {"jam", "equal"}
+        Whether the vehicles start in a jam with gaps of ``gap_m``, or with equal gaps all around the ring.
+    length_m : tuple of float
+        Length [m] of each vehicle, or one length of all; the usual length if empty.
     """
 
     ring_m: float = 230.0
@@ -42,6 +49,13 @@ class Experiment:
     horizon: int | None = None
     spread: float = 0.0
     seed: int = 0
+    start: str = "jam"
+    length_m: tuple[float, ...] = ()
+
+    @property
+    def samples(self) -> int:
+        """Number of samples of each vehicle."""
+        return round(self.duration_s / self.period_s) + 1
 
     def check(self, vehicles: int) -> None:
         """Check that a number of vehicles can be simulated.
@@ -60,12 +74,58 @@ class Experiment:
         ):
             if not lower <= value <= upper:
                 raise InputError(f"{name}: {value:g} cannot be simulated; give {lower:g} to {upper:g}")
+        if self.start not in ("jam", "equal") or (self.start == "equal" and self.ring_m == 0.0):
+            raise InputError(f"start: {self.start} is not possible here; give jam, or on a ring equal")
+        if len(self.length_m) not in (0, 1, vehicles) or not all(0.0 < length < 100.0 for length in self.length_m):
+            raise InputError(
+                f"lengths: {len(self.length_m)} lengths of {vehicles} vehicles; give one each, or one for all, above 0"
+                " and below 100 m"
+            )
         samples = vehicles * (int(self.duration_s / self.period_s) + 1)
         if samples > MAX_SAMPLES:
             raise InputError(
                 f"{vehicles} vehicles for {self.duration_s:g} s: {samples} samples are more than {MAX_SAMPLES}; give"
                 " fewer vehicles, a shorter duration or a longer period"
             )
+
+
+def set_up(experiment: Experiment, rows: Array) -> Simulator:
+    """Put the vehicles of an experiment at their start.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        The setting.
+    rows : ndarray, shape (N, width)
+        Rows of the drivers at the reference period; they stay as they are.
+
+    Returns
+    -------
+    Simulator
+        The drivers at rest.
+
+    Raises
+    ------
+    InputError
+        If the vehicles do not fit on the ring, or `Experiment.check` fails.
+    """
+    experiment.check(len(rows))
+    vehicles, rows = len(rows), rows.copy()
+    rng = np.random.default_rng(experiment.seed)
+    if experiment.spread > 0.0:
+        for k in (V_STAR, KAPPA_V):
+            rows[:, k] *= np.exp(experiment.spread * rng.standard_normal(vehicles))
+    length_m = np.full(vehicles, experiment.length_m or DEFAULT_LENGTH_M)
+    road = Road(experiment.ring_m)
+    start_m = evenly(length_m, road) if experiment.start == "equal" else platoon(length_m, experiment.gap_m)
+    needed_m = float(start_m[-1] + 0.5 * (length_m[0] + length_m[-1]))
+    if road.is_ring and needed_m > experiment.ring_m:
+        raise InputError(
+            f"ring of {experiment.ring_m:g} m: {vehicles} vehicles with gaps of {experiment.gap_m:g} m need"
+            f" {needed_m:.0f} m; give a larger ring, smaller gaps or fewer vehicles"
+        )
+    clock = Clock(experiment.period_s, horizon=experiment.horizon)
+    return Simulator(rows, length_m, start_m, road, rng, clock=clock)
 
 
 def carry_out(experiment: Experiment, rows: Array) -> Simulation:
@@ -88,20 +148,34 @@ def carry_out(experiment: Experiment, rows: Array) -> Simulation:
     InputError
         If the vehicles do not fit on the ring, or `Experiment.check` fails.
     """
-    experiment.check(len(rows))
-    vehicles, rows = len(rows), rows.copy()
-    rng = np.random.default_rng(experiment.seed)
-    if experiment.spread > 0.0:
-        for k in (V_STAR, KAPPA_V):
-            rows[:, k] *= np.exp(experiment.spread * rng.standard_normal(vehicles))
-    length_m = np.full(vehicles, DEFAULT_LENGTH_M)
-    start_m, road = platoon(length_m, experiment.gap_m), Road(experiment.ring_m)
-    needed_m = float(start_m[-1] + length_m[-1])
-    if road.is_ring and needed_m > experiment.ring_m:
-        raise InputError(
-            f"ring of {experiment.ring_m:g} m: {vehicles} vehicles with gaps of {experiment.gap_m:g} m need"
-            f" {needed_m:.0f} m; give a larger ring, smaller gaps or fewer vehicles"
-        )
-    clock = Clock(experiment.period_s, horizon=experiment.horizon)
-    simulator = Simulator(rows, length_m, start_m, road, rng, clock=clock)
-    return simulate(simulator, experiment.duration_s)
+    return simulate(set_up(experiment, rows), experiment.duration_s)
+
+
+def changed(rows: Array, parameters: Mapping[str, float], effects: Mapping[str, Mapping[str, float]]) -> Array:
+    """Change the parameters of drivers, and switch effects on.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (N, width)
+        Rows of the drivers; they stay as they are.
+    parameters : mapping of str to float
+        Values by the name of the parameter.
+    effects : mapping of str to mapping
+        Values by the name of the effect and of its parameter.
+
+    Returns
+    -------
+    ndarray, shape (N, width)
+        Rows of the changed drivers.
+
+    Raises
+    ------
+    InputError
+        For an unknown name, or a value of an effect out of bounds.
+    """
+    rows = rows.copy()
+    for name, value in parameters.items():
+        rows[:, index(name)] = value
+    for name, values in effects.items():
+        rows = switch_on(rows, name, values)
+    return rows

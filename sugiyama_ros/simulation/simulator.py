@@ -6,8 +6,6 @@ action through ``effects.control``. Random effects draw from their own generator
 """
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -30,100 +28,12 @@ from sugiyama_ros.effects.control import noise_factor
 from sugiyama_ros.effects.registry import EFFECTS, ROW
 from sugiyama_ros.effects.sensing import displacements, noise_std_factors, spoil
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.formats.convert import write_trajectories
-from sugiyama_ros.formats.plain_csv import write_csv
-from sugiyama_ros.plots import space_time
-from sugiyama_ros.results import Result
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.drive import Order, Setting, Traffic, drive, see
+from sugiyama_ros.simulation.result import Collision, Simulation
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 _WANDERING = tuple(e for e in EFFECTS.values() if e.wanders)
-
-
-@dataclass(frozen=True)
-class Collision:
-    """Vehicle number ``vehicle`` ran into vehicle number ``leader``, ``time_s`` [s] after the start of the run."""
-
-    time_s: float
-    vehicle: int
-    leader: int
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Simulation(Result):
-    """A simulated run of N drivers over T samples.
-
-    Parameters
-    ----------
-    measured : Trajectories
-        Positions as a camera would have measured them.
-    parameters : ndarray, shape (N, width)
-        Rows of the drivers at the reference period.
-    position_m : ndarray, shape (T, N)
-        True positions [m], wrapped on a ring.
-    speed, acceleration : ndarray, shape (T, N)
-        True speeds [m/s] and accelerations [m/s^2].
-    collisions : tuple of Collision
-        Collisions, in the order of time.
-    """
-
-    measured: Trajectories
-    parameters: Array
-    position_m: Array
-    speed: Array
-    acceleration: Array
-    collisions: tuple[Collision, ...]
-
-    def headline(self) -> str:
-        """Say what was simulated, how fast the drivers drove, and how often they collided."""
-        collisions = f"; {len(self.collisions)} collisions" if self.collisions else ""
-        return f"{self.measured.headline()}; mean speed {self.speed.mean():.2f} m/s{collisions}"
-
-    def records(self) -> list[dict[str, Any]]:
-        """List all samples: measured position, and true position, speed and acceleration; SI units."""
-        t = self.measured
-        return [
-            {
-                "time_s": time,
-                "vehicle": vehicle,
-                "position_m": float(t.position_m[k, i]),
-                "true_position_m": float(self.position_m[k, i]),
-                "true_speed": float(self.speed[k, i]),
-                "true_acceleration": float(self.acceleration[k, i]),
-            }
-            for k, time in enumerate(t.time_s.tolist())
-            for i, vehicle in enumerate(t.vehicle.tolist())
-        ]
-
-    def draw(self, figure: "Figure") -> None:
-        """Draw the true positions over time, coloured by speed."""
-        space_time(figure, self.measured.time_s, self.position_m, self.speed)
-
-    def save(self, path: str | Path) -> None:
-        """Write the simulation to a file.
-
-        Parameters
-        ----------
-        path : str or Path
-            ``.mcap`` and ``.csv`` for the measured positions, ``.json`` for all records, ``.png`` and ``.pdf`` for the
-            picture.
-
-        Raises
-        ------
-        InputError
-            For any other suffix.
-        OutputError
-            If the file cannot be written.
-        """
-        writers = {".mcap": write_trajectories, ".csv": write_csv}
-        if Path(path).suffix in writers:
-            writers[Path(path).suffix](self.measured, Path(path))
-        else:
-            super().save(path)
 
 
 @dataclass(frozen=True)
@@ -188,7 +98,7 @@ class Simulator:
         self.road = road
         self.period_s = clock.period_s
         self.horizon = horizon_at(clock.period_s) if clock.horizon is None else clock.horizon
-        self.drivers = ROW.with_effects(parameters)
+        self.drivers = ROW.with_effects(parameters).copy()
         self.parameters = at_period(self.drivers, clock.period_s)
         self.length_m = length_m.astype(np.float64)
         self.leader: Ints = np.arange(1, vehicles + 1)
@@ -223,6 +133,15 @@ class Simulator:
     @property
     def _order(self) -> Order:
         return Order(self.leader, self._turn, self.length_m)
+
+    def change(self, drivers: Array) -> None:
+        """Let the drivers drive otherwise from the next period on; rows (N, width) at the reference period.
+
+        Raises InputError for a parameter out of bounds; the drivers drive on as before then.
+        """
+        check(drivers)
+        self.drivers = drivers.copy()
+        self.parameters = at_period(self.drivers, self.period_s)
 
     def measure(self) -> Array:
         """Measure the positions [m] at the present sample, shape (N,), wrapped on a ring; draws measurement noise."""

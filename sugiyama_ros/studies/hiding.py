@@ -14,7 +14,8 @@ from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, defaults
 from sugiyama_ros.effects.effect import Values
 from sugiyama_ros.effects.registry import EFFECTS, ROW, effect, switch_on
 from sugiyama_ros.road import Road
-from sugiyama_ros.simulation.simulator import Simulation, Simulator, evenly, platoon, simulate
+from sugiyama_ros.simulation.result import Simulation
+from sugiyama_ros.simulation.simulator import Simulator, evenly, platoon, simulate
 
 DRIVERS, RING_M, DURATION_S, LENGTH_M = 22, 230.0, 250.0, 4.33
 #: Strong and weak values of each effect that can be hidden. Places and times that are left out are drawn at random.

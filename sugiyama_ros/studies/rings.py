@@ -12,7 +12,8 @@ from sugiyama_ros.driver.parameters import SIGMA_A, defaults
 from sugiyama_ros.fit.driver import SearchOptions, calibrate
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.collective import Collective, collective
-from sugiyama_ros.simulation.simulator import Clock, Simulation, Simulator, evenly, platoon, simulate
+from sugiyama_ros.simulation.result import Simulation
+from sugiyama_ros.simulation.simulator import Clock, Simulator, evenly, platoon, simulate
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 #: The ring and the cars of the experiment, the duration of a run, and its last part, which is evaluated; SI units.

@@ -7,7 +7,7 @@ import numpy as np
 
 from sugiyama_ros.arrays import Mask
 from sugiyama_ros.effects.registry import ROW, switch_on
-from sugiyama_ros.simulation.simulator import Simulation
+from sugiyama_ros.simulation.result import Simulation
 from sugiyama_ros.studies.following import followed
 from sugiyama_ros.studies.rings import CARS, Ring, alike, run
 from sugiyama_ros.studies.study import Answer, Asked, Row, Study

@@ -47,7 +47,7 @@ def test_parameter_files_say_what_the_code_does(stage, road_csv: Path, tmp_path:
         assert node.has_parameter(name), name
         assert node.get_parameter(name).value == value, name
         assert node.describe_parameter(name).description, name
-    if executable in ("estimator", "simulator"):
+    if executable == "estimator":
         assert set(NAMES) <= set(given)
     node.close()
 

@@ -14,11 +14,11 @@ import pytest
 from sugiyama_ros.errors import InputError, OutputError, SugiyamaError
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.registry import read_trajectories
+from sugiyama_ros.formats.truth import namespaces
 from sugiyama_ros.nodes import recorder, runners, source
 from sugiyama_ros.nodes.base.node import PacedNode
 from sugiyama_ros.nodes.estimator import Estimator
 from sugiyama_ros.nodes.follower import Follower
-from sugiyama_ros.nodes.plan import namespaces
 from sugiyama_ros.nodes.run import RunResult, run
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]

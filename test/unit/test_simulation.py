@@ -1,15 +1,21 @@
 """Many drivers at once: the equations, the jam of the paper, collisions, and what happens without noise."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from sugiyama_ros.driver.parameters import RHO, SIGMA_A, SIGMA_NU, SIGMA_V, SIGMA_X, V_STAR, defaults
 from sugiyama_ros.driver.utility import ACTIONS, mean_action
+from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.chain import CHAIN
 from sugiyama_ros.filters.linearisation import linearise
 from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Moment, State, arrays_for, scene_at
+from sugiyama_ros.formats.registry import read_trajectories
+from sugiyama_ros.formats.truth import read_truth
 from sugiyama_ros.road import Road
+from sugiyama_ros.simulation.experiment import Experiment, carry_out, changed, set_up
 from sugiyama_ros.simulation.simulator import Clock, Simulator, evenly, platoon, simulate
 
 NOISES = [SIGMA_NU, SIGMA_A, SIGMA_X, SIGMA_V]
@@ -164,3 +170,47 @@ def test_a_shorter_period_gives_the_same_traffic():
     assert s.horizon == 6
     assert run.collisions == ()
     assert run.speed[500:].mean() == pytest.approx(5.9, abs=0.5)
+
+
+@pytest.mark.parametrize("ring_m", [60.0, 0.0])
+def test_the_truth_goes_into_a_bag_and_comes_back(tmp_path: Path, ring_m: float) -> None:
+    rows = changed(ROW.with_effects(defaults(3)), {}, {"drag": {"c0": 0.3}})
+    run = carry_out(Experiment(ring_m=ring_m, duration_s=20.0, spread=0.1, length_m=(4.0, 5.0, 6.0)), rows)
+    run.save(tmp_path / "a.mcap")
+    truth = read_truth(tmp_path / "a.mcap")
+    assert truth is not None
+    assert np.array_equal(truth.time_s, np.round(run.measured.time_s, 9))
+    for name in ("vehicle", "position_m", "speed", "acceleration", "gap_m"):
+        assert np.array_equal(getattr(truth, name), getattr(run.truth, name)), name
+    assert [(d.vehicle, d.parameters) for d in truth.drivers] == [(d.vehicle, d.parameters) for d in run.truth.drivers]
+    assert truth.drivers[0].parameters["drag.c0"] == 0.3
+    assert truth.drivers[0].parameters["v_star"] == run.parameters[0, V_STAR]
+    # the gap at the start, and on the ring the gaps and lengths make up the circumference
+    assert truth.gap_m[0, :2] == pytest.approx(2.0)
+    assert truth.gap_m[:, 2] == pytest.approx(np.inf if ring_m == 0.0 else 60.0 - 15.0 - truth.gap_m[:, :2].sum(axis=1))
+    assert np.array_equal(read_trajectories(tmp_path / "a.mcap").position_m, run.measured.position_m)
+    run.save(tmp_path / "a.csv")
+    with pytest.raises(InputError):
+        read_truth(tmp_path / "a.csv")
+
+
+def test_drivers_who_are_changed_drive_otherwise_from_then_on() -> None:
+    def begun() -> Simulator:
+        return set_up(Experiment(ring_m=200.0, start="equal"), ROW.with_effects(defaults(3)))
+
+    usual, other = begun(), begun()
+    rows = other.drivers.copy()
+    rows[1, V_STAR] = 5.0
+    other.change(rows)
+    for simulator in (usual, other):
+        simulator.step()
+    assert np.array_equal(usual.position_m, other.position_m)  # the acceleration of the first period was decided before
+    assert usual.acceleration[0] == other.acceleration[0]
+    for _ in range(60):
+        for simulator in (usual, other):
+            simulator.step()
+    assert other.speed[1] < 6.0 < usual.speed[1]
+    rows[1, V_STAR] = 500.0
+    with pytest.raises(InputError, match="out of bounds"):
+        other.change(rows)
+    assert other.drivers[1, V_STAR] == 5.0

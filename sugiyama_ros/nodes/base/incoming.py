@@ -156,8 +156,13 @@ def innovation(raw: bytes) -> cdr_messages.ReadInnovation:
 
 def effect_values(effect: str, names: Sequence[str], values: Sequence[float]) -> dict[str, float]:
     """Values of an effect's parameters, by name, from a request. Raises RefusedError for uneven or repeated names."""
+    return named_values(f"effect {effect}", names, values)
+
+
+def named_values(what: str, names: Sequence[str], values: Sequence[float]) -> dict[str, float]:
+    """Values of something by name, from a request. Raises RefusedError for uneven or repeated names."""
     if len(names) != len(values) or len(set(names)) != len(names):
-        raise RefusedError(f"effect {effect}: {len(names)} names, {len(values)} values; give each name one value")
+        raise RefusedError(f"{what}: {len(names)} names, {len(values)} values; give each name one value")
     return dict(zip(names, values, strict=True))
 
 

@@ -2,14 +2,17 @@
 
 import re
 import time
+from array import array
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType, JumpHandle, JumpThreshold
 from rclpy.duration import Duration
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from sugiyama_msgs.msg import Progress
@@ -54,13 +57,45 @@ class PacedNode(Node):
         self.refused, self._reason = 0, ""
         self._told_refused = 0
         self._jumps: list[JumpHandle] = []
+        self._streams: dict[str, Publisher] = {}
         self._to_progress = self.create_publisher(Progress, self.shared("_progress"), PROGRESS_OUT)
         self._to_diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", STREAM)
         self.create_timer(_BEAT_S, self.beat, clock=self.steady)
 
+    def declare_parameter(self, name: str, value: Any = None, *rest: Any, **more: Any) -> Parameter:
+        """Declare a parameter. Where a real number is expected, a whole number will do, as in ``v_star: 10``."""
+        given = self._parameter_overrides.get(name)
+        if given is not None:
+            self._parameter_overrides[name] = _real(given, value)
+        return super().declare_parameter(name, value, *rest, **more)
+
+    def set_parameters(self, parameter_list: list[Parameter]) -> list[SetParametersResult]:
+        """Set parameters, each on its own. Where a real number is expected, a whole number will do."""
+        return super().set_parameters([self._as_declared(p) for p in parameter_list])
+
+    def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
+        """Set all parameters or none. Where a real number is expected, a whole number will do."""
+        return super().set_parameters_atomically([self._as_declared(p) for p in parameter_list])
+
+    def _as_declared(self, parameter: Parameter) -> Parameter:
+        known = self.has_parameter(parameter.name)
+        return _real(parameter, self.get_parameter(parameter.name).value) if known else parameter
+
     def shared(self, topic: str) -> str:
         """Full name of a topic that all nodes of a road share."""
         return re.sub(r"/vehicle_\d+$", "", self.get_namespace()).rstrip("/") + "/" + topic
+
+    def stream(self, kind: type, topic: str, qos: QoSProfile) -> Publisher:
+        """Publisher of a topic, made at the first call, and shared by everything in the node that publishes there."""
+        if topic not in self._streams:
+            self._streams[topic] = self.create_publisher(kind, topic, qos)
+        return self._streams[topic]
+
+    def end_stream(self, topic: str) -> None:
+        """Publish no longer on a topic of ``stream``."""
+        publisher = self._streams.pop(topic, None)
+        if publisher is not None:
+            self.destroy_publisher(publisher)
 
     def send(self, publisher: Publisher, message: Any) -> None:
         """Publish a message, or its bytes, on a topic that is recorded."""
@@ -113,11 +148,11 @@ class PacedNode(Node):
             self._told_refused = self.refused
         pairs = [KeyValue(key=k, value=str(v)) for k, v in values.items()]
         name = self.get_fully_qualified_name()
-        array = DiagnosticArray(
+        message_array = DiagnosticArray(
             status=[DiagnosticStatus(level=level, name=name, message=message, hardware_id="", values=pairs)]
         )
-        array.header.stamp = self.get_clock().now().to_msg()
-        self.send(self._to_diagnostics, array)
+        message_array.header.stamp = self.get_clock().now().to_msg()
+        self.send(self._to_diagnostics, message_array)
 
     def report_if_worse(self) -> None:
         """Publish the health at once if it has worsened."""
@@ -150,3 +185,13 @@ class PacedNode(Node):
         self._to_progress.publish(
             Progress(node=self.get_fully_qualified_name(), steps=self.steps, published=self.published)
         )
+
+
+def _real(given: Parameter, known: Any) -> Parameter:
+    """A parameter with real numbers instead of whole numbers, if the known value is real."""
+    if isinstance(known, float) and given.type_ == Parameter.Type.INTEGER:
+        return Parameter(given.name, value=float(given.value))
+    is_list = isinstance(known, (list, array)) and len(known) > 0 and isinstance(known[0], float)
+    if is_list and given.type_ == Parameter.Type.INTEGER_ARRAY:
+        return Parameter(given.name, value=[float(v) for v in given.value])
+    return given

@@ -1,0 +1,41 @@
+"""What simulated drivers really did, to compare estimates with it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from sugiyama_ros.arrays import Array, Ints
+
+
+@dataclass(frozen=True)
+class TrueDriver:
+    """From ``time_s`` [s] on, vehicle number ``vehicle`` drives with these parameters, by name, in SI units."""
+
+    time_s: float
+    vehicle: int
+    parameters: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """The true motion of N simulated vehicles at T times.
+
+    Attributes
+    ----------
+    vehicle : ndarray of int, shape (N,)
+        Numbers of the vehicles.
+    time_s : ndarray, shape (T,)
+        Times [s].
+    position_m, speed, acceleration, gap_m : ndarray, shape (T, N)
+        True positions [m], speeds [m/s], accelerations [m/s^2] and gaps [m] to the leaders; a gap is infinite without a
+        leader, and NaN stands where a vehicle is not on the road.
+    drivers : tuple of TrueDriver
+        Parameters of the drivers at the start, and each change, in the order of time.
+    """
+
+    vehicle: Ints
+    time_s: Array
+    position_m: Array
+    speed: Array
+    acceleration: Array
+    gap_m: Array
+    drivers: tuple[TrueDriver, ...]
