@@ -13,7 +13,7 @@ from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from sugiyama_ros.errors import SugiyamaError
+from sugiyama_ros.errors import InputError, SugiyamaError
 from sugiyama_ros.nodes.base import environment
 from sugiyama_ros.nodes.base.node import PacedNode
 
@@ -109,5 +109,9 @@ def run_node(make: Callable[[], PacedNode]) -> None:
             signal.alarm(_TAKE_DOWN_S)
             spinner.close()
             node.destroy_node()
+    except InputError as error:
+        # as the command line does: whoever starts nodes need not try again
+        print(error, file=sys.stderr)
+        sys.exit(2)
     except SugiyamaError as error:
         sys.exit(str(error))
