@@ -69,11 +69,8 @@ def report(r: Recording, diagnosis: Mapping[str, Any] | None, against: AgainstTr
         sections.append(_drivers(r, diagnosis, chosen))
     if against is not None:
         told = "".join(f"<li>{escape(line)}</li>" for line in against.lines())
-        sections.append(
-            Section(
-                "truth", "Against the truth", f"<ul>{told}</ul>", [truth.estimates(against, name) for name in SHOWN]
-            )
-        )
+        estimates = [truth.estimates(against, name) for name in SHOWN]
+        sections.append(Section("truth", "Against the truth", f"<ul>{told}</ul>", estimates))
     sections.append(Section("how", "How it was done", html.how(r, diagnosis), (), ""))
     chosen.connect()
     return _page(r, diagnosis, sections, chosen)
