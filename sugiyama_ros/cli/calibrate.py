@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sugiyama_ros.cli.options import Json, Overwrite, Ring, Seed, Source, model_output, names, takes
+from sugiyama_ros.cli.options import Json, Overwrite, Ring, Seed, Source, Wide, model_output, names, takes
 from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table, progress
 from sugiyama_ros.errors import InputError
 
@@ -73,6 +73,7 @@ class CalibrateOptions:
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Model file (YAML) to write.")] = None
     overwrite: Overwrite = False
     ring: Ring = None
+    wide: Wide = False
     as_json: Json = False
 
     @property
@@ -132,7 +133,7 @@ def calibrate(options: CalibrateOptions) -> None:
     if options.as_json:
         print_json(found.document(wall_s))
     else:
-        _print(found, options.output)
+        _print(found, options.output, options.wide)
     for line in doubts:
         print_note(f"caution: {line}")
 
@@ -151,7 +152,7 @@ def _calibrate_tracks(options: CalibrateOptions) -> None:
     if options.as_json:
         print_json(found.document(time.monotonic() - began))
         return
-    print_table(found.table())
+    print_table(found.table(), wide=options.wide)
     print_line(found.headline())
 
 
@@ -191,10 +192,10 @@ def _cautions(found: "Calibration") -> list[str]:
     return cautions(found)
 
 
-def _print(found: "Calibration", output: Path | None) -> None:
+def _print(found: "Calibration", output: Path | None, wide: bool) -> None:
     for line in found.class_sentences():
         print_line(line)
-    print_table(found.table())
+    print_table(found.table(), wide=wide)
     for line in found.shared_sentences():
         print_line(line)
     if output is not None:

@@ -1,6 +1,7 @@
 """A diagnosis: what is missing from the model, where the model fails, and how it compares with other laws."""
 
 import time
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -166,7 +167,7 @@ def diagnose(
     quick: bool = False,
     most: int = 3,
     verdict_only: bool = False,
-    add_forces: bool = False,
+    add: Sequence[str] | None = None,
     workers: int = 4,
     on_progress: OnStage = lambda what, done, total: None,
 ) -> Diagnosis:
@@ -184,8 +185,9 @@ def diagnose(
         Maximum number of effects to add.
     verdict_only : bool
         Whether to leave out the rivals and the forces without a name.
-    add_forces : bool
-        Whether to add the best force without a name at the end.
+    add : sequence of str, optional
+        Names of the only candidates to add, if the data support them; empty for all candidates, and for the best force
+        without a name at the end. Without it, forces are reported, and not added.
     workers : int
         Number of threads.
     on_progress : callable
@@ -209,8 +211,8 @@ def diagnose(
         rival = partial(_rival, data, work, quick)
         others = aside.map(rival, [] if verdict_only else RIVALS)
         base = fit_base(data, individual_in(trajectories, V_STAR, KAPPA_V), work)
-        search = Search(data, base, quick, seed, work, on_progress=on_progress)
-        forces = _grow(search, most, with_forces=not (quick or verdict_only), add_forces=add_forces)
+        search = Search(data, base, quick, seed, work, only=add or (), on_progress=on_progress)
+        forces = _grow(search, most, with_forces=not (quick or verdict_only), add_forces=add is not None and not add)
         on_progress("rival models", 0, 1)
         rivals = {name: errors for found in others for name, errors in found.items()}
         on_progress("judging the model", 0, 1)

@@ -20,7 +20,7 @@ from sugiyama_ros.diagnosis.candidacy import (
     chance_scale,
     smallest_detectable,
 )
-from sugiyama_ros.diagnosis.candidates import Candidate, candidates, recording_of
+from sugiyama_ros.diagnosis.candidates import Candidate, candidates, named, recording_of
 from sugiyama_ros.diagnosis.discover import Discovery, discover
 from sugiyama_ros.diagnosis.errors import HeldOutErrors, held_out_errors
 from sugiyama_ros.diagnosis.screen import FULL, QUICK, Screened, closer, forecast, refine, screen, screen_again
@@ -62,6 +62,8 @@ class Search:
         Seed of the simulated recordings.
     work : ThreadPoolExecutor
         Runs the filters.
+    only : sequence of str
+        Names of the only candidates; empty for all candidates.
     on_progress : callable
         Called with the name of the stage, the number of steps done, and the number of all steps.
 
@@ -93,11 +95,12 @@ class Search:
         seed: int,
         work: ThreadPoolExecutor,
         *,
+        only: Sequence[str] = (),
         on_progress: OnStage,
     ) -> None:
         self.data, self.base, self.quick, self.seed = data, base, quick, seed
         self._work, self._on_progress = work, on_progress
-        self._possible = candidates(recording_of(data), data.drivers)
+        self._possible = tuple(named(data, only) if only else candidates(recording_of(data), data.drivers))
         self.searched = tuple(c.name for c in self._possible)
         self._seen: dict[str, tuple[JointFit, Screened]] = {}
         self.effort = QUICK if quick else FULL

@@ -13,11 +13,11 @@ from sugiyama_ros.tables import TextTable
 _ERRORS = (
     "one-step [m]",
     "free run 2 s [m]",
-    "5 s",
-    "10 s",
-    "single car 2 s [m]",
-    "5 s",
-    "10 s",
+    "5 s [m]",
+    "10 s [m]",
+    "one car 2 s [m]",
+    "5 s [m]",
+    "10 s [m]",
     "nats per sample",
 )
 # Errors that get a third decimal place.
@@ -30,7 +30,7 @@ _DETAILS = {
     "speed [m/s]": "speed_mps",
     "time gap [s]": "time_gap_s",
 }
-_COLLECTIVE = ("mean speed [m/s]", "least", "largest", "wave speed [m/s]", "queue [vehicles]", "period [s]")
+_COLLECTIVE = ("mean speed [m/s]", "least [m/s]", "largest [m/s]", "wave speed [m/s]", "queue [vehicles]", "period [s]")
 
 
 def steps(diagnosis: Diagnosis) -> TextTable:
@@ -44,7 +44,7 @@ def steps(diagnosis: Diagnosis) -> TextTable:
 
 def by_driver(drivers: Sequence[Mapping[str, Any]]) -> TextTable:
     """Return the gain of the additions for each driver; ``drivers`` as in the document of the diagnosis."""
-    headings = ("vehicle", "held-out gain [nats]", "single car 10 s [m]", "after")
+    headings = ("vehicle", "held-out gain [nats]", "one car 10 s, before [m]", "after [m]")
     rows = tuple(
         (
             str(d["vehicle"]),
@@ -64,7 +64,7 @@ def held_out_errors(compared: Sequence[Compared]) -> TextTable:
         gain = f"{one.gain.nats:.0f} ± {one.gain.se:.0f}" if one.gain else ""
         nis = f"{one.nis_mean:.2f} ± {one.nis_std_error:.2f}"
         rows.append((one.name, *_error_cells(one.errors.summary()), gain, nis, f"{one.autocorrelation[0]:+.3f}"))
-    headings = ("model", *_ERRORS, "gain [nats]", "mean NIS", "autocorrelation")
+    headings = ("model", *_ERRORS, "gain [nats]", "mean NIS", "autocorr.")
     return TextTable("Held-out errors", headings, tuple(rows), left=1)
 
 
@@ -85,13 +85,20 @@ def details(compared: Sequence[Compared]) -> TextTable:
 
 def collective(measured: Collective, compared: Sequence[Compared]) -> TextTable:
     """Return collective measures of the recording and of simulations of each model, with standard deviations."""
-    rows = [("measured", *(f"{v:.2f}" for v in asdict(measured).values()))]
+    rows = [("measured", *(_with_std(v, math.nan) for v in asdict(measured).values()))]
     rows += [
-        (one.name, *(f"{mean:.2f} ± {std:.2f}" for mean, std in one.collective.values()))
+        (one.name, *(_with_std(mean, std) for mean, std in one.collective.values()))
         for one in compared
         if one.collective
     ]
     return TextTable("Collective measures: recorded and simulated", ("", *_COLLECTIVE), tuple(rows), left=1)
+
+
+def _with_std(mean: float, std: float) -> str:
+    """A mean with its standard deviation; a dash where there is nothing, such as the speed of waves without a wave."""
+    if not math.isfinite(mean):
+        return "–"
+    return f"{mean:.2f} ± {std:.2f}" if math.isfinite(std) else f"{mean:.2f}"
 
 
 def _error_cells(summary: Mapping[str, float]) -> list[str]:

@@ -7,7 +7,6 @@ from bokeh.models import ColumnDataSource, CustomJS, Select, TapTool
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.page.panels.base import SINGLE
 
-
 # Dark on white, whatever the colours of the page around it.
 _INPUT = ".bk-input { color: #1b1b1b; background-color: #fff; }"
 
