@@ -311,7 +311,7 @@ def diagnose(
             seed=seed,
             quick=quick,
             most=8 if add else 3,
-            add_forces=add is not None,
+            add=() if add else None,
             workers=os.cpu_count() or 1,
             on_progress=advance,
         )

@@ -15,7 +15,14 @@ OnStage = Callable[[str, int, int], None]
 def stages() -> Iterator[OnStage]:
     """Show a bar for work in several stages, on a terminal or in a notebook; show nothing in a pipe."""
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TaskProgressColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
 
     console = Console(stderr=True)
     if console.is_jupyter and find_spec("ipywidgets") is None:
@@ -25,10 +32,25 @@ def stages() -> Iterator[OnStage]:
     if not (console.is_terminal or console.is_jupyter):
         yield lambda what, done, total: None
         return
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeRemainingColumn(),
+        TimeElapsedColumn(),
+    )
     with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task("starting", total=None)
-        yield lambda what, done, total: bar.update(task, description=what, completed=done, total=total)
+        task, current = bar.add_task("starting", total=None), ""
+
+        def show(what: str, done: int, total: int) -> None:
+            nonlocal current
+            if what != current:
+                # the time left is that of the stage
+                bar.reset(task, total=None)
+                current = what
+            bar.update(task, description=what, completed=done, total=total)
+
+        yield show
 
 
 def _lines() -> OnStage:

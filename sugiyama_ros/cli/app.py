@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from sugiyama_ros.cli import calibrate, data, demo, diagnose, report, run, simulate, study
+from sugiyama_ros.cli import calibrate, catalogue, data, demo, diagnose, report, run, simulate, study
 
 # Without rich's markup, which would take a unit such as [m] for a style and leave it out.
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
@@ -16,6 +16,8 @@ for command in (
     diagnose.diagnose,
     study.study,
     diagnose.compare,
+    catalogue.effects,
+    catalogue.laws,
     report.report,
     run.live,
     data.convert,

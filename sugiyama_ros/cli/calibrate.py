@@ -17,6 +17,7 @@ from sugiyama_ros.cli.options import (
     Scheduler,
     Seed,
     Source,
+    Wide,
     model_output,
     names,
     takes,
@@ -82,6 +83,7 @@ class CalibrateOptions:
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Model file (YAML) to write.")] = None
     overwrite: Overwrite = False
     ring: Ring = None
+    wide: Wide = False
     as_json: Json = False
 
     @property
@@ -143,7 +145,7 @@ def calibrate(options: CalibrateOptions) -> None:
     if options.as_json:
         print_json(found.document(wall_s))
     else:
-        _print(found, options.output)
+        _print(found, options.output, options.wide)
     for line in doubts:
         print_note(f"caution: {line}")
 
@@ -162,7 +164,7 @@ def _calibrate_tracks(options: CalibrateOptions) -> None:
     if options.as_json:
         print_json(found.document(time.monotonic() - began))
         return
-    print_table(found.table())
+    print_table(found.table(), wide=options.wide)
     print_line(found.headline())
 
 
@@ -203,10 +205,10 @@ def _cautions(found: "Calibration") -> list[str]:
     return cautions(found)
 
 
-def _print(found: "Calibration", output: Path | None) -> None:
+def _print(found: "Calibration", output: Path | None, wide: bool) -> None:
     for line in found.class_sentences():
         print_line(line)
-    print_table(found.table())
+    print_table(found.table(), wide=wide)
     for line in found.shared_sentences():
         print_line(line)
     if output is not None:

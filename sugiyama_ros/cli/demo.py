@@ -4,16 +4,18 @@ import math
 import os
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from sugiyama_ros.cli.options import Json, Overwrite, Ring, Seed, own_output
-from sugiyama_ros.cli.output import print_json, print_line, print_note
-from sugiyama_ros.cli.run import INTERRUPTED, RunOptions, print_run, replay
+from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table
+from sugiyama_ros.cli.run import INTERRUPTED, RunOptions, replay
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.outputs import Output
 from sugiyama_ros.progress import stages
+from sugiyama_ros.results import plain
+from sugiyama_ros.tables import TextTable
 
 if TYPE_CHECKING:
     from sugiyama_ros.diagnosis.diagnosis import Diagnosis
@@ -21,11 +23,14 @@ if TYPE_CHECKING:
     from sugiyama_ros.trajectories.trajectories import Trajectories
 
 _OWN = "sugiyama-demo.mcap"
+# Effects that are added to the model of measured drivers, at most.
+_MOST = 3
 
 
 def demo(
     data: Annotated[
-        Path | None, typer.Option("--data", help="Measured trajectories to replay, instead of simulated ones.")
+        Path | None,
+        typer.Option("--data", help="Measured trajectories in any known format, instead of simulated ones."),
     ] = None,
     output: Annotated[
         Path | None,
@@ -44,36 +49,36 @@ def demo(
     show: Annotated[bool, typer.Option("--open", help="Open the report in the browser.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Find an effect that is hidden in simulated drivers.
+    """Find out what the model lacks, add it, and show it on a page.
 
-    The program replays the simulated experiment, finds what the model lacks, adds it to the model, and replays the
-    experiment again. With --data, it replays a measured experiment and estimates its drivers instead.
+    Simulated drivers have an effect that the model lacks. The program replays the simulated experiment, finds what the
+    model lacks, adds it to the model, and replays the experiment again. With --data, it does the same with a measured
+    experiment.
     """
     recording = own_output(output, _OWN, overwrite, data)
-    if data is not None:
-        print_run(replay(RunOptions(recording.path, data, recording.overwrite, ring=ring)), as_json)
-        return
-    from sugiyama_ros.diagnosis.verdict import document
+    page = _page_beside(recording)
+    from sugiyama_ros.formats.registry import read_trajectories
     from sugiyama_ros.page.recording import read_recording
     from sugiyama_ros.page.report import write_report
-    from sugiyama_ros.studies.hiding import STRENGTHS, hide
 
-    hidden = _chosen(hidden, tuple(STRENGTHS), seed)
-    page = _page_beside(recording)
-    simulated, values = hide(hidden, STRENGTHS[hidden][0], seed)
-    print_note("22 simulated drivers on a ring of 230 m, for 250 s. They have an effect that the model lacks.")
-    before, found, after = _before_and_after(simulated.measured, recording, seed)
-    write_report(read_recording(recording.path), document(found), page)
+    truth: dict[str, Any] = {}
+    if data is not None:
+        trajectories = read_trajectories(data, ring)
+    else:
+        trajectories, truth = _simulated(hidden, seed)
+        print_note("22 simulated drivers on a ring of 230 m, for 250 s. They have an effect that the model lacks.")
+    before, found, after = _before_and_after(trajectories, recording, seed, _MOST if data is not None else 1)
+    told = {**truth, **plain(document_of(found))}
+    write_report(read_recording(recording.path), told, page)
     if show:
         typer.launch(str(page.path))
     rmse = [math.sqrt(sum(d.one_step_rmse_m**2 for d in r.drivers) / len(r.drivers)) for r in (before, after)]
     if not as_json:
-        _print(found, rmse, f"{hidden} ({', '.join(f'{k} {v:.3g}' for k, v in values.items())})", recording, page)
+        _print(told, rmse, recording, page)
         return
     print_json(
         {
-            "hidden": {"name": hidden, "parameters": values},
-            **document(found),
+            **told,
             "published_one_step_rmse_m": {"before": rmse[0], "after": rmse[1]},
             "messages_lost": before.messages_lost + after.messages_lost,
             "output": str(recording.path),
@@ -82,15 +87,36 @@ def demo(
     )
 
 
-def _print(found: "Diagnosis", rmse: list[float], hidden: str, recording: Output, page: Output) -> None:
-    from sugiyama_ros.diagnosis.verdict import sentences
+def document_of(found: "Diagnosis") -> dict[str, Any]:
+    """The document of a diagnosis."""
+    from sugiyama_ros.diagnosis.verdict import document
 
-    print_line(f"before: the one-step error of the estimators is {rmse[0]:.4f} m")
-    for line in sentences(found):
+    return document(found)
+
+
+def _simulated(hidden: str, seed: int) -> tuple["Trajectories", dict[str, Any]]:
+    """A simulated experiment with a hidden effect, and the truth for the document."""
+    from sugiyama_ros.studies.hiding import DEMONSTRATED, STRENGTHS, hide
+
+    hidden = _chosen(hidden, tuple(STRENGTHS), seed)
+    simulated, values = hide(hidden, DEMONSTRATED.get(hidden, STRENGTHS[hidden][0]), seed)
+    return simulated.measured, {"hidden": {"name": hidden, "parameters": dict(values)}}
+
+
+def _print(told: dict[str, Any], rmse: list[float], recording: Output, page: Output) -> None:
+    for line in told["verdict"]["told"]:
         print_line(line)
-    print_line(f"after: with what was found, the error is {rmse[1]:.4f} m; all topics are in {recording.path}")
-    print_line(f"the hidden effect: {hidden}")
-    print_line(f"report: {page.path}")
+    errors = told["errors"]
+    rows: list[tuple[str, ...]] = [("one step ahead, by the estimators [m]", f"{rmse[0]:.4f}", f"{rmse[1]:.4f}")]
+    of_runs = {"free run of all cars, 10 s [m]": "free_run_10s_m", "one car, 10 s [m]": "single_car_10s_m"}
+    for title, name in of_runs.items():
+        rows.append((title, *(f"{errors[when][name]:.2f}" for when in ("before", "after"))))
+    print_table(TextTable("", ("error", "before", "after"), tuple(rows), left=1))
+    if truth := told.get("hidden"):
+        values = ", ".join(f"{k} {v:.3g}" for k, v in truth["parameters"].items())
+        print_line(f"the hidden effect: {truth['name']} ({values})")
+    print_line(f"all topics: {recording.path} (look at them: sugiyama info {recording.path})")
+    print_line(f"report: {page.path} (open it in a browser)")
 
 
 def _page_beside(recording: Output) -> Output:
@@ -114,7 +140,7 @@ def _chosen(hidden: str, effects: tuple[str, ...], seed: int) -> str:
 
 
 def _before_and_after(
-    trajectories: "Trajectories", output: Output, seed: int
+    trajectories: "Trajectories", output: Output, seed: int, most: int
 ) -> tuple["RunResult", "Diagnosis", "RunResult"]:
     """Replay with the base model, find what is missing, and replay with it."""
     from sugiyama_ros.diagnosis.diagnosis import diagnose as find
@@ -122,7 +148,7 @@ def _before_and_after(
     from sugiyama_ros.formats.convert import write_trajectories
 
     with tempfile.TemporaryDirectory() as directory:
-        source, model = Path(directory) / "simulated.mcap", Path(directory) / "model.yaml"
+        source, model = Path(directory) / "measured.mcap", Path(directory) / "model.yaml"
         write_trajectories(trajectories, source)
         before = _to_the_end(RunOptions(Path(directory) / "before.mcap", source))
         with stages() as advance:
@@ -130,8 +156,7 @@ def _before_and_after(
                 trajectories,
                 seed=seed,
                 quick=True,
-                most=1,
-                verdict_only=True,
+                most=most,
                 workers=os.cpu_count() or 1,
                 on_progress=advance,
             )

@@ -1,20 +1,39 @@
 """``sugiyama diagnose`` and ``sugiyama compare``."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sugiyama_ros.cli.options import Json, ModelFile, Overwrite, Ring, Scheduler, Seed, Source, model_output, names
+from sugiyama_ros.cli.options import (
+    Json,
+    ModelFile,
+    Overwrite,
+    Ring,
+    Scheduler,
+    Seed,
+    Source,
+    Wide,
+    model_output,
+    names,
+)
 from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.progress import stages
+
+if TYPE_CHECKING:
+    from sugiyama_ros.diagnosis.diagnosis import Diagnosis
 
 
 def diagnose(
     source: Source,
     add: Annotated[
-        str | None, typer.Option("--add", help="auto: add effects until the data support no further one.")
+        str | None,
+        typer.Option(
+            "--add",
+            help="auto: add effects until the data support no further one. Or names, separated by commas: add these, if"
+            " the data support them.",
+        ),
     ] = None,
     output: Annotated[
         Path | None,
@@ -27,14 +46,14 @@ def diagnose(
     ring: Ring = None,
     seed: Seed = 0,
     scheduler: Scheduler = None,
+    wide: Wide = False,
     as_json: Json = False,
 ) -> None:
     """Find out what the model lacks.
 
     The diagnosis says where the model fails, which effect explains the failure, and how certain that is.
     """
-    if add not in (None, "auto"):
-        raise InputError(f"--add {add}: is not known; give auto")
+    chosen = _chosen(add)
     to_write = model_output(output, overwrite, source)
     from sugiyama_ros.diagnosis import tables
     from sugiyama_ros.diagnosis.diagnosis import diagnose as find
@@ -50,7 +69,7 @@ def diagnose(
             seed=seed,
             quick=quick,
             most=8 if add else 3,
-            add_forces=add is not None,
+            add=chosen,
             workers=workers,
             on_progress=advance,
         )
@@ -61,10 +80,34 @@ def diagnose(
         return
     for line in sentences(found):
         print_line(line)
-    print_table(tables.steps(found))
-    print_table(tables.by_driver(document(found)["drivers"]))
+    print_table(tables.steps(found), wide=wide)
+    print_table(tables.by_driver(document(found)["drivers"]), wide=wide)
+    _print_next(found, source, output, add)
     runs = f"{found.bootstrap_runs} simulated recordings" + (" (quick)" if quick else "")
     print_note(f"p-values from {runs}; {found.wall_s:.0f} s")
+
+
+def _chosen(add: str | None) -> tuple[str, ...] | None:
+    """The names to add, none of them for auto, or None. Raises InputError for an empty list."""
+    if add is None or add == "auto":
+        return None if add is None else ()
+    if not names(add):
+        raise InputError("--add: has no name; give auto, or names of effects (sugiyama effects lists them)")
+    return names(add)
+
+
+def _print_next(found: "Diagnosis", source: Path, output: Path | None, add: str | None) -> None:
+    """Say which additions the data do not support, and what to do next."""
+    for name in sorted(set(names(add or "")) - {"auto", *(one.name for one in found.named)}):
+        print_line(f"{name}: was not added; the data do not support it")
+    if output is not None:
+        print_line(f"model file: {output} (compare it: sugiyama compare {source} --model {output})")
+    elif found.named and add is None:
+        print_line(f"add it: sugiyama diagnose {source} --add auto -o model.yaml")
+    print_line(
+        f"look at it: sugiyama diagnose {source} --json > diagnosis.json; sugiyama run {source} -o run.mcap;"
+        " sugiyama report run.mcap --diagnosis diagnosis.json --open"
+    )
 
 
 def compare(
@@ -74,6 +117,7 @@ def compare(
     ring: Ring = None,
     seed: Seed = 0,
     scheduler: Scheduler = None,
+    wide: Wide = False,
     as_json: Json = False,
 ) -> None:
     """Compare the model with measurements and with other models.
@@ -94,8 +138,8 @@ def compare(
     if as_json:
         print_json(document(compared))
         return
-    print_table(tables.held_out_errors(compared.models))
-    print_table(tables.details(compared.models))
+    print_table(tables.held_out_errors(compared.models), wide=wide)
+    print_table(tables.details(compared.models), wide=wide)
     if compared.measured is not None:
-        print_table(tables.collective(compared.measured, compared.models))
+        print_table(tables.collective(compared.measured, compared.models), wide=wide)
     print_line(f"white innovations have an autocorrelation within ± {compared.models[0].band:.3f}")

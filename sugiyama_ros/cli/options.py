@@ -16,6 +16,7 @@ from sugiyama_ros.outputs import Output
 
 Source = Annotated[Path, typer.Argument(help="Trajectories: a file in any known format.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document instead of text.")]
+Wide = Annotated[bool, typer.Option("--wide", help="Print each table in one piece, however wide it is.")]
 Ring = Annotated[
     float | None, typer.Option("--ring", help="Circumference of the road [m], if the file does not give it.")
 ]

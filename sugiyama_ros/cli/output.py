@@ -4,9 +4,11 @@ import json
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from rich.box import HEAVY_HEAD
+from rich.cells import cell_len
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
@@ -18,8 +20,8 @@ from sugiyama_ros.tables import TextTable
 if TYPE_CHECKING:
     from sugiyama_ros.page.truth import AgainstTruth
 
-# Columns of a table that is printed to a pipe, or on a narrower terminal: other programs want unbroken lines.
-_WIDTH = 200
+# Columns of a terminal, at least, and columns of a line that is not broken.
+_NARROW, _WIDE = 80, 1000
 _out, _err = Console(), Console(stderr=True)
 
 
@@ -33,15 +35,41 @@ def print_note(text: str) -> None:
     _err.print(escape(text), soft_wrap=True, highlight=False)
 
 
-def print_table(table: TextTable, boxed: bool = True) -> None:
-    """Print a table, with unbroken lines."""
+def print_table(table: TextTable, boxed: bool = True, wide: bool = False) -> None:
+    """Print a table. Columns that do not fit stand below, with the first column again, unless the table may be wide."""
+    room = _WIDE if wide else max(_out.width, _NARROW)
+    for number, part in enumerate(_parts(table, room)):
+        _print_part(part if number == 0 else replace(part, title=""), boxed)
+
+
+def _parts(table: TextTable, room: int) -> Iterator[TextTable]:
+    """Parts of a table that fit into ``room`` columns, each with the columns that are aligned to the left."""
+    columns = [(heading, *(row[k] for row in table.rows)) for k, heading in enumerate(table.headings)]
+    width = [max(map(cell_len, column)) + 3 for column in columns]
+    kept = list(range(max(table.left, 1)))
+    own = 1 + sum(width[k] for k in kept)
+    part: list[int] = []
+    for k in range(len(kept), len(columns)):
+        if part and own + sum(width[j] for j in part) + width[k] > room:
+            yield _only(table, kept + part)
+            part = []
+        part.append(k)
+    yield _only(table, kept + part)
+
+
+def _only(table: TextTable, columns: list[int]) -> TextTable:
+    rows = tuple(tuple(row[k] for k in columns) for row in table.rows)
+    return replace(table, headings=tuple(table.headings[k] for k in columns), rows=rows)
+
+
+def _print_part(table: TextTable, boxed: bool) -> None:
     box = HEAVY_HEAD if boxed else None
     shown = Table(title=escape(table.title) or None, title_justify="left", box=box)
     for number, heading in enumerate(table.headings):
         shown.add_column(escape(heading), justify="left" if number < table.left else "right")
     for row in table.rows:
         shown.add_row(*map(escape, row))
-    Console(width=max(_out.width, _WIDTH)).print(shown, highlight=False)
+    Console(width=_WIDE).print(shown, highlight=False)
 
 
 def print_json(document: Any) -> None:

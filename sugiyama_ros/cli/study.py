@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from sugiyama_ros.cli.options import Json, Overwrite, RegulariseStrength, Ring, Seed, need_matplotlib
+from sugiyama_ros.cli.options import Json, Overwrite, RegulariseStrength, Ring, Seed, Wide, need_matplotlib
 from sugiyama_ros.cli.output import print_json, print_line, print_table
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.outputs import Output, writing
@@ -32,6 +32,7 @@ def study(
             help="Let the acceleration noise of estimated drivers grow with the speed, up to this speed [m/s].",
         ),
     ] = 0.0,
+    wide: Wide = False,
     as_json: Json = False,
 ) -> None:
     """Answer a question of the paper again.
@@ -62,7 +63,7 @@ def study(
     if as_json:
         print_json({"study": name, "paper": asked.paper, "rows": answer.rows, "seed": seed})
         return
-    print_table(_table(asked.question, answer.rows))
+    print_table(_table(asked.question, answer.rows), wide=wide)
     print_line(f"The paper: {asked.paper}")
 
 

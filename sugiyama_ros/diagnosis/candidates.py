@@ -178,6 +178,21 @@ def _why_not(e: Effect, data: Recorded) -> str:
     return next((reason for reason, holds in reasons.items() if holds), "")
 
 
+def only_those(possible: Sequence[Candidate], names: Sequence[str]) -> tuple[Candidate, ...]:
+    """Return the candidates with these names, or of these mechanisms; all of them if there are no names.
+
+    Raises
+    ------
+    InputError
+        For a name that no candidate has.
+    """
+    known = {name for c in possible for name in (c.name, c.mechanism)}
+    for name in names:
+        if name not in known:
+            raise InputError(f"effect {name!r}: cannot be added here; choose among {', '.join(sorted(known))}")
+    return tuple(c for c in possible if not names or c.name in names or c.mechanism in names)
+
+
 def named(data: Recorded, names: Sequence[str]) -> list[Candidate]:
     """Return the candidates with these names.
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.bootstrap import resample, seeds
 from sugiyama_ros.diagnosis.candidates import Candidate, named
 from sugiyama_ros.diagnosis.errors import HeldOutErrors, errors_of
@@ -268,10 +269,14 @@ def _of_road(data: Recorded, model: Model, seed: int, work: Executor) -> dict[st
     states = filtered_states(data, model, work)
     runs = [resample(data, model, states, rng).trajectories for rng in seeds(seed, _SIMULATIONS)]
     found = [asdict(one) for one in work.map(collective_of, [run for run in runs if run is not None])]
-    return {
-        name: (float(np.mean([one[name] for one in found])), float(np.std([one[name] for one in found], ddof=1)))
-        for name in found[0]
-    }
+    return {name: _mean_and_std(np.array([one[name] for one in found])) for name in found[0]}
+
+
+def _mean_and_std(values: Array) -> tuple[float, float]:
+    """Mean and standard deviation of the values that are known; NaN for too few of them."""
+    known = values[np.isfinite(values)]
+    mean = float(np.mean(known)) if len(known) else float("nan")
+    return mean, float(np.std(known, ddof=1)) if len(known) > 1 else float("nan")
 
 
 def _compared(

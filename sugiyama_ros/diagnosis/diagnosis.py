@@ -2,6 +2,7 @@
 
 import os
 import time
+from collections.abc import Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -172,7 +173,7 @@ def diagnose(
     quick: bool = False,
     most: int = 3,
     verdict_only: bool = False,
-    add_forces: bool = False,
+    add: Sequence[str] | None = None,
     workers: int | Executor = 4,
     on_progress: OnStage = lambda what, done, total: None,
 ) -> Diagnosis:
@@ -190,8 +191,9 @@ def diagnose(
         Maximum number of effects to add.
     verdict_only : bool
         Whether to leave out the rivals and the forces without a name.
-    add_forces : bool
-        Whether to add the best force without a name at the end.
+    add : sequence of str, optional
+        Names of the only candidates to add, if the data support them; empty for all candidates, and for the best force
+        without a name at the end. Without it, forces are reported, and not added.
     workers : int or Executor
         Number of threads; or the executor of a Dask cluster, whose workers then fit the other laws.
     on_progress : callable
@@ -218,8 +220,8 @@ def diagnose(
         else:
             others = send(cluster, _rival_there, (data, quick), laws)
         base = fit_base(data, data.even.individual(V_STAR, KAPPA_V), work)
-        search = Search(data, base, quick, seed, work, on_progress=on_progress)
-        forces = _grow(search, most, with_forces=not (quick or verdict_only), add_forces=add_forces)
+        search = Search(data, base, quick, seed, work, only=add or (), on_progress=on_progress)
+        forces = _grow(search, most, with_forces=not (quick or verdict_only), add_forces=add is not None and not add)
         on_progress("rival models", 0, 1)
         rivals = {name: errors for found in others for name, errors in found.result().items()}
         on_progress("judging the model", 0, 1)

@@ -66,6 +66,8 @@ class Search:
         Seed of the simulated recordings.
     work : ThreadPoolExecutor
         Runs the filters.
+    only : sequence of str
+        Names of the only candidates; empty for all candidates.
     on_progress : callable
         Called with the name of the stage, the number of steps done, and the number of all steps.
 
@@ -97,12 +99,13 @@ class Search:
         seed: int,
         work: ThreadPoolExecutor,
         *,
+        only: Sequence[str] = (),
         on_progress: OnStage,
     ) -> None:
         self.data, self.base, self.quick, self.seed = data, base, quick, seed
         self._work, self._on_progress = work, on_progress
         push = push_candidate(data, base.samples)
-        self._possible = (*candidates(data), *((push,) if push else ()))
+        self._possible = only_those((*candidates(data), *((push,) if push else ())), only)
         self.searched = tuple(dict.fromkeys(c.mechanism for c in self._possible))
         self._seen: dict[str, tuple[JointFit, Screened]] = {}
         self.effort = QUICK if quick else FULL

@@ -14,11 +14,11 @@ from sugiyama_ros.tables import TextTable
 _ERRORS = {
     "one_step_rmse_m": "one-step [m]",
     "free_run_2s_m": "free run 2 s [m]",
-    "free_run_5s_m": "5 s",
-    "free_run_10s_m": "10 s",
-    "single_car_2s_m": "single car 2 s [m]",
-    "single_car_5s_m": "5 s",
-    "single_car_10s_m": "10 s",
+    "free_run_5s_m": "5 s [m]",
+    "free_run_10s_m": "10 s [m]",
+    "single_car_2s_m": "one car 2 s [m]",
+    "single_car_5s_m": "5 s [m]",
+    "single_car_10s_m": "10 s [m]",
     "loglik_per_sample": "nats per sample",
 }
 # Errors that get a third decimal place.
@@ -33,7 +33,7 @@ _DETAILS = {
 }
 # Kinds of free runs, in words.
 _RUNS = {"free_run": "coupled", "single_car": "of a single car"}
-_COLLECTIVE = ("mean speed [m/s]", "least", "largest", "wave speed [m/s]", "queue [vehicles]", "period [s]")
+_COLLECTIVE = ("mean speed [m/s]", "least [m/s]", "largest [m/s]", "wave speed [m/s]", "queue [vehicles]", "period [s]")
 
 
 def steps(diagnosis: Diagnosis) -> TextTable:
@@ -48,7 +48,7 @@ def steps(diagnosis: Diagnosis) -> TextTable:
 
 def by_driver(drivers: Sequence[Mapping[str, Any]]) -> TextTable:
     """Return the gain of the additions for each driver; ``drivers`` as in the document of the diagnosis."""
-    headings = ("vehicle", "held-out gain [nats]", "single car 10 s [m]", "after")
+    headings = ("vehicle", "held-out gain [nats]", "one car 10 s, before [m]", "after [m]")
     rows = tuple(
         (
             f"{d.get('recording', '')} {d.get('name', d['vehicle'])}".strip(),
@@ -68,7 +68,7 @@ def held_out_errors(compared: Sequence[Compared]) -> TextTable:
         gain = f"{one.gain.nats:.0f} ± {one.gain.se:.0f}" if one.gain else ""
         nis = f"{one.nis_mean:.2f} ± {one.nis_std_error:.2f}"
         rows.append((one.name, *_error_cells(one.errors.summary(), names), gain, nis, f"{one.autocorrelation[0]:+.3f}"))
-    headings = ("model", *(_ERRORS[name] for name in names), "gain [nats]", "mean NIS", "autocorrelation")
+    headings = ("model", *(_ERRORS[name] for name in names), "gain [nats]", "mean NIS", "autocorr.")
     return TextTable("Held-out errors", headings, tuple(rows), left=1)
 
 
@@ -89,9 +89,9 @@ def details(compared: Sequence[Compared]) -> TextTable:
 
 def collective(measured: Collective, compared: Sequence[Compared]) -> TextTable:
     """Return collective measures of the recording and of simulations of each model, with standard deviations."""
-    rows = [("measured", *(f"{v:.2f}" for v in asdict(measured).values()))]
+    rows = [("measured", *(_with_std(v, math.nan) for v in asdict(measured).values()))]
     rows += [
-        (one.name, *(f"{mean:.2f} ± {std:.2f}" for mean, std in one.collective.values()))
+        (one.name, *(_with_std(mean, std) for mean, std in one.collective.values()))
         for one in compared
         if one.collective
     ]
@@ -101,6 +101,13 @@ def collective(measured: Collective, compared: Sequence[Compared]) -> TextTable:
 def _known(summaries: Sequence[Mapping[str, float]]) -> list[str]:
     """Names of the errors that at least one model has: tracks have no coupled runs."""
     return [name for name in _ERRORS if any(math.isfinite(one[name]) for one in summaries)]
+
+
+def _with_std(mean: float, std: float) -> str:
+    """A mean with its standard deviation; a dash where there is nothing, such as the speed of waves without a wave."""
+    if not math.isfinite(mean):
+        return "–"
+    return f"{mean:.2f} ± {std:.2f}" if math.isfinite(std) else f"{mean:.2f}"
 
 
 def _error_cells(summary: Mapping[str, float], names: Sequence[str]) -> list[str]:

@@ -1,6 +1,5 @@
 """The critic: a bank of models follows all vehicles. The model that predicts best shows what the others lack."""
 
-from math import nan
 from typing import Any
 
 import numpy as np
@@ -14,13 +13,14 @@ from sugiyama_ros.effects.registry import ROW, switched_on
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.bank import Bank, strengths
 from sugiyama_ros.filters.chain import CHAIN
-from sugiyama_ros.filters.online import NOBODY, warm_up
+from sugiyama_ros.filters.online import warm_up
 from sugiyama_ros.formats.measured import FRAME
 from sugiyama_ros.formats.truth import namespaces
 from sugiyama_ros.nodes.base import cdr_messages, incoming
 from sugiyama_ros.nodes.base.measured_feed import MeasuredFeed, subscribe_measured
 from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
+from sugiyama_ros.nodes.base.sight import sight
 from sugiyama_ros.nodes.base.spin import run_node
 from sugiyama_ros.nodes.driver_parameters import check_driver, declare_driver
 from sugiyama_ros.nodes.plan import estimators
@@ -102,13 +102,7 @@ class Critic(PacedNode):
         for vehicle in self._chains:
             if vehicle in sample.place:
                 self._chains[vehicle] = sample.chain(vehicle, CHAIN)
-            places = [sample.place.get(v) for v in self._chains[vehicle]]
-            position = [nan if p is None else sample.position_m[p] for p in places]
-            length = [0.0 if p is None else sample.known_length_m(p) for p in places]
-            behind, rear = NOBODY, sample.behind(vehicle)
-            if rear >= 0:
-                p = sample.place[rear]
-                behind = sample.position_m[p], rear, sample.known_length_m(p)
+            position, length, behind = sight(sample, vehicle, self._chains[vehicle])
             time_s = sample.stamp_ns / cdr_messages.NS
             self._bank.step(vehicle, position, self._chains[vehicle], length, time_s, behind)
         if sample.stamp_ns - self._told_ns >= _VERDICT_EVERY_NS or sample.step + 1 == road.steps:

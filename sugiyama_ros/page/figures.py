@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from sugiyama_ros.outputs import Output, make_directory, writing
 from sugiyama_ros.page.panels.base import BLUE, COLOURS, GREEN, GREY, ORANGE, VERMILION
 from sugiyama_ros.page.panels.measured import speeds
-from sugiyama_ros.page.panels.missing import error_growth
+from sugiyama_ros.page.panels.worth import error_growth
 from sugiyama_ros.page.recording import Recording
 
 _SIZE_IN, _DOTS_PER_IN = (6.0, 3.6), 200

@@ -1,104 +1,53 @@
 """The live page: it shows the topics as they arrive."""
 
-from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+import math
+from collections.abc import Callable
 from html import escape
-from itertools import islice
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from bokeh.document import Document
 from bokeh.layouts import column, row
 from bokeh.models import (
-    BasicTicker,
     Button,
-    ColorBar,
     ColumnDataSource,
+    DataRange1d,
     Div,
-    FactorRange,
+    HoverTool,
     LinearColorMapper,
     Select,
+    Span,
+    TapTool,
+    TextInput,
     Toggle,
 )
-from bokeh.palettes import Cividis256
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.page.panels.base import BLUE, GREY, MOVING_S, ORANGE, VERMILION, from_above, panel
-from sugiyama_ros.road import Road
+from sugiyama_ros.page.feed import KEPT, Feed, Log, Status
+from sugiyama_ros.page.panels.base import (
+    BLUE,
+    COLOURS,
+    GREY,
+    MOVING_S,
+    ORANGE,
+    VERMILION,
+    colour_bar,
+    from_above,
+    legend_above,
+    panel,
+    speed_colours,
+)
 
-#: Time [s] between two updates of the road, and between two updates of the curves; samples kept of each vehicle.
-UPDATE_S, TELL_S, KEPT = 0.1, 0.5, 750
-_FASTEST = 12.0
-
-
-class Log:
-    """The latest rows of numbers, for many readers. Each reader remembers how many rows it has seen."""
-
-    def __init__(self, kept: int) -> None:
-        self._rows: deque[tuple[float, ...]] = deque(maxlen=kept)
-        self.heard = 0
-
-    def add(self, *row: float) -> None:
-        """Keep a row, and forget the oldest one if there are too many."""
-        self._rows.append(row)
-        self.heard += 1
-
-    def since(self, seen: int) -> Array:
-        """Rows after the first ``seen`` rows, as far as they are kept; array of shape (rows, columns)."""
-        new = min(self.heard - seen, len(self._rows))
-        return np.array(list(islice(self._rows, len(self._rows) - new, None)))
-
-
-class Feed(Protocol):
-    """What the page shows, and what its buttons do.
-
-    Attributes
-    ----------
-    road : Road
-        The road.
-    rate : float
-        Rate of the replay, in times real time.
-    vehicles : sequence of int
-        Numbers of the vehicles; empty before the first sample.
-    weights : mapping
-        Posterior probability of each model, by name; empty without a critic.
-    now : mapping
-        Position [m] and speed [m/s] of each vehicle.
-    effects, added : sequence of str
-        Effects that can be added, and effects that were added.
-    said : str
-        Last answer of a node.
-    space : Log
-        Time [s], position [m] and speed [m/s] of every vehicle at every sample.
-    error : Log
-        Time [s] and one-step error [m] of all drivers over the last ``MOVING_S`` seconds.
-    driver : mapping
-        For each vehicle a Log of time [s], speed and its std [m/s], innovation and its std [m].
-    """
-
-    road: Road
-    rate: float
-    vehicles: Sequence[int]
-    weights: Mapping[str, float]
-    now: Mapping[int, tuple[float, float]]
-    effects: Sequence[str]
-    added: Sequence[str]
-    said: str
-    space: Log
-    error: Log
-    driver: Mapping[int, Log]
-
-    def pause(self, paused: bool) -> None:
-        """Pause the replay, or resume it."""
-
-    def set_rate(self, rate: float) -> None:
-        """Set the rate of the replay, in times real time."""
-
-    def add(self, effect: str) -> None:
-        """Add an effect to all estimators."""
-
-    def remove(self, effect: str) -> None:
-        """Remove an effect from all estimators."""
+#: Time [s] between two updates of the road, and between two updates of the curves.
+UPDATE_S, TELL_S = 0.1, 0.5
+# Time [s] without a sample after which the source counts as silent.
+_SILENT_S = 3.0
+# The critic is settled when its best model leads by this gain [nats], and has led for this time [s].
+_LEAD_NATS, _LED_S = 5.0, 30.0
+# Models of the critic that are drawn.
+_MODELS = 5
+_COLUMNS = ("time", "speed", "std", "innovation", "spread", "v_star", "v_star_std", "kappa_v", "kappa_v_std", "place")
+_WIDE = {"sizing_mode": "stretch_width"}
 
 
 def page(feed: Feed) -> Callable[[Document], None]:
@@ -112,65 +61,132 @@ class _Page:
         self._watched = -1
         self._seen: dict[Log, int] = {}
         self._space = ColumnDataSource({"time": [], "place": [], "speed": []})
-        self._error = ColumnDataSource({"time": [], "error": []})
-        self._road = ColumnDataSource({"x": [], "y": [], "speed": []})
-        names = ("time", "speed", "low", "high", "innovation", "below", "above")
-        self._driver = ColumnDataSource({name: [] for name in names})
-        self._weights = ColumnDataSource({"name": [], "weight": []})
-        self._select = Select(title="driver", options=[], width=160)
-        self._effect = Select(title="effect", options=list(feed.effects), value=feed.effects[0], width=220)
-        self._said = Div(text="waiting for the road")
+        self._error = ColumnDataSource({"time": [], "error": [], "base": []})
+        self._road = ColumnDataSource({"x": [], "y": [], "speed": [], "vehicle": []})
+        self._adapted = ColumnDataSource({"vehicle": [], "v_star": [], "kappa_v": []})
+        derived = ("low", "high", "below", "above", "v_low", "v_high", "k_low", "k_high", "measured")
+        self._driver = ColumnDataSource({name: [] for name in (*_COLUMNS, *derived)})
+        self._last = (math.nan, math.nan)
+        self._critic = ColumnDataSource({"time": []})
+        self._best, self._best_since_s = "", 0.0
+        self._colours = speed_colours(1.0)
+        self._select = Select(title="driver", options=[], width=130)
+        self._effect = Select(title="effect", options=list(feed.effects), value=next(iter(feed.effects)), width=190)
+        self._values = TextInput(title="strength", width=220)
+        self._status, self._said, self._about = Div(text=""), Div(text=""), Div(text="")
+        self._events = Div(text="")
+        self._settled = Div(text="")
+        self._plots: dict[str, Any] = {}
+        self._drawn = 0
 
     def fill(self, document: Document) -> None:
         document.title = "sugiyama live"
         document.add_root(self._layout())
+        self._choose_effect()
+        self._tell()
         document.add_periodic_callback(self._update, round(1000 * UPDATE_S))
         document.add_periodic_callback(self._tell, round(1000 * TELL_S))
 
     def _layout(self) -> Any:
-        colours = LinearColorMapper(Cividis256, low=0.0, high=_FASTEST, nan_color=GREY)
-        colour = {"field": "speed", "transform": colours}
+        space, road = self._everybody()
+        self._plots["error"] = error = panel(
+            f"One-step error of all drivers, over {MOVING_S:g} s",
+            "time [s]",
+            "error [m]",
+            y_range=DataRange1d(start=0.0),
+        )
+        error.line("time", "base", source=self._error, color=GREY, line_width=2, legend_label="base model")
+        error.line("time", "error", source=self._error, color=VERMILION, line_width=2, legend_label="the estimators")
+        legend_above(error)
+        self._plots["critic"] = panel("The critic: gain of each model over the base model", "time [s]", "gain [nats]")
+        return column(
+            self._status,
+            self._buttons(),
+            self._about,
+            self._said,
+            row(space, error, **_WIDE),
+            row(road, column(self._plots["critic"], self._settled, **_WIDE), **_WIDE),
+            row(*self._adaptation(), **_WIDE),
+            row(*self._one_driver(), **_WIDE),
+            self._events,
+            **_WIDE,
+        )
+
+    def _everybody(self) -> tuple[Any, Any]:
+        """All vehicles: over time and place, and on the road."""
+        colour = {"field": "speed", "transform": self._colours}
         space = panel("Where everybody is, and how fast", "time [s]", "position [m]")
         space.scatter("time", "place", source=self._space, size=2, color=colour)
-        space.add_layout(ColorBar(color_mapper=colours, ticker=BasicTicker(), title="speed [m/s]"), "right")
-        ring = panel("The road from above", "x [m]", "y [m]", match_aspect=True)
-        ring.scatter("x", "y", source=self._road, size=12, line_color="black", color=colour)
-        error = panel(f"One-step error of all drivers, over {MOVING_S:g} s", "time [s]", "error [m]")
-        error.line("time", "error", source=self._error, color=VERMILION, line_width=2)
-        speed = panel("The driver: speed, with one sigma", "time [s]", "speed [m/s]")
+        colour_bar(space, self._colours, "m/s")
+        road = panel("The road from above: click a car", "x [m]", "y [m]", match_aspect=True)
+        road.scatter(
+            "x", "y", source=self._road, size=14, line_color=GREY, fill_color=colour, nonselection_fill_alpha=1.0,
+            nonselection_line_alpha=1.0, selection_line_color=VERMILION, selection_line_width=3,
+        )  # fmt: skip
+        road.text("x", "y", text="vehicle", source=self._road, text_font_size="10px", text_color=GREY, x_offset=8,
+                  nonselection_text_alpha=1.0)  # fmt: skip
+        road.add_tools(TapTool())
+        self._road.selected.on_change("indices", lambda _, __, new: self._click(self._road, new))
+        return space, road
+
+    def _adaptation(self) -> list[Any]:
+        """What the estimators have learnt: of the chosen driver over time, and of all drivers now."""
+        found = []
+        for name, title, low, high in (
+            ("v_star", "The chosen driver: desired speed v* [m/s]", "v_low", "v_high"),
+            ("kappa_v", "The chosen driver: risk premium κ_v [s]", "k_low", "k_high"),
+        ):
+            plot = panel(f"{title}, with one sigma", "time [s]", title.split(": ")[1])
+            plot.varea("time", low, high, source=self._driver, color=BLUE, alpha=0.3)
+            plot.line("time", name, source=self._driver, color=BLUE, line_width=2)
+            found.append(plot)
+        strip = panel("All drivers now: click one", "desired speed v* [m/s]", "risk premium κ_v [s]")
+        dots = strip.scatter("v_star", "kappa_v", source=self._adapted, size=9, color=BLUE, nonselection_alpha=0.8,
+                             selection_color=VERMILION)  # fmt: skip
+        strip.add_tools(TapTool(), HoverTool(renderers=[dots], tooltips=[("vehicle", "@vehicle")]))
+        self._adapted.selected.on_change("indices", lambda _, __, new: self._click(self._adapted, new))
+        return [*found, strip]
+
+    def _one_driver(self) -> tuple[Any, Any]:
+        speed = panel("The chosen driver: speed, with one sigma", "time [s]", "speed [m/s]")
+        speed.scatter("time", "measured", source=self._driver, color=GREY, size=3, legend_label="from two positions")
         speed.varea("time", "low", "high", source=self._driver, color=BLUE, alpha=0.3)
-        speed.line("time", "speed", source=self._driver, color=BLUE, line_width=2)
+        speed.line("time", "speed", source=self._driver, color=BLUE, line_width=2, legend_label="filtered")
+        legend_above(speed)
         innovation = panel("Error of the next position, with two sigma", "time [s]", "innovation [m]")
         innovation.varea("time", "below", "above", source=self._driver, color=ORANGE, alpha=0.3)
         innovation.line("time", "innovation", source=self._driver, color=VERMILION)
-        self._models = FactorRange(factors=[])
-        critic = panel(
-            "Probability of each model of the critic", "probability", "model", y_range=self._models, x_range=(0.0, 1.0)
-        )
-        critic.hbar("name", right="weight", source=self._weights, height=0.7, color=BLUE)
+        return speed, innovation
+
+    def _buttons(self) -> Any:
         rates = sorted({1.0, 2.0, 4.0, 8.0, self._feed.rate})
         pause = Toggle(label="pause", width=90)
-        rate = Select(title="rate", value=f"{self._feed.rate:g}", options=[f"{r:g}" for r in rates], width=80)
+        rate = Select(title="rate", value=f"{self._feed.rate:g}", options=[f"{r:g}" for r in rates], width=70)
         add, remove = Button(label="add", width=70), Button(label="remove", width=70)
         pause.on_change("active", lambda _, __, new: self._feed.pause(bool(new)))
         rate.on_change("value", lambda _, __, new: self._feed.set_rate(float(new)))
         self._select.on_change("value", lambda _, __, new: self._watch(int(new.split()[-1])))
-        add.on_click(lambda: self._feed.add(self._effect.value))
-        remove.on_click(lambda: self._feed.remove(self._effect.value))
-        wide = {"sizing_mode": "stretch_width"}
-        return column(
-            row(pause, rate, self._select, self._effect, add, remove),
-            self._said,
-            row(space, error, **wide),
-            row(ring, critic, **wide),
-            row(speed, innovation, **wide),
-            **wide,
+        self._effect.on_change("value", lambda _, __, new: self._choose_effect())
+        add.on_click(
+            lambda: self._feed.add(self._effect.value, self._values.value or self._feed.values(self._effect.value))
         )
+        remove.on_click(lambda: self._feed.remove(self._effect.value))
+        return row(pause, rate, self._select, self._effect, self._values, add, remove)
+
+    def _choose_effect(self) -> None:
+        name = self._effect.value
+        self._values.value = self._feed.values(name)
+        self._about.text = escape(f"{name.replace('_', ' ')} – {self._feed.effects[name]}")
+
+    def _click(self, source: ColumnDataSource, chosen: list[int]) -> None:
+        if chosen and chosen[0] < len(source.data["vehicle"]):
+            self._select.value = f"vehicle {source.data['vehicle'][chosen[0]]}"
 
     def _watch(self, vehicle: int) -> None:
         self._watched = vehicle
         self._seen.pop(self._feed.driver[vehicle], None)
         self._driver.data = {name: [] for name in self._driver.data}
+        self._last = (math.nan, math.nan)
 
     def _new(self, log: Log) -> Array:
         """Columns (columns, rows) that the page has not shown yet; empty if there are none."""
@@ -180,43 +196,126 @@ class _Page:
 
     def _update(self) -> None:
         feed = self._feed
-        if not feed.vehicles:
-            return
-        if not self._select.options:
+        if len(self._select.options) != len(feed.vehicles):
             self._select.options = [f"vehicle {v}" for v in feed.vehicles]
-            self._select.value = self._select.options[0]
+            if not self._select.value:
+                self._select.value = self._select.options[0]
         if feed.now:
             place, speed = np.array(list(feed.now.values())).T
             x, y = from_above(feed.road, place)
-            self._road.data = {"x": x, "y": y, "speed": speed}
+            self._road.data = {"x": x, "y": y, "speed": speed, "vehicle": [str(v) for v in feed.now]}
+            if (fastest := float(np.nanmax(speed))) > self._colours.high:
+                _widen(self._colours, fastest)
 
     def _tell(self) -> None:
-        feed = self._feed
+        feed, status = self._feed, self._feed.status()
+        self._status.text = _said(status, feed)
         if self._watched in feed.driver and len(new := self._new(feed.driver[self._watched])):
-            time, speed, std, innovation, spread = new
-            self._driver.stream(
-                {
-                    "time": time,
-                    "speed": speed,
-                    "low": speed - std,
-                    "high": speed + std,
-                    "innovation": innovation,
-                    "below": -2.0 * spread,
-                    "above": 2.0 * spread,
-                },
-                KEPT,
-            )
+            self._driver.stream(self._of_driver(new), KEPT)
         if len(new := self._new(feed.space)):
             self._space.stream(dict(zip(("time", "place", "speed"), new, strict=True)), KEPT * len(feed.vehicles))
         if len(new := self._new(feed.error)):
-            self._error.stream(dict(zip(("time", "error"), new, strict=True)), KEPT)
-        if feed.weights:
-            best = sorted(feed.weights, key=lambda name: feed.weights[name])[-6:]
-            self._models.factors = best
-            self._weights.data = {"name": best, "weight": [feed.weights[name] for name in best]}
-        added = ", ".join(feed.added) or "none"
-        time, error = (self._error.data[name] for name in ("time", "error"))
-        shown = f"{time[-1]:.0f} s: one-step error over {MOVING_S:g} s {error[-1]:.3f} m; " if len(error) else ""
+            self._error.stream(dict(zip(("time", "error", "base"), new, strict=True)), KEPT)
+        if feed.adapted:
+            values = np.array(list(feed.adapted.values()))
+            self._adapted.data = {
+                "vehicle": [str(v) for v in feed.adapted],
+                "v_star": values[:, 0],
+                "kappa_v": values[:, 2],
+            }
+        self._tell_critic()
+        for time_s in feed.changed_s[self._drawn :]:
+            self._plots["error"].add_layout(
+                Span(location=time_s, dimension="height", line_color=GREY, line_dash="dashed")
+            )
+        self._drawn = len(feed.changed_s)
         if feed.vehicles:
-            silent = "" if feed.weights else "No critic has spoken yet (sugiyama run --critic). "
-            self._said.text = f"{shown}effects added: {added}. {silent}{escape(feed.said)}"
+            time, error, base = (self._error.data[name] for name in ("time", "error", "base"))
+            shown = ""
+            if len(error):
+                shown = f"{time[-1]:.0f} s: one-step error over {MOVING_S:g} s {error[-1]:.3f} m"
+                shown += f", base model {base[-1]:.3f} m; " if math.isfinite(base[-1]) else "; "
+            added = ", ".join(feed.added) or "none"
+            self._said.text = f"{shown}effects added: {added}. {escape(feed.said)}"
+        self._events.text = "<b>Events</b><br>" + ("<br>".join(map(escape, feed.events)) or "none yet")
+
+    def _of_driver(self, new: Array) -> dict[str, Array]:
+        """Columns of the chosen driver with the ends of the bands, and speeds from two positions."""
+        of = dict(zip(_COLUMNS, new, strict=True))
+        time = np.concatenate([[self._last[0]], of["time"]])
+        place = np.concatenate([[self._last[1]], of["place"]])
+        self._last = (float(time[-1]), float(place[-1]))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            measured = self._feed.road.difference(place[1:], place[:-1]) / np.diff(time)
+        return {
+            **of,
+            "low": of["speed"] - of["std"],
+            "high": of["speed"] + of["std"],
+            "below": -2.0 * of["spread"],
+            "above": 2.0 * of["spread"],
+            "v_low": of["v_star"] - of["v_star_std"],
+            "v_high": of["v_star"] + of["v_star_std"],
+            "k_low": of["kappa_v"] - of["kappa_v_std"],
+            "k_high": of["kappa_v"] + of["kappa_v_std"],
+            "measured": measured,
+        }
+
+    def _tell_critic(self) -> None:
+        feed, plot = self._feed, self._plots["critic"]
+        if not feed.gains:
+            self._settled.text = "No critic has spoken yet (sugiyama run --critic)."
+            return
+        if len(self._critic.data) == 1:
+            self._critic.data = {name: [] for name in ("time", *feed.gains)}
+            for k, name in enumerate(feed.gains):
+                plot.line("time", name, source=self._critic, color=COLOURS[k % len(COLOURS)], line_width=2, name=name)
+        new = self._new(feed.critic)
+        if len(new):
+            self._critic.stream(dict(zip(("time", *feed.gains), new, strict=True)), KEPT)
+        order = sorted(feed.gains, key=lambda name: -feed.gains[name])
+        for line in plot.renderers:
+            line.visible = line.name in (*order[:_MODELS], "base")
+        time_s = float(self._critic.data["time"][-1]) if len(self._critic.data["time"]) else 0.0
+        if order[0] != self._best or time_s < self._best_since_s:
+            self._best, self._best_since_s = order[0], time_s
+        lead, led_s = feed.gains[order[0]] - feed.gains[order[1]], time_s - self._best_since_s
+        settled = "settled" if lead >= _LEAD_NATS and led_s >= _LED_S else "not settled"
+        colours = {name: COLOURS[k % len(COLOURS)] for k, name in enumerate(feed.gains)}
+        names = ", ".join(
+            f'<b style="color:{colours[name]}">{escape(name.replace("_", " "))}</b> {feed.gains[name]:+.0f}'
+            for name in order[:_MODELS]
+        )
+        self._settled.text = (
+            f"{settled}: {escape(order[0].replace('_', ' '))} leads by {lead:.0f} nats for {led_s:.0f} s. {names} nats."
+        )
+
+
+def _widen(colours: LinearColorMapper, fastest: float) -> None:
+    """Let the colours reach the fastest car that was seen; they move in steps, so that they rarely change."""
+    colours.high = float(2.0 * math.ceil(fastest / 2.0))
+
+
+def _said(status: Status, feed: Feed) -> str:
+    """The status line, or what the page waits for."""
+    if not feed.vehicles:
+        waiting = "the first positions on /measured" if status.source else "a road on /road and positions on /measured"
+        return (
+            f"Waiting for {waiting}, in ROS domain {escape(status.domain)}. To feed this page, replay a file with"
+            " <code>sugiyama live FILE</code>, or start <code>ros2 launch sugiyama_ros replay.launch.py</code> with"
+            f" <code>ROS_DOMAIN_ID={escape(status.domain)}</code>."
+        )
+    total = f" of {status.total_s:.0f}" if status.total_s > 0.0 else ""
+    if status.ended:
+        state = "ended"
+    elif status.silent_s > _SILENT_S:
+        state = f"silent for {status.silent_s:.0f} s"
+    else:
+        state = "running"
+    rate = "" if math.isnan(status.real_rate) or state != "running" else f", {status.real_rate:.1f} times real time"
+    end = ""
+    if status.ended:
+        end = " Ctrl-C in the terminal closes the recording; <code>sugiyama report</code> makes a page of it."
+    return (
+        f"<b>{escape(status.source or 'live source')}</b>: {status.time_s:.0f}{total} s, {state}{rate};"
+        f" {len(feed.now)} vehicles on the road; ROS domain {escape(status.domain)}.{end}"
+    )

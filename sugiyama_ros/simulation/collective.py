@@ -81,9 +81,11 @@ def collective(
 def wave_speed(speed: Array, headway_m: Array, leader: Ints, period_s: float) -> float:
     """Estimate the speed of waves that pass from each leader to the follower.
 
-    In a wave, a driver repeats the leader's speed after a lag. The correlation of all drivers' speeds with their
-    leaders' speeds is largest at this lag. A parabola through three samples gives the lag between samples. In one
-    lag the wave moves one headway backward relative to the traffic.
+    In a wave, a driver repeats the leader's speed after a lag. At this lag, the slow phases of all drivers agree best
+    with the slow phases of their leaders: a wave is where drivers are slower than usual. A parabola through three
+    samples gives the lag between samples. During the lag, the follower drives at the own speed, and the wave moves back
+    from the leader's place to the follower's. Each moment counts as much as it contributes to the agreement, so free
+    flow before the waves does not count.
 
     Parameters
     ----------
@@ -104,8 +106,11 @@ def wave_speed(speed: Array, headway_m: Array, leader: Ints, period_s: float) ->
     samples = len(speed)
     lags = int(min(_LONGEST_LAG_S / period_s, samples // 4))
     off = _off(speed)
+    if lags < 2 or not np.isfinite(off).any() or np.nanvar(off) < _LEAST_VARIANCE:
+        return float("nan")
+    off = np.minimum(off, 0.0)
     ahead = np.where(leader >= 0, np.take_along_axis(off, np.maximum(leader, 0), axis=1), np.nan)
-    if lags < 2 or not np.isfinite(ahead).any() or np.nanvar(off) < _LEAST_VARIANCE:
+    if not np.isfinite(ahead).any():
         return float("nan")
     shared = np.array([np.nanmean(off[k:] * ahead[: samples - k]) for k in range(lags + 1)])
     best = int(np.argmax(shared))
@@ -113,7 +118,11 @@ def wave_speed(speed: Array, headway_m: Array, leader: Ints, period_s: float) ->
         return float("nan")
     before, at, after = shared[best - 1 : best + 2]
     lag = (best + 0.5 * (before - after) / (before - 2.0 * at + after)) * period_s
-    return float(np.nanmean(speed) - np.nanmean(headway_m) / lag)
+    weight = off[best:] * ahead[: samples - best]
+    driven = np.mean([speed[k : samples - best + k] for k in range(best + 1)], axis=0)
+    passed = driven - headway_m[: samples - best] / lag
+    known = np.isfinite(weight) & np.isfinite(passed)
+    return float(np.average(passed[known], weights=weight[known])) if weight[known].sum() > 0.0 else float("nan")
 
 
 def wave_period(speed: Array, period_s: float) -> float:

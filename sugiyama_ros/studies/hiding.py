@@ -20,6 +20,8 @@ from sugiyama_ros.simulation.simulator import Simulator, evenly, platoon, simula
 DRIVERS, RING_M, DURATION_S, LENGTH_M = 22, 230.0, 250.0, 4.33
 #: Strong and weak values of each effect that can be hidden. Places and times that are left out are drawn at random.
 STRENGTHS: Mapping[str, tuple[Values, ...]] = {name: e.benchmark for name, e in EFFECTS.items() if e.benchmark}
+#: Values with which the demonstration hides an effect, where the strong ones hardly change a free run.
+DEMONSTRATED: Mapping[str, Values] = {"slow_patch": {"reduction": 0.3, "width": 80.0}}
 # Attempts at a run without a collision; those from uniform flow come last.
 _ATTEMPTS, _FROM_REST = 60, 30
 

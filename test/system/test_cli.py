@@ -221,7 +221,7 @@ def test_every_json_is_one_document(sugiyama, here):
 
 
 COMMANDS = (
-    *("demo", "run", "simulate", "calibrate", "diagnose", "study", "compare", "report", "live"),
+    *("demo", "run", "simulate", "calibrate", "diagnose", "study", "compare", "effects", "laws", "report", "live"),
     *("convert", "fetch", "info", "echo", "recover"),
 )
 
@@ -244,6 +244,26 @@ def test_help_keeps_units_in_square_brackets(sugiyama):
     for words in ("Circumference of the ring [m];", "simulation [s].", "at the start [m].", "two samples [s]."):
         assert words in simulate
     assert "NAME:PARAMETER=VALUE[,...]:" in simulate
+
+
+def test_effects_and_laws_are_listed_with_units(sugiyama):
+    code, out, err = sugiyama("effects")
+    assert (code, err) == (0, "")
+    assert "slow_patch: slower stretch of road" in out
+    assert "    delay [s]: reaction time; 0 to 2" in out
+    assert all(len(line) < 200 for line in out.splitlines())
+    (idm,) = json.loads(sugiyama("laws", "idm", "--json")[1])
+    assert {p["name"]: p["unit"] for p in idm["parameters"]}["v0"] == "m/s"
+    one_line(sugiyama("effects", "magic"), "magic")
+
+
+def test_tables_fit_80_columns_unless_they_may_be_wide(sugiyama, here):
+    sugiyama("simulate", "-o", "four.csv", "--vehicles", "4", "--ring", "45", "--duration", "20")
+    narrow, wide = (sugiyama("calibrate", "four.csv", "--ring", "45", *more)[1] for more in ((), ("--wide",)))
+    lines = [line for line in narrow.splitlines() if line[:1] in "┃│┏└"]
+    assert lines
+    assert max(map(len, lines)) <= 80
+    assert len(narrow.splitlines()) > len(wide.splitlines())
 
 
 def test_help_loads_nothing_heavy():

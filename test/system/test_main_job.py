@@ -171,6 +171,9 @@ def test_demo_finds_the_hidden_effect_and_the_published_error_falls(tmp_path):
     assert found["heldout_gain_nats"] > 2.0 * found["heldout_gain_se"]
     published = said["published_one_step_rmse_m"]
     assert published["after"] < published["before"]
+    # the hidden effect hurts visibly
+    assert said["errors"]["after"]["free_run_10s_m"] < 0.67 * said["errors"]["before"]["free_run_10s_m"]
+    assert "hidden in this simulation: slower stretch of road" in (tmp_path / "sugiyama-demo.html").read_text()
     assert said["messages_lost"] == 0
     assert (tmp_path / "sugiyama-demo.mcap").exists()
 

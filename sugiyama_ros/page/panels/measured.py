@@ -53,7 +53,11 @@ def ring(r: Recording, chosen: Chosen) -> UIElement:
     shown = ColumnDataSource({**{n: v[0] for n, v in frames.items()}, "vehicle": [str(v) for v in t.vehicle]})
     plot = panel("The road from above", "x [m]", "y [m]", match_aspect=t.road.is_ring)
     if t.road.is_ring:
-        plot.line(*from_above(t.road, np.linspace(0.0, t.road.circumference_m, 181)), color=GREY, line_alpha=0.5)
+        plot.line(
+            *from_above(t.road, np.asarray(np.linspace(0.0, t.road.circumference_m, 181), dtype=np.float64)),
+            color=GREY,
+            line_alpha=0.5,
+        )
     colour = {"field": "speed", "transform": speed_colours(fastest(r))}
     plot.scatter("x", "y", source=shown, size=12, line_color=GREY, fill_color=colour, nonselection_fill_alpha=1.0,
                  nonselection_line_alpha=1.0, selection_line_color=VERMILION, selection_line_width=3)  # fmt: skip

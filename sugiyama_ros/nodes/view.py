@@ -1,0 +1,279 @@
+"""The node behind the live page: it hears everything that the page shows, and calls the services behind its buttons."""
+
+import math
+import os
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
+from rclpy.node import Node
+from std_srvs.srv import Trigger
+from sugiyama_msgs.msg import DriverParameters, Innovation, MeasuredPositions, StyleChange, VehicleState, Verdict
+from sugiyama_msgs.msg import Road as RoadMessage
+from sugiyama_msgs.srv import AddEffect, RemoveEffect
+
+from sugiyama_ros.effects.effect import RecordingExtent
+from sugiyama_ros.effects.registry import EFFECTS, effect
+from sugiyama_ros.formats.truth import namespaces
+from sugiyama_ros.nodes.base import cdr_messages, incoming
+from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
+from sugiyama_ros.nodes.base_model import BaseModel
+from sugiyama_ros.nodes.plan import REPLAY, estimators
+from sugiyama_ros.page.feed import KEPT, Log, Status
+from sugiyama_ros.page.panels.base import MOVING_S
+from sugiyama_ros.road import Road
+
+_UNKNOWN = (math.nan,) * 4
+# Number of events that are kept, and time [s] over which the real rate is measured.
+_EVENTS, _RATE_S = 8, 5.0
+
+
+class MovingError:
+    """Root mean square of errors over the last ``MOVING_S`` seconds."""
+
+    def __init__(self) -> None:
+        self._squares: deque[tuple[float, float, int]] = deque(maxlen=10_000)
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self._squares.clear()
+
+    def add(self, time_s: float, total: float, number: int) -> float:
+        """Take in the sum of ``number`` squared errors at a time, and return the error [m]; NaN without any."""
+        self._squares.append((time_s, total, number))
+        while self._squares[0][0] < time_s - MOVING_S:
+            self._squares.popleft()
+        scored = sum(n for _, _, n in self._squares)
+        return math.sqrt(sum(squares for _, squares, _ in self._squares) / scored) if scored else math.nan
+
+
+class View(Node):
+    """Subscribes to everything that the page shows, and calls the services behind its buttons."""
+
+    def __init__(self, rate: float) -> None:
+        super().__init__("view", start_parameter_services=False)
+        self.rate = rate
+        self.road = Road()
+        self.space, self.error, self.critic = Log(0), Log(KEPT), Log(KEPT)
+        self._driver: dict[int, Log] = {}
+        self.driver: Mapping[int, Log] = self._driver
+        self.vehicles: Sequence[int] = ()
+        self.weights: Mapping[str, float] = {}
+        self.gains: Mapping[str, float] = {}
+        self._now: dict[int, tuple[float, float]] = {}
+        self.now: Mapping[int, tuple[float, float]] = self._now
+        self._adapted: dict[int, tuple[float, float, float, float]] = {}
+        self.adapted: Mapping[int, tuple[float, float, float, float]] = self._adapted
+        self.added: Sequence[str] = ()
+        self._changed_s: list[float] = []
+        self.changed_s: Sequence[float] = self._changed_s
+        self._events: deque[str] = deque(maxlen=_EVENTS)
+        self.events: Sequence[str] = self._events
+        self.said = ""
+        self._road: RoadMessage | None = None
+        self.effects: Mapping[str, str] = {
+            name: f"{e.title}: {e.summary}"
+            for name, e in EFFECTS.items()
+            if e.function is not None and e.starts(self._recording())
+        }
+        self._strength: dict[str, float] = {}
+        self._state: dict[int, tuple[float, float]] = {}
+        self._place: dict[int, float] = {}
+        self._moving, self._base_moving = MovingError(), MovingError()
+        self._base: BaseModel | None = None
+        self._base_error = math.nan
+        self._sum, self._scored = 0.0, 0
+        self._latest_s = -math.inf
+        self._first_s, self._step = math.nan, -1
+        self._arrived: deque[tuple[float, float]] = deque(maxlen=2000)
+        self._listen(RoadMessage, "/road", incoming.road, self._on_road, LATCHED)
+        self._listen(MeasuredPositions, "/measured", incoming.sample, self._on_measured)
+        self._listen(Verdict, "/verdict", incoming.verdict, self._on_verdict)
+
+    def _listen(
+        self, kind: type, topic: str, decode: Callable[[bytes], Any], take: Callable[[Any], None], qos: Any = STREAM
+    ) -> None:
+        """Subscribe to a topic. A message that is not valid is left out; the nodes of the road tell of it."""
+        self.create_subscription(kind, topic, incoming.receiver(decode, take, lambda reason: None), qos, raw=True)
+
+    def status(self) -> Status:
+        """Where the recording is, and how fast it goes."""
+        road, arrived = self._road, self._arrived
+        silent_s = time.monotonic() - arrived[-1][0] if arrived else math.nan
+        real_rate = math.nan
+        if len(arrived) > 1 and arrived[-1][0] > arrived[0][0]:
+            real_rate = (arrived[-1][1] - arrived[0][1]) / (arrived[-1][0] - arrived[0][0])
+        steps = int(road.steps) if road is not None else 0
+        return Status(
+            source=str(road.source) if road is not None else "",
+            time_s=arrived[-1][1] - self._first_s if arrived else 0.0,
+            total_s=float(road.period_s) * max(steps - 1, 0) if road is not None else 0.0,
+            real_rate=real_rate,
+            silent_s=silent_s,
+            ended=bool(steps) and self._step + 1 >= steps,
+            domain=os.environ.get("ROS_DOMAIN_ID", "0"),
+        )
+
+    def values(self, name: str) -> str:
+        """Values of an effect: the critic's strength, or else the values where a search begins."""
+        if name not in EFFECTS or not (starts := effect(name).starts(self._recording())):
+            return ""
+        values = dict(starts[0])
+        first = effect(name).parameters[0].name
+        if first in values and self._strength.get(name):
+            values[first] = self._strength[name]
+        return ", ".join(f"{k}={v:.4g}" for k, v in values.items())
+
+    def pause(self, paused: bool) -> None:
+        """Call the replay's ~/pause or ~/resume."""
+        self._call(Trigger, f"{REPLAY}/{'pause' if paused else 'resume'}", Trigger.Request())
+
+    def set_rate(self, rate: float) -> None:
+        """Set the replay's parameter ``rate``."""
+        value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=rate)
+        request = SetParameters.Request(parameters=[Parameter(name="rate", value=value)])
+        self._call(SetParameters, f"{REPLAY}/set_parameters", request)
+        self.rate = rate
+
+    def add(self, name: str, values: str) -> None:
+        """Call every estimator's ~/add_effect."""
+        if not self.vehicles:
+            return
+        try:
+            pairs = [part.split("=") for part in values.split(",") if part.strip()]
+            found = {key.strip(): float(value) for key, value in pairs}
+        except ValueError:
+            self.said = f"{values}: give name=value, with commas between"
+            return
+        request = AddEffect.Request(effect=name, name=list(found), value=list(found.values()))
+        for estimator in estimators(namespaces(self.vehicles)):
+            self._call(AddEffect, f"{estimator}/add_effect", request)
+        self.added = tuple(dict.fromkeys([*self.added, name]))
+        self._happened(f"{name} added ({values})")
+        self._changed_s.append(self._latest_s)
+
+    def remove(self, name: str) -> None:
+        """Call every estimator's ~/remove_effect."""
+        for estimator in estimators(namespaces(self.vehicles)):
+            self._call(RemoveEffect, f"{estimator}/remove_effect", RemoveEffect.Request(effect=name))
+        if name in self.added:
+            self._happened(f"{name} removed")
+            self._changed_s.append(self._latest_s)
+        self.added = tuple(one for one in self.added if one != name)
+
+    def _happened(self, what: str) -> None:
+        self._events.appendleft(f"{self._latest_s:.0f} s: {what}" if math.isfinite(self._latest_s) else what)
+
+    def _recording(self) -> RecordingExtent:
+        ring_m = self.road.circumference_m
+        duration_s = float(self._road.period_s * self._road.steps) if self._road is not None else 1.0
+        return RecordingExtent(0.0, duration_s, ring_m, 0.0, ring_m)
+
+    def _call(self, kind: type, service: str, request: Any) -> None:
+        client = self.create_client(kind, service)
+        if not client.service_is_ready() and not client.wait_for_service(0.5):
+            self.said = f"{service} does not answer"
+            self.destroy_client(client)
+            return
+
+        def done(future: Any) -> None:
+            answer = future.result() if future.exception() is None else None
+            self.said = getattr(answer, "message", "") if answer is not None else f"{service} has failed"
+            self.destroy_client(client)
+
+        client.call_async(request).add_done_callback(done)
+
+    def _on_road(self, road: RoadMessage) -> None:
+        self.road, self._road = Road(float(road.circumference_m)), road
+        self._base = BaseModel(road)
+
+    def _on_measured(self, sample: cdr_messages.Sample) -> None:
+        time_s = sample.stamp_ns / cdr_messages.NS
+        if sample.step < self._step:
+            self._happened("the recording begins anew")
+            self._arrived.clear()
+            self._base_moving.clear()
+            self._first_s = math.nan
+            self._base = BaseModel(self._road) if self._road is not None else None
+        self._step = sample.step
+        self._first_s = time_s if math.isnan(self._first_s) else self._first_s
+        self._arrived.append((time.monotonic(), time_s))
+        while self._arrived[-1][0] - self._arrived[0][0] > _RATE_S:
+            self._arrived.popleft()
+        for vehicle in [v for v in self.now if v not in sample.place]:
+            del self._now[vehicle]
+            self._happened(f"vehicle {vehicle} has left")
+        self._place = {v: sample.position_m[p] for v, p in sample.place.items()}
+        if new := sorted(set(sample.place) - set(self.vehicles)):
+            self._meet(new)
+        if self._base is not None:
+            errors = self._base.follow(sample)
+            self._base_error = self._base_moving.add(time_s, sum(e * e for e in errors), len(errors))
+
+    def _meet(self, new: Sequence[int]) -> None:
+        """Subscribe to the topics of vehicles that are seen for the first time."""
+        if self.vehicles:
+            self._happened(f"vehicle {', '.join(map(str, new))} has come")
+        else:
+            self.space = Log(KEPT * len(new))
+        everybody = sorted([*self.vehicles, *new])
+        for v, space in zip(everybody, namespaces(everybody), strict=True):
+            if v not in new:
+                continue
+            self._driver[v] = Log(KEPT)
+            self._state[v] = (math.nan, math.nan)
+            self._listen(VehicleState, f"{space}/state", incoming.state, self._on_state)
+            self._listen(Innovation, f"{space}/innovation", incoming.innovation, self._on_innovation)
+            self._listen(DriverParameters, f"{space}/parameters", incoming.parameters, self._on_parameters)
+            self.create_subscription(StyleChange, f"{space}/style_change", self._on_change, STREAM)
+        self.vehicles = everybody
+
+    def _on_state(self, state: tuple[float, int, float, float, float]) -> None:
+        time_s, v, position, speed, variance = state
+        if v not in self.driver:
+            return
+        self._state[v] = speed, math.sqrt(max(variance, 0.0))
+        self._now[v] = (position, speed)
+        self.space.add(time_s, position, speed)
+
+    def _on_parameters(self, message: DriverParameters) -> None:
+        v, names = int(message.vehicle), list(message.name)
+        if v not in self.driver or not {"v_star", "kappa_v"} <= set(names):
+            return
+        found: list[float] = []
+        for k in (names.index("v_star"), names.index("kappa_v")):
+            variance = float(message.covariance[k * len(names) + k])
+            found += [float(message.value[k]), math.sqrt(max(variance, 0.0))]
+        self._adapted[v] = (found[0], found[1], found[2], found[3])
+
+    def _on_change(self, message: StyleChange) -> None:
+        self._happened(f"vehicle {message.vehicle} has changed style: {message.name} times {message.factor:.2f}")
+
+    def _on_innovation(self, found: cdr_messages.ReadInnovation) -> None:
+        time_s, v, innovation, variance, _, scored = found
+        if v not in self.driver:
+            return
+        if time_s != self._latest_s:
+            if time_s < self._latest_s - 1.0:
+                self._moving.clear()
+            elif math.isfinite(error := self._moving.add(self._latest_s, self._sum, self._scored)):
+                # complete when a newer sample comes
+                self.error.add(self._latest_s, error, self._base_error)
+            self._latest_s, self._sum, self._scored = time_s, 0.0, 0
+        if scored:
+            self._sum += innovation**2
+            self._scored += 1
+        place = self._place.get(v, math.nan)
+        adapted = self.adapted.get(v, _UNKNOWN)
+        spread = math.sqrt(max(variance, 0.0))
+        self.driver[v].add(time_s, *self._state[v], innovation, spread, *adapted, place)
+
+    def _on_verdict(self, message: Verdict) -> None:
+        self.weights = dict(zip(message.model, message.weight, strict=True))
+        self._strength = dict(zip(message.model, message.strength, strict=True))
+        if len(message.log_likelihood) == len(message.model):
+            self.gains = dict(zip(message.model, map(float, message.log_likelihood), strict=True))
+            self.critic.add(message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec, *self.gains.values())

@@ -1,0 +1,135 @@
+"""What the live page shows, and what its buttons do; the node behind the page offers it."""
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from itertools import islice
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.road import Road
+
+#: Samples that are kept of each vehicle.
+KEPT = 750
+
+
+class Log:
+    """The latest rows of numbers, for many readers. Each reader remembers how many rows it has seen."""
+
+    def __init__(self, kept: int) -> None:
+        self._rows: deque[tuple[float, ...]] = deque(maxlen=kept)
+        self.heard = 0
+
+    def add(self, *row: float) -> None:
+        """Keep a row, and forget the oldest one if there are too many."""
+        self._rows.append(row)
+        self.heard += 1
+
+    def since(self, seen: int) -> Array:
+        """Rows after the first ``seen`` rows, as far as they are kept; array of shape (rows, columns)."""
+        new = min(self.heard - seen, len(self._rows))
+        return np.array(list(islice(self._rows, len(self._rows) - new, None)))
+
+
+class Status(NamedTuple):
+    """Where the recording is.
+
+    Attributes
+    ----------
+    source : str
+        File or model that the positions come from; empty before the road is known.
+    time_s, total_s : float
+        Time of the last sample since the first one, and duration of the recording [s]; 0 without a known end.
+    real_rate : float
+        Rate at which samples arrive, in times real time; NaN before it is known.
+    silent_s : float
+        Time [s] since the last sample; NaN before the first one.
+    ended : bool
+        Whether the last sample of the recording has arrived.
+    domain : str
+        Number of the ROS domain.
+    """
+
+    source: str
+    time_s: float
+    total_s: float
+    real_rate: float
+    silent_s: float
+    ended: bool
+    domain: str
+
+
+class Feed(Protocol):
+    """What the page shows, and what its buttons do.
+
+    Attributes
+    ----------
+    road : Road
+        The road.
+    rate : float
+        Rate of the replay that was asked for, in times real time.
+    vehicles : sequence of int
+        Numbers of the vehicles that have been seen; empty before the first sample.
+    weights, gains : mapping
+        Posterior probability of each model of the critic, and its gain over the base model [nats], by name; empty
+        without a critic.
+    now : mapping
+        Position [m] and speed [m/s] of each vehicle that is on the road.
+    adapted : mapping
+        v*, its std [m/s], kappa_v and its std [s] of each driver, as last published.
+    effects : mapping of str to str
+        Effects that can be added, each with its explanation.
+    added : sequence of str
+        Effects that were added.
+    changed_s : sequence of float
+        Times [s] at which an effect was added or removed.
+    events : sequence of str
+        Latest events, the newest one first.
+    said : str
+        Last answer of a node.
+    space : Log
+        Time [s], position [m] and speed [m/s] of every vehicle at every sample.
+    error : Log
+        Time [s], one-step error [m] of all drivers over the last ``MOVING_S`` seconds, and of the base model.
+    critic : Log
+        Time [s] and gain [nats] of each model of the critic, in the order of ``gains``.
+    driver : mapping
+        For each vehicle a Log of time [s], speed and its std [m/s], innovation and its std [m], v* and its std [m/s],
+        kappa_v and its std [s], and the measured position [m].
+    """
+
+    road: Road
+    rate: float
+    vehicles: Sequence[int]
+    weights: Mapping[str, float]
+    gains: Mapping[str, float]
+    now: Mapping[int, tuple[float, float]]
+    adapted: Mapping[int, tuple[float, float, float, float]]
+    effects: Mapping[str, str]
+    added: Sequence[str]
+    changed_s: Sequence[float]
+    events: Sequence[str]
+    said: str
+    space: Log
+    error: Log
+    critic: Log
+    driver: Mapping[int, Log]
+
+    def status(self) -> Status:
+        """Where the recording is."""
+
+    def values(self, effect: str) -> str:
+        """Values with which an effect would be added, as ``name=value`` with commas."""
+
+    def pause(self, paused: bool) -> None:
+        """Pause the replay, or resume it."""
+
+    def set_rate(self, rate: float) -> None:
+        """Set the rate of the replay, in times real time."""
+
+    def add(self, effect: str, values: str) -> None:
+        """Add an effect to all estimators, with values as ``values`` gives them."""
+
+    def remove(self, effect: str) -> None:
+        """Remove an effect from all estimators."""
