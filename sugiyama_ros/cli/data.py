@@ -51,6 +51,16 @@ class ConvertOptions:
     period: Annotated[
         float | None, typer.Option("--period", help="Time between two samples [s], if not the file's own.")
     ] = None
+    odometry: Annotated[
+        str, typer.Option("--odometry", help="Of a bag: pattern of the topics of vehicles, such as '/car*/odom'.")
+    ] = ""
+    centre_line: Annotated[
+        Path | None, typer.Option("--centerline", help="With --odometry: centre line (CSV: x, y[, lane, width]).")
+    ] = None
+    bridge: Annotated[
+        Path | None, typer.Option("--bridge", help="With --odometry: what a message of another type says (YAML).")
+    ] = None
+    frame: Annotated[str, typer.Option("--frame", help="With --odometry: frame of the centre line.")] = ""
     overwrite: Overwrite = False
     as_json: Json = False
 
@@ -59,8 +69,12 @@ class ConvertOptions:
 def convert(options: ConvertOptions) -> None:
     """Convert trajectories to tracks, or one lane to MCAP.
 
-    Tracks are a table in Parquet or CSV. An MCAP file has the topics /road and /measured.
+    Tracks are a table in Parquet or CSV. An MCAP file has the topics /road and /measured. With --odometry, the tracks
+    are those of vehicles that a perception has seen.
     """
+    if options.odometry or options.centre_line is not None:
+        _convert_seen(options)
+        return
     part = _part(options)
     if options.output.suffix.lower() == ".mcap" and part == _part(_only_files(options)):
         _convert_to_bag(options)
@@ -68,6 +82,33 @@ def convert(options: ConvertOptions) -> None:
     from sugiyama_ros.formats.convert import convert_tracks
 
     tracks = convert_tracks(options.source, _output(options), part)
+    document = {"output": str(options.output), **document_of(tracks)}
+    if options.as_json:
+        print_json(document)
+        return
+    print_line(f"{tracks.runs} vehicles, {len(tracks)} rows, in {options.output}")
+    _print_tracks(document)
+
+
+def _convert_seen(options: ConvertOptions) -> None:
+    """Convert what a perception has seen to tracks."""
+    from sugiyama_ros.bridges.fields import read_bridge
+    from sugiyama_ros.bridges.from_bag import tracks_of_bag
+    from sugiyama_ros.bridges.perception import PerceptionSettings
+    from sugiyama_ros.formats.centre_line import read_lanes
+    from sugiyama_ros.formats.tracks_parquet import write_tracks
+
+    if not options.odometry or options.centre_line is None:
+        raise InputError("convert: --odometry and --centerline go together; give both")
+    if options.output.suffix.lower() not in (".parquet", ".csv"):
+        raise InputError(f"{options.output}: tracks are written as .parquet or .csv; give such a name")
+    output = _output(options)
+    settings = PerceptionSettings(frame=options.frame)
+    if options.period is not None:
+        settings = dataclasses.replace(settings, period_s=options.period)
+    bridge = read_bridge(options.bridge) if options.bridge is not None else None
+    tracks = tracks_of_bag(options.source, options.odometry, read_lanes(options.centre_line), settings, bridge)
+    write_tracks(tracks, output)
     document = {"output": str(options.output), **document_of(tracks)}
     if options.as_json:
         print_json(document)

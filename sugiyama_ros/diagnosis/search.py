@@ -20,7 +20,7 @@ from sugiyama_ros.diagnosis.candidacy import (
     chance_scale,
     smallest_detectable,
 )
-from sugiyama_ros.diagnosis.candidates import Candidate, candidates
+from sugiyama_ros.diagnosis.candidates import Candidate, candidates, only_those
 from sugiyama_ros.diagnosis.discover import Discovery, discover
 from sugiyama_ros.diagnosis.errors import HeldOutErrors, held_out_errors
 from sugiyama_ros.diagnosis.glance import glance

@@ -17,10 +17,11 @@ from sugiyama_ros.nodes.estimator import Estimator
 from sugiyama_ros.nodes.recorder import Recorder
 from sugiyama_ros.nodes.replay import Replay
 from sugiyama_ros.nodes.simulator import SimulatorNode
+from sugiyama_ros.nodes.tracks import TracksNode
 
 ROOT = Path(__file__).parents[2]
 WITHOUT_PARAMETERS = "keeper"
-EXECUTABLES = ("critic", "estimator", "recorder", "replay", "simulator")
+EXECUTABLES = ("critic", "estimator", "recorder", "replay", "simulator", "tracks")
 
 
 def make(executable: str, road_csv: Path, tmp_path: Path) -> PacedNode:
@@ -33,6 +34,10 @@ def make(executable: str, road_csv: Path, tmp_path: Path) -> PacedNode:
         return Recorder(parameter_overrides=[Parameter("output", value=str(tmp_path / "out.mcap"))])
     if executable == "replay":
         return Replay(parameter_overrides=[Parameter("source", value=str(road_csv))])
+    if executable == "tracks":
+        (tmp_path / "line.csv").write_text("x,y\n0,0\n9,0\n")
+        given = {"centre_line": str(tmp_path / "line.csv"), "topics": ["/car*/odom"]}
+        return TracksNode(parameter_overrides=[Parameter(name, value=value) for name, value in given.items()])
     return SimulatorNode()
 
 

@@ -24,6 +24,7 @@ ORDER = (
     "road",
     "trajectories",
     "formats",
+    "bridges",
     "driver",
     "laws",
     "effects",

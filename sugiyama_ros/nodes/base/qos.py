@@ -5,6 +5,9 @@ every publisher and every subscription keeps two windows, because a seek may dou
 overwritten before its subscribers have taken it.
 """
 
+from collections.abc import Iterable
+from typing import Any
+
 from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
 
 #: Steps that the source may be ahead of the slowest subscriber.
@@ -29,3 +32,13 @@ LATCHED = reliable(1)
 #: Progress counts from the start, so only the last message of a sender matters; a receiver hears many senders.
 PROGRESS_OUT = reliable(1)
 PROGRESS_IN = reliable(1000)
+
+
+def offered(publishers: Iterable[Any]) -> QoSProfile:
+    """The best profile that connects to all of a topic's publishers (TopicEndpointInfo), also to those of a sensor."""
+    profiles = [publisher.qos_profile for publisher in publishers]
+    is_latched = bool(profiles) and all(q.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL for q in profiles)
+    profile = reliable(DEPTH, QoSDurabilityPolicy.TRANSIENT_LOCAL if is_latched else QoSDurabilityPolicy.VOLATILE)
+    if not all(q.reliability == QoSReliabilityPolicy.RELIABLE for q in profiles):
+        profile.reliability = QoSReliabilityPolicy.BEST_EFFORT
+    return profile

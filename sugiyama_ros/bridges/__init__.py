@@ -1,0 +1,1 @@
+"""Bridges from messages of other packages to vehicles on a road: one file per message type. Needs no ROS."""

@@ -1,0 +1,148 @@
+"""From what a perception has seen to positions on the road: topics of vehicles in, ``road`` and ``measured`` out."""
+
+from collections.abc import Callable
+from fnmatch import fnmatchcase
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
+from rclpy.serialization import deserialize_message
+from sugiyama_msgs.msg import MeasuredPositions
+from sugiyama_msgs.msg import Road as RoadMessage
+
+from sugiyama_ros.bridges.fields import Bridge, read_bridge
+from sugiyama_ros.bridges.perception import TF_TOPICS, TF_TYPE, Perception, PerceptionSettings, RoadSample
+from sugiyama_ros.bridges.registry import BRIDGES
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.formats.centre_line import read_lanes
+from sugiyama_ros.formats.measured import FRAME
+from sugiyama_ros.nodes.base import cdr_messages
+from sugiyama_ros.nodes.base.incoming import RefusedError
+from sugiyama_ros.nodes.base.node import OK, WARN, Health, PacedNode
+from sugiyama_ros.nodes.base.qos import LATCHED, STREAM, offered
+from sugiyama_ros.nodes.base.samples import Positions
+from sugiyama_ros.nodes.base.spin import run_node
+from sugiyama_ros.nodes.driver_parameters import declare_path
+from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M
+
+_POLL_S = 0.2
+
+
+class TracksNode(PacedNode):
+    """Puts vehicles that were seen in the plane on the lanes of a road, says who follows whom, and sends it all.
+
+    Parameters of the node: ``centre_line`` (CSV file), ``topics`` (patterns of names), ``bridge`` (YAML file for a type
+    of message that is not known), ``frame`` of the centre line, ``period`` and ``length``.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("tracks", **options)
+        line = declare_path(self, "centre_line", "centre lines of the lanes (CSV): x, y[, lane, width]")
+        bridge = declare_path(self, "bridge", "what a message of a type that is not known says (YAML)")
+        about = ParameterDescriptor(description="patterns of the topics of vehicles, as /car*/odom", read_only=True)
+        self._patterns = [str(p) for p in self.declare_parameter("topics", [""], about).value if p]
+        about = ParameterDescriptor(description="frame of the centre line; empty: that of the messages", read_only=True)
+        frame = str(self.declare_parameter("frame", "", about).value)
+        period_s = self._real("period", 0.1, 0.01, 10.0, "time [s] between two samples of the road")
+        length_m = self._real("length", DEFAULT_LENGTH_M, 0.5, 100.0, "length [m] of a vehicle that does not say it")
+        if line is None or not self._patterns:
+            raise InputError(
+                "tracks: no centre line or no topics given; start it with -p centre_line:=FILE.csv -p"
+                ' topics:=["/car*/odom"]'
+            )
+        own = [read_bridge(bridge)] if bridge is not None else []
+        self._bridges = BRIDGES | {one.type: one for one in own}
+        self._perception = Perception(read_lanes(Path(line)), PerceptionSettings(period_s, frame, length_m))
+        self._known: set[str] = set()
+        self._sources = 0
+        self._to_road = self.create_publisher(RoadMessage, "road", LATCHED)
+        self._to_measured = self.create_publisher(MeasuredPositions, "measured", STREAM)
+        self._send_road(period_s)
+        self.create_timer(_POLL_S, self._on_poll, clock=self.steady)
+        self._on_poll()
+
+    def health(self) -> Health:
+        """WARN without a topic, or without a vehicle on the road."""
+        counts = self._perception.moments.counts
+        values = {"topics": self._sources, "samples": self.steps, **vars(counts)}
+        if not self._sources:
+            return Health(WARN, f"no topic {', '.join(self._patterns)} of a known type", values)
+        if not counts.taken:
+            return Health(WARN, "no vehicle on the road yet", values)
+        return Health(OK, "sending", values)
+
+    def _on_poll(self) -> None:
+        """Subscribe to topics that are new."""
+        for topic, (kind, *_) in self.get_topic_names_and_types():
+            if topic in self._known or not self.get_publishers_info_by_topic(topic):
+                continue
+            if kind == TF_TYPE and topic in TF_TOPICS:
+                self._subscribe(topic, kind, partial(self._perception.frames.add, static=TF_TOPICS[topic]))
+            elif any(fnmatchcase(topic, pattern) for pattern in self._patterns):
+                bridge = self._bridges.get(kind)
+                if bridge is None:
+                    self._leave_out(topic, f"{kind} is not known; give a bridge for it")
+                elif self._subscribe(topic, kind, partial(self._on_seen, bridge=bridge, topic=topic)):
+                    self._sources += 1
+
+    def _subscribe(self, topic: str, kind: str, take: Callable[[Any], None]) -> bool:
+        """Take what comes on a topic; False where its type is not installed."""
+        package, _, name = kind.split("/")
+        try:
+            message = getattr(import_module(f"{package}.msg"), name)
+        except (ImportError, AttributeError):
+            self._leave_out(topic, f"{kind} is not installed; install {package}")
+            return False
+        self._known.add(topic)
+
+        def decode(raw: bytes) -> Any:
+            try:
+                return deserialize_message(raw, message)
+            except Exception:  # the middleware's own class, which it does not export
+                raise RefusedError(f"cannot be decoded as {kind}") from None
+
+        self.listen(message, topic, decode, take, offered(self.get_publishers_info_by_topic(topic)))
+        return True
+
+    def _leave_out(self, topic: str, why: str) -> None:
+        self._known.add(topic)
+        self.get_logger().warning(f"{topic}: left out: {why}")
+
+    def _on_seen(self, message: Any, bridge: Bridge, topic: str) -> None:
+        self.received += 1
+        try:
+            for sample in self._perception.take(message, bridge, topic):
+                self._send(sample)
+        except (InputError, ValueError) as error:
+            self.refuse(topic, error)
+
+    def _send(self, sample: RoadSample) -> None:
+        s = sample
+        positions = Positions(
+            s.vehicle, s.leader, s.position_m, s.length_m, s.lane, s.d_m, s.stamp_offset_s, s.position_var
+        )
+        self.send(self._to_measured, cdr_messages.measured_positions(s.stamp_ns, s.step, positions))
+        self.taken(s.step + 1)
+
+    def _send_road(self, period_s: float) -> None:
+        message = RoadMessage(
+            circumference_m=self._perception.lanes.road.circumference_m, period_s=period_s, source="tracks"
+        )
+        message.header.frame_id = FRAME
+        self.send(self._to_road, message)
+
+    def _real(self, name: str, default: float, lower: float, upper: float, description: str) -> float:
+        bounds = FloatingPointRange(from_value=lower, to_value=upper)
+        about = ParameterDescriptor(description=description, floating_point_range=[bounds], read_only=True)
+        return float(self.declare_parameter(name, default, about).value)
+
+
+def main() -> None:
+    """Run the node."""
+    run_node(TracksNode)
+
+
+if __name__ == "__main__":
+    main()

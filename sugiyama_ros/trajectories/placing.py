@@ -1,0 +1,139 @@
+"""Vehicles seen in the plane become vehicles on lanes, with leaders: sample by sample, without a look ahead."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.trajectories.centre_line import RoadLanes
+
+#: Name of the vehicle ahead where there is none.
+NOBODY = ""
+
+
+@dataclass(frozen=True)
+class SeenVehicle:
+    """A vehicle as it was seen.
+
+    Attributes
+    ----------
+    stamp_ns : int
+        When it was seen [ns].
+    name : str
+        Name of the vehicle.
+    x_m, y_m : float
+        Position [m] of its centre, in the frame of the centre line.
+    heading : float
+        Direction [rad] in which it points; NaN where unknown.
+    length_m, var : float
+        Length [m], and variance [m^2] of the position; NaN where unknown.
+    vehicle_class : str
+        Its class; empty where unknown.
+    frame : str
+        Frame of the position.
+    """
+
+    stamp_ns: int
+    name: str
+    x_m: float
+    y_m: float
+    heading: float = math.nan
+    length_m: float = math.nan
+    var: float = math.nan
+    vehicle_class: str = ""
+    frame: str = ""
+
+
+class OnLane(NamedTuple):
+    """A vehicle on the road: what was seen, position [m] along and across its lane, lane, and the vehicle ahead."""
+
+    seen: SeenVehicle
+    s_m: float
+    d_m: float
+    lane: int
+    leader: str
+
+
+@dataclass(frozen=True)
+class LaneRule:
+    """When a vehicle changes lane, and when it is not on the road.
+
+    Parameters
+    ----------
+    margin_m : float
+        A vehicle changes to another lane when it is nearer to its centre line by this distance [m] than to the centre
+        line of the lane that it is on. So one on the marking does not go to and fro.
+    beside_m : float
+        A vehicle whose centre is farther [m] beside the road's lanes is not on the road.
+    """
+
+    margin_m: float = 0.4
+    beside_m: float = 1.0
+
+
+class Placer:
+    """Puts vehicles on lanes, and says who follows whom. It remembers each vehicle's lane.
+
+    Parameters
+    ----------
+    lanes : RoadLanes
+        The road.
+    rule : LaneRule
+        When vehicles change lanes.
+    """
+
+    def __init__(self, lanes: RoadLanes, rule: LaneRule = LaneRule()) -> None:
+        self._lanes, self._rule = lanes, rule
+        self._lane: dict[str, int] = {}
+
+    def place(self, seen: Sequence[SeenVehicle]) -> list[OnLane]:
+        """Place the vehicles of one moment, each of them once, in the order in which they were given.
+
+        A vehicle that is not on the road, or points against its direction, is left out.
+        """
+        if not seen:
+            return []
+        s_m, d_m = self._lanes.place(np.array([one.x_m for one in seen]), np.array([one.y_m for one in seen]))
+        along = self._lanes.lines[0].heading(s_m)
+        on_road: list[tuple[SeenVehicle, float, float, int]] = []
+        for k, one in enumerate(seen):
+            lane = self._lane_of(one.name, np.abs(d_m[:, k]))
+            against = math.cos(one.heading - along[k]) < 0.0  # never for a heading that is not known
+            if lane is None or against:
+                self._lane.pop(one.name, None)
+                continue
+            self._lane[one.name] = lane
+            on_road.append((one, float(s_m[k]), float(d_m[lane, k]), lane))
+        leaders = self._leaders(on_road)
+        return [OnLane(*one, leader) for one, leader in zip(on_road, leaders, strict=True)]
+
+    def forget(self, names: Sequence[str]) -> None:
+        """Forget the lanes of vehicles that have gone."""
+        for name in names:
+            self._lane.pop(name, None)
+
+    def _lane_of(self, name: str, distance_m: Array) -> int | None:
+        """Lane of a vehicle at distances (L,) [m] from the centre lines; None beside the road."""
+        nearest = int(np.argmin(distance_m - 0.5 * self._lanes.width_m))
+        if distance_m[nearest] > 0.5 * self._lanes.width_m[nearest] + self._rule.beside_m:
+            return None
+        before = self._lane.get(name)
+        if before is None or distance_m[nearest] < distance_m[before] - self._rule.margin_m:
+            return nearest
+        return before
+
+    def _leaders(self, on_road: Sequence[tuple[SeenVehicle, float, float, int]]) -> list[str]:
+        """Name of the vehicle directly ahead on the same lane, for each vehicle."""
+        leaders = [NOBODY] * len(on_road)
+        for lane in {lane for *_, lane in on_road}:
+            here = sorted((s, k) for k, (_, s, _, own) in enumerate(on_road) if own == lane)
+            behind = [k for _, k in here]
+            for k, ahead in pairwise(behind):
+                leaders[k] = on_road[ahead][0].name
+            if self._lanes.road.is_ring and len(behind) > 1:
+                leaders[behind[-1]] = on_road[behind[0]][0].name
+        return leaders
