@@ -57,6 +57,11 @@ class Candidacy:
         return self.look.candidate
 
     @property
+    def needed(self) -> float:
+        """Smallest gain that counts as support [nats]."""
+        return LEAST_GAIN + self.candidate.elsewhere
+
+    @property
     def score(self) -> float:
         """Gain minus the mean gain by chance [nats]."""
         return self.gain - self.expected - self.candidate.elsewhere

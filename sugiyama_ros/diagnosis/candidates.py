@@ -66,6 +66,11 @@ class Candidate:
         object.__setattr__(self, "mechanism", self.mechanism or self.name)
 
     @property
+    def happens_once(self) -> bool:
+        """Whether the candidate acts in one place of the data only, which cannot be held out."""
+        return self.elsewhere > 0.0
+
+    @property
     def entries(self) -> list[int]:
         """Entries of the rows that the candidate sets: those that become free, and those that stay at their start."""
         return sorted({*self.places, *self.starts[0]})

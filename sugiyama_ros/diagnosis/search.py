@@ -128,7 +128,7 @@ class Search:
             Whether a candidate was added.
         """
         scored = self._look_at_all()
-        supported = [one for one in scored if one.refined and one.p_value <= LEVEL and one.gain >= LEAST_GAIN]
+        supported = [one for one in scored if one.refined and one.p_value <= LEVEL and one.gain >= one.needed]
         now = self._nearly(self.current) if supported and not self.quick else self.errors
         grown: list[Addition] = []
         predicted = self._gains(supported)
@@ -191,6 +191,8 @@ class Search:
 
     def _predicts_more(self, one: Candidacy, now: HeldOutErrors) -> bool:
         """Whether held-out samples support a candidate, too; ``now``: errors of the current model."""
+        if one.candidate.happens_once:
+            return True
         predicted = self._nearly(one.fit)
         won = gain(self.data, predicted.samples, now.samples)
         return won.nats > -won.se and (one.candidate.is_noise or predicted.no_worse_than(now))
@@ -225,7 +227,7 @@ class Search:
         grown = warm_start(data, fitted, model, work, renewals=0 if self.quick else self.effort.renewals)
         after = held_out_errors(data, grown, work, searched=not self.quick)
         won = gain(data, after.samples, before.samples)
-        if won.nats < sum_error(won.drivers):
+        if won.nats < sum_error(won.drivers) and not candidate.happens_once:
             return None
         return Addition(
             name=candidate.mechanism,

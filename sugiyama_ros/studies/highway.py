@@ -1,8 +1,10 @@
 """Are there waves on a highway?"""
 
+from collections.abc import Callable
+
 from sugiyama_ros.driver.parameters import KAPPA_C, KAPPA_V, V_STAR
 from sugiyama_ros.studies.cases import compare
-from sugiyama_ros.studies.rings import RING_M, Ring, alike, estimated, mean_driver
+from sugiyama_ros.studies.rings import JAM_GAP_M, RING_M, Ring, alike, estimated, mean_driver
 from sugiyama_ros.studies.study import Answer, Asked, Study
 
 
@@ -12,14 +14,14 @@ def _answer(asked: Asked) -> Answer:
     rows[:, V_STAR] *= 3.0
     rows[:, KAPPA_V] *= 3.0
     rows[:, KAPPA_C] *= 5.0
-    ring_m = 3.0 * RING_M
-    return compare(
-        asked,
-        {
-            "equal gaps": lambda seed: Ring(rows, seed, ring_m=ring_m),
-            "out of a jam": lambda seed: Ring(rows, seed, ring_m=ring_m, jammed=True),
-        },
-    )
+
+    def start(jammed: bool) -> Callable[[int], Ring]:
+        # the gaps in the jam grow like kappa_c; a car counts as queuing below a third of the desired speed
+        return lambda seed: Ring(
+            rows, seed, jammed=jammed, ring_m=3.0 * RING_M, jam_gap_m=5.0 * JAM_GAP_M, queue_speed=rows[0, V_STAR] / 3.0
+        )
+
+    return compare(asked, {"equal gaps": start(False), "out of a jam": start(True)})
 
 
 STUDY = Study(

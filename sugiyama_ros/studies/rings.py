@@ -50,6 +50,8 @@ class Ring:
         Time between two samples, and duration of the run [s].
     queue_speed : float
         Speed [m/s] below which a car is in a queue.
+    jam_gap_m : float
+        Gap [m] between cars that start out of a jam.
     """
 
     drivers: Array
@@ -60,6 +62,7 @@ class Ring:
     period_s: float = 1.0 / 3.0
     duration_s: float = DURATION_S
     queue_speed: float = QUEUE_SPEED
+    jam_gap_m: float = JAM_GAP_M
 
 
 @dataclass(frozen=True)
@@ -88,7 +91,7 @@ def run(ring: Ring) -> Simulation:
     """Simulate one ring. The cars start from rest."""
     cars = len(ring.drivers)
     length, road = np.full(cars, ring.length_m, dtype=np.float64), Road(ring.ring_m)
-    start = platoon(length, JAM_GAP_M) if ring.jammed else evenly(length, road)
+    start = platoon(length, ring.jam_gap_m) if ring.jammed else evenly(length, road)
     rng = np.random.default_rng(ring.seed)
     return simulate(Simulator(ring.drivers, length, start, road, rng, clock=Clock(ring.period_s)), ring.duration_s)
 
