@@ -1,41 +1,59 @@
 """``sugiyama diagnose`` and ``sugiyama compare``."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from sugiyama_ros.cli.options import Json, ModelFile, Overwrite, Ring, Scheduler, Seed, Source, model_output, names
+from sugiyama_ros.cli.options import (
+    Json,
+    ModelFile,
+    Overwrite,
+    Ring,
+    Scheduler,
+    Seed,
+    Source,
+    model_output,
+    names,
+    takes,
+)
 from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.progress import stages
 
 
-def diagnose(
-    source: Source,
+@dataclass(frozen=True)
+class DiagnoseOptions:
+    """Arguments and options of the command."""
+
+    source: Source
     add: Annotated[
         str | None, typer.Option("--add", help="auto: add effects until the data support no further one.")
-    ] = None,
+    ] = None
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", help="Model file (YAML) to write, with the effects that were added."),
-    ] = None,
+    ] = None
     quick: Annotated[
         bool, typer.Option("--quick", help="Simulate fewer recordings: faster, with rougher p-values.")
-    ] = False,
-    overwrite: Overwrite = False,
-    ring: Ring = None,
-    seed: Seed = 0,
-    scheduler: Scheduler = None,
-    as_json: Json = False,
-) -> None:
+    ] = False
+    overwrite: Overwrite = False
+    ring: Ring = None
+    seed: Seed = 0
+    scheduler: Scheduler = None
+    as_json: Json = False
+
+
+@takes(DiagnoseOptions)
+def diagnose(options: DiagnoseOptions) -> None:
     """Find out what the model lacks.
 
     The diagnosis says where the model fails, which effect explains the failure, and how certain that is.
     """
-    if add not in (None, "auto"):
-        raise InputError(f"--add {add}: is not known; give auto")
-    to_write = model_output(output, overwrite, source)
+    if options.add not in (None, "auto"):
+        raise InputError(f"--add {options.add}: is not known; give auto")
+    to_write = model_output(options.output, options.overwrite, options.source)
     from sugiyama_ros.diagnosis import tables
     from sugiyama_ros.diagnosis.diagnosis import diagnose as find
     from sugiyama_ros.diagnosis.verdict import document, sentences
@@ -43,27 +61,27 @@ def diagnose(
     from sugiyama_ros.formats.registry import read_recording
     from sugiyama_ros.workers import helpers
 
-    recording = read_recording(source, ring)
-    with stages() as advance, helpers(scheduler) as workers:
+    recording = read_recording(options.source, options.ring)
+    with stages() as advance, helpers(options.scheduler) as workers:
         found = find(
             recording,
-            seed=seed,
-            quick=quick,
-            most=8 if add else 3,
-            add_forces=add is not None,
+            seed=options.seed,
+            quick=options.quick,
+            most=8 if options.add else 3,
+            add_forces=options.add is not None,
             workers=workers,
             on_progress=advance,
         )
     if to_write is not None:
         write_model(to_write, found.data, found.final)
-    if as_json:
+    if options.as_json:
         print_json(document(found))
         return
     for line in sentences(found):
         print_line(line)
     print_table(tables.steps(found))
     print_table(tables.by_driver(document(found)["drivers"]))
-    runs = f"{found.bootstrap_runs} simulated recordings" + (" (quick)" if quick else "")
+    runs = f"{found.bootstrap_runs} simulated recordings" + (" (quick)" if found.quick else "")
     print_note(f"p-values from {runs}; {found.wall_s:.0f} s")
 
 
