@@ -222,7 +222,7 @@ def calibrate(
 
 
 def compare(
-    trajectories: Trajectories,
+    trajectories: Trajectories | Tracks,
     effects: Sequence[str] = (),
     model: str | Path | None = None,
     *,
@@ -232,8 +232,8 @@ def compare(
 
     Parameters
     ----------
-    trajectories : Trajectories
-        The recording, at least 8 s long.
+    trajectories : Trajectories or Tracks
+        The recording, at least 8 s long; or tracks on which somebody follows a known vehicle for 15 s.
     effects : sequence of str
         Names of effects that are added to the base model.
     model : str or Path, optional
@@ -267,7 +267,7 @@ def compare(
 
 
 def diagnose(
-    trajectories: Trajectories,
+    trajectories: Trajectories | Tracks,
     *,
     quick: bool = False,
     add: str | None = None,
@@ -277,8 +277,8 @@ def diagnose(
 
     Parameters
     ----------
-    trajectories : Trajectories
-        The recording, at least 8 s long.
+    trajectories : Trajectories or Tracks
+        The recording, at least 8 s long; or tracks on which somebody follows a known vehicle for 15 s.
     quick : bool
         Whether to simulate fewer recordings: sooner, with rougher p-values.
     add : {None, "auto"}

@@ -2,18 +2,25 @@
 
 A driver's likelihood is the sum over the stretches in which the driver follows a known vehicle. Samples around the
 driver's own lane changes do not count. A driver who follows for a short time says too little about four parameters, and
-is left out. Drivers ahead count as typical drivers.
+gets the parameters of the class of vehicles (``vehicle_classes``). Drivers ahead count as typical drivers.
 """
 
 import math
 from collections.abc import Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sugiyama_ros.arrays import Ints
+from sugiyama_ros.calibration.vehicle_classes import (
+    BriefDriver,
+    ClassMedians,
+    leader_class,
+    medians_of,
+    with_parameters_of_class,
+)
 from sugiyama_ros.driver.parameters import PARAMETERS, SIGMA_A, index
 from sugiyama_ros.drives import Drive
 from sugiyama_ros.filters.causal import ChainJob, predict_samples
@@ -27,6 +34,7 @@ from sugiyama_ros.plots import BLUE
 from sugiyama_ros.progress import OnProgress
 from sugiyama_ros.results import Result
 from sugiyama_ros.tables import TextTable
+from sugiyama_ros.trajectories.time_base import on_time_base
 from sugiyama_ros.trajectories.tracks import Tracks
 
 if TYPE_CHECKING:
@@ -49,6 +57,8 @@ class CalibratedDriver:
         The estimate.
     nis : float
         Mean of the squared normalised innovations; 1 for a filter that knows its own errors.
+    leader_class : str
+        Class of the vehicle ahead most of the time.
     """
 
     recording: str
@@ -58,6 +68,7 @@ class CalibratedDriver:
     following_s: float
     fit: Fit
     nis: float
+    leader_class: str = ""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -70,19 +81,36 @@ class TracksCalibration(Result):
         Names of the estimated parameters.
     drivers : tuple of CalibratedDriver
         In the order of the tracks.
-    left_out : int
-        Number of drivers who follow a known vehicle for less than ``LEAST_FOLLOWING_S``.
+    brief : tuple of BriefDriver
+        Drivers who follow a known vehicle for less than ``LEAST_FOLLOWING_S``, with the parameters of their class.
     """
 
     estimated: tuple[str, ...]
     drivers: tuple[CalibratedDriver, ...]
-    left_out: int
+    brief: tuple[BriefDriver, ...]
+
+    @property
+    def left_out(self) -> int:
+        """Number of drivers without parameters of their own."""
+        return len(self.brief)
+
+    @property
+    def classes(self) -> tuple[ClassMedians, ...]:
+        """Medians of each class."""
+        return self._medians([(d.vehicle_class, None) for d in self.drivers])
+
+    @property
+    def pairs(self) -> tuple[ClassMedians, ...]:
+        """Medians of each class behind each class."""
+        return self._medians([(d.vehicle_class, d.leader_class) for d in self.drivers])
 
     def headline(self) -> str:
         """Say how many drivers were calibrated, and for how many of them each parameter is identified."""
         held = ", ".join(f"{n} of {sum(d.fit.identified(n) for d in self.drivers)}" for n in self.estimated)
         total = sum(d.fit.log_likelihood for d in self.drivers)
-        few = f"; {self.left_out} follow for less than {LEAST_FOLLOWING_S:g} s" if self.left_out else ""
+        few = ""
+        if self.brief:
+            few = f"; {self.left_out} follow for less than {LEAST_FOLLOWING_S:g} s, with the parameters of their class"
         return f"{len(self.drivers)} drivers on tracks, log-likelihood {total:.1f}; identified: {held}{few}"
 
     def records(self) -> list[dict[str, Any]]:
@@ -129,18 +157,22 @@ class TracksCalibration(Result):
                 }
             )
         total = float(sum(d.fit.log_likelihood for d in self.drivers))
-        classes = {name: values for name, _, values in self._by_class()}
         return {
             "formulation": "causal",
             "drivers": drivers,
             "left_out": self.left_out,
-            "classes": classes,
+            "brief_drivers": [self._brief(d) for d in self.brief],
+            "classes": {one.vehicle_class: dict(one.medians) for one in self.classes},
+            "class_pairs": [
+                {"class": one.vehicle_class, "leader_class": one.leader_class, "drivers": one.drivers, **one.medians}
+                for one in self.pairs
+            ],
             "log_likelihood": total,
             "wall_s": wall_s,
         }
 
     def table(self) -> TextTable:
-        """Make a table of each driver's parameters, and of the medians over each class."""
+        """Make a table of each driver's parameters, and of the medians over classes and over pairs of classes."""
         rows = []
         for d in self.drivers:
             cells = [
@@ -150,9 +182,14 @@ class TracksCalibration(Result):
             ]
             name = f"{d.recording} {d.vehicle}".strip()
             rows.append((name, d.vehicle_class, f"{d.following_s:.0f}", *cells, f"{d.nis:.2f}"))
-        for name, count, medians in self._by_class():
-            cells = ["" if (m := medians[n]) is None else f"{m:.3g}" for n in self.estimated]
-            rows.append(("median", name or "all", str(count), *cells, ""))
+        pairs = self.pairs if len({one.leader_class for one in self.pairs} - {""}) > 1 else ()
+        for one in (*self.classes, *pairs):
+            cells = ["" if (m := one.medians[n]) is None else f"{m:.3g}" for n in self.estimated]
+            rows.append((f"median of {one.drivers}", one.shown, "", *cells, ""))
+        for few in self.brief:
+            cells = [f"{few.parameters[index(n)]:.3g} (of the class)" for n in self.estimated]
+            name = f"{few.recording} {few.vehicle}".strip()
+            rows.append((name, few.vehicle_class, f"{few.following_s:.0f}", *cells, f"{few.nis:.2f}"))
         headings = ("vehicle", "class", "following [s]", *self.estimated, "NIS")
         return TextTable("Calibration on tracks", headings, tuple(rows), left=2)
 
@@ -166,18 +203,21 @@ class TracksCalibration(Result):
             one.set(ylabel=f"{name} [{PARAMETERS[index(name)].unit}]")
         axes[-1].set(xlabel="following [s]")
 
-    def _by_class(self) -> list[tuple[str, int, dict[str, float | None]]]:
-        """Name, number of drivers and medians of the identified parameters of each class; None without any."""
-        names = sorted({d.vehicle_class for d in self.drivers})
-        found = []
-        for name in names:
-            own = [d for d in self.drivers if d.vehicle_class == name]
-            medians: dict[str, float | None] = {}
-            for n in self.estimated:
-                known = [float(d.fit.parameters[index(n)]) for d in own if d.fit.identified(n)]
-                medians[n] = float(np.median(known)) if known else None
-            found.append((name, len(own), medians))
-        return found
+    def _medians(self, groups: Sequence[tuple[str, str | None]]) -> tuple[ClassMedians, ...]:
+        return medians_of(groups, [d.fit for d in self.drivers], self.estimated)
+
+    def _brief(self, d: BriefDriver) -> dict[str, Any]:
+        """What ``document`` says of a driver without own parameters."""
+        return {
+            "recording": d.recording,
+            "vehicle": d.vehicle,
+            "class": d.vehicle_class,
+            "following_s": d.following_s,
+            "parameters_of": "class",
+            **{n: float(d.parameters[index(n)]) for n in self.estimated},
+            "log_likelihood": d.log_likelihood,
+            "nis": d.nis if math.isfinite(d.nis) else None,
+        }
 
 
 def calibrate_tracks(
@@ -210,6 +250,7 @@ def calibrate_tracks(
     InputError
         For an unknown parameter, or if no driver follows a known vehicle for long enough.
     """
+    tracks = on_time_base(tracks)
     found = followers(tracks)
     every = [drive for own in found.enough for drive in own]
     even, speed = evenness_on(every), fastest_on(every)
@@ -219,9 +260,12 @@ def calibrate_tracks(
     drivers = []
     fits = map(carry_out, jobs) if work is None else work.map(carry_out, jobs)
     for own, job, fit in zip(found.enough, jobs, fits, strict=True):
-        drivers.append(_calibrated(own, job, fit))
+        drivers.append(replace(_calibrated(own, job, fit), leader_class=leader_class(tracks, own)))
         on_progress(len(drivers), len(jobs))
-    return TracksCalibration(names, tuple(drivers), len(found.few))
+    known = TracksCalibration(names, tuple(drivers), ())
+    (everybody,) = medians_of([("", None)] * len(drivers), [d.fit for d in drivers], names)
+    few = [own for own in found.few if following_s(own) > 0.0]
+    return replace(known, brief=with_parameters_of_class(few, known.classes, everybody, even.typical(speed)))
 
 
 def _job(number: int, own: Sequence[Drive], places: Ints, even: Evenness, speed: float) -> Job:

@@ -1,5 +1,6 @@
 """Errors of a model on held-out samples."""
 
+import math
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
@@ -19,6 +20,8 @@ from sugiyama_ros.fit.score import PointwiseDensity, follow
 _TOLERANCE = 0.05
 # A fitted parameter costs about one held-out nat (Akaike); a loss of more than this [nats] is a failure of the fits.
 _PER_PARAMETER = 4.0
+# From this number of drivers on, errors of runs are paired over drivers.
+_MANY_DRIVERS = 5
 # Smallest speed [m/s] at which a time gap is meaningful.
 _MOVING = 1.0
 
@@ -69,18 +72,15 @@ class HeldOutErrors:
         single horizon may be luck: a free run has no noise, and a jam without noise depends on small details.
         """
         pairs = ((self.runs.coupled, other.runs.coupled), (self.runs.single, other.runs.single))
-        by_horizon = []
+        by_horizon: list[Array] = []
         for ours, theirs in pairs:
             if not np.isfinite(theirs).any():
                 continue
             for k in range(len(HORIZONS_S)):
                 change = np.square(ours[:, k]) - np.square(theirs[:, k])
-                known = np.maximum(np.isfinite(change).sum(axis=1), 1)
-                by_horizon.append(np.nansum(change, axis=1) / known / rmse(theirs[:, k]) ** 2)
-        if not by_horizon or len(by_horizon[0]) < 2:
-            return True
-        changes = np.mean(by_horizon, axis=0)
-        mean, se = float(np.mean(changes)), float(np.std(changes, ddof=1) / np.sqrt(len(changes)))
+                by_horizon.append(change / rmse(theirs[:, k]) ** 2)
+        is_whole_road = len(by_horizon) > len(HORIZONS_S)
+        mean, se = (_over_starts if is_whole_road else _over_runs)(by_horizon)
         return not mean > max(2.0 * se, (1.0 + _TOLERANCE) ** 2 - 1.0)
 
     def summary(self) -> dict[str, float]:
@@ -124,6 +124,33 @@ class HeldOutErrors:
                     found[f"{at}_gap_relative"] = rmse(error) / float(np.mean(known))
                     found[f"{at}_gap_fit_percent"] = 100.0 * (1.0 - rmse(error) / float(np.std(known)))
         return found
+
+
+def _over_starts(by_horizon: Sequence[Array]) -> tuple[float, float]:
+    """Mean change and its standard error over starts, which all drivers share; changes (S, N) at each horizon."""
+    known = [np.maximum(np.isfinite(change).sum(axis=1), 1) for change in by_horizon]
+    changes = np.mean([np.nansum(change, axis=1) / n for change, n in zip(by_horizon, known, strict=True)], axis=0)
+    if len(changes) < 2:
+        return 0.0, 0.0
+    return float(np.mean(changes)), float(np.std(changes, ddof=1) / np.sqrt(len(changes)))
+
+
+def _over_runs(by_horizon: Sequence[Array]) -> tuple[float, float]:
+    """Mean change over all runs, and its standard error, over drivers or over the starts of a few drivers.
+
+    Each driver has starts of their own. Changes (S, N) at each horizon.
+    """
+    if not by_horizon:
+        return 0.0, 0.0
+    changes: Array = np.mean(by_horizon, axis=0)
+    axis = 0 if changes.shape[1] >= _MANY_DRIVERS else 1
+    count, total = np.isfinite(changes).sum(axis=axis), np.nansum(changes, axis=axis)
+    count, total = count[count > 0], total[count > 0]
+    if len(count) < 2:
+        return 0.0, 0.0
+    mean = float(total.sum() / count.sum())
+    spread = float(np.square(total - mean * count).sum()) * len(count) / (len(count) - 1)
+    return mean, math.sqrt(spread) / float(count.sum())
 
 
 def held_out_errors(data: Recorded, fitted: JointFit, work: Executor, *, searched: bool) -> HeldOutErrors:

@@ -11,6 +11,7 @@ from sugiyama_ros.calibration.on_tracks import LEAST_FOLLOWING_S, calibrate_trac
 from sugiyama_ros.cli.app import app
 from sugiyama_ros.driver.parameters import V_STAR
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.trajectories.labels import labels_of
 from sugiyama_ros.trajectories.one_lane import tracks_of
 
 
@@ -42,7 +43,15 @@ def test_drivers_who_follow_for_a_short_time_are_left_out(tracks):
     # one vehicle leaves, and its follower follows somebody who is not known from then on
     assert [d.vehicle for d in found.drivers] == ["2", "3", "4"]
     assert found.left_out == 2
-    assert "2 follow for less than 15 s" in found.headline()
+    assert "2 follow for less than 15 s, with the parameters of their class" in found.headline()
+    assert [d.vehicle for d in found.brief] == ["0", "1"]
+    (of_class,) = found.classes
+    for driver in found.brief:
+        assert driver.following_s < LEAST_FOLLOWING_S
+        assert driver.parameters[V_STAR] == of_class.medians["v_star"]
+        assert np.isfinite(driver.log_likelihood)
+    assert [d["parameters_of"] for d in found.document(0.0)["brief_drivers"]] == ["class", "class"]
+    assert len(found.table().rows) == 3 + 1 + 2
     with pytest.raises(InputError, match="nobody follows a known vehicle for 15 s"):
         calibrate_tracks(tracks.select(leaves))
 
@@ -54,6 +63,20 @@ def test_a_class_without_an_identified_parameter_has_no_median(tracks):
     assert document["classes"] == {"": {"sigma_nu": None, "v_star": None}}
     assert document["drivers"][0]["std"] == {"sigma_nu": None, "v_star": None}
     json.dumps(document, allow_nan=False)
+
+
+def test_classes_are_told_apart_by_their_leaders(tracks):
+    kind = np.where(np.asarray(tracks.run) % 2 == 0, "truck", "car")
+    found = calibrate_tracks(replace(tracks, vehicle_class=labels_of(kind.tolist())), ["v_star"])
+    assert [one.shown for one in found.classes] == ["car", "truck"]
+    # five vehicles on a ring: vehicle 4 follows vehicle 0, and both are trucks
+    assert [(one.shown, one.drivers) for one in found.pairs] == [
+        ("car behind truck", 2),
+        ("truck behind car", 2),
+        ("truck behind truck", 1),
+    ]
+    assert [one["leader_class"] for one in found.document(0.0)["class_pairs"]] == ["truck", "car", "truck"]
+    assert [row[1] for row in found.table().rows[5:]] == ["car", "truck", *(one.shown for one in found.pairs)]
 
 
 def test_the_command_calibrates_tracks(tracks, tmp_path, capsys):

@@ -1,0 +1,180 @@
+"""Classes of vehicles on tracks: what drivers of a class have in common, and drivers who are recorded too briefly.
+
+A driver who follows for less than ``LEAST_FOLLOWING_S`` says too little about parameters of their own. The parameters
+of the driver's class of vehicles then stand for theirs.
+"""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.driver.parameters import index
+from sugiyama_ros.drives import Drive
+from sugiyama_ros.filters.causal import ChainJob, predict_samples
+from sugiyama_ros.fit.driver import Fit
+from sugiyama_ros.trajectories.tracks import Tracks
+
+
+@dataclass(frozen=True, eq=False)
+class BriefDriver:
+    """A driver who follows too briefly for parameters of their own, with the parameters of the class.
+
+    Parameters
+    ----------
+    recording, vehicle, vehicle_class : str
+        Who drives; empty where the tracks do not say.
+    following_s : float
+        Time [s] that counts.
+    parameters : ndarray, shape (P,)
+        Parameters of the class.
+    log_likelihood : float
+        Log-likelihood of the driver's samples with these parameters [nats].
+    nis : float
+        Mean of the squared normalised innovations with these parameters.
+    """
+
+    recording: str
+    vehicle: str
+    vehicle_class: str
+    following_s: float
+    parameters: Array
+    log_likelihood: float
+    nis: float
+
+
+@dataclass(frozen=True)
+class ClassMedians:
+    """What drivers of a class, or of a class behind another class, have in common.
+
+    Parameters
+    ----------
+    vehicle_class : str
+        Class of the drivers' vehicles.
+    leader_class : str or None
+        Class of the vehicles ahead; None for all of them.
+    drivers : int
+        Number of drivers.
+    medians : mapping of str to float or None
+        Median of each estimated parameter, over the drivers for whom it is identified; None without any.
+    """
+
+    vehicle_class: str
+    leader_class: str | None
+    drivers: int
+    medians: Mapping[str, float | None]
+
+    @property
+    def shown(self) -> str:
+        """Name in tables."""
+        own = self.vehicle_class or "all"
+        return own if self.leader_class is None else f"{own} behind {self.leader_class or 'unknown'}"
+
+
+def leader_class(tracks: Tracks, own: Sequence[Drive]) -> str:
+    """Return the class of the vehicle ahead of a driver in most scored samples; empty where it is not known.
+
+    Parameters
+    ----------
+    tracks : Tracks
+        The tracks on the time base of the stretches.
+    own : sequence of Drive
+        The driver's stretches.
+
+    Returns
+    -------
+    str
+        The class.
+    """
+    if tracks.vehicle_class is None:
+        return ""
+    seen: Counter[str] = Counter()
+    for drive in own:
+        runs, counts = np.unique(drive.chain.identity[drive.scored, 1], return_counts=True)
+        for run, count in zip(runs.tolist(), counts.tolist(), strict=True):
+            if run >= 0:
+                seen[tracks.vehicle_class.at(int(tracks.start[run]))] += count
+    return seen.most_common(1)[0][0] if seen else ""
+
+
+def medians_of(
+    groups: Sequence[tuple[str, str | None]], fits: Sequence[Fit], estimated: Sequence[str]
+) -> tuple[ClassMedians, ...]:
+    """Return the medians of each group of drivers.
+
+    Parameters
+    ----------
+    groups : sequence of (str, str or None)
+        Group of each driver: own class, and class of the vehicle ahead or None.
+    fits : sequence of Fit
+        Estimate of each driver.
+    estimated : sequence of str
+        Names of the estimated parameters.
+
+    Returns
+    -------
+    tuple of ClassMedians
+        In alphabetical order.
+    """
+    found = []
+    for group in sorted(set(groups), key=lambda one: (one[0], one[1] or "")):
+        own = [fit for fit, of in zip(fits, groups, strict=True) if of == group]
+        medians: dict[str, float | None] = {}
+        for name in estimated:
+            known = [float(fit.parameters[index(name)]) for fit in own if fit.identified(name)]
+            medians[name] = float(np.median(known)) if known else None
+        found.append(ClassMedians(group[0], group[1], len(own), medians))
+    return tuple(found)
+
+
+def with_parameters_of_class(
+    few: Sequence[Sequence[Drive]], classes: Sequence[ClassMedians], everybody: ClassMedians, typical: Array
+) -> tuple[BriefDriver, ...]:
+    """Give drivers who follow too briefly the parameters of their class.
+
+    Parameters
+    ----------
+    few : sequence of sequence of Drive
+        The stretches of each of these drivers.
+    classes : sequence of ClassMedians
+        The classes.
+    everybody : ClassMedians
+        All calibrated drivers, for what no driver of a class tells.
+    typical : ndarray, shape (P,)
+        Parameters for what nobody tells, and for what was not estimated.
+
+    Returns
+    -------
+    tuple of BriefDriver
+        The drivers.
+    """
+    rows: dict[str | None, Array] = {}
+    for one in (*classes, everybody):
+        row = typical.copy()
+        for source in (everybody, one):
+            for name, median in source.medians.items():
+                row[index(name)] = row[index(name)] if median is None else median
+        rows[one.vehicle_class if one is not everybody else None] = row
+    return tuple(_brief(own, rows.get(own[0].stretch.vehicle_class, rows[None]), typical) for own in few)
+
+
+def _brief(own: Sequence[Drive], row: Array, typical: Array) -> BriefDriver:
+    squares, densities, samples = [], [], 0
+    jobs = [ChainJob(d.chain, row, np.tile(typical, (d.chain.position_m.shape[1] - 1, 1))) for d in own]
+    for drive, predicted in zip(own, predict_samples(jobs), strict=True):
+        counts = drive.scored & np.isfinite(predicted.log_likelihood)
+        squares.append((predicted.innovation**2 / predicted.innovation_var)[counts])
+        densities.append(predicted.log_likelihood[counts])
+        samples += int((drive.scored & (drive.chain.identity[:, 1] >= 0)).sum())
+    normal, who = np.concatenate(squares), own[0].stretch
+    return BriefDriver(
+        recording=who.recording,
+        vehicle=who.vehicle,
+        vehicle_class=who.vehicle_class,
+        following_s=samples * own[0].chain.period_s,
+        parameters=row,
+        log_likelihood=float(np.concatenate(densities).sum()),
+        nis=float(normal.mean()) if len(normal) else float("nan"),
+    )
