@@ -3,7 +3,7 @@
 import math
 import os
 import time
-from collections import deque
+from collections import OrderedDict, deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -29,6 +29,10 @@ from sugiyama_ros.road import Road
 _UNKNOWN = (math.nan,) * 4
 # Number of events that are kept, and time [s] over which the real rate is measured.
 _EVENTS, _RATE_S = 8, 5.0
+
+
+def _milliseconds(time_s: float) -> int:
+    return round(1000.0 * time_s) if math.isfinite(time_s) else -1
 
 
 class MovingError:
@@ -81,10 +85,10 @@ class View(Node):
         }
         self._strength: dict[str, float] = {}
         self._state: dict[int, tuple[float, float]] = {}
-        self._place: dict[int, float] = {}
+        # by the stamp: positions, and the error of the base model up to then; topics arrive in any order
+        self._measured: OrderedDict[int, tuple[dict[int, float], float]] = OrderedDict()
         self._moving, self._base_moving = MovingError(), MovingError()
         self._base: BaseModel | None = None
-        self._base_error = math.nan
         self._sum, self._scored = 0.0, 0
         self._latest_s = -math.inf
         self._first_s, self._step = math.nan, -1
@@ -206,12 +210,15 @@ class View(Node):
         for vehicle in [v for v in self.now if v not in sample.place]:
             del self._now[vehicle]
             self._happened(f"vehicle {vehicle} has left")
-        self._place = {v: sample.position_m[p] for v, p in sample.place.items()}
         if new := sorted(set(sample.place) - set(self.vehicles)):
             self._meet(new)
+        error = math.nan
         if self._base is not None:
             errors = self._base.follow(sample)
-            self._base_error = self._base_moving.add(time_s, sum(e * e for e in errors), len(errors))
+            error = self._base_moving.add(time_s, sum(e * e for e in errors), len(errors))
+        self._measured[_milliseconds(time_s)] = {v: sample.position_m[p] for v, p in sample.place.items()}, error
+        while len(self._measured) > KEPT:
+            self._measured.popitem(last=False)
 
     def _meet(self, new: Sequence[int]) -> None:
         """Subscribe to the topics of vehicles that are seen for the first time."""
@@ -261,15 +268,19 @@ class View(Node):
                 self._moving.clear()
             elif math.isfinite(error := self._moving.add(self._latest_s, self._sum, self._scored)):
                 # complete when a newer sample comes
-                self.error.add(self._latest_s, error, self._base_error)
+                self.error.add(self._latest_s, error, self._at(self._latest_s)[1])
             self._latest_s, self._sum, self._scored = time_s, 0.0, 0
         if scored:
             self._sum += innovation**2
             self._scored += 1
-        place = self._place.get(v, math.nan)
+        place = self._at(time_s)[0].get(v, math.nan)
         adapted = self.adapted.get(v, _UNKNOWN)
         spread = math.sqrt(max(variance, 0.0))
         self.driver[v].add(time_s, *self._state[v], innovation, spread, *adapted, place)
+
+    def _at(self, time_s: float) -> tuple[Mapping[int, float], float]:
+        """Measured positions [m] at a time, and the error [m] of the base model up to then."""
+        return self._measured.get(_milliseconds(time_s), ({}, math.nan))
 
     def _on_verdict(self, message: Verdict) -> None:
         self.weights = dict(zip(message.model, message.weight, strict=True))
