@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
-from rclpy.exceptions import InvalidParameterValueException
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
@@ -79,23 +79,21 @@ def declare_model(node: Node, vehicle: int) -> tuple[Array, DriverTypes | None]:
 
 
 def declare_float(node: Node, name: str, default: float, about: ParameterDescriptor) -> float:
-    """Declare a parameter that is a number. In a file of parameters, it may be written without a decimal point.
+    """Declare a parameter that is a number, within a range.
 
     Raises
     ------
     InputError
         If the node was started with something else, or with a number out of range.
     """
-    given = node.declare_parameter(name, default, ParameterDescriptor(dynamic_typing=True)).value
-    node.undeclare_parameter(name)
-    if isinstance(given, bool) or not isinstance(given, int | float):
-        raise InputError(f"parameter {name}: {given!r} is not a number")
     try:
-        return float(node.declare_parameter(name, float(given), about, ignore_override=True).value)
+        return float(node.declare_parameter(name, default, about).value)
+    except InvalidParameterTypeException:
+        raise InputError(f"parameter {name}: what was given is not a number; give one such as {default:g}") from None
     except InvalidParameterValueException:
         bounds = about.floating_point_range[0]
         raise InputError(
-            f"parameter {name}: {given:g} is out of bounds; give {bounds.from_value:g} to {bounds.to_value:g}"
+            f"parameter {name}: out of bounds; give {bounds.from_value:g} to {bounds.to_value:g}"
         ) from None
 
 

@@ -9,9 +9,11 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.filters.any_time import steps_between
+from sugiyama_ros.filters.learnt import Learnt
 from sugiyama_ros.filters.online import NOBODY, Estimate, OnlineFilter
 from sugiyama_ros.nodes.base.cdr_messages import LONGEST_M, NS, Sample
 from sugiyama_ros.nodes.base.qos import DEPTH
+from sugiyama_ros.nodes.base.samples import UNKNOWN_LEADER
 from sugiyama_ros.nodes.saved_state import Kept
 
 #: What is published where nothing is known, so that every topic has a message for every step.
@@ -85,6 +87,7 @@ class Follower:
         self._length_m: dict[int, float] = {}
         self._past: deque[_Past] = deque()
         self._seen: Kept | None = None
+        self._unled: Learnt | None = None
 
     def restart(self) -> None:
         """Forget where the vehicles are, after a jump in time. What was learnt of the driver stays.
@@ -167,6 +170,7 @@ class Follower:
         if not self._chain:
             self.missing_in_a_row += 1
             return UNKNOWN
+        self._note_leader(sample)
         position, length = self._chain_in(sample)
         self.missing_in_a_row = self.missing_in_a_row + 1 if isnan(position[0]) else 0
         self._counts["missing"] += isnan(position[0])
@@ -177,7 +181,21 @@ class Follower:
         if not isfinite(estimate.speed):
             raise DivergedError("the filter has diverged and starts anew; are its effects and parameters sensible?")
         self._recall_if_known(sample.stamp_ns)
-        return estimate
+        if estimate.covariance[1, 1] == 0.0:
+            # one position says nothing about the speed
+            estimate = UNKNOWN._replace(position_m=estimate.position_m)
+        if self._unled is None:
+            return estimate
+        self.filter.recall(self._unled)
+        return estimate._replace(gap_m=nan, approach_rate=nan, mean_action=nan, scored=False)
+
+    def _note_leader(self, sample: Sample) -> None:
+        """Note what was learnt before the leader got out of view: how the driver then drives tells nothing of them."""
+        place = sample.place.get(self.vehicle)
+        if place is None or sample.leader[place] != UNKNOWN_LEADER:
+            self._unled = None
+        elif self._unled is None:
+            self._unled = self.filter.learnt
 
     def _recall_if_known(self, stamp_ns: int) -> None:
         """Go back to what was learnt before, if the sample was learnt from already."""
