@@ -16,7 +16,7 @@ from sugiyama_ros.filters import paper
 from sugiyama_ros.filters.chain import CHAIN
 from sugiyama_ros.filters.paper import Scored
 from sugiyama_ros.fit.bounds import LogSpace, fastest, log_space, lower_bounds, upper_bounds
-from sugiyama_ros.fit.driver_score import DriverChains, causal_score, regularised
+from sugiyama_ros.fit.driver_score import DriverChains, causal_score, predicted, regularised
 from sugiyama_ros.fit.intervals import end_of_profile, quadratic
 from sugiyama_ros.fit.scoring import Point, search
 from sugiyama_ros.fit.smooth_positions import ESTIMATED, evenness
@@ -35,6 +35,8 @@ _VAGUE = 0.5
 _BATCH = 512
 #: Returns the score at parameters (P,), given the information (P, P) at nearby parameters, or None.
 Score = Callable[[Array, Array | None], Scored]
+#: The same as ``Score``, or None if the log-likelihood is not larger than a number, so that nobody needs the score.
+BetterScore = Callable[[Array, Array | None, float], Scored | None]
 
 
 @dataclass(frozen=True)
@@ -94,14 +96,14 @@ class Fit:
 
 
 def fit_driver(
-    score: Score, vehicle: int, space: LogSpace, enough: float = _ENOUGH, careful: Score | None = None
+    score: BetterScore, vehicle: int, space: LogSpace, enough: float = _ENOUGH, careful: Score | None = None
 ) -> Fit:
     """Maximise the likelihood of one driver.
 
     Parameters
     ----------
     score : callable
-        Returns the log-likelihood with its gradient and information.
+        Returns the log-likelihood with its gradient and information, or None.
     vehicle : int
         Number of the driver's vehicle.
     space : LogSpace
@@ -112,9 +114,12 @@ def fit_driver(
         A more accurate score, for the standard errors at the maximum.
     """
 
-    def at(x: Array, near: Point | None) -> Point:
+    def at(x: Array, near: Point | None) -> Point | None:
         parameters = space.parameters(x)
-        scored = score(parameters, None if near is None else near.scored.information)
+        known = (None, -np.inf) if near is None else (near.scored.information, near.value)
+        scored = score(parameters, *known)
+        if scored is None:
+            return None
         gradient, information = space.derivatives(parameters, scored.gradient, scored.information)
         return Point(x, scored.log_likelihood, gradient, information, scored)
 
@@ -160,17 +165,27 @@ class Job:
         """Coordinates of the search."""
         return log_space(self.start, self.places, self.lower, self.upper)
 
-    def score(self, parameters: Array, information: Array | None, central: bool = False) -> Scored:
+    def score(
+        self, parameters: Array, information: Array | None, central: bool = False, here: Array | None = None
+    ) -> Scored:
         """Return the score of the formulation without regularisation; arguments as for ``causal_score``."""
         if self.perceived is not None:
             return paper.score(self.perceived, parameters, self.places)
         assert self.followed is not None
-        return causal_score(self.followed, self.places, parameters, information, central)
+        return causal_score(self.followed, self.places, parameters, information, central, here)
 
-    def objective(self, parameters: Array, information: Array | None) -> Scored:
+    def objective(self, parameters: Array, information: Array | None, here: Array | None = None) -> Scored:
         """Return the score that the search maximises; arguments as for ``causal_score``."""
-        scored = self.score(parameters, information)
+        scored = self.score(parameters, information, here=here)
         return regularised(scored, parameters, self.options.strength) if self.options.is_regularised else scored
+
+    def better(self, parameters: Array, information: Array | None, above: float) -> Scored | None:
+        """Return ``objective``, or None if its value is not above ``above``."""
+        if self.followed is None:
+            return self.objective(parameters, information)
+        # the slopes take several passes of the filter, the log-likelihood takes one, and the regularisation lowers it
+        here = predicted(self.followed, [parameters])[0]
+        return self.objective(parameters, information, here) if np.nansum(here[2]) > above else None
 
     def careful(self, parameters: Array, _: Array | None) -> Scored:
         """Return the score from central differences, whose steps follow from a newly computed information."""
@@ -185,7 +200,7 @@ def carry_out(job: Job) -> Fit:
     if options.hops:
         job = replace(job, start=_hop(job))
     careful = job.careful if options.with_errors else None
-    search = (job.objective, job.vehicle, job.space)
+    search = (job.better, job.vehicle, job.space)
     found = fit_driver(*search) if job.perceived is not None else fit_driver(*search, ENOUGH_CAUSAL, careful)
     if options.profiled:
         found = replace(found, interval=_profile(job, found))
@@ -235,7 +250,7 @@ def _fall(job: Job, found: Fit, place: int, sign: float) -> Callable[[float], fl
     def fall(distance: float) -> float:
         last[place] = found.parameters[place] * np.exp(sign * distance)
         space = log_space(last, held.places, held.lower, held.upper)
-        there = fit_driver(held.objective, held.vehicle, space, ENOUGH_CAUSAL)
+        there = fit_driver(held.better, held.vehicle, space, ENOUGH_CAUSAL)
         last[:] = there.parameters
         return float(np.sqrt(2.0 * max(0.0, found.log_likelihood - there.log_likelihood)))
 
@@ -283,7 +298,6 @@ def calibrate(
         For an unknown parameter, or data that the formulation cannot use.
     """
     jobs_of = JobMaker(trajectories, formulation, estimated, starts or {})
-
     skipped = set(skip)
     left = [i for i, v in enumerate(trajectories.vehicle.tolist()) if v not in skipped]
     for first in range(0, len(left), _BATCH):
@@ -294,16 +308,7 @@ def calibrate(
 class JobMaker:
     """Makes the plain searches for the parameters of the drivers of a recording.
 
-    Parameters
-    ----------
-    trajectories : Trajectories
-        The recording.
-    formulation : {"causal", "paper"}
-        Likelihood.
-    estimated : sequence of str
-        Names of the parameters in the search.
-    known : mapping of int to ndarray, shape (P,)
-        Parameters by vehicle, as ``starts`` of ``calibrate``.
+    Arguments as for ``calibrate``; known: parameters (P,) by vehicle, as ``starts`` there.
     """
 
     def __init__(

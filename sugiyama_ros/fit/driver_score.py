@@ -41,6 +41,7 @@ def causal_score(
     parameters: Array,
     information: Array | None,
     central: bool = False,
+    here: Array | None = None,
 ) -> Scored:
     """Return the score from difference quotients of innovations and variances, by the logarithms of the parameters.
 
@@ -56,6 +57,8 @@ def causal_score(
         Information at nearby parameters, which sets the steps; None if it is not known.
     central : bool
         Whether to take central differences. They take twice the time, but suffer less from jumps of the likelihood.
+    here : ndarray, shape (3, samples), optional
+        What ``predicted`` returns for these parameters, if it is known.
 
     Returns
     -------
@@ -70,12 +73,13 @@ def causal_score(
     moved = np.tile(parameters, (len(signs), len(places), 1))
     for sign, rows in zip(signs, moved, strict=True):
         rows[np.arange(len(places)), places] *= np.exp(sign * steps)
-    predicted = _predicted(followed, [parameters, *moved.reshape(-1, len(parameters))])
-    density = predicted[0, 2]
+    here = predicted(followed, [parameters])[0] if here is None else here
+    there = predicted(followed, [*moved.reshape(-1, len(parameters))])
+    density = here[2]
     scored = np.isfinite(density)
-    y, variance = predicted[0, :2, scored].T
-    up = predicted[1 : 1 + len(places), :2, scored]
-    down = predicted[1 + len(places) :, :2, scored] if central else predicted[:1, :2, scored]
+    y, variance = here[:2, scored]
+    up = there[: len(places), :2, scored]
+    down = there[len(places) :, :2, scored] if central else here[:2, scored]
     dy, dvar = np.moveaxis((up - down) / (len(signs) * steps[:, None, None]), 1, 0)
     slopes = -(dy * (y / variance) + 0.5 * dvar * (1.0 - y * y / variance) / variance)
     curvature = (dy / variance) @ dy.T + 0.5 * (dvar / variance**2) @ dvar.T
@@ -88,16 +92,27 @@ def causal_score(
     return Scored(float(density[scored].sum()), gradient, full, scatter)
 
 
-def _predicted(followed: DriverChains, rows: Sequence[Array]) -> Array:
-    """Innovation, its variance and its log-likelihood, (R, 3, samples of all chains), for R rows of parameters."""
+def predicted(followed: DriverChains, rows: Sequence[Array]) -> Array:
+    """Predict all samples of a driver.
+
+    Parameters
+    ----------
+    followed : DriverChains
+        The driver.
+    rows : sequence of ndarray, shape (P,)
+        R rows of parameters.
+
+    Returns
+    -------
+    ndarray, shape (R, 3, samples of all chains)
+        Innovation, its variance and its log-likelihood.
+    """
     # Imported here: the paper's formulation does not need the causal filter, which takes long to load.
     from sugiyama_ros.filters import causal
 
     jobs = [causal.ChainJob(c, row, _first(followed.ahead, c)) for row in rows for c in followed.chains]
-    predicted, count = causal.predict_samples(jobs), len(followed.chains)
-    found = [
-        np.concatenate([np.array(one) for one in predicted[k : k + count]], axis=1) for k in range(0, len(jobs), count)
-    ]
+    each, count = causal.predict_samples(jobs), len(followed.chains)
+    found = [np.concatenate([np.array(one) for one in each[k : k + count]], axis=1) for k in range(0, len(jobs), count)]
     samples = np.array(found)
     if followed.scored:
         samples[:, 2, ~np.concatenate(followed.scored)] = np.nan

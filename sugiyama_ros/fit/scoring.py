@@ -113,13 +113,14 @@ class Point(NamedTuple):
     scored: Any
 
 
-def search(at: Callable[[Array, Point | None], Point], space: LogSpace, enough: float) -> Point:
+def search(at: Callable[[Array, Point | None], Point | None], space: LogSpace, enough: float) -> Point:
     """Maximise a function of the parameters of one driver.
 
     Parameters
     ----------
     at : callable
-        Returns the point at coordinates (K,), given a nearby point or None.
+        Returns the point at coordinates (K,), given a nearby point or None. It may return None if the value is not
+        larger than the value of the nearby point.
     space : LogSpace
         Coordinates, their start and their bounds.
     enough : float
@@ -131,6 +132,8 @@ def search(at: Callable[[Array, Point | None], Point], space: LogSpace, enough: 
         The best point found.
     """
     here, damping = at(space.x, None), _ALONE.start
+    if here is None:
+        raise ValueError("the search needs a point to begin with")
     for _ in range(_STEPS):
         x, gradient = here.x, here.gradient
         free = ~(((x <= space.smallest) & (gradient < 0.0)) | ((x >= space.largest) & (gradient > 0.0)))
@@ -141,7 +144,7 @@ def search(at: Callable[[Array, Point | None], Point], space: LogSpace, enough: 
         if 0.5 * float(gradient @ change) < enough or damping > _ALONE.most:
             break
         there = at(np.clip(x + limited(change, LONGEST), space.smallest, space.largest), here)
-        is_better = there.value > here.value
-        here = there if is_better else here
+        is_better = there is not None and there.value > here.value
+        here = there if there is not None and is_better else here
         damping = float(_ALONE.updated(damping, is_better, not is_better))
     return here
