@@ -205,8 +205,7 @@ class Simulator:
         self._rng = rng
         self._rng_of_effects = rng.spawn(1)[0]
         self._mood: dict[str, Array] = {}
-        start = self.position_m, self.speed, self.held, self.acceleration
-        self._past = begin(*start, self.parameters, self.period_s).past
+        self._past = begin(self.position_m, self.speed, self.held, self.held, self.parameters, self.period_s).past
         self._touching = self.gap_m <= 0.0
         if self._touching.any():
             i = int(np.argmax(self._touching))
