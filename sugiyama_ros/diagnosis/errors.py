@@ -20,8 +20,8 @@ from sugiyama_ros.fit.score import PointwiseDensity, follow
 _TOLERANCE = 0.05
 # A fitted parameter costs about one held-out nat (Akaike); a loss of more than this [nats] is a failure of the fits.
 _PER_PARAMETER = 4.0
-# From this number of drivers on, errors of runs are paired over drivers.
-_MANY_DRIVERS = 5
+#: From this number of drivers on tracks, errors are paired over drivers alone.
+MANY_DRIVERS = 5
 # Smallest speed [m/s] at which a time gap is meaningful.
 _MOVING = 1.0
 
@@ -143,7 +143,7 @@ def _over_runs(by_horizon: Sequence[Array]) -> tuple[float, float]:
     if not by_horizon:
         return 0.0, 0.0
     changes: Array = np.mean(by_horizon, axis=0)
-    axis = 0 if changes.shape[1] >= _MANY_DRIVERS else 1
+    axis = 0 if changes.shape[1] >= MANY_DRIVERS else 1
     count, total = np.isfinite(changes).sum(axis=axis), np.nansum(changes, axis=axis)
     count, total = count[count > 0], total[count > 0]
     if len(count) < 2:

@@ -22,7 +22,7 @@ from sugiyama_ros.diagnosis.candidacy import (
 )
 from sugiyama_ros.diagnosis.candidates import Candidate, candidates, only_those
 from sugiyama_ros.diagnosis.discover import Discovery, discover
-from sugiyama_ros.diagnosis.errors import HeldOutErrors, held_out_errors
+from sugiyama_ros.diagnosis.errors import MANY_DRIVERS, HeldOutErrors, held_out_errors
 from sugiyama_ros.diagnosis.glance import glance
 from sugiyama_ros.diagnosis.push import push_candidate
 from sugiyama_ros.diagnosis.screen import FULL, QUICK, Screened, closer, forecast, refine, screen, screen_again
@@ -220,14 +220,16 @@ class Search:
         self, candidate: Candidate, fitted: JointFit, p_value: float, rivals: tuple[str, ...] = ()
     ) -> Addition | None:
         """The model with a candidate, fitted in full; None if its held-out gain is below its standard error over
-        drivers.
+        drivers. On tracks of a few drivers, blocks of time count too.
         """
         data, work, before = self.data, self._work, self.errors
         model = replace(fitted.model, ahead=fitted.model.rows)
         grown = warm_start(data, fitted, model, work, renewals=0 if self.quick else self.effort.renewals)
         after = held_out_errors(data, grown, work, searched=not self.quick)
         won = gain(data, after.samples, before.samples)
-        if won.nats < sum_error(won.drivers) and not candidate.happens_once:
+        has_many = data.vicinity.is_whole_road or data.drivers >= MANY_DRIVERS
+        least = sum_error(won.drivers) if has_many else won.se
+        if won.nats < least and not candidate.happens_once:
             return None
         return Addition(
             name=candidate.mechanism,
