@@ -1,14 +1,16 @@
 """Replay a recording through one estimator for each driver and record everything.
 
     ros2 launch sugiyama_ros replay.launch.py source:=FILE output:=FILE.mcap [rate:=1.0] [ring:=230.0]
+        [model:=MODEL.yaml] [critic:=true]
 
-``rate:=0.0`` is as fast as the nodes take it; ``ring`` is needed only where the file does not say it.
+``rate:=0.0`` is as fast as the nodes take it; ``ring`` is needed only where the file does not say it. The launch ends
+with the replay, or with Ctrl-C; the file is finished then.
 """
 
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
@@ -16,6 +18,9 @@ from launch import LaunchContext, LaunchDescription
 from sugiyama_ros.formats.registry import known_suffixes
 from sugiyama_ros.nodes.base import environment
 from sugiyama_ros.nodes.plan import Plan, RunSettings
+
+#: How often an estimator that was killed starts again.
+RETRIES = 5
 
 
 def nodes(context: LaunchContext) -> list[Node]:
@@ -25,23 +30,48 @@ def nodes(context: LaunchContext) -> list[Node]:
         return LaunchConfiguration(name).perform(context)
 
     config = Path(given("config"))
-    settings = RunSettings(rate=float(given("rate")), ring_m=float(given("ring")) or None)
+    settings = RunSettings(
+        rate=float(given("rate")),
+        ring_m=float(given("ring")) or None,
+        model=Path(given("model")) if given("model") else None,
+        critic=given("critic") == "true",
+    )
     plan = Plan.read(Path(given("source")), Path(given("output")), settings)
     package = "sugiyama_ros"
+    critic = [Node(package=package, executable="critic", parameters=[config / "critic.yaml"])]
     return [
-        Node(package=package, executable="recorder", parameters=[config / "recorder.yaml", plan.recorder]),
+        # the recorder ends last, so it gets more time before it is killed
+        Node(
+            package=package,
+            executable="recorder",
+            parameters=[config / "recorder.yaml", plan.recorder],
+            sigterm_timeout="20",
+            on_exit=Shutdown(reason="the recorder has ended"),
+        ),
         Node(package=package, executable="keeper"),
+        *(critic if settings.critic else []),
         *(
             Node(
                 package=package,
                 executable="estimator",
                 namespace=namespace,
-                parameters=[config / "estimator.yaml", {"ask_keeper": True}],
+                parameters=[
+                    *([] if settings.model else [config / "estimator.yaml"]),
+                    plan.estimator,
+                    {"ask_keeper": True},
+                ],
                 respawn=True,
+                respawn_delay=1.0,
+                respawn_max_retries=RETRIES,
             )
             for namespace in plan.namespaces
         ),
-        Node(package=package, executable="replay", parameters=[config / "replay.yaml", plan.sending]),
+        Node(
+            package=package,
+            executable="replay",
+            parameters=[config / "replay.yaml", plan.sending, {"exit_at_end": True}],
+            on_exit=Shutdown(reason="the replay has ended"),
+        ),
     ]
 
 
@@ -55,6 +85,8 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument("output", description="MCAP file to write"),
             DeclareLaunchArgument("rate", default_value="1.0", description="times real time; 0: as fast as possible"),
             DeclareLaunchArgument("ring", default_value="0.0", description="circumference [m]; 0: as the file says"),
+            DeclareLaunchArgument("model", default_value="", description="model file from which the estimators start"),
+            DeclareLaunchArgument("critic", default_value="false", description="whether a critic listens"),
             DeclareLaunchArgument("config", default_value=str(config), description="directory of parameter files"),
             OpaqueFunction(function=nodes),
         ]

@@ -1,14 +1,15 @@
 """Simulate drivers on a ring, follow each of them with an estimator, and record everything.
 
-    ros2 launch sugiyama_ros simulate.launch.py output:=FILE.mcap [vehicles:=22] [rate:=1.0] [config:=DIRECTORY]
+    ros2 launch sugiyama_ros simulate.launch.py output:=FILE.mcap [vehicles:=22] [duration:=0.0] [rate:=1.0]
+        [config:=DIRECTORY]
 
-Stop it with Ctrl-C; the file is finished then.
+The launch ends after ``duration`` [s], if it is not 0, or with Ctrl-C; the file is finished then.
 """
 
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
@@ -16,6 +17,9 @@ from launch import LaunchContext, LaunchDescription
 from sugiyama_ros.formats.truth import namespaces
 from sugiyama_ros.nodes.base import environment
 from sugiyama_ros.nodes.plan import estimators, step_topics
+
+#: How often an estimator that was killed starts again.
+RETRIES = 5
 
 
 def nodes(context: LaunchContext) -> list[Node]:
@@ -28,14 +32,24 @@ def nodes(context: LaunchContext) -> list[Node]:
     vehicles = int(given("vehicles"))
     spaces = namespaces(range(vehicles))
     package = "sugiyama_ros"
-    recorder = {"output": given("output"), "paced_topics": step_topics(spaces)}
+    truth = [f"{space}/truth" for space in spaces]
+    recorder = {"output": given("output"), "paced_topics": [*step_topics(spaces), *truth]}
     simulator = {
         "vehicles": vehicles,
+        "duration": float(given("duration")),
+        "exit_at_end": True,
         "rate": float(given("rate")),
         "wait_for": ["/recorder", *estimators(spaces)],
     }
     return [
-        Node(package=package, executable="recorder", parameters=[config / "recorder.yaml", recorder]),
+        # the recorder ends last, so it gets more time before it is killed
+        Node(
+            package=package,
+            executable="recorder",
+            parameters=[config / "recorder.yaml", recorder],
+            sigterm_timeout="20",
+            on_exit=Shutdown(reason="the recorder has ended"),
+        ),
         Node(package=package, executable="keeper"),
         *(
             Node(
@@ -44,10 +58,17 @@ def nodes(context: LaunchContext) -> list[Node]:
                 namespace=space,
                 parameters=[config / "estimator.yaml", {"ask_keeper": True}],
                 respawn=True,
+                respawn_delay=1.0,
+                respawn_max_retries=RETRIES,
             )
             for space in spaces
         ),
-        Node(package=package, executable="simulator", parameters=[config / "simulator.yaml", simulator]),
+        Node(
+            package=package,
+            executable="simulator",
+            parameters=[config / "simulator.yaml", simulator],
+            on_exit=Shutdown(reason="the simulator has ended"),
+        ),
     ]
 
 
@@ -59,6 +80,9 @@ def generate_launch_description() -> LaunchDescription:
         [
             DeclareLaunchArgument("output", description="MCAP file to write"),
             DeclareLaunchArgument("vehicles", default_value="22", description="number of vehicles"),
+            DeclareLaunchArgument(
+                "duration", default_value="0.0", description="time [s] of the simulation; 0: endless"
+            ),
             DeclareLaunchArgument("rate", default_value="1.0", description="times real time; 0: as fast as possible"),
             DeclareLaunchArgument("config", default_value=str(config), description="directory of parameter files"),
             OpaqueFunction(function=nodes),

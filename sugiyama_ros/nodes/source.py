@@ -31,7 +31,8 @@ class Source(PacedNode):
     a subscriber that is silent for 10 s.
 
     Parameters of the node: ``rate`` (times real time; 0: as fast as the subscribers take it), ``start_paused``,
-    ``wait_for`` (full names of the nodes to wait for). Services: ``~/pause``, ``~/resume``, ``~/step``.
+    ``wait_for`` (full names of the nodes to wait for), ``exit_at_end``. Services: ``~/pause``, ``~/resume`` and
+    ``~/step``.
     """
 
     def __init__(self, name: str, **options: Any) -> None:
@@ -54,6 +55,8 @@ class Source(PacedNode):
                 description="full names of the nodes to wait for before the first step", read_only=True
             ),
         )
+        about = ParameterDescriptor(description="end when the last sample has been taken", read_only=True)
+        self._exits_at_end = bool(self.declare_parameter("exit_at_end", False, about).value)
         self.loop = False
         self.samples = self.open()
         self._speed_up = self.get_parameter("rate").value
@@ -112,7 +115,9 @@ class Source(PacedNode):
             self._pace.restart(self.next_step)
         while not self._paused and self._may_send and self._is_due():
             self._send()
-        self.taken(self._pace.acknowledged, last=self._pace.acknowledged == self.samples.steps)
+        at_end = self._pace.acknowledged == self.samples.steps
+        self.taken(self._pace.acknowledged, last=at_end)
+        self.is_done = at_end and self.samples.steps > 0 and self._exits_at_end
 
     @property
     def _may_send(self) -> bool:

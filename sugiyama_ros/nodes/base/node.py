@@ -38,8 +38,8 @@ class Health(NamedTuple):
 class PacedNode(Node):
     """A node that counts what it publishes, tells the source how far it has come, and reports its health.
 
-    Subclasses define ``health``. A node that cannot go on sets ``failure``. The topics of the road lie in the namespace
-    that contains the namespaces of the vehicles.
+    Subclasses define ``health``. A node that cannot go on sets ``failure``, and one whose work is done ``is_done``. The
+    topics of the road lie in the namespace that contains the namespaces of the vehicles.
     """
 
     def __init__(self, name: str, **options: Any) -> None:
@@ -48,6 +48,7 @@ class PacedNode(Node):
         self.published = 0
         self.steps = 0
         self.failure: SugiyamaError | None = None
+        self.is_done = False
         self.received = 0
         self._announced = False
         self._told: tuple[int, int] | None = None

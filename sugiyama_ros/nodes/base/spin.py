@@ -7,8 +7,10 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from types import FrameType
+from typing import NoReturn
 
 import rclpy
+from rclpy.exceptions import ParameterException
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -28,6 +30,7 @@ _SLICE_S = 0.02
 _QUIET_S = 0.2
 _LONGEST_S = 3.0
 _TAKE_DOWN_S = 3
+_GOODBYE_S = 0.05
 
 
 @contextmanager
@@ -89,13 +92,16 @@ class Spinner:
 
 
 def run_node(make: Callable[[], PacedNode]) -> None:
-    """Run one node until a signal comes or the node fails; the main function of every node."""
+    """Run one node until a signal comes, or the node fails or is done; the main function of every node.
+
+    The exit code is 0 if the work is done, 2 for an error that the user can correct, and 1 for any other failure.
+    """
     runner = int(os.environ.get(RUNNER, os.getppid()))
     try:
         with ros() as asked_to_stop:
             node = make()
             spinner = Spinner([node])
-            while not asked_to_stop() and node.failure is None and os.getppid() == runner:
+            while not asked_to_stop() and node.failure is None and not node.is_done and os.getppid() == runner:
                 spinner.slice()
             spinner.until_quiet(lambda: node.received)
             node.finish()
@@ -103,15 +109,26 @@ def run_node(make: Callable[[], PacedNode]) -> None:
             node.close()
             if node.failure is not None:
                 raise node.failure
-            # The work is done. Where many processes end at the same time, Fast DDS 2.14 sometimes waits forever while
-            # it takes its participant down (DomainParticipant::set_listener), and holds the lock of Python.
-            signal.signal(signal.SIGALRM, signal.SIG_DFL)
-            signal.alarm(_TAKE_DOWN_S)
-            spinner.close()
-            node.destroy_node()
-    except InputError as error:
-        # as the command line does: whoever starts nodes need not try again
-        print(error, file=sys.stderr)
-        sys.exit(2)
-    except SugiyamaError as error:
-        sys.exit(str(error))
+            _leave(node, spinner)
+    except (SugiyamaError, ParameterException) as error:
+        # rclpy's errors of parameters say in one line which value is wrong
+        print(" ".join(str(error).split()), file=sys.stderr)
+        sys.exit(2 if isinstance(error, (InputError, ParameterException)) else 1)
+
+
+def _leave(node: Node, spinner: Spinner) -> NoReturn:
+    """End this process, whose work is done, with exit code 0.
+
+    Where many processes end at the same time, Fast DDS 2.14 sometimes waits forever while it takes its participant down
+    (DomainParticipant::set_listener), and holds the lock of Python. So an empty node keeps the participant up while
+    this node says goodbye to the others; the participant goes with the process. If even that hangs, an alarm ends it.
+    """
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    signal.alarm(_TAKE_DOWN_S)
+    Node("_leaving", start_parameter_services=False, enable_rosout=False)
+    spinner.close()
+    node.destroy_node()
+    time.sleep(_GOODBYE_S)
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(0)
