@@ -8,7 +8,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .NOTPARALLEL:
-.PHONY: help demo test lint docs bench
+.PHONY: help demo test lint docs bench pictures
 
 # What another environment that is active in the shell would mix into ours: Python's, and ROS's.
 unexport PYTHONPATH PYTHONHOME VIRTUAL_ENV PIP_USER PIP_TARGET PIP_PREFIX
@@ -24,6 +24,7 @@ help:
 	make lint   set up, then check style and types
 	make docs   set up, then build the documentation: docs/_build/html/index.html
 	make bench  set up, then measure the speed; it takes some minutes
+	make pictures  set up, then make the pictures of the pages anew; needs Chromium
 	The first run sets up .venv and takes some minutes. PYTHON=python3.12 chooses the Python of a new .venv.
 	END
 
@@ -35,6 +36,9 @@ test: $(DONE)/compiled $(DONE)/tools
 
 bench: $(DONE)/compiled $(DONE)/tools
 	@.venv/bin/python -m sugiyama_ros.studies.speed
+
+pictures: $(DONE)/compiled $(DONE)/tools
+	@.venv/bin/python docs/pictures.py
 
 lint: $(DONE)/package $(DONE)/tools
 	@.venv/bin/ruff check .

@@ -179,7 +179,7 @@ def test_the_card_says_what_how_much_how_sure_and_what_to_do(page):
 @pytest.mark.parametrize(
     ("effects", "outcome", "words"),
     [
-        ([], "adequate", "Nothing is missing"),
+        ([], "adequate", "nothing in these data speaks against the model as it is"),
         ([], None, "Nothing that is missing can be detected"),
         ([], "not_explained", "nothing in the catalogue explains it"),
         (["slow_patch"], "not_explained", "slower stretch of road helps, but does not explain these data"),
