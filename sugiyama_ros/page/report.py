@@ -17,7 +17,6 @@ from sugiyama_ros.page.panels.chosen import Chosen
 from sugiyama_ros.page.recording import Recording
 from sugiyama_ros.page.style import STYLE
 
-
 _FLOOR = (
     '<p class="note">Floor: the final model on one recording that it simulates itself. What is left there is noise, and'
     " differs from recording to recording.</p>"
@@ -104,8 +103,8 @@ def _diagnosed(r: Recording, d: Mapping[str, Any], chosen: Chosen) -> list[Secti
             "<p>Red: added (▸), and what cannot be told apart from it in these data.</p>" + html.told(d),
             [missing.candidates(d)], "side", html.detectable(d),
         ),
-        Section("worth", "What it is worth", html.errors(d) + _FLOOR, [worth.growth(d), worth.by_driver(d, chosen, vehicles)],
-                "side"),
+        Section("worth", "What it is worth", html.errors(d) + _FLOOR,
+                [worth.growth(d), worth.by_driver(d, chosen, vehicles)], "side"),
     ]  # fmt: skip
 
 
