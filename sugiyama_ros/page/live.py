@@ -133,10 +133,10 @@ class _Page:
         """What the estimators have learnt: of the chosen driver over time, and of all drivers now."""
         found = []
         for name, title, low, high in (
-            ("v_star", "The chosen driver: desired speed v* [m/s]", "v_low", "v_high"),
-            ("kappa_v", "The chosen driver: risk premium κ_v [s]", "k_low", "k_high"),
+            ("v_star", "desired speed v* [m/s]", "v_low", "v_high"),
+            ("kappa_v", "risk premium κ_v [s]", "k_low", "k_high"),
         ):
-            plot = panel(f"{title}, with one sigma", "time [s]", title.split(": ")[1])
+            plot = panel(f"Chosen driver: {title.split(' [')[0]}, one sigma", "time [s]", title)
             plot.varea("time", low, high, source=self._driver, color=BLUE, alpha=0.3)
             plot.line("time", name, source=self._driver, color=BLUE, line_width=2)
             found.append(plot)
@@ -287,7 +287,16 @@ class _Page:
         )
         self._settled.text = (
             f"{settled}: {escape(order[0].replace('_', ' '))} leads by {lead:.0f} nats for {led_s:.0f} s. {names} nats."
+            f"{self._not_known()}"
         )
+
+    def _not_known(self) -> str:
+        """Say which effects the critic does not follow: the lead of another effect proves nothing against them."""
+        missing = [name.replace("_", " ") for name in self._feed.effects if name not in self._feed.gains]
+        if not missing:
+            return ""
+        names = escape(", ".join(missing))
+        return f"<br>This is no verdict: the critic does not know {names}; <code>sugiyama diagnose</code> does."
 
 
 def _widen(colours: LinearColorMapper, fastest: float) -> None:

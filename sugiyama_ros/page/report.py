@@ -18,6 +18,11 @@ from sugiyama_ros.page.recording import Recording
 from sugiyama_ros.page.style import STYLE
 from sugiyama_ros.page.truth import SHOWN, AgainstTruth
 
+_FLOOR = (
+    '<p class="note">Floor: the final model on one recording that it simulates itself. What is left there is noise, and'
+    " differs from recording to recording.</p>"
+)
+
 
 class Section(NamedTuple):
     """A section of the page.
@@ -95,8 +100,8 @@ def _diagnosed(r: Recording, d: Mapping[str, Any], chosen: Chosen) -> list[Secti
     vehicles = r.trajectories.vehicle.tolist()
     maps = bias_maps(d, r.trajectories.road.circumference_m)
     legend = (
-        "<p>Mean one-step error in predicted standard deviations: violet where cars are ahead of the prediction, orange"
-        " where they are behind. Black outline: more than chance makes. Grey: too few samples. Dashed: what was"
+        "<p>Mean one-step error in predicted standard deviations: violet where cars are behind the prediction, orange"
+        " where they are ahead. Black outline: more than chance makes. Grey: too few samples. Dashed: what was"
         " found.</p>"
     )
     text = html.failing(d)
@@ -107,8 +112,8 @@ def _diagnosed(r: Recording, d: Mapping[str, Any], chosen: Chosen) -> list[Secti
             "<p>Red: added (▸), and what cannot be told apart from it in these data.</p>" + html.told(d),
             [missing.candidates(d)], "side", html.detectable(d),
         ),
-        Section("worth", "What it is worth", html.errors(d), [worth.growth(d), worth.by_driver(d, chosen, vehicles)],
-                "side"),
+        Section("worth", "What it is worth", html.errors(d) + _FLOOR,
+                [worth.growth(d), worth.by_driver(d, chosen, vehicles)], "side"),
     ]  # fmt: skip
 
 
@@ -130,6 +135,11 @@ def _drivers(r: Recording, d: Mapping[str, Any] | None, chosen: Chosen) -> Secti
         text += f"<p>{len(r.changes)} changes of style were noticed (triangles).</p>"
     if r.weights:
         panels += [drivers.error_over_time(r), drivers.weights(r)]
+        best = max(r.weights, key=lambda name: float(r.weights[name][-1])).replace("_", " ")
+        text += (
+            f"<p>At the end, the critic of this run prefers: {escape(best)}. The critic compares a few effects of fixed"
+            " strength and fits nothing; where it differs from the verdict above, the verdict counts.</p>"
+        )
     else:
         panels.append(drivers.error_over_time(r))
     return Section("drivers", "The drivers", text, panels, "side four" if len(panels) % 4 == 0 else "side")

@@ -73,7 +73,7 @@ def headline(d: Document) -> str:
         if outcome == "not_explained":
             return "The model fails, and nothing in the catalogue explains it."
         if outcome == "adequate":
-            return "Nothing is missing: nothing in these data speaks against the model as it is."
+            return "Nothing that is missing can be detected: nothing in these data speaks against the model as it is."
         return "Nothing that is missing can be detected in these data."
     if outcome == "not_explained":
         helps = "helps, but does" if len(effects) == 1 else "help, but do"

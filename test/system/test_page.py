@@ -179,7 +179,7 @@ def test_the_card_says_what_how_much_how_sure_and_what_to_do(page):
 @pytest.mark.parametrize(
     ("effects", "outcome", "words"),
     [
-        ([], "adequate", "Nothing is missing"),
+        ([], "adequate", "nothing in these data speaks against the model as it is"),
         ([], None, "Nothing that is missing can be detected"),
         ([], "not_explained", "nothing in the catalogue explains it"),
         (["slow_patch"], "not_explained", "slower stretch of road helps, but does not explain these data"),
@@ -202,12 +202,17 @@ def test_figures_for_a_paper(recorded, page, tmp_path):
     options = ["--diagnosis", recorded.parent / "diagnosis.json", "--figures", tmp_path / "figures"]
     command = [SUGIYAMA, "report", recorded, "-o", tmp_path / "r.html", *options, "--json"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
-    names = {"space_time", "speeds", "one_step_error", "candidates", "free_runs", "before_and_after"}
+    names = {"space_time", "speeds", "one_step_error", "candidates", "free_runs", "before_and_after", "drivers"}
+    names |= {"desired_speed", "risk_premium", "space_time_before", "space_time_after"}
+    names |= {f"bias_{pair}_{when}" for pair in ("speed_gap", "place_time") for when in ("before", "after")}
     files = [Path(f) for f in json.loads(done.stdout)["figures"]]
-    assert {f.name for f in files} == {f"{n}.{kind}" for n in names for kind in ("pdf", "png")}
+    assert {f.name for f in files} == {f"{n}.{kind}" for n in names for kind in ("pdf", "png", "csv")}
     for f in files:
         start = f.read_bytes()[:4]
-        assert start == {".pdf": b"%PDF", ".png": b"\x89PNG"}[f.suffix]
+        assert f.suffix == ".csv" or start == {".pdf": b"%PDF", ".png": b"\x89PNG"}[f.suffix]
+    assert b"/FontFile2" in (tmp_path / "figures" / "drivers.pdf").read_bytes()
+    lines = (tmp_path / "figures" / "before_and_after.csv").read_text().splitlines()
+    assert lines[:2] == ["vehicle,before_m,after_m", "0,2,2.5"]
 
 
 # Boxes of all cells of the report, by the top: left, top, right, bottom [pixels].

@@ -45,6 +45,15 @@ def test_missing_samples_and_drivers_do_not_matter():
     assert found.period_s == pytest.approx(whole.period_s, abs=2.0 * PERIOD_S)
 
 
+def test_free_flow_before_a_wave_does_not_count():
+    speed, headway, leader = wave(-6.0)
+    # everybody drives at 9 m/s first: the wave is slower
+    free = np.full((900, DRIVERS), 9.0)
+    both = collective(np.vstack([free, speed]), np.vstack([np.full_like(free, RING_M / DRIVERS), headway]),
+                      np.vstack([leader, leader]), PERIOD_S)  # fmt: skip
+    assert both.wave_speed == pytest.approx(-6.0, abs=0.5)
+
+
 def test_queue_counts_the_standing_drivers():
     speed = np.full((50, 4), 8.0)
     speed[:, :3] = 0.5

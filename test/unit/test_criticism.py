@@ -189,6 +189,43 @@ def test_the_document_has_all_fields(hidden):
     assert sentences(d)[1].startswith("slow_patch (reduction 0.")
 
 
+def test_the_document_has_what_a_page_needs(hidden):
+    run, d = hidden
+    found = document(d)
+    # every block starts where the cars were measured, and goes on at their speed
+    t, driven = d.data.trajectories, d.before.block_position_m
+    first = [k for k in range(len(driven)) if k > 10 and d.data.block[k] != d.data.block[k - 1]]
+    off = t.road.difference(driven[first], t.position_m[first])
+    assert len(first) >= 4
+    # the measurement noise is 0.26 m: six standard deviations
+    assert np.nanmax(np.abs(off)) < 1.6
+    assert np.isfinite(driven[20:]).all()
+    shown = found["free_run"]
+    assert len(shown["time_s"]) == len(shown["block"]) == len(shown["before"]) == len(shown["after"])
+    assert all(len(row) == CARS for row in shown["after"])
+    assert found["about"]["slow_patch"]["title"] == "slower stretch of road"
+    assert found["about"]["slow_patch"]["parameters"]["centre"]["axis"] == "place"
+    assert found["about"]["road_grade"]["kind"] == "effect"
+    assert "floor" in found["errors"]
+    assert found["verdict"]["told"] == sentences(d)
+    assert found["verdict"]["effects"][0]["parameters_std"]["reduction"] > 0.0
+    for driver, row in zip(found["drivers"], run.parameters, strict=True):
+        # five standard deviations
+        assert abs(driver["v_star"] - row[V_STAR]) < 5.0 * max(driver["v_star_std"], 0.05)
+    for one in found["where"]["before"]["maps"]:
+        assert np.shape(one["flagged"]) == np.shape(one["bias"])
+
+
+def test_only_the_candidates_that_were_asked_for_are_added(hidden):
+    run, _ = hidden
+    asked = {"quick": True, "most": 1, "workers": 1, "seed": 3, "verdict_only": True}
+    d = diagnose(run.measured, add=("gap_offset",), **asked)
+    assert d.searched == ("gap_offset",)
+    assert {one.name for one in d.named} <= {"gap_offset"}
+    with pytest.raises(InputError, match="magic"):
+        diagnose(run.measured, add=("magic",), **asked)
+
+
 def test_the_same_seed_gives_the_same_verdict(hidden):
     run, d = hidden
     again = diagnose(run.measured, quick=True, most=1, workers=1, seed=3, verdict_only=True)

@@ -100,4 +100,6 @@ def _draw_found(plot: Any, one: Mapping[str, Any], diagnosis: Mapping[str, Any],
 
 def _band(plot: Any, covariate: str, axes: tuple[str, str], low: float, high: float) -> None:
     ends = {"left": low, "right": high} if covariate == axes[0] else {"bottom": low, "top": high}
-    plot.add_layout(BoxAnnotation(**ends, fill_color=None, line_color=VERMILION, line_width=2.5, line_dash="dashed"))
+    plot.add_layout(
+        BoxAnnotation(**ends, fill_color=None, line_color=VERMILION, line_alpha=1.0, line_width=2.5, line_dash="dashed")
+    )

@@ -32,11 +32,11 @@ def candidates(diagnosis: Mapping[str, Any]) -> UIElement:
         }
     )
     plot = panel(
-        "Held-out gain over the base model, ± one standard error",
+        "Gain, ± one standard error",
         "held-out gain [nats]",
         "",
         y_range=FactorRange(factors=names),
-        height=max(HEIGHT, 60 + 24 * len(kept)),
+        height=max(HEIGHT, 60 + 24 * len(kept), 60 + 30 * len(diagnosis["smallest_detectable"])),
     )
     bars = plot.hbar("name", right="gain", source=source, height=0.7, color="colour")
     whisker = Whisker(base="name", lower="low", upper="high", source=source, dimension="width", line_color=GREY)

@@ -44,7 +44,7 @@ def simulated(r: Recording, diagnosis: Mapping[str, Any], measured_plot: Any) ->
     names = [("before", "The model drives, before"), ("after", "The model drives, with what was added")]
     for name, title in names if diagnosis["verdict"]["effects"] else [("before", "The model drives")]:
         place = np.array(run[name], dtype=np.float64)
-        speed = _speeds(r.trajectories.road, time_s, block, place)
+        speed = speeds_of_run(r.trajectories.road, time_s, block, place)
         time = np.broadcast_to(time_s[:, None], place.shape)
         plot, *_ = _diagram(
             title, time, place, speed, colours, x_range=measured_plot.x_range, y_range=measured_plot.y_range
@@ -55,7 +55,7 @@ def simulated(r: Recording, diagnosis: Mapping[str, Any], measured_plot: Any) ->
     return found
 
 
-def _speeds(road: Road, time_s: Array, block: Array, place: Array) -> Array:
+def speeds_of_run(road: Road, time_s: Array, block: Array, place: Array) -> Array:
     """Speeds (T, N) [m/s] from differences of positions inside the blocks."""
     speed = np.full_like(place, np.nan)
     speed[:-1] = road.difference(place[1:], place[:-1]) / np.diff(time_s)[:, None]
