@@ -61,6 +61,7 @@ class CompiledKalman:
         self._use(memory_for(self.layout))
         arrays = self.arrays
         arrays.book.identity[:] = -1
+        arrays.sample.when[1] = 1.0
         arrays.linearised.live[:] = np.arange(len(self.x))
         clear(arrays.lanes.blocks)
         arrays.alarm.every[0], arrays.alarm.threshold[0] = every, BETWEEN_FALSE_S / (every * period)

@@ -28,7 +28,7 @@ from sugiyama_ros.nodes.drivers_in_view import DriversInView, read_settings
 _RETIRE_EVERY_NS = NS
 
 
-class Drivers(LifecycleNodeMixin, PacedNode):
+class DriversNode(LifecycleNodeMixin, PacedNode):
     """Follows every vehicle of the topic ``measured``, and publishes all drivers in one message, ``drivers``.
 
     All names are relative, so they can be remapped, and the node works in any namespace. The node configures and
@@ -257,7 +257,7 @@ class Drivers(LifecycleNodeMixin, PacedNode):
 
 def main() -> None:
     """Run the node of all drivers."""
-    run_node(Drivers)
+    run_node(DriversNode)
 
 
 if __name__ == "__main__":

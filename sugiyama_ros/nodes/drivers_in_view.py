@@ -73,7 +73,7 @@ def read_settings(node: PacedNode) -> DriversSettings:
 
 
 @dataclass(eq=False)
-class _Driver:
+class _InView:
     """A driver in view: the filter, what is published, and the stamp [ns] at which the vehicle was last seen."""
 
     follower: Follower
@@ -128,7 +128,7 @@ class DriversInView:
         self._of_filters, self._window_s, self._most = counts, window_s, most
         self._known: dict[int, Kept] = {}
         self._collected: list[KnownDriver] = []
-        self.drivers: dict[int, _Driver] = {}
+        self.drivers: dict[int, _InView] = {}
         self.left_out: set[int] = set()
         self.counts = {"came": 0, "came again": 0, "retired": 0}
         self.failure = ""
@@ -162,7 +162,7 @@ class DriversInView:
             self._follow(driver, sample, late)
         return self._collected
 
-    def _follow(self, driver: _Driver, sample: Sample, late: bool) -> None:
+    def _follow(self, driver: _InView, sample: Sample, late: bool) -> None:
         follower = driver.follower
         try:
             estimate = follower.sort_in(sample) if late else follower.follow(sample)
@@ -223,7 +223,7 @@ class DriversInView:
             if self._settings.save_state is not None:
                 write_learnt(file_of(self._settings.save_state, vehicle), kept)
 
-    def _meet(self, vehicle: int) -> _Driver:
+    def _meet(self, vehicle: int) -> _InView:
         """Make the filter of a driver, who may have been here before."""
         row = self._row_of(vehicle)
         filter_ = OnlineFilter(self._period_s, self._road, row)
@@ -236,7 +236,7 @@ class DriversInView:
             self._node, vehicle, self._settings.types, None if own else self, space, self._settings.qos
         )
         topics.choose_parameters(self._effects, filter_)
-        driver = self.drivers[vehicle] = _Driver(follower, topics, -(1 << 62))
+        driver = self.drivers[vehicle] = _InView(follower, topics, -(1 << 62))
         return driver
 
     def _row_of(self, vehicle: int) -> Array:

@@ -19,7 +19,7 @@ from sugiyama_ros.nodes.base.node import PacedNode
 from sugiyama_ros.nodes.base.spin import RUNNER, Spinner
 from sugiyama_ros.nodes.critic import Critic
 from sugiyama_ros.nodes.driver_array import DriverArrayTopic
-from sugiyama_ros.nodes.drivers import Drivers
+from sugiyama_ros.nodes.drivers import DriversNode
 from sugiyama_ros.nodes.estimator import Estimator
 from sugiyama_ros.nodes.plan import CRITIC, DRIVERS, RECORDER, Plan
 from sugiyama_ros.nodes.recorder import Recorder
@@ -42,7 +42,7 @@ class OneProcess:
             self._source = plan.source.start(_overrides(plan.sending))
             self._paced.append(self._source)
             if plan.has_tracks:
-                self._paced.append(Drivers(parameter_overrides=_overrides(plan.drivers)))
+                self._paced.append(DriversNode(parameter_overrides=_overrides(plan.drivers)))
             else:
                 self._paced += (
                     Estimator(self._feed, array, namespace=n, parameter_overrides=own) for n in plan.namespaces

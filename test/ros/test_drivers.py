@@ -20,7 +20,7 @@ from sugiyama_ros.nodes.base import cdr_messages
 from sugiyama_ros.nodes.base.node import OK, WARN
 from sugiyama_ros.nodes.base.qos import LATCHED, LIVE, STREAM
 from sugiyama_ros.nodes.base.samples import UNKNOWN_LEADER
-from sugiyama_ros.nodes.drivers import Drivers
+from sugiyama_ros.nodes.drivers import DriversNode
 from sugiyama_ros.nodes.saved_state import read_learnt
 from sugiyama_ros.road import Road as OpenRoad
 
@@ -56,9 +56,9 @@ class Perception(Node):
         self.step += 1
 
 
-def started(stage, *, perception: Perception | None = None, **parameters: object) -> tuple[Perception, Drivers]:
+def started(stage, *, perception: Perception | None = None, **parameters: object) -> tuple[Perception, DriversNode]:
     perception = perception or Perception()
-    drivers = Drivers(parameter_overrides=[Parameter(k, value=v) for k, v in parameters.items()])
+    drivers = DriversNode(parameter_overrides=[Parameter(k, value=v) for k, v in parameters.items()])
     stage.add(perception, drivers)
     stage.until(lambda: drivers.health().message == "following 0 drivers")
     return perception, drivers
@@ -96,7 +96,7 @@ def test_drivers_come_and_go_and_come_again(stage, tmp_path: Path) -> None:
 def test_ordinary_publishers_are_heard(stage, qos: QoSProfile) -> None:
     """A perception stack offers less than a replay does, for the road as well as for the positions."""
     perception = Perception(qos, VOLATILE)
-    drivers = Drivers()
+    drivers = DriversNode()
     stage.add(perception, drivers)
 
     def heard() -> bool:
@@ -126,7 +126,7 @@ def test_names_are_relative(stage) -> None:
     """In a namespace, and with a topic that is remapped."""
     perception = Perception(space="/ego/")
     stage.add(perception)
-    drivers = Drivers(namespace="/ego", cli_args=["--ros-args", "-r", "measured:=seen"])
+    drivers = DriversNode(namespace="/ego", cli_args=["--ros-args", "-r", "measured:=seen"])
     seen = perception.create_publisher(MeasuredPositions, "/ego/seen", STREAM)
     perception.to_measured = seen
     stage.add(drivers)
@@ -160,7 +160,7 @@ def test_more_drivers_than_are_followed(stage) -> None:
 
 def test_a_lifecycle_manager_starts_the_node(stage) -> None:
     perception = Perception()
-    drivers = Drivers(parameter_overrides=[Parameter("autostart", value=False)])
+    drivers = DriversNode(parameter_overrides=[Parameter("autostart", value=False)])
     stage.add(perception, drivers)
     answer = stage.call(GetState, "/drivers/get_state", GetState.Request())
     assert answer.current_state.id == State.PRIMARY_STATE_UNCONFIGURED
@@ -187,9 +187,9 @@ def test_reset_forgets_the_drivers(stage) -> None:
 
 def test_wrong_values_are_one_line(stage) -> None:
     with pytest.raises(InputError, match=r"retire_after: .* number"):
-        Drivers(parameter_overrides=[Parameter("retire_after", value="soon")])
+        DriversNode(parameter_overrides=[Parameter("retire_after", value="soon")])
     with pytest.raises(InputError, match=r"v_star: out of bounds; give 0.5 to 80"):
-        Drivers(parameter_overrides=[Parameter("v_star", value=-10)])
-    drivers = Drivers(parameter_overrides=[Parameter("v_star", value=10)])
+        DriversNode(parameter_overrides=[Parameter("v_star", value=-10)])
+    drivers = DriversNode(parameter_overrides=[Parameter("v_star", value=10)])
     assert drivers.get_parameter("v_star").value == 10.0
     stage.add(drivers)
