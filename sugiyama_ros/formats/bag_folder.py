@@ -1,11 +1,20 @@
 """Directories of rosbag2: one or more files, and ``metadata.yaml``."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import yaml
 
 from sugiyama_ros.documents import read_yaml
-from sugiyama_ros.errors import InputError
+from sugiyama_ros.errors import InputError, OutputError
+from sugiyama_ros.formats.definitions import type_hash
+from sugiyama_ros.formats.mcap_writer import BagWriter, Qos
+from sugiyama_ros.outputs import make_directory, writing
 
 METADATA = "metadata.yaml"
+_NEVER_NS = 2**63 - 1
 
 
 def bag_files(path: Path) -> list[Path]:
@@ -40,3 +49,129 @@ def bag_files(path: Path) -> list[Path]:
     if not files:
         raise InputError(f"{path}: has no files; record something")
     return files
+
+
+class FolderWriter:
+    """Writes serialized messages to a directory of rosbag2: files of a bounded size, and ``metadata.yaml`` at the end.
+
+    It is used as `BagWriter` is. What is latched stands in the first file alone, as with rosbag2.
+
+    Parameters
+    ----------
+    folder : Path
+        The directory, which must not be there yet.
+    split_bytes : int
+        Size at which the next file begins; 0: one file.
+    metadata : mapping, optional
+        What is kept in each file.
+
+    Raises
+    ------
+    OutputError
+        Where the directory cannot be made.
+    """
+
+    def __init__(self, folder: Path, split_bytes: int = 0, metadata: Mapping[str, str] | None = None) -> None:
+        if folder.exists():
+            raise OutputError(f"{folder}: is there already; give another name")
+        make_directory(folder)
+        self._folder, self._split_bytes, self._metadata = folder, split_bytes, metadata
+        self._topics: list[tuple[str, str, Qos]] = []
+        self._numbers: dict[str, int] = {}
+        self._counts: list[int] = []
+        self._files: list[dict[str, Any]] = []
+        self._open()
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Messages written so far on each topic."""
+        return {name: self._counts[number] for name, number in self._numbers.items()}
+
+    def topic(self, name: str, type_name: str, qos: Qos) -> int:
+        """Announce a topic; returns its number for ``write``."""
+        channel = self._writer.topic(name, type_name, qos)
+        if name not in self._numbers:
+            self._numbers[name] = len(self._topics)
+            self._topics.append((name, type_name, qos))
+            self._counts.append(0)
+            self._channels.append(channel)
+        return self._numbers[name]
+
+    def write(self, number: int, data: bytes, log_time_ns: int, publish_time_ns: int) -> None:
+        """Write one message in CDR; times in [ns]."""
+        if self._split_bytes and self._writer.size >= self._split_bytes:
+            self._writer.close()
+            self._open()
+        self._writer.write(self._channels[number], data, log_time_ns, publish_time_ns)
+        self._counts[number] += 1
+        about = self._files[-1]
+        about["first"] = min(about["first"], log_time_ns)
+        about["last"] = max(about["last"], log_time_ns)
+        about["count"] += 1
+
+    def flush(self) -> None:
+        """Write all messages to the disk."""
+        self._writer.flush()
+
+    def close(self) -> None:
+        """Finish the last file, and write ``metadata.yaml``."""
+        self._writer.close()
+        self._describe()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._writer.__exit__(kind, error, trace)
+        if kind is None:
+            self._describe()
+
+    def __enter__(self) -> "FolderWriter":
+        return self
+
+    def _open(self) -> None:
+        name = f"{self._folder.name}_{len(self._files)}.mcap"
+        self._writer = BagWriter(self._folder / name, self._metadata)
+        self._channels = [self._writer.topic(*topic) for topic in self._topics]
+        self._files.append({"path": name, "first": _NEVER_NS, "last": 0, "count": 0})
+
+    def _describe(self) -> None:
+        """Write what rosbag2 (Jazzy and newer) wants to know of a bag."""
+        first = min(about["first"] for about in self._files)
+        last = max(about["last"] for about in self._files)
+        start = min(first, last)  # without messages, there is no first
+        document = {
+            "version": 9,
+            "storage_identifier": "mcap",
+            "duration": {"nanoseconds": last - start},
+            "starting_time": {"nanoseconds_since_epoch": start},
+            "message_count": sum(self._counts),
+            "topics_with_message_count": [
+                {
+                    "topic_metadata": {
+                        "name": name,
+                        "type": kind,
+                        "serialization_format": "cdr",
+                        "offered_qos_profiles": yaml.safe_load(qos.yaml),
+                        "type_description_hash": type_hash(kind),
+                    },
+                    "message_count": count,
+                }
+                for (name, kind, qos), count in zip(self._topics, self._counts, strict=True)
+            ],
+            "compression_format": "",
+            "compression_mode": "",
+            "relative_file_paths": [about["path"] for about in self._files],
+            "files": [
+                {
+                    "path": about["path"],
+                    "starting_time": {"nanoseconds_since_epoch": min(about["first"], about["last"])},
+                    "duration": {"nanoseconds": max(about["last"] - about["first"], 0)},
+                    "message_count": about["count"],
+                }
+                for about in self._files
+            ],
+            "custom_data": None,
+            "ros_distro": "jazzy",
+        }
+        with writing(self._folder / METADATA) as stream:
+            stream.write(yaml.safe_dump({"rosbag2_bagfile_information": document}, sort_keys=False).encode())

@@ -90,6 +90,11 @@ class BagWriter:
         """Messages written so far on each topic."""
         return {name: self._counts[channel] for name, (channel, _) in self._topics.items()}
 
+    @property
+    def size(self) -> int:
+        """Bytes in the file so far, without the last chunk."""
+        return self._draft.stream.tell()
+
     def topic(self, name: str, type_name: str, qos: Qos = Qos()) -> int:
         """Announce a topic, such as ``/vehicle_07/innovation``; returns its number for ``write``.
 

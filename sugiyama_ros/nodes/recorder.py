@@ -1,6 +1,5 @@
 """Records the serialized bytes of all topics, as they come, in one MCAP file."""
 
-import time
 from collections.abc import Callable
 from functools import partial
 from importlib import import_module
@@ -12,8 +11,10 @@ from rclpy.qos import QoSDurabilityPolicy, QoSReliabilityPolicy
 from rclpy.topic_or_service_is_hidden import topic_or_service_is_hidden
 
 from sugiyama_ros.errors import InputError, SugiyamaError
+from sugiyama_ros.formats.bag_folder import FolderWriter
 from sugiyama_ros.formats.mcap_writer import BagWriter, Qos
 from sugiyama_ros.nodes.base import cdr_messages, incoming
+from sugiyama_ros.nodes.base.log_time import LogTime, begins_with_stamp
 from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode
 from sugiyama_ros.nodes.base.pacing import Levels
 from sugiyama_ros.nodes.base.qos import DEPTH, reliable
@@ -28,8 +29,11 @@ _FROM_ALL = 5000
 _FLUSH_S = 1.0
 #: Silence [s] after which a topic is no longer waited for.
 PATIENCE_S = 10.0
-#: Topics of ROS itself, which say nothing about the road.
-_LEFT_OUT = ("/rosout", "/parameter_events")
+#: A topic of ROS itself, which says nothing about the road.
+_LEFT_OUT = "/parameter_events"
+#: What all nodes log. It is recorded, but no node counts what it logs.
+LOG = "/rosout"
+_MB = 1_000_000
 
 
 def message_type(type_name: str) -> Any:
@@ -43,19 +47,27 @@ class Recorder(PacedNode):
 
     A step counts as taken when a message has come on all paced topics. Parameters of the node: ``output``, the file;
     ``overwrite``, whether to replace a file of this name; ``paced_topics``, full names of the topics with one message a
-    step (only ``measured``, if left out); ``metadata``, lines ``key=value`` for the file.
+    step (only ``measured``, if left out); ``metadata``, lines ``key=value`` for the file; ``time_source``, wall or
+    data; ``split_mb``. An output without the ending .mcap is a directory, as rosbag2 writes it.
     """
 
     def __init__(self, **options: Any) -> None:
         super().__init__("recorder", **options)
         measured = self.shared("measured")
-        output = self._declare("output", "", "MCAP file to write")
+        output = self._declare("output", "", "MCAP file to write, or directory for rosbag2")
         overwrite = self._declare("overwrite", False, "replace a file of this name")
         paced = self._declare("paced_topics", [measured], "full names of the topics with one message a step")
         metadata = self._declare("metadata", [""], "lines key=value to keep in the file")
+        times = self._declare("time_source", "wall", "times in the file: wall, or data for the stamps of the samples")
+        split_mb = self._declare("split_mb", 0.0, "size [MB] at which the next file of a directory begins; 0: one file")
         if not output:
             raise InputError("recorder: no file given; start it with -p output:=FILE.mcap")
-        self._bag = BagWriter(Output(Path(output), overwrite), dict(line.split("=", 1) for line in metadata if line))
+        if times not in ("wall", "data"):
+            raise InputError(f"recorder: time_source {times} is not known; give wall or data")
+        about = dict(line.split("=", 1) for line in metadata if line)
+        self._bag = _writer(Path(output), overwrite, split_mb, about)
+        self._time = LogTime(times == "data")
+        self._held: list[tuple[int, bytes, bool]] = []
         self._measured = measured
         self._levels = Levels({measured, *paced})
         self._step: dict[bytes, int] = {}
@@ -87,6 +99,8 @@ class Recorder(PacedNode):
     def close(self) -> None:
         """Finish the file. A publisher may go on, but nothing more is recorded."""
         self._is_closed = True
+        for held in self._held:
+            self._write(*held)
         if self.failure is not None:
             self._bag.__exit__(type(self.failure), self.failure, None)
         else:
@@ -99,7 +113,7 @@ class Recorder(PacedNode):
         new = [
             (topic, types[0])
             for topic, types in self.get_topic_names_and_types()
-            if topic not in self._known and topic not in _LEFT_OUT and not topic_or_service_is_hidden(topic)
+            if topic not in self._known and topic != _LEFT_OUT and not topic_or_service_is_hidden(topic)
         ]
         # a subscription takes some milliseconds; a queue may not hold the messages that wait meanwhile
         for topic, type_name in new[:_AT_A_TIME]:
@@ -126,31 +140,48 @@ class Recorder(PacedNode):
         try:
             message = message_type(type_name)
             channel = self._bag.topic(topic, type_name, Qos(reliability.name.lower(), durability.name.lower(), DEPTH))
+            stamped = begins_with_stamp(type_name)
         except (ImportError, AttributeError, ValueError, SugiyamaError) as error:
             self.get_logger().warning(f"{topic}: not recorded: {error}")
             return
         on_message = self._on_paced if topic in self._levels.topics else self._on_message
-        self.create_subscription(message, topic, partial(on_message, topic, channel), qos, raw=True)
+        self.create_subscription(message, topic, partial(on_message, topic, (channel, stamped)), qos, raw=True)
         self._unheard.discard(topic)
 
-    def _on_message(self, topic: str, channel: int, raw: bytes) -> None:
+    def _on_message(self, topic: str, channel: tuple[int, bool], raw: bytes) -> None:
         if self._is_closed:
             return
-        now = time.time_ns()
-        self._guarded(self._bag.write, channel, raw, now, now)
-        self.received += 1
+        number, stamped = channel
+        if self._time.is_known:
+            self._write(number, raw, stamped)
+        else:
+            self._held.append((number, raw, stamped))
+        self.received += topic != LOG
 
-    def _on_paced(self, topic: str, channel: int, raw: bytes) -> None:
-        self._on_message(topic, channel, raw)
-        if topic not in self._levels.topics:
-            return
-        stamp = cdr_messages.stamp_key(raw)
+    def _write(self, number: int, raw: bytes, stamped: bool) -> None:
+        now = self._time.of(raw, stamped)
+        self._guarded(self._bag.write, number, raw, now, now)
+
+    def _on_paced(self, topic: str, channel: tuple[int, bool], raw: bytes) -> None:
+        step = None
         if topic == self._measured:
             try:
-                self._step[stamp] = incoming.sample(raw).step
+                sample = incoming.sample(raw)
             except incoming.RefusedError as reason:
                 self.refuse(topic, reason)
-                return
+            else:
+                step = sample.step
+                self._time.heard(sample.stamp_ns)
+                if self._held and not self._is_closed:
+                    held, self._held = self._held, []
+                    for one in held:
+                        self._write(*one)
+        self._on_message(topic, channel, raw)
+        if topic not in self._levels.topics or (topic == self._measured and step is None):
+            return
+        stamp = cdr_messages.stamp_key(raw)
+        if step is not None:
+            self._step[stamp] = step
         if self._levels.reached(topic, stamp):
             self._complete(stamp)
 
@@ -183,6 +214,15 @@ class Recorder(PacedNode):
                 action(*arguments)
             except SugiyamaError as error:
                 self.failure = error
+
+
+def _writer(path: Path, overwrite: bool, split_mb: float, about: dict[str, str]) -> BagWriter | FolderWriter:
+    """A writer of one file, or of a directory. Raises InputError or OutputError."""
+    if path.suffix == ".mcap":
+        if split_mb > 0.0:
+            raise InputError(f"{path}: is one file; give a directory, or leave out split_mb")
+        return BagWriter(Output(path, overwrite), about)
+    return FolderWriter(path, round(split_mb * _MB), about)
 
 
 def main() -> None:

@@ -14,6 +14,7 @@ from sugiyama_ros.nodes.base import environment, incoming
 from sugiyama_ros.nodes.base.qos import PROGRESS_IN
 from sugiyama_ros.nodes.base.spin import Spinner, ros
 from sugiyama_ros.nodes.plan import RECORDER, Plan, RunSettings
+from sugiyama_ros.nodes.recorder import LOG
 from sugiyama_ros.nodes.results import DriverResult, read_run
 from sugiyama_ros.nodes.run_source import FromSimulator
 from sugiyama_ros.nodes.runners import OneProcess, Processes
@@ -160,7 +161,7 @@ def _result(plan: Plan, monitor: _Monitor, wall_s: float, interrupted: bool) -> 
     """Compare what the nodes say that they published with what is in the finished file."""
     counts, drivers = read_run(plan.output)
     published = sum(message.published for message in monitor.last.values())
-    recorded = sum(counts.values())
+    recorded = sum(count for topic, count in counts.items() if topic != LOG)
     # For a sample that an estimator missed, it published nothing: its topics then have too few messages.
     short = sum(monitor.steps - counts.get(topic, 0) for topic in plan.step_topics)
     return RunResult(

@@ -88,7 +88,7 @@ def test_the_array_says_what_the_topics_of_each_vehicle_say(ring_csv: Path, tmp_
     with Bag(together) as bag:
         counts = {topic.name: topic.count for topic in bag.info().topics}
         arrays = [m.message for m in bag.messages(["/drivers"])]
-    assert set(counts) == {"/clock", "/measured", "/drivers", "/road", "/markers", "/diagnostics"} | {
+    assert set(counts) == {"/clock", "/measured", "/drivers", "/road", "/markers", "/diagnostics", "/rosout"} | {
         f"/vehicle_0{v}/style_change" for v in range(4)
     }
     assert counts["/clock"] == counts["/measured"] == counts["/drivers"] == 200

@@ -1,9 +1,11 @@
 """The recorder: what it keeps, and what is left after a crash."""
 
+import random
 import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -11,18 +13,26 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.serialization import serialize_message
+from rosbags.rosbag2 import Reader
 from std_msgs.msg import Header, String
+from sugiyama_msgs.msg import MeasuredPositions
 
 from sugiyama_ros.errors import InputError, OutputError
+from sugiyama_ros.formats.bag_folder import bag_files
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.mcap_writer import BagWriter
 from sugiyama_ros.formats.recover import recover
 from sugiyama_ros.nodes import recorder as recorder_module
+from sugiyama_ros.nodes.base import cdr_messages
 from sugiyama_ros.nodes.base.node import ERROR
 from sugiyama_ros.nodes.base.qos import STREAM
+from sugiyama_ros.nodes.base.samples import Positions
 from sugiyama_ros.nodes.recorder import Recorder
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
+
+
+ALWAYS = ("/diagnostics", "/rosout")
 
 
 def recorder(output: Path, *paced: str) -> Recorder:
@@ -61,7 +71,7 @@ def test_bytes_and_quality_of_service_are_kept(stage, tmp_path: Path) -> None:
     with Bag(tmp_path / "out.mcap") as bag:
         info = bag.info()
         assert info.metadata["sugiyama"]["a"] == "b=c"
-        assert {t.name: (t.type, t.reliability, t.durability) for t in info.topics if t.name != "/diagnostics"} == {
+        assert {t.name: (t.type, t.reliability, t.durability) for t in info.topics if t.name not in ALWAYS} == {
             "/plain": ("std_msgs/msg/String", "reliable", "volatile"),
             "/loose": ("std_msgs/msg/String", "best_effort", "volatile"),
             "/early": ("std_msgs/msg/String", "reliable", "transient_local"),
@@ -91,7 +101,9 @@ def test_a_topic_that_falls_silent_is_no_longer_waited_for(stage, tmp_path: Path
     measured = node.create_publisher(Header, "measured", STREAM)
     state = node.create_publisher(Header, "state", STREAM)
     # These stand for measured positions: the recorder reads only their stamps and steps.
-    monkeypatch.setattr(recorder_module.incoming, "sample", lambda raw: type("Sample", (), {"step": raw[4]}))
+    monkeypatch.setattr(
+        recorder_module.incoming, "sample", lambda raw: type("Sample", (), {"step": raw[4], "stamp_ns": 0})
+    )
     recording = recorder(tmp_path / "out.mcap", "/measured", "/state")
     stage.add(node, recording)
 
@@ -220,3 +232,55 @@ def test_a_process_that_cannot_be_taken_down_ends_with_its_work_done(stage, tmp_
         child.wait()
     with Bag(output) as bag:
         assert [m.message.data for m in bag.messages(["/plain"])] == ["one"]
+
+
+def test_a_directory_of_rosbag2_in_the_time_of_the_data(stage, tmp_path: Path) -> None:
+    """Files of a bounded size that readers take for one bag; a message has its stamp, or that of the last sample."""
+    node, given = Node("sender"), {"time_source": "data", "split_mb": 0.5, "output": str(tmp_path / "run")}
+    recording = Recorder(parameter_overrides=[Parameter(name, value=value) for name, value in given.items()])
+    measured = node.create_publisher(MeasuredPositions, "measured", STREAM)
+    stamped = node.create_publisher(Header, "h", 10)
+    plain = node.create_publisher(String, "plain", 100)
+    stage.add(node, recording)
+    stage.until(lambda: all(p.get_subscription_count() for p in (measured, stamped, plain)))
+    plain.publish(String(data="before the first sample"))
+    stage.until(lambda: recording.received >= 1)
+    for k in range(40):
+        positions = Positions([0], [-1], [float(k)], [4.0])
+        measured.publish(cdr_messages.measured_positions((100 + k) * cdr_messages.NS, k, positions))
+        stage.until(partial(holds, recording, "/measured", k + 1))
+        plain.publish(String(data=f"{k} " + random.Random(k).randbytes(20_000).hex()))
+        stage.until(partial(holds, recording, "/plain", k + 2))
+    near, far = Header(), Header()
+    near.stamp.sec, far.stamp.sec = 138, 5
+    for header in (near, far):
+        stamped.publish(header)
+    node.get_logger().info("it is recorded, too")
+    stage.until(lambda: holds(recording, "/h", 2) and holds(recording, "/rosout", 1))
+    recording.finish()
+    recording.close()
+    assert recording.failure is None
+    files = bag_files(tmp_path / "run")
+    assert len(files) > 1
+    assert all(file.stat().st_size < 1_500_000 for file in files)
+    with Reader(tmp_path / "run") as bag:
+        times = {topic: [t for c, t, _ in bag.messages() if c.topic == topic] for topic in recording.counts}
+        assert bag.message_count == sum(recording.counts.values())
+    assert times["/measured"] == [(100 + k) * cdr_messages.NS for k in range(40)]
+    assert sorted(times["/plain"])[0] == 100 * cdr_messages.NS
+    assert sorted(times["/plain"])[-1] == 139 * cdr_messages.NS
+    assert sorted(times["/h"]) == [138 * cdr_messages.NS, 139 * cdr_messages.NS]  # the other stamp is of another clock
+
+
+@pytest.mark.parametrize(
+    ("wrong", "why"),
+    [
+        ({"output": "out.mcap", "time_source": "moon"}, "give wall or data"),
+        ({"output": "out.mcap", "split_mb": 1.0}, "is one file; give a directory"),
+        ({"output": "."}, "is there already"),
+    ],
+)
+def test_a_recording_that_is_not_possible(stage, tmp_path: Path, wrong: dict[str, object], why: str) -> None:
+    given = {**wrong, "output": str(tmp_path / str(wrong["output"]))}
+    with pytest.raises((InputError, OutputError), match=why):
+        Recorder(parameter_overrides=[Parameter(name, value=value) for name, value in given.items()])

@@ -34,7 +34,7 @@ def assert_nothing_lost(result: RunResult, output: Path) -> None:
     assert {name: counts[name] for name in per_step} == dict.fromkeys(per_step, 200)
     assert counts["/road"] == 1
     assert all(counts[f"/vehicle_0{v}/parameters"] >= 100 for v in range(4))
-    assert set(counts) == per_step | {"/road", "/markers", "/diagnostics"} | {
+    assert set(counts) == per_step | {"/road", "/markers", "/diagnostics", "/rosout"} | {
         f"/vehicle_0{v}/{topic}" for v in range(4) for topic in ("parameters", "style_change")
     }
 

@@ -74,7 +74,9 @@ def test_other_readers_read_every_message(recorded):
         summary = reader.get_summary()
         assert summary is not None
         assert summary.statistics is not None
-        assert summary.statistics.message_count == sum(counts.values()) == result["messages_recorded"]
+        assert summary.statistics.message_count == sum(counts.values())
+    logged = counts.pop("/rosout", 0)  # the nodes do not count what they log
+    assert sum(counts.values()) == result["messages_recorded"]
     # nothing is published while no driver changes style
     assert {topic for topic in counts if not topic.endswith("/style_change")} == all_topics()
     store = get_typestore(Stores.EMPTY)
@@ -83,7 +85,7 @@ def test_other_readers_read_every_message(recorded):
         for connection, _, raw in bag.messages():
             bag.deserialize(raw, connection.msgtype)
             read += 1
-    assert read == result["messages_recorded"]
+    assert read == result["messages_recorded"] + logged
 
 
 @measured
