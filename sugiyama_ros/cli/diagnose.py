@@ -1,12 +1,13 @@
 """``sugiyama diagnose`` and ``sugiyama compare``."""
 
 import os
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sugiyama_ros.cli.options import Json, ModelFile, Overwrite, Ring, Seed, Source, Wide, model_output, names
+from sugiyama_ros.cli.options import Json, ModelFile, Overwrite, Ring, Seed, Source, Wide, model_output, names, takes
 from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.progress import stages
@@ -15,8 +16,11 @@ if TYPE_CHECKING:
     from sugiyama_ros.diagnosis.diagnosis import Diagnosis
 
 
-def diagnose(
-    source: Source,
+@dataclass(frozen=True)
+class DiagnoseOptions:
+    """Arguments and options of ``sugiyama diagnose``."""
+
+    source: Source
     add: Annotated[
         str | None,
         typer.Option(
@@ -24,54 +28,57 @@ def diagnose(
             help="auto: add effects until the data support no further one. Or names, separated by commas: add these, if"
             " the data support them.",
         ),
-    ] = None,
+    ] = None
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", help="Model file (YAML) to write, with the effects that were added."),
-    ] = None,
+    ] = None
     quick: Annotated[
         bool, typer.Option("--quick", help="Simulate fewer recordings: faster, with rougher p-values.")
-    ] = False,
-    overwrite: Overwrite = False,
-    ring: Ring = None,
-    seed: Seed = 0,
-    wide: Wide = False,
-    as_json: Json = False,
-) -> None:
+    ] = False
+    overwrite: Overwrite = False
+    ring: Ring = None
+    seed: Seed = 0
+    wide: Wide = False
+    as_json: Json = False
+
+
+@takes(DiagnoseOptions)
+def diagnose(options: DiagnoseOptions) -> None:
     """Find out what the model lacks.
 
     The diagnosis says where the model fails, which effect explains the failure, and how certain that is.
     """
-    chosen = _chosen(add)
-    to_write = model_output(output, overwrite, source)
+    chosen = _chosen(options.add)
+    to_write = model_output(options.output, options.overwrite, options.source)
     from sugiyama_ros.diagnosis import tables
     from sugiyama_ros.diagnosis.diagnosis import diagnose as find
     from sugiyama_ros.diagnosis.verdict import document, sentences
     from sugiyama_ros.fit.model_file import write_model
     from sugiyama_ros.formats.registry import read_trajectories
 
-    trajectories = read_trajectories(source, ring)
+    trajectories = read_trajectories(options.source, options.ring)
     with stages() as advance:
         found = find(
             trajectories,
-            seed=seed,
-            quick=quick,
-            most=8 if add else 3,
+            seed=options.seed,
+            quick=options.quick,
+            most=8 if options.add else 3,
             add=chosen,
             workers=os.cpu_count() or 1,
             on_progress=advance,
         )
     if to_write is not None:
         write_model(to_write, found.data, found.final)
-    if as_json:
+    if options.as_json:
         print_json(document(found))
         return
     for line in sentences(found):
         print_line(line)
-    print_table(tables.steps(found), wide=wide)
-    print_table(tables.by_driver(document(found)["drivers"]), wide=wide)
-    _print_next(found, source, output, add)
-    runs = f"{found.bootstrap_runs} simulated recordings" + (" (quick)" if quick else "")
+    print_table(tables.steps(found), wide=options.wide)
+    print_table(tables.by_driver(document(found)["drivers"]), wide=options.wide)
+    _print_next(found, options.source, options.output, options.add)
+    runs = f"{found.bootstrap_runs} simulated recordings" + (" (quick)" if options.quick else "")
     print_note(f"p-values from {runs}; {found.wall_s:.0f} s")
 
 

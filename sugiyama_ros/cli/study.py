@@ -1,31 +1,38 @@
 """``sugiyama study``."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from sugiyama_ros.cli.options import Json, Overwrite, Ring, Seed, Wide, need_matplotlib
+from sugiyama_ros.cli.options import Json, Overwrite, Ring, Seed, Wide, need_matplotlib, takes
 from sugiyama_ros.cli.output import print_json, print_line, print_table
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.outputs import Output, writing
 from sugiyama_ros.tables import TextTable
 
 
-def study(
-    name: Annotated[str, typer.Argument(help="Name of the study. Without a name, all studies are listed.")] = "",
-    source: Annotated[
-        Path | None, typer.Argument(help="Trajectories of measured drivers: .data, .csv or .mcap.")
-    ] = None,
-    runs: Annotated[int, typer.Option("--runs", min=1, help="Number of simulated runs of each case.")] = 8,
-    output: Annotated[Path | None, typer.Option("--output", "-o", help="Picture to write: .png or .pdf.")] = None,
-    overwrite: Overwrite = False,
-    ring: Ring = None,
-    seed: Seed = 0,
-    wide: Wide = False,
-    as_json: Json = False,
-) -> None:
+@dataclass(frozen=True)
+class StudyOptions:
+    """Arguments and options of ``sugiyama study``."""
+
+    name: Annotated[str, typer.Argument(help="Name of the study. Without a name, all studies are listed.")] = ""
+    source: Annotated[Path | None, typer.Argument(help="Trajectories of measured drivers: .data, .csv or .mcap.")] = (
+        None
+    )
+    runs: Annotated[int, typer.Option("--runs", min=1, help="Number of simulated runs of each case.")] = 8
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="Picture to write: .png or .pdf.")] = None
+    overwrite: Overwrite = False
+    ring: Ring = None
+    seed: Seed = 0
+    wide: Wide = False
+    as_json: Json = False
+
+
+@takes(StudyOptions)
+def study(options: StudyOptions) -> None:
     """Answer a question of the paper again.
 
     Some studies simulate drivers, others use measured drivers.
@@ -36,25 +43,28 @@ def study(
     from sugiyama_ros.studies.study import Asked
     from sugiyama_ros.workers import workers
 
-    if not name:
+    if not options.name:
         for one in STUDIES.values():
             print_line(f"{one.name:12} {one.question}")
         return
+    output, source = options.output, options.source
     if output is not None and output.suffix not in (".png", ".pdf"):
         raise InputError(f"{output}: is not the name of a picture; give a name that ends in .png or .pdf")
-    to_write = Output(output, overwrite, (source,) if source is not None else ()) if output is not None else None
+    to_write = (
+        Output(output, options.overwrite, (source,) if source is not None else ()) if output is not None else None
+    )
     if to_write is not None:
         to_write.check()
-    asked = study_of(name)
-    trajectories = read_trajectories(source, ring) if source is not None else None
-    with workers(runs) as work:
-        answer = asked.answer(Asked(trajectories, runs, seed, work))
+    asked = study_of(options.name)
+    trajectories = read_trajectories(source, options.ring) if source is not None else None
+    with workers(options.runs) as work:
+        answer = asked.answer(Asked(trajectories, options.runs, options.seed, work))
         if to_write is not None:
             _draw(answer.draw, to_write)
-    if as_json:
-        print_json({"study": name, "paper": asked.paper, "rows": answer.rows, "seed": seed})
+    if options.as_json:
+        print_json({"study": options.name, "paper": asked.paper, "rows": answer.rows, "seed": options.seed})
         return
-    print_table(_table(asked.question, answer.rows), wide=wide)
+    print_table(_table(asked.question, answer.rows), wide=options.wide)
     print_line(f"The paper: {asked.paper}")
 
 
