@@ -93,6 +93,8 @@ def _chosen(add: str | None) -> tuple[str, ...] | None:
 
 def _print_next(found: "Diagnosis", source: Path, output: Path | None, add: str | None) -> None:
     """Say which additions the data do not support, and what to do next."""
+    if add not in (None, "auto"):
+        print_line(f"only {', '.join(found.searched)} was searched for; without --add, all candidates are")
     for name in sorted(set(names(add or "")) - {"auto", *(one.name for one in found.named)}):
         print_line(f"{name}: was not added; the data do not support it")
     if output is not None:
