@@ -1,5 +1,6 @@
 """``sugiyama study``."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -71,8 +72,15 @@ def study(options: StudyOptions) -> None:
 def _table(title: str, answers: Sequence[Mapping[str, Any]]) -> TextTable:
     headings = tuple(dict.fromkeys(heading for row in answers for heading in row))
     cells = ((row.get(heading, "") for heading in headings) for row in answers)
-    rows = tuple(tuple(f"{c:.4g}" if isinstance(c, float) else str(c) for c in row) for row in cells)
+    rows = tuple(tuple(map(_cell, row)) for row in cells)
     return TextTable(title, headings, rows)
+
+
+def _cell(value: Any) -> str:
+    """A value for a table; a dash where there is none."""
+    if isinstance(value, float):
+        return f"{value:.4g}" if math.isfinite(value) else "–"
+    return str(value)
 
 
 def _draw(draw: Callable[[Any], None], output: Output) -> None:
