@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class DiagnoseOptions:
-    """Arguments and options of the command."""
+    """Arguments and options of ``sugiyama diagnose``."""
 
     source: Source
     add: Annotated[

@@ -173,6 +173,7 @@ def print_run(result: "RunResult", as_json: bool) -> None:
         f" {result.messages_recorded} messages recorded, {result.messages_lost} lost."
     )
     print_line(f"All topics are in {result.output} (sugiyama info {result.output}).")
+    print_line(f"look at it: sugiyama report {result.output} --open")
     if result.interrupted:
         print_note("The run was interrupted: the recording ends early, but it can be read.")
     _end(result)
