@@ -1,6 +1,5 @@
 """The drivers in view: their filters, what is published of them, and what was learnt of drivers who have gone."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -216,10 +215,8 @@ class DriversInView:
             driver = self.drivers.pop(vehicle)
             driver.topics.close()
             self.counts["retired"] += 1
-            stamp_ns = driver.follower.stamp_ns
-            if stamp_ns is None:
-                continue
-            kept = self._known[vehicle] = Kept(driver.follower.filter.learnt, stamp_ns)
+            # without a stamp, nobody has seen the vehicle since time has jumped
+            kept = self._known[vehicle] = Kept(driver.follower.filter.learnt, driver.follower.stamp_ns or 0)
             if self._settings.save_state is not None:
                 write_learnt(file_of(self._settings.save_state, vehicle), kept)
 
@@ -251,12 +248,11 @@ class DriversInView:
 
     def _saved(self, vehicle: int) -> Kept | None:
         """What an earlier run has learnt, None if nothing is known. A damaged file is told, and not used."""
-        directories: Sequence[Path | None] = (self._settings.save_state, self._settings.resume)
-        for directory in directories:
-            file = None if directory is None else file_of(directory, vehicle)
-            if file is not None and file.exists():
-                try:
-                    return read_learnt(file)
-                except InputError as error:
-                    self._node.get_logger().warning(str(error))
+        directory = self._settings.resume
+        file = None if directory is None else file_of(directory, vehicle)
+        if file is not None and file.exists():
+            try:
+                return read_learnt(file)
+            except InputError as error:
+                self._node.get_logger().warning(str(error))
         return None

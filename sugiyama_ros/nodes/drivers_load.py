@@ -23,13 +23,12 @@ from sugiyama_msgs.msg import Road as RoadMessage
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import SugiyamaError
 from sugiyama_ros.nodes.base import cdr_messages, environment
-from sugiyama_ros.nodes.base.qos import LATCHED, LIVE, reliable
+from sugiyama_ros.nodes.base.qos import LATCHED, LIVE, STREAM
 from sugiyama_ros.nodes.base.samples import Positions
 from sugiyama_ros.nodes.base.spin import RUNNER, Spinner, ros
 
 _PLATOON, _HEADWAY_M, _SPEED, _NOISE_M, _LENGTH_M = 10, 25.0, 12.0, 0.2, 4.5
 _START_S, _LAST_S = 120.0, 3.0
-_DEPTH = 10
 
 
 @dataclass(frozen=True)
@@ -70,7 +69,7 @@ class _Perception(Node):
         self.complete = 0
         self._drivers = drivers
         self._to_road = self.create_publisher(RoadMessage, "road", LATCHED)
-        self._to_measured = self.create_publisher(MeasuredPositions, "measured", reliable(_DEPTH))
+        self._to_measured = self.create_publisher(MeasuredPositions, "measured", STREAM)
         self.create_subscription(DriverArray, "drivers", self._on_answer, LIVE, raw=True)
         self._to_road.publish(RoadMessage(circumference_m=0.0, period_s=period_s))
 

@@ -193,3 +193,24 @@ def test_wrong_values_are_one_line(stage) -> None:
     drivers = DriversNode(parameter_overrides=[Parameter("v_star", value=10)])
     assert drivers.get_parameter("v_star").value == 10.0
     stage.add(drivers)
+
+
+def test_a_damaged_saved_state_is_told_and_not_used(stage, tmp_path: Path, capfd) -> None:
+    (tmp_path / "vehicle_01.json").write_text("{}")
+    perception, drivers = started(stage, resume=str(tmp_path))
+    perception.send(0, {1: 0.0})
+    stage.until(lambda: drivers.in_view == (1,))
+    assert "vehicle_01.json: is no state" in capfd.readouterr().err
+
+
+def test_after_a_jump_in_time_the_drivers_stay_known(stage) -> None:
+    """The clock goes back by 10 s; vehicle 2 is not in view any more, and comes back later."""
+    perception, drivers = started(stage, retire_after=1.0)
+    for k in range(100, 160):
+        perception.send(k, {1: 1.0 * k, 2: 40.0 + 1.0 * k})
+    for k in range(30):
+        perception.send(k, {1: 1.0 * k} | ({2: 40.0 + 1.0 * k} if k >= 20 else {}))
+    stage.until(lambda: drivers.steps == 90)
+    assert drivers.in_view == (1, 2)
+    values = drivers.health().values
+    assert (values["resets"], values["came"], values["came again"], values["retired"]) == (1, 2, 1, 1)

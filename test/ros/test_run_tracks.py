@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message
 from sugiyama_msgs.msg import DriverArray, MeasuredPositions
 
@@ -11,7 +12,9 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.registry import read_tracks
 from sugiyama_ros.nodes.base.samples import UNKNOWN_LEADER
+from sugiyama_ros.nodes.base.spin import Spinner
 from sugiyama_ros.nodes.plan import MOST_NODES
+from sugiyama_ros.nodes.replay import Replay
 from sugiyama_ros.nodes.run import run
 from sugiyama_ros.nodes.track_samples import TrackSamples
 
@@ -79,3 +82,19 @@ def test_what_does_not_work_is_said_up_front(tracks_csv: Path, tmp_path: Path) -
     many.write_text("\n".join(lines) + "\n")
     with pytest.raises(InputError, match=f"at most {MOST_NODES}; convert"):
         run(many, tmp_path / "out.mcap")
+
+
+def test_a_second_source_in_the_same_domain_is_refused(stage, tracks_csv: Path) -> None:
+    """The first one goes on."""
+    about = [Parameter("source", value=str(tracks_csv)), Parameter("start_paused", value=True)]
+    first = Replay(parameter_overrides=about)
+    stage.add(first)
+    stage.for_a_while(3.3)
+    second = Replay(parameter_overrides=about)
+    other = Spinner([second])
+    other.until(lambda: second.failure is not None, 10.0)
+    stage.for_a_while(0.3)
+    assert "another node publishes it already in ROS domain" in str(second.failure)
+    assert first.failure is None
+    other.close()
+    second.destroy_node()
