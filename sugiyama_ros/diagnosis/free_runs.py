@@ -30,6 +30,8 @@ _EVERY_S = 2.5
 class FreeRuns:
     """Errors of free runs, model minus measurement, for S starts, H horizons and N vehicles.
 
+    Vehicles that lead others and follow nobody are not judged: their errors are NaN.
+
     Parameters
     ----------
     coupled, single : ndarray, shape (S, H, N)
@@ -102,17 +104,18 @@ def _from_start(job: tuple[Recorded, Array, Array, int, Ints]) -> tuple[Array, .
     data, rows, state, k, steps = job
     t, ring = data.trajectories, data.trajectories.road.circumference_m
     leader = np.where(np.isfinite(state[k, t.leader[k], 0]), t.leader[k], -1)
-    coupled, single = _drive_on(data, rows, state[k : k + steps[-1]], k, leader)
+    coupled, single = _drive_on(data, rows, state[k : k + steps[-1] + 1], k, leader)
     coupled, single = coupled[steps - 1], single[steps - 1]
     measured, speed = t.position_m[k + steps], state[k + steps, :, 1]
     errors = t.road.difference(_as_measured(coupled[:, :, 0], rows, ring), measured)
     led = leader >= 0
+    judged = led if led.any() else ~led
     gap = t.road.space_headway(measured[:, leader], measured) - 0.5 * (t.length_m[leader] + t.length_m)
     return (
-        errors,
-        t.road.difference(_as_measured(single[:, :, 0], rows, ring), measured),
-        coupled[:, :, 1] - speed,
-        single[:, :, 1] - speed,
+        np.where(judged, errors, np.nan),
+        np.where(judged, t.road.difference(_as_measured(single[:, :, 0], rows, ring), measured), np.nan),
+        np.where(judged, coupled[:, :, 1] - speed, np.nan),
+        np.where(judged, single[:, :, 1] - speed, np.nan),
         np.where(led, errors[:, leader] - errors, np.nan),
         np.where(led, gap, np.nan),
         speed,
@@ -122,7 +125,7 @@ def _from_start(job: tuple[Recorded, Array, Array, int, Ints]) -> tuple[Array, .
 def _drive_on(data: Recorded, rows: Array, recorded: Array, k: int, leader: Ints) -> tuple[Array, Array]:
     """Positions [m] and speeds [m/s] of the coupled and the single runs from sample k on, (steps, N, 2) each.
 
-    recorded: (steps, N, 4) filtered states from sample k on; leader: (N,).
+    recorded: (steps + 1, N, 4) filtered states from sample k on; leader: (N,).
     """
     t, ring = data.trajectories, data.trajectories.road.circumference_m
     headway = np.where(leader >= 0, recorded[0, leader, 0] - recorded[0, :, 0], 0.0)
@@ -130,8 +133,8 @@ def _drive_on(data: Recorded, rows: Array, recorded: Array, k: int, leader: Ints
     order = Order(leader, turn, t.length_m)
     setting = Setting(t.period_s, horizon_at(t.period_s), ring)
     start_s = t.start_s + k * t.period_s
-    coupled, single = (np.empty((len(recorded), data.drivers, 2)) for _ in range(2))
-    run_coupled(recorded[0].T.copy(), order, rows, ACTIONS, start_s, setting, coupled)
+    coupled, single = (np.empty((len(recorded) - 1, data.drivers, 2)) for _ in range(2))
+    run_coupled(recorded, order, rows, ACTIONS, start_s, setting, coupled)
     for i in range(data.drivers):
         run_single(i, recorded, order, rows, ACTIONS, start_s, setting, single)
     return coupled, single
