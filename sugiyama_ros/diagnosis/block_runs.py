@@ -43,6 +43,6 @@ def run_blocks(data: Recorded, models: Sequence[Model], states: Sequence[Array])
         fold = int(fold_at[first])
         state = states[fold]
         position[k] = state[k, :, 0]
-        position[k + 1 : end] = drive_all(data, models[fold], state[k], k, end - k - 1)
+        position[k + 1 : end] = drive_all(data, models[fold], state, k, end - k - 1)
     wrapped: Array = around.road.wrap(position)
     return np.where(np.isfinite(around.position_m), wrapped, np.nan)

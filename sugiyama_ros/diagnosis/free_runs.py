@@ -31,6 +31,8 @@ _EVERY_S = 2.5
 class FreeRuns:
     """Errors of free runs, model minus measurement, for S starts, H horizons and N vehicles.
 
+    Vehicles that lead others and follow nobody are not judged: their errors are NaN.
+
     Parameters
     ----------
     coupled, single : ndarray, shape (S, H, N)
@@ -135,18 +137,20 @@ def _of_fold(data: Recorded, rows: Array, state: Array, k: int, steps: Ints, who
     """Fields of FreeRuns for the vehicles in all columns, (H, V) each; they hold for the drivers in ``who`` (N,)."""
     around, ring = data.vicinity, data.vicinity.road.circumference_m
     leader = np.where(np.isfinite(state[k, around.leader[k], 0]), around.leader[k], -1)
-    coupled, single = _drive_on(data, rows, state[k : k + steps[-1]], k, leader, who)
+    coupled, single = _drive_on(data, rows, state[k : k + steps[-1] + 1], k, leader, who)
     coupled, single = coupled[steps - 1], single[steps - 1]
     measured, speed = around.position_m[k + steps], state[k + steps, :, 1]
     everybody = np.resize(rows, (len(leader), rows.shape[1]))
     errors = around.road.difference(_as_measured(coupled[:, :, 0], everybody, ring), measured)
     led, length = leader >= 0, around.length_m[k]
+    # On tracks it is known which of the drivers without a leader had a free road.
+    judged = led if around.is_whole_road and led.any() else np.ones_like(led)
     gap = around.road.space_headway(measured[:, leader], measured) - 0.5 * (length[leader] + length)
     return (
-        errors,
-        around.road.difference(_as_measured(single[:, :, 0], everybody, ring), measured),
-        coupled[:, :, 1] - speed,
-        single[:, :, 1] - speed,
+        np.where(judged, errors, np.nan),
+        np.where(judged, around.road.difference(_as_measured(single[:, :, 0], everybody, ring), measured), np.nan),
+        np.where(judged, coupled[:, :, 1] - speed, np.nan),
+        np.where(judged, single[:, :, 1] - speed, np.nan),
         np.where(led, errors[:, leader] - errors, np.nan),
         np.where(led, gap, np.nan),
         speed,
@@ -156,22 +160,22 @@ def _of_fold(data: Recorded, rows: Array, state: Array, k: int, steps: Ints, who
 def _drive_on(data: Recorded, rows: Array, recorded: Array, k: int, leader: Ints, who: Mask) -> tuple[Array, Array]:
     """Positions [m] and speeds [m/s] of the coupled and the single runs from sample k on, (steps, V, 2) each.
 
-    recorded: (steps, V, 4) filtered states from sample k on; leader: (V,); who: (N,). Coupled runs need a whole road.
+    recorded: (steps + 1, V, 4) filtered states from sample k on; leader: (V,); who: (N,). Coupled runs need a whole road.
     """
     around = data.vicinity
     order = _order(data, recorded[0], k, leader)
     setting = Setting(around.period_s, horizon_at(around.period_s), around.road.circumference_m)
     start_s = float(around.time_s[k, np.argmax(who)])
     everybody = np.resize(rows, (len(leader), rows.shape[1]))
-    coupled, single = (np.full((len(recorded), len(leader), 2), np.nan) for _ in range(2))
+    coupled, single = (np.full((len(recorded) - 1, len(leader), 2), np.nan) for _ in range(2))
     if around.is_whole_road:
-        run_coupled(recorded[0].T.copy(), order, everybody, ACTIONS, start_s, setting, coupled)
+        run_coupled(recorded, order, everybody, ACTIONS, start_s, setting, coupled)
     for i in np.flatnonzero(who):
         run_single(i, recorded, order, everybody, ACTIONS, start_s, setting, single)
     return coupled, single
 
 
-def drive_all(data: Recorded, model: Model, start: Array, k: int, steps: int) -> Array:
+def drive_all(data: Recorded, model: Model, state: Array, k: int, steps: int) -> Array:
     """Let all vehicles of a road drive by a model from the state of one sample on.
 
     Parameters
@@ -180,8 +184,8 @@ def drive_all(data: Recorded, model: Model, start: Array, k: int, steps: int) ->
         The recording.
     model : Model
         The model.
-    start : ndarray, shape (N, 4)
-        Filtered state at the start.
+    state : ndarray, shape (T, N, 4)
+        Filtered states.
     k : int
         Sample of the start.
     steps : int
@@ -193,12 +197,13 @@ def drive_all(data: Recorded, model: Model, start: Array, k: int, steps: int) ->
         Positions [m] as they would be measured, not wrapped.
     """
     around, ring = data.vicinity, data.vicinity.road.circumference_m
-    leader = np.where(np.isfinite(start[around.leader[k], 0]), around.leader[k], -1)
+    recorded = state[k : k + steps + 1]
+    leader = np.where(np.isfinite(recorded[0, around.leader[k], 0]), around.leader[k], -1)
     setting = Setting(around.period_s, horizon_at(around.period_s), ring)
     rows = at_period(model.rows, around.period_s)
     out = np.empty((steps, data.drivers, 2))
-    order = _order(data, start, k, leader)
-    run_coupled(start.T.copy(), order, rows, ACTIONS, float(around.time_s[k, 0]), setting, out)
+    order = _order(data, recorded[0], k, leader)
+    run_coupled(recorded, order, rows, ACTIONS, float(around.time_s[k, 0]), setting, out)
     return _as_measured(out[:, :, 0], rows, ring)
 
 

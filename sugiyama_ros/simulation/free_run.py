@@ -15,14 +15,15 @@ from sugiyama_ros.simulation.drive import Order, Setting, Traffic, begin, drive,
 
 @kernel
 def run_coupled(
-    state: Array, order: Order, rows: Array, actions: Array, time: float, setting: Setting, out: Array
+    recorded: Array, order: Order, rows: Array, actions: Array, time: float, setting: Setting, out: Array
 ) -> None:
-    """Let all vehicles drive by the model.
+    """Let all vehicles drive by the model, except vehicles that lead others and follow nobody: what a driver does on a
+    road without a leader is not in the data, so these vehicles drive as they were recorded.
 
     Parameters
     ----------
-    state : ndarray, shape (4, N)
-        Position [m], speed [m/s], acceleration noise and held acceleration [m/s^2]; changed in place.
+    recorded : ndarray, shape (steps + 1, N, 4)
+        Filtered position [m], speed [m/s], acceleration noise and held acceleration [m/s^2].
     order : Order
         Who follows whom.
     rows : ndarray, shape (N, width)
@@ -36,8 +37,9 @@ def run_coupled(
     out : ndarray, shape (steps, N, 2)
         Filled with positions [m] and speeds [m/s].
     """
-    x, v, n, b = state[0], state[1], state[2], state[3]
+    x, v, n, b = recorded[0, :, 0].copy(), recorded[0, :, 1].copy(), recorded[0, :, 2].copy(), recorded[0, :, 3].copy()
     vehicles = len(x)
+    is_platoon = order.leader.max() >= 0
     held, pushed = np.empty(vehicles), np.empty(vehicles)
     acceleration = b + rows[:, RHO] * n
     traffic = begin(x, v, b, acceleration, rows, setting.period)
@@ -49,6 +51,9 @@ def run_coupled(
             x[i], v[i] = advance(x[i], v[i], acceleration[i], setting.period)
             n[i] *= rows[i, RHO]
             b[i] = held[i]
+            if is_platoon and order.leader[i] < 0 and np.isfinite(recorded[k + 1, i, 0]):
+                x[i], v[i], n[i], b[i] = recorded[k + 1, i]
+                acceleration[i] = b[i] + rows[i, RHO] * n[i]
         time += setting.period
         out[k, :, 0], out[k, :, 1] = x, v
 
@@ -86,7 +91,7 @@ def run_single(
     ----------
     i : int
         Number of the vehicle.
-    recorded : ndarray, shape (steps, N, 4)
+    recorded : ndarray, shape (at least steps, N, 4)
         Filtered position [m], speed [m/s], acceleration noise and held acceleration [m/s^2].
     order : Order
         Who follows whom.
