@@ -197,16 +197,17 @@ def pooled(trajectories: Trajectories, settings: Settings, effects: Sequence[str
     # Imported here: drivers who are calibrated alone need no search for effects, which takes long to load.
     from sugiyama_ros.diagnosis.candidates import named
     from sugiyama_ros.diagnosis.screen import with_candidate
-    from sugiyama_ros.fit.model_file import stds_of
+    from sugiyama_ros.fit.model_file import own_stds
     from sugiyama_ros.fit.population import fit_base
     from sugiyama_ros.fit.recording import prepare
+    from sugiyama_ros.fit.sandwich import shared_stds
 
     data = prepare(trajectories)
     chosen = named(data, effects)
     fitted = fit_base(data, [index(name) for name in settings.estimated], work)
     for candidate in chosen:
         fitted = with_candidate(data, fitted, candidate, work)
-    own, shared = stds_of(fitted)
+    own, shared = own_stds(fitted), shared_stds(data, fitted, work)
     names = [ROW.entries[k] for k in fitted.model.individual]
     prior = np.array(fitted.model.prior_std)
     # a parameter is identified if the data hold more than three times the prior's information

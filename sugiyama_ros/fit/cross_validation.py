@@ -182,10 +182,16 @@ def gain(data: Recorded, better: PointwiseDensity, than: PointwiseDensity) -> Ga
     Gain
         The standard error is the larger of two: a jackknife over blocks of time, and a jackknife over drivers.
     """
+    by_driver = np.nansum(better.log_likelihood - than.log_likelihood, axis=1)
+    se = max(sum_error(by_driver), block_error(data, better, than))
+    return Gain(float(by_driver.sum()), se, tuple(by_driver.tolist()))
+
+
+def block_error(data: Recorded, better: PointwiseDensity, than: PointwiseDensity) -> float:
+    """Return the standard error [nats] of the gain of one model over another, by a jackknife over blocks of time."""
     difference = better.log_likelihood - than.log_likelihood
-    by_driver = np.nansum(difference, axis=1)
     blocks = np.bincount(data.block.ravel(), weights=np.nan_to_num(difference).ravel())
-    return Gain(float(by_driver.sum()), max(sum_error(by_driver), sum_error(blocks)), tuple(by_driver.tolist()))
+    return sum_error(blocks)
 
 
 def sum_error(parts: ArrayLike) -> float:

@@ -198,6 +198,11 @@ def solve(
     std, share = np.array(model.prior_std), len(folds) / FOLDS
     g: Array = np.array([s.score for s in all_slopes])[:, list(folds)].sum(axis=1)
     h: Array = np.array([s.information for s in all_slopes])[:, curved].sum(axis=1)
+    if model.few:
+        has = model.has
+        g[:, own:] = np.where(has, g[:, own:], 0.0)
+        h[:, :own, own:] = np.where(has[:, None], h[:, :own, own:], 0.0)
+        h[:, own:, own:] = np.where(has[:, :, None] & has[:, None], h[:, own:, own:], 0.0)
     g_own, h_own, cross = g[:, :own] - share * model.away / std, h[:, :own, :own], h[:, :own, own:]
     h_own = h_own + len(curved) / FOLDS * np.diag(1.0 / std**2)
     inverse = np.linalg.inv(damped(h_own, of_driver))

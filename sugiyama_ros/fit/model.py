@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sugiyama_ros.arrays import Array
+from sugiyama_ros.arrays import Array, Mask
 from sugiyama_ros.driver.parameters import OMEGA_2
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.recording import Recorded
@@ -36,6 +36,8 @@ class Model:
         Standard deviation of each individual parameter over the drivers, in the parameter's coordinate.
     ahead : ndarray, shape (N, WIDTH)
         Parameters of each driver as the leader of another driver. Shared entries follow ``rows``.
+    few : tuple of (int, tuple of int)
+        Shared places that only some drivers have, with the columns of these drivers; the entry is 0 for the others.
     """
 
     rows: Array
@@ -43,6 +45,15 @@ class Model:
     shared: tuple[int, ...]
     prior_std: tuple[float, ...]
     ahead: Array
+    few: tuple[tuple[int, tuple[int, ...]], ...] = ()
+
+    @property
+    def has(self) -> Mask:
+        """Whether each driver has each shared parameter, (N, S)."""
+        has = np.ones((len(self.rows), len(self.shared)), np.bool_)
+        for k, drivers in self.few:
+            has[:, self.shared.index(k)] = np.isin(np.arange(len(self.rows)), drivers)
+        return has
 
     @property
     def away(self) -> Array:
@@ -95,6 +106,8 @@ def leaders(data: Recorded, model: Model, driver: int) -> Array:
     if ahead.min() < 0:
         rows[ahead < 0] = np.median(model.ahead, axis=0)
     rows[:, model.shared] = model.rows[driver, model.shared]
+    for k, _ in model.few:
+        rows[:, k] = np.where(ahead >= 0, model.rows[ahead, k], 0.0)
     return rows[: data.chains[driver].position_m.shape[1] - 1]
 
 
@@ -120,12 +133,14 @@ def moved(data: Recorded, model: Model, step: Step, share: float = 1.0) -> Model
     """Return the model after a step, or after a ``share`` of the step, within the bounds of the search."""
     rows = model.rows.copy()
     own, shared = list(model.individual), list(model.shared)
-    for places, change in ((own, step.individual), (shared, np.tile(step.shared, (len(rows), 1)))):
+    for places, change in ((own, step.individual), (shared, step.shared * model.has)):
         if not places:
             continue
         now = coordinate(rows[:, places], places)
         longest = np.where(is_linear(places), reach(data, places), LONGEST)
         rows[:, places] = _within(value(now + limited(share * change, longest), places), places, data)
+    for k, drivers in model.few:
+        rows[~np.isin(np.arange(len(rows)), drivers), k] = 0.0
     return replace(model, rows=rows)
 
 

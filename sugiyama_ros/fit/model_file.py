@@ -3,6 +3,7 @@ data.
 """
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -20,6 +21,7 @@ from sugiyama_ros.fit.driver_types import DriverTypes
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.model import coordinate
 from sugiyama_ros.fit.recording import FOLDS, Recorded
+from sugiyama_ros.fit.sandwich import shared_stds
 from sugiyama_ros.fit.vicinity import Vicinity
 from sugiyama_ros.outputs import Target, writing
 from sugiyama_ros.trajectories.trajectories import Trajectories
@@ -82,7 +84,8 @@ def write_model(target: Target, data: Recorded, fitted: JointFit) -> None:
     OutputError
         If the file cannot be written.
     """
-    own, shared = stds_of(fitted)
+    with ThreadPoolExecutor(1) as work:
+        own, shared = own_stds(fitted), shared_stds(data, fitted, work)
     write_drivers(target, data.vicinity, fitted.model.rows, own, shared, fitted.log_likelihood)
 
 
@@ -209,8 +212,8 @@ def _types(path: Path, classes: Any) -> DriverTypes:
     return DriverTypes(share / share.sum(), rows)
 
 
-def stds_of(fitted: JointFit) -> tuple[list[dict[str, float]], dict[str, float]]:
-    """Return standard deviations from the information of a fit.
+def own_stds(fitted: JointFit) -> list[dict[str, float]]:
+    """Return standard deviations of the individual parameters of each driver, by name, from the information of a fit.
 
     Parameters
     ----------
@@ -219,32 +222,28 @@ def stds_of(fitted: JointFit) -> tuple[list[dict[str, float]], dict[str, float]]
 
     Returns
     -------
-    own : list of dict of str to float
-        Standard deviations of the individual parameters of each driver, by name.
-    shared : dict of str to float
-        Standard deviations of the shared parameters, by name.
+    list of dict of str to float
+        Standard deviations of each driver.
     """
     model = fitted.model
     own = len(model.individual)
     prior = np.diag(1.0 / np.array(model.prior_std) ** 2)
     reduced = np.zeros((len(model.shared),) * 2)
     parts = []
-    for s in fitted.slopes:
+    for s, has in zip(fitted.slopes, model.has, strict=True):
         h = s.information[list(range(FOLDS))].sum(axis=0)
         inverse = np.linalg.inv(h[:own, :own] + prior)
-        cross = h[:own, own:]
-        reduced += h[own:, own:] - cross.T @ inverse @ cross
+        cross = np.where(has, h[:own, own:], 0.0)
+        reduced += np.where(np.outer(has, has), h[own:, own:], 0.0) - cross.T @ inverse @ cross
         parts.append((inverse, cross))
     shared = np.linalg.pinv(reduced + 1e-9 * np.eye(len(reduced)))
-    places = [*model.individual, *model.shared]
-    found = []
+    places = list(model.individual)
+    names, found = [ROW.entries[k] for k in places], []
     for (inverse, cross), row in zip(parts, model.rows, strict=True):
         lift = inverse @ cross
-        variances = np.concatenate([np.diag(inverse + lift @ shared @ lift.T), np.diag(shared)])
+        variances = np.diag(inverse + lift @ shared @ lift.T)
         # from a coordinate to the parameter itself: d p = p d log p
         scale = np.where(coordinate(row[places], places) == row[places], 1.0, np.abs(row[places]))
-        found.append((np.sqrt(np.maximum(variances, 0.0)) * scale).tolist())
-    names = [ROW.entries[k] for k in places]
-    return [dict(zip(names[:own], std[:own], strict=True)) for std in found], dict(
-        zip(names[own:], found[0][own:], strict=True)
-    )
+        stds = np.sqrt(np.maximum(variances, 0.0)) * scale
+        found.append(dict(zip(names, stds.tolist(), strict=True)))
+    return found

@@ -1,0 +1,108 @@
+"""Standard errors of shared parameters that hold for an approximate, rough likelihood.
+
+The likelihood of a filter is rough at small scales, so derivatives overstate how well a parameter is known. The error
+therefore comes from the profile of the log posterior: how far a parameter can move, while all others respond, until the
+log posterior has fallen clearly. Where drivers or blocks of time pull in different directions by more than the
+information allows, the error grows by this factor (the sandwich estimate, with drivers and blocks as clusters).
+
+References
+----------
+Huber, Proc. Fifth Berkeley Symp. Math. Stat. Prob. 1 (1967) 221. Cameron and Miller, J. Human Resources 50 (2015) 317.
+"""
+
+import math
+from concurrent.futures import Executor
+from typing import Any
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.effects.registry import ROW
+from sugiyama_ros.fit.joint import JointFit, at_model, objective
+from sugiyama_ros.fit.model import Step, is_linear, moved
+from sugiyama_ros.fit.recording import FOLDS, Recorded
+from sugiyama_ros.fit.slopes import density_slope
+
+# Fall of the log posterior [nats] that stands out from its roughness, and how often a step towards it doubles.
+_CLEARLY, _DOUBLINGS = 4.0, 7
+
+
+def shared_stds(data: Recorded, fitted: JointFit, work: Executor) -> dict[str, float]:
+    """Return standard deviations of the shared parameters of a fit.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    fitted : JointFit
+        The fit.
+    work : Executor
+        Runs the filters.
+
+    Returns
+    -------
+    dict of str to float
+        Standard deviations by name; empty without shared parameters.
+    """
+    model, own = fitted.model, len(fitted.model.individual)
+    shared = list(model.shared)
+    if not shared:
+        return {}
+    prior, blocks = np.diag(1.0 / np.array(model.prior_std) ** 2), np.unique(data.block)
+    reduced = np.zeros((len(shared), len(shared)))
+    scores = np.zeros((data.drivers, len(blocks), len(shared)))
+    lifts = np.zeros((data.drivers, own, len(shared)))
+    for i, (s, row, has) in enumerate(zip(fitted.slopes, model.rows, model.has, strict=True)):
+        h = s.information.sum(axis=0)
+        cross = np.where(has, h[:own, own:], 0.0)
+        lifts[i] = np.linalg.solve(h[:own, :own] + prior, cross)
+        reduced += np.where(np.outer(has, has), h[own:, own:], 0.0) - cross.T @ lifts[i]
+        y, variance, density = fitted.samples.of(i)
+        derivatives = s.derivatives
+        slope = density_slope(y, variance, derivatives.innovation, derivatives.variance, row) + derivatives.density
+        slope = np.where(np.isfinite(density), slope, 0.0)
+        efficient = np.where(has[:, None], slope[own:], 0.0) - lifts[i].T @ slope[:own]
+        scores[i] = [efficient[:, data.block[i] == b].sum(axis=1) for b in blocks]
+    inverse = np.linalg.pinv(reduced + 1e-9 * np.eye(len(shared)))
+    stds = np.sqrt(np.maximum(np.diag(inverse), 1e-300))
+    scatter = np.max([_scatter(np.asarray(scores.sum(axis=k)), inverse) for k in (0, 1)], axis=0)
+    stds *= np.maximum(np.sqrt(scatter) / stds, 1.0)
+    for j in range(len(shared)):
+        direction = inverse[:, j] / np.sqrt(max(inverse[j, j], 1e-300))
+        stds[j] *= _stretch(data, fitted, direction, lifts, work)
+    # from a coordinate to the parameter itself: d p = p d log p
+    size = np.array([np.abs(model.rows[model.has[:, j], k]).max(initial=0.0) for j, k in enumerate(shared)])
+    stds *= np.where(is_linear(shared), 1.0, size)
+    return dict(zip((ROW.entries[k] for k in shared), stds.tolist(), strict=True))
+
+
+def _stretch(data: Recorded, fitted: JointFit, direction: Array, lifts: Array, work: Executor) -> float:
+    """By how much the log posterior is wider than the information says, at least 1.
+
+    direction: (S,) one standard deviation of a parameter, with the response of the other shared parameters; lifts:
+    (N, I, S) response of the individual parameters.
+    """
+    everywhere, share = range(FOLDS), 1.0
+    here = objective(fitted.slopes, fitted.model, everywhere)
+    everyone = np.ones(data.drivers, np.bool_)
+    fall = 0.0
+    for _ in range(_DOUBLINGS):
+        share *= 2.0
+        falls = []
+        for sign in (-share, share):
+            step = Step(-sign * lifts @ direction, sign * direction, np.zeros(data.drivers), 0.0)
+            there = at_model(data, fitted, moved(data, fitted.model, step), work, everyone)
+            falls.append(here - objective(there.slopes, there.model, everywhere))
+        fall = float(np.mean(falls))
+        if fall >= _CLEARLY:
+            break
+    return max(share / math.sqrt(2.0 * max(fall, 0.5)), 1.0)
+
+
+def _scatter(scores: Array, inverse: Any) -> Array:
+    """Variances (S,) from the scores (C, S) of C clusters, and from the inverse of the information (S, S)."""
+    count = len(scores)
+    if count < 2:
+        return np.zeros(len(inverse))
+    change = (scores - scores.mean(axis=0)) @ inverse
+    return np.asarray(count / (count - 1.0) * np.square(change).sum(axis=0))
