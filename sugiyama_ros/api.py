@@ -315,7 +315,6 @@ def diagnose(
             seed=seed,
             quick=quick,
             most=8 if add else 3,
-            add_forces=add is not None,
             workers=os.cpu_count() or 1,
             on_progress=advance,
         )

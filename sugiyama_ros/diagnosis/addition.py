@@ -36,6 +36,10 @@ class Addition:
         Held-out errors without and with the addition.
     fit : JointFit
         The model with the addition.
+    drivers : tuple of int
+        Columns of the drivers who have it; empty for all.
+    worse : tuple of str
+        Where the model with the addition does worse in the last part of the recording than the base model, in words.
     """
 
     name: str
@@ -48,6 +52,8 @@ class Addition:
     before: HeldOutErrors
     after: HeldOutErrors
     fit: JointFit
+    drivers: tuple[int, ...] = ()
+    worse: tuple[str, ...] = ()
 
 
 def advice_for(name: str, others: Iterable[str]) -> tuple[str, ...]:
@@ -77,5 +83,6 @@ def advice_for(name: str, others: Iterable[str]) -> tuple[str, ...]:
 def parameters_of(fitted: JointFit, candidate: Candidate) -> dict[str, float]:
     """Return the values of a candidate's parameters by name; the median over the drivers for individual parameters."""
     places = sorted({*candidate.places, *candidate.starts[0]})
-    rows = np.median(fitted.model.rows[:, places], axis=0)
+    who = list(candidate.drivers) or slice(None)
+    rows = np.median(fitted.model.rows[who][:, places], axis=0)
     return {ROW.declared[k].name: float(v) for k, v in zip(places, rows, strict=True)}

@@ -39,6 +39,8 @@ class Candidate:
         Places of parameters to which the change of the samples is proportional, to first order.
     is_noise : bool
         Whether the candidate changes only noises.
+    drivers : tuple of int
+        Columns of the drivers who have it; empty for all.
     """
 
     name: str
@@ -49,6 +51,7 @@ class Candidate:
     summary: str = ""
     strengths: tuple[int, ...] = ()
     is_noise: bool = False
+    drivers: tuple[int, ...] = ()
 
     @property
     def parameters(self) -> tuple[str, ...]:

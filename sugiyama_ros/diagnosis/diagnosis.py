@@ -1,8 +1,9 @@
 """A diagnosis: what is missing from the model, where the model fails, and how it compares with other laws."""
 
 import time
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,12 +18,14 @@ from sugiyama_ros.diagnosis.locate import Located, locate
 from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter
 from sugiyama_ros.diagnosis.screen import Screened
 from sugiyama_ros.diagnosis.search import LEVEL, Search
+from sugiyama_ros.diagnosis.use import Purpose
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
 from sugiyama_ros.fit.cross_validation import Gain
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.model_file import write_model
 from sugiyama_ros.fit.population import fit_base
 from sugiyama_ros.fit.recording import Recorded, prepare
+from sugiyama_ros.fit.sandwich import shared_stds
 from sugiyama_ros.fit.smooth_positions import individual_in
 from sugiyama_ros.laws.registry import LAWS, RIVALS
 from sugiyama_ros.plots import bars
@@ -32,6 +35,10 @@ from sugiyama_ros.trajectories.trajectories import Trajectories
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+#: Number of effects that a diagnosis adds at most, unless more are asked for.
+FEW_ADDITIONS = 3
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -58,10 +65,16 @@ class Diagnosis(Result):
         Where ``base`` and ``final`` fail.
     smallest : dict of str to float
         Strength from which each effect would usually have shown, by name.
+    smallest_few : dict of str to float
+        The same for an effect that only three drivers have.
+    refused : tuple of (str, tuple of str)
+        Candidates that were not added because of what the model is for, and why.
     rivals : dict of str to dict
         Held-out errors of other laws, by name.
     adequacy : Adequacy
         Whether the data give reason to doubt ``final``.
+    stds : mapping of str to float
+        Standard errors of the shared parameters of ``final``, by name.
     searched : tuple of str
         Names of the candidates that were searched for.
     bootstrap_runs : int
@@ -86,8 +99,11 @@ class Diagnosis(Result):
     where_before: Located
     where_after: Located
     smallest: dict[str, float]
+    smallest_few: dict[str, float]
+    refused: tuple[tuple[str, tuple[str, ...]], ...]
     rivals: dict[str, dict[str, float]]
     adequacy: Adequacy
+    stds: Mapping[str, float]
     searched: tuple[str, ...]
     bootstrap_runs: int
     quick: bool
@@ -160,10 +176,10 @@ def diagnose(
     *,
     seed: int = 0,
     quick: bool = False,
-    most: int = 3,
+    most: int = FEW_ADDITIONS,
     verdict_only: bool = False,
-    add_forces: bool = False,
     workers: int = 4,
+    purpose: Purpose = "prediction",
     on_progress: OnStage = lambda what, done, total: None,
 ) -> Diagnosis:
     """Find what is missing from the model.
@@ -177,13 +193,13 @@ def diagnose(
     quick : bool
         Whether to take shortcuts: fewer simulations, no search for each fold, no forces without a name.
     most : int
-        Maximum number of effects to add.
+        Maximum number of effects to add. Above 3, the best force without a name may follow them.
     verdict_only : bool
         Whether to leave out the rivals and the forces without a name.
-    add_forces : bool
-        Whether to add the best force without a name at the end.
     workers : int
         Number of threads.
+    purpose : {"prediction", "simulation", "online"}
+        Nothing is added that makes the last part worse: one step for ``"online"``, free runs too for ``"simulation"``.
     on_progress : callable
         Called with the name of the stage, the number of steps done, and the number of all steps.
 
@@ -205,8 +221,8 @@ def diagnose(
         rival = partial(_rival, data, work, quick)
         others = aside.map(rival, [] if verdict_only else RIVALS)
         base = fit_base(data, individual_in(trajectories, V_STAR, KAPPA_V), work)
-        search = Search(data, base, quick, seed, work, on_progress=on_progress)
-        forces = _grow(search, most, with_forces=not (quick or verdict_only), add_forces=add_forces)
+        search = Search(data, base, quick, seed, work, on_progress=on_progress, purpose=purpose)
+        forces = _grow(search, most, with_forces=not (quick or verdict_only), add_forces=most > FEW_ADDITIONS)
         on_progress("rival models", 0, 1)
         rivals = {name: errors for found in others for name, errors in found.items()}
         on_progress("judging the model", 0, 1)
@@ -231,8 +247,14 @@ def _summed_up(
         located=where_after,
         laws={name: errors for name, errors in rivals.items() if name in LAWS},
         forces=forces,
-        simulated=simulated_failures(search.data, search.current, search.effort.runs, search.seed, work),
+        simulated=simulated_failures(search.simulations(), work),
+        stds=shared_stds(search.data, search.current, work),
     )
+    adequacy = judge(search.data, evidence)
+    if search.quick and rivals and adequacy.outcome == "not_explained":
+        # what is missing gets a covariate and a shape, if not a name
+        forces = [one for one, _ in search.discover() if one.p_value < LEVEL]
+        adequacy = judge(search.data, replace(evidence, forces=forces))
     return Diagnosis(
         data=search.data,
         base=search.base,
@@ -246,8 +268,11 @@ def _summed_up(
         where_before=where_before,
         where_after=where_after,
         smallest=search.smallest,
+        smallest_few=search.smallest_few,
+        refused=tuple(search.refused),
         rivals={name: errors.summary() for name, errors in rivals.items()},
-        adequacy=judge(search.data, evidence),
+        adequacy=adequacy,
+        stds=evidence.stds,
         searched=search.searched,
         bootstrap_runs=search.effort.runs,
         quick=search.quick,
@@ -261,7 +286,7 @@ def _grow(search: Search, most: int, *, with_forces: bool, add_forces: bool) -> 
     forces: list[tuple[Discovery, Screened]] = []
     is_growing = True
     while is_growing:
-        while len(search.named) < most and search.add_effect():
+        while len(search.named) < most and (search.add_effect() or search.add_few()):
             pass
         if forces or not with_forces:
             break
