@@ -47,6 +47,9 @@ class DiagnoseOptions:
     quick: Annotated[
         bool, typer.Option("--quick", help="Simulate fewer recordings: faster, with rougher p-values.")
     ] = False
+    purpose: Annotated[
+        str, typer.Option("--for", help="prediction, simulation or online: what an addition must not make worse.")
+    ] = "prediction"
     overwrite: Overwrite = False
     ring: Ring = None
     seed: Seed = 0
@@ -65,11 +68,13 @@ def diagnose(options: DiagnoseOptions) -> None:
     to_write = model_output(options.output, options.overwrite, options.source)
     from sugiyama_ros.diagnosis import tables
     from sugiyama_ros.diagnosis.diagnosis import diagnose as find
+    from sugiyama_ros.diagnosis.use import Goal, purpose_of
     from sugiyama_ros.diagnosis.verdict import document, sentences
     from sugiyama_ros.fit.model_file import write_model
     from sugiyama_ros.formats.registry import read_recording
     from sugiyama_ros.workers import helpers
 
+    goal = Goal(only=chosen or (), forces=chosen == (), purpose=purpose_of(options.purpose))
     recording = read_recording(options.source, options.ring)
     with stages() as advance, helpers(options.scheduler) as workers:
         found = find(
@@ -77,7 +82,7 @@ def diagnose(options: DiagnoseOptions) -> None:
             seed=options.seed,
             quick=options.quick,
             most=8 if options.add else 3,
-            add=chosen,
+            goal=goal,
             workers=workers,
             on_progress=advance,
         )

@@ -1,15 +1,17 @@
 """An effect that a diagnosis has added to the model, and advice on what to record to tell it from other effects."""
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from sugiyama_ros.diagnosis.candidates import Candidate, Kind
-from sugiyama_ros.diagnosis.errors import HeldOutErrors
+from sugiyama_ros.diagnosis.errors import MANY_DRIVERS, HeldOutErrors
 from sugiyama_ros.effects.registry import EFFECTS, ROW
-from sugiyama_ros.fit.cross_validation import Gain
+from sugiyama_ros.fit.cross_validation import Gain, sum_error
 from sugiyama_ros.fit.joint import JointFit
+from sugiyama_ros.fit.recording import Recorded
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +40,10 @@ class Addition:
         The model with the addition.
     form : str
         Name of the effect that was added: one form of the mechanism ``name``.
+    drivers : tuple of int
+        Columns of the drivers who have it; empty for all.
+    worse : tuple of str
+        Where the model with the addition does worse in the last part of the recording than the base model, in words.
     """
 
     name: str
@@ -51,6 +57,8 @@ class Addition:
     after: HeldOutErrors
     fit: JointFit
     form: str
+    drivers: tuple[int, ...] = ()
+    worse: tuple[str, ...] = ()
 
 
 def advice_for(name: str, others: Iterable[str]) -> tuple[str, ...]:
@@ -80,5 +88,20 @@ def advice_for(name: str, others: Iterable[str]) -> tuple[str, ...]:
 def parameters_of(fitted: JointFit, candidate: Candidate) -> dict[str, float]:
     """Return the values of a candidate's parameters by name; the median over the drivers for individual parameters."""
     places = candidate.entries
-    rows = np.median(fitted.model.rows[:, places], axis=0)
+    who = list(candidate.drivers) or slice(None)
+    rows = np.median(fitted.model.rows[who][:, places], axis=0)
     return {ROW.declared[k].name: float(v) for k, v in zip(places, rows, strict=True)}
+
+
+def least_gain(data: Recorded, won: Gain, candidate: Candidate, of_blocks: float) -> float:
+    """Return the smallest held-out gain [nats] with which something is added.
+
+    It is the standard error of the gain over drivers, or over blocks of time (``of_blocks``) where drivers are few.
+    What happens once cannot be held out.
+    """
+    if candidate.happens_once:
+        return -math.inf
+    if candidate.drivers:
+        return of_blocks
+    has_many = data.vicinity.is_whole_road or data.drivers >= MANY_DRIVERS
+    return sum_error(won.drivers) if has_many else won.se

@@ -9,7 +9,7 @@ simulations, the filter is surer of itself than it should be, or an effect has a
 import math
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -17,32 +17,27 @@ from scipy.stats import t as student
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.addition import Addition
-from sugiyama_ros.diagnosis.bootstrap import resampled_fit, seeds
 from sugiyama_ros.diagnosis.discover import Discovery
 from sugiyama_ros.diagnosis.errors import HeldOutErrors
 from sugiyama_ros.diagnosis.locate import Located, locate
 from sugiyama_ros.effects.registry import EFFECTS
-from sugiyama_ros.fit.cross_validation import Gain, gain, sum_error
+from sugiyama_ros.fit.cross_validation import Gain, gain
 from sugiyama_ros.fit.joint import JointFit
-from sugiyama_ros.fit.model_file import stds_of
 from sugiyama_ros.fit.recording import Recorded
-from sugiyama_ros.fit.score import filtered_states
 
 Outcome = Literal["adequate", "explained", "not_explained"]
 # Another law is better by this many standard errors of a paired gain, and by at least this gain [nats].
 _CLEARLY, _LEAST_GAIN = 2.0, 5.0
 # Factor by which free runs of another law must be closer.
 _FURTHER = 1.2
-# Probability below which the biases of a model are larger than chance makes them.
-_LEVEL = 0.01
+#: Probability below which the biases of a model are larger than chance makes them.
+LEVEL_OF_BINS = 0.01
 # Smallest std of the logarithm of the biases' sum of squares, and its weight as a number of simulated recordings.
 _SPREAD, _COMMON = 0.25, 4
 # Mean NIS of held-out samples within which a filter knows its own errors.
 _NIS = (0.8, 1.25)
 # A sign is wrong if a parameter is on the wrong side by this many standard deviations.
 _SURELY = 2.0
-# Steps of the search on a simulated recording, which starts at the truth.
-_FEW_STEPS = 3
 
 
 @dataclass(frozen=True)
@@ -64,6 +59,9 @@ class Adequacy:
         Held-out gain of the additions, as a share of what could be explained; None if there is nothing to explain.
     reasons : tuple of str
         What speaks against the model, in words.
+    bins_p_value : float or None
+        Probability that recordings which the final model simulates have biases as large as the data have; None without
+        simulations.
     """
 
     outcome: Outcome
@@ -72,6 +70,7 @@ class Adequacy:
     bins_expected: float | None
     explained_share: float | None
     reasons: tuple[str, ...]
+    bins_p_value: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +91,8 @@ class Evidence:
         Forces without a name that the final model lacks.
     simulated : sequence of Located
         Where the final model fails in recordings that it simulates.
+    stds : mapping of str to float
+        Standard errors of the shared parameters of the final model, by name.
     """
 
     base: HeldOutErrors
@@ -101,6 +102,7 @@ class Evidence:
     laws: Mapping[str, HeldOutErrors]
     forces: Sequence[Discovery]
     simulated: Sequence[Located]
+    stds: Mapping[str, float] = field(default_factory=dict)
 
 
 def judge(data: Recorded, evidence: Evidence) -> Adequacy:
@@ -119,12 +121,13 @@ def judge(data: Recorded, evidence: Evidence) -> Adequacy:
         The outcome with its reasons.
     """
     better = _better_law(data, evidence)
+    signs = _signs_say(evidence)
     reasons = [
-        *_laws_say(better),
+        *_laws_say(better, bool(signs)),
         *_free_runs_say(evidence),
         *_bins_say(evidence),
         *_spread_says(evidence.final),
-        *_signs_say(evidence.named),
+        *signs,
     ]
     reasons += [
         f"a force that depends on {force.covariate} is missing, by {force.strength:.2g} m/s²"
@@ -139,22 +142,17 @@ def judge(data: Recorded, evidence: Evidence) -> Adequacy:
         bins_expected=_mean_flagged(evidence.simulated) if evidence.simulated else None,
         explained_share=_share(data, evidence, better),
         reasons=tuple(reasons),
+        bins_p_value=_bins_p_value(evidence),
     )
 
 
-def simulated_failures(data: Recorded, final: JointFit, runs: int, seed: int, work: Executor) -> tuple[Located, ...]:
-    """Locate where a model fails in recordings that it simulates itself, after a short fit to each of them.
+def simulated_failures(simulations: Sequence[tuple[Recorded, JointFit]], work: Executor) -> tuple[Located, ...]:
+    """Locate where a model fails in recordings that it simulates itself.
 
     Parameters
     ----------
-    data : Recorded
-        The recording.
-    final : JointFit
-        The model.
-    runs : int
-        Number of simulated recordings.
-    seed : int
-        Seed of the noises.
+    simulations : sequence of (Recorded, JointFit)
+        Simulated recordings, with the fits to them.
     work : Executor
         Runs the filters.
 
@@ -163,25 +161,27 @@ def simulated_failures(data: Recorded, final: JointFit, runs: int, seed: int, wo
     tuple of Located
         One for each recording.
     """
-    states, found = filtered_states(data, final.model, work), []
-    for rng in seeds(seed, runs):
-        simulated, fitted = resampled_fit(data, final, states, rng, work, _FEW_STEPS)
-        found.append(locate(simulated, fitted.model, fitted.samples, work))
-    return tuple(found)
+    return tuple(locate(simulated, fitted.model, fitted.samples, work) for simulated, fitted in simulations)
 
 
 def _better_law(data: Recorded, evidence: Evidence) -> tuple[str, Gain] | None:
-    """The law that predicts better than the final model by most, if it does so beyond doubt, and its gain."""
-    gains = {law: gain(data, errors.samples, evidence.final.samples) for law, errors in evidence.laws.items()}
+    """The law that predicts better than the final model by most, if it does so beyond doubt, and its gain.
+
+    Additions that make no physical sense imitate a law, so they do not count against it: the law is then compared with
+    the base model.
+    """
+    than = evidence.base if _signs_say(evidence) else evidence.final
+    gains = {law: gain(data, errors.samples, than.samples) for law, errors in evidence.laws.items()}
     better = {law: g for law, g in gains.items() if g.nats > max(_CLEARLY * g.se, _LEAST_GAIN)}
     return max(better.items(), key=lambda one: one[1].nats, default=None)
 
 
-def _laws_say(better: tuple[str, Gain] | None) -> list[str]:
+def _laws_say(better: tuple[str, Gain] | None, is_base: bool) -> list[str]:
     if better is None:
         return []
     law, won = better
-    return [f"{law} predicts held-out samples better, by {won.nats:.0f} ± {won.se:.0f} nats"]
+    than = " than the model without the additions" if is_base else ""
+    return [f"{law} predicts held-out samples better{than}, by {won.nats:.0f} ± {won.se:.0f} nats"]
 
 
 def _free_runs_say(evidence: Evidence) -> list[str]:
@@ -197,16 +197,22 @@ def _free_runs_say(evidence: Evidence) -> list[str]:
     return [f"free runs of {law} end closer: {errors[law]:.2g} m off after 10 s instead of {own:.2g} m"]
 
 
-def _bins_say(evidence: Evidence) -> list[str]:
-    """Whether the biases are larger than in the model's own simulations."""
+def _bins_p_value(evidence: Evidence) -> float | None:
+    """Probability of biases as large as in the data, by the model's own simulations; None with less than two."""
     if len(evidence.simulated) < 2:
-        return []
+        return None
     of_chance = np.array([_log_squares(one) for one in evidence.simulated])
     runs, above = len(of_chance), _log_squares(evidence.located) - float(of_chance.mean())
     freedom = runs - 1 + _COMMON
     squares = float(np.square(of_chance - of_chance.mean()).sum()) + _COMMON * _SPREAD**2
     spread = math.sqrt(squares / freedom * (1.0 + 1.0 / runs))
-    if float(student.sf(above / spread, freedom)) >= _LEVEL:
+    return float(student.sf(above / spread, freedom))
+
+
+def _bins_say(evidence: Evidence) -> list[str]:
+    """Whether the biases are larger than in the model's own simulations."""
+    p_value = _bins_p_value(evidence)
+    if p_value is None or p_value >= LEVEL_OF_BINS:
         return []
     expected = _mean_flagged(evidence.simulated)
     worst = evidence.located.flagged[:1]
@@ -238,13 +244,10 @@ def _spread_says(final: HeldOutErrors) -> list[str]:
     return [f"the filter is {surer} of itself than it should be: mean NIS {nis:.2f} instead of 1"]
 
 
-def _signs_say(named: Sequence[Addition]) -> list[str]:
+def _signs_say(evidence: Evidence) -> list[str]:
     """Which parameters of the additions are on the wrong side of what is physically possible."""
-    if not named:
-        return []
-    shared = stds_of(named[-1].fit)[1]
-    found = []
-    for one in named:
+    shared, found = evidence.stds, []
+    for one in evidence.named:
         limits = EFFECTS[one.form].least if one.form in EFFECTS else {}
         for name, least in limits.items():
             value = one.parameters.get(name, least)
@@ -275,24 +278,5 @@ def told(adequacy: Adequacy) -> str:
 
 
 def who(addition: Addition, vehicles: Sequence[int]) -> str | list[int]:
-    """Return who shows an effect: ``"all"``, or the vehicles whose held-out samples gain by it.
-
-    Parameters
-    ----------
-    addition : Addition
-        The effect.
-    vehicles : sequence of int
-        Numbers of the vehicles, in the order of the drivers.
-
-    Returns
-    -------
-    str or list of int
-        ``"all"`` unless a few drivers bring nearly all of the gain.
-    """
-    gains = np.array(addition.heldout.drivers)
-    total, largest = float(gains.sum()), np.sort(gains)[::-1]
-    few = max(1, len(gains) // 4)
-    if len(gains) < 4 or total <= sum_error(gains) or largest[:few].sum() < 0.9 * total:
-        return "all"
-    least = 0.1 * float(largest[0])
-    return [v for v, g in zip(vehicles, gains.tolist(), strict=True) if g > least]
+    """Return who has an effect: ``"all"``, or numbers out of ``vehicles`` if only some drivers have it."""
+    return [int(vehicles[i]) for i in addition.drivers] or "all"

@@ -2,18 +2,24 @@
 
 import math
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import t as student
 
 from sugiyama_ros.diagnosis.candidates import Candidate
-from sugiyama_ros.diagnosis.screen import Screened
+from sugiyama_ros.diagnosis.screen import Effort, Screened, closer, screen
 from sugiyama_ros.effects.registry import effect
 from sugiyama_ros.fit.joint import JointFit
+from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.progress import OnStage
+from sugiyama_ros.workers import at_once
 
 #: A smaller gain [nats] does not count as support, whatever its p-value.
 LEAST_GAIN = 5.0
+# A gain above this [nats] is not checked against simulations.
+_OBVIOUS = 60.0
 # Smallest spread of simulated gains [nats].
 _LEAST_SPREAD = 1.5
 # Weight of the common spread in the spread of one candidate, as a number of simulated recordings.
@@ -139,6 +145,45 @@ class NullGains:
         return max(LEAST_GAIN, float(np.median(highest)) if highest else 0.0)
 
 
+def null_gains(
+    simulations: Sequence[tuple[Recorded, JointFit]],
+    chosen: Sequence[Candidate],
+    effort: Effort,
+    work: ThreadPoolExecutor,
+    on_progress: OnStage,
+) -> NullGains:
+    """Return the gains of candidates on recordings that a model simulates.
+
+    Parameters
+    ----------
+    simulations : sequence of (Recorded, JointFit)
+        Simulated recordings, with the fits to them.
+    chosen : sequence of Candidate
+        The candidates.
+    effort : Effort
+        Limits of the search.
+    work : ThreadPoolExecutor
+        Runs the filters.
+    on_progress : callable
+        Called with the name of the stage, the number of steps done, and the number of all steps.
+
+    Returns
+    -------
+    NullGains
+        The gains of each candidate.
+    """
+
+    def one_run(pair: tuple[Recorded, JointFit]) -> list[float]:
+        simulated, fitted = pair
+        looks = (screen(simulated, fitted, candidate, work, effort) for candidate in chosen)
+        return [closer(simulated, look, work).gain for look in looks]
+
+    gains = at_once(one_run, simulations, "comparing with simulations", on_progress)
+    drivers = len(simulations[0][1].model.rows)
+    by_candidate = {c.name: list(one) for c, one in zip(chosen, zip(*gains, strict=True), strict=True)}
+    return NullGains(by_candidate, {c.name: chance_scale(c, drivers) for c in chosen})
+
+
 #: Gains by chance before any simulation.
 UNKNOWN = NullGains({}, {})
 
@@ -181,3 +226,8 @@ def smallest_detectable(looks: Sequence[Screened], null: NullGains) -> dict[str,
             scaled = start * start / scaled
         found[look.candidate.name] = scaled
     return found
+
+
+def is_obvious(look: Screened) -> bool:
+    """Whether no simulation could gain as much; never for individual parameters, which may gain much by chance."""
+    return look.gain >= _OBVIOUS and not look.candidate.individual

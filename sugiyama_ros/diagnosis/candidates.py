@@ -48,6 +48,8 @@ class Candidate:
         Whether the candidate is screened only if a glance promises something.
     elsewhere : float
         Gain [nats] that the choice of a place or of a car brings by chance (look-elsewhere effect).
+    drivers : tuple of int
+        Columns of the drivers who have it; empty for all.
     """
 
     name: str
@@ -61,6 +63,7 @@ class Candidate:
     mechanism: str = ""
     glanced: bool = False
     elsewhere: float = 0.0
+    drivers: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "mechanism", self.mechanism or self.name)

@@ -2,9 +2,9 @@
 
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,12 +19,14 @@ from sugiyama_ros.diagnosis.locate import Located, locate
 from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter
 from sugiyama_ros.diagnosis.screen import Screened
 from sugiyama_ros.diagnosis.search import LEVEL, Search
+from sugiyama_ros.diagnosis.use import ANYTHING, Goal
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
 from sugiyama_ros.fit.cross_validation import Gain
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.model_file import write_model
 from sugiyama_ros.fit.population import fit_base
 from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.fit.sandwich import shared_stds
 from sugiyama_ros.fit.stretched import prepared
 from sugiyama_ros.laws.registry import LAWS, RIVALS
 from sugiyama_ros.plots import bars
@@ -39,6 +41,8 @@ if TYPE_CHECKING:
 
 # Number of other laws that are fitted at the same time beside the search: more would only take memory.
 _ASIDE = 2
+#: Number of effects that a diagnosis adds at most, unless more are asked for.
+FEW_ADDITIONS = 3
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -65,12 +69,18 @@ class Diagnosis(Result):
         Where ``base`` and ``final`` fail.
     smallest : dict of str to float
         Strength from which each effect would usually have shown, by name.
+    smallest_few : dict of str to float
+        The same for an effect that only three drivers have.
+    refused : tuple of (str, tuple of str)
+        Candidates that were not added because of what the model is for, and why.
     rivals : dict of str to dict
         Held-out errors of other laws, by name.
     floor : dict of str to dict
         Errors of ``final`` on a recording that it simulates, under the name ``floor``: no model can do better.
     adequacy : Adequacy
         Whether the data give reason to doubt ``final``.
+    stds : mapping of str to float
+        Standard errors of the shared parameters of ``final``, by name.
     searched : tuple of str
         Names of the candidates that were searched for.
     bootstrap_runs : int
@@ -95,9 +105,12 @@ class Diagnosis(Result):
     where_before: Located
     where_after: Located
     smallest: dict[str, float]
+    smallest_few: dict[str, float]
+    refused: tuple[tuple[str, tuple[str, ...]], ...]
     rivals: dict[str, dict[str, float]]
     floor: dict[str, dict[str, float]]
     adequacy: Adequacy
+    stds: Mapping[str, float]
     searched: tuple[str, ...]
     bootstrap_runs: int
     quick: bool
@@ -171,9 +184,9 @@ def diagnose(
     *,
     seed: int = 0,
     quick: bool = False,
-    most: int = 3,
+    most: int = FEW_ADDITIONS,
     verdict_only: bool = False,
-    add: Sequence[str] | None = None,
+    goal: Goal = ANYTHING,
     workers: int | Executor = 4,
     on_progress: OnStage = lambda what, done, total: None,
 ) -> Diagnosis:
@@ -191,9 +204,8 @@ def diagnose(
         Maximum number of effects to add.
     verdict_only : bool
         Whether to leave out the rivals and the forces without a name.
-    add : sequence of str, optional
-        Names of the only candidates to add, if the data support them; empty for all candidates, and for the best force
-        without a name at the end. Without it, forces are reported, and not added.
+    goal : Goal
+        What may be added, and what the model is for.
     workers : int or Executor
         Number of threads; or the executor of a Dask cluster, whose workers then fit the other laws.
     on_progress : callable
@@ -220,8 +232,8 @@ def diagnose(
         else:
             others = send(cluster, _rival_there, (data, quick), laws)
         base = fit_base(data, data.even.individual(V_STAR, KAPPA_V), work)
-        search = Search(data, base, quick, seed, work, only=add or (), on_progress=on_progress)
-        forces = _grow(search, most, with_forces=not (quick or verdict_only), add_forces=add is not None and not add)
+        search = Search(data, base, quick, seed, work, goal=goal, on_progress=on_progress)
+        forces = _grow(search, most, with_forces=not (quick or verdict_only), add_forces=goal.forces)
         on_progress("rival models", 0, 1)
         rivals = {name: errors for found in others for name, errors in found.result().items()}
         on_progress("judging the model", 0, 1)
@@ -246,8 +258,14 @@ def _summed_up(
         located=where_after,
         laws={name: errors for name, errors in rivals.items() if name in LAWS},
         forces=forces,
-        simulated=simulated_failures(search.data, search.current, search.effort.runs, search.seed, work),
+        simulated=simulated_failures(search.simulations(), work),
+        stds=shared_stds(search.data, search.current, work),
     )
+    adequacy = judge(search.data, evidence)
+    if search.quick and rivals and adequacy.outcome == "not_explained":
+        # what is missing gets a covariate and a shape, if not a name
+        forces = [one for one, _ in search.discover() if one.p_value < LEVEL]
+        adequacy = judge(search.data, replace(evidence, forces=forces))
     return Diagnosis(
         data=search.data,
         base=search.base,
@@ -261,9 +279,12 @@ def _summed_up(
         where_before=where_before,
         where_after=where_after,
         smallest=search.smallest,
+        smallest_few=search.smallest_few,
+        refused=tuple(search.refused),
         rivals={name: errors.summary() for name, errors in rivals.items()},
         floor={"floor": floor_of(search.data, search.current, search.seed, work).summary()},
-        adequacy=judge(search.data, evidence),
+        adequacy=adequacy,
+        stds=evidence.stds,
         searched=search.searched,
         bootstrap_runs=search.effort.runs,
         quick=search.quick,
@@ -277,7 +298,7 @@ def _grow(search: Search, most: int, *, with_forces: bool, add_forces: bool) -> 
     forces: list[tuple[Discovery, Screened]] = []
     is_growing = True
     while is_growing:
-        while len(search.named) < most and search.add_effect():
+        while len(search.named) < most and (search.add_effect() or search.add_few()):
             pass
         if forces or not with_forces:
             break

@@ -160,7 +160,8 @@ def _of_fold(data: Recorded, rows: Array, state: Array, k: int, steps: Ints, who
 def _drive_on(data: Recorded, rows: Array, recorded: Array, k: int, leader: Ints, who: Mask) -> tuple[Array, Array]:
     """Positions [m] and speeds [m/s] of the coupled and the single runs from sample k on, (steps, V, 2) each.
 
-    recorded: (steps + 1, V, 4) filtered states from sample k on; leader: (V,); who: (N,). Coupled runs need a whole road.
+    recorded: (steps + 1, V, 4) filtered states from sample k on; leader: (V,); who: (N,). Coupled runs need a whole
+    road.
     """
     around = data.vicinity
     order = _order(data, recorded[0], k, leader)

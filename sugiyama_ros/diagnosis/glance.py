@@ -1,13 +1,19 @@
 """A glance at a candidate: what its starts alone promise, before it is screened."""
 
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 
 from sugiyama_ros.diagnosis.candidates import Candidate, added
-from sugiyama_ros.diagnosis.screen import Effort, differences, joined
+from sugiyama_ros.diagnosis.screen import Effort, Screened, differences, joined
 from sugiyama_ros.fit.joint import JointFit, solve
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import evaluate
+from sugiyama_ros.progress import OnStage
+from sugiyama_ros.workers import at_once
+
+# A candidate is screened if a glance at it predicts more than this gain [nats].
+_PROMISE = 10.0
 
 
 def glance(data: Recorded, base: JointFit, candidate: Candidate, work: Executor, effort: Effort) -> float:
@@ -43,3 +49,27 @@ def glance(data: Recorded, base: JointFit, candidate: Candidate, work: Executor,
         new = {place: differences(here, evaluate(data, there, work, some), 1.0, there.rows)}
         best = max(best, solve(joined(data, base, model, here, new), model, range(FOLDS), 1e-3).predicted_gain)
     return best * data.drivers / len(some)
+
+
+def worth_screening(
+    data: Recorded, base: JointFit, possible: Sequence[Candidate], work: Executor, effort: Effort, on_progress: OnStage
+) -> list[Candidate]:
+    """Return the candidates, but of those that get a glance first only those whose glance promises something."""
+
+    def promises(candidate: Candidate) -> bool:
+        return glance(data, base, candidate, work, effort) > _PROMISE + candidate.elsewhere
+
+    glanced = [c for c in possible if c.glanced]
+    promised = at_once(promises, glanced, "first glances", on_progress)
+    left = {c.name for c, yes in zip(glanced, promised, strict=True) if not yes}
+    return [c for c in possible if c.name not in left]
+
+
+def best_forms(looks: Sequence[Screened]) -> list[Screened]:
+    """Return the looks at the form of each mechanism that gains most."""
+    best: dict[str, Screened] = {}
+    for look in looks:
+        mechanism = look.candidate.mechanism
+        if mechanism not in best or look.gain > best[mechanism].gain:
+            best[mechanism] = look
+    return list(best.values())

@@ -7,28 +7,33 @@ p-value therefore says how often chance, the fit and the approximations of the f
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from sugiyama_ros.diagnosis.addition import Addition, advice_for, parameters_of
+from sugiyama_ros.diagnosis.addition import Addition, advice_for, least_gain, parameters_of
 from sugiyama_ros.diagnosis.bootstrap import resampled_fit, seeds
 from sugiyama_ros.diagnosis.candidacy import (
     LEAST_GAIN,
     UNKNOWN,
     Candidacy,
     NullGains,
-    chance_scale,
+    is_obvious,
+    null_gains,
     smallest_detectable,
 )
 from sugiyama_ros.diagnosis.candidates import Candidate, candidates, only_those
 from sugiyama_ros.diagnosis.discover import Discovery, discover
-from sugiyama_ros.diagnosis.errors import MANY_DRIVERS, HeldOutErrors, held_out_errors
-from sugiyama_ros.diagnosis.glance import glance
+from sugiyama_ros.diagnosis.errors import HeldOutErrors, held_out_errors
+from sugiyama_ros.diagnosis.few import Few, fit_few, for_few, switches_of, who_shows
+from sugiyama_ros.diagnosis.glance import best_forms, worth_screening
 from sugiyama_ros.diagnosis.push import push_candidate
 from sugiyama_ros.diagnosis.screen import FULL, QUICK, Screened, closer, forecast, refine, screen, screen_again
-from sugiyama_ros.fit.cross_validation import Gain, gain, held_out_nearly, sum_error
-from sugiyama_ros.fit.joint import JointFit, objective, warm_start
-from sugiyama_ros.fit.recording import FOLDS, Recorded
+from sugiyama_ros.diagnosis.telling_apart import indistinguishable
+from sugiyama_ros.diagnosis.use import ANYTHING, Goal, LastPart, last_part, worse_where
+from sugiyama_ros.fit.cross_validation import Gain, block_error, gain, held_out_nearly
+from sugiyama_ros.fit.joint import JointFit, rise, warm_start
+from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.score import filtered_states
 from sugiyama_ros.progress import OnStage
 from sugiyama_ros.workers import at_once
@@ -41,12 +46,6 @@ _SHARE = 0.3
 _RIVAL = 0.5
 # Number of candidates that are screened again after the first round.
 _LATER_LOOKS = 8
-# One candidate is clearly worse than another by this many standard errors (5 %), and at least this difference [nats].
-_CLEARLY, _LEAST_DIFFERENCE = 1.645, 3.0
-# A gain above this [nats] is not checked against simulations.
-_OBVIOUS = 60.0
-# A candidate is screened if a glance at it predicts more than this gain [nats].
-_PROMISE = 10.0
 # Number of steps of a search that starts at the truth.
 _FEW_STEPS = 4
 
@@ -66,8 +65,8 @@ class Search:
         Seed of the simulated recordings.
     work : ThreadPoolExecutor
         Runs the filters.
-    only : sequence of str
-        Names of the only candidates; empty for all candidates.
+    goal : Goal
+        What may be added, and what the model is for.
     on_progress : callable
         Called with the name of the stage, the number of steps done, and the number of all steps.
 
@@ -85,6 +84,10 @@ class Search:
         Held-out gains of these candidates, by name.
     smallest : dict of str to float
         Strength from which each effect would usually have shown, by name.
+    smallest_few : dict of str to float
+        The same for an effect that only three drivers have.
+    refused : list of (str, tuple of str)
+        Candidates that were not added because of what the model is for, and why.
     effort : Effort
         Limits of the search.
     searched : tuple of str
@@ -99,13 +102,14 @@ class Search:
         seed: int,
         work: ThreadPoolExecutor,
         *,
-        only: Sequence[str] = (),
+        goal: Goal = ANYTHING,
         on_progress: OnStage,
     ) -> None:
+        self._purpose = goal.purpose
         self.data, self.base, self.quick, self.seed = data, base, quick, seed
         self._work, self._on_progress = work, on_progress
         push = push_candidate(data, base.samples)
-        self._possible = only_those((*candidates(data), *((push,) if push else ())), only)
+        self._possible = only_those((*candidates(data), *((push,) if push else ())), goal.only)
         self.searched = tuple(dict.fromkeys(c.mechanism for c in self._possible))
         self._seen: dict[str, tuple[JointFit, Screened]] = {}
         self.effort = QUICK if quick else FULL
@@ -115,6 +119,10 @@ class Search:
         self.scored: list[Candidacy] = []
         self.heldout: dict[str, Gain] = {}
         self.smallest: dict[str, float] = {}
+        self.smallest_few: dict[str, float] = {}
+        self.refused: list[tuple[str, tuple[str, ...]]] = []
+        self._simulated: list[tuple[Recorded, JointFit]] | None = None
+        self._last_part: LastPart | None = None
 
     def add_effect(self) -> bool:
         """Carry out one round: add the best supported candidate, if any is supported.
@@ -135,10 +143,41 @@ class Search:
         for one in sorted(supported, key=lambda one: -predicted[one.candidate.name].nats):
             is_rival = not grown or (one.candidate.mechanism in grown[0].indistinguishable and not self.quick)
             if is_rival and self._predicts_more(one, now):
-                rivals = self._indistinguishable(one, scored)
+                rivals = indistinguishable(self.data, one, scored)
                 named = self._grow(one.candidate, one.fit, one.p_value, rivals)
                 grown += [named] if named is not None else []
-        return self._take(max(grown, key=lambda one: one.heldout.nats, default=None))
+        best = max(grown, key=lambda one: one.heldout.nats, default=None)
+        return self._take(best and (self._narrowed(best) or best))
+
+    def add_few(self) -> bool:
+        """Add the best supported effect that only some drivers have, and return whether there is one."""
+        chosen = self._worth_a_look() if self.named else self._possible
+        chosen = [candidate for candidate in chosen if switches_of(candidate)]
+        looks = at_once(self._fresh_look, chosen, "some drivers only", self._on_progress)
+        found = [(few, look) for look in looks if (few := who_shows(self.current, look.fit, look.candidate))]
+        best = sorted(found, key=lambda pair: pair[0].cost - pair[0].gain)[: self.effort.later]
+        grown = (self._grow_few(few, look.fit, look.candidate) for few, look in best)
+        return self._take(next((one for one in grown if one is not None), None))
+
+    def _narrowed(self, one: Addition) -> Addition | None:
+        """An addition for the few drivers who show it, if it predicts better than for all of them."""
+        candidate = next(c for c in self._possible if c.name == one.form)
+        few = who_shows(self.current, one.fit, candidate)
+        fewer = self._grow_few(few, one.fit, candidate) if few else None
+        return fewer if few and fewer and fewer.heldout.nats - few.cost > one.heldout.nats else None
+
+    def _grow_few(self, few: Few, look: JointFit, candidate: Candidate) -> Addition | None:
+        """The model with an effect that only some drivers have, if it gains more than the choice of the drivers."""
+        fitted = fit_few(self.data, self.current, look, candidate, few, self._work)
+        p_value = few.p_value(rise(self.current, fitted), len(self._possible))
+        if p_value > LEVEL:
+            return None
+        one = self._grow(replace(candidate, drivers=few.drivers), fitted, p_value)
+        return one if one and one.heldout.nats > few.cost and one.after.no_worse_than(one.before) else None
+
+    def _fresh_look(self, candidate: Candidate) -> Screened:
+        before, look = self._seen.get(candidate.name, (None, None))
+        return look if look is not None and before is self.current else self._look(candidate)
 
     def discover(self) -> list[tuple[Discovery, Screened]]:
         """Return forces without a name that the current model lacks, the best supported one first."""
@@ -157,16 +196,22 @@ class Search:
     def _look_at_all(self) -> list[Candidacy]:
         """Screen the candidates, and fit the most promising ones in full; the best candidate first."""
         is_first = not self._seen
-        chosen: Sequence[Candidate] = self._promising() if is_first else self._worth_a_look()
         title = f"round {len(self.named) + 1}"
-        looks = _best_forms(at_once(self._look, chosen, f"{title}: candidates", self._on_progress))
+        if is_first:
+            chosen = worth_screening(
+                self.data, self.current, self._possible, self._work, self.effort, self._on_progress
+            )
+        else:
+            chosen = self._worth_a_look()
+        looks = best_forms(at_once(self._look, chosen, f"{title}: candidates", self._on_progress))
         promising = self._shortlist(looks)
-        again = at_once(self._look_closer, [looks[k] for k in promising], f"{title}: looking closer", self._on_progress)
+        step = partial(closer, self.data, work=self._work)
+        again = at_once(step, [looks[k] for k in promising], f"{title}: looking closer", self._on_progress)
         for k, look in zip(promising, again, strict=True):
             looks[k] = look
         self._seen |= {look.candidate.name: (self.current, look) for look in looks}
         # simulate only where the result is open: not for hopeless gains, and not for obvious ones
-        doubtful = [k for k in promising if self._judge(looks[k]).p_value <= LEVEL and not _obvious(looks[k])]
+        doubtful = [k for k in promising if self._judge(looks[k]).p_value <= LEVEL and not is_obvious(looks[k])]
         if is_first and not doubtful:
             doubtful = promising[:1]
         null = self._simulate([looks[k].candidate for k in doubtful]) if doubtful else UNKNOWN
@@ -181,6 +226,7 @@ class Search:
         scored = sorted([*fitted, *(one for one in scored if one not in hopeful)], key=lambda one: -one.score)
         if is_first:
             self.scored, self.smallest = scored, smallest_detectable(looks, null)
+            self.smallest_few = for_few(self.smallest, self.data.drivers, null.needed)
             self.heldout = self._gains(scored)
         return scored
 
@@ -197,21 +243,6 @@ class Search:
         won = gain(self.data, predicted.samples, now.samples)
         return won.nats > -won.se and (one.candidate.is_noise or predicted.no_worse_than(now))
 
-    def _indistinguishable(self, best: Candidacy, scored: Sequence[Candidacy]) -> tuple[str, ...]:
-        """Names of the candidates that do not predict held-out samples clearly worse than the best candidate.
-
-        This is Vuong's test of models that are not nested (Econometrica 57 (1989) 307), one-sided, paired over drivers.
-        It is known at this point that something is missing, so the p-value of a rival needs no correction.
-        """
-        by_best = held_out_nearly(self.data, best.fit)
-        names: list[str] = []
-        for one in scored:
-            if one.refined and one.candidate.mechanism not in (best.candidate.mechanism, *names):
-                behind = gain(self.data, by_best, held_out_nearly(self.data, one.fit))
-                if behind.nats < max(_CLEARLY * sum_error(behind.drivers), _LEAST_DIFFERENCE):
-                    names.append(one.candidate.mechanism)
-        return tuple(names)
-
     def _nearly(self, fitted: JointFit) -> HeldOutErrors:
         """Held-out errors, without a search for each fold."""
         return held_out_errors(self.data, fitted, self._work, searched=False)
@@ -227,9 +258,7 @@ class Search:
         grown = warm_start(data, fitted, model, work, renewals=0 if self.quick else self.effort.renewals)
         after = held_out_errors(data, grown, work, searched=not self.quick)
         won = gain(data, after.samples, before.samples)
-        has_many = data.vicinity.is_whole_road or data.drivers >= MANY_DRIVERS
-        least = sum_error(won.drivers) if has_many else won.se
-        if won.nats < least and not candidate.happens_once:
+        if won.nats < least_gain(data, won, candidate, block_error(data, after.samples, before.samples)):
             return None
         return Addition(
             name=candidate.mechanism,
@@ -243,16 +272,28 @@ class Search:
             before=before,
             after=after,
             fit=grown,
+            drivers=candidate.drivers,
         )
 
     def _take(self, one: Addition | None) -> bool:
         """Make an extended model the current one; return False if there is none."""
         if one is None:
             return False
-        self.current, self.errors = one.fit, one.after
-        self.named.append(one)
+        if (worse := self._worse(one)) and self._purpose != "prediction":
+            self.refused.append((one.name, worse))
+            self._possible = tuple(c for c in self._possible if c.mechanism != one.name)
+            return bool(self._possible)
+        self.current, self.errors, self._simulated = one.fit, one.after, None
+        self.named.append(replace(one, worse=worse))
         self._possible = tuple(c for c in self._possible if c.mechanism != one.name)
         return True
+
+    def _worse(self, one: Addition) -> tuple[str, ...]:
+        """Where an addition does worse in the last part than the base model; tracks have no last part."""
+        if not self.data.vicinity.is_whole_road:
+            return ()
+        self._last_part = self._last_part or last_part(self.data, self.base, self._work)
+        return worse_where(last_part(self.data, one.fit, self._work), self._last_part, self._purpose)
 
     def _judge(self, look: Screened, null: NullGains | None = None) -> Candidacy:
         return (null or UNKNOWN).judge(look, len(self._possible))
@@ -272,19 +313,6 @@ class Search:
             chosen += [k for k in freed if looks[k].candidate.is_noise and k not in chosen]
         return chosen
 
-    def _promising(self) -> list[Candidate]:
-        """The candidates, but of those that get a glance first only those whose glance promises something."""
-
-        def promises(candidate: Candidate) -> bool:
-            gain = glance(self.data, self.current, candidate, self._work, self.effort)
-            return gain > _PROMISE + candidate.elsewhere
-
-        glanced = [c for c in self._possible if c.glanced]
-        title = f"round {len(self.named) + 1}: first glances"
-        promised = at_once(promises, glanced, title, self._on_progress)
-        left = {c.name for c, yes in zip(glanced, promised, strict=True) if not yes}
-        return [c for c in self._possible if c.name not in left]
-
     def _worth_a_look(self) -> list[Candidate]:
         """The candidates with the largest predicted gains over the current model, from earlier looks."""
         seen = [c for c in self._possible if c.name in self._seen]
@@ -300,50 +328,23 @@ class Search:
                 return again
         return screen(self.data, self.current, candidate, self._work, self.effort)
 
-    def _look_closer(self, look: Screened) -> Screened:
-        return closer(self.data, look, self._work)
-
     def _in_full(self, one: Candidacy) -> Candidacy:
         """Fit a candidate in full; the gain by chance still comes from rough fits."""
         refined = refine(self.data, one.look, self._work, self.effort)
-        return replace(one, fit=refined, gain=max(one.gain, _rise(self.current, refined)), refined=True)
+        return replace(one, fit=refined, gain=max(one.gain, rise(self.current, refined)), refined=True)
+
+    def simulations(self) -> list[tuple[Recorded, JointFit]]:
+        """Recordings that the current model simulates, with the fits to them; simulated once for each model."""
+        if self._simulated is None:
+            states = filtered_states(self.data, self.current.model, self._work)
+
+            def one_run(rng: np.random.Generator) -> tuple[Recorded, JointFit]:
+                return resampled_fit(self.data, self.current, states, rng, self._work, _FEW_STEPS)
+
+            rngs = seeds(self.seed + len(self.named), self.effort.runs)
+            self._simulated = at_once(one_run, rngs, "simulating the current model", self._on_progress)
+        return self._simulated
 
     def _simulate(self, chosen: Sequence[Candidate]) -> NullGains:
         """Gains of candidates on recordings that the current model simulates."""
-        data, current, work = self.data, self.current, self._work
-        states = filtered_states(data, current.model, work)
-
-        def one_run(rng: np.random.Generator) -> list[float]:
-            simulated, fitted = resampled_fit(data, current, states, rng, work, _FEW_STEPS)
-            looks = (screen(simulated, fitted, candidate, work, self.effort) for candidate in chosen)
-            return [closer(simulated, look, work).gain for look in looks]
-
-        gains = at_once(
-            one_run,
-            seeds(self.seed + len(self.named), self.effort.runs),
-            "simulating the current model",
-            self._on_progress,
-        )
-        by_candidate = zip(chosen, zip(*gains, strict=True), strict=True)
-        scale = {c.name: chance_scale(c, data.drivers) for c in chosen}
-        return NullGains({candidate.name: list(one) for candidate, one in by_candidate}, scale)
-
-
-def _rise(current: JointFit, fitted: JointFit) -> float:
-    everywhere = range(FOLDS)
-    return objective(fitted.slopes, fitted.model, everywhere) - objective(current.slopes, current.model, everywhere)
-
-
-def _best_forms(looks: Sequence[Screened]) -> list[Screened]:
-    """The looks at the form of each mechanism that gains most."""
-    best: dict[str, Screened] = {}
-    for look in looks:
-        mechanism = look.candidate.mechanism
-        if mechanism not in best or look.gain > best[mechanism].gain:
-            best[mechanism] = look
-    return list(best.values())
-
-
-def _obvious(look: Screened) -> bool:
-    """Whether no simulation could gain as much; never for individual parameters, which may gain much by chance."""
-    return look.gain >= _OBVIOUS and not look.candidate.individual
+        return null_gains(self.simulations(), chosen, self.effort, self._work, self._on_progress)

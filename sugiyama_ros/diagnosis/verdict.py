@@ -6,15 +6,18 @@ from typing import Any
 import numpy as np
 
 from sugiyama_ros.diagnosis.addition import Addition, parameters_of
-from sugiyama_ros.diagnosis.adequacy import told, who
+from sugiyama_ros.diagnosis.adequacy import LEVEL_OF_BINS, Adequacy, told, who
 from sugiyama_ros.diagnosis.candidates import not_searched
 from sugiyama_ros.diagnosis.diagnosis import Diagnosis
 from sugiyama_ros.diagnosis.locate import Bin, Located
 from sugiyama_ros.diagnosis.pictures import about, drives
+from sugiyama_ros.diagnosis.use import drivers_worse
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
 from sugiyama_ros.effects.registry import EFFECTS, ROW, effect
-from sugiyama_ros.fit.model_file import stds_of
+from sugiyama_ros.fit.model_file import own_stds
 
+#: Member of the set of what cannot be told apart, where the named effect leaves biases that it should not leave.
+UNLISTED = "something that is not listed"
 # Maximum number of bins that the sentences mention.
 _WORST = 3
 
@@ -23,11 +26,12 @@ def document(d: Diagnosis) -> dict[str, Any]:
     """Return everything that a diagnosis has found, in plain types and SI units."""
     return {
         "verdict": {
-            "adequacy": {**asdict(d.adequacy), "reasons": list(d.adequacy.reasons)},
+            "adequacy": _judged(d.adequacy),
             "effects": [_named(n, d) for n in d.named],
             "told": sentences(d),
             "searched": list(d.searched),
             "not_searched": [{"name": name, "reason": reason} for name, reason in not_searched(d.data).items()],
+            "refused": [{"name": name, "reasons": list(why)} for name, why in d.refused],
             "none_detectable": not d.named,
             "discovered": [
                 {
@@ -59,6 +63,7 @@ def document(d: Diagnosis) -> dict[str, Any]:
         "where": {"before": _where(d.where_before), "after": _where(d.where_after)},
         "smallest_detectable": [
             {"name": name, "parameter": effect(name).parameters[0].name, "value": value}
+            | ({"of_three_drivers": d.smallest_few[name]} if name in d.smallest_few else {})
             for name, value in d.smallest.items()
         ],
         "errors": {"before": d.before.summary(), "after": d.after.summary(), **d.rivals, **d.floor},
@@ -74,30 +79,47 @@ def document(d: Diagnosis) -> dict[str, Any]:
     }
 
 
+def _judged(adequacy: Adequacy) -> dict[str, Any]:
+    found = {**asdict(adequacy), "reasons": list(adequacy.reasons)}
+    del found["bins_p_value"]  # in the fresh check of each effect
+    return found
+
+
+def is_open(d: Diagnosis) -> bool:
+    """Whether recordings that the final model simulates would not leave the biases that are left in the data."""
+    return d.adequacy.bins_p_value is not None and d.adequacy.bins_p_value < LEVEL_OF_BINS
+
+
+def errors_of_parameters(n: Addition, d: Diagnosis) -> dict[str, float]:
+    """Return the standard errors of an addition's shared parameters in the final model, by name."""
+    keys = {name: (f"{n.form}.{name}", name) for name in n.parameters}
+    return {name: d.stds[key] for name, pair in keys.items() for key in pair if key in d.stds}
+
+
 def _named(n: Addition, d: Diagnosis) -> dict[str, Any]:
     return {
         "name": n.name,
         "form": n.form,
         "kind": n.kind,
         "parameters": n.parameters,
-        "parameters_std": _stds(n),
-        "indistinguishable": list(n.indistinguishable),
+        "parameters_std": errors_of_parameters(n, d),
+        "indistinguishable": [*n.indistinguishable, *([UNLISTED] if is_open(d) else [])],
         "advice": list(n.advice),
         "who": who(n, d.data.vicinity.numbers),
         "explained_share": d.adequacy.explained_share,
+        "fresh_check": {
+            "bins_flagged": d.adequacy.bins_flagged,
+            "bins_expected": d.adequacy.bins_expected,
+            "p_value": d.adequacy.bins_p_value,
+            "holds": not is_open(d),
+        },
+        "worse_where": list(n.worse),
         "p_value": n.p_value,
         "heldout_gain_nats": n.heldout.nats,
         "heldout_gain_se": n.heldout.se,
         "free_run_rmse_before_m": n.before.free_run_10s_m,
         "free_run_rmse_after_m": n.after.free_run_10s_m,
     }
-
-
-def _stds(n: Addition) -> dict[str, float]:
-    """Standard deviations of the parameters that all drivers share, by name."""
-    shared = stds_of(n.fit)[1]
-    found = {name: shared.get(f"{n.name}.{name}", shared.get(name)) for name in n.parameters}
-    return {name: std for name, std in found.items() if std is not None}
 
 
 def _where(located: Located) -> dict[str, Any]:
@@ -122,7 +144,7 @@ def _where(located: Located) -> dict[str, Any]:
 def _drivers(d: Diagnosis) -> list[dict[str, Any]]:
     """Held-out gain of the additions and single-car errors before and after, for each driver."""
     before, after = d.before.by_driver(), d.after.by_driver()
-    own, stds = d.final.model.rows, stds_of(d.final)[0]
+    own, stds = d.final.model.rows, own_stds(d.final)
     return [
         {
             **name.document(),
@@ -159,6 +181,13 @@ def sentences(d: Diagnosis) -> list[str]:
             for p in [effect(name).parameters[0]]
         ]
         lines.append("Effects of this strength would usually have shown: " + ", ".join(shown) + "." if shown else "")
+        few = [
+            f"{name} ({p.name} {_quantity(d.smallest_few[name], p.unit)})"
+            for name in d.smallest_few
+            for p in [effect(name).parameters[0]]
+            if p.lower <= d.smallest_few[name] <= p.upper
+        ]
+        lines.append("If only three drivers have it: " + ", ".join(few) + "." if few else "")
     for n in d.named:
         units = {p.name: p.unit for p in EFFECTS[n.form].parameters} if n.form in EFFECTS else {}
         units |= {p.name: p.unit for p in ROW.declared if p.name in n.parameters and p.name not in units}
@@ -169,12 +198,22 @@ def sentences(d: Diagnosis) -> list[str]:
             f" p {n.p_value:.1g}; 10-s free run {n.before.free_run_10s_m:.2f} ->"
             f" {n.after.free_run_10s_m:.2f} m."
         )
-        if n.indistinguishable:
+        which = who(n, d.data.vicinity.numbers)
+        if which != "all":
+            lines.append(f"  Only vehicles {', '.join(map(str, which))} show it.")
+        lines += [f"  In use: {one}." for one in n.worse[:_WORST]]
+        if n.indistinguishable or is_open(d):
+            others = [*n.indistinguishable, *([UNLISTED] if is_open(d) else [])]
             advice = f" To tell them apart: {'; '.join(n.advice)}." if n.advice else ""
-            lines.append(f"  Cannot be told apart from: {', '.join(n.indistinguishable)}.{advice}")
+            lines.append(f"  Cannot be told apart from: {', '.join(others)}.{advice}")
     left_out = not_searched(d.data)
     if left_out and not d.data.vicinity.is_whole_road:
         lines.append("Not searched: " + ", ".join(f"{name} ({reason})" for name, reason in left_out.items()) + ".")
+    lines += [f"{name} was not added: {'; '.join(why)}." for name, why in d.refused]
+    worse = drivers_worse(d.before.by_driver(), d.after.by_driver()) if d.named else []
+    if worse:
+        vehicles = ", ".join(d.data.vicinity.names[i].shown for i in worse)
+        lines.append(f"Free runs of these vehicles get worse by more than a fifth: {vehicles}.")
     for located, of in ((d.where_before, "The base model"), (d.where_after, "The model with the additions")):
         if located is d.where_after and not d.named:
             continue

@@ -274,3 +274,9 @@ def objectives(all_slopes: Sequence[Slopes], model: Model, folds: Sequence[int])
 def objective(all_slopes: Sequence[Slopes], model: Model, folds: Sequence[int]) -> float:
     """Return the log posterior of all drivers [nats]: samples in ``folds``, and the prior in proportion to them."""
     return float(objectives(all_slopes, model, folds).sum())
+
+
+def rise(before: JointFit, after: JointFit) -> float:
+    """Return how much larger the log posterior of one fit is than that of another [nats]."""
+    everywhere = range(FOLDS)
+    return objective(after.slopes, after.model, everywhere) - objective(before.slopes, before.model, everywhere)

@@ -16,7 +16,7 @@ from sugiyama_ros.studies.away.drivers import Sight, drawn, noises
 from sugiyama_ros.studies.away.drivers import mean_action as mean_again
 from sugiyama_ros.studies.away.judged import Judged
 from sugiyama_ros.studies.away.report import report
-from sugiyama_ros.studies.away.world import History, Setup
+from sugiyama_ros.studies.away.world import History, Setup, drive
 
 COUNT = 200
 
@@ -80,6 +80,18 @@ def test_two_recordings_of_the_same_drivers():
     assert not np.array_equal(pair.first.position_m, pair.second.position_m)
     assert len(pair.who) == 2
     assert np.array_equal(recorded(case, "strong", 3).first.position_m, pair.first.position_m)
+
+
+def test_what_a_few_drivers_do_the_others_do_not():
+    """With the same noise, the drivers behave alike until what the few do reaches them."""
+    setup, rng = Setup(drivers=6, ring_m=80.0, duration_s=4.0), np.random.default_rng(5)
+    people = drawn(6, rng)
+    for case in cases("few"):
+        hidden = case.builders[0](2.5, setup, np.random.default_rng(6)).hidden
+        one = replace(hidden, who=np.arange(6) == 2)
+        alone, nobody = (drive(setup, people, some, np.random.default_rng(7), True) for some in ([one], []))
+        same = np.abs(alone[:3] - nobody[:3]).max(axis=0) == 0.0
+        assert same[[0, 1, 3, 4, 5]].all(), case.name
 
 
 def row(**changes):

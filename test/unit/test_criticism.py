@@ -15,6 +15,7 @@ from sugiyama_ros.diagnosis.candidates import named
 from sugiyama_ros.diagnosis.diagnosis import diagnose
 from sugiyama_ros.diagnosis.errors import errors_of
 from sugiyama_ros.diagnosis.screen import FULL, screen
+from sugiyama_ros.diagnosis.use import Goal
 from sugiyama_ros.diagnosis.verdict import document, sentences
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, defaults
 from sugiyama_ros.effects.registry import ROW, switch_on
@@ -219,11 +220,11 @@ def test_the_document_has_what_a_page_needs(hidden):
 def test_only_the_candidates_that_were_asked_for_are_added(hidden):
     run, _ = hidden
     asked = {"quick": True, "most": 1, "workers": 1, "seed": 3, "verdict_only": True}
-    d = diagnose(run.measured, add=("gap_offset",), **asked)
+    d = diagnose(run.measured, goal=Goal(("gap_offset",)), **asked)
     assert d.searched == ("gap_offset",)
     assert {one.name for one in d.named} <= {"gap_offset"}
     with pytest.raises(InputError, match="magic"):
-        diagnose(run.measured, add=("magic",), **asked)
+        diagnose(run.measured, goal=Goal(("magic",)), **asked)
 
 
 def test_the_same_seed_gives_the_same_verdict(hidden):

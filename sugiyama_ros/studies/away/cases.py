@@ -16,6 +16,8 @@ from sugiyama_ros.trajectories.trajectories import Trajectories
 #: Strengths of whatever is hidden.
 STRENGTHS = {"strong": 1.0, "weak": 0.5}
 _ATTEMPTS = 60
+# What only three drivers show is so many times as strong.
+_OF_FEW = 2.5
 _RING = Setup()
 # A long delay lets cars collide where they are close together.
 _WIDE = Setup(ring_m=260.0, is_moving=True)
@@ -112,7 +114,7 @@ def cases(part: str) -> list[Case]:
     if part == "laws":
         return [Case(part, law, _RING, law=law) for law in MEANS]
     if part == "few":
-        few: dict[str, tuple[Builder, tuple[str, ...]]] = {"delay of 0.5 s": (delay(0.5), ("reaction_delay",))}
+        few: dict[str, tuple[Builder, tuple[str, ...]]] = {"delay of 0.5 s": (delay(0.2), ("reaction_delay",))}
         few |= {name: MECHANISMS[name] for name in ("drag", "slow patch", "lag")}
         return [Case(part, f"3 of 22: {name}", _RING, (build,), right, few=3) for name, (build, right) in few.items()]
     if part == "three":
@@ -145,7 +147,7 @@ def recorded(case: Case, strength: str, seed: int) -> Pair:
         )
         who = np.sort(rng.choice(scene.drivers, case.few, replace=False)) if case.few else np.arange(0)
         for build in case.builders:
-            one = build(STRENGTHS[strength], scene, rng)
+            one = build(STRENGTHS[strength] * (_OF_FEW if case.few else 1.0), scene, rng)
             if case.few:
                 one = replace(one, hidden=replace(one.hidden, who=np.isin(np.arange(scene.drivers), who)))
             built.append(one)

@@ -81,7 +81,7 @@ def _dead_zone(strength: float, scene: Setup, rng: np.random.Generator) -> Built
 
     def see(moment: History, view: Sight) -> Sight:
         closing = view.leader_speed - view.speed
-        visible = 0.015 * strength * np.minimum(view.gap + _LENGTH_M, 30.0) ** 1.5
+        visible = 0.03 * strength * np.minimum(view.gap + _LENGTH_M, 30.0) ** 1.5
         return replace(view, leader_speed=np.where(np.abs(closing) > visible, view.leader_speed, view.speed))
 
     return Built(Hidden(see=see))

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from sugiyama_ros.diagnosis.adequacy import who
 from sugiyama_ros.diagnosis.diagnosis import Diagnosis, diagnose
 from sugiyama_ros.fit.cross_validation import gain
-from sugiyama_ros.fit.model_file import stds_of
 from sugiyama_ros.fit.recording import prepare
 from sugiyama_ros.fit.score import evaluate
 from sugiyama_ros.studies.away.cases import Case, Pair, cases, recorded
@@ -113,7 +112,7 @@ def judge(case: Case, strength: str, seed: int, quick: bool) -> Judged:
     d = diagnose(pair.first, seed=seed, quick=quick, workers=1)
     heldout = gain(d.data, d.after.samples, d.before.samples)
     fresh = _fresh(d, pair) if d.named else (0.0, 0.0)
-    first = who(d.named[0], d.data.trajectories.vehicle.tolist()) if d.named else "all"
+    first = who(d.named[0], d.data.vicinity.numbers) if d.named else "all"
     return Judged(
         part=case.part,
         name=case.name,
@@ -159,7 +158,7 @@ def _errors(d: Diagnosis, pair: Pair) -> dict[str, float]:
     """Errors of the parameters of the right additions, in standard errors."""
     if not d.named:
         return {}
-    stds, found = stds_of(d.final)[1], {}
+    stds, found = d.stds, {}
     values = {f"{n.name}.{p}": v for n in d.named for p, v in n.parameters.items()}
     for name, truth in pair.truth.items():
         std = stds.get(name, 0.0)

@@ -126,10 +126,17 @@ def _decide(moment: History, people: People, hidden: Sequence[Hidden]) -> Array:
                 leader_speed=_chosen(one, new.leader_speed, view.leader_speed),
             )
         if one.want is not None:
-            wanting = one.want(moment, wanting)
+            other = one.want(moment, wanting)
+            wanting = replace(
+                wanting,
+                desired_speed=_chosen(one, other.desired_speed, wanting.desired_speed),
+                risk_premium=_chosen(one, other.risk_premium, wanting.risk_premium),
+            )
     for one in hidden:
         if one.weigh is not None:
             utility = one.weigh(moment, view, wanting)
+            if one.who is not None:
+                utility = utility * one.who[:, None]
             more = utility if more is None else more + utility
     meant = laws.act(view, people) if people.law else mean_action(view, wanting, moment.scene.period_s, more)
     for one in hidden:
@@ -189,7 +196,7 @@ def drive(scene: Setup, people: People, hidden: Sequence[Hidden], rng: np.random
             break
         seen.append(view)
         held = _decide(History(scene, seen), people, hidden)
-        factor = np.prod([one.steady(view) for one in hidden if one.steady is not None], axis=0)
+        factor = np.prod([_chosen(one, one.steady(view), x * 0.0 + 1.0) for one in hidden if one.steady], axis=0)
         noise = rho * noise + factor * std * rng.standard_normal(len(x)) if k else noise
         a = held + noise
         x = x + scene.period_s * v + std_x * rng.standard_normal(len(x))
@@ -209,7 +216,7 @@ def record(scene: Setup, people: People, hidden: Sequence[Hidden], rng: np.rando
         measured = x + people.measurement_std * rng.standard_normal(x.shape)
         for one in hidden:
             if one.spoil is not None:
-                measured = one.spoil(measured, scene, rng)
+                measured = _chosen(one, one.spoil(measured, scene, rng), measured)
         measured = measured[:: scene.every]
         return Trajectories(
             position_m=measured % scene.ring_m if scene.ring_m else measured,

@@ -1,0 +1,184 @@
+"""Whether an addition holds where the model is used: beyond the end of the fitted part, and in each regime.
+
+Interleaved blocks show that an addition predicts samples between those that were fitted. A simulation starts where the
+data end, and it lives in one regime for long. So the model is also fitted without the last part of the recording, and
+drives into that part by itself.
+"""
+
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array, Mask
+from sugiyama_ros.diagnosis.free_runs import HORIZONS_S, FreeRuns, free_runs
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.fit.joint import JointFit, maximise
+from sugiyama_ros.fit.recording import FOLDS, Recorded
+from sugiyama_ros.fit.score import follow
+from sugiyama_ros.fit.slopes import sums
+
+#: What a model is for.
+Purpose = Literal["prediction", "simulation", "online"]
+_PURPOSES: tuple[Purpose, ...] = get_args(Purpose)
+# Part of the recording that is fitted.
+_FITTED = 0.6
+# Worse by this many paired standard errors, and by this factor of the mean square error.
+_CLEARLY, _TOLERANCE = 2.0, 1.1
+# Below this speed [m/s] a car stands; below this part of the fastest tenth's speed it is in a jam.
+_STANDING, _SLOW = 0.5, 0.5
+_FEWEST = 20
+_STEPS = 6
+
+
+@dataclass(frozen=True)
+class Goal:
+    """What may be added to a model, and what the model is for.
+
+    Parameters
+    ----------
+    only : tuple of str
+        Names of the only candidates; empty for all candidates.
+    forces : bool
+        Whether the best force without a name may be added at the end.
+    purpose : {"prediction", "simulation", "online"}
+        Nothing is added that makes the last part worse: one step for ``"online"``, free runs too for ``"simulation"``.
+        For ``"prediction"`` it is only told.
+    """
+
+    only: tuple[str, ...] = ()
+    forces: bool = False
+    purpose: Purpose = "prediction"
+
+
+#: Any candidate may be added, but no force without a name.
+ANYTHING = Goal()
+
+
+@dataclass(frozen=True, eq=False)
+class LastPart:
+    """Errors of a model in the last part of a recording, which it was not fitted to.
+
+    Parameters
+    ----------
+    runs : FreeRuns
+        Free runs that start there.
+    drivers : ndarray, shape (N,)
+        Log-likelihood of the samples of each driver [nats].
+    """
+
+    runs: FreeRuns
+    drivers: Array
+
+    @property
+    def collisions(self) -> int:
+        """Number of cars that are inside their leaders at a horizon of a coupled run."""
+        gap = self.runs.gap + self.runs.coupled_gap
+        return int(((self.runs.gap > 0.0) & (gap <= 0.0)).sum())
+
+
+def purpose_of(name: str) -> Purpose:
+    """Return what a model is for, by name. Raises InputError for an unknown name."""
+    for purpose in _PURPOSES:
+        if purpose == name:
+            return purpose
+    raise InputError(f"--for {name}: is not known; give {', '.join(_PURPOSES)}")
+
+
+def last_part(data: Recorded, fitted: JointFit, work: Executor) -> LastPart:
+    """Fit a model to the first part of a recording, and let it drive into the last part.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    fitted : JointFit
+        The model fitted to the whole recording.
+    work : Executor
+        Runs the filters.
+
+    Returns
+    -------
+    LastPart
+        Errors in the last part.
+    """
+    begin = int(_FITTED * data.samples)
+    fold = np.minimum(data.block % (FOLDS - 1), FOLDS - 2)
+    fold[:, begin:] = FOLDS - 1
+    split = replace(data, fold=fold)
+    samples, rows = fitted.samples, fitted.model.rows
+    slopes = [sums(samples.of(i), s.derivatives, rows[i], fold[i]) for i, s in enumerate(fitted.slopes)]
+    known = range(FOLDS - 1)
+    first = maximise(split, replace(fitted, slopes=tuple(slopes)), work, folds=known, iterations=_STEPS, renewals=1)
+    predicted, states = follow(data, first.model, work)
+    runs = free_runs(data, [first.model] * FOLDS, [states] * FOLDS, work)
+    chosen = runs.start >= begin
+    cut = {name: values[chosen] for name, values in vars(runs).items()}
+    return LastPart(FreeRuns(**cut), np.nansum(predicted.log_likelihood[:, begin:], axis=1))
+
+
+def worse_where(ours: LastPart, base: LastPart, purpose: Purpose) -> tuple[str, ...]:
+    """Say where a model does worse in the last part than the base model, from the same starts.
+
+    Parameters
+    ----------
+    ours, base : LastPart
+        Errors of both models.
+    purpose : {"prediction", "simulation", "online"}
+        What counts: one step ahead only for ``"online"``; free runs as well otherwise.
+
+    Returns
+    -------
+    tuple of str
+        In words; empty if the model is nowhere worse.
+    """
+    found = []
+    change = ours.drivers - base.drivers
+    spread = float(np.sqrt(len(change) * np.var(change, ddof=1))) if len(change) > 1 else 0.0
+    if change.sum() < -_CLEARLY * spread and change.sum() < 0.0:
+        found.append(f"one step ahead into the last part it loses {-change.sum():.0f} nats")
+    if purpose == "online":
+        return tuple(found)
+    for regime, chosen in _regimes(base.runs):
+        for k, horizon in enumerate(HORIZONS_S):
+            errors = [np.where(chosen[:, k], one.runs.coupled[:, k], np.nan) for one in (ours, base)]
+            told = _told(*errors)
+            if told:
+                found.append(f"free runs of {horizon:g} s into the last part{regime} end {told}")
+    if ours.collisions > base.collisions:
+        found.append(f"{ours.collisions} cars collide in free runs into the last part instead of {base.collisions}")
+    return tuple(found)
+
+
+def drivers_worse(before: list[tuple[float, float]], after: list[tuple[float, float]]) -> list[int]:
+    """Return the columns of drivers whose single-car error after 10 s grows by a fifth; arguments as ``by_driver``."""
+    pairs = zip(before, after, strict=True)
+    return [i for i, ((_, then), (_, now)) in enumerate(pairs) if now > 1.2 * then]
+
+
+def _regimes(runs: FreeRuns) -> Iterator[tuple[str, Mask]]:
+    """All samples and the samples of each regime, as words and masks (S, H, N)."""
+    speed: Array = runs.speed
+    yield "", np.ones(speed.shape, np.bool_)
+    if not np.isfinite(speed).any():
+        return
+    slow = max(_SLOW * float(np.nanquantile(speed, 0.9)), _STANDING)
+    yield ", while standing,", speed < _STANDING
+    yield ", in a jam,", (speed >= _STANDING) & (speed < slow)
+    yield ", in free flow,", speed >= slow
+
+
+def _told(ours: Array, base: Array) -> str:
+    """Both errors in words if ours (S, N) are clearly larger than the base model's; empty otherwise."""
+    change = np.square(ours) - np.square(base)
+    known = np.isfinite(change).sum(axis=1)
+    if known.sum() < _FEWEST or (known > 0).sum() < 3:
+        return ""
+    by_start = np.nansum(change, axis=1)[known > 0]
+    error = float(np.sqrt(len(by_start) * np.var(by_start, ddof=1)))
+    squares = [float(np.nanmean(np.square(one))) for one in (ours, base)]
+    if by_start.sum() <= _CLEARLY * error or squares[0] <= _TOLERANCE * squares[1]:
+        return ""
+    return f"{np.sqrt(squares[0]):.2g} m off instead of {np.sqrt(squares[1]):.2g} m"

@@ -1,0 +1,150 @@
+"""Effects of some drivers only: how they are found, fitted and told; standard errors; what a model is for."""
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sugiyama_ros.diagnosis.candidates import candidates, recording_of
+from sugiyama_ros.diagnosis.few import Few, cost_of, fit_few, for_few, who_shows
+from sugiyama_ros.diagnosis.free_runs import FreeRuns
+from sugiyama_ros.diagnosis.screen import QUICK, screen
+from sugiyama_ros.diagnosis.use import LastPart, drivers_worse, last_part, purpose_of, worse_where
+from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, defaults
+from sugiyama_ros.effects.registry import ROW, index_of, switch_on
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.fit.cross_validation import without_folds
+from sugiyama_ros.fit.model_file import own_stds
+from sugiyama_ros.fit.population import fit_base
+from sugiyama_ros.fit.recording import prepare
+from sugiyama_ros.fit.sandwich import shared_stds
+from sugiyama_ros.road import Road
+from sugiyama_ros.simulation.simulator import Simulator, platoon, simulate
+
+CARS, RING_M = 8, 88.0
+SLOW = (1, 5)
+PLACE = index_of("slow_patch", "reduction")
+
+
+@pytest.fixture(scope="module")
+def work():
+    with ThreadPoolExecutor(2) as pool:
+        yield pool
+
+
+@pytest.fixture(scope="module")
+def fitted(work):
+    """Eight drivers, of whom two are slower on a patch."""
+    rows = ROW.with_effects(defaults(CARS))
+    slow = switch_on(rows, "slow_patch", {"reduction": 0.3, "centre": 44.0, "width": 30.0})
+    rows = np.where(np.isin(np.arange(CARS), SLOW)[:, None], slow, rows)
+    length = np.full(CARS, 4.33)
+    run = simulate(Simulator(rows, length, platoon(length, 4.0), Road(RING_M), np.random.default_rng(1)), 80.0)
+    assert not run.collisions
+    data = prepare(run.measured)
+    return data, fit_base(data, (SIGMA_NU, SIGMA_A, V_STAR, KAPPA_V), work)
+
+
+@pytest.fixture(scope="module")
+def looked(fitted, work):
+    data, base = fitted
+    candidate = next(c for c in candidates(recording_of(data), CARS) if c.name == "slow_patch")
+    look = screen(data, base, candidate, work, QUICK)
+    return candidate, look, who_shows(base, look.fit, candidate)
+
+
+@pytest.fixture(scope="module")
+def grown(fitted, looked, work):
+    data, base = fitted
+    candidate, look, _ = looked
+    few = Few(SLOW, 0.0, 0.0, 0.0, {PLACE: 0.2})
+    return fit_few(data, base, look.fit, candidate, few, work)
+
+
+def test_the_drivers_who_show_an_effect_are_found(looked):
+    _, _, few = looked
+    assert few is not None
+    assert few.drivers == SLOW
+    assert few.gain - few.cost > few.all_gain
+
+
+def test_only_these_drivers_get_the_effect(fitted, grown):
+    _, base = fitted
+    strength = grown.model.rows[:, PLACE]
+    assert np.count_nonzero(strength) == len(SLOW)
+    assert strength[list(SLOW)] == pytest.approx([0.3, 0.3], abs=0.12)
+    assert grown.log_likelihood > base.log_likelihood + 20.0
+    assert grown.model.has[:, list(grown.model.shared).index(PLACE)].tolist() == [i in SLOW for i in range(CARS)]
+
+
+def test_held_out_models_keep_the_others_without_it(fitted, grown, work):
+    data, _ = fitted
+    for model in without_folds(data, grown, work, searched=False):
+        assert np.flatnonzero(model.rows[:, PLACE]).tolist() == list(SLOW)
+
+
+def test_standard_errors_hold(fitted, grown, work):
+    data, _ = fitted
+    stds = shared_stds(data, grown, work)
+    assert set(stds) == {f"slow_patch.{name}" for name in ("reduction", "centre", "width")}
+    information = sum(np.diag(s.information.sum(axis=0))[-3:] for s in grown.slopes)
+    # no smaller than what the information says of each parameter alone; the reduction is no logarithm
+    assert stds["slow_patch.reduction"] > 1.0 / np.sqrt(information[0])
+    assert stds["slow_patch.width"] < 20.0
+    assert len(own_stds(grown)) == CARS
+    assert shared_stds(data, fitted[1], work) == {}
+
+
+def test_a_choice_among_drivers_has_a_price():
+    assert cost_of(22, 22) == pytest.approx(0.0, abs=1e-9)
+    assert cost_of(3, 22) == pytest.approx(2.0 * np.log(1540.0))
+    assert for_few({"drag": 0.1, "limited_braking": 2.0}, 8, 6.0) == {}
+    few = for_few({"drag": 0.1, "limited_braking": 2.0}, 22, 6.0)
+    # three of 22 drivers show a seventh of the gain; a smaller limit is a stronger effect
+    assert few["drag"] > 0.1 * np.sqrt(22 / 3)
+    assert few["limited_braking"] < 2.0 / np.sqrt(22 / 3)
+
+
+def runs(error, gap=5.0, speed=6.0):
+    full = np.full((10, 3, 4), 1.0)
+    wave = 1.0 + 0.05 * np.sin(np.arange(10))[:, None, None]
+    return FreeRuns(
+        error * full * wave, error * full, full, full, 0.0 * full - error, gap * full, speed * full, np.arange(10)
+    )
+
+
+def test_what_makes_the_last_part_worse_is_told():
+    base = LastPart(runs(1.0), np.zeros(4))
+    assert worse_where(base, base, "simulation") == ()
+    worse = worse_where(LastPart(runs(2.0), np.zeros(4)), base, "simulation")
+    assert worse[0] == "free runs of 2 s into the last part end 2 m off instead of 1 m"
+    assert any("in free flow" in one for one in worse)
+    assert worse_where(LastPart(runs(2.0), np.zeros(4)), base, "online") == ()
+    lost = LastPart(runs(1.0), np.full(4, -10.0) + np.arange(4))
+    assert worse_where(lost, base, "online") == ("one step ahead into the last part it loses 34 nats",)
+
+
+def test_a_car_inside_its_leader_is_a_collision():
+    base = LastPart(runs(1.0), np.zeros(4))
+    inside = LastPart(replace(runs(1.0), coupled_gap=np.full((10, 3, 4), -6.0)), np.zeros(4))
+    assert (base.collisions, inside.collisions) == (0, 120)
+    assert worse_where(inside, base, "simulation")[-1].startswith("120 cars collide")
+
+
+def test_a_model_drives_into_the_part_that_it_was_not_fitted_to(fitted, work):
+    data, base = fitted
+    found = last_part(data, base, work)
+    assert found.runs.start.min() >= 0.6 * len(data.fold)
+    assert found.drivers.shape == (CARS,)
+    assert worse_where(found, found, "simulation") == ()
+
+
+def test_drivers_who_get_worse_are_listed():
+    assert drivers_worse([(0.0, 1.0), (0.0, 1.0)], [(5.0, 1.1), (5.0, 1.3)]) == [1]
+
+
+def test_an_unknown_purpose_is_refused():
+    assert purpose_of("online") == "online"
+    with pytest.raises(InputError, match="--for fun: is not known; give prediction, simulation, online"):
+        purpose_of("fun")
