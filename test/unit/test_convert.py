@@ -117,7 +117,7 @@ def test_a_map_of_columns_is_read(sugiyama: Run, two_lanes: Path) -> None:
         (("convert", "two.csv", "none/two.parquet"), "none/two.parquet: cannot be written"),
         (("convert", "two.csv", "two.parquet", "--columns", "none.yaml"), "none.yaml: cannot be read"),
         (("info", "none.parquet"), "none.parquet: cannot be read"),
-        (("compare", "two.csv"), "choose: sugiyama convert two.csv one.parquet --lane 0"),
+        (("study", "order", "two.csv"), "choose: sugiyama convert two.csv one.parquet --lane 0"),
     ],
 )
 def test_refusals_are_one_line(sugiyama: Run, two_lanes: Path, arguments: tuple[str, ...], said: str) -> None:

@@ -195,7 +195,7 @@ def test_the_document_has_what_a_page_needs(hidden):
     found = document(d)
     # every block starts where the cars were measured, and goes on at their speed
     t, driven = d.data.trajectories, d.before.block_position_m
-    first = [k for k in range(len(driven)) if k > 10 and d.data.block[k] != d.data.block[k - 1]]
+    first = [k for k in range(len(driven)) if k > 10 and d.data.block[0, k] != d.data.block[0, k - 1]]
     off = t.road.difference(driven[first], t.position_m[first])
     assert len(first) >= 4
     # the measurement noise is 0.26 m: six standard deviations

@@ -13,7 +13,7 @@ from sugiyama_ros.driver.parameters import NAMES, defaults
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.model_file import read_model
 from sugiyama_ros.page.diagnosis import read_diagnosis
-from sugiyama_ros.page.panels import missing
+from sugiyama_ros.page.panels import missing, worth
 
 PARAMETERS = dict(zip(NAMES, defaults().tolist(), strict=True))
 MODEL = {
@@ -130,7 +130,7 @@ def test_a_diagnosis_is_read_or_refused_whatever_stands_in_each_field(tmp_path: 
             found = read_or_refuse(read_diagnosis, path)
             refused += found is None
             if found is not None:
-                missing.candidates(found), missing.growth(found), missing.before_and_after(found)
+                missing.candidates(found), worth.growth(found)
     assert refused > 200
     path.write_text(json.dumps(DIAGNOSIS))
     assert read_diagnosis(path) == DIAGNOSIS

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sugiyama_ros.diagnosis.candidates import candidates, recording_of
+from sugiyama_ros.diagnosis.candidates import candidates
 from sugiyama_ros.diagnosis.few import Few, cost_of, fit_few, for_few, who_shows
 from sugiyama_ros.diagnosis.free_runs import FreeRuns
 from sugiyama_ros.diagnosis.screen import QUICK, screen
@@ -49,7 +49,7 @@ def fitted(work):
 @pytest.fixture(scope="module")
 def looked(fitted, work):
     data, base = fitted
-    candidate = next(c for c in candidates(recording_of(data), CARS) if c.name == "slow_patch")
+    candidate = next(c for c in candidates(data) if c.name == "slow_patch")
     look = screen(data, base, candidate, work, QUICK)
     return candidate, look, who_shows(base, look.fit, candidate)
 
