@@ -4,13 +4,16 @@ from concurrent.futures import Executor
 from dataclasses import replace
 
 from sugiyama_ros.diagnosis.candidates import Candidate, added
-from sugiyama_ros.diagnosis.screen import Effort, differences, joined
+from sugiyama_ros.diagnosis.screen import differences, joined
 from sugiyama_ros.fit.joint import JointFit, solve
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import evaluate
 
+# Drivers on whom a glance falls, or up to twice as many.
+_DRIVERS = 4
 
-def glance(data: Recorded, base: JointFit, candidate: Candidate, work: Executor, effort: Effort) -> float:
+
+def glance(data: Recorded, base: JointFit, candidate: Candidate, work: Executor) -> float:
     """Predict the gain of a candidate from its starts alone.
 
     The changes of some drivers' samples at a start serve as derivatives by the strength.
@@ -25,16 +28,14 @@ def glance(data: Recorded, base: JointFit, candidate: Candidate, work: Executor,
         What to look at.
     work : Executor
         Runs the filters.
-    effort : Effort
-        Limits of the search.
 
     Returns
     -------
     float
         Predicted gain [nats] over all drivers.
     """
-    is_only = len(candidate.starts) == 1
-    some = range(0, data.drivers, 1 if is_only else max(1, data.drivers // effort.drivers))
+    # a push moves one driver alone
+    some = range(0, data.drivers, 1 if candidate.happens_once else max(1, data.drivers // _DRIVERS))
     here, best = base.samples.only(some), 0.0
     place = candidate.places[0]
     model = replace(base.model, shared=(*base.model.shared, place))

@@ -271,7 +271,7 @@ class Search:
         """The candidates, but of those that get a glance first only those whose glance promises something."""
 
         def promises(candidate: Candidate) -> bool:
-            gain = glance(self.data, self.current, candidate, self._work, self.effort)
+            gain = glance(self.data, self.current, candidate, self._work)
             return gain > _PROMISE + candidate.elsewhere
 
         glanced = [c for c in self._possible if c.glanced]
