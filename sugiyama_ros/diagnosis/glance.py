@@ -5,7 +5,7 @@ from concurrent.futures import Executor
 from dataclasses import replace
 
 from sugiyama_ros.diagnosis.candidates import Candidate, added
-from sugiyama_ros.diagnosis.screen import Effort, Screened, differences, joined
+from sugiyama_ros.diagnosis.screen import Screened, differences, joined
 from sugiyama_ros.fit.joint import JointFit, solve
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import evaluate
@@ -15,8 +15,11 @@ from sugiyama_ros.workers import at_once
 # A candidate is screened if a glance at it predicts more than this gain [nats].
 _PROMISE = 10.0
 
+# Drivers on whom a glance falls, or up to twice as many.
+_DRIVERS = 4
 
-def glance(data: Recorded, base: JointFit, candidate: Candidate, work: Executor, effort: Effort) -> float:
+
+def glance(data: Recorded, base: JointFit, candidate: Candidate, work: Executor) -> float:
     """Predict the gain of a candidate from its starts alone.
 
     The changes of some drivers' samples at a start serve as derivatives by the strength.
@@ -31,16 +34,14 @@ def glance(data: Recorded, base: JointFit, candidate: Candidate, work: Executor,
         What to look at.
     work : Executor
         Runs the filters.
-    effort : Effort
-        Limits of the search.
 
     Returns
     -------
     float
         Predicted gain [nats] over all drivers.
     """
-    is_only = len(candidate.starts) == 1
-    some = range(0, data.drivers, 1 if is_only else max(1, data.drivers // effort.drivers))
+    # a push moves one driver alone
+    some = range(0, data.drivers, 1 if candidate.happens_once else max(1, data.drivers // _DRIVERS))
     here, best = base.samples.only(some), 0.0
     place = candidate.places[0]
     model = replace(base.model, shared=(*base.model.shared, place))
@@ -52,12 +53,12 @@ def glance(data: Recorded, base: JointFit, candidate: Candidate, work: Executor,
 
 
 def worth_screening(
-    data: Recorded, base: JointFit, possible: Sequence[Candidate], work: Executor, effort: Effort, on_progress: OnStage
+    data: Recorded, base: JointFit, possible: Sequence[Candidate], work: Executor, on_progress: OnStage
 ) -> list[Candidate]:
     """Return the candidates, but of those that get a glance first only those whose glance promises something."""
 
     def promises(candidate: Candidate) -> bool:
-        return glance(data, base, candidate, work, effort) > _PROMISE + candidate.elsewhere
+        return glance(data, base, candidate, work) > _PROMISE + candidate.elsewhere
 
     glanced = [c for c in possible if c.glanced]
     promised = at_once(promises, glanced, "first glances", on_progress)
