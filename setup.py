@@ -64,7 +64,7 @@ setup(
             f"sugiyama = {name}.cli:main",
             *(
                 f"{node} = {name}.nodes.{node}:main"
-                for node in ("critic", "estimator", "keeper", "recorder", "replay", "simulator", "tracks")
+                for node in ("critic", "drivers", "estimator", "keeper", "recorder", "replay", "simulator", "tracks")
             ),
         ]
     },

@@ -2,6 +2,7 @@
 
 import dataclasses
 import gc
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -88,6 +89,7 @@ def replay(options: RunOptions) -> "RunResult":
     rate = rate_of(options.rate)
     gc.disable()  # no module is garbage, and to look for garbage among them takes a tenth of a second
     try:
+        from sugiyama_ros.nodes.base import environment
         from sugiyama_ros.nodes.run import run as run_nodes
     except ModuleNotFoundError as error:
         if error.name not in ("rclpy", "sugiyama_msgs"):
@@ -97,6 +99,7 @@ def replay(options: RunOptions) -> "RunResult":
         gc.freeze()
         gc.enable()
     source = _source(options)
+    print_note(f"ROS domain {environment.isolate()}")
     with progress("simulating" if options.simulate else "replaying") as advance:
         return run_nodes(
             source,
@@ -214,6 +217,7 @@ def live(options: LiveOptions) -> None:
 
     Ctrl-C ends it.
     """
+    from sugiyama_ros.nodes.base import environment
     from sugiyama_ros.nodes.live import serve
     from sugiyama_ros.nodes.plan import RunSettings
 
@@ -224,5 +228,6 @@ def live(options: LiveOptions) -> None:
 
     output = own_output(options.output, _LIVE, options.overwrite, options.source, options.model)
     settings = RunSettings(rate_of(options.rate), options.ring, options.model, critic=True, overwrite=output.overwrite)
-    print_note("starting the nodes")
+    domain = environment.isolate() if options.source is not None else os.environ.get("ROS_DOMAIN_ID", "0")
+    print_note(f"starting the nodes in ROS domain {domain}")
     serve(options.source, output.path, settings, host=options.host, port=options.port, on_ready=ready)

@@ -58,20 +58,21 @@ class StyleAlarm:
 
     def reset(self) -> None:
         """Begin anew, without the past innovations."""
-        self._steps = 0
+        self._periods, self._onsets = 0.0, 0
         self._signature[:], self._known[:], self._seen[:] = 0.0, 0.0, 0.0
 
-    def predict(self, jacobian: Array) -> None:
-        """Go on by one period with the filter's F."""
+    def predict(self, jacobian: Array, periods: float = 1.0) -> None:
+        """Go on by some periods with the filter's F."""
         self._signature = jacobian @ self._signature
-        if self._steps % self._every == 0:
+        if self._periods >= self._onsets * self._every:
             jumps = len(self._places)
-            first = self._steps // self._every * jumps % len(self._known)
+            first = self._onsets * jumps % len(self._known)
+            self._onsets += 1
             oldest = slice(first, first + jumps)
             self._signature[:, oldest] = 0.0
             self._signature[self._places, np.arange(first, first + jumps)] = 1.0
             self._known[oldest], self._seen[oldest] = 0.0, 0.0
-        self._steps += 1
+        self._periods += periods
 
     def observe(self, innovation: float, variance: float) -> None:
         """Take in the driver's own innovation [m] and its variance, before the filter is updated with it."""

@@ -15,7 +15,7 @@ from sugiyama_ros.filters.alarm import BETWEEN_FALSE_S, ONSET_S, WATCHED_S
 from sugiyama_ros.filters.chain_model import ChainModel
 from sugiyama_ros.filters.engine import Estimate
 from sugiyama_ros.filters.noise import NOISES, Learning
-from sugiyama_ros.filters.online_kernel import step
+from sugiyama_ros.filters.online_kernel import linearise_again, step
 from sugiyama_ros.filters.online_state import (
     RESULTS,
     Noises,
@@ -24,6 +24,7 @@ from sugiyama_ros.filters.online_state import (
     memory_for,
     online_arrays,
 )
+from sugiyama_ros.filters.state import STATE
 from sugiyama_ros.road import Road
 
 
@@ -60,6 +61,7 @@ class CompiledKalman:
         self._use(memory_for(self.layout))
         arrays = self.arrays
         arrays.book.identity[:] = -1
+        arrays.sample.when[1] = 1.0
         arrays.linearised.live[:] = np.arange(len(self.x))
         clear(arrays.lanes.blocks)
         arrays.alarm.every[0], arrays.alarm.threshold[0] = every, BETWEEN_FALSE_S / (every * period)
@@ -80,9 +82,9 @@ class CompiledKalman:
         self._covariance = self.arrays.result[RESULTS:].reshape((3, 3))
         vehicles = len(state.known)
         self._bytes = memory.data.cast("B")
-        self._pack = struct.Struct(f"={vehicles}d{vehicles}q{vehicles}d3dd").pack_into
+        self._pack = struct.Struct(f"={vehicles}d{vehicles}q{vehicles}d3d2d").pack_into
         self._unpack = struct.Struct(f"={RESULTS}d").unpack_from
-        self._result_at = 8 * (3 * vehicles + 4)
+        self._result_at = 8 * (3 * vehicles + 5)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what a copy needs: its arrays lie in a memory of their own."""
@@ -109,6 +111,19 @@ class CompiledKalman:
         learnt = self.rows[0, : len(NAMES)].copy()
         self._put(model)
         self.rows[0, : len(NAMES)] = learnt
+        linearise_again(self.memory, self.layout)
+
+    def speed_of(self, m: int, vehicle: int) -> float:
+        """Return the speed [m/s] of vehicle number m of the chain; 0 if it is another vehicle, or not known."""
+        return float(self.x[STATE * m + 1]) if self.arrays.book.identity[m] == vehicle else 0.0
+
+    def saved(self) -> tuple[Array, tuple[str, float] | None]:
+        """Return all that the filter knows now, for ``restore``."""
+        return self.memory.copy(), self.change_of_style
+
+    def restore(self, saved: tuple[Array, tuple[str, float] | None]) -> None:
+        """Go back to what ``saved`` has returned, with the same model."""
+        self.memory[:], self.change_of_style = saved
 
     def _put(self, model: ChainModel) -> None:
         """Put a model's numbers into the arrays."""
@@ -129,9 +144,10 @@ class CompiledKalman:
         length_m: Sequence[float],
         rear: tuple[float, float, float],
         time_s: float,
+        periods: float = 1.0,
     ) -> Estimate:
-        """Go on by one period and take in its sample; see ``Engine.step``."""
-        self._pack(self._bytes, 0, *position_m, *identity, *length_m, *rear, time_s)
+        """Go on by some periods and take in a sample; see ``Engine.step``."""
+        self._pack(self._bytes, 0, *position_m, *identity, *length_m, *rear, time_s, periods)
         step(self.memory, self.layout)
         (
             position,

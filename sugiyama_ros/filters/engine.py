@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.filters.chain_model import ChainModel
@@ -105,8 +105,9 @@ class Engine(Protocol):
         length_m: Sequence[float],
         rear: tuple[float, float, float],
         time_s: float,
+        periods: float = 1.0,
     ) -> Estimate:
-        """Go on by one period and take in its sample.
+        """Go on by some periods and take in a sample.
 
         Parameters
         ----------
@@ -116,4 +117,15 @@ class Engine(Protocol):
             Position [m], speed [m/s] and length [m] of the vehicle behind; ``NO_REAR`` where it is not known.
         time_s
             Time of the recording [s].
+        periods
+            Time since the sample before, in periods of the model: one step of ``any_time.steps_between``.
         """
+
+    def speed_of(self, m: int, vehicle: int) -> float:
+        """Return the speed [m/s] of vehicle number m of the chain; 0 if it is another vehicle, or not known."""
+
+    def saved(self) -> Any:
+        """Return all that the filter knows now, for ``restore``."""
+
+    def restore(self, saved: Any) -> None:
+        """Go back to what ``saved`` has returned, with the same model."""

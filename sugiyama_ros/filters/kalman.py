@@ -15,11 +15,12 @@ from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.effects.contaminated_normal import contaminated_normal
 from sugiyama_ros.effects.sensing import is_contaminated
 from sugiyama_ros.filters.alarm import StyleAlarm
+from sugiyama_ros.filters.any_time import conclude_for
 from sugiyama_ros.filters.chain_model import ChainModel
 from sugiyama_ros.filters.linearisation import linearise
 from sugiyama_ros.filters.measurement import log_density, measurement, noise_var_at, weights
 from sugiyama_ros.filters.noise import NOISES, Learning, NoiseLearner
-from sugiyama_ros.filters.state import STATE, Drivers, Moment, State, arrays_for
+from sugiyama_ros.filters.state import STATE, Drivers, Moment, Scene, State, arrays_for
 from sugiyama_ros.filters.vehicles import forget_vehicle, start_vehicle
 from sugiyama_ros.road import Road
 
@@ -60,6 +61,7 @@ class ChainKalman(ExtendedKalmanFilter):  # type: ignore[misc]
         self.x, self.P = np.zeros(size), np.zeros((size, size))
         self.x[adapted] = model.prior_mean
         self.P[adapted, adapted] = np.diag(model.prior_var)
+        self._moment = Moment(np.zeros(vehicles), np.full(3, math.nan), 0.0)
         self._arrays = arrays_for(vehicles, len(model.places), ACTIONS, model.scene.period_s)
         linearised = self._arrays[-1]
         self.next_mean, self.F, self.next_noise = linearised.next_mean, linearised.jacobian, linearised.noise
@@ -76,35 +78,39 @@ class ChainKalman(ExtendedKalmanFilter):  # type: ignore[misc]
         learnt = self.rows[0, : len(NAMES)]
         self.model, self.rows = model, model.rows.copy()
         self.rows[0, : len(NAMES)] = learnt
+        self.linearise(self._moment)
 
     def predict_x(self, u: Any = 0) -> None:
         """Take the next mean that ``linearise`` has found."""
         self.x = self.next_mean.copy()
 
-    def go_on(self) -> None:
-        """Go on by one period."""
+    def go_on(self, periods: float) -> None:
+        """Go on by some periods."""
+        if periods != 1.0:
+            conclude_for(periods, *self._linearised_from, *self._arrays)
         self.Q = self.next_noise
         self.predict()
         if self.noises is not None:
-            self.noises.predict(self.F, self.next_noise)
+            self.noises.predict(self.F, self.next_noise, periods)
         if self.alarm is not None:
-            self.alarm.predict(self.F)
+            self.alarm.predict(self.F, periods)
 
     def linearise(self, moment: Moment) -> float:
         """Put what is learnt into the rows and linearise the next period; returns the own mean action [m/s^2]."""
-        model = self.model
+        model, self._moment = self.model, moment
         if self.noises is not None:
             self.rows[0, NOISES] = self.noises.values
         first = model.adapted_entries.start
         for j, k in enumerate(model.adapted):
             self.rows[0, k] = math.exp(self.x[first + j])
-        return linearise(
-            State(self.x, self.P, self.known),
-            Drivers(self.rows, model.places, model.prior_mean, model.prior_var),
-            moment,
-            model.scene,
-            *self._arrays,
-        )
+        return linearise(*self._linearised_from, *self._arrays)
+
+    @property
+    def _linearised_from(self) -> tuple[State, Drivers, Moment, Scene]:
+        """What the next period is linearised from."""
+        model = self.model
+        drivers = Drivers(self.rows, model.places, model.prior_mean, model.prior_var)
+        return State(self.x, self.P, self.known), drivers, self._moment, model.scene
 
     def forget(self, m: int) -> None:
         """Forget vehicle m of the chain, which is another one now."""

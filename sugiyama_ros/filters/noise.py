@@ -144,12 +144,13 @@ class NoiseLearner:
         """The noises (2,) themselves."""
         return np.exp(self.mean)
 
-    def predict(self, jacobian: Array, noise: Array) -> None:
-        """Go on by one period with the filter's F and Q, and forget a little."""
+    def predict(self, jacobian: Array, noise: Array, periods: float = 1.0) -> None:
+        """Go on by some periods with the filter's F and Q, and forget a little."""
         _predict(jacobian, noise, self.d_mean, self.d_covariance)
-        _mix(self.weight, self._stay, self._means, self._covariances)
-        self._means = self._prior_mean + self._kept * (self._means - self._prior_mean)
-        kept = self._kept[:, :, None] * self._kept[:, None, :]
+        _mix(self.weight, self._stay**periods, self._means, self._covariances)
+        each = self._kept**periods
+        self._means = self._prior_mean + each * (self._means - self._prior_mean)
+        kept = each[:, :, None] * each[:, None, :]
         self._covariances = kept * self._covariances + (1.0 - kept) * self._prior_var
         self.mean, self.covariance = _moments(self.weight, self._means, self._covariances)
 

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from functools import cache
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import NAMES, check, population
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.filters.any_time import steps_between
 from sugiyama_ros.filters.chain import CHAIN, NOT_ADAPTED, Adaptation
 from sugiyama_ros.filters.chain_model import ChainModel, chain_model
 from sugiyama_ros.filters.compiled import CompiledKalman
@@ -168,6 +169,24 @@ class OnlineFilter:
         """All that is known of the driver's parameters, to go on from."""
         return learnt_of(self.kalman)
 
+    def saved(self) -> Any:
+        """Return all that the filter knows now, for ``restore``."""
+        return self.kalman.saved(), None if self._behind is None else self._behind.saved()
+
+    def restore(self, saved: Any) -> None:
+        """Go back to what ``saved`` has returned. ``change`` must not have been called since."""
+        own, behind = saved
+        self.kalman.restore(own)
+        if self._behind is not None:
+            self._behind.restore(behind)
+
+    def restart(self) -> None:
+        """Forget where the vehicles are, and keep what was learnt of the driver."""
+        learnt, prior = self.learnt, self.prior
+        self.reset()
+        self.recall(learnt)
+        self.prior = prior
+
     def recall(self, learnt: Learnt) -> None:
         """Go on from what was learnt before, of the parameters that are adapted here."""
         recall(self.kalman, learnt)
@@ -176,6 +195,10 @@ class OnlineFilter:
     def adapted(self) -> tuple[str, ...]:
         """Names of the parameters that are adapted."""
         return adapted_names(self.kalman)
+
+    def speed_of(self, m: int, vehicle: int) -> float:
+        """Return the speed [m/s] of vehicle number m of the chain as known now; 0 if it is not this vehicle yet."""
+        return self.kalman.speed_of(m, vehicle)
 
     @property
     def looks_back(self) -> bool:
@@ -189,8 +212,11 @@ class OnlineFilter:
         length_m: Sequence[float],
         time_s: float = 0.0,
         behind: tuple[float, int, float] = NOBODY,
+        elapsed_s: float | None = None,
     ) -> Estimate:
-        """Go on by one period and take in its sample.
+        """Go on in time and take in a sample.
+
+        Over more than a period and a half, the filter predicts in several steps.
 
         Parameters
         ----------
@@ -204,21 +230,27 @@ class OnlineFilter:
             Time of the recording [s], for effects that depend on it.
         behind
             Position [m], number and length [m] of the vehicle behind, where ``looks_back``.
+        elapsed_s
+            Time [s] since the sample before, above 0; a period if left out.
 
         Returns
         -------
         Estimate
             After the update.
         """
-        rear = NO_REAR if self._behind is None else self._rear(self._behind, behind, time_s)
-        return self.kalman.step(position_m, identity, length_m, rear, time_s)
+        steps, periods = (1, 1.0) if elapsed_s is None else steps_between(elapsed_s, self.period_s)
+        for left in range(steps - 1, 0, -1):
+            before_s, nowhere = time_s - left * periods * self.period_s, [math.nan] * len(position_m)
+            rear = self._rear((math.nan, behind[1], behind[2]), before_s, periods)
+            self.kalman.step(nowhere, identity, length_m, rear, before_s, periods)
+        return self.kalman.step(position_m, identity, length_m, self._rear(behind, time_s, periods), time_s, periods)
 
-    def _rear(
-        self, filter_: "OnlineFilter", behind: tuple[float, int, float], time_s: float
-    ) -> tuple[float, float, float]:
+    def _rear(self, behind: tuple[float, int, float], time_s: float, periods: float) -> tuple[float, float, float]:
         """Return position [m], speed [m/s] and length [m] of the vehicle behind; ``NO_REAR`` while it is not known."""
+        if self._behind is None:
+            return NO_REAR
         position, number, length = behind
-        estimate = filter_.step([position], [number], [length], time_s)
+        estimate = self._behind.kalman.step([position], [number], [length], NO_REAR, time_s, periods)
         if math.isnan(estimate.innovation_var):
             return NO_REAR
         return estimate.position_m, estimate.speed, length

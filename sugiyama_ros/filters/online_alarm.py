@@ -17,15 +17,16 @@ _JUMP_VAR = JUMP_STD**2
 @kernel(allocates=False)
 def reset_alarm(alarm: Alarm) -> None:
     """Begin anew, without the past innovations."""
-    alarm.periods[0] = 0
+    alarm.periods[0] = 0.0
+    alarm.onsets[0] = 0
     alarm.signature[:] = 0.0
     alarm.known[:] = 0.0
     alarm.seen[:] = 0.0
 
 
 @kernel(allocates=False)
-def predict_alarm(alarm: Alarm, linearised: Linearised, first: int) -> None:
-    """Go on by one period with the filter's F; first: of the entries of the state that may jump, the last ones."""
+def predict_alarm(alarm: Alarm, linearised: Linearised, first: int, periods: float) -> None:
+    """Go on by some periods with the filter's F; first: of the entries of the state that may jump, the last ones."""
     signature, moved = alarm.signature, alarm.moved
     size, columns = signature.shape
     for i in range(size):
@@ -38,14 +39,15 @@ def predict_alarm(alarm: Alarm, linearised: Linearised, first: int) -> None:
     for i in range(size):
         for j in range(columns):
             signature[i, j] = moved[i, j]
-    if alarm.periods[0] % alarm.every[0] == 0:
+    if alarm.periods[0] >= alarm.onsets[0] * alarm.every[0]:
         jumps = size - first
-        oldest = alarm.periods[0] // alarm.every[0] * jumps % columns
+        oldest = alarm.onsets[0] * jumps % columns
+        alarm.onsets[0] += 1
         for j in range(jumps):
             signature[:, oldest + j] = 0.0
             signature[first + j, oldest + j] = 1.0
             alarm.known[oldest + j] = alarm.seen[oldest + j] = 0.0
-    alarm.periods[0] += 1
+    alarm.periods[0] += periods
 
 
 @kernel(allocates=False)

@@ -6,6 +6,7 @@ from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import SIGMA_NU, UTILITY
 from sugiyama_ros.effects.contaminated_normal import contaminated_normal
 from sugiyama_ros.effects.sensing import is_contaminated
+from sugiyama_ros.filters.any_time import conclude_for
 from sugiyama_ros.filters.causal_kernel import SETTLING
 from sugiyama_ros.filters.engine import GROSS, MOST_REFUSED
 from sugiyama_ros.filters.linearisation import linearise
@@ -41,7 +42,7 @@ _NONE, _BEGINS, _REFUSED, _TAKEN = 0, 1, 2, 3
 
 @kernel
 def step(memory: Array, layout: Ints) -> None:
-    """Go on by one period and take in the sample that stands in the memory; the result stands there afterwards.
+    """Go on in time and take in the sample that stands in the memory; the result stands there afterwards.
 
     Parameters
     ----------
@@ -55,7 +56,7 @@ def step(memory: Array, layout: Ints) -> None:
     given = online.scene
     scene = Scene(given[0], int(given[1]), given[2], given[3], given[4], given[5])
     if book.settled[0] > 0:
-        _predict(online)
+        _predict(online, scene)
     _meet(online)
     _sort(online, scene)
     if not math.isnan(result[INNOVATION_M]):
@@ -75,25 +76,49 @@ def step(memory: Array, layout: Ints) -> None:
         put_noises(online.noises, row)
     for k in range(len(online.drivers.adapted)):
         row[UTILITY[online.drivers.adapted[k]]] = math.exp(state.mean[first + k])
-    moment = Moment(online.sample.length, online.sample.rear, online.sample.time_s[0])
-    arrays = online.workspace, online.lanes, online.linearised
-    result[MEAN_ACTION] = linearise(state, online.drivers, moment, scene, *arrays)
+    result[MEAN_ACTION] = _linearise(online, scene)
     fill_in(result, state, online.linearised, online.sample.length, scene)
     result[SCORED] = 1.0 if not math.isnan(result[INNOVATION_M]) and book.settled[0] > SETTLING else 0.0
 
 
+@kernel
+def linearise_again(memory: Array, layout: Ints) -> None:
+    """Linearise the next period anew, after the model has changed; arguments as for ``step``."""
+    online = online_arrays(memory, layout)
+    given = online.scene
+    _linearise(online, Scene(given[0], int(given[1]), given[2], given[3], given[4], given[5]))
+
+
 @kernel(allocates=False)
-def _predict(online: Online) -> None:
-    """Go on by one period."""
-    state, linearised = online.state, online.linearised
+def _linearise(online: Online, scene: Scene) -> float:
+    """Linearise the next period; returns what the own driver means to do [m/s^2]."""
+    sample, scratch = online.sample, online.scratch
+    for m in range(len(sample.length)):
+        scratch.length[m] = sample.length[m]
+    for k in range(len(sample.rear)):
+        scratch.rear[k] = sample.rear[k]
+    scratch.time_s[0] = sample.when[0]
+    moment = Moment(scratch.length, scratch.rear, scratch.time_s[0])
+    arrays = online.workspace, online.lanes, online.linearised
+    mean_action: float = linearise(online.state, online.drivers, moment, scene, *arrays)
+    return mean_action
+
+
+@kernel(allocates=False)
+def _predict(online: Online, scene: Scene) -> None:
+    """Go on by the periods since the sample before."""
+    state, linearised, periods = online.state, online.linearised, online.sample.when[1]
+    if periods != 1.0:
+        moment = Moment(online.scratch.length, online.scratch.rear, online.scratch.time_s[0])
+        conclude_for(periods, state, online.drivers, moment, scene, online.workspace, online.lanes, linearised)
     transform(state.covariance, linearised, online.scratch.half)
     add_noise(state.covariance, linearised)
     for i in range(len(state.mean)):
         state.mean[i] = linearised.next_mean[i]
     if len(online.noises.weight) > 0:
-        predict_noises(online.noises, linearised, online.scratch)
+        predict_noises(online.noises, linearised, online.scratch, periods)
     if len(online.alarm.known) > 0:
-        predict_alarm(online.alarm, linearised, STATE * len(state.known))
+        predict_alarm(online.alarm, linearised, STATE * len(state.known), periods)
 
 
 @kernel(allocates=False)
@@ -102,7 +127,7 @@ def _meet(online: Online) -> None:
     book, identity = online.book, online.sample.identity
     book.settled[0] = 1 if identity[0] != book.identity[0] else book.settled[0] + 1
     for m in range(len(identity)):
-        book.waited[m] += 1
+        book.waited[m] += online.sample.when[1]
         if identity[m] < 0 or identity[m] != book.identity[m]:
             forget_vehicle(m, online.state)
             if len(online.noises.weight) > 0:
@@ -194,7 +219,7 @@ def _begin(online: Online, m: int, scene: Scene) -> None:
     book, state = online.book, online.state
     elapsed = book.waited[m] * scene.period_s
     start_vehicle(m, online.sample.position[m], elapsed, state, online.drivers.parameters, scene)
-    book.waited[m] = 0
+    book.waited[m] = 0.0
     if m == 0 and len(online.noises.weight) > 0:
         start_noises(online.noises, state.covariance)
     if m == 0 and len(online.alarm.known) > 0:

@@ -15,32 +15,32 @@ from sugiyama_ros.jit import kernel
 
 
 @kernel(allocates=False)
-def predict_noises(noises: Noises, linearised: Linearised, scratch: Scratch) -> None:
-    """Go on by one period, and forget a little."""
+def predict_noises(noises: Noises, linearised: Linearised, scratch: Scratch, periods: float) -> None:
+    """Go on by some periods, and forget a little."""
     for k in range(2):
         move(noises.d_mean[k], linearised, scratch.shared)
         transform(noises.d_covariance[k], linearised, scratch.half)
     noises.d_covariance[A, OWN_NOISE, OWN_NOISE] += 2.0 * linearised.noise[OWN_NOISE, OWN_NOISE]
-    _mix(noises)
+    _mix(noises, periods)
     for j in range(len(noises.weight)):
         for a in range(2):
-            kept = noises.kept[j, a]
+            kept = noises.kept[j, a] ** periods
             noises.means[j, a] = noises.prior_mean[a] + kept * (noises.means[j, a] - noises.prior_mean[a])
             for b in range(2):
-                both = kept * noises.kept[j, b]
+                both = kept * noises.kept[j, b] ** periods
                 prior = noises.prior_var[a] if a == b else 0.0
                 noises.covariances[j, a, b] = both * noises.covariances[j, a, b] + (1.0 - both) * prior
     _moments(noises.weight, noises.means, noises.covariances, noises.mean, noises.covariance)
 
 
 @kernel(allocates=False)
-def _mix(noises: Noises) -> None:
-    """Mix the models before a period: a driver who follows a model now may have followed another one before."""
+def _mix(noises: Noises, periods: float) -> None:
+    """Mix the models before some periods: a driver who follows a model now may have followed another one before."""
     weight, share = noises.weight, noises.share
     models = len(weight)
     if models == 1:
         return
-    stay = noises.stay[0]
+    stay = noises.stay[0] ** periods
     changes = (1.0 - stay) / (models - 1)
     for j in range(models):
         for a in range(2):

@@ -45,13 +45,16 @@ class Sizes(NamedTuple):
 
 
 class ChainSample(NamedTuple):
-    """What the filter takes in: position and length (M,) [m], identity (M,), rear (3,), and time (1,) [s]."""
+    """What the filter takes in: position and length (M,) [m], identity (M,), rear (3,), and when.
+
+    when: (2,) time of the sample [s], and periods since the sample before.
+    """
 
     position: Array
     identity: Ints
     length: Array
     rear: Array
-    time_s: Array
+    when: Array
 
 
 class Book(NamedTuple):
@@ -61,7 +64,7 @@ class Book(NamedTuple):
     """
 
     identity: Ints
-    waited: Ints
+    waited: Array
     refused: Ints
     part: Ints
     settled: Ints
@@ -107,7 +110,7 @@ class Alarm(NamedTuple):
     """The alarm of ``alarm.StyleAlarm`` with C columns, C = 0 where no parameter is adapted.
 
     signature, moved: (N, C), the second is overwritten; known, seen: (C,); threshold: (1,); every: (1,) periods from
-    one onset to the next; periods: (1,) since the alarm began.
+    one onset to the next; periods: (1,) since the alarm began; onsets: (1,) their number.
     """
 
     signature: Array
@@ -115,16 +118,23 @@ class Alarm(NamedTuple):
     known: Array
     seen: Array
     threshold: Array
-    every: Ints
-    periods: Ints
+    every: Array
+    periods: Array
+    onsets: Ints
 
 
 class Scratch(NamedTuple):
-    """Arrays that every step overwrites: gain and shared (N,), half (N, N)."""
+    """Arrays that every step overwrites: gain and shared (N,), half (N, N).
+
+    length (M,) [m], rear (3,) and time_s (1,): of the sample from which the next period was linearised.
+    """
 
     gain: Array
     shared: Array
     half: Array
+    length: Array
+    rear: Array
+    time_s: Array
 
 
 class Online(NamedTuple):
@@ -152,7 +162,7 @@ def _shapes(sizes: Sizes) -> list[tuple[int, int]]:
     """Rows and columns of all arrays, in the order of ``online_arrays``; a stack of matrices as one tall matrix."""
     m, a, j, c = sizes
     n, most = STATE * m + a, 5 + a
-    sample = [(m, 1), (m, 1), (m, 1), (3, 1), (1, 1)]
+    sample = [(m, 1), (m, 1), (m, 1), (3, 1), (2, 1)]
     book = [(m, 1)] * 4 + [(1, 1)]
     state = [(n, 1), (n, n), (m, 1)]
     drivers = [(m, ROW.width), (a, 1), (a, 1), (a, 1)]
@@ -163,8 +173,8 @@ def _shapes(sizes: Sizes) -> list[tuple[int, int]]:
     lanes = [(1, 1), (-(-points_of(m, a) // LANES), UTILITIES + LANES * k), (k, 1), (k, 1)]
     noises = [(2, 1), (2, 2), (j, 1), (j, 2), (2 * j, 2), (2, n), (2 * n, n)]
     noises += [(j, 2), (2, 1), (2, 1), (1, 1), (2, 1), (j, 1), (j, 2), (2 * j, 2)]
-    alarm = [(n, c), (n, c), (c, 1), (c, 1), (1, 1), (1, 1), (1, 1)]
-    scratch = [(n, 1), (n, 1), (n, n)]
+    alarm = [(n, c), (n, c), (c, 1), (c, 1), (1, 1), (1, 1), (1, 1), (1, 1)]
+    scratch = [(n, 1), (n, 1), (n, n), (m, 1), (3, 1), (1, 1)]
     result, scene = (RESULTS + 9, 1), (len(Scene._fields), 1)
     of_model = [*drivers, scene, *linearised, *workspace, *lanes, *scratch]
     return [*sample, result, *book, *state, *of_model, *noises, *alarm]
@@ -241,8 +251,9 @@ def _alarm(memory: Array, layout: Ints, k: int) -> Alarm:
         known=_vector(memory, layout, k + 2),
         seen=_vector(memory, layout, k + 3),
         threshold=_vector(memory, layout, k + 4),
-        every=_integers(memory, layout, k + 5),
-        periods=_integers(memory, layout, k + 6),
+        every=_vector(memory, layout, k + 5),
+        periods=_vector(memory, layout, k + 6),
+        onsets=_integers(memory, layout, k + 7),
     )
 
 
@@ -254,7 +265,7 @@ def online_arrays(memory: Array, layout: Ints) -> Online:
     return Online(
         ChainSample(vector(at, to, 0), integers(at, to, 1), vector(at, to, 2), vector(at, to, 3), vector(at, to, 4)),
         vector(at, to, 5),
-        Book(integers(at, to, 6), integers(at, to, 7), integers(at, to, 8), integers(at, to, 9), integers(at, to, 10)),
+        Book(integers(at, to, 6), vector(at, to, 7), integers(at, to, 8), integers(at, to, 9), integers(at, to, 10)),
         State(vector(at, to, 11), matrix(at, to, 12), integers(at, to, 13)),
         Drivers(matrix(at, to, 14), integers(at, to, 15), vector(at, to, 16), vector(at, to, 17)),
         vector(at, to, 18),
@@ -279,7 +290,14 @@ def online_arrays(memory: Array, layout: Ints) -> Online:
             matrix(at, to, 32),
             ActionGrid(vector(at, to, 33), vector(at, to, 34), _vector(at, to, 31).view(np.int64)[0]),
         ),
-        Scratch(vector(at, to, 35), vector(at, to, 36), matrix(at, to, 37)),
-        _noises(at, to, 38),
-        _alarm(at, to, 53),
+        Scratch(
+            vector(at, to, 35),
+            vector(at, to, 36),
+            matrix(at, to, 37),
+            vector(at, to, 38),
+            vector(at, to, 39),
+            vector(at, to, 40),
+        ),
+        _noises(at, to, 41),
+        _alarm(at, to, 56),
     )

@@ -1,7 +1,9 @@
 """A step of the online filter in Python, on filterpy: slow, to be read, and the reference of the compiled step."""
 
+import copy
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -29,7 +31,7 @@ class ReadableKalman(ChainKalman):
         vehicles = model.vehicles
         self.change_of_style: tuple[str, float] | None = None
         self._identity: list[int] = [-1] * vehicles
-        self._waited = [0] * vehicles
+        self._waited = [0.0] * vehicles
         self._refused = [0] * vehicles
         self._settled = 0
         self._started = False
@@ -42,15 +44,16 @@ class ReadableKalman(ChainKalman):
         length_m: Sequence[float],
         rear: tuple[float, float, float],
         time_s: float,
+        periods: float = 1.0,
     ) -> Estimate:
-        """Go on by one period and take in its sample; see ``Engine.step``."""
+        """Go on by some periods and take in a sample; see ``Engine.step``."""
         self.change_of_style = None
         if self._started:
-            self.go_on()
+            self.go_on(periods)
         self._started = True
         self._settled = 1 if identity[0] != self._identity[0] else self._settled + 1
         for m in range(self.model.vehicles):
-            self._waited[m] += 1
+            self._waited[m] += periods
             if identity[m] < 0 or identity[m] != self._identity[m]:
                 self.forget(m)
                 self._identity[m] = int(identity[m])
@@ -58,6 +61,18 @@ class ReadableKalman(ChainKalman):
         lengths = np.array(length_m)
         mean_action = self.linearise(Moment(lengths, np.array(rear), time_s))
         return self._estimate(*scores, mean_action, 0.5 * float(lengths[:2].sum()))
+
+    def speed_of(self, m: int, vehicle: int) -> float:
+        """Return the speed [m/s] of vehicle number m of the chain; 0 if it is another vehicle, or not known."""
+        return float(self.x[STATE * m + 1]) if self._identity[m] == vehicle else 0.0
+
+    def saved(self) -> dict[str, Any]:
+        """Return all that the filter knows now, for ``restore``."""
+        return copy.deepcopy(self.__dict__)
+
+    def restore(self, saved: dict[str, Any]) -> None:
+        """Go back to what ``saved`` has returned, with the same model."""
+        self.__dict__.update(copy.deepcopy(saved))
 
     def _take_in(self, position_m: Sequence[float]) -> tuple[float, float, float]:
         """Update with a sample; returns the own innovation [m], its variance [m^2] and its log-likelihood."""
@@ -78,7 +93,7 @@ class ReadableKalman(ChainKalman):
         for m in sampled:
             if known[m] != MOVING:
                 self.start(m, position_m[m], self._waited[m] * self.model.scene.period_s)
-                self._waited[m] = 0
+                self._waited[m] = 0.0
         return innovation, variance, density
 
     def _is_accepted(self, m: int, innovation: float, variance: float) -> bool:

@@ -13,6 +13,19 @@ from sugiyama_ros.nodes.base.qos import DEPTH, STREAM
 TOPIC = "drivers"
 
 
+class ArrayMessages:
+    """Messages about drivers; a layout is kept while the drivers and their parameters stay the same."""
+
+    def __init__(self) -> None:
+        self._writer: ArrayWriter | None = None
+
+    def message(self, stamp_ns: int, drivers: Sequence[KnownDriver]) -> bytes:
+        """Bytes of the message about at least one driver at a stamp [ns]."""
+        if self._writer is None or not self._writer.fits(drivers):
+            self._writer = ArrayWriter(drivers)
+        return self._writer.message(stamp_ns, drivers)
+
+
 class DriverArrayTopic:
     """Publishes ``drivers``: one message for each sample, as soon as every driver has taken the sample in.
 
@@ -24,7 +37,7 @@ class DriverArrayTopic:
         self._drivers = 0
         self._publisher: Publisher | None = None
         self._answers: dict[int, list[KnownDriver | None]] = {}
-        self._writer: ArrayWriter | None = None
+        self._messages = ArrayMessages()
 
     def join(self, node: PacedNode) -> None:
         """Wait for one more driver. The node of the first driver holds the publisher."""
@@ -58,10 +71,4 @@ class DriverArrayTopic:
         # the drivers may answer in any order
         known = sorted((one for one in self._answers.pop(stamp_ns) if one is not None), key=lambda one: one.vehicle)
         if known and self._publisher is not None:
-            node.send(self._publisher, self._message(stamp_ns, known))
-
-    def _message(self, stamp_ns: int, drivers: Sequence[KnownDriver]) -> bytes:
-        """Bytes of the message. Its layout is kept while the drivers and their parameters stay the same."""
-        if self._writer is None or not self._writer.fits(drivers):
-            self._writer = ArrayWriter(drivers)
-        return self._writer.message(stamp_ns, drivers)
+            node.send(self._publisher, self._messages.message(stamp_ns, known))

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
@@ -13,6 +14,7 @@ from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.driver_types import DriverTypes
 from sugiyama_ros.fit.model_file import read_model
+from sugiyama_ros.nodes.arrivals import WINDOW_S
 
 
 def check_driver(node: Node) -> None:
@@ -48,7 +50,8 @@ def declare_driver(node: Node, default: Array) -> None:
         Default values, in the order of ``PARAMETERS`` [SI].
     """
     for p, value in zip(PARAMETERS, default[: len(PARAMETERS)].tolist(), strict=True):
-        node.declare_parameter(
+        declare_float(
+            node,
             p.name,
             value,
             ParameterDescriptor(
@@ -73,6 +76,35 @@ def declare_model(node: Node, vehicle: int) -> tuple[Array, DriverTypes | None]:
         return ROW.with_effects(population()), None
     model = read_model(file)
     return model.rows_of(np.array([vehicle]))[0], model.types
+
+
+def declare_float(node: Node, name: str, default: float, about: ParameterDescriptor) -> float:
+    """Declare a parameter that is a number, within a range.
+
+    Raises
+    ------
+    InputError
+        If the node was started with something else, or with a number out of range.
+    """
+    try:
+        return float(node.declare_parameter(name, default, about).value)
+    except InvalidParameterTypeException:
+        raise InputError(f"parameter {name}: what was given is not a number; give one such as {default:g}") from None
+    except InvalidParameterValueException:
+        bounds = about.floating_point_range[0]
+        raise InputError(
+            f"parameter {name}: out of bounds; give {bounds.from_value:g} to {bounds.to_value:g}"
+        ) from None
+
+
+def declare_window(node: Node) -> float:
+    """Declare the parameter ``reorder_window``: time [s] by which a sample may be late and still be sorted in."""
+    about = ParameterDescriptor(
+        description="time [s] by which a sample may be late and still be sorted in; later ones are dropped",
+        floating_point_range=[FloatingPointRange(from_value=0.0, to_value=1.0)],
+        read_only=True,
+    )
+    return declare_float(node, "reorder_window", WINDOW_S, about)
 
 
 def declare_path(node: Node, name: str, description: str) -> Path | None:

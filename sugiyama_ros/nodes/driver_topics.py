@@ -1,5 +1,9 @@
 """What an estimator publishes about its driver: on topics of the vehicle, or in one message with other drivers."""
 
+from typing import Protocol
+
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
 from sugiyama_msgs.msg import DriverParameters, DriverType, Innovation, StyleChange, VehicleState
 
 from sugiyama_ros.arrays import Array
@@ -12,9 +16,18 @@ from sugiyama_ros.nodes.base import cdr_messages
 from sugiyama_ros.nodes.base.driver_array_messages import KnownDriver, ParameterNames
 from sugiyama_ros.nodes.base.node import PacedNode
 from sugiyama_ros.nodes.base.qos import STREAM
-from sugiyama_ros.nodes.driver_array import DriverArrayTopic
 
 _PARAMETERS_EVERY_NS = cdr_messages.NS
+
+
+class AllDrivers(Protocol):
+    """Where drivers are in one message."""
+
+    def join(self, node: PacedNode) -> None:
+        """One more driver will answer to every sample."""
+
+    def put(self, node: PacedNode, stamp_ns: int, driver: KnownDriver | None) -> None:
+        """Take what is known of a driver after the sample at a stamp [ns]; None if the sample was left out."""
 
 
 class DriverTopics:
@@ -30,12 +43,23 @@ class DriverTopics:
         Number of the driver's vehicle.
     types : DriverTypes or None
         Types of drivers, if there are any.
-    array : DriverArrayTopic or None
-        Topic on which the driver is in one message with other drivers.
+    array : AllDrivers or None
+        Where the driver is in one message with other drivers.
+    space : str
+        Namespace of the topics within the node's, such as ``vehicle_07/``; empty for the node's own. Drivers in the
+        same namespace share its topics.
+    qos : QoSProfile
+        Quality of service of the topics.
     """
 
     def __init__(
-        self, node: PacedNode, vehicle: int, types: DriverTypes | None, array: DriverArrayTopic | None = None
+        self,
+        node: PacedNode,
+        vehicle: int,
+        types: DriverTypes | None,
+        array: AllDrivers | None = None,
+        space: str = "",
+        qos: QoSProfile = STREAM,
     ) -> None:
         self._node = node
         self._vehicle = vehicle
@@ -45,15 +69,27 @@ class DriverTopics:
         self._shown: ShownParameters | None = None
         self._stamp_ns: int | None = None
         self._array = array
+        self._space, self._qos = space, qos
+        self._topics: list[str] = []
         if array is not None:
             array.join(node)
         else:
-            self._to_state = node.create_publisher(VehicleState, "state", STREAM)
-            self._to_innovation = node.create_publisher(Innovation, "innovation", STREAM)
-            self._to_parameters = node.create_publisher(DriverParameters, "parameters", STREAM)
-        self._to_changes = node.create_publisher(StyleChange, "style_change", STREAM)
+            self._to_state = self._stream(VehicleState, "state")
+            self._to_innovation = self._stream(Innovation, "innovation")
+            self._to_parameters = self._stream(DriverParameters, "parameters")
+        self._to_changes = self._stream(StyleChange, "style_change")
         if types is not None:
-            self._to_type = node.create_publisher(DriverType, "driver_type", STREAM)
+            self._to_type = self._stream(DriverType, "driver_type")
+
+    def _stream(self, kind: type, topic: str) -> Publisher:
+        self._topics.append(self._space + topic)
+        return self._node.stream(kind, self._space + topic, self._qos)
+
+    def close(self) -> None:
+        """Take down the topics that are the driver's own."""
+        if self._space:
+            for topic in self._topics:
+                self._node.end_stream(topic)
 
     def choose_parameters(self, effects: Array, filter_: OnlineFilter) -> None:
         """From now on, publish the driver's parameters and the parameters of the effects that act in a row (WIDTH,)."""

@@ -14,7 +14,8 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import NAMES
 from sugiyama_ros.effects.registry import ROW, active, switched_on
 from sugiyama_ros.errors import InputError, SugiyamaError
-from sugiyama_ros.filters.online import Estimate, OnlineFilter, warm_up
+from sugiyama_ros.filters.online import OnlineFilter, warm_up
+from sugiyama_ros.nodes.arrivals import Arrival, Arrivals, new_counts
 from sugiyama_ros.nodes.base import incoming
 from sugiyama_ros.nodes.base.cdr_messages import NS, Sample
 from sugiyama_ros.nodes.base.measured_feed import MeasuredFeed, subscribe_measured
@@ -22,9 +23,15 @@ from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode
 from sugiyama_ros.nodes.base.qos import DEPTH, LATCHED
 from sugiyama_ros.nodes.base.spin import run_node
 from sugiyama_ros.nodes.driver_array import DriverArrayTopic
-from sugiyama_ros.nodes.driver_parameters import check_driver, declare_driver, declare_model, declare_path
+from sugiyama_ros.nodes.driver_parameters import (
+    check_driver,
+    declare_driver,
+    declare_model,
+    declare_path,
+    declare_window,
+)
 from sugiyama_ros.nodes.driver_topics import DriverTopics
-from sugiyama_ros.nodes.follower import UNKNOWN, DivergedError, Follower, new_counts
+from sugiyama_ros.nodes.follower import UNKNOWN, DivergedError, Follower
 from sugiyama_ros.nodes.saved_state import Kept, file_of, kept_in, read_learnt, write_learnt
 from sugiyama_ros.road import Road
 
@@ -36,10 +43,11 @@ _SAVED_EVERY_NS = 10 * NS
 class Estimator(PacedNode):
     """Follows the vehicle of its namespace, ``.../vehicle_07``.
 
-    A sample whose stamp came before, or that comes too late, is left out. A jump in time starts the filter anew.
+    A late sample is sorted in. A sample whose stamp came before, or that comes too late, is left out. After a jump in
+    time, the filter forgets where the vehicles are, and keeps what it has learnt.
 
-    Parameters of the node: the parameters of a driver, ``model``, ``save_state``, ``resume``, ``ask_keeper`` and
-    ``array_topic``. Services: ``~/reset``, ``~/add_effect``, ``~/remove_effect``.
+    Parameters of the node: the parameters of a driver, ``model``, ``save_state``, ``resume``, ``ask_keeper``,
+    ``array_topic`` and ``reorder_window``. Services: ``~/reset``, ``~/add_effect``, ``~/remove_effect``.
 
     Parameters
     ----------
@@ -70,10 +78,12 @@ class Estimator(PacedNode):
             self._patience = self.create_timer(_PATIENCE_S, self._on_kept, clock=self.steady)
         declare_driver(self, row)
         check_driver(self)
+        self._window_s = declare_window(self)
         self.add_post_set_parameters_callback(lambda _: self._begin_anew())
         self._effects = row
         self._road: RoadMessage | None = None
         self._follower: Follower | None = None
+        self._arrivals: Arrivals | None = None
         self._waiting: deque[Sample] = deque(maxlen=DEPTH)
         self._saved_ns: int | None = None
         self._failure = ""
@@ -84,6 +94,7 @@ class Estimator(PacedNode):
         self.create_service(RemoveEffect, "~/remove_effect", self._on_remove_effect)
         self.listen(RoadMessage, self.shared("road"), incoming.road, self._on_road, LATCHED)
         subscribe_measured(self, self.take_in, feed)
+        self.on_clock_jump(self._on_clock_jump)
 
     @property
     def filter(self) -> OnlineFilter | None:
@@ -99,14 +110,13 @@ class Estimator(PacedNode):
         """ERROR after a failure of the filter, WARN without a road or a position."""
         if self._failure:
             return Health(ERROR, self._failure, self._counts)
-        if self._road is None or self._follower is None:
+        if self._road is None or self._follower is None or self._arrivals is None:
             return Health(WARN, "waiting for the road", self._counts)
+        values = {**self._counts, **self._arrivals.rhythm}
         if self._follower.missing_in_a_row:
-            return Health(WARN, f"{self._follower.missing_in_a_row} samples missing in a row", self._counts)
+            return Health(WARN, f"{self._follower.missing_in_a_row} samples missing in a row", values)
         unknown = self._topics.not_identified
-        return Health(
-            OK, f"following; not yet identified: {', '.join(unknown)}" if unknown else "following", self._counts
-        )
+        return Health(OK, f"following; not yet identified: {', '.join(unknown)}" if unknown else "following", values)
 
     def take_in(self, sample: Sample) -> None:
         """Take in a sample of the topic ``measured``."""
@@ -181,8 +191,8 @@ class Estimator(PacedNode):
 
     def _take_effects(self, effects: Array) -> None:
         """Go on with other effects (WIDTH,), and keep what was learnt about the driver."""
-        if self.filter is not None:
-            self.filter.change(effects)
+        if self._follower is not None and self.filter is not None:
+            self._follower.change(effects)
             self._topics.choose_parameters(effects, self.filter)
         self._effects = effects
 
@@ -198,55 +208,68 @@ class Estimator(PacedNode):
         row = self._effects.copy()
         row[: len(NAMES)] = [self.get_parameter(name).value for name in NAMES]
         filter_ = OnlineFilter(self._road.period_s, Road(self._road.circumference_m), row)
-        self._follower = Follower(self.vehicle, filter_, self.kept, self._counts)
+        self._follower = Follower(self.vehicle, filter_, self.kept, self._counts, self._window_s)
+        self._arrivals = Arrivals(self._road.period_s, self._window_s, self._counts)
         self._topics.choose_parameters(self._effects, filter_)
         self._forget()
 
-    def _replaced(self, follower: Follower) -> Follower:
-        """Begin anew with another filter, and go on counting from the same sample. A failure that was told stays."""
-        failure, self.kept = self._failure, None
+    def _replace_filter(self) -> None:
+        """Begin anew with another filter, and go on with the samples. A failure that was told stays."""
+        failure, arrivals, self.kept = self._failure, self._arrivals, None
         self._restart()
-        self._failure = failure
-        assert self._follower is not None
-        self._follower.stamp_ns = follower.stamp_ns
-        return self._follower
+        self._failure, self._arrivals = failure, arrivals
 
     def _forget(self) -> None:
         self._topics.restart()
         self._saved_ns = None
         self._failure = ""
 
+    def _on_clock_jump(self) -> None:
+        if self._arrivals is not None:
+            self._arrivals.clock_has_jumped()
+
     def _go_on(self) -> None:
         """Take in what waits. The last samples are latched, so a late node may hear them before the road."""
-        while self._waiting and self._follower is not None and self._road is not None and not self._is_asking:
-            self._publish(self._waiting.popleft(), self._follower, self._road)
+        while self._waiting and self._arrivals is not None and not self._is_asking:
+            self._arrive(self._waiting.popleft(), self._arrivals)
 
-    def _publish(self, sample: Sample, follower: Follower, road: RoadMessage) -> None:
+    def _arrive(self, sample: Sample, arrivals: Arrivals) -> None:
+        """Do with a sample what its stamp asks for."""
+        arrival = arrivals.judge(sample)
+        if arrival is Arrival.LEFT_OUT:
+            self._topics.publish_estimate(sample.stamp_ns, None, None)
+        elif arrival is Arrival.JUMPED:
+            assert self._follower is not None
+            self._follower.restart()
+            self._forget()
+            if (aside := arrivals.taken_aside()) is not None:
+                self._publish(aside, late=False)
+        if arrival in (Arrival.NEXT, Arrival.LATE, Arrival.JUMPED):
+            self._publish(sample, late=arrival is Arrival.LATE)
+        self.taken(sample.step + 1, last=self._is_last(sample))
+
+    def _is_last(self, sample: Sample) -> bool:
+        return self._road is not None and sample.step + 1 == self._road.steps
+
+    def _publish(self, sample: Sample, late: bool) -> None:
         """Take in a sample and publish what follows from it."""
-        is_last = sample.step + 1 == road.steps
+        follower = self._follower
+        assert follower is not None
         try:
-            estimate = self._follow(sample, follower)
+            estimate = follower.sort_in(sample) if late else follower.follow(sample)
         except Exception as error:
             if isinstance(error, DivergedError):
-                follower = self._replaced(follower)
+                self._replace_filter()
             self._fail(error, sample)
             estimate = UNKNOWN
         change = follower.filter.change_of_style if estimate is not None else None
         self._topics.publish_estimate(sample.stamp_ns, estimate, change)
         if estimate is not None:
             self._counts["changes of style"] += change is not None
-            if self._topics.publish_parameters(sample.stamp_ns, follower.filter, is_last):
+            if self._topics.publish_parameters(sample.stamp_ns, follower.filter, self._is_last(sample)):
                 self._save_if_due(sample.stamp_ns)
-        self.taken(sample.step + 1, last=is_last)
         if self._failure or follower.missing_in_a_row:
             self.report_if_worse()
-
-    def _follow(self, sample: Sample, follower: Follower) -> Estimate | None:
-        """Bring the filter to the time of the sample; None if the sample is left out."""
-        if follower.has_jumped(sample.stamp_ns):
-            follower.restart()
-            self._forget()
-        return follower.follow(sample)
 
     def _save_if_due(self, stamp_ns: int) -> None:
         if self._saved_ns is None:

@@ -1,18 +1,21 @@
-"""Following one driver from sample to sample: what the filter is given, and when it starts anew."""
+"""Following one driver from sample to sample: what the filter is given, and how a late sample is sorted in."""
 
+from collections import deque
+from dataclasses import dataclass
 from math import isfinite, isnan, nan
+from typing import Any
 
 import numpy as np
 
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.filters.any_time import steps_between
+from sugiyama_ros.filters.learnt import Learnt
 from sugiyama_ros.filters.online import NOBODY, Estimate, OnlineFilter
 from sugiyama_ros.nodes.base.cdr_messages import LONGEST_M, NS, Sample
 from sugiyama_ros.nodes.base.qos import DEPTH
+from sugiyama_ros.nodes.base.samples import UNKNOWN_LEADER
 from sugiyama_ros.nodes.saved_state import Kept
 
-#: A prediction over more periods than this means nothing: the filter starts anew.
-LONGEST_GAP = 100
-# A sample that is late by at most so many periods is left out. A sample from further back says that time has jumped.
-_LATE = 3
 #: What is published where nothing is known, so that every topic has a message for every step.
 UNKNOWN = Estimate(
     position_m=nan,
@@ -34,16 +37,23 @@ class DivergedError(ArithmeticError):
     """The state of a filter is no number any more."""
 
 
-def new_counts() -> dict[str, int]:
-    """What a follower counts, all 0."""
-    names = ("samples", "missing", "duplicates", "late", "resets", "skipped", "changes of style")
-    return dict.fromkeys(names, 0)
+@dataclass(frozen=True, eq=False)
+class _Past:
+    """A sample that was taken in, and what was known before it."""
+
+    sample: Sample
+    filter_: Any
+    stamp_ns: int | None
+    missing_in_a_row: int
+    chain: list[int]
+    behind: int
 
 
 class Follower:
     """Brings the filter of one driver to the time of each sample.
 
-    The stamps of the samples say how many periods have passed. The filter predicts over a step without a position.
+    The stamps of the samples say how much time has passed. What the filter knew before each of the last samples is
+    kept for a while, so that a late sample can be sorted in.
 
     Parameters
     ----------
@@ -55,13 +65,18 @@ class Follower:
         What an earlier run has learnt, from which the filter goes on.
     counts : dict
         Numbers of samples by what became of them. The counts continue from the previous follower's counts.
+    window_s : float
+        Time [s] by which a sample may be late and still be sorted in.
     """
 
-    def __init__(self, vehicle: int, filter_: OnlineFilter, kept: Kept | None, counts: dict[str, int]) -> None:
+    def __init__(
+        self, vehicle: int, filter_: OnlineFilter, kept: Kept | None, counts: dict[str, int], window_s: float
+    ) -> None:
         self.vehicle = vehicle
         self.filter = filter_
         self._kept = kept
         self._counts = counts
+        self._window_ns = round(window_s * NS)
         if kept is not None:
             filter_.recall(kept.learnt)
         #: Stamp [ns] of the last sample.
@@ -70,74 +85,139 @@ class Follower:
         self._chain: list[int] = []
         self._behind = -1
         self._length_m: dict[int, float] = {}
-
-    def has_jumped(self, stamp_ns: int) -> bool:
-        """Whether time has jumped since the last sample: far ahead, or back by more than a sample can be late."""
-        return not -_LATE <= self._periods(stamp_ns) <= LONGEST_GAP
+        self._past: deque[_Past] = deque()
+        self._seen: Kept | None = None
+        self._unled: Learnt | None = None
 
     def restart(self) -> None:
-        """Forget all samples, after a jump in time."""
-        self._counts["resets"] += 1
-        self.filter.reset()
+        """Forget where the vehicles are, after a jump in time. What was learnt of the driver stays.
+
+        If time has jumped back, samples come that were learnt from already. They are followed, but not learnt again.
+        """
+        self.filter.restart()
+        if self.stamp_ns is not None:
+            self._seen = Kept(self.filter.learnt, self.stamp_ns)
         self.stamp_ns = None
         self.missing_in_a_row = 0
         self._chain = []
         self._behind = -1
         self._length_m = {}
+        self._past.clear()
 
-    def follow(self, sample: Sample) -> Estimate | None:
-        """Take in a sample.
+    def change(self, effects: Array) -> None:
+        """Go on with other effects; see ``OnlineFilter.change``."""
+        self.filter.change(effects)
+        self._past.clear()
+
+    def follow(self, sample: Sample) -> Estimate:
+        """Take in the next sample.
 
         Returns
         -------
-        Estimate or None
-            The driver's state after the sample. None for a sample that is left out: it came before, or too late.
+        Estimate
+            The driver's state after the sample.
 
         Raises
         ------
         DivergedError
             If the state is no number any more. The filter is of no use then.
         """
-        periods = self._periods(sample.stamp_ns)
-        if periods <= 0:
-            self._counts["late" if periods else "duplicates"] += 1
+        self._keep_what_is_known(sample)
+        return self._step(sample)
+
+    def sort_in(self, sample: Sample) -> Estimate | None:
+        """Take in a sample that is late: go back to its time, and take in all later samples again.
+
+        Returns
+        -------
+        Estimate or None
+            The driver's state after the sample, at its time. None if the driver was not followed yet at that time.
+
+        Raises
+        ------
+        DivergedError
+            As ``follow`` does.
+        """
+        later = [past for past in self._past if past.sample.stamp_ns > sample.stamp_ns]
+        if not later or later[0].stamp_ns is None or later[0].stamp_ns >= sample.stamp_ns:
             return None
+        for _ in later:
+            self._past.pop()
+        before = later[0]
+        self.filter.restore(before.filter_)
+        self.stamp_ns, self.missing_in_a_row = before.stamp_ns, before.missing_in_a_row
+        self._chain, self._behind = before.chain, before.behind
+        counted = self._counts["missing"], self._counts["skipped"]
+        estimate = self.follow(sample)
+        for past in later:
+            self.follow(past.sample)
+        self._counts["missing"], self._counts["skipped"] = counted
+        return estimate
+
+    def _keep_what_is_known(self, sample: Sample) -> None:
+        """Keep what is known before a sample, and forget what is older than any sample may be late."""
+        past = self._past
+        past.append(_Past(sample, self.filter.saved(), self.stamp_ns, self.missing_in_a_row, self._chain, self._behind))
+        # before the first sample of the window comes the sample at which the window may begin
+        while len(past) > 1 and past[1].sample.stamp_ns <= sample.stamp_ns - self._window_ns:
+            past.popleft()
+
+    def _step(self, sample: Sample) -> Estimate:
+        elapsed_s = None if self.stamp_ns is None else (sample.stamp_ns - self.stamp_ns) / NS
         self.stamp_ns = sample.stamp_ns
-        self._counts["samples"] += 1
         if self.vehicle in sample.place:
             self._chain = sample.chain(self.vehicle, self.filter.vehicles)
         if not self._chain:
             self.missing_in_a_row += 1
             return UNKNOWN
+        self._note_leader(sample)
         position, length = self._chain_in(sample)
         self.missing_in_a_row = self.missing_in_a_row + 1 if isnan(position[0]) else 0
         self._counts["missing"] += isnan(position[0])
-        time_s = sample.stamp_ns / NS
-        for skipped in range(periods - 1, 0, -1):
-            self._counts["skipped"] += 1
-            before_s = time_s - skipped * self.filter.period_s
-            self.filter.step([nan] * len(position), self._chain, length, before_s, (nan, self._behind, 0.0))
-        estimate = self.filter.step(position, self._chain, length, time_s, self._vehicle_behind(sample))
+        if elapsed_s is not None:
+            self._counts["skipped"] += steps_between(elapsed_s, self.filter.period_s)[0] - 1
+        behind = self._vehicle_behind(sample)
+        estimate = self.filter.step(position, self._chain, length, sample.stamp_ns / NS, behind, elapsed_s)
         if not isfinite(estimate.speed):
             raise DivergedError("the filter has diverged and starts anew; are its effects and parameters sensible?")
-        if self._kept is not None and self._is_known(sample.stamp_ns, self._kept):
-            self.filter.recall(self._kept.learnt)
-        return estimate
+        self._recall_if_known(sample.stamp_ns)
+        if estimate.covariance[1, 1] == 0.0:
+            # one position says nothing about the speed
+            estimate = UNKNOWN._replace(position_m=estimate.position_m)
+        if self._unled is None:
+            return estimate
+        self.filter.recall(self._unled)
+        return estimate._replace(gap_m=nan, approach_rate=nan, mean_action=nan, scored=False)
 
-    def _periods(self, stamp_ns: int) -> int:
-        """Periods from the last sample to the stamp; 1 for the first sample."""
-        if self.stamp_ns is None:
-            return 1
-        return round((stamp_ns - self.stamp_ns) / (NS * self.filter.period_s))
+    def _note_leader(self, sample: Sample) -> None:
+        """Note what was learnt before the leader got out of view: how the driver then drives tells nothing of them."""
+        place = sample.place.get(self.vehicle)
+        if place is None or sample.leader[place] != UNKNOWN_LEADER:
+            self._unled = None
+        elif self._unled is None:
+            self._unled = self.filter.learnt
+
+    def _recall_if_known(self, stamp_ns: int) -> None:
+        """Go back to what was learnt before, if the sample was learnt from already."""
+        if self._kept is not None and self._is_known(stamp_ns, self._kept):
+            self.filter.recall(self._kept.learnt)
+        if self._seen is not None:
+            if stamp_ns <= self._seen.until_ns:
+                self.filter.recall(self._seen.learnt)
+            else:
+                self._seen = None
 
     def _chain_in(self, sample: Sample) -> tuple[list[float], list[float]]:
         """Positions [m] (NaN if missing) and lengths [m] of the vehicle and of those ahead of it."""
         position, length, place_of = [], [], sample.place.get
-        for vehicle in self._chain:
+        for m, vehicle in enumerate(self._chain):
             place, measured = place_of(vehicle), nan
             if place is not None:
                 if isfinite(sample.position_m[place]):
                     measured = sample.position_m[place]
+                    if sample.stamp_offset_s:
+                        # measured at another time than the sample: where the vehicle is at the time of the sample
+                        measured -= sample.stamp_offset_s[place] * self.filter.speed_of(m, vehicle)
                 if 0.0 <= sample.length_m[place] < LONGEST_M:
                     self._length_m[vehicle] = sample.length_m[place]
             position.append(measured)

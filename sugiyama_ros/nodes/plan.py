@@ -9,14 +9,17 @@ from typing import Any
 from sugiyama_ros.driver.parameters import NAMES, population
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.model_file import read_model
-from sugiyama_ros.formats.registry import read_trajectories
 from sugiyama_ros.formats.truth import namespaces
 from sugiyama_ros.nodes.driver_array import TOPIC
-from sugiyama_ros.nodes.run_source import FromFile, FromSimulator, RunSource
+from sugiyama_ros.nodes.replay import samples_of
+from sugiyama_ros.nodes.run_source import FromFile, FromSimulator, FromTracks, RunSource
 from sugiyama_ros.nodes.saved_state import file_of, read_learnt
+from sugiyama_ros.nodes.track_samples import TrackSamples
 from sugiyama_ros.outputs import Output, make_directory
 
-REPLAY, RECORDER, CRITIC = FromFile.node, "/recorder", "/critic"
+REPLAY, RECORDER, CRITIC, DRIVERS = FromFile.node, "/recorder", "/critic", "/drivers"
+#: Vehicles up to which a run makes a node for each driver: 100 of them take half a minute to start, and 600 MB.
+MOST_NODES = 100
 
 
 def estimators(spaces: Iterable[str]) -> list[str]:
@@ -88,10 +91,8 @@ class Plan:
             read_model(settings.model)
         if settings.save_state is not None:
             make_directory(settings.save_state)
-        if isinstance(source, Path):
-            plan = cls(FromFile(source, read_trajectories(source, settings.ring_m)), output, settings)
-        else:
-            plan = cls(source, output, settings)
+        plan = cls(_opened(source, settings.ring_m) if isinstance(source, Path) else source, output, settings)
+        plan.check_size()
         if settings.resume is not None:
             vehicles = plan.source.vehicles
             saved = [path for v in vehicles if (path := file_of(settings.resume, v)).exists()]
@@ -102,6 +103,22 @@ class Plan:
             for path in saved:
                 read_learnt(path)
         return plan
+
+    @property
+    def has_tracks(self) -> bool:
+        """Whether the vehicles come and go, so that one node follows all of them."""
+        return isinstance(self.source, FromTracks)
+
+    def check_size(self) -> None:
+        """Raise InputError for what the graph of a run cannot do."""
+        count = len(self.source.vehicles)
+        if self.has_tracks and self.settings.critic:
+            raise InputError("critic: it cannot follow vehicles that come and go yet; leave out --critic")
+        if not self.has_tracks and count > MOST_NODES:
+            raise InputError(
+                f"{count} vehicles: a node for each driver works for at most {MOST_NODES}; convert the file to tracks,"
+                " which one node follows: sugiyama convert FILE TRACKS.parquet, or cut out some vehicles"
+            )
 
     @property
     def namespaces(self) -> list[str]:
@@ -116,6 +133,8 @@ class Plan:
     @property
     def step_topics(self) -> list[str]:
         """Full names of the topics with one message a step."""
+        if self.has_tracks:
+            return ["/clock", "/measured", *self.source.topics]
         own = ["/clock", "/measured", f"/{TOPIC}"] if self.settings.array else step_topics(self.namespaces)
         return [*own, *self.source.topics]
 
@@ -128,8 +147,16 @@ class Plan:
         return {**paths, "array_topic": s.array}
 
     @property
+    def drivers(self) -> dict[str, Any]:
+        """Parameters of the node that follows all vehicles."""
+        own = {name: value for name, value in self.estimator.items() if name != "array_topic"}
+        return {**own, "late_subscribers": True, "most_drivers": max(1000, len(self.source.vehicles))}
+
+    @property
     def followers(self) -> list[str]:
         """Full names of the nodes that follow the source; without the recorder."""
+        if self.has_tracks:
+            return [DRIVERS]
         return [*self.estimators, *([CRITIC] if self.settings.critic else [])]
 
     @property
@@ -158,6 +185,12 @@ class Plan:
             "paced_topics": self.step_topics,
             "metadata": [f"{key}={value}" for key, value in about.items()],
         }
+
+
+def _opened(path: Path, ring_m: float | None) -> RunSource:
+    """What a file holds: vehicles that come and go, or trajectories on one lane. Raises InputError."""
+    samples = samples_of(path, ring_m)
+    return FromTracks(path, samples) if isinstance(samples, TrackSamples) else FromFile(path, samples.trajectories)
 
 
 def _check_names(*paths: Path | None) -> None:

@@ -166,7 +166,7 @@ def _result(plan: Plan, monitor: _Monitor, wall_s: float, interrupted: bool) -> 
     short = sum(monitor.steps - counts.get(topic, 0) for topic in plan.step_topics)
     return RunResult(
         steps=monitor.steps,
-        vehicles=len(plan.estimators),
+        vehicles=len(plan.source.vehicles),
         messages_published=published,
         messages_recorded=recorded,
         messages_lost=max(0, published - recorded, short),

@@ -1,5 +1,6 @@
 """Where the positions of a run come from: a recording that is replayed, or drivers who are simulated."""
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -8,9 +9,10 @@ from typing import Any, ClassVar, Protocol
 from rclpy.parameter import Parameter
 
 from sugiyama_ros.formats.truth import namespaces
-from sugiyama_ros.nodes.replay import Replay
+from sugiyama_ros.nodes.replay import RecordedPositions, Replay
 from sugiyama_ros.nodes.simulator import SimulatorNode
 from sugiyama_ros.nodes.source import Source
+from sugiyama_ros.nodes.track_samples import TrackSamples
 from sugiyama_ros.simulation.experiment import Experiment
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
@@ -93,7 +95,48 @@ class FromFile:
 
     def start(self, overrides: list[Parameter]) -> Source:
         """The replay; it does not read the file again."""
-        return Replay(self.trajectories, parameter_overrides=overrides)
+        return Replay(RecordedPositions(self.trajectories), parameter_overrides=overrides)
+
+
+@dataclass(frozen=True)
+class FromTracks:
+    """A file of vehicles that come and go, as samples."""
+
+    path: Path
+    samples: TrackSamples
+    node: ClassVar[str] = "/replay"
+    module: ClassVar[str] = "replay"
+    topics: ClassVar[list[str]] = []
+
+    @property
+    def vehicles(self) -> list[int]:
+        """Numbers of the vehicles."""
+        return self.samples.vehicle
+
+    @property
+    def steps(self) -> int:
+        """Samples in the recording."""
+        return self.samples.steps
+
+    @property
+    def period_s(self) -> float:
+        """Time [s] between two samples."""
+        return self.samples.period_s
+
+    @property
+    def parameters(self) -> Mapping[str, Any]:
+        """Parameters of the replay."""
+        return {"source": str(self.path), "ring": self.samples.road.circumference_m}
+
+    @property
+    def about(self) -> Mapping[str, Any]:
+        """Name and checksum of the file, and which vehicle has which number, where the numbers are not the names."""
+        about = {"source": self.samples.source, "sha256": self.samples.sha256}
+        return {**about, "vehicle_names": json.dumps(self.samples.names)} if self.samples.names else about
+
+    def start(self, overrides: list[Parameter]) -> Source:
+        """The replay; it does not read the file again."""
+        return Replay(self.samples, parameter_overrides=overrides)
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,9 @@ from sugiyama_ros.nodes.base.node import PacedNode
 from sugiyama_ros.nodes.base.spin import RUNNER, Spinner
 from sugiyama_ros.nodes.critic import Critic
 from sugiyama_ros.nodes.driver_array import DriverArrayTopic
+from sugiyama_ros.nodes.drivers import DriversNode
 from sugiyama_ros.nodes.estimator import Estimator
-from sugiyama_ros.nodes.plan import CRITIC, RECORDER, Plan
+from sugiyama_ros.nodes.plan import CRITIC, DRIVERS, RECORDER, Plan
 from sugiyama_ros.nodes.recorder import Recorder
 
 #: Longest time [s] that nodes get to come to an orderly end.
@@ -40,7 +41,12 @@ class OneProcess:
         try:
             self._source = plan.source.start(_overrides(plan.sending))
             self._paced.append(self._source)
-            self._paced += (Estimator(self._feed, array, namespace=n, parameter_overrides=own) for n in plan.namespaces)
+            if plan.has_tracks:
+                self._paced.append(DriversNode(parameter_overrides=_overrides(plan.drivers)))
+            else:
+                self._paced += (
+                    Estimator(self._feed, array, namespace=n, parameter_overrides=own) for n in plan.namespaces
+                )
             if plan.settings.critic:
                 self._paced.append(Critic(self._feed))
             self._followers = self._paced[1:]
@@ -89,8 +95,11 @@ class Processes:
         self._stopped = False
         self._children: dict[str, subprocess.Popen[bytes]] = {}
         self._start(RECORDER, "recorder", plan.recorder)
-        for name in plan.estimators:
-            self._start(name, "estimator", plan.estimator)
+        if plan.has_tracks:
+            self._start(DRIVERS, "drivers", plan.drivers)
+        else:
+            for name in plan.estimators:
+                self._start(name, "estimator", plan.estimator)
         if plan.settings.critic:
             self._start(CRITIC, "critic", {})
         self._source = plan.source.node

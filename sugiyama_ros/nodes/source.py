@@ -1,5 +1,6 @@
 """A source of measured positions: paced by its subscribers and, if wanted, by the clock."""
 
+import os
 import time
 from typing import Any
 
@@ -10,6 +11,7 @@ from sugiyama_msgs.msg import MeasuredPositions, Progress
 from sugiyama_msgs.msg import Road as RoadMessage
 from visualization_msgs.msg import MarkerArray
 
+from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.measured import FRAME
 from sugiyama_ros.nodes.base import cdr_messages, incoming
 from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode
@@ -22,6 +24,8 @@ _TICK_S = 0.005
 #: Silence [s] after which a subscriber is no longer waited for.
 PATIENCE_S = 10.0
 _MARKERS_EVERY_S = 0.2
+# Time [s] in which a new source looks for another one; discovery between processes takes up to about 3 s.
+_LOOKS_S, _LOOKS_EVERY_S = 3.0, 0.1
 
 
 class Source(PacedNode):
@@ -77,6 +81,8 @@ class Source(PacedNode):
             self.create_service(Trigger, f"~/{service}", callback)
         self.add_post_set_parameters_callback(lambda _: self._on_parameters())
         self.create_timer(_TICK_S, self._on_tick, clock=self.steady)
+        self._looks_until_s = time.monotonic() + _LOOKS_S
+        self._looking = self.create_timer(_LOOKS_EVERY_S, self._look_for_another, clock=self.steady)
         self._send_road()
         self.announce()
 
@@ -105,6 +111,17 @@ class Source(PacedNode):
         """Continue from sample number ``step``, as soon as the subscribers have taken everything that was sent."""
         self._jump_to = step
         self._pump()
+
+    def _look_for_another(self) -> None:
+        """Fail if another node sends positions already, since nobody could tell them apart. The other one goes on."""
+        if time.monotonic() > self._looks_until_s:
+            self._looking.cancel()
+        if self.failure is None and self.count_publishers(self._to_measured.topic_name) > 1:
+            self._paused = True
+            self.failure = InputError(
+                f"{self._to_measured.topic_name}: another node publishes it already in ROS domain"
+                f" {os.environ.get('ROS_DOMAIN_ID', '0')}; end it, or set ROS_DOMAIN_ID to another number"
+            )
 
     def _pump(self) -> None:
         """Send the steps that are due and fit into the window."""

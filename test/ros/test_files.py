@@ -13,6 +13,7 @@ from sugiyama_ros.driver.parameters import NAMES
 from sugiyama_ros.nodes.base.environment import is_free
 from sugiyama_ros.nodes.base.node import PacedNode
 from sugiyama_ros.nodes.critic import Critic
+from sugiyama_ros.nodes.drivers import DriversNode
 from sugiyama_ros.nodes.estimator import Estimator
 from sugiyama_ros.nodes.recorder import Recorder
 from sugiyama_ros.nodes.replay import Replay
@@ -21,13 +22,15 @@ from sugiyama_ros.nodes.tracks import TracksNode
 
 ROOT = Path(__file__).parents[2]
 WITHOUT_PARAMETERS = "keeper"
-EXECUTABLES = ("critic", "estimator", "recorder", "replay", "simulator", "tracks")
+EXECUTABLES = ("critic", "drivers", "estimator", "recorder", "replay", "simulator", "tracks")
 
 
 def make(executable: str, road_csv: Path, tmp_path: Path) -> PacedNode:
     """A node with only the parameters that it requires."""
     if executable == "critic":
         return Critic()
+    if executable == "drivers":
+        return DriversNode()
     if executable == "estimator":
         return Estimator(namespace="/vehicle_00")
     if executable == "recorder":
@@ -52,7 +55,7 @@ def test_parameter_files_say_what_the_code_does(stage, road_csv: Path, tmp_path:
         assert node.has_parameter(name), name
         assert node.get_parameter(name).value == value, name
         assert node.describe_parameter(name).description, name
-    if executable == "estimator":
+    if executable in ("drivers", "estimator"):
         assert set(NAMES) <= set(given)
     node.close()
 
@@ -73,7 +76,7 @@ def test_launch_files_start_what_is_there(path: Path) -> None:
     compile(path.read_text(), str(path), "exec")
     assert "def generate_launch_description()" in path.read_text()
     executables = {node["executable"] for node in launched(path)}
-    assert {"recorder", "estimator"} < executables <= {*EXECUTABLES, WITHOUT_PARAMETERS}
+    assert {"recorder"} < executables <= {*EXECUTABLES, WITHOUT_PARAMETERS}
     installed = {e.name for e in entry_points(group="console_scripts") if e.value.startswith("sugiyama_ros.nodes.")}
     if installed:  # a checkout that is not installed has no executables
         assert executables <= installed

@@ -179,3 +179,26 @@ def test_a_copy_goes_its_own_way(jam):
     ahead = [second.step(*sample).speed for sample in samples[60:90]]
     assert np.array_equal(first.kalman.x, state)
     assert [first.step(*sample).speed for sample in samples[60:90]] == ahead
+
+
+def test_samples_at_any_time(jam):
+    """Times between samples from a tenth of a period to four periods; then the model changes, and regular samples."""
+    filters, rng = pair(jam), np.random.default_rng(4)
+    samples = list(samples_of(jam, 5))
+    irregular = [(*sample, jam.period_s * 10.0 ** rng.uniform(-1.0, 0.6)) for sample in samples[:150]]
+    assert_equal(filters, irregular)
+    for one in filters:
+        one.change(switch_on(ROW.with_effects(population()), "reaction_delay", {"delay": 0.1}))
+    assert_equal(filters, irregular[:40])
+    assert_equal(filters, samples[150:180])
+
+
+def test_going_back_to_what_was_saved(jam):
+    samples = list(samples_of(jam, 5))
+    for one in pair(jam):
+        for sample in samples[:60]:
+            one.step(*sample)
+        saved = one.saved()
+        ahead = [one.step(*sample).speed for sample in samples[60:90]]
+        one.restore(saved)
+        assert [one.step(*sample).speed for sample in samples[60:90]] == ahead

@@ -16,12 +16,19 @@ def find_packages() -> None:
     os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
 
 
-def isolate() -> None:
-    """Keep this process and its children on this machine, in a domain of their own, unless the user has chosen."""
+def isolate() -> str:
+    """Keep this process and its children on this machine, in a domain of their own, unless the user has chosen.
+
+    Returns
+    -------
+    str
+        The domain.
+    """
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     if "ROS_DOMAIN_ID" not in os.environ:
         domains = random.sample(_DOMAINS, len(_DOMAINS))
         os.environ["ROS_DOMAIN_ID"] = str(next(filter(is_free, domains), domains[0]))
+    return os.environ["ROS_DOMAIN_ID"]
 
 
 def is_free(domain: int) -> bool:

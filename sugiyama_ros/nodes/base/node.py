@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.clock import Clock, ClockType
+from rclpy.clock import Clock, ClockType, JumpHandle, JumpThreshold
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -57,6 +57,8 @@ class PacedNode(Node):
         #: Messages that were dropped, and why the last one was.
         self.refused, self._reason = 0, ""
         self._told_refused = 0
+        self._jumps: list[JumpHandle] = []
+        self._streams: dict[str, Publisher] = {}
         self._to_progress = self.create_publisher(Progress, self.shared("_progress"), PROGRESS_OUT)
         self._to_diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", STREAM)
         self.create_timer(_BEAT_S, self.beat, clock=self.steady)
@@ -84,6 +86,18 @@ class PacedNode(Node):
         """Full name of a topic that all nodes of a road share."""
         return re.sub(r"/vehicle_\d+$", "", self.get_namespace()).rstrip("/") + "/" + topic
 
+    def stream(self, kind: type, topic: str, qos: QoSProfile) -> Publisher:
+        """Publisher of a topic, made at the first call, and shared by everything in the node that publishes there."""
+        if topic not in self._streams:
+            self._streams[topic] = self.create_publisher(kind, topic, qos)
+        return self._streams[topic]
+
+    def end_stream(self, topic: str) -> None:
+        """Publish no longer on a topic of ``stream``."""
+        publisher = self._streams.pop(topic, None)
+        if publisher is not None:
+            self.destroy_publisher(publisher)
+
     def send(self, publisher: Publisher, message: Any) -> None:
         """Publish a message, or its bytes, on a topic that is recorded."""
         publisher.publish(message)
@@ -95,6 +109,11 @@ class PacedNode(Node):
         """Subscribe to a topic. A message that ``decode`` refuses is counted and dropped."""
         callback = receiver(decode, take, partial(self.refuse, topic))
         self.create_subscription(kind, topic, callback, qos, raw=True)
+
+    def on_clock_jump(self, callback: Callable[[], None]) -> None:
+        """Call back when the time of the recording, /clock, has jumped back; nothing happens on the system's clock."""
+        threshold = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False)
+        self._jumps.append(self.get_clock().create_jump_callback(threshold, post_callback=lambda _: callback()))
 
     def refuse(self, topic: str, reason: Exception) -> None:
         """Count a message that is dropped. The reason is logged once, and told with the health."""

@@ -5,6 +5,9 @@ from typing import NamedTuple, Protocol
 
 from sugiyama_ros.road import Road
 
+#: Leader of a vehicle whose leader is not in view; nobody knows whether there is one.
+UNKNOWN_LEADER = -2
+
 
 class Positions(NamedTuple):
     """One sample of all vehicles on the road, one entry for each vehicle.
@@ -12,7 +15,7 @@ class Positions(NamedTuple):
     Attributes
     ----------
     vehicle, leader : list of int
-        Number of the vehicle, and number of its leader (-1 without a leader).
+        Number of the vehicle, and number of its leader: -1 without a leader, `UNKNOWN_LEADER` where it is not in view.
     position_m, length_m : list of float
         Position [m] (NaN if missing) and length [m].
     lane, d_m, stamp_offset_s, position_var : sequence, optional

@@ -1,0 +1,195 @@
+"""The node of all drivers: drivers come and go, and what was learnt of them stays."""
+
+from math import isnan, nan
+from pathlib import Path
+
+import numpy as np
+import pytest
+from lifecycle_msgs.msg import State
+from lifecycle_msgs.srv import GetState
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, qos_profile_sensor_data
+from std_srvs.srv import Trigger
+from sugiyama_msgs.msg import DriverArray, MeasuredPositions
+from sugiyama_msgs.msg import Road as RoadMessage
+
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.filters.online import OnlineFilter
+from sugiyama_ros.nodes.base import cdr_messages
+from sugiyama_ros.nodes.base.node import OK, WARN
+from sugiyama_ros.nodes.base.qos import LATCHED, LIVE, STREAM
+from sugiyama_ros.nodes.base.samples import UNKNOWN_LEADER
+from sugiyama_ros.nodes.drivers import DriversNode
+from sugiyama_ros.nodes.saved_state import read_learnt
+from sugiyama_ros.road import Road as OpenRoad
+
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
+PERIOD_S = 0.1
+SENSOR = qos_profile_sensor_data
+VOLATILE = QoSProfile(depth=10)
+
+
+class Perception(Node):
+    """Sends the road and single samples, and keeps what is said about the drivers."""
+
+    def __init__(self, qos: QoSProfile = STREAM, road_qos: QoSProfile = LATCHED, space: str = "") -> None:
+        super().__init__("perception")
+        self.answers: list[DriverArray] = []
+        self.step = 0
+        self.to_road = self.create_publisher(RoadMessage, f"{space}road", road_qos)
+        self.to_measured = self.create_publisher(MeasuredPositions, f"{space}measured", qos)
+        self.create_subscription(DriverArray, f"{space}drivers", self.answers.append, LIVE)
+        self.send_road()
+
+    def send_road(self) -> None:
+        self.to_road.publish(RoadMessage(circumference_m=0.0, period_s=PERIOD_S))
+
+    def send(self, k: int, position_m: dict[int, float], leader: dict[int, int] | None = None) -> None:
+        """Send sample k, at k periods."""
+        ahead = leader or {}
+        message = MeasuredPositions(step=self.step, vehicle=list(position_m))
+        message.leader = [ahead.get(v, -1) for v in position_m]
+        message.header.stamp = cdr_messages.time_message(round(k * PERIOD_S * cdr_messages.NS))
+        message.position_m, message.length_m = list(position_m.values()), [4.5] * len(position_m)
+        self.to_measured.publish(message)
+        self.step += 1
+
+
+def started(stage, *, perception: Perception | None = None, **parameters: object) -> tuple[Perception, DriversNode]:
+    perception = perception or Perception()
+    drivers = DriversNode(parameter_overrides=[Parameter(k, value=v) for k, v in parameters.items()])
+    stage.add(perception, drivers)
+    stage.until(lambda: drivers.health().message == "following 0 drivers")
+    return perception, drivers
+
+
+def test_drivers_come_and_go_and_come_again(stage, tmp_path: Path) -> None:
+    """Vehicle 1 is in view from 0 to 3 s and again from 6 s on, vehicle 2 all the time."""
+    perception, drivers = started(stage, retire_after=1.0, save_state=str(tmp_path))
+    for k in range(100):
+        gone = 30 <= k < 60
+        perception.send(k, ({} if gone else {1: 1.0 * k}) | {2: 40.0 + 1.0 * k}, {1: 2})
+        if k in (29, 55, 99):
+            stage.until(lambda k=k: drivers.steps == k + 1)
+            assert drivers.in_view == ((2,) if gone else (1, 2) if k == 29 else (2, 1))
+        if k == 55:
+            kept = read_learnt(tmp_path / "vehicle_01.json")
+    stage.until(lambda: len(perception.answers) == 100)
+    assert [list(a.vehicle) for a in perception.answers] == [[1, 2]] * 30 + [[2]] * 30 + [[1, 2]] * 40
+    values = drivers.health().values
+    assert (values["came"], values["came again"], values["retired"]) == (2, 1, 1)
+    # the filter goes on from what was learnt
+    first = OnlineFilter(PERIOD_S, OpenRoad())
+    first.recall(kept.learnt)
+    again = OnlineFilter(PERIOD_S, OpenRoad())
+    for k in range(60, 100):
+        for one in (first, again):
+            one.step([1.0 * k, 40.0 + 1.0 * k, nan], [1, 2, -1], [4.5, 4.5, 0.0], k * PERIOD_S)
+    last = perception.answers[-1]
+    value = dict(zip(last.name, np.reshape(last.value, (2, -1))[0].tolist(), strict=True))
+    assert value["v_star"] == pytest.approx(first.parameters[2], abs=1e-9)
+    assert value["v_star"] != pytest.approx(again.parameters[2], abs=1e-6)
+
+
+@pytest.mark.parametrize("qos", [VOLATILE, SENSOR], ids=["volatile", "sensor data"])
+def test_ordinary_publishers_are_heard(stage, qos: QoSProfile) -> None:
+    """A perception stack offers less than a replay does, for the road as well as for the positions."""
+    perception = Perception(qos, VOLATILE)
+    drivers = DriversNode()
+    stage.add(perception, drivers)
+
+    def heard() -> bool:
+        perception.send_road()
+        perception.send(perception.step, {1: 1.0 * perception.step})
+        return bool(perception.answers)
+
+    stage.until(heard)
+    assert drivers.health().level == OK
+
+
+def test_a_late_subscriber_hears_nothing_old(stage) -> None:
+    perception, _ = started(stage)
+    for k in range(5):
+        perception.send(k, {1: 1.0 * k})
+    stage.until(lambda: len(perception.answers) == 5)
+    late = Perception()
+    stage.kill(perception)
+    stage.add(late)
+    stage.for_a_while(0.5)
+    late.send(6, {1: 6.0})
+    stage.until(lambda: bool(late.answers))
+    assert [a.header.stamp.nanosec for a in late.answers] == [600_000_000]
+
+
+def test_names_are_relative(stage) -> None:
+    """In a namespace, and with a topic that is remapped."""
+    perception = Perception(space="/ego/")
+    stage.add(perception)
+    drivers = DriversNode(namespace="/ego", cli_args=["--ros-args", "-r", "measured:=seen"])
+    seen = perception.create_publisher(MeasuredPositions, "/ego/seen", STREAM)
+    perception.to_measured = seen
+    stage.add(drivers)
+    stage.until(lambda: drivers.health().message == "following 0 drivers")
+    perception.send(0, {1: 0.0})
+    stage.until(lambda: bool(perception.answers))
+
+
+def test_nobody_learns_how_a_driver_drives_whose_leader_is_not_in_view(stage) -> None:
+    perception, _ = started(stage)
+    for k in range(60):
+        perception.send(k, {1: 1.0 * k}, {1: UNKNOWN_LEADER})
+    stage.until(lambda: len(perception.answers) == 60)
+    never = OnlineFilter(PERIOD_S, OpenRoad())
+    last = perception.answers[-1]
+    value = dict(zip(last.name, last.value, strict=True))
+    assert value["v_star"] == pytest.approx(never.parameters[2])
+    assert last.speed[0] == pytest.approx(10.0, abs=0.5)
+    assert not any(a.scored[0] for a in perception.answers)
+    assert isnan(last.gap_m[0])
+
+
+def test_more_drivers_than_are_followed(stage) -> None:
+    perception, drivers = started(stage, most_drivers=2)
+    perception.send(0, {1: 0.0, 2: 20.0, 3: 40.0})
+    stage.until(lambda: bool(perception.answers))
+    assert list(perception.answers[0].vehicle) == [1, 2]
+    assert drivers.health().level == WARN
+    assert "most_drivers" in drivers.health().message
+
+
+def test_a_lifecycle_manager_starts_the_node(stage) -> None:
+    perception = Perception()
+    drivers = DriversNode(parameter_overrides=[Parameter("autostart", value=False)])
+    stage.add(perception, drivers)
+    answer = stage.call(GetState, "/drivers/get_state", GetState.Request())
+    assert answer.current_state.id == State.PRIMARY_STATE_UNCONFIGURED
+    drivers.trigger_configure()
+    drivers.trigger_activate()
+    stage.until(lambda: drivers.health().message == "following 0 drivers")
+    perception.send(0, {1: 0.0})
+    stage.until(lambda: len(perception.answers) == 1)
+    drivers.trigger_deactivate()
+    perception.send(1, {1: 1.0})
+    stage.for_a_while(0.2)
+    assert len(perception.answers) == 1
+    drivers.trigger_cleanup()
+    assert drivers.in_view == ()
+
+
+def test_reset_forgets_the_drivers(stage) -> None:
+    perception, drivers = started(stage)
+    perception.send(0, {1: 0.0})
+    stage.until(lambda: drivers.in_view == (1,))
+    assert stage.call(Trigger, "/drivers/reset", Trigger.Request()).success
+    assert drivers.in_view == ()
+
+
+def test_wrong_values_are_one_line(stage) -> None:
+    with pytest.raises(InputError, match=r"retire_after: .* number"):
+        DriversNode(parameter_overrides=[Parameter("retire_after", value="soon")])
+    with pytest.raises(InputError, match=r"v_star: out of bounds; give 0.5 to 80"):
+        DriversNode(parameter_overrides=[Parameter("v_star", value=-10)])
+    drivers = DriversNode(parameter_overrides=[Parameter("v_star", value=10)])
+    assert drivers.get_parameter("v_star").value == 10.0
+    stage.add(drivers)
