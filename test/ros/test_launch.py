@@ -37,8 +37,10 @@ def prefix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     pytest.importorskip("launch_ros.actions", reason="launch and launch_ros are not installed")
     folder = tmp_path / "install"
     (folder / "lib/sugiyama_ros").mkdir(parents=True)
-    for node in ("recorder", "replay", "simulator", "estimator", "keeper", "critic"):
-        (folder / "lib/sugiyama_ros" / node).symlink_to(Path(sys.prefix) / "bin" / node)
+    for node in ("recorder", "replay", "simulator", "estimator", "keeper", "critic", "drivers", "tracks"):
+        start = folder / "lib/sugiyama_ros" / node
+        start.write_text(f"#!{sys.executable}\nfrom sugiyama_ros.nodes.{node} import main\nmain()\n")
+        start.chmod(0o755)
     (folder / "share/sugiyama_ros").mkdir(parents=True)
     (folder / "share/sugiyama_ros/config").symlink_to(ROOT / "config")
     index = folder / "share/ament_index/resource_index/packages"
@@ -107,6 +109,23 @@ def test_ctrl_c_leaves_a_whole_bag(prefix: Path, tmp_path: Path) -> None:
     with Bag(output) as bag:
         counts = {topic.name: topic.count for topic in bag.info().topics}
     assert counts["/vehicle_00/state"] > 10
+
+
+def test_a_live_launch_waits_for_vehicles_and_ends_with_ctrl_c(prefix: Path, tmp_path: Path) -> None:
+    (tmp_path / "line.csv").write_text("x,y\n0,0\n100,0\n")
+    log, output = tmp_path / "said.txt", tmp_path / "out.mcap"
+    child = started("live", log, centre_line=tmp_path / "line.csv", topics="['/car*/odom']", output=output)
+    deadline = time.monotonic() + 60.0
+    while time.monotonic() < deadline and not any(p.stat().st_size > 5_000 for p in tmp_path.glob("out*.part")):
+        time.sleep(0.2)
+    os.killpg(child.pid, signal.SIGINT)
+    code, said = ended(child, log)
+    assert code in (0, 130), said
+    assert "process has died" not in said
+    with Bag(output) as bag:
+        counts = {topic.name: topic.count for topic in bag.info().topics}
+    assert counts["/road"] == 1
+    assert counts["/diagnostics"] > 2
 
 
 def test_a_wrong_value_is_one_line() -> None:

@@ -1,0 +1,62 @@
+"""Follow the vehicles that a perception sees, and record everything.
+
+    ros2 launch sugiyama_ros live.launch.py centre_line:=LINE.csv topics:="['/car*/odom']" output:=FILE.mcap
+        [frame:=map] [model:=MODEL.yaml]
+
+The launch ends with Ctrl-C; the file is finished then.
+"""
+
+from pathlib import Path
+
+from ament_index_python.packages import get_package_share_directory
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+
+from launch import LaunchContext, LaunchDescription
+from sugiyama_ros.nodes.base import environment
+
+#: How often a node that was killed starts again.
+RETRIES = 5
+
+
+def nodes(context: LaunchContext) -> list[Node]:
+    """Tracks, all drivers in view, and a recorder."""
+    import yaml
+
+    def given(name: str) -> str:
+        return LaunchConfiguration(name).perform(context)
+
+    config, package = Path(given("config")), "sugiyama_ros"
+    line = {"centre_line": given("centre_line"), "topics": yaml.safe_load(given("topics")), "frame": given("frame")}
+    model = {"model": given("model")}
+    again = {"respawn": True, "respawn_delay": 1.0, "respawn_max_retries": RETRIES}
+    return [
+        # the recorder ends last, so it gets more time before it is killed
+        Node(
+            package=package,
+            executable="recorder",
+            parameters=[config / "recorder.yaml", {"output": given("output")}],
+            sigterm_timeout="20",
+            on_exit=Shutdown(reason="the recorder has ended"),
+        ),
+        Node(package=package, executable="drivers", parameters=[config / "drivers.yaml", model], **again),
+        Node(package=package, executable="tracks", parameters=[config / "tracks.yaml", line], **again),
+    ]
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Arguments and nodes."""
+    environment.find_packages()
+    config = Path(get_package_share_directory("sugiyama_ros")) / "config"
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument("centre_line", description="centre lines of the lanes (CSV)"),
+            DeclareLaunchArgument("topics", description="patterns of the topics of vehicles, as a list in YAML"),
+            DeclareLaunchArgument("frame", default_value="", description="frame of the centre line"),
+            DeclareLaunchArgument("model", default_value="", description="model file from which drivers start"),
+            DeclareLaunchArgument("output", description="MCAP file, or directory, to write"),
+            DeclareLaunchArgument("config", default_value=str(config), description="directory of parameter files"),
+            OpaqueFunction(function=nodes),
+        ]
+    )
