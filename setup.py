@@ -45,6 +45,7 @@ setup(
         "mcap>=1.2",
         "numba>=0.58",
         "numpy>=1.26",
+        "pillow>=10",
         "pyarrow>=15",
         "pyyaml>=6",
         "rich>=13",

@@ -14,6 +14,7 @@ ROOT = Path(__file__).parents[2]
 KEYS = {
     "bokeh": "python3-bokeh-pip",
     "filterpy": "python3-filterpy-pip",
+    "pillow": "python3-pil",
     "pyyaml": "python3-yaml",
     "rosbags": "python3-rosbags-pip",
 }
