@@ -99,8 +99,9 @@ def replay(options: RunOptions) -> "RunResult":
         gc.freeze()
         gc.enable()
     source = _source(options)
-    print_note(f"ROS domain {environment.isolate()}")
-    with progress("simulating" if options.simulate else "replaying") as advance:
+    domain = environment.isolate()
+    doing = "simulating" if options.simulate else "replaying"
+    with progress(f"{doing} in ROS domain {domain}") as advance:
         return run_nodes(
             source,
             options.output,

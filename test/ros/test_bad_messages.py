@@ -165,7 +165,8 @@ def test_nodes_go_on_after_bad_messages(stage: Any, tmp_path: Path) -> None:
     for step in range(20, 30):
         measured.publish(sample_of(step))
     stage.until(lambda: len(states) == 30 and recorder.steps == 30)
-    assert all(math.isfinite(state.speed) for state in states)
+    # one position says nothing about the speed
+    assert [math.isfinite(state.speed) for state in states] == [False] + [True] * 29
     stage.until(lambda: all("refused messages" in str(told.get(f"{n.get_fully_qualified_name()}")) for n in nodes))
     recorder.close()
     received = recorder.received
