@@ -198,9 +198,7 @@ class Search:
         is_first = not self._seen
         title = f"round {len(self.named) + 1}"
         if is_first:
-            chosen = worth_screening(
-                self.data, self.current, self._possible, self._work, self.effort, self._on_progress
-            )
+            chosen = worth_screening(self.data, self.current, self._possible, self._work, self._on_progress)
         else:
             chosen = self._worth_a_look()
         looks = best_forms(at_once(self._look, chosen, f"{title}: candidates", self._on_progress))
