@@ -77,7 +77,7 @@ class RunOptions:
 
 @takes(RunOptions)
 def run(options: RunOptions) -> None:
-    """Replay trajectories, or simulate drivers, as ROS topics, and estimate the drivers.
+    """Replay or simulate drivers as ROS topics, and estimate them.
 
     Each driver has an estimator of their own. All topics are recorded.
     """

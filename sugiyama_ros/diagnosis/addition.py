@@ -97,11 +97,12 @@ def least_gain(data: Recorded, won: Gain, candidate: Candidate, of_blocks: float
     """Return the smallest held-out gain [nats] with which something is added.
 
     It is the standard error of the gain over drivers, or over blocks of time (``of_blocks``) where drivers are few.
-    What happens once cannot be held out.
+    An effect of some drivers only is chosen among very many, so it takes two standard errors. What happens once cannot
+    be held out.
     """
     if candidate.happens_once:
         return -math.inf
     if candidate.drivers:
-        return of_blocks
+        return 2.0 * of_blocks
     has_many = data.vicinity.is_whole_road or data.drivers >= MANY_DRIVERS
     return sum_error(won.drivers) if has_many else won.se

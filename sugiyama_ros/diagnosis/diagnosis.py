@@ -69,8 +69,6 @@ class Diagnosis(Result):
         Where ``base`` and ``final`` fail.
     smallest : dict of str to float
         Strength from which each effect would usually have shown, by name.
-    smallest_few : dict of str to float
-        The same for an effect that only three drivers have.
     refused : tuple of (str, tuple of str)
         Candidates that were not added because of what the model is for, and why.
     rivals : dict of str to dict
@@ -105,7 +103,6 @@ class Diagnosis(Result):
     where_before: Located
     where_after: Located
     smallest: dict[str, float]
-    smallest_few: dict[str, float]
     refused: tuple[tuple[str, tuple[str, ...]], ...]
     rivals: dict[str, dict[str, float]]
     floor: dict[str, dict[str, float]]
@@ -279,7 +276,6 @@ def _summed_up(
         where_before=where_before,
         where_after=where_after,
         smallest=search.smallest,
-        smallest_few=search.smallest_few,
         refused=tuple(search.refused),
         rivals={name: errors.summary() for name, errors in rivals.items()},
         floor={"floor": floor_of(search.data, search.current, search.seed, work).summary()},
@@ -298,7 +294,7 @@ def _grow(search: Search, most: int, *, with_forces: bool, add_forces: bool) -> 
     forces: list[tuple[Discovery, Screened]] = []
     is_growing = True
     while is_growing:
-        while len(search.named) < most and (search.add_effect() or search.add_few()):
+        while len(search.named) < most and search.add_effect():
             pass
         if forces or not with_forces:
             break

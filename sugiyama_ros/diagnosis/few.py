@@ -7,7 +7,7 @@ choices.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
@@ -25,13 +25,15 @@ from sugiyama_ros.fit.recording import FOLDS, Recorded
 
 # At most one driver in so many counts as a few, among at least so many drivers.
 _PART, _FEWEST = 3, 4
-#: Number of drivers for whom the smallest effect is told besides the smallest effect of all drivers.
-THREE = 3
 # Gains by chance are larger than half a chi-squared variable, because the filter is an approximation.
 _INFLATION = 2.0
 # The strength is at most so many times the strength of the fit to all drivers.
 _FURTHEST = 10.0
 _STEPS = 20
+
+
+#: Level of significance: stricter than for all drivers, because no simulation says what the choice gains by chance.
+LEVEL_OF_FEW = 0.001
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,35 +169,6 @@ def fit_few(data: Recorded, base: JointFit, look: JointFit, candidate: Candidate
         few=(*base.model.few, *((k, few.drivers) for k in places)),
     )
     return maximise(data, start_fit(data, model, work), work, iterations=_STEPS)
-
-
-def for_few(smallest: Mapping[str, float], drivers: int, needed: float) -> dict[str, float]:
-    """Return the strengths from which effects of three drivers would usually have shown.
-
-    Parameters
-    ----------
-    smallest : mapping of str to float
-        Strengths from which the effects would have shown if all drivers had them, by name.
-    drivers : int
-        Number of drivers.
-    needed : float
-        Gain that counts as support if all drivers have the effect [nats].
-
-    Returns
-    -------
-    dict of str to float
-        Strengths by name; empty if there are too few drivers, and without effects that only all drivers can have.
-    """
-    if drivers < _FEWEST * THREE:
-        return {}
-    more = max((cost_of(THREE, drivers) + 2.0 * LEAST_GAIN) / max(needed, LEAST_GAIN), 1.0)
-    factor = math.sqrt(drivers / THREE * more)
-    # a smaller limit is a stronger effect
-    return {
-        name: value / factor if EFFECTS[name].is_limit else value * factor
-        for name, value in smallest.items()
-        if not EFFECTS[name].individual
-    }
 
 
 def _parabolas(base: JointFit, look: JointFit, places: tuple[int, ...]) -> tuple[Array, Array]:

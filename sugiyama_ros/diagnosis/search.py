@@ -25,7 +25,7 @@ from sugiyama_ros.diagnosis.candidacy import (
 from sugiyama_ros.diagnosis.candidates import Candidate, candidates, only_those
 from sugiyama_ros.diagnosis.discover import Discovery, discover
 from sugiyama_ros.diagnosis.errors import HeldOutErrors, held_out_errors
-from sugiyama_ros.diagnosis.few import Few, fit_few, for_few, switches_of, who_shows
+from sugiyama_ros.diagnosis.few import LEVEL_OF_FEW, Few, fit_few, who_shows
 from sugiyama_ros.diagnosis.glance import best_forms, worth_screening
 from sugiyama_ros.diagnosis.push import push_candidate
 from sugiyama_ros.diagnosis.screen import FULL, QUICK, Screened, closer, forecast, refine, screen, screen_again
@@ -84,8 +84,6 @@ class Search:
         Held-out gains of these candidates, by name.
     smallest : dict of str to float
         Strength from which each effect would usually have shown, by name.
-    smallest_few : dict of str to float
-        The same for an effect that only three drivers have.
     refused : list of (str, tuple of str)
         Candidates that were not added because of what the model is for, and why.
     effort : Effort
@@ -119,7 +117,6 @@ class Search:
         self.scored: list[Candidacy] = []
         self.heldout: dict[str, Gain] = {}
         self.smallest: dict[str, float] = {}
-        self.smallest_few: dict[str, float] = {}
         self.refused: list[tuple[str, tuple[str, ...]]] = []
         self._simulated: list[tuple[Recorded, JointFit]] | None = None
         self._last_part: LastPart | None = None
@@ -147,37 +144,23 @@ class Search:
                 named = self._grow(one.candidate, one.fit, one.p_value, rivals)
                 grown += [named] if named is not None else []
         best = max(grown, key=lambda one: one.heldout.nats, default=None)
-        return self._take(best and (self._narrowed(best) or best))
+        return self._take(best and self._narrowed(best))
 
-    def add_few(self) -> bool:
-        """Add the best supported effect that only some drivers have, and return whether there is one."""
-        chosen = self._worth_a_look() if self.named else self._possible
-        chosen = [candidate for candidate in chosen if switches_of(candidate)]
-        looks = at_once(self._fresh_look, chosen, "some drivers only", self._on_progress)
-        found = [(few, look) for look in looks if (few := who_shows(self.current, look.fit, look.candidate))]
-        best = sorted(found, key=lambda pair: pair[0].cost - pair[0].gain)[: self.effort.later]
-        grown = (self._grow_few(few, look.fit, look.candidate) for few, look in best)
-        return self._take(next((one for one in grown if one is not None), None))
-
-    def _narrowed(self, one: Addition) -> Addition | None:
-        """An addition for the few drivers who show it, if it predicts better than for all of them."""
+    def _narrowed(self, one: Addition) -> Addition:
+        """An addition for the few drivers who show it, if this predicts better than for all of them."""
         candidate = next(c for c in self._possible if c.name == one.form)
         few = who_shows(self.current, one.fit, candidate)
         fewer = self._grow_few(few, one.fit, candidate) if few else None
-        return fewer if few and fewer and fewer.heldout.nats - few.cost > one.heldout.nats else None
+        return fewer if few and fewer and fewer.heldout.nats - few.cost > one.heldout.nats else one
 
     def _grow_few(self, few: Few, look: JointFit, candidate: Candidate) -> Addition | None:
         """The model with an effect that only some drivers have, if it gains more than the choice of the drivers."""
         fitted = fit_few(self.data, self.current, look, candidate, few, self._work)
         p_value = few.p_value(rise(self.current, fitted), len(self._possible))
-        if p_value > LEVEL:
+        if p_value > LEVEL_OF_FEW:
             return None
         one = self._grow(replace(candidate, drivers=few.drivers), fitted, p_value)
         return one if one and one.heldout.nats > few.cost and one.after.no_worse_than(one.before) else None
-
-    def _fresh_look(self, candidate: Candidate) -> Screened:
-        before, look = self._seen.get(candidate.name, (None, None))
-        return look if look is not None and before is self.current else self._look(candidate)
 
     def discover(self) -> list[tuple[Discovery, Screened]]:
         """Return forces without a name that the current model lacks, the best supported one first."""
@@ -224,7 +207,6 @@ class Search:
         scored = sorted([*fitted, *(one for one in scored if one not in hopeful)], key=lambda one: -one.score)
         if is_first:
             self.scored, self.smallest = scored, smallest_detectable(looks, null)
-            self.smallest_few = for_few(self.smallest, self.data.drivers, null.needed)
             self.heldout = self._gains(scored)
         return scored
 

@@ -63,7 +63,6 @@ def document(d: Diagnosis) -> dict[str, Any]:
         "where": {"before": _where(d.where_before), "after": _where(d.where_after)},
         "smallest_detectable": [
             {"name": name, "parameter": effect(name).parameters[0].name, "value": value}
-            | ({"of_three_drivers": d.smallest_few[name]} if name in d.smallest_few else {})
             for name, value in d.smallest.items()
         ],
         "errors": {"before": d.before.summary(), "after": d.after.summary(), **d.rivals, **d.floor},
@@ -181,13 +180,6 @@ def sentences(d: Diagnosis) -> list[str]:
             for p in [effect(name).parameters[0]]
         ]
         lines.append("Effects of this strength would usually have shown: " + ", ".join(shown) + "." if shown else "")
-        few = [
-            f"{name} ({p.name} {_quantity(d.smallest_few[name], p.unit)})"
-            for name in d.smallest_few
-            for p in [effect(name).parameters[0]]
-            if p.lower <= d.smallest_few[name] <= p.upper
-        ]
-        lines.append("If only three drivers have it: " + ", ".join(few) + "." if few else "")
     for n in d.named:
         units = {p.name: p.unit for p in EFFECTS[n.form].parameters} if n.form in EFFECTS else {}
         units |= {p.name: p.unit for p in ROW.declared if p.name in n.parameters and p.name not in units}

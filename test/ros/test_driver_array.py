@@ -108,7 +108,9 @@ def test_the_array_says_what_the_topics_of_each_vehicle_say(ring_csv: Path, tmp_
         assert_same_parameters(by_stamp[message.header.stamp.sec, message.header.stamp.nanosec], message)
     one, all_ = read_recording(alone).series, read_recording(together).series
     for name, values in one.items():
-        np.testing.assert_array_equal(all_[name], values)
+        # the array has the parameters with every sample, the topics have them once a second
+        told = slice(None) if not name.startswith(("v_star", "kappa_v")) else values != np.roll(values, 1, axis=0)
+        np.testing.assert_array_equal(all_[name][told], values[told])
 
 
 def assert_same_parameters(array: DriverArray, message: DriverParameters) -> None:

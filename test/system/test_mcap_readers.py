@@ -135,17 +135,22 @@ def test_our_bytes_are_those_of_ros(encoded: list[tuple[str, int, bytes]]) -> No
         leader=np.zeros(0, np.int32),
         position_m=np.zeros(0),
         length_m=np.zeros(0),
+        lane=np.zeros(0, np.int32),
+        d_m=np.zeros(0),
+        stamp_offset_s=np.zeros(0),
+        position_var=np.zeros(0),
     )
     for name, _, ours in [*encoded[:3], encoded[300], (MEASURED_TYPE, 0, empty)]:
         theirs = bytes(serialization.serialize_message(serialization.deserialize_message(ours, types[name])))
         # ROS leaves arbitrary bytes in the padding and behind empty lists; writing the message again removes them.
-        assert len(theirs) == len(ours) + (8 if ours == empty else 0)
+        assert len(theirs) == len(ours) + (16 if ours == empty else 8 if name == MEASURED_TYPE else 0)
         decode = decoder(name, full_text(name))
         assert decode is not None
         fields = {key: np.array(v) if isinstance(v, list) else v for key, v in plain(decode(theirs)).items()}
         if name == MEASURED_TYPE:
-            fields |= {key: fields[key].astype(np.int32) for key in ("vehicle", "leader")}
-            fields |= {key: fields[key].astype(float) for key in ("position_m", "length_m")}
+            fields |= {key: fields[key].astype(np.int32) for key in ("vehicle", "leader", "lane")}
+            numbers = ("position_m", "length_m", "d_m", "stamp_offset_s", "position_var")
+            fields |= {key: fields[key].astype(float) for key in numbers}
         assert encode(name, **fields) == ours
 
 

@@ -81,7 +81,7 @@ def test_every_requirement_has_a_key_of_rosdep() -> None:
     }
     assert named >= WITHOUT_KEY
     text = (ROOT / "docs" / "ros.md").read_text()
-    assert f"pip install {' '.join(sorted(WITHOUT_KEY))} " in text
+    assert f" bokeh {' '.join(sorted(WITHOUT_KEY))}\n" in text
 
 
 def test_the_hook_before_commits_runs_the_pinned_ruff() -> None:
