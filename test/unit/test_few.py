@@ -99,3 +99,47 @@ def test_standard_errors_hold(fitted, grown, work):
 def test_a_choice_among_drivers_has_a_price():
     assert cost_of(22, 22) == pytest.approx(0.0, abs=1e-9)
     assert cost_of(3, 22) == pytest.approx(2.0 * np.log(1540.0))
+
+
+def runs(error, gap=5.0, speed=6.0):
+    full = np.full((10, 3, 4), 1.0)
+    wave = 1.0 + 0.05 * np.sin(np.arange(10))[:, None, None]
+    return FreeRuns(
+        error * full * wave, error * full, full, full, 0.0 * full - error, gap * full, speed * full, np.arange(10)
+    )
+
+
+def test_what_makes_the_last_part_worse_is_told():
+    base = LastPart(runs(1.0), np.zeros(4))
+    assert worse_where(base, base, "simulation") == ()
+    worse = worse_where(LastPart(runs(2.0), np.zeros(4)), base, "simulation")
+    assert worse[0] == "free runs of 2 s into the last part end 2 m off instead of 1 m"
+    assert any("in free flow" in one for one in worse)
+    assert worse_where(LastPart(runs(2.0), np.zeros(4)), base, "online") == ()
+    lost = LastPart(runs(1.0), np.full(4, -10.0) + np.arange(4))
+    assert worse_where(lost, base, "online") == ("one step ahead into the last part it loses 34 nats",)
+
+
+def test_a_car_inside_its_leader_is_a_collision():
+    base = LastPart(runs(1.0), np.zeros(4))
+    inside = LastPart(replace(runs(1.0), coupled_gap=np.full((10, 3, 4), -6.0)), np.zeros(4))
+    assert (base.collisions, inside.collisions) == (0, 120)
+    assert worse_where(inside, base, "simulation")[-1].startswith("120 cars collide")
+
+
+def test_a_model_drives_into_the_part_that_it_was_not_fitted_to(fitted, work):
+    data, base = fitted
+    found = last_part(data, base, work)
+    assert found.runs.start.min() >= 0.6 * len(data.fold)
+    assert found.drivers.shape == (CARS,)
+    assert worse_where(found, found, "simulation") == ()
+
+
+def test_drivers_who_get_worse_are_listed():
+    assert drivers_worse([(0.0, 1.0), (0.0, 1.0)], [(5.0, 1.1), (5.0, 1.3)]) == [1]
+
+
+def test_an_unknown_purpose_is_refused():
+    assert purpose_of("online") == "online"
+    with pytest.raises(InputError, match="--for fun: is not known; give prediction, simulation, online"):
+        purpose_of("fun")
