@@ -11,8 +11,7 @@ from sugiyama_msgs.msg import Road as RoadMessage
 from sugiyama_msgs.srv import AddEffect, RemoveEffect
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.effects.registry import ROW, active, switched_on
-from sugiyama_ros.errors import InputError, SugiyamaError
+from sugiyama_ros.errors import SugiyamaError
 from sugiyama_ros.filters.online import warm_up
 from sugiyama_ros.nodes.arrivals import Arrival, Arrivals, new_counts
 from sugiyama_ros.nodes.base import incoming
@@ -24,6 +23,7 @@ from sugiyama_ros.nodes.base.spin import run_node
 from sugiyama_ros.nodes.driver_array import TOPIC, ArrayMessages
 from sugiyama_ros.nodes.driver_parameters import declare_float, declare_window
 from sugiyama_ros.nodes.drivers_in_view import DriversInView, read_settings
+from sugiyama_ros.nodes.effect_services import add_effect, remove_effect
 
 _RETIRE_EVERY_NS = NS
 
@@ -228,25 +228,12 @@ class DriversNode(LifecycleNodeMixin, PacedNode):
         return response
 
     def _on_add_effect(self, request: AddEffect.Request, response: AddEffect.Response) -> AddEffect.Response:
-        try:
-            values = incoming.effect_values(request.effect, request.name, request.value)
-            self._take_effects(switched_on(self._effects, request.effect, values))
-            response.success = True
-        except (InputError, ValueError) as error:
-            response.message = str(error)
-        return response
+        return add_effect(request, response, self._effects, self._take_effects)
 
     def _on_remove_effect(
         self, request: RemoveEffect.Request, response: RemoveEffect.Response
     ) -> RemoveEffect.Response:
-        if request.effect in active(self._effects):
-            without = self._effects.copy()
-            without[ROW.places[request.effect]] = 0.0
-            self._take_effects(without)
-            response.success = True
-        else:
-            response.message = f"effect {request.effect!r}: is not in the model"
-        return response
+        return remove_effect(request, response, self._effects, self._take_effects)
 
     def _take_effects(self, effects: Array) -> None:
         """Go on with other effects (WIDTH,), and keep what was learnt about the drivers."""
