@@ -7,6 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from sugiyama_ros import inputs
 from sugiyama_ros.errors import InputError
 
 #: Largest document [bytes], and how deep lists and mappings may lie in one another.
@@ -96,6 +97,7 @@ def parsed(path: Path, parse: Callable[[str], Any], kind: str) -> Any:
         if path.exists() and not path.is_file():
             raise InputError(f"{path}: not a regular file; give a file")
         with path.open("rb") as stream:
+            inputs.note(stream.fileno())
             content = stream.read(LARGEST_BYTES + 1)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error

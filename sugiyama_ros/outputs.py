@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
+from sugiyama_ros import inputs
 from sugiyama_ros.errors import OutputError
 
 #: Longest part [bytes] of a name that is kept in the name of the unfinished file; file systems allow 255 in all.
@@ -40,12 +41,15 @@ class Output:
     overwrite : bool
         Whether a regular file of this name is replaced.
     inputs : tuple of Path
-        Files that are read. None of them may be the output.
+        Files that will be read. None of them may be the output.
+    may_be_read : bool
+        Whether the output may be a file that this program has read, see `sugiyama_ros.inputs`.
     """
 
     path: Path
     overwrite: bool = False
     inputs: tuple[Path, ...] = ()
+    may_be_read: bool = False
 
     def check(self) -> None:
         """Check that the file may be written. A command that takes long calls this first.
@@ -63,7 +67,9 @@ class Output:
         for source in self.inputs:
             with suppress(OSError, ValueError):
                 if source.samefile(self.path):
-                    raise OutputError(f"{self.path}: is also read by this command; give another name for the output")
+                    raise _is_input(self.path)
+        if not self.may_be_read and inputs.was_read(self.path):
+            raise _is_input(self.path)
         if not self.overwrite:
             raise _exists(self.path)
 
@@ -74,7 +80,7 @@ Target = Path | Output
 
 def output_of(target: Target) -> Output:
     """Return the output for a target; a regular file under a plain path is replaced."""
-    return target if isinstance(target, Output) else Output(Path(target), overwrite=True)
+    return target if isinstance(target, Output) else Output(Path(target), overwrite=True, may_be_read=True)
 
 
 class Draft:
@@ -121,6 +127,7 @@ class Draft:
             If a file of this name has appeared since the beginning. What was written is then kept in ``part``.
         """
         self.sync()
+        inputs.note_own(self.stream.fileno())
         self.stream.close()
         try:
             self._output.check()
@@ -258,6 +265,10 @@ def _is_there(path: Path) -> bool:
     if kind != stat.S_IFREG:
         raise OutputError(f"{path}: is {_KINDS.get(kind, 'no regular file')}; give the name of a file")
     return True
+
+
+def _is_input(path: Path) -> OutputError:
+    return OutputError(f"{path}: is also read by this command; give another name for the output")
 
 
 def _exists(path: Path) -> OutputError:

@@ -61,8 +61,9 @@ def _cluster(scheduler: str) -> Iterator[Executor]:
         raise InputError("--scheduler: Dask is not installed; pip install 'sugiyama_ros[dask]'") from None
     try:
         client = Client(scheduler, timeout="10s")
-    except (OSError, ValueError) as error:
-        raise InputError(f"--scheduler {scheduler}: {str(error).splitlines()[0]}; is it running?") from None
+    except (OSError, ValueError, TypeError) as error:  # TypeError: an encrypted connection without certificates
+        why = (str(error).splitlines() or ["no answer"])[0]
+        raise InputError(f"--scheduler {scheduler}: {why}; is it running?") from None
     with client:
         # another worker can repeat the work of a worker that dies: a part depends only on the data sent with it
         yield client.get_executor(pure=False, retries=3)

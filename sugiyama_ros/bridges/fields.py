@@ -68,10 +68,10 @@ class Bridge:
         for one in objects:
             name = _name(look_up(one, self.id, self)) if self.id else topic
             yield SeenVehicle(
-                stamp_ns=_stamp_ns(self._either(one, message, self.stamp)),
+                stamp_ns=self._stamp_ns(self._either(one, message, self.stamp)),
                 name=name,
-                x_m=float(look_up(one, self.x, self)),
-                y_m=float(look_up(one, self.y, self)),
+                x_m=self._real(one, self.x),
+                y_m=self._real(one, self.y),
                 heading=self._heading(one),
                 length_m=self._number(one, self.length),
                 var=self._number(one, self.var),
@@ -81,13 +81,32 @@ class Bridge:
 
     def _heading(self, one: Any) -> float:
         if self.heading:
-            return float(look_up(one, self.heading, self))
-        return yaw(look_up(one, self.orientation, self)) if self.orientation else math.nan
+            return self._real(one, self.heading)
+        if not self.orientation:
+            return math.nan
+        quaternion = look_up(one, self.orientation, self)
+        return yaw(*(self._real(quaternion, name) for name in "xyzw"))
 
     def _number(self, one: Any, path: str) -> float:
         """A positive number; NaN where the message does not know it, as it says with a 0."""
-        value = float(look_up(one, path, self)) if path else math.nan
+        value = self._real(one, path) if path else math.nan
         return value if value > 0.0 else math.nan
+
+    def _real(self, one: Any, path: str) -> float:
+        """A number. Raises InputError where the message has something else there."""
+        try:
+            return float(look_up(one, path, self))
+        except (TypeError, ValueError, OverflowError):
+            raise InputError(f"{self.type}: {path} is no number; correct the bridge") from None
+
+    def _stamp_ns(self, stamp: Any) -> int:
+        """A stamp [ns]: a Time, or a number of seconds. Raises InputError for anything else."""
+        try:
+            if hasattr(stamp, "sec"):
+                return int(stamp.sec) * _NS + int(stamp.nanosec)
+            return round(float(stamp) * 1e9)
+        except (AttributeError, TypeError, ValueError, OverflowError):
+            raise InputError(f"{self.type}: {self.stamp} is no time; correct the bridge") from None
 
     def _either(self, one: Any, message: Any, path: str) -> Any:
         try:
@@ -110,11 +129,11 @@ def look_up(message: Any, path: str, bridge: Bridge) -> Any:
     return found
 
 
-def yaw(q: Any) -> float:
+def yaw(x: float, y: float, z: float, w: float) -> float:
     """Direction [rad] of a quaternion in the plane; NaN for one that is no rotation."""
-    if not 0.5 < q.x**2 + q.y**2 + q.z**2 + q.w**2 < 2.0:
+    if not 0.7 < math.hypot(x, y, z, w) < 1.4:
         return math.nan
-    return math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y**2 + q.z**2))
+    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y**2 + z**2))
 
 
 def read_bridge(path: Path) -> Bridge:
@@ -140,13 +159,6 @@ def read_bridge(path: Path) -> Bridge:
                 f"{path}: {name}: {value!r} is not the {'type of a message' if name == 'type' else 'path of a field'}"
             )
     return Bridge(**document)
-
-
-def _stamp_ns(stamp: Any) -> int:
-    """A stamp [ns]: a Time, or a number of seconds."""
-    if hasattr(stamp, "sec"):
-        return int(stamp.sec) * _NS + int(stamp.nanosec)
-    return round(float(stamp) * 1e9)
 
 
 def _name(value: Any) -> str:

@@ -92,7 +92,7 @@ class Frames:
 
 def _rotation(q: Any) -> Array | None:
     """Rotation (3, 3) of a quaternion; None for one that is no rotation."""
-    if math.isnan(yaw(q)):
+    if math.isnan(yaw(q.x, q.y, q.z, q.w)):
         return None
     n = math.sqrt(q.x**2 + q.y**2 + q.z**2 + q.w**2)
     x, y, z, w = q.x / n, q.y / n, q.z / n, q.w / n

@@ -38,8 +38,10 @@ def main() -> None:
 
 def _run() -> int | str | None:
     """Run the command, and return its exit code."""
+    from sugiyama_ros import inputs
     from sugiyama_ros.cli.app import app
 
+    inputs.remember()
     try:
         app()
     except SystemExit as end:

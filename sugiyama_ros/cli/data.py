@@ -126,7 +126,8 @@ def _only_files(options: ConvertOptions) -> ConvertOptions:
 
 def _output(options: ConvertOptions) -> Output:
     """The file to write, checked before the work begins."""
-    output = Output(options.output, options.overwrite, (options.source,))
+    given = (options.source, options.columns, options.centre_line, options.bridge)
+    output = Output(options.output, options.overwrite, tuple(path for path in given if path is not None))
     output.check()
     return output
 

@@ -1,6 +1,8 @@
 """``sugiyama report``."""
 
 import dataclasses
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
@@ -45,12 +47,13 @@ def report(
         need_matplotlib("--figures")
     found, recording = read_diagnosis(diagnosis) if diagnosis is not None else None, read_recording(source)
     against = against_truth(source, recording)
-    write_report(recording, found, to_write, against)
     written: list[Path] = []
-    if figures is not None:
-        from sugiyama_ros.page.figures import write_figures
+    with _showing(diagnosis):
+        write_report(recording, found, to_write, against)
+        if figures is not None:
+            from sugiyama_ros.page.figures import write_figures
 
-        written = write_figures(recording, found, figures, overwrite)
+            written = write_figures(recording, found, figures, overwrite)
     text = f"page: {page}" + (f"; {len(written)} figures in {figures}" if written else "")
     document = {"output": str(page), "size_bytes": page.stat().st_size, "figures": written}
     if against is not None:
@@ -60,3 +63,16 @@ def report(
     tell(document, text, as_json)
     if show:
         typer.launch(str(page))
+
+
+@contextmanager
+def _showing(diagnosis: Path | None) -> Iterator[None]:
+    """Name the diagnosis where what it says cannot be drawn: its checked fields are not all that the page shows."""
+    try:
+        yield
+    except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
+        if diagnosis is None:
+            raise
+        raise InputError(
+            f"{diagnosis}: cannot be shown: {error!r}; give what `sugiyama diagnose --json` printed for the same data"
+        ) from error

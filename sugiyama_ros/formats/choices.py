@@ -5,11 +5,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import yaml
-
-from sugiyama_ros.documents import number
+from sugiyama_ros.documents import number, read_yaml
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.formats.reading import open_input
 from sugiyama_ros.trajectories.about import Reference, View
 from sugiyama_ros.trajectories.tracks import NUMBERS, TEXTS
 
@@ -17,7 +14,6 @@ from sugiyama_ros.trajectories.tracks import NUMBERS, TEXTS
 MAPPED = (*TEXTS, *NUMBERS, "leader", "measured")
 _REFERENCES: tuple[Reference, ...] = ("centre", "front", "rear")
 _VIEWS: tuple[View, ...] = ("end", "whole")
-_LARGEST_MAP = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -60,16 +56,7 @@ def read_choices(path: Path) -> Choices:
     InputError
         For anything else.
     """
-    with open_input(path) as stream:
-        content = stream.read(_LARGEST_MAP + 1)
-    if len(content) > _LARGEST_MAP:
-        raise InputError(f"{path}: larger than {_LARGEST_MAP} bytes; give a map of columns")
-    try:
-        said = yaml.safe_load(content)
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError, OverflowError) as error:
-        raise InputError(
-            f"{path}: not YAML: {' '.join(str(error).split())[:200]}; give lines like 'lane: Lane_ID'"
-        ) from None
+    said = read_yaml(path)
     if not isinstance(said, dict):
         raise InputError(f"{path}: not a map of columns; give lines like 'lane: Lane_ID'")
     unknown = [name for name in said if name not in (*MAPPED, "reference", "ring_m", "view")]

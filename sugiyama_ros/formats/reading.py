@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
+from sugiyama_ros import inputs
 from sugiyama_ros.errors import InputError
 
 _MAX_LINE = 10_000
@@ -16,10 +17,12 @@ def open_input(path: Path) -> BinaryIO:
     try:
         if path.exists() and not path.is_file():
             raise InputError(f"{path}: not a regular file; give a file")
-        return path.open("rb")
+        stream = path.open("rb")
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"{path}: cannot be read: {reason}; check the name and the permissions") from None
+    inputs.note(stream.fileno())
+    return stream
 
 
 def shown_name(path: Path) -> str:

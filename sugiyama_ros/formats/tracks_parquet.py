@@ -10,6 +10,7 @@ from sugiyama_ros.formats.columns import is_number
 from sugiyama_ros.formats.format import tracks_format
 from sugiyama_ros.formats.sheet import head_of, read_sheet, sheet_of
 from sugiyama_ros.outputs import Target, output_of, writing
+from sugiyama_ros.trajectories.about import About
 from sugiyama_ros.trajectories.exchange import about_of, of_columns, to_arrow, write_parquet
 from sugiyama_ros.trajectories.tracks import Tracks
 
@@ -34,11 +35,8 @@ def read_tracks_parquet(path: Path, choices: Choices) -> Tracks:
     InputError
         For a damaged file, or one that lacks a column.
     """
-    from pyarrow import parquet
-
-    sheet = sheet_of(path, head_of(path))
-    with parquet.ParquetFile(path) as file:
-        about = about_of(file.schema_arrow.metadata)
+    head = head_of(path)
+    sheet, about = sheet_of(path, head), _about(head, path)
     if sheet is None or about is None:
         raise InputError(f"{path}: does not say that it holds tracks; convert the source again")
     missing = [name for name in ("recording", "vehicle", "time_s", "s_m") if name not in sheet.names]
@@ -83,22 +81,23 @@ def _write_csv(tracks: Tracks, stream: BinaryIO) -> None:
     csv.write_csv(type(table).from_arrays(plain, names=table.column_names), stream)
 
 
-def _has_tracks(head: bytes, path: Path) -> bool:
+def _about(head: bytes, path: Path) -> About | None:
+    """What a file says about its tracks; None for a file that holds none."""
     if not head.startswith(b"PAR1"):
-        return False
+        return None
     from pyarrow import ArrowException, parquet
 
     try:
         with parquet.ParquetFile(path) as file:
-            return about_of(file.schema_arrow.metadata) is not None
+            return about_of(file.schema_arrow.metadata)
     except (ArrowException, OSError, ValueError):
-        return False
+        return None
 
 
 FORMAT = tracks_format(
     name="tracks",
     suffixes=(".parquet",),
-    recognise=_has_tracks,
+    recognise=lambda head, path: _about(head, path) is not None,
     tracks=read_tracks_parquet,
     summary="tracks in Parquet, as sugiyama convert writes them",
 )

@@ -32,7 +32,11 @@ class BaseModel:
                 self._filters[vehicle] = OnlineFilter(self._period_s, self._road, population())
             chain = sample.chain(vehicle, CHAIN)
             position, length, behind = sight(sample, vehicle, chain)
-            found = self._filters[vehicle].step(position, chain, length, sample.stamp_ns / NS, behind)
+            try:
+                found = self._filters[vehicle].step(position, chain, length, sample.stamp_ns / NS, behind)
+            except ArithmeticError:  # nobody drives like this; the filter begins anew
+                del self._filters[vehicle]
+                continue
             if found.scored:
                 errors.append(float(found.innovation_m))
         return errors

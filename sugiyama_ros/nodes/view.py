@@ -235,7 +235,7 @@ class View(Node):
             self._listen(VehicleState, f"{space}/state", incoming.state, self._on_state)
             self._listen(Innovation, f"{space}/innovation", incoming.innovation, self._on_innovation)
             self._listen(DriverParameters, f"{space}/parameters", incoming.parameters, self._on_parameters)
-            self.create_subscription(StyleChange, f"{space}/style_change", self._on_change, STREAM)
+            self._listen(StyleChange, f"{space}/style_change", incoming.style_change, self._on_change)
         self.vehicles = everybody
 
     def _on_state(self, state: tuple[float, int, float, float, float]) -> None:

@@ -15,6 +15,9 @@ from sugiyama_ros.simulation.result import Simulation
 from sugiyama_ros.simulation.simulator import Clock, Simulator, evenly, platoon, simulate
 from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M
 
+#: Vehicles on a road, at most.
+MAX_VEHICLES = 100_000
+
 
 @dataclass(frozen=True)
 class Experiment:
@@ -66,7 +69,7 @@ class Experiment:
             For a number that is not finite or makes no sense, or more samples than a file may have.
         """
         for name, value, lower, upper in (
-            ("vehicles", vehicles, 1, MAX_SAMPLES),
+            ("vehicles", vehicles, 1, MAX_VEHICLES),
             ("duration", self.duration_s, 0.0, 1e9),
             ("gap", self.gap_m, 0.0, 1e6),
             ("period", self.period_s, 1e-3, 1e3),

@@ -9,19 +9,25 @@ from typing import Any
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterValue
+from rcl_interfaces.srv import SetParameters
 from rclpy.exceptions import InvalidParameterValueException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
+from std_srvs.srv import Trigger
 from sugiyama_msgs.msg import DriverParameters, MeasuredPositions, Progress, VehicleState, Verdict
 from sugiyama_msgs.msg import Road as RoadMessage
 from sugiyama_msgs.srv import AddEffect
 
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.filters.online import OnlineFilter
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.nodes.base import cdr_messages, incoming
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.base.samples import Positions
+from sugiyama_ros.nodes.base_model import BaseModel
 from sugiyama_ros.nodes.critic import Critic
 from sugiyama_ros.nodes.estimator import Estimator
 from sugiyama_ros.nodes.recorder import Recorder
@@ -201,6 +207,36 @@ def test_effects_without_what_they_need_are_refused_by_estimator_and_critic(stag
             assert name in answer.message
         uneven = AddEffect.Request(effect="drag", name=["c0", "c2"], value=[1.0])
         assert "2 names, 1 values" in stage.call(AddEffect, service, uneven).message
+
+
+def test_a_request_or_a_message_that_the_code_fails_on_does_not_end_the_node(stage: Any) -> None:
+    """rclpy's own services raise for a parameter of an unknown type, and a callback may fail."""
+    estimator = Estimator(namespace="/vehicle_00")
+    stage.add(estimator)
+    estimator.create_service(Trigger, "~/fails", lambda request, response: 1 // 0)
+    estimator.listen(Progress, "/fails", incoming.progress, lambda message: 1 // 0, STREAM)
+    unknown = ParameterMessage(name="v_star", value=ParameterValue(type=200))
+    answer = stage.call(
+        SetParameters, "/vehicle_00/estimator/set_parameters", SetParameters.Request(parameters=[unknown])
+    )
+    assert answer.results == []
+    answer = stage.call(Trigger, "/vehicle_00/estimator/fails", Trigger.Request())
+    assert (answer.success, "ZeroDivisionError" in answer.message) == (False, True)
+    publisher = estimator.create_publisher(Progress, "/fails", STREAM)
+    publisher.publish(Progress())
+    stage.until(lambda: estimator.refused == 3)
+    assert "cannot be used: ZeroDivisionError" in estimator._reason
+
+
+def test_the_base_model_begins_anew_where_nobody_can_drive(monkeypatch: pytest.MonkeyPatch) -> None:
+    base = BaseModel(incoming.road(road_of()))
+    errors = [base.follow(incoming.sample(sample_of(step))) for step in range(30)]
+    assert len(errors[-1]) == 3
+    monkeypatch.setattr(OnlineFilter, "step", lambda *_: 1 // 0)
+    assert base.follow(incoming.sample(sample_of(30))) == []
+    monkeypatch.undo()
+    errors = [base.follow(incoming.sample(sample_of(step))) for step in range(31, 61)]
+    assert (len(errors[0]), len(errors[-1])) == (0, 3)
 
 
 def test_a_filter_that_diverges_starts_anew_and_tells(stage: Any) -> None:

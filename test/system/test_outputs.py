@@ -70,6 +70,7 @@ def test_an_existing_output_is_refused_before_the_work_begins(here, command):
     [
         ("convert", "good.mcap", "good.mcap"),
         ("convert", "good.csv", "good.csv"),
+        ("convert", ".", "good.csv"),
         ("run", "good.mcap", "-o", "good.mcap"),
         ("live", "good.mcap", "-o", "good.mcap"),
         ("demo", "--data", "good.mcap", "-o", "good.mcap"),

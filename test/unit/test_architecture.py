@@ -11,6 +11,7 @@ PACKAGE = Path(__file__).parents[2] / "sugiyama_ros"
 #: The rooms (folders and single files), as in README. Each room may import the rooms above it, and errors.
 ORDER = (
     "arrays",
+    "inputs",
     "outputs",
     "documents",
     "entry_points",
@@ -43,7 +44,7 @@ ORDER = (
     "compile",
 )
 #: Single files that README does not have to name.
-SMALL = {"entry_points", "progress", "plugins", "picture", "results", "plots", "tables"}
+SMALL = {"entry_points", "inputs", "progress", "plugins", "picture", "results", "plots", "tables"}
 #: Rooms that may import only these rooms, whatever the order allows.
 ALONE = {
     "page": set(

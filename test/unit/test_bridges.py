@@ -1,6 +1,7 @@
 """Bridges: fields of messages, frames, and samples at regular times."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace as Message
 from typing import Any
@@ -8,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sugiyama_ros.bridges.fields import read_bridge
+from sugiyama_ros.bridges.fields import read_bridge, yaw
 from sugiyama_ros.bridges.frames import Frames
 from sugiyama_ros.bridges.moments import Moments, Numbers, RoadMoment
 from sugiyama_ros.bridges.registry import BRIDGES
@@ -102,6 +103,16 @@ def test_a_bridge_of_ones_own(tmp_path: Path) -> None:
         path.write_text(text)
         with pytest.raises(InputError, match=why):
             read_bridge(path)
+
+
+def test_fields_that_are_no_numbers_are_refused() -> None:
+    message, _ = CASES["nav_msgs/msg/Odometry"]
+    odometry = BRIDGES["nav_msgs/msg/Odometry"]
+    for name, path in (("x", "header.frame_id"), ("y", "pose"), ("heading", "header.frame_id"), ("stamp", "pose.pose")):
+        with pytest.raises(InputError, match=r"is no (number|time); correct the bridge"):
+            list(replace(odometry, **{name: path}).seen(message, "/car"))
+    assert math.isnan(yaw(1e308, 0.0, 0.0, 1.0))
+    assert math.isnan(yaw(math.nan, 0.0, 0.0, 1.0))
 
 
 def transform(parent: str, child: str, time_s: float, x: float, y: float, angle: float) -> Any:

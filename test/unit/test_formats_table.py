@@ -198,14 +198,14 @@ def test_a_map_of_columns(tmp_path: Path) -> None:
     ("content", "said"),
     [
         ("[1, 2]", "not a map of columns"),
-        ("lane: {", "not YAML"),
+        ("lane: {", "is no YAML"),
         ("speed: v", "'speed' is no column of tracks"),
         ("lane: {name: a}", "lane: give the name of a column"),
         ("s_m: {column: a, factor: b}", "factor of s_m: 'b' is no finite number"),
         ("reference: middle", "reference 'middle' is not known; choose among centre, front, rear"),
         ("ring_m: round", "ring_m: 'round' is no finite number"),
         ("ring_m: " + "9" * 400, "is no finite number"),
-        ("#" * 70_000, "larger than 65536 bytes"),
+        ("lane: &a [x]\nreference: *a", "has aliases"),
     ],
 )
 def test_bad_maps(tmp_path: Path, content: str, said: str) -> None:

@@ -5,14 +5,16 @@ decodes them and raises `RefusedError` if they are no valid message.
 """
 
 import struct
+import traceback
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from math import isfinite, nan
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rclpy.serialization import deserialize_message
-from sugiyama_msgs.msg import DriverArray, DriverParameters, Progress, Verdict
+from sugiyama_msgs.msg import DriverArray, DriverParameters, Progress, StyleChange, Verdict
 from sugiyama_msgs.msg import Road as RoadMessage
 
 from sugiyama_ros.nodes.base import cdr_messages
@@ -24,16 +26,21 @@ MOST_STEPS = 1 << 53
 PERIODS_S, RINGS_M = (1e-3, 1e3), (1.0, 1e7)
 #: Time [s] between the stamps of a vehicle and of its sample, at most.
 MOST_OFFSET_S = 60.0
+# Characters of a reason; names from messages may be in it.
+_LONGEST_REASON = 500
 
 
 class RefusedError(ValueError):
-    """A message that is not used. The text says why."""
+    """A message that is not used. The text, of a bounded length, says why."""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(reason[:_LONGEST_REASON])
 
 
 def receiver(
     decode: Callable[[bytes], Any], take: Callable[[Any], None], refuse: Callable[[RefusedError], None]
 ) -> Callable[[bytes], None]:
-    """Make the callback of a subscription to bytes.
+    """Make the callback of a subscription to bytes. Whatever a message says, the node goes on.
 
     Parameters
     ----------
@@ -42,7 +49,7 @@ def receiver(
     take : callable
         Gets each valid message.
     refuse : callable
-        Gets the reason for each other one.
+        Gets the reason for each other one, and for a message that ``take`` fails on.
 
     Returns
     -------
@@ -56,9 +63,18 @@ def receiver(
         except RefusedError as reason:
             refuse(reason)
             return
-        take(message)
+        try:
+            take(message)
+        except Exception as error:  # one message must not end the node
+            refuse(unusable(error))
 
     return receive
+
+
+def unusable(error: Exception) -> RefusedError:
+    """Return the reason why a message or a request was dropped on which the code failed."""
+    *_, at = traceback.extract_tb(error.__traceback__)
+    return RefusedError(f"cannot be used: {error!r} ({Path(at.filename).name}, line {at.lineno})")
 
 
 def road(raw: bytes) -> RoadMessage:
@@ -137,6 +153,11 @@ def verdict(raw: bytes) -> Verdict:
 def state(raw: bytes) -> tuple[float, int, float, float, float]:
     """Decode a VehicleState from an estimator, as ``cdr_messages.read_state``. Raises RefusedError."""
     return _read(raw, cdr_messages.read_state)
+
+
+def style_change(raw: bytes) -> StyleChange:
+    """Decode a StyleChange. Raises RefusedError."""
+    return _decoded(raw, StyleChange)
 
 
 def drivers(raw: bytes) -> DriverArray:

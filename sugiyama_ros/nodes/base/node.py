@@ -15,10 +15,11 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
+from rclpy.service import Service
 from sugiyama_msgs.msg import Progress
 
 from sugiyama_ros.errors import SugiyamaError
-from sugiyama_ros.nodes.base.incoming import receiver
+from sugiyama_ros.nodes.base.incoming import receiver, unusable
 from sugiyama_ros.nodes.base.qos import PROGRESS_OUT, STREAM, WINDOW
 
 _BEAT_S = 0.1
@@ -109,6 +110,23 @@ class PacedNode(Node):
         """Subscribe to a topic. A message that ``decode`` refuses is counted and dropped."""
         callback = receiver(decode, take, partial(self.refuse, topic))
         self.create_subscription(kind, topic, callback, qos, raw=True)
+
+    def create_service(
+        self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **options: Any
+    ) -> Service:
+        """Offer a service. A request on which the callback fails is counted and refused, and the node goes on."""
+        return super().create_service(srv_type, srv_name, partial(self._serve, srv_name, callback), **options)
+
+    def _serve(self, name: str, callback: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
+        try:
+            return callback(request, response)
+        except Exception as error:  # one request must not end the node
+            reason = unusable(error)
+            self.refuse(name, reason)
+            refused = type(response)()
+            if hasattr(refused, "message"):
+                refused.message = str(reason)
+            return refused
 
     def on_clock_jump(self, callback: Callable[[], None]) -> None:
         """Call back when the time of the recording, /clock, has jumped back; nothing happens on the system's clock."""

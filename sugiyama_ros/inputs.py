@@ -1,0 +1,41 @@
+"""Which files a program has read, so that it never writes to one of them.
+
+Files that a command reads beside the files that it is given count too: metadata, and the files of a folder. Code that
+opens inputs calls `note`. Only the command line remembers; in a notebook, a file that was read may be written.
+"""
+
+import os
+from pathlib import Path
+
+# A file is its device and its number there, whatever its names.
+_Key = tuple[int, int]
+_read: set[_Key] = set()
+_own: set[_Key] = set()
+_remembers = False
+
+
+def remember() -> None:
+    """Remember from now on which files are read; the command line calls this."""
+    global _remembers
+    _remembers = True
+
+
+def note(number: int) -> None:
+    """Note that the program reads the file with a descriptor. A file that it has written itself does not count."""
+    if _remembers and (key := _key(os.fstat(number))) not in _own:
+        _read.add(key)
+
+
+def note_own(number: int) -> None:
+    """Note that the program has written the file with a descriptor."""
+    if _remembers:
+        _own.add(_key(os.fstat(number)))
+
+
+def was_read(path: Path) -> bool:
+    """Whether the program has read a file, under any of its names."""
+    return bool(_read) and _key(path.stat()) in _read
+
+
+def _key(about: os.stat_result) -> _Key:
+    return about.st_dev, about.st_ino
