@@ -94,6 +94,10 @@ class Constants:
         Name of the group.
     parameters : tuple of str
         Names of the constants.
+    title : str
+        Name for people.
+    summary : str
+        Explanation in one line.
     individual : bool
         Whether every driver has individual values.
     is_noise : bool
@@ -102,16 +106,41 @@ class Constants:
 
     name: str
     parameters: tuple[str, ...]
+    title: str
+    summary: str
     individual: bool = False
     is_noise: bool = False
 
 
-# Constants that the paper fixes, in groups that act together.
-_CONSTANTS = (
-    Constants("response_constants", ("kappa_c", "kappa_d", "kappa_1")),
-    Constants("noise_constants", ("rho", "sigma_x", "sigma_v"), is_noise=True),
-    Constants("rationality", ("rationality",), individual=True),
-    Constants("risk_constants", ("kappa_c", "kappa_d"), individual=True),
+#: Constants that the paper fixes, in groups that act together.
+CONSTANTS = (
+    Constants(
+        "response_constants",
+        ("kappa_c", "kappa_d", "kappa_1"),
+        "softer or harder response",
+        "gap scales and the width of the desired-speed reward are fitted instead of the paper's constants",
+    ),
+    Constants(
+        "noise_constants",
+        ("rho", "sigma_x", "sigma_v"),
+        "other noise of the motion",
+        "noises of position, speed and acceleration are fitted instead of the paper's constants",
+        is_noise=True,
+    ),
+    Constants(
+        "rationality",
+        ("rationality",),
+        "sharper or looser choices",
+        "how sharply a driver prefers the best action is fitted for each driver",
+        individual=True,
+    ),
+    Constants(
+        "risk_constants",
+        ("kappa_c", "kappa_d"),
+        "own gap scales of each driver",
+        "gap scales at standstill and per closing speed are fitted for each driver",
+        individual=True,
+    ),
 )
 
 
@@ -136,10 +165,10 @@ def candidates(data: Recorded) -> tuple[Candidate, ...]:
             places=tuple(index(p) for p in c.parameters),
             starts=({},),
             individual=c.individual,
-            summary="a constant of the paper",
+            summary=c.summary,
             is_noise=c.is_noise,
         )
-        for c in _CONSTANTS
+        for c in CONSTANTS
     ]
     for e in EFFECTS.values():
         starts = e.starts(extent)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sugiyama_ros.arrays import Array
+from sugiyama_ros.diagnosis.candidates import CONSTANTS
 from sugiyama_ros.driver.parameters import Parameter
 from sugiyama_ros.effects.registry import EFFECTS, ROW
 from sugiyama_ros.laws.registry import LAWS
@@ -45,32 +46,25 @@ def drives(d: "Diagnosis") -> dict[str, Any]:
     }
 
 
-def about(d: "Diagnosis") -> dict[str, Any]:
+def about() -> dict[str, Any]:
     """Explain every name that the document mentions: effects, constants and laws.
-
-    Parameters
-    ----------
-    d : Diagnosis
-        The diagnosis.
 
     Returns
     -------
     dict
         For each name: ``kind`` (effect, constants or law), ``title``, ``summary``, and for each of the ``parameters``
-        its unit, its meaning, and whether it is a ``place`` or a ``time``.
+        its unit, its meaning, and whether it is a ``place`` or a ``time``. An effect also has ``is_limit``: a smaller
+        value of its first parameter is a stronger effect.
     """
     declared: dict[str, Any] = {p.name: p for p in ROW.declared}
     found = {
-        one.candidate.name: _explained(
-            one.candidate.name.replace("_", " "),
-            one.candidate.summary,
-            [declared[name] for name in one.candidate.parameters],
-            "constants",
-        )
-        for one in d.scored
-        if one.candidate.name not in EFFECTS
+        c.name: _explained(c.title, c.summary, [declared[name] for name in c.parameters], "constants")
+        for c in CONSTANTS
     }
-    effects = {name: _explained(e.title, e.summary, e.parameters, "effect") for name, e in EFFECTS.items()}
+    effects = {
+        name: {**_explained(e.title, e.summary, e.parameters, "effect"), "is_limit": e.is_limit}
+        for name, e in EFFECTS.items()
+    }
     laws = {name: _explained(law.title, law.summary, law.parameters, "law") for name, law in LAWS.items()}
     return {**found, **effects, **laws}
 

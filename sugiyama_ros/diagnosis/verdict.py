@@ -68,7 +68,7 @@ def document(d: Diagnosis) -> dict[str, Any]:
         "errors": {"before": d.before.summary(), "after": d.after.summary(), **d.rivals, **d.floor},
         "drivers": _drivers(d),
         "free_run": drives(d),
-        "about": about(d),
+        "about": about(),
         "vehicles": d.data.drivers,
         "samples": d.data.samples if d.data.vicinity.is_whole_road else int(d.data.scored.sum()),
         "bootstrap_runs": d.bootstrap_runs,

@@ -8,6 +8,7 @@ from sugiyama_ros.page.recording import Recording
 from sugiyama_ros.page.thumbnail import thumbnail
 from sugiyama_ros.page.words import (
     OUTCOMES,
+    certainty,
     headline,
     how_sure,
     model_name,
@@ -16,10 +17,12 @@ from sugiyama_ros.page.words import (
     summary_of,
     title_of,
     what_to_do,
+    worse,
 )
 
-# Models of the bars.
+# Models of the bars, and sentences of one kind that the card has room for.
 _SHOWN = ("before", "after", "idm", "fvdm", "floor")
+_LINES = 3
 
 
 def card(r: Recording, diagnosis: Mapping[str, Any] | None) -> str:
@@ -51,45 +54,71 @@ def _verdict(d: Mapping[str, Any] | None) -> str:
         )
     outcome = d["verdict"].get("adequacy", {}).get("outcome", "")
     sign, words = OUTCOMES.get(outcome, ("", "Diagnosis"))
-    rows = [("How large", f"{title_of(d, n['name'])}: {size_of(d, n)}") for n in d["verdict"]["effects"]]
-    if len(d["verdict"]["effects"]) == 1 and (summary := summary_of(d, d["verdict"]["effects"][0]["name"])):
-        rows.append(("What it is", summary))
-    rows += [("How sure", line) for line in how_sure(d)]
-    rows += [("What is left", "; ".join(reasons(d)) + ".")] if reasons(d) else []
+    effects = d["verdict"]["effects"]
+    rows: list[tuple[str, str]] = []
+    if len(effects) == 1:
+        rows.append(("How large", size_of(d, effects[0])))
+        if summary := summary_of(d, effects[0]["name"]):
+            rows.append(("What it is", summary))
+    else:
+        rows += _few("What was found", [f"{title_of(d, n['name'])}: {certainty(d, n)}" for n in effects])
+    if effects:
+        rows.append(("How sure", how_sure(d)))
+    rows += _few("What gets worse", worse(d)) + _few("What is left", reasons(d))
     rows.append(("What to do", what_to_do(d)))
     if hidden := d.get("hidden"):
         rows.append(("The truth", f"hidden in this simulation: {title_of(d, hidden['name'])}; {size_of(d, hidden)}."))
-    listed = "".join(f"<dt>{escape(what)}</dt><dd>{escape(text)}</dd>" for what, text in _merged(rows))
+    listed = "".join(f"<dt>{escape(what)}</dt><dd>{escape(text)}</dd>" for what, text in rows)
     return (
         f'<div class="verdict {escape(outcome)}"><p class="badge">{sign} {escape(words)}</p>'
         f'<p class="headline">{escape(headline(d))}</p><dl>{listed}</dl></div>'
     )
 
 
-def _merged(rows: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
-    """Rows in which a heading is not repeated."""
-    return [(what if k == 0 or rows[k - 1][0] != what else "", text) for k, (what, text) in enumerate(rows)]
+def _few(what: str, lines: Sequence[str]) -> list[tuple[str, str]]:
+    """Rows of the first lines, and the number of the others."""
+    shown = list(lines[:_LINES])
+    if len(lines) > _LINES:
+        shown[-1] += f"; and {len(lines) - _LINES} more, below"
+    return [(what if k == 0 else "", line) for k, line in enumerate(shown)]
 
 
 def _tiles(d: Mapping[str, Any] | None) -> str:
     if d is None:
         return ""
     errors = d["errors"]
-    share = d["verdict"].get("adequacy", {}).get("explained_share")
     tiles = [
         _tile("One step ahead", "error of the next position", "one_step_rmse_m", errors),
-        _tile("Free run, 10 s", "error after 10 s in which all cars drive by the model", "free_run_10s_m", errors),
+        _free_runs(errors),
+        _explained(d),
     ]
+    return f'<div class="tiles">{"".join(tiles)}</div>'
+
+
+def _explained(d: Mapping[str, Any]) -> str:
+    """Which share of the gain the additions bring, and in how many bins the model stays biased."""
+    share = d["verdict"].get("adequacy", {}).get("explained_share")
+    of_chance = d["verdict"].get("adequacy", {}).get("bins_expected")
     if share is not None:
         text = f"{100.0 * float(share):.0f} %"
         bar = f'<div class="bar"><i style="width:{100.0 * min(max(float(share), 0.0), 1.0):.1f}%"></i></div>'
-        note = "of the held-out gain that anything found here can bring"
+        note = "of the held-out gain that these additions, and the best law or force beyond them, bring"
     else:
-        text, bar, note = "–", "", "there is nothing to explain, or it is not known"
-    tiles.append(
-        f'<div class="tile"><h3>Explained</h3><p class="number">{text}</p>{bar}<p class="note">{note}</p></div>'
+        text, bar, note = "–", "", "of a gain: nothing that was tried gains anything beyond chance"
+    rows = ""
+    for when in ("before", "after") if d["verdict"]["effects"] else ("before",):
+        where = d.get("where", {}).get(when)
+        if where:
+            biased = f"{len(where['flagged'])} of {len(where['bins'])}"
+            rows += f'<tr class="{when}"><td>{escape(model_name(when))}</td><td>{biased}</td></tr>'
+    if rows and of_chance is not None:
+        rows += f"<tr><td>by chance, in simulations</td><td>{float(of_chance):.1f}</td></tr>"
+    if rows:
+        rows = f'<tr class="before"><td>biased bins</td><td></td></tr>{rows}'
+    return (
+        f'<div class="tile"><h3>Explained</h3><p class="number">{text}</p>{bar}<p class="note">{note}</p>'
+        f"<table>{rows}</table></div>"
     )
-    return f'<div class="tiles">{"".join(tiles)}</div>'
 
 
 def _tile(title: str, about: str, key: str, errors: Mapping[str, Any]) -> str:
@@ -112,6 +141,17 @@ def _tile(title: str, about: str, key: str, errors: Mapping[str, Any]) -> str:
         f'<div class="tile"><h3>{escape(title)}</h3><p class="number">{number}</p><p class="note">{escape(about)}</p>'
         f"<table>{bars}</table></div>"
     )
+
+
+def _free_runs(errors: Mapping[str, Any]) -> str:
+    """The tile of free runs: of all cars, or of one car where a recording has no whole road."""
+    ends = [_value(errors, model, "single_car_10s_m") for model in ("before", "after")]
+    if _value(errors, "before", "free_run_10s_m") is None:
+        return _tile("Free run, 10 s", "error of one car behind its measured leader", "single_car_10s_m", errors)
+    text = "error after 10 s in which all cars drive by the model"
+    if ends[0] is not None and ends[1] is not None:
+        text += f"; one car behind its measured leader: {' → '.join(dict.fromkeys(f'{end:.3g}' for end in ends))} m"
+    return _tile("Free run, 10 s", text, "free_run_10s_m", errors)
 
 
 def _value(errors: Mapping[str, Any], model: str, key: str) -> float | None:

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.outputs import Output, make_directory, writing
-from sugiyama_ros.page.panels.base import BLUE, COLOURS, GREEN, GREY, ORANGE, VERMILION
+from sugiyama_ros.page.panels.base import BLUE, GREEN, GREY, ORANGE, VERMILION, colour_of
 from sugiyama_ros.page.panels.measured import fastest, places, speeds
 from sugiyama_ros.page.panels.space_time import speeds_of_run
 from sugiyama_ros.page.panels.worth import error_growth
@@ -106,7 +106,7 @@ def _of_diagnosis(r: Recording, d: Mapping[str, Any]) -> dict[str, Drawing]:
     if all("v_star" in driver for driver in d["drivers"]):
         found["drivers"] = lambda axes: _drivers(axes, d)
     for when in ("before", "after") if d["verdict"]["effects"] else ("before",):
-        if "free_run" in d:
+        if d.get("free_run", {}).get("time_s"):
             found[f"space_time_{when}"] = lambda axes, when=when: _simulated(axes, r, d["free_run"], when)  # type: ignore[misc]
         for one in d.get("where", {}).get(when, {}).get("maps", []):
             found[f"bias_{one['first']}_{one['second']}_{when}"] = lambda axes, one=one: _bias(axes, one)  # type: ignore[misc]
@@ -173,11 +173,11 @@ def _candidates(axes: Any, d: Mapping[str, Any]) -> Columns:
 
 def _growth(axes: Any, d: Mapping[str, Any]) -> Columns:
     rows: list[tuple[str, str, float, float]] = []
-    for k, (name, errors) in enumerate(d["errors"].items()):
+    for name, errors in d["errors"].items():
         for run, style in (("free_run", "-"), ("single_car", "--")):
             seconds, values = error_growth(errors, run)
             label = model_name(name) if run == "free_run" else None
-            axes.plot(seconds, values, style, color=COLOURS[k % len(COLOURS)], label=label)
+            axes.plot(seconds, values, style, color=colour_of(name, d), label=label)
             rows += [(name, run, s, v) for s, v in zip(seconds, values, strict=True)]
     axes.set(xlabel="after [s]", ylabel="error [m]; dashed: one car", ylim=(0.0, None))
     axes.legend(frameon=False, fontsize=5)

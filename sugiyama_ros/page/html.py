@@ -6,15 +6,17 @@ from html import escape
 from importlib import metadata
 from typing import Any
 
+from sugiyama_ros.page.card import name_of
+from sugiyama_ros.page.panels.base import colour_of
 from sugiyama_ros.page.recording import Recording
-from sugiyama_ros.page.words import Document, model_name, quantity, title_of
+from sugiyama_ros.page.words import Document, certainty, model_name, models, not_told_apart, quantity, size_of, title_of
 
 _COLUMNS = {
     "one_step_rmse_m": "one step [m]",
     "free_run_2s_m": "all cars 2 s [m]",
-    "free_run_10s_m": "10 s [m]",
+    "free_run_10s_m": "all cars 10 s [m]",
     "single_car_2s_m": "one car 2 s [m]",
-    "single_car_10s_m": "10 s [m]",
+    "single_car_10s_m": "one car 10 s [m]",
     "loglik_per_sample": "nats per sample",
 }
 _SMALL = ("one_step_rmse_m", "loglik_per_sample")
@@ -33,22 +35,43 @@ def table(headings: Sequence[str], rows: Sequence[Sequence[str]], *, left: bool 
 
 
 def errors(d: Document) -> str:
-    """Held-out errors of all models."""
-    rows = [
-        [model_name(name), *(_number(found.get(key), 3 if key in _SMALL else 2) for key in _COLUMNS)]
-        for name, found in d["errors"].items()
-    ]
-    return table(["held-out errors", *_COLUMNS.values()], rows)
+    """Held-out errors of all models, each with its colour in the pictures; without columns that nothing is known of."""
+    shown = models(d)
+    columns = {key: title for key, title in _COLUMNS.items() if any(one.get(key) is not None for one in shown.values())}
+    rows = "".join(
+        f'<tr><td><i class="swatch" style="background:{colour_of(name, d)}"></i>{escape(model_name(name))}</td>'
+        + "".join(f"<td>{_number(found.get(key), 3 if key in _SMALL else 2)}</td>" for key in columns)
+        + "</tr>"
+        for name, found in shown.items()
+    )
+    head = "".join(f"<th>{escape(h)}</th>" for h in ("held-out errors", *columns.values()))
+    return f'<div class="scroll"><table><tr>{head}</tr>{rows}</table></div>'
 
 
 def _number(value: Any, digits: int) -> str:
     return "" if value is None else f"{float(value):.{digits}f}"
 
 
-def told(d: Document) -> str:
-    """The sentences of the command line."""
-    lines = d["verdict"].get("told", [])
-    return f"<ul>{''.join(f'<li>{escape(line.strip())}</li>' for line in lines)}</ul>" if lines else ""
+def additions(d: Document) -> str:
+    """What was added, one row each; and the sentences of the command line, to be opened."""
+    text = ""
+    if effects := d["verdict"]["effects"]:
+        rows = [
+            [
+                title_of(d, n["name"]),
+                size_of(d, n) or "a value of each driver",
+                certainty(d, n),
+                not_told_apart(d, n) or "nothing",
+                "; ".join(n.get("worse_where", ())) or "nowhere",
+            ]
+            for n in effects
+        ]
+        headings = ["added", "how large", "how sure", "cannot be told apart from", "worse than the base model in use"]
+        text = table(headings, rows, left=True)
+    lines = "".join(f"<li>{escape(line.strip())}</li>" for line in d["verdict"].get("told", []))
+    return text + (
+        f"<details><summary>What sugiyama diagnose prints</summary><ul>{lines}</ul></details>" if lines else ""
+    )
 
 
 def failing(d: Document) -> str:
@@ -59,12 +82,13 @@ def failing(d: Document) -> str:
     whens = ("before", "after") if d["verdict"]["effects"] else ("before",)
     regimes = {when: {b["label"]: b for b in where[when]["bins"] if b["covariate"] == "regime"} for when in whens}
     rows = [[f"while {label}", *(_bias(regimes[when].get(label)) for when in whens)] for label in regimes["before"]]
+    says = {"before": "Before: biased" if len(whens) > 1 else "Biased", "after": "With what was added: biased"}
     lines = []
     for when in whens:
         flagged = where[when]["flagged"]
         worst = "; ".join(_bin(b) for b in flagged[:3])
-        text = f"{'Before' if when == 'before' else 'With what was added'}: biased in {len(flagged)} of"
-        lines.append(f"{text} {len(where[when]['bins'])} bins" + (f", most of all at {worst}." if worst else "."))
+        text = f"{says[when]} in {len(flagged)} of {len(where[when]['bins'])} bins"
+        lines.append(text + (f", most of all at {worst}." if worst else "."))
     headings = ["regime", "before", "with what was added"] if len(whens) > 1 else ["regime", "bias"]
     return "".join(f"<p>{escape(line)}</p>" for line in lines) + table(headings, rows, left=True)
 
@@ -93,25 +117,28 @@ def detectable(d: Document) -> str:
             continue
         declared = d.get("about", {}).get(one["name"], {}).get("parameters", {}).get(one["parameter"], {})
         meaning = str(declared.get("meaning", one["parameter"].replace("_", " "))).split(";")[0]
-        size = quantity(float(one["value"]), str(declared.get("unit", "")))
+        value, unit = float(one["value"]), str(declared.get("unit", ""))
+        # a smaller limit is a stronger effect
+        end = "or less" if d.get("about", {}).get(one["name"], {}).get("is_limit") else "or more"
+        size = f"{quantity(value, unit)} {end if value > 0.0 else 'or beyond'}"
         rows.append([title_of(d, one["name"]), f"{meaning}: {size}"])
     text = ""
     if rows:
-        text += "<h3>What these data would usually have shown, from this size on</h3>"
-        text += table(["effect", "smallest size"], rows, left=True)
-    searched = set(d["verdict"].get("searched", []))
-    missed = [name for name, one in d.get("about", {}).items() if one.get("kind") == "effect" and name not in searched]
-    if searched and missed:
-        names = ", ".join(title_of(d, name) for name in missed)
-        text += f"<p>Not searched for: {escape(names)}. What is not in the catalogue is not searched for either.</p>"
-    return text
+        text += "<h3>What these data would usually have shown</h3>"
+        text += table(["effect", "if it were this strong"], rows, left=True)
+    missed = [f"{title_of(d, one['name'])} ({one['reason']})" for one in d["verdict"].get("not_searched", [])]
+    text += f"<p>Not searched for: {escape(', '.join(missed))}.</p>" if missed else ""
+    if searched := [title_of(d, name) for name in d["verdict"].get("searched", [])]:
+        names = escape(", ".join(searched))
+        text += f"<details><summary>Searched for, in {len(searched)} groups</summary>{names}.</details>"
+    return text + "<p>What is not in the catalogue is not searched for.</p>"
 
 
 def how(r: Recording, d: Document | None) -> str:
     """Commands, versions, checksums, seeds and licences."""
     t = r.trajectories
     rows = [
-        ["measured", t.source or "not known"],
+        ["measured", name_of(r)],
         ["checksum (SHA-256)", t.sha256 or "not known"],
         ["commands", "sugiyama run FILE -o run.mcap; sugiyama report run.mcap"],
     ]

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any, NamedTuple
 
+import numpy as np
 from bokeh.embed import components
 from bokeh.models import UIElement
 from bokeh.resources import Resources
@@ -19,8 +20,8 @@ from sugiyama_ros.page.style import STYLE
 from sugiyama_ros.page.truth import SHOWN, AgainstTruth
 
 _FLOOR = (
-    '<p class="note">Floor: the final model on one recording that it simulates itself. What is left there is noise, and'
-    " differs from recording to recording.</p>"
+    '<p class="note">Floor: the final model on one recording that it simulates itself. What is left there is noise. It'
+    " differs from recording to recording, so that a model may lie below it. In the pictures, the floor is dashed.</p>"
 )
 
 
@@ -66,7 +67,8 @@ def write_report(
 
 def report(r: Recording, diagnosis: Mapping[str, Any] | None, against: AgainstTruth | None = None) -> str:
     """The page as HTML, with all scripts in it."""
-    chosen = Chosen(r.trajectories.vehicle)
+    # the first driver of whom something was learnt: the first car of a platoon follows nobody
+    chosen = Chosen(r.trajectories.vehicle, int(np.argmax(r.error_by_driver > 0.0)))
     sections = _measured(r, diagnosis, chosen)
     if diagnosis is not None:
         sections += _diagnosed(r, diagnosis, chosen)
@@ -105,15 +107,20 @@ def _diagnosed(r: Recording, d: Mapping[str, Any], chosen: Chosen) -> list[Secti
         " found.</p>"
     )
     text = html.failing(d)
+    runs = {
+        "free_run": "Free runs of all cars together",
+        "single_car": "Free runs of one car behind its measured leader",
+    }
+    worths = [worth.growth(d, run, title) for run, title in runs.items() if worth.is_known(d, run)]
+    worths.append(worth.by_driver(d, chosen, vehicles))
     return [
         Section("fails", "Where it fails", (legend if maps else "") + text, maps, "four" if len(maps) == 4 else ""),
         Section(
             "missing", "What is missing",
-            "<p>Red: added (▸), and what cannot be told apart from it in these data.</p>" + html.told(d),
+            html.additions(d) + "<p>Red: added (▸), and what cannot be told apart from it in these data.</p>",
             [missing.candidates(d)], "side", html.detectable(d),
         ),
-        Section("worth", "What it is worth", html.errors(d) + _FLOOR,
-                [worth.growth(d), worth.by_driver(d, chosen, vehicles)], "side"),
+        Section("worth", "What it is worth", html.errors(d) + _FLOOR, worths, "three" if len(worths) == 3 else ""),
     ]  # fmt: skip
 
 

@@ -15,7 +15,8 @@ h3 { font-size: .95rem; margin: .6rem 0 .2rem; } p { margin: .25rem 0; }
 .card { display: grid; grid-template-columns: minmax(220px, 1fr) 2.6fr; gap: 1rem; }
 .card > * { background: var(--soft); border-radius: 8px; padding: .8rem 1rem; min-width: 0; }
 .what { display: flex; flex-direction: column; }
-.card img { width: 100%; min-height: 110px; height: 110px; flex: 1; image-rendering: pixelated; border-radius: 4px; }
+.card img { width: 100%; min-height: 110px; height: 110px; max-height: 300px; flex: 1; image-rendering: pixelated;
+  border-radius: 4px; }
 .badge { display: inline-block; margin: 0; padding: .05rem .7rem; border-radius: 1rem; color: var(--back);
   background: var(--note); font-weight: 600; } .adequate .badge, .explained .badge { background: var(--good); }
 .not_explained .badge { background: var(--bad); }
@@ -38,10 +39,14 @@ nav a { color: inherit; } nav .choose { margin-left: auto; display: flex; align-
 .panel { min-width: 0; } .wide { grid-column: 1 / -1; } section { scroll-margin-top: 5rem; }
 .three { grid-template-columns: repeat(3, minmax(0, 1fr)); } .one { grid-template-columns: minmax(0, 1fr); }
 .text { align-self: start; font-size: .9rem; } .scroll { overflow-x: auto; }
+.swatch { display: inline-block; width: .8rem; height: .8rem; border-radius: 2px; margin-right: .4rem; }
+summary { cursor: pointer; } details { margin: .4rem 0; }
 table { border-collapse: collapse; } section tr { border-bottom: 1px solid var(--line); }
 section td, section th { padding: .15rem .8rem .15rem 0; text-align: right; vertical-align: top; }
 section td:first-child, section th:first-child, section .left td, section .left th
   { text-align: left; }
+.panels.side:not(.four) > .panel:last-child:nth-child(odd), .panels.four > .panel:last-child:nth-child(2n+1)
+  { grid-column: 1 / -1; }
 @media (max-width: 1099px) { .three { grid-template-columns: minmax(0, 1fr); }
   .panels.side { grid-template-columns: minmax(0, 1fr); } .tile .number { font-size: 1.05rem; }
   .tile { padding: .5rem .6rem; } .tile td:first-child { white-space: normal; } .bar { min-width: 3rem; }

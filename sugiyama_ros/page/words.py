@@ -1,11 +1,16 @@
 """A diagnosis in plain words, out of its document: what is missing, how large, how sure, and what to do."""
 
 import math
+import re
 from collections.abc import Mapping
 from typing import Any
 
 Document = Mapping[str, Any]
-_LAWS = {"idm": "IDM", "fvdm": "FVDM", "ovm": "OVM"}
+_LAWS = {"idm": "IDM", "fvdm": "FVDM", "ovm": "OVM", "gipps": "Gipps", "newell": "Newell", "helly": "Helly"}
+# Additions that the card and its headline name one by one; of more, they say the number.
+_FEW = 2
+# A driver's single-car error has grown clearly, as `sugiyama diagnose` says it.
+_WORSE = 1.2
 #: Outcomes of a verdict: sign and words.
 OUTCOMES = {
     "adequate": ("✓", "The model is adequate"),
@@ -27,11 +32,16 @@ def summary_of(d: Document, name: str) -> str:
 
 def model_name(name: str) -> str:
     """Name of a model in tables and legends."""
-    known = {"before": "base model", "after": "with what was added", "floor": "floor (pure noise)"}
+    known = {"before": "base model", "after": "with what was added", "floor": "floor (one simulation)"}
     if name in known:
         return known[name]
     law = name.removesuffix("_least_squares")
     return _LAWS.get(law, law.replace("_", " ")) + (", fitted to gaps" if law != name else "")
+
+
+def models(d: Document) -> dict[str, Document]:
+    """Errors of the models by name, without a model that equals the base model because nothing was added."""
+    return {name: one for name, one in d["errors"].items() if name != "after" or d["verdict"]["effects"]}
 
 
 def quantity(value: float, unit: str = "", std: float | None = None) -> str:
@@ -41,7 +51,20 @@ def quantity(value: float, unit: str = "", std: float | None = None) -> str:
     else:
         digits = min(max(-math.floor(math.log10(std)), 0), 5)
         text = f"{value:.{digits}f} ± {std:.{digits}f}"
-    return f"{text} {unit}".strip()
+    return f"{text} {unit.replace('^2', '²').replace('^3', '³')}".strip()
+
+
+def plain(d: Document, text: str) -> str:
+    """A sentence of the command line, with names for people instead of identifiers."""
+    about = d.get("about", {})
+
+    def shown(found: re.Match[str]) -> str:
+        name = found[0]
+        if name not in about:
+            return name.replace("_", " ")
+        return model_name(name) if about[name].get("kind") == "law" else title_of(d, name)
+
+    return re.sub(r"[a-z][a-z0-9]*(?:_[a-z0-9]+)*", shown, text)
 
 
 def size_of(d: Document, effect: Document) -> str:
@@ -68,7 +91,7 @@ def headline(d: Document) -> str:
     """The verdict as one plain sentence."""
     effects = [title_of(d, n["name"]) for n in d["verdict"]["effects"]]
     outcome = d["verdict"].get("adequacy", {}).get("outcome")
-    found = _and(effects)
+    found = _and(effects) if len(effects) <= _FEW else f"{len(effects)} additions"
     if not effects:
         if outcome == "not_explained":
             return "The model fails, and nothing in the catalogue explains it."
@@ -79,27 +102,60 @@ def headline(d: Document) -> str:
         helps = "helps, but does" if len(effects) == 1 else "help, but do"
         return f"The model lacks more than what was found: {found} {helps} not explain these data."
     end = " With it, nothing in these data speaks against the model." if outcome == "explained" else ""
-    return f"The model lacks this: {found}.{end}"
+    return f"The model lacks this: {_and(effects)}.{end}"
 
 
-def how_sure(d: Document) -> list[str]:
-    """How certain each addition is."""
-    lines = []
-    for n in d["verdict"]["effects"]:
-        gain, se = float(n["heldout_gain_nats"]), float(n["heldout_gain_se"])
-        times = f", {gain / se:.1f} standard errors" if se > 0.0 else ""
-        text = f"{title_of(d, n['name'])}: held-out gain {gain:.0f} ± {se:.0f} nats{times}"
-        if p := chance(n.get("p_value")):
-            text += f"; by chance {p}"
-        if n["indistinguishable"]:
-            text += f"; cannot be told apart from {_and([title_of(d, o) for o in n['indistinguishable']], 'or')}"
-        lines.append(text + ".")
-    return lines
+def certainty(d: Document, n: Document) -> str:
+    """How certain an addition is."""
+    gain, se = float(n["heldout_gain_nats"]), float(n["heldout_gain_se"])
+    text = f"held-out gain {gain:.0f} ± {se:.0f} nats"
+    text += f", {gain / se:.1f} standard errors" if se > 0.0 else ""
+    if p := chance(n.get("p_value")):
+        text += f"; by chance {p}"
+    return text
+
+
+def not_told_apart(d: Document, n: Document) -> str:
+    """What an addition cannot be told apart from; empty if it can be told apart from everything that was searched."""
+    return _and([title_of(d, other) for other in n["indistinguishable"]], "or")
+
+
+def how_sure(d: Document) -> str:
+    """How certain the names are, in one sentence."""
+    effects = d["verdict"]["effects"]
+    if len(effects) == 1:
+        others = not_told_apart(d, effects[0])
+        return certainty(d, effects[0]) + (f"; cannot be told apart from {others}." if others else ".")
+    certain = [title_of(d, n["name"]) for n in effects if not n["indistinguishable"]]
+    if len(certain) == len(effects):
+        return "Each name can be told apart from everything else that was searched for."
+    if certain:
+        return f"Only {_and(certain)} can be told apart from everything else that was searched for."
+    unlisted = all("something that is not listed" in n["indistinguishable"] for n in effects)
+    end = ", nor from something that is not listed" if unlisted else ""
+    return f"No name is certain: these data cannot tell any of them apart from other effects{end}."
+
+
+def worse(d: Document) -> list[str]:
+    """What gets worse with the additions: where the final model does worse in use, and for which drivers."""
+    effects = d["verdict"]["effects"]
+    if not effects:
+        return []
+    found = []
+    ends = [(one, *(one[f"single_car_10s_{when}_m"] for when in ("before", "after"))) for one in d["drivers"]]
+    names = [str(one.get("name", one["vehicle"])) for one, b, a in ends if None not in (a, b) and a > _WORSE * b]
+    if names:
+        found.append(f"free runs of one car end more than a fifth further off for {_vehicles(names)}, of {len(ends)}")
+    return found + [str(line) for line in effects[-1].get("worse_where", ())]
+
+
+def _vehicles(names: list[str]) -> str:
+    return f"vehicle{'s' if len(names) > 1 else ''} {_and(names)}"
 
 
 def reasons(d: Document) -> list[str]:
     """What speaks against the final model."""
-    return [str(reason) for reason in d["verdict"].get("adequacy", {}).get("reasons", [])]
+    return [plain(d, str(reason)) for reason in d["verdict"].get("adequacy", {}).get("reasons", [])]
 
 
 def what_to_do(d: Document) -> str:
@@ -113,7 +169,8 @@ def what_to_do(d: Document) -> str:
         use = (
             f" {model_name(str(better))} predicts these data better; use it where prediction counts." if better else ""
         )
-        return f"Do not take the names for causes. Look below where the model still fails.{use}"
+        names = "Do not take the names for causes. " if effects else ""
+        return f"{names}Look below where the model{' still' if effects else ''} fails.{use}"
     if effects:
         return (
             "Add it: sugiyama diagnose FILE --add auto -o model.yaml, then give --model model.yaml to other commands."

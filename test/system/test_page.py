@@ -19,10 +19,12 @@ from bokeh.util.token import generate_jwt_token
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.page.diagnosis import read_diagnosis
+from sugiyama_ros.page.html import detectable
 from sugiyama_ros.page.panels.worth import growth
 from sugiyama_ros.page.recording import read_recording
 from sugiyama_ros.page.report import report, write_report
-from sugiyama_ros.page.words import headline
+from sugiyama_ros.page.words import headline, how_sure, worse
+from sugiyama_ros.page.words import reasons as words_of_reasons
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
 SUGIYAMA = str(Path(sys.executable).with_name("sugiyama"))
@@ -193,8 +195,54 @@ def test_the_headline_does_not_say_more_than_the_verdict(effects, outcome, words
 
 def test_no_model_is_left_out_of_the_growth_of_errors():
     names = ("before", "after", "idm", "idm_least_squares", "fvdm", "fvdm_least_squares", "constant_speed")
-    plot = growth({"errors": {name: DIAGNOSIS["errors"]["before"] for name in names}})
-    assert len(plot.renderers) == 2 * len(names)
+    document = {**DIAGNOSIS, "errors": {name: DIAGNOSIS["errors"]["before"] for name in names}}
+    plot = growth(document, "free_run", "")
+    assert len(plot.renderers) == len(names)
+    assert len({line.glyph.line_color for line in plot.renderers}) == len(names)
+
+
+def test_the_card_says_what_gets_worse_and_that_no_name_is_certain():
+    kept = [{**DIAGNOSIS["verdict"]["effects"][0], "name": name} for name in ("slow_patch", "drag", "road_grade")]
+    kept[-1]["worse_where"] = [f"free runs of {k} s end further off" for k in (2, 5, 10)]
+    reasons = ["gipps predicts better", "a force that depends on leader_acceleration is missing"]
+    adequacy = {"outcome": "not_explained", "better_law": "gipps", "reasons": reasons}
+    about = {**DIAGNOSIS["about"], "gipps": {"kind": "law", "title": "Gipps' law", "parameters": {}}}
+    document = {**DIAGNOSIS, "verdict": {"effects": kept, "adequacy": adequacy}, "about": about}
+    assert headline(document).endswith("3 additions help, but do not explain these data.")
+    assert how_sure(document) == "No name is certain: these data cannot tell any of them apart from other effects."
+    assert worse(document)[0] == "free runs of one car end more than a fifth further off for vehicle 0, of 6"
+    assert worse(document)[1:] == kept[-1]["worse_where"]
+    expected = ["Gipps predicts better", "a force that depends on leader acceleration is missing"]
+    assert words_of_reasons(document) == expected
+
+
+def test_what_the_data_would_have_shown_is_said_with_its_direction():
+    about = {
+        "reaction_delay": {"title": "reaction time", "parameters": {"delay": {"unit": "s", "meaning": "delay"}}},
+        "limited_braking": {
+            "title": "weak brakes",
+            "is_limit": True,
+            "parameters": {"limit": {"unit": "m/s^2", "meaning": "hardest braking"}},
+        },
+    }
+    sizes = [("reaction_delay", "delay", 0.03), ("limited_braking", "limit", 3.4)]
+    smallest = [dict(zip(("name", "parameter", "value"), one, strict=True)) for one in sizes]
+    text = detectable({**DIAGNOSIS, "smallest_detectable": smallest, "about": about})
+    assert "delay: 0.03 s or more" in text
+    assert "hardest braking: 3.4 m/s² or less" in text
+
+
+def test_tracks_have_a_page_without_runs_of_the_whole_road(recorded):
+    known = ("one_step_rmse_m", "single_car_10s_m")
+    errors = {
+        model: {name: one[name] if name in known else None for name in one}
+        for model, one in DIAGNOSIS["errors"].items()
+    }
+    run = {"time_s": [], "block": [], "before": [], "after": []}
+    text = report(read_recording(recorded), {**DIAGNOSIS, "errors": errors, "free_run": run})
+    assert "The model drives" not in text
+    assert "Free runs of all cars together" not in text
+    assert "error of one car behind its measured leader" in text
 
 
 def test_figures_for_a_paper(recorded, page, tmp_path):
@@ -216,50 +264,124 @@ def test_figures_for_a_paper(recorded, page, tmp_path):
 
 
 # Boxes of all cells of the report, by the top: left, top, right, bottom [pixels].
-CELLS = """[...document.querySelectorAll(".card > *, .tile, .panel, .text, section > p, section > .scroll")]
+CELLS = """[...document.querySelectorAll(".card > *, .tile, .panel, .text, section > p, section > .scroll, .tile td")]
     .filter(e => !e.matches(".tiles")).map(e => { const r = e.getBoundingClientRect();
-        return [r.left, r.top + scrollY, r.right, r.bottom + scrollY] }).filter(b => b[2] > b[0] && b[3] > b[1])"""
+        return [r.left, r.top + scrollY, r.right, r.bottom + scrollY, e.matches("td, .tile") ? 1 : 0] })
+    .filter(b => b[2] > b[0] && b[3] > b[1])"""
 READY = "window.Bokeh && Bokeh.documents.length && Bokeh.documents[0].is_idle"
+# Place [pixels] of a point of a plot in the window; the plot is scrolled into view.
+POINT = """([title, x, y]) => {
+    const [plot] = [...Bokeh.index.query(v => v.model.type == "Figure" && v.model.title.text == title)]
+    plot.el.scrollIntoView({block: "center"})
+    const box = plot.canvas_view.el.getBoundingClientRect()
+    return [box.left + plot.frame.x_scale.compute(x), box.top + plot.frame.y_scale.compute(y)]
+}"""
+# Speeds that panels of the chosen driver show, as one number.
+SHOWN = """[...Bokeh.documents[0]._all_models.values()].filter(m => m.type == "ColumnDataSource" && m.data.meant)
+    .map(m => m.data.meant.slice(-5).join())"""
+# Fastest opening of a page that anybody waits for [s], in CPU time of the browser's main thread.
+OPENS_S = 2.0
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
-def test_the_report_in_a_browser_at_three_widths(page):
+@pytest.fixture(scope="module")
+def browser():
+    """One Chromium for all tests of pages."""
+    if CHROMIUM is None:
+        pytest.skip("needs Chromium")
     playwright = pytest.importorskip("playwright.sync_api")
-    problems, asked = [], []
     with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        shown = browser.new_context(viewport={"width": 800, "height": 800}).new_page()
-        shown.on("console", lambda message: problems.append(message.text) if message.type == "error" else None)
-        shown.on("pageerror", lambda error: problems.append(str(error)))
-        shown.on("request", lambda request: asked.append(request.url))
-        shown.goto(page.as_uri())
-        for width in (800, 1280, 1920):
-            shown.set_viewport_size({"width": width, "height": 800})
-            shown.wait_for_function(READY)
-            shown.wait_for_timeout(300)
-            assert shown.evaluate("document.documentElement.scrollWidth") <= width
-            check_layout(np.array(shown.evaluate(CELLS)), width)
-        # the choice of a driver, by the keyboard, reaches the panels
-        shown.get_by_role("combobox").focus()
-        shown.keyboard.press("ArrowDown")
-        shown.keyboard.press("ArrowDown")
-        chosen = """[...Bokeh.documents[0]._all_models.values()].filter(m => m.type == "ColumnDataSource")
-            .map(m => m.selected.indices).filter(i => i.length == 1).map(i => i[0])"""
-        shown.wait_for_function(f"({chosen}).length > 1 && ({chosen}).every(i => i == 2)")
-        browser.close()
+        launched = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield launched
+        launched.close()
+
+
+def test_the_report_in_a_browser(browser, page):
+    problems, asked = [], []
+    context = browser.new_context(viewport={"width": 800, "height": 800})
+    shown = context.new_page()
+    shown.on("console", lambda message: problems.append(message.text) if message.type == "error" else None)
+    shown.on("pageerror", lambda error: problems.append(str(error)))
+    shown.on("request", lambda request: asked.append(request.url))
+    meter = context.new_cdp_session(shown)
+    meter.send("Performance.enable", {"timeDomain": "threadTicks"})
+    shown.goto(page.as_uri())
+    shown.wait_for_function(READY)
+    spent = {one["name"]: one["value"] for one in meter.send("Performance.getMetrics")["metrics"]}
+    assert spent["TaskDuration"] < OPENS_S
+    for width, scheme in ((800, "light"), (1280, "dark"), (1920, "light")):
+        shown.emulate_media(color_scheme=scheme)
+        shown.set_viewport_size({"width": width, "height": 800})
+        shown.wait_for_function(READY)
+        shown.wait_for_timeout(200)
+        assert shown.evaluate("document.documentElement.scrollWidth") <= width
+        back = shown.evaluate("getComputedStyle(document.body).backgroundColor")
+        assert back == {"light": "rgb(255, 255, 255)", "dark": "rgb(20, 20, 20)"}[scheme]
+        check_layout(np.array(shown.evaluate(CELLS)), width)
+    choose_drivers(shown)
+    # the road from above plays, and stops
+    slider = "[...Bokeh.index.query(v => v.model.type == 'Slider')][0].model.value"
+    start = shown.evaluate(slider)
+    shown.get_by_role("button", name="play").click()
+    shown.wait_for_function(f"{slider} > {start}")
+    shown.get_by_role("button", name="pause").click()
+    # what is folded opens by the keyboard; the links of the top lead to their sections
+    shown.locator("summary").first.focus()
+    shown.keyboard.press("Enter")
+    assert shown.get_by_text("One sentence.").is_visible()
+    shown.get_by_role("link", name="What it is worth").click()
+    assert 0 <= shown.evaluate("document.querySelector('#worth').getBoundingClientRect().top") < 400
+    assert shown.pdf(format="A4").startswith(b"%PDF")
+    context.close()
     assert problems == []
     assert asked == [page.as_uri()]
 
 
+def choose_drivers(shown):
+    """Choose drivers by the keyboard and by clicks; everything follows each time."""
+    selected = """[...Bokeh.documents[0]._all_models.values()].filter(m => m.type == "ColumnDataSource")
+        .map(m => m.selected.indices).filter(i => i.length == 1).map(i => i[0])"""
+    chosen = "[...Bokeh.index.query(v => v.model.type == 'Select')][0].model.value"
+    seen = [shown.evaluate(SHOWN)]
+
+    def follows(driver):
+        shown.wait_for_function(f"{chosen} == 'vehicle {driver}'")
+        shown.wait_for_function(f"({selected}).filter(i => i == {driver}).length >= 3")
+        seen.append(shown.evaluate(SHOWN))
+        assert seen[-1] != seen[-2]
+
+    shown.get_by_role("combobox").focus()
+    shown.keyboard.press("ArrowDown")
+    shown.keyboard.press("ArrowDown")
+    follows(2)
+    clicks = {
+        "The drivers, as fitted": (4, 14.0, 0.2),
+        "Free runs of one car, 10 s: each driver": (5, "5", 1.5),
+    }
+    for title, (driver, x, y) in clicks.items():
+        shown.mouse.click(*shown.evaluate(POINT, [title, x, y]))
+        follows(driver)
+    car = "[...Bokeh.index.query(v => v.model.title?.text == 'The road from above')][0]"
+    car = f"{car}.model.renderers.map(r => r.data_source.data).filter(d => d.vehicle)[0]"
+    place = shown.evaluate(f"(d => [d.x[1], d.y[1]])({car})")
+    shown.mouse.click(*shown.evaluate(POINT, ["The road from above", *place]))
+    follows(1)
+
+
 def check_layout(cells, width):
-    """No two cells overlap, and nowhere is a void that is larger than a panel."""
-    for k, (left, top, right, bottom) in enumerate(cells):
-        others = cells[k + 1 :]
+    """No two cells overlap but those inside a tile, no text leaves its tile, and no void is larger than a panel."""
+    inside, cells = cells[cells[:, 4] > 0, :4], cells[:, :4]
+    tiles = inside[inside[:, 3] - inside[:, 1] > 100]
+    for left, top, right, bottom in inside:
+        held = (tiles[:, 0] <= left) & (right <= tiles[:, 2]) & (tiles[:, 1] <= top) & (bottom <= tiles[:, 3])
+        assert held.any(), (width, left, top)
+    outer = np.array([c for c in cells if not any(np.array_equal(c, i) for i in inside) or c[3] - c[1] > 100])
+    for k, (left, top, right, bottom) in enumerate(outer):
+        others = outer[k + 1 :]
         across = np.minimum(right, others[:, 2]) - np.maximum(left, others[:, 0])
         along = np.minimum(bottom, others[:, 3]) - np.maximum(top, others[:, 1])
-        assert not np.any((across > 1.0) & (along > 1.0)), (width, cells[k])
-    covered = np.zeros((int(cells[:, 3].max()) + 1, width), dtype=bool)
-    for left, top, right, bottom in cells.astype(int):
+        assert not np.any((across > 1.0) & (along > 1.0)), (width, outer[k])
+    covered = np.zeros((int(outer[:, 3].max()) + 1, width), dtype=bool)
+    for left, top, right, bottom in outer.astype(int):
         covered[top:bottom, left:right] = True
     empty = 0
     for row in covered:
@@ -268,9 +390,8 @@ def check_layout(cells, width):
 
 
 @contextmanager
-def live_page(source, rate, recording):
+def live_page(browser, source, rate, recording):
     """A live page in Chromium. At the end, its console has no error, and it has asked no other machine for anything."""
-    playwright = pytest.importorskip("playwright.sync_api")
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
@@ -280,15 +401,14 @@ def live_page(source, rate, recording):
     try:
         assert "starting" in served.stderr.readline()
         assert f"http://localhost:{port}" in served.stderr.readline()
-        with playwright.sync_playwright() as driver:
-            browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-            page = browser.new_context().new_page()
-            page.on("console", lambda message: problems.append(message.text) if message.type == "error" else None)
-            page.on("request", lambda request: asked.add(request.url.split("/")[2]))
-            page.goto(f"http://localhost:{port}")
-            page.get_by_text("effects added: none").wait_for(timeout=30_000)
-            yield page
-            browser.close()
+        context = browser.new_context()
+        page = context.new_page()
+        page.on("console", lambda message: problems.append(message.text) if message.type == "error" else None)
+        page.on("request", lambda request: asked.add(request.url.split("/")[2]))
+        page.goto(f"http://localhost:{port}")
+        page.get_by_text("effects added: none").wait_for(timeout=30_000)
+        yield page
+        context.close()
     finally:
         served.send_signal(signal.SIGINT)
         code = served.wait(30)
@@ -298,9 +418,8 @@ def live_page(source, rate, recording):
     assert asked == {f"localhost:{port}"}
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
-def test_the_live_page_streams_and_its_buttons_call_the_services(recorded, tmp_path):
-    with live_page(recorded.parent / "sim.mcap", 2, tmp_path / "live.mcap") as page:
+def test_the_live_page_streams_and_its_buttons_call_the_services(browser, recorded, tmp_path):
+    with live_page(browser, recorded.parent / "sim.mcap", 2, tmp_path / "live.mcap") as page:
         page.get_by_text("vehicle 5").wait_for(state="attached", timeout=30_000)
         page.get_by_role("button", name="add").click()
         page.get_by_text("effects added: reaction_delay").wait_for(timeout=10_000)
@@ -325,8 +444,7 @@ def test_the_live_page_streams_and_its_buttons_call_the_services(recorded, tmp_p
     assert "reaction_delay.delay" not in names[0]
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
-def test_adding_the_true_effect_lowers_the_error_on_the_page(tmp_path):
+def test_adding_the_true_effect_lowers_the_error_on_the_page(browser, tmp_path):
     # cars of limited power, measured so well that the model causes the one-step error: 0.110 m, 0.100 m with the effect
     settings = ("--effect", "limited_power:power=10", "--set", "sigma_nu=0.03", "--set", "sigma_a=0.15")
     command = [SUGIYAMA, "simulate", "-o", tmp_path / "sim.mcap", "--duration", "160", *settings]
@@ -344,7 +462,7 @@ def test_adding_the_true_effect_lowers_the_error_on_the_page(tmp_path):
             page.wait_for_timeout(250)
         return read
 
-    with live_page(tmp_path / "sim.mcap", 6, tmp_path / "live.mcap") as page:
+    with live_page(browser, tmp_path / "sim.mcap", 10, tmp_path / "live.mcap") as page:
         before = shown(page, 60)
         page.get_by_label("effect", exact=True).select_option("limited_power")
         page.get_by_role("button", name="add").click()

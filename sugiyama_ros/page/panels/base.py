@@ -4,6 +4,7 @@ Text and lines of the axes are of a grey that can be read on white and on black.
 colours.
 """
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from sugiyama_ros.road import Road
 BLUE, ORANGE, GREEN, VERMILION, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#777777"
 SKY, PURPLE = "#56B4E9", "#CC79A7"
 #: Colours of the models that are compared.
-COLOURS = (GREY, BLUE, VERMILION, ORANGE, GREEN, SKY, PURPLE, "#8C6D31", "#9A9A00")
+COLOURS = (GREY, BLUE, VERMILION, ORANGE, GREEN, SKY, PURPLE, "#8C6D31", "#9A9A00", "#B5577F", "#44AA99", "#A08CC0")
 #: Colour of a place without data, and of lines of a grid.
 EMPTY, _GRID = "#8080802e", "#80808040"
 #: Colour of the driver who is chosen.
@@ -87,6 +88,11 @@ def colour_bar(plot: Any, colours: LinearColorMapper, title: str) -> None:
     )
 
 
+def colour_of(model: str, diagnosis: Mapping[str, Any]) -> str:
+    """Colour of a model of a diagnosis, the same in the table of errors and in all pictures."""
+    return COLOURS[list(diagnosis["errors"]).index(model) % len(COLOURS)]
+
+
 def from_above(road: Road, position_m: Array) -> tuple[Array, Array]:
     """Coordinates [m] of positions on a road that lies in a circle, or straight on."""
     if not road.is_ring:
@@ -106,5 +112,5 @@ def legend_above(plot: Any) -> None:
     legend.label_text_font_size = "12px"
     legend.label_text_color = GREY
     legend.background_fill_color = legend.border_line_color = None
-    legend.padding, legend.spacing = 2, 6
+    legend.padding, legend.spacing, legend.margin = 2, 6, 0
     plot.add_layout(legend, "above")

@@ -18,18 +18,21 @@ class Chosen:
     ----------
     vehicles : array (N,)
         Numbers of the vehicles.
+    first : int
+        Place of the driver who is chosen at the start.
     """
 
-    def __init__(self, vehicles: Ints) -> None:
+    def __init__(self, vehicles: Ints, first: int = 0) -> None:
+        self._first = first
         self._options = [f"vehicle {v}" for v in vehicles.tolist()]
-        self.select = Select(value=self._options[0], options=self._options, width=180, stylesheets=[_INPUT])
+        self.select = Select(value=self._options[first], options=self._options, width=180, stylesheets=[_INPUT])
         self._series: list[dict[str, Any]] = []
         self._points: list[ColumnDataSource] = []
 
     def series(self, **columns: Array) -> ColumnDataSource:
         """A source that holds the columns (T, N) of the driver who is chosen."""
         everything = ColumnDataSource({name: values.T.ravel().astype(SINGLE) for name, values in columns.items()})
-        shown = ColumnDataSource({name: values[:, 0].astype(SINGLE) for name, values in columns.items()})
+        shown = ColumnDataSource({name: values[:, self._first].astype(SINGLE) for name, values in columns.items()})
         length = len(next(iter(columns.values())))
         self._series.append({"all": everything, "shown": shown, "names": list(columns), "n": length})
         return shown
@@ -39,7 +42,7 @@ class Chosen:
         self._listen(plot, source, drivers)
         if drivers == list(range(len(self._options))):
             self._points.append(source)
-            source.selected.indices = [0]
+            source.selected.indices = [self._first]
 
     def _listen(self, plot: Any, source: ColumnDataSource, drivers: list[int]) -> None:
         plot.add_tools(TapTool())

@@ -50,7 +50,10 @@ def ring(r: Recording, chosen: Chosen) -> UIElement:
         "speed": np.round(speed[::every], 2).astype(SINGLE),
     }
     all_frames = ColumnDataSource({name: values.ravel() for name, values in frames.items()})
-    shown = ColumnDataSource({**{n: v[0] for n, v in frames.items()}, "vehicle": [str(v) for v in t.vehicle]})
+    last = len(frames["x"]) - 1
+    # the first speeds are not known yet; in the middle, there is something to see
+    first = last // 2
+    shown = ColumnDataSource({**{n: v[first] for n, v in frames.items()}, "vehicle": [str(v) for v in t.vehicle]})
     plot = panel("The road from above", "x [m]", "y [m]", match_aspect=t.road.is_ring)
     if t.road.is_ring:
         plot.line(
@@ -63,12 +66,14 @@ def ring(r: Recording, chosen: Chosen) -> UIElement:
                  nonselection_line_alpha=1.0, selection_line_color=VERMILION, selection_line_width=3)  # fmt: skip
     chosen.points(plot, shown, list(range(len(t.vehicle))))
     plot.add_tools(HoverTool(tooltips=[("vehicle", "@vehicle"), ("speed", "@speed{0.0} m/s")]))
-    last = len(frames["x"]) - 1
-    slider = Slider(start=0, end=max(last, 1), value=0, title="sample", sizing_mode="stretch_width")
+    step_s = t.period_s * every
+    begin = float(r.time_s[0])
+    slider = Slider(start=begin, end=begin + max(last, 1) * step_s, value=begin + first * step_s, step=step_s,
+                    title="time [s]", format="0.0", sizing_mode="stretch_width")  # fmt: skip
     move = CustomJS(
-        args={"all": all_frames, "shown": shown, "n": len(t.vehicle)},
+        args={"all": all_frames, "shown": shown, "n": len(t.vehicle), "step": step_s},
         code="""
-        const k = cb_obj.value * n
+        const k = Math.round((cb_obj.value - cb_obj.start) / step) * n
         for (const name of ["x", "y", "speed"]) shown.data[name] = all.data[name].slice(k, k + n)
         shown.change.emit()
         """,
@@ -77,12 +82,13 @@ def ring(r: Recording, chosen: Chosen) -> UIElement:
     play = Button(label="play", width=80)
     play.js_on_click(
         CustomJS(
-            args={"slider": slider, "button": play, "ms": 1000.0 * t.period_s * every / 4.0},
+            args={"slider": slider, "button": play, "ms": 1000.0 * step_s / 4.0},
             code="""
             if (button.label == "pause") { clearInterval(window.sugiyama_play); button.label = "play"; return }
             button.label = "pause"
             window.sugiyama_play = setInterval(() => {
-                slider.value = slider.value >= slider.end ? slider.start : slider.value + 1
+                const next = slider.value + slider.step
+                slider.value = next > slider.end + 0.5 * slider.step ? slider.start : next
             }, ms)
             """,
         )

@@ -4,8 +4,9 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from bokeh.models import ColumnDataSource, FactorRange, HoverTool, Span, UIElement, Whisker
+from bokeh.models import ColumnDataSource, FactorRange, HoverTool, Range1d, Span, UIElement, Whisker
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.page.panels.base import BLUE, GREY, HEIGHT, VERMILION, panel
 from sugiyama_ros.page.words import chance, title_of
 
@@ -35,6 +36,7 @@ def candidates(diagnosis: Mapping[str, Any]) -> UIElement:
         "Gain, ± one standard error",
         "held-out gain [nats]",
         "",
+        x_range=_range(gain - se, gain + se),
         y_range=FactorRange(factors=names),
         height=max(HEIGHT, 60 + 24 * len(kept), 60 + 30 * len(diagnosis["smallest_detectable"])),
     )
@@ -46,6 +48,13 @@ def candidates(diagnosis: Mapping[str, Any]) -> UIElement:
     plot.add_tools(HoverTool(renderers=[bars], tooltips=[("", "@name"), ("gain", "@gain{0} nats"), ("", "@p")]))
     plot.min_border_right = 20
     return plot
+
+
+def _range(low: Array, high: Array) -> Range1d:
+    """From the end of the lowest whisker, or zero, to the end of the highest one."""
+    ends = float(min(low.min(initial=0.0), 0.0)), float(max(high.max(initial=0.0), 0.0))
+    margin = 0.04 * (ends[1] - ends[0]) or 1.0
+    return Range1d(ends[0] - margin, ends[1] + margin)
 
 
 def _label(diagnosis: Mapping[str, Any], candidate: Mapping[str, Any], added: set[str]) -> str:

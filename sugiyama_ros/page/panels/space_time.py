@@ -7,7 +7,7 @@ import numpy as np
 from bokeh.models import ColumnDataSource, LinearColorMapper, Span, UIElement
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.page.panels.base import CHOSEN, EMPTY, SINGLE, colour_bar, panel, speed_colours
+from sugiyama_ros.page.panels.base import CHOSEN, GREY, SINGLE, colour_bar, panel, speed_colours
 from sugiyama_ros.page.panels.chosen import Chosen
 from sugiyama_ros.page.panels.measured import fastest, places, speeds
 from sugiyama_ros.page.recording import Recording
@@ -35,7 +35,7 @@ def measured(r: Recording, chosen: Chosen) -> UIElement:
 def simulated(r: Recording, diagnosis: Mapping[str, Any], measured_plot: Any) -> list[UIElement]:
     """The same road, driven by the model before and after the additions; it starts anew in each block of time."""
     run = diagnosis.get("free_run")
-    if not run:
+    if not run or not run["time_s"]:  # tracks have no road on which all cars could drive
         return []
     colours = speed_colours(fastest(r))
     time_s, block = np.array(run["time_s"], dtype=np.float64), np.array(run["block"])
@@ -50,7 +50,7 @@ def simulated(r: Recording, diagnosis: Mapping[str, Any], measured_plot: Any) ->
             title, time, place, speed, colours, x_range=measured_plot.x_range, y_range=measured_plot.y_range
         )
         for start in starts.tolist():
-            plot.add_layout(Span(location=start, dimension="height", line_color=EMPTY, line_dash="dotted"))
+            plot.add_layout(Span(location=start, dimension="height", line_color=GREY, line_dash="dotted"))
         found.append(plot)
     return found
 

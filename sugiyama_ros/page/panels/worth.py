@@ -7,44 +7,44 @@ from typing import Any
 
 from bokeh.models import ColumnDataSource, FactorRange, HoverTool, Range1d, UIElement
 
-from sugiyama_ros.page.panels.base import BLUE, COLOURS, GREY, HEIGHT, VERMILION, legend_above, panel
+from sugiyama_ros.page.panels.base import BLUE, GREY, VERMILION, colour_of, legend_above, panel
 from sugiyama_ros.page.panels.chosen import Chosen
-from sugiyama_ros.page.words import model_name
+from sugiyama_ros.page.words import model_name, models
 
 # Models that the vertical axis shows whole; others may leave the picture.
 _WHOLE = ("before", "after", "floor", "fvdm")
 
 
-def growth(diagnosis: Mapping[str, Any]) -> UIElement:
-    """Error of free runs over time, for every model."""
-    plot = panel(
-        "Free runs: all cars (line), one car behind its leader (dashed)",
-        "after [s]",
-        "error [m]",
-        height=_height(diagnosis),
-    )
-    largest = 0.0
-    for k, (name, errors) in enumerate(diagnosis["errors"].items()):
-        for run, dash in (("free_run", "solid"), ("single_car", "dashed")):
-            seconds, values = error_growth(errors, run)
+def growth(diagnosis: Mapping[str, Any], run: str, title: str) -> UIElement:
+    """Error of the free runs of one kind over time, for every model; the table of errors explains the colours."""
+    plot = panel(title, "after [s]", "error [m]")
+    largest, lines = 0.0, []
+    for name, errors in models(diagnosis).items():
+        seconds, values = error_growth(errors, run)
+        thick = name in ("before", "after")
+        lines.append(
             plot.line(
                 seconds,
                 values,
-                color=COLOURS[k % len(COLOURS)],
-                line_dash=dash,
-                line_width=3 if name in ("before", "after") else 1.5,
-                legend_label=model_name(name),
+                color=colour_of(name, diagnosis),
+                line_dash="dashed" if name == "floor" else "solid",
+                line_width=3.5 if thick else 1.5,
+                level="overlay" if thick else "glyph",
+                name=model_name(name),
             )
-            if name in _WHOLE:
-                largest = max(largest, *values)
+        )
+        if name in _WHOLE:
+            largest = max(largest, *values)
     plot.y_range = Range1d(0.0, 1.1 * largest or 1.0)
-    legend_above(plot)
+    plot.add_tools(
+        HoverTool(renderers=lines, tooltips=[("", "$name"), ("after", "$x{0.0} s"), ("error", "$y{0.00} m")])
+    )
     return plot
 
 
-def _height(diagnosis: Mapping[str, Any]) -> int:
-    """Height [pixels] that leaves room for the legend of all models."""
-    return HEIGHT + 24 * (len(diagnosis["errors"]) // 3)
+def is_known(diagnosis: Mapping[str, Any], run: str) -> bool:
+    """Whether there are free runs of a kind: tracks have none of all cars together."""
+    return len(error_growth(diagnosis["errors"]["before"], run)[0]) > 1
 
 
 def error_growth(errors: Mapping[str, Any], run: str) -> tuple[list[float], list[float]]:
@@ -67,18 +67,19 @@ def by_driver(diagnosis: Mapping[str, Any], chosen: Chosen, vehicles: list[int])
     source = ColumnDataSource({"vehicle": [str(v) for v in shown], **values})
     finite = [x for column in values.values() for x in column if math.isfinite(x)]
     plot = panel(
-        "Free run of one car, 10 s: each driver, before and after",
+        "Free runs of one car, 10 s: each driver",
         "vehicle",
         "error [m]",
         x_range=FactorRange(factors=[str(v) for v in shown]),
         y_range=Range1d(0.0, 1.1 * max(finite, default=1.0)),
-        height=_height(diagnosis),
     )
     plot.segment("vehicle", "before", "vehicle", "after", source=source, color=GREY, line_width=1.5)
-    plot.scatter("vehicle", "before", source=source, size=9, line_color=GREY, fill_color=None, legend_label="before",
-                 nonselection_line_alpha=1.0, selection_line_color=VERMILION)  # fmt: skip
-    after = plot.scatter("vehicle", "after", source=source, size=9, color=BLUE, legend_label="after",
-                         nonselection_alpha=1.0, selection_color=VERMILION)  # fmt: skip
+    added = diagnosis["verdict"]["effects"]
+    if added:
+        plot.scatter("vehicle", "before", source=source, size=9, line_color=GREY, fill_color=None,
+                     legend_label="before", nonselection_line_alpha=1.0, selection_line_color=VERMILION)  # fmt: skip
+    after = plot.scatter("vehicle", "after", source=source, size=9, color=BLUE, nonselection_alpha=1.0,
+                         legend_label="after" if added else "base model", selection_color=VERMILION)  # fmt: skip
     if any(worse):
         marked = [(str(v), a) for v, a, bad in zip(shown, values["after"], worse, strict=True) if bad]
         plot.scatter([v for v, _ in marked], [a for _, a in marked], marker="triangle", size=15, fill_color=None,
