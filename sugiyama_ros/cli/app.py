@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from sugiyama_ros.cli import calibrate, catalogue, data, demo, diagnose, report, run, simulate, study
+from sugiyama_ros.cli import calibrate, catalogue, data, demo, diagnose, report, run, simulate, study, view
 
 # Without rich's markup, which would take a unit such as [m] for a style and leave it out.
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
@@ -19,6 +19,7 @@ for command in (
     catalogue.effects,
     catalogue.laws,
     report.report,
+    view.view,
     run.live,
     data.convert,
     data.fetch,

@@ -115,6 +115,11 @@ def certainty(d: Document, n: Document) -> str:
     return text
 
 
+def found_in_words(d: Document) -> list[str]:
+    """What was added, how large it is and how certain, one line each."""
+    return [f"{title_of(d, n['name'])} ({size_of(d, n)}): {certainty(d, n)}" for n in d["verdict"]["effects"]]
+
+
 def not_told_apart(d: Document, n: Document) -> str:
     """What an addition cannot be told apart from; empty if it can be told apart from everything that was searched."""
     return _and([title_of(d, other) for other in n["indistinguishable"]], "or")

@@ -221,8 +221,8 @@ def test_every_json_is_one_document(sugiyama, here):
 
 
 COMMANDS = (
-    *("demo", "run", "simulate", "calibrate", "diagnose", "study", "compare", "effects", "laws", "report", "live"),
-    *("convert", "fetch", "info", "echo", "recover"),
+    *("demo", "run", "simulate", "calibrate", "diagnose", "study", "compare", "effects", "laws", "report"),
+    *("view", "live", "convert", "fetch", "info", "echo", "recover"),
 )
 
 

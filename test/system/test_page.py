@@ -8,6 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
+from collections import Counter
 from contextlib import contextmanager
 from http.client import HTTPConnection
 from pathlib import Path
@@ -16,7 +17,8 @@ import numpy as np
 import pytest
 from bokeh.util.token import generate_jwt_token
 
-from sugiyama_ros.errors import InputError
+from sugiyama_ros.cli.view import view
+from sugiyama_ros.errors import InputError, OutputError
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.page.diagnosis import read_diagnosis
 from sugiyama_ros.page.html import detectable
@@ -541,19 +543,57 @@ def test_layouts_for_other_programs_name_what_is_recorded(recorded):
     layouts = Path(__file__).parents[2] / "layouts"
     asked = re.findall(r'"value": "(/[^"]+)"', (layouts / "lichtblick.json").read_text())
     asked += re.findall(r'curve name="([^"]+)"', (layouts / "plotjuggler.xml").read_text())
-    assert len(asked) == 23
+    declared = (layouts.parent / "msg_defs" / "msg" / "DriverArray.msg").read_text()
+    fields = set(re.findall(r"^[a-z]\w+\[\] (\w+)", declared, re.MULTILINE))
     with Bag(recorded) as bag:
         topics = {topic.name for topic in bag.info().topics}
         latest = {name: message for name, _, _, message in bag.messages(topics)}
+    shown = Counter()
     for path in asked:
-        topic, field, place = re.fullmatch(r"(/\w+/\w+)[./](\w+)(?:\[(\d)\])?", path).groups()
-        value = getattr(latest[topic], field)
-        if place:
-            wanted = {"2": "v_star", "3": "kappa_v"}[place]
-            assert latest[topic].name[int(place)] == wanted
-            value = value[int(place)]
-        assert np.isfinite(value)
+        topic, field, place = re.fullmatch(r"(/\w+(?:/\w+)?)[./](\w+)(?:\[([\d:]+)\])?", path).groups()
+        if topic == "/drivers":  # in bags of `run --array`
+            assert field in fields
+            continue
+        if topic not in topics and topic.split("/")[1] > "vehicle_05":  # the bag has six vehicles, the experiment 22
+            continue
+        value = np.array(getattr(latest[topic], field))
+        if place in ("2", "3"):
+            assert latest[topic].name[int(place)] == {"2": "v_star", "3": "kappa_v"}[place]
+        assert np.isfinite(value).all()
+        shown[topic.split("/")[1]] += 1
+    assert [shown[f"vehicle_{v:02d}"] for v in range(6)] == [11] * 6
     assert {"/markers", "/verdict", "/diagnostics"} <= topics
+
+
+def test_the_recording_of_rerun_holds_all_drivers_and_the_verdict(recorded, page, tmp_path):
+    pytest.importorskip("rerun")
+    from rerun.chunk import RrdReader
+
+    view(recorded, recorded.parent / "diagnosis.json", tmp_path / "run.rrd")
+    with pytest.raises(OutputError, match="exists already"):
+        view(recorded, save=tmp_path / "run.rrd")
+    with pytest.raises(InputError, match=r"ends in \.rrd"):
+        view(recorded, save=tmp_path / "run.mcap")
+    read = RrdReader(tmp_path / "run.rrd")
+    assert len(read.recordings()) == len(read.blueprints()) == 1
+    rows, said = Counter(), ""
+    for chunk in read.stream():
+        rows[chunk.entity_path] += 0 if chunk.is_static else chunk.num_rows
+        said += str(chunk.to_record_batch().to_pydict()) if chunk.entity_path == "/verdict" else ""
+    assert rows["/road/cars"] == 121
+    r = read_recording(recorded)
+    for k in range(6):
+        assert rows[f"/position/vehicle_{k:02d}"] == 121
+        known = np.isfinite(r.series["v_star"][:, k]).sum()
+        assert [rows[f"/v_star/vehicle_{k:02d}/{end}"] for end in ("estimate", "low", "high")] == [known] * 3
+    assert rows["/critic/base"] == len(r.verdict_s)
+    assert "The model lacks this: slower stretch of road." in said
+
+
+def test_without_rerun_one_line_says_how_to_install_it(monkeypatch):
+    monkeypatch.setattr("sugiyama_ros.cli.view.find_spec", lambda name: None)
+    with pytest.raises(InputError, match=r"pip install 'sugiyama_ros\[view\]'"):
+        view(Path("run.mcap"))
 
 
 @pytest.mark.parametrize(("text", "words"), [("{", "is no JSON"), ("[]", "is no diagnosis"), ("{}", "is no diagnosis")])
