@@ -130,7 +130,7 @@ def test_a_diagnosis_is_read_or_refused_whatever_stands_in_each_field(tmp_path: 
             found = read_or_refuse(read_diagnosis, path)
             refused += found is None
             if found is not None:
-                missing.candidates(found), worth.growth(found)
+                missing.candidates(found), worth.growth(found, "free_run", "")
     assert refused > 200
     path.write_text(json.dumps(DIAGNOSIS))
     assert read_diagnosis(path) == DIAGNOSIS
