@@ -8,7 +8,7 @@ from scipy.stats import chi2
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.candidates import Candidate
-from sugiyama_ros.diagnosis.screen import Screened, screen
+from sugiyama_ros.diagnosis.screen import FULL, Effort, Screened, screen
 from sugiyama_ros.effects.discovered_force import COVARIATES, KNOTS
 from sugiyama_ros.effects.registry import index_of
 from sugiyama_ros.fit.joint import JointFit
@@ -53,7 +53,9 @@ class Discovery:
     force: tuple[float, ...]
 
 
-def discover(data: Recorded, fitted: JointFit, work: Executor) -> list[tuple[Discovery, Screened]]:
+def discover(
+    data: Recorded, fitted: JointFit, work: Executor, effort: Effort = FULL
+) -> list[tuple[Discovery, Screened]]:
     """Fit a force over each covariate.
 
     Parameters
@@ -64,6 +66,8 @@ def discover(data: Recorded, fitted: JointFit, work: Executor) -> list[tuple[Dis
         The model without the force.
     work : Executor
         Runs the filters.
+    effort : Effort
+        Limits of the fits.
 
     Returns
     -------
@@ -93,7 +97,7 @@ def discover(data: Recorded, fitted: JointFit, work: Executor) -> list[tuple[Dis
                 continue
             low, high = (float(q) for q in np.quantile(values, _INNER))
         start: dict[int, float | Array] = {_FIRST: float(number), _FIRST + 1: low, _FIRST + 2: high}
-        look = screen(data, fitted, Candidate("discovered_force", "effect", _FORCES, (start,)), work)
+        look = screen(data, fitted, Candidate("discovered_force", "effect", _FORCES, (start,)), work, effort)
         force = look.fit.model.rows[0, list(_FORCES)]
         ring = covariate == "place" and road.is_ring
         knots = low + (high - low) * np.arange(KNOTS) / (KNOTS if ring else KNOTS - 1)

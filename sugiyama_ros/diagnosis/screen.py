@@ -136,7 +136,9 @@ def _best_start(
     here, tried = base.samples.only(some), []
     for start in candidate.starts:
         model = added(base.model, candidate, start)
-        at = evaluate(data, model, work, some)
+        # a parameter that only becomes free changes nothing yet
+        is_same = not start and set(base.model.shared) <= set(model.shared)
+        at = base.samples.only(some) if is_same else evaluate(data, model, work, some)
         tried.append((_predicted(base, model, at), model, at))
     worst = int(np.argmin([likelihood for likelihood, _, _ in tried]))
     loss = (here.total - tried[worst][0]) * data.drivers / len(some)

@@ -165,7 +165,7 @@ class Search:
     def discover(self) -> list[tuple[Discovery, Screened]]:
         """Return forces without a name that the current model lacks, the best supported one first."""
         self._on_progress("forces without a name", 0, 1)
-        return discover(self.data, self.current, self._work)
+        return discover(self.data, self.current, self._work, self.effort)
 
     def add_force(self, forces: Sequence[tuple[Discovery, Screened]]) -> bool:
         """Add the first force that predicts better, and return whether there is one."""

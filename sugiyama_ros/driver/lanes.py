@@ -243,14 +243,15 @@ def _keep(block: Array, at: int) -> None:
         block[at + t] = block[_UTILITY + t]
 
 
-@kernel(allocates=False)
+@kernel(vectorised=True)
 def find_best(block: Array, actions: int) -> None:
     """Find the largest utility again, after something was added to utilities of the ``actions`` actions."""
     for t in range(LANES):
         block[_BEST + t] = -np.inf
     for k in range(actions):
+        at = UTILITIES + LANES * k
         for t in range(LANES):
-            block[_BEST + t] = max(block[_BEST + t], block[UTILITIES + LANES * k + t])
+            block[_BEST + t] = block[at + t] if block[at + t] > block[_BEST + t] else block[_BEST + t]
 
 
 @kernel(vectorised=True)

@@ -10,10 +10,9 @@ from sugiyama_ros.jit import kernel
 @kernel
 def component(seen: Seen, action: float, period: float, horizon: int, p: Array, driver: Preferences) -> float:
     """Compute the mean reward of the speed over the look-ahead, less the reward after one period."""
-    total = 0.0
-    for tau in range(1, horizon + 1):
+    total = first = forward_reward(seen.speed + period * action, driver[0], driver[2])
+    for tau in range(2, horizon + 1):
         total += forward_reward(seen.speed + tau * period * action, driver[0], driver[2])
-    first = forward_reward(seen.speed + period * action, driver[0], driver[2])
     return float(p[0] * (total / horizon - first))
 
 

@@ -111,31 +111,46 @@ def then_prefer(before: Hook, effect: Effect) -> Hook:
 
 
 @kernel(cached=False)
-def nothing_valued(seen: Seen, action: float, period: float, horizon: int, row: Array, driver: Preferences) -> float:
-    """Add nothing to the utility."""
-    return 0.0
+def nothing_valued(
+    seen: Seen, actions: Array, period: float, horizon: int, row: Array, driver: Preferences, out: Array, stride: int
+) -> None:
+    """Add nothing to the utilities."""
 
 
 def then_value(before: Hook, effect: Effect) -> Hook:
-    """Add an effect with a component of the utility."""
+    """Add an effect with a component of the utility; every ``stride``-th entry of ``out`` is the utility of an action.
+
+    The loop over the actions stands inside, so that an effect that is off costs one comparison and not one for each
+    action.
+    """
     first, last, switch, other = _places(effect)
     component: Any = effect.function
 
     @kernel(cached=False)
-    def valued(seen: Seen, action: float, period: float, horizon: int, row: Array, driver: Preferences) -> float:
-        total = before(seen, action, period, horizon, row, driver)
-        if row[switch] == 0.0 and row[other] == 0.0:
-            return float(total)
-        return float(total + component(seen, action, period, horizon, row[first:last]))
+    def alone(seen: Seen, action: float, period: float, horizon: int, p: Array, driver: Preferences) -> float:
+        return float(component(seen, action, period, horizon, p))
+
+    value: Any = component if effect.knows_preferences else alone
 
     @kernel(cached=False)
-    def knowing(seen: Seen, action: float, period: float, horizon: int, row: Array, driver: Preferences) -> float:
-        total = before(seen, action, period, horizon, row, driver)
+    def valued(
+        seen: Seen,
+        actions: Array,
+        period: float,
+        horizon: int,
+        row: Array,
+        driver: Preferences,
+        out: Array,
+        stride: int,
+    ) -> None:
+        before(seen, actions, period, horizon, row, driver, out, stride)
         if row[switch] == 0.0 and row[other] == 0.0:
-            return float(total)
-        return float(total + component(seen, action, period, horizon, row[first:last], driver))
+            return
+        p = row[first:last]
+        for k in range(len(actions)):
+            out[stride * k] += value(seen, actions[k], period, horizon, p, driver)
 
-    return knowing if effect.knows_preferences else valued
+    return valued
 
 
 @kernel(cached=False)

@@ -123,9 +123,21 @@ def has_components(row: Array) -> bool:
 
 
 @kernel(allocates=False)
-def component(perceived: Seen, action: float, period: float, horizon: int, row: Array, driver: Preferences) -> float:
-    """Return what effects add to the utility of an action [m/s^2]; the other arguments as for ``intend``."""
-    return float(_valued(perceived, action, period, horizon, row, driver))
+def add_components(
+    perceived: Seen,
+    actions: Array,
+    period: float,
+    horizon: int,
+    row: Array,
+    driver: Preferences,
+    utility: Array,
+    stride: int,
+) -> None:
+    """Add what effects add to the utilities of actions (K,) [m/s^2]; the other arguments as for ``intend``.
+
+    Every ``stride``-th entry of ``utility`` is the utility of an action.
+    """
+    _valued(perceived, actions, period, horizon, row, driver, utility, stride)
 
 
 @kernel(allocates=False)
@@ -170,8 +182,7 @@ def intend(seen: Seen, row: Array, scratch: Array, period: float, horizon: int) 
         driver = prefer(perceived, row)
         utilities(gap, speed, leader_speed, driver, scratch, period, horizon)
         if has_components(row):
-            for k in range(scratch.shape[1]):
-                scratch[UTILITY_ROW, k] += component(perceived, scratch[GRID_ROW, k], period, horizon, row, driver)
+            add_components(perceived, scratch[GRID_ROW], period, horizon, row, driver, scratch[UTILITY_ROW], 1)
         action = boltzmann_mean(scratch, driver[-1])
     else:
         action = law_acceleration(gap, speed, leader_speed, row)

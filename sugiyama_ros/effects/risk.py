@@ -1,10 +1,10 @@
 """The risk of a collision with another vehicle than the leader, for components of the utility."""
 
-from sugiyama_ros.driver.utility import Preferences, anticipate, collision_penalty, gap_scale
+from sugiyama_ros.driver.utility import Preferences, anticipate, collision_penalty, gap_and_scale, gap_scale
 from sugiyama_ros.jit import kernel
 
 
-@kernel
+@kernel(vectorised=True)
 def risk_ahead(
     gap: float, speed: float, other_speed: float, action: float, period: float, horizon: int, driver: Preferences
 ) -> float:
@@ -28,21 +28,31 @@ def risk_ahead(
     float
         Risk.
     """
-    smallest = 1e9
-    for tau in range(1, horizon + 1):
-        gap_ahead, speed_ahead = anticipate(action, tau, gap, speed, other_speed, period)
-        smallest = min(smallest, gap_ahead / gap_scale(speed_ahead, other_speed, driver[3], driver[1], driver[4]))
-    return collision_penalty(smallest)
+    near, wide = gap_and_scale(action, 1, gap, speed, other_speed, driver, period)
+    for tau in range(2, horizon + 1):
+        gap_then, wide_then = gap_and_scale(action, tau, gap, speed, other_speed, driver, period)
+        if gap_then * wide < near * wide_then:
+            near, wide = gap_then, wide_then
+    return collision_penalty(near / wide)
 
 
-@kernel
+@kernel(vectorised=True)
 def risk_behind(
     gap: float, speed: float, other_speed: float, action: float, period: float, horizon: int, driver: Preferences
 ) -> float:
     """Compute the largest risk of a vehicle behind, which keeps its speed; arguments as for ``risk_ahead``."""
-    smallest = 1e9
-    for tau in range(1, horizon + 1):
-        gap_ahead, _ = anticipate(-action, tau, gap, other_speed, speed, period)
-        scale = gap_scale(other_speed, speed + tau * period * action, driver[3], driver[1], driver[4])
-        smallest = min(smallest, gap_ahead / scale)
-    return collision_penalty(smallest)
+    near, wide = _gap_behind(action, 1, gap, speed, other_speed, period, driver)
+    for tau in range(2, horizon + 1):
+        gap_then, wide_then = _gap_behind(action, tau, gap, speed, other_speed, period, driver)
+        if gap_then * wide < near * wide_then:
+            near, wide = gap_then, wide_then
+    return collision_penalty(near / wide)
+
+
+@kernel(vectorised=True)
+def _gap_behind(
+    action: float, tau: int, gap: float, speed: float, other_speed: float, period: float, driver: Preferences
+) -> tuple[float, float]:
+    """Compute the gap [m] to the vehicle behind, and its scale [m], ``tau`` periods ahead."""
+    gap_ahead, _ = anticipate(-action, tau, gap, other_speed, speed, period)
+    return gap_ahead, gap_scale(other_speed, speed + tau * period * action, driver[3], driver[1], driver[4])

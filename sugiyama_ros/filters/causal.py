@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sugiyama_ros.arrays import Array
+from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.filters.causal_kernel import Observed, Predicted, Trace, run
 from sugiyama_ros.filters.chain import NOT_ADAPTED, Adaptation, Chain, adaptation_of, chain_parameters
@@ -84,7 +84,8 @@ def filter_chain(
     samples, vehicles = chain.position_m.shape
     size = STATE * vehicles + len(adaptation_of(parameters, adaptation).names)
     trace = Trace(np.empty((1, samples, size)), np.empty((1, samples, size, size)), np.empty((1, samples, 2)))
-    predicted = _run([ChainJob(chain, parameters, ahead)], adaptation_of(parameters, adaptation), trace)
+    job, adapted = ChainJob(chain, parameters, ahead), adaptation_of(parameters, adaptation)
+    predicted = _run([job], adapted, trace, np.array([samples]))
     motion, total = trace.motion[0], float(np.nansum(predicted.log_likelihood))
     return Filtered(*_first(predicted), trace.means[0], trace.covariances[0], motion[:, 0], motion[:, 1], total)
 
@@ -136,14 +137,24 @@ def _filtered(jobs: Sequence[ChainJob], *, with_states: bool) -> list[tuple[Pred
     """Filter drivers, side by side where they can; the predictions and the states (T, STATE M), or nothing."""
     found: dict[int, tuple[Predicted, Array]] = {}
     for numbers, adaptation in _side_by_side(jobs):
-        samples, vehicles = jobs[numbers[0]].chain.position_m.shape
+        some = [jobs[i] for i in numbers]
+        chains = [job.chain for job in some]
+        samples, vehicles = max(len(c.position_m) for c in chains), chains[0].position_m.shape[1]
         kept = len(numbers) if with_states else 0
-        means = np.empty((kept, samples, STATE * vehicles + len(adaptation.names)))
-        predicted = _run([jobs[i] for i in numbers], adaptation, _no_trace()._replace(means=means))
-        for k, i in enumerate(numbers):
-            moving = means[k, :, : STATE * vehicles].copy() if with_states else np.empty((0, 0))
-            found[i] = Predicted(*(values[k] for values in predicted)), moving
+        means = np.zeros((kept, samples, STATE * vehicles + len(adaptation.names)))
+        ends = np.array([_end(chain) for chain in chains])
+        predicted = _run(some, adaptation, _no_trace()._replace(means=means), ends)
+        for k, (i, chain) in enumerate(zip(numbers, chains, strict=True)):
+            last = len(chain.position_m)
+            moving = means[k, :last, : STATE * vehicles].copy() if with_states else np.empty((0, 0))
+            found[i] = Predicted(*(values[k, :last] for values in predicted)), moving
     return [found[i] for i in range(len(jobs))]
+
+
+def _end(chain: Chain) -> int:
+    """Return the number of samples up to the last one in which the driver is there."""
+    there = np.flatnonzero(chain.identity[:, 0] >= 0)
+    return int(there[-1]) + 1 if len(there) else 0
 
 
 def log_likelihood(chain: Chain, parameters: Array, ahead: Array | None = None) -> float:
@@ -155,12 +166,16 @@ def log_likelihood(chain: Chain, parameters: Array, ahead: Array | None = None) 
 
 
 def _side_by_side(jobs: Sequence[ChainJob]) -> Iterator[tuple[list[int], Adaptation]]:
-    """Yield the numbers of jobs that can run side by side, a few at a time, and what adapts in their filters."""
+    """Yield the numbers of jobs that can run side by side, a few at a time, and what adapts in their filters.
+
+    Jobs of similar length run together, so that few lanes stay empty at the end.
+    """
     groups: dict[Any, list[int]] = defaultdict(list)
     for i, (chain, parameters, _) in enumerate(jobs):
-        same = (chain.position_m.shape, chain.period_s, chain.start_s, chain.circumference_m, adaptation_of(parameters))
+        same = (chain.position_m.shape[1], chain.period_s, chain.circumference_m, adaptation_of(parameters))
         groups[same].append(i)
     for (*_, adaptation), numbers in groups.items():
+        numbers.sort(key=lambda i: len(jobs[i].chain.position_m))
         for first in range(0, len(numbers), _ABREAST):
             yield numbers[first : first + _ABREAST], adaptation
 
@@ -173,17 +188,21 @@ def _no_trace() -> Trace:
     return Trace(np.empty((0, 0, 0)), np.empty((0, 0, 0, 0)), np.empty((0, 0, 0)))
 
 
-def _run(jobs: Sequence[ChainJob], adaptation: Adaptation, trace: Trace) -> Predicted:
-    """Run the compiled filter with fresh arrays; returns the predictions, (C, T) each."""
+def _run(jobs: Sequence[ChainJob], adaptation: Adaptation, trace: Trace, ends: Ints) -> Predicted:
+    """Run the compiled filter with fresh arrays, up to ``ends`` (C,) samples; returns the predictions, (C, T) each."""
     chains, one = [job.chain for job in jobs], jobs[0].chain
-    samples, vehicles = one.position_m.shape
+    vehicles = one.position_m.shape[1]
     rows = [chain_parameters(job.parameters, job.ahead, vehicles, one.period_s) for job in jobs]
-    predicted = Predicted(*(np.empty((len(jobs), samples)) for _ in range(3)))
+    samples = max(len(chain.position_m) for chain in chains)
+    predicted = Predicted(*(np.full((len(jobs), samples), np.nan) for _ in range(3)))
     run(
-        Observed(*(_stacked(chains, name) for name in ("position_m", "identity", "length_m", "rear"))),
+        Observed(
+            *(_stacked([getattr(c, name) for c in chains]) for name in ("position_m", "identity", "length_m", "rear")),
+            start_s=np.array([chain.start_s for chain in chains]),
+            samples=ends,
+        ),
         drivers_at(np.array(rows), *adaptation.arrays),
         ACTIONS,
-        one.start_s,
         scene_at(one.period_s, one.circumference_m, adaptation.relaxation_s),
         max(periods_back(some, one.period_s) for some in rows),
         predicted,
@@ -192,6 +211,12 @@ def _run(jobs: Sequence[ChainJob], adaptation: Adaptation, trace: Trace) -> Pred
     return predicted
 
 
-def _stacked(chains: Sequence[Chain], name: str) -> Any:
-    """Stack an array of all chains along a new first axis, always as a new array: views would be compiled anew."""
-    return np.stack([getattr(chain, name) for chain in chains])
+def _stacked(arrays: Sequence[Any]) -> Any:
+    """Stack arrays along a new first axis, always as a new array: views would be compiled anew.
+
+    Shorter arrays are filled up with zeros, which nobody reads.
+    """
+    stacked = np.zeros((len(arrays), max(map(len, arrays)), *arrays[0].shape[1:]), dtype=arrays[0].dtype)
+    for row, one in zip(stacked, arrays, strict=True):
+        row[: len(one)] = one
+    return stacked

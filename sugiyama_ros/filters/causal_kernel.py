@@ -39,12 +39,17 @@ SETTLING = 6
 
 
 class Observed(NamedTuple):
-    """Recordings of C chains: position, identity, length (C, T, M) and rear (C, T, 3), as in ``Chain``."""
+    """Recordings of C chains: position, identity, length (C, T, M) and rear (C, T, 3), as in ``Chain``.
+
+    start_s: (C,) time of the first sample [s]; samples: (C,) number of samples to filter, at most T.
+    """
 
     position: Array
     identity: Ints
     length: Array
     rear: Array
+    start_s: Array
+    samples: Ints
 
 
 class Predicted(NamedTuple):
@@ -106,11 +111,11 @@ def _state(c: int, filters: _Filters) -> State:
 
 @kernel(allocates=False)
 def _parts(
-    c: int, t: int, time_s: float, observed: Observed, filters: _Filters, shared: _Shared
+    c: int, t: int, period_s: float, observed: Observed, filters: _Filters, shared: _Shared
 ) -> tuple[State, Drivers, Moment, Workspace]:
     """Return what the functions of ``linearisation`` take, of chain c at sample t."""
     drivers = Drivers(filters.parameters[c], shared.adapted, filters.prior_mean[c], shared.prior_var)
-    moment = Moment(observed.length[c, t], observed.rear[c, t], time_s)
+    moment = Moment(observed.length[c, t], observed.rear[c, t], observed.start_s[c] + t * period_s)
     own = filters.places[c], filters.root[c], filters.points[c]
     return _state(c, filters), drivers, moment, Workspace(*own, shared.chosen, shared.slope, shared.held_slope)
 
@@ -200,7 +205,6 @@ def _record(c: int, t: int, state: State, action: float, next_speed: float, peri
 @kernel(allocates=False)
 def _filter(
     observed: Observed,
-    start_s: float,
     filters: _Filters,
     shared: _Shared,
     scene: Scene,
@@ -208,24 +212,27 @@ def _filter(
     trace: Trace,
 ) -> None:
     """Run all filters over all samples; arguments as for ``run``."""
-    count, samples = observed.position.shape[0], observed.position.shape[1]
-    lanes = shared.lanes
-    for t in range(samples):
-        time_s, used = start_s + t * scene.period_s, 0
+    count, lanes, period_s, ends = len(observed.samples), shared.lanes, scene.period_s, observed.samples
+    for t in range(observed.position.shape[1]):
+        used = 0
         for c in range(count):
-            _take_in(c, t, observed, filters, shared, scene, predicted)
-            state, drivers, moment, workspace = _parts(c, t, time_s, observed, filters, shared)
-            used = aim_all(state, drivers, moment, scene, workspace, lanes, used)
+            if t < ends[c]:
+                _take_in(c, t, observed, filters, shared, scene, predicted)
+                state, drivers, moment, workspace = _parts(c, t, period_s, observed, filters, shared)
+                used = aim_all(state, drivers, moment, scene, workspace, lanes, used)
         consider(used, scene, lanes)
+        changed = False
         for c in range(count):
-            state, drivers, moment, workspace = _parts(c, t, time_s, observed, filters, shared)
-            add_all_components(state, drivers, moment, scene, workspace, lanes)
-        decide(used, lanes)
+            if t < ends[c]:
+                state, drivers, moment, workspace = _parts(c, t, period_s, observed, filters, shared)
+                changed = add_all_components(state, drivers, moment, scene, workspace, lanes) or changed
+        decide(used, lanes, changed)
         for c in range(count):
-            state, drivers, moment, workspace = _parts(c, t, time_s, observed, filters, shared)
-            action = conclude(state, drivers, moment, scene, workspace, lanes, shared.linearised)
-            _record(c, t, state, action, shared.linearised.next_mean[1], scene.period_s, trace)
-            _predict(state, shared)
+            if t < ends[c]:
+                state, drivers, moment, workspace = _parts(c, t, period_s, observed, filters, shared)
+                action = conclude(state, drivers, moment, scene, workspace, lanes, shared.linearised)
+                _record(c, t, state, action, shared.linearised.next_mean[1], period_s, trace)
+                _predict(state, shared)
 
 
 @kernel
@@ -233,13 +240,12 @@ def run(
     observed: Observed,
     drivers: Drivers,
     actions: Array,
-    start_s: float,
     scene: Scene,
     periods_back: int,
     predicted: Predicted,
     trace: Trace,
 ) -> None:
-    """Filter C chains over T samples, side by side: their drivers consider their actions in the same lanes.
+    """Filter C chains over up to T samples, side by side: their drivers consider their actions in the same lanes.
 
     Parameters
     ----------
@@ -250,14 +256,13 @@ def run(
         parameters is overwritten with the adapted values.
     actions
         Accelerations that the drivers consider [m/s^2], (K,).
-    start_s
-        Time of the first sample [s].
     scene
         Period and road.
     periods_back
         Largest number of periods that any of the drivers looks back.
     predicted, trace
-        Filled, (C, T) each. The log-likelihood is also NaN where a sample does not count.
+        Filled, (C, T) each, up to the number of samples of each chain. The log-likelihood is also NaN where a sample
+        does not count.
     """
     count, _, vehicles = observed.position.shape
     adapted, a = drivers.adapted, len(drivers.adapted)
@@ -290,7 +295,7 @@ def run(
         adapted,
         drivers.prior_var,
     )
-    _filter(observed, start_s, filters, shared, scene, predicted, trace)
+    _filter(observed, filters, shared, scene, predicted, trace)
 
 
 @kernel

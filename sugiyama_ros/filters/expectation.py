@@ -14,7 +14,7 @@ from sugiyama_ros.driver.lanes import LANES, MEAN, UTILITIES, average_actions, f
 from sugiyama_ros.effects.control import (
     act,
     acts_on_intention,
-    component,
+    add_components,
     expect_change,
     law_acceleration,
     perceive,
@@ -74,7 +74,7 @@ def consider(used: int, scene: Scene, lanes: Lanes) -> None:
 
 
 @kernel(allocates=False)
-def add_components(
+def value_components(
     m: int, state: State, drivers: Drivers, moment: Moment, scene: Scene, workspace: Workspace, lanes: Lanes
 ) -> None:
     """Add what effects add to the utilities of driver m; arguments as for ``aim``, which was called before."""
@@ -89,18 +89,18 @@ def add_components(
         perceived = perceive(seen, driver)
         preferences = prefer(perceived, driver)
         block, lane = lanes.blocks[(first + point) // LANES], UTILITIES + (first + point) % LANES
-        for k in range(len(actions)):
-            block[lane + LANES * k] += component(
-                perceived, actions[k], scene.period_s, scene.horizon, driver, preferences
-            )
-    for b in range(first // LANES, (first + 2 * size - 1) // LANES + 1):
-        find_best(lanes.blocks[b], len(actions))
+        add_components(perceived, actions, scene.period_s, scene.horizon, driver, preferences, block[lane:], LANES)
 
 
 @kernel(allocates=False)
-def decide(used: int, lanes: Lanes) -> None:
-    """Let the drivers in the first ``used`` lanes decide on the mean of their actions."""
+def decide(used: int, lanes: Lanes, changed: bool) -> None:
+    """Let the drivers in the first ``used`` lanes decide on the mean of their actions.
+
+    changed: whether something was added to the utilities after ``consider``.
+    """
     for b in range(-(-used // LANES)):
+        if changed:
+            find_best(lanes.blocks[b], len(lanes.grid.actions))
         average_actions(lanes.blocks[b], lanes.grid.actions)
 
 

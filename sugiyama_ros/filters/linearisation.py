@@ -5,7 +5,7 @@ import math
 from sugiyama_ros.driver.advance import advance
 from sugiyama_ros.driver.parameters import RHO, SIGMA_A, SIGMA_V, SIGMA_X
 from sugiyama_ros.effects.control import has_components, noise_factor, remembers
-from sugiyama_ros.filters.expectation import add_components, consider, decide, expected_action
+from sugiyama_ros.filters.expectation import consider, decide, expected_action, value_components
 from sugiyama_ros.filters.past import note_recalled, recalled_at, shift
 from sugiyama_ros.filters.points import ALONE, FEELING, RECALLING, aim, view_of
 from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Lanes, Linearised, Moment, Scene, State, Workspace
@@ -43,8 +43,8 @@ def linearise(
     """
     used = aim_all(state, drivers, moment, scene, workspace, lanes, 0)
     consider(used, scene, lanes)
-    add_all_components(state, drivers, moment, scene, workspace, lanes)
-    decide(used, lanes)
+    changed = add_all_components(state, drivers, moment, scene, workspace, lanes)
+    decide(used, lanes, changed)
     return conclude(state, drivers, moment, scene, workspace, lanes, out)
 
 
@@ -62,11 +62,14 @@ def aim_all(
 @kernel(allocates=False)
 def add_all_components(
     state: State, drivers: Drivers, moment: Moment, scene: Scene, workspace: Workspace, lanes: Lanes
-) -> None:
-    """Call ``add_components`` for the drivers of a chain who have such effects."""
+) -> bool:
+    """Call ``value_components`` for the drivers of a chain who have such effects; returns whether there are any."""
+    found = False
     for m in range(len(state.known) - 1):
         if state.known[m] == MOVING and has_components(drivers.parameters[m]):
-            add_components(m, state, drivers, moment, scene, workspace, lanes)
+            value_components(m, state, drivers, moment, scene, workspace, lanes)
+            found = True
+    return found
 
 
 @kernel(allocates=False)

@@ -1,5 +1,7 @@
 """The filters against the dense joint Gaussian and each other; rings, missing samples and changing leaders."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -289,3 +291,23 @@ def test_states_are_the_same_alone_and_side_by_side(jam):
         for ours, theirs in ((y, alone.innovation_m), (variance, alone.innovation_var), (states, alone.mean[:, :12])):
             assert np.array_equal(ours, theirs, equal_nan=True)
         assert np.array_equal(density, alone.sample_log_likelihood, equal_nan=True)
+
+
+def test_chains_of_unequal_length_run_side_by_side_with_the_results_of_each_alone(jam):
+    """Chains of any length and start, one of a driver who leaves early; a preference depends on the time."""
+    rows = switch_on(ROW.with_effects(population()), "preference_switch", {"v_star_change": -0.3, "time": 40.0})
+    jobs = []
+    for i, (first, last) in enumerate(((0, 120), (50, 300), (10, 290), (200, 260), (0, 300))):
+        whole = chain_behind(jam.measured, i)
+        names = ("position_m", "identity", "length_m", "rear")
+        cut = {name: getattr(whole, name)[first:last].copy() for name in names}
+        cut["identity"][150:, 0] = -1 if i == 2 else cut["identity"][150:, 0]
+        jobs.append(ChainJob(replace(whole, **cut, start_s=whole.start_s + first * whole.period_s), rows))
+    for job, (y, variance, density, states) in zip(jobs, predict_states(jobs), strict=True):
+        alone = filter_chain(job.chain, job.parameters)
+        assert len(y) == len(job.chain.position_m)
+        for ours, theirs in ((y, alone.innovation_m), (variance, alone.innovation_var)):
+            assert np.array_equal(ours, theirs, equal_nan=True)
+        assert np.array_equal(density, alone.sample_log_likelihood, equal_nan=True)
+        there = job.chain.identity[:, 0] >= 0
+        assert np.array_equal(states[there], alone.mean[there, :12])
