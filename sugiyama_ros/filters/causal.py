@@ -34,6 +34,8 @@ from sugiyama_ros.filters.state import STATE, drivers_at, scene_at
 
 # Filters that run side by side: the points of four drivers who adapt nothing fill three blocks of lanes.
 _ABREAST = 4
+# Arrays of a chain, in the order of ``Observed``.
+_MEASURED = ("position_m", "identity", "length_m", "rear")
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,12 +197,10 @@ def _run(jobs: Sequence[ChainJob], adaptation: Adaptation, trace: Trace, ends: I
     rows = [chain_parameters(job.parameters, job.ahead, vehicles, one.period_s) for job in jobs]
     samples = max(len(chain.position_m) for chain in chains)
     predicted = Predicted(*(np.full((len(jobs), samples), np.nan) for _ in range(3)))
+    start_s = np.array([chain.start_s for chain in chains])
+    position, identity, length, rear = (_stacked([getattr(chain, name) for chain in chains]) for name in _MEASURED)
     run(
-        Observed(
-            *(_stacked([getattr(c, name) for c in chains]) for name in ("position_m", "identity", "length_m", "rear")),
-            start_s=np.array([chain.start_s for chain in chains]),
-            samples=ends,
-        ),
+        Observed(position, identity, length, rear, start_s, ends),
         drivers_at(np.array(rows), *adaptation.arrays),
         ACTIONS,
         scene_at(one.period_s, one.circumference_m, adaptation.relaxation_s),
