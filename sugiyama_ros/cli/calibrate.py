@@ -16,7 +16,7 @@ from sugiyama_ros.cli.options import (
     Ring,
     Scheduler,
     Seed,
-    Source,
+    Sources,
     Wide,
     model_output,
     names,
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 class CalibrateOptions:
     """Arguments and options of the command."""
 
-    source: Source
+    sources: Sources
     formulation: Annotated[
         str,
         typer.Option("--formulation", help="paper: perceived states are smoothed. causal: they are filtered."),
@@ -123,14 +123,19 @@ def calibrate(options: CalibrateOptions) -> None:
     The estimates are maximum-likelihood estimates, with their uncertainty.
     """
     options.check()
-    output = model_output(options.output, options.overwrite, options.source)
+    output = model_output(options.output, options.overwrite, options.sources)
     from sugiyama_ros.formats.registry import format_of, read_trajectories
     from sugiyama_ros.workers import workers
 
-    if not options.needs_one_lane and format_of(options.source).is_of_tracks:
+    source, *others = options.sources
+    if others and options.needs_one_lane:
+        raise InputError(
+            f"{others[0]}: -o, --effects and other options need one lane that all drivers share; give one file"
+        )
+    if others or (not options.needs_one_lane and format_of(source).is_of_tracks):
         _calibrate_tracks(options)
         return
-    trajectories = read_trajectories(options.source, options.ring)
+    trajectories = read_trajectories(source, options.ring)
     began = time.monotonic()
     with progress("calibrating") as advance, workers(len(trajectories.vehicle), options.scheduler) as work:
         is_kept = output is not None and not options.is_pooled and not options.classes
@@ -154,10 +159,12 @@ def _calibrate_tracks(options: CalibrateOptions) -> None:
     """Estimate the parameters of drivers on tracks."""
     from sugiyama_ros.calibration.on_tracks import calibrate_tracks
     from sugiyama_ros.formats.choices import Choices
+    from sugiyama_ros.formats.folder import read_files
     from sugiyama_ros.formats.registry import read_tracks
     from sugiyama_ros.workers import workers
 
-    tracks = read_tracks(options.source, Choices(ring_m=options.ring))
+    choices, sources = Choices(ring_m=options.ring), options.sources
+    tracks = read_tracks(sources[0], choices) if len(sources) == 1 else read_files(sources, choices)
     began = time.monotonic()
     with progress("calibrating") as advance, workers(tracks.runs, options.scheduler) as work:
         found = calibrate_tracks(tracks, names(options.parameters), work=work, on_progress=advance)

@@ -1,5 +1,6 @@
 """``sugiyama diagnose`` and ``sugiyama compare``."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,7 +14,7 @@ from sugiyama_ros.cli.options import (
     Ring,
     Scheduler,
     Seed,
-    Source,
+    Sources,
     Wide,
     model_output,
     names,
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
 class DiagnoseOptions:
     """Arguments and options of ``sugiyama diagnose``."""
 
-    source: Source
+    sources: Sources
     add: Annotated[
         str | None,
         typer.Option(
@@ -65,17 +66,17 @@ def diagnose(options: DiagnoseOptions) -> None:
     The diagnosis says where the model fails, which effect explains the failure, and how certain that is.
     """
     chosen = _chosen(options.add)
-    to_write = model_output(options.output, options.overwrite, options.source)
+    to_write = model_output(options.output, options.overwrite, options.sources)
     from sugiyama_ros.diagnosis import tables
     from sugiyama_ros.diagnosis.diagnosis import diagnose as find
     from sugiyama_ros.diagnosis.use import Goal, purpose_of
     from sugiyama_ros.diagnosis.verdict import document, sentences
     from sugiyama_ros.fit.model_file import write_model
-    from sugiyama_ros.formats.registry import read_recording
+    from sugiyama_ros.formats.registry import read_recordings
     from sugiyama_ros.workers import helpers
 
     goal = Goal(only=chosen or (), forces=chosen == (), purpose=purpose_of(options.purpose))
-    recording = read_recording(options.source, options.ring)
+    recording = read_recordings(options.sources, options.ring)
     with stages() as advance, helpers(options.scheduler) as workers:
         found = find(
             recording,
@@ -95,7 +96,7 @@ def diagnose(options: DiagnoseOptions) -> None:
         print_line(line)
     print_table(tables.steps(found), wide=options.wide)
     print_table(tables.by_driver(document(found)["drivers"]), wide=options.wide)
-    _print_next(found, options.source, options.output, options.add)
+    _print_next(found, options.sources, options.output, options.add)
     runs = f"{found.bootstrap_runs} simulated recordings" + (" (quick)" if found.quick else "")
     print_note(f"p-values from {runs}; {found.wall_s:.0f} s")
 
@@ -109,22 +110,24 @@ def _chosen(add: str | None) -> tuple[str, ...] | None:
     return names(add)
 
 
-def _print_next(found: "Diagnosis", source: Path, output: Path | None, add: str | None) -> None:
+def _print_next(found: "Diagnosis", sources: Sequence[Path], output: Path | None, add: str | None) -> None:
     """Say which additions the data do not support, and what to do next."""
     for name in sorted(set(names(add or "")) - {"auto", *(one.name for one in found.named)}):
         print_line(f"{name}: was not added; the data do not support it")
+    source = " ".join(map(str, sources))
     if output is not None:
         print_line(f"model file: {output} (compare it: sugiyama compare {source} --model {output})")
     elif found.named and add is None:
         print_line(f"add it: sugiyama diagnose {source} --add auto -o model.yaml")
-    print_line(
-        f"look at it: sugiyama diagnose {source} --json > diagnosis.json; sugiyama run {source} -o run.mcap;"
-        " sugiyama report run.mcap --diagnosis diagnosis.json --open"
-    )
+    if len(sources) == 1:
+        print_line(
+            f"look at it: sugiyama diagnose {source} --json > diagnosis.json; sugiyama run {source} -o run.mcap;"
+            " sugiyama report run.mcap --diagnosis diagnosis.json --open"
+        )
 
 
 def compare(
-    source: Source,
+    sources: Sources,
     effects: Annotated[str, typer.Option("--effects", help="Effects to add to the model, separated by commas.")] = "",
     model: ModelFile = None,
     ring: Ring = None,
@@ -141,11 +144,11 @@ def compare(
     from sugiyama_ros.diagnosis.compare import compare as compare_models
     from sugiyama_ros.diagnosis.comparison_document import document
     from sugiyama_ros.fit.model_file import read_model
-    from sugiyama_ros.formats.registry import read_recording
+    from sugiyama_ros.formats.registry import read_recordings
     from sugiyama_ros.workers import helpers
 
     given = read_model(model) if model is not None else None
-    recording = read_recording(source, ring)
+    recording = read_recordings(sources, ring)
     with stages() as advance, helpers(scheduler) as workers:
         compared = compare_models(recording, names(effects), given, seed=seed, workers=workers, on_progress=advance)
     if as_json:

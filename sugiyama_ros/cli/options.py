@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import inspect
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, TypeVar, get_type_hints
@@ -15,6 +15,10 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.outputs import Output
 
 Source = Annotated[Path, typer.Argument(help="Trajectories: a file in any known format.")]
+Sources = Annotated[
+    list[Path],
+    typer.Argument(help="Trajectories: a file or a folder in any known format. Of several, each is a recording."),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document instead of text.")]
 Wide = Annotated[bool, typer.Option("--wide", help="Print each table in one piece, however wide it is.")]
 Ring = Annotated[
@@ -95,13 +99,13 @@ def rate_of(text: str) -> float:
     return rate
 
 
-def model_output(path: Path | None, overwrite: bool, source: Path) -> Output | None:
+def model_output(path: Path | None, overwrite: bool, sources: Sequence[Path]) -> Output | None:
     """The model file to write, if one is wanted. Raises InputError for a name that is not YAML, or OutputError."""
     if path is None:
         return None
     if path.suffix not in (".yaml", ".yml"):
         raise InputError(f"{path}: is not the name of a model file; give a name that ends in .yaml")
-    output = Output(path, overwrite, (source,))
+    output = Output(path, overwrite, tuple(sources))
     output.check()
     return output
 

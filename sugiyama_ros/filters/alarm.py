@@ -4,6 +4,9 @@ A jump leaves its signature in all later innovations (Willsky and Jones 1976). A
 jump of unknown size explains them than no jump. The sum of the ratios over all onsets (Shiryaev and Roberts) grows by
 one with each onset in the mean if nothing ever changes. An alarm at a sum of A therefore comes by chance after A onsets
 in the mean, at the soonest.
+
+That promise holds for white innovations. Where the model is wrong, innovations follow one another, and sums of them are
+larger than the model says. Sums over blocks of time tell by how much, and the ratio allows for it.
 """
 
 import math
@@ -22,6 +25,10 @@ BETWEEN_FALSE_S = 7200.0
 JUMP_STD = 0.15
 #: Normalised innovation beyond which a sample tells no more: one gross error is no change of style.
 LARGEST = 3.5
+#: Time [s] of a block of innovations, time over which blocks count, and time in which no alarm is given at first.
+BLOCK_S, BLOCKS_S, QUIET_S = 4.0, 100.0, 30.0
+#: Standard errors by which the blocks must exceed what white innovations make of them.
+SURE = 2.0
 
 
 @dataclass(frozen=True)
@@ -50,6 +57,9 @@ class StyleAlarm:
         self._every = max(1, round(ONSET_S / period_s))
         onsets = max(1, round(WATCHED_S / (self._every * period_s)))
         self._threshold = BETWEEN_FALSE_S / (self._every * period_s)
+        self._block, self._quiet = max(1, round(BLOCK_S / period_s)), QUIET_S / period_s
+        self._kept = math.exp(-self._block * period_s / BLOCKS_S)
+        self._samples, self._sum, self._blocks, self._squares = 0, 0.0, 0.0, 0.0
         # a column for every onset and entry, entries of one onset side by side
         columns = onsets * len(self._places)
         self._signature: Array = np.zeros((size, columns))
@@ -76,14 +86,28 @@ class StyleAlarm:
 
     def observe(self, innovation: float, variance: float) -> None:
         """Take in the driver's own innovation [m] and its variance, before the filter is updated with it."""
-        bound = LARGEST * math.sqrt(variance)
-        signature = self._signature[0]
-        self._known += signature * signature / variance
-        self._seen += signature * (min(max(innovation, -bound), bound) / variance)
+        std = math.sqrt(variance)
+        normal = min(max(innovation / std, -LARGEST), LARGEST)
+        self._samples += 1
+        self._sum += normal
+        if self._samples % self._block == 0:
+            self._blocks = self._kept * self._blocks + 1.0
+            self._squares = self._kept * self._squares + self._sum * self._sum / self._block
+            self._sum = 0.0
+        excess, signature = self.excess, self._signature[0]
+        self._known += signature * signature / (variance * excess)
+        self._seen += signature * (normal / (std * excess))
 
     def update(self, gain: Array, measured: Ints) -> None:
         """After the filter's update with the entries ``measured`` (m,) of its state; gain: (size, m)."""
         self._signature -= gain @ self._signature[measured]
+
+    @property
+    def excess(self) -> float:
+        """Variance of a sum of innovations, over the variance that it has if they are white; at least 1."""
+        if self._blocks == 0.0:
+            return 1.0
+        return max(1.0, self._squares / self._blocks - SURE * math.sqrt(2.0 / self._blocks))
 
     @property
     def ratio(self) -> float:
@@ -97,7 +121,7 @@ class StyleAlarm:
 
     def check(self, mean: Array, covariance: Array) -> Change | None:
         """Return what has jumped if the alarm is given, and correct the filter's mean and covariance in place."""
-        if self.ratio < 1.0:
+        if self._samples < self._quiet or self.ratio < 1.0:
             return None
         column = int(np.argmax(self._log_ratios))
         certain = self._known[column] + 1.0 / JUMP_STD**2

@@ -11,7 +11,7 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.lanes import clear, grid_for
 from sugiyama_ros.driver.parameters import NAMES
 from sugiyama_ros.driver.utility import ACTIONS
-from sugiyama_ros.filters.alarm import BETWEEN_FALSE_S, ONSET_S, WATCHED_S
+from sugiyama_ros.filters.alarm import BETWEEN_FALSE_S, BLOCK_S, BLOCKS_S, ONSET_S, QUIET_S, WATCHED_S
 from sugiyama_ros.filters.chain_model import ChainModel
 from sugiyama_ros.filters.engine import Estimate
 from sugiyama_ros.filters.noise import NOISES, Learning
@@ -65,6 +65,8 @@ class CompiledKalman:
         arrays.linearised.live[:] = np.arange(len(self.x))
         clear(arrays.lanes.blocks)
         arrays.alarm.every[0], arrays.alarm.threshold[0] = every, BETWEEN_FALSE_S / (every * period)
+        block = max(1, round(BLOCK_S / period))
+        arrays.alarm.colour[:3] = block, math.exp(-block * period / BLOCKS_S), QUIET_S / period
         self._put(model)
         entries = model.adapted_entries
         self.x[entries] = model.prior_mean

@@ -1,14 +1,16 @@
 """One driver's filter, sample by sample, with online updates of the driver's parameters."""
 
+import copy
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cache
 from typing import Any, Literal
 
 import numpy as np
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.driver.parameters import NAMES, check, population
+from sugiyama_ros.driver.parameters import NAMES, V_STAR, check, population
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.any_time import steps_between
@@ -17,6 +19,8 @@ from sugiyama_ros.filters.chain_model import ChainModel, chain_model
 from sugiyama_ros.filters.compiled import CompiledKalman
 from sugiyama_ros.filters.engine import NO_REAR, Engine
 from sugiyama_ros.filters.engine import Estimate as Estimate
+from sugiyama_ros.filters.first_look import NOBODY as NOBODY
+from sugiyama_ros.filters.first_look import SMOOTHED, ChainStep, FirstLook
 from sugiyama_ros.filters.learnt import (
     Learnt,
     adapted_names,
@@ -34,8 +38,18 @@ from sugiyama_ros.road import Road
 ADAPT = Adaptation(names=("v_star", "kappa_v"), prior_std=(0.1, 0.4), relaxation_s=6000.0)
 #: Learning of the estimator nodes: measurement noise and acceleration noise.
 LEARN = Learning()
-#: No vehicle behind.
-NOBODY = (math.nan, -1, 0.0)
+#: What is learnt where positions are smooth: road and instrument are others than those of the measured drivers.
+ADAPT_ELSEWHERE = Adaptation(names=("v_star", "kappa_v"), prior_std=(0.3, 0.4), relaxation_s=6000.0)
+LEARN_ELSEWHERE = Learning(prior_std=(1.0, 0.7))
+
+
+@dataclass(frozen=True, eq=False)
+class _Outset:
+    """With what a filter starts: parameters of the drivers ahead, and what is learnt, as in ``OnlineFilter``."""
+
+    ahead: Array | None
+    adaptation: Adaptation
+    learning: Learning | None
 
 
 class OnlineFilter:
@@ -55,7 +69,8 @@ class OnlineFilter:
     adaptation
         Which preferences of the driver are learnt.
     learning
-        How the driver's noises are learnt, None if they are not.
+        How the driver's noises are learnt, None if they are not. While they are, the filter starts anew with other
+        noises as soon as the first positions show that they are smoother than the noises allow (``first_look``).
     vehicles
         Number M of vehicles in the chain.
     engine
@@ -91,27 +106,31 @@ class OnlineFilter:
         self.period_s = period_s
         self.vehicles = vehicles
         self.engine = engine
-        self._ahead, self._adaptation, self._learning = ahead, adaptation, learning
+        self._start = _Outset(ahead, adaptation, learning)
         self._model = self._model_of(ROW.with_effects(parameters))
+        self._look = FirstLook(road, period_s) if learning is not None else None
+        self._recalled: Learnt | None = None
         self.reset()
 
     def _model_of(self, row: Array) -> ChainModel:
         lap = self.road.circumference_m
-        return chain_model(row, self._ahead, self._adaptation, self.vehicles, self.period_s, lap)
+        return chain_model(row, self._start.ahead, self._start.adaptation, self.vehicles, self.period_s, lap)
 
     def reset(self) -> None:
         """Forget all samples and everything learnt."""
         self.kalman = self._engine_of(self._model)
         self._behind = self._follower() if self._model.has_effects else None
         self.prior = self.learnt
+        if self._look is not None:
+            self._look, self._recalled = FirstLook(self.road, self.period_s), None
 
     def _engine_of(self, model: ChainModel) -> Engine:
         if self.engine == "compiled":
-            return CompiledKalman(model, self.road, self._learning)
+            return CompiledKalman(model, self.road, self._start.learning)
         # filterpy takes long to import
         from sugiyama_ros.filters.readable import ReadableKalman
 
-        return ReadableKalman(model, self.road, self._learning)
+        return ReadableKalman(model, self.road, self._start.learning)
 
     def change(self, parameters: Array) -> None:
         """Go on with other effects and keep all that was learnt.
@@ -141,7 +160,7 @@ class OnlineFilter:
     def _follower(self) -> "OnlineFilter":
         """Return a filter of the vehicle behind, of which nothing is learnt."""
         return OnlineFilter(
-            self.period_s, self.road, adaptation=NOT_ADAPTED, learning=None, vehicles=1, engine=self.engine
+            self.period_s, self.road, self._start.ahead, None, NOT_ADAPTED, None, vehicles=1, engine=self.engine
         )
 
     @property
@@ -169,26 +188,37 @@ class OnlineFilter:
         """All that is known of the driver's parameters, to go on from."""
         return learnt_of(self.kalman)
 
+    @property
+    def is_smooth(self) -> bool:
+        """Whether the filter has started anew, because positions are smoother than its noises were."""
+        return self._start.learning is LEARN_ELSEWHERE
+
     def saved(self) -> Any:
         """Return all that the filter knows now, for ``restore``."""
-        return self.kalman.saved(), None if self._behind is None else self._behind.saved()
+        parts = self.kalman, self._behind, self._model, self._start, self.prior, self._recalled
+        behind = None if self._behind is None else self._behind.saved()
+        return parts, self.kalman.saved(), behind, copy.deepcopy(self._look)
 
     def restore(self, saved: Any) -> None:
         """Go back to what ``saved`` has returned. ``change`` must not have been called since."""
-        own, behind = saved
+        parts, own, behind, look = saved
+        self.kalman, self._behind, self._model, self._start, self.prior, self._recalled = parts
+        self._look = copy.deepcopy(look)
         self.kalman.restore(own)
         if self._behind is not None:
             self._behind.restore(behind)
 
     def restart(self) -> None:
         """Forget where the vehicles are, and keep what was learnt of the driver."""
-        learnt, prior = self.learnt, self.prior
+        learnt, prior, recalled = self.learnt, self.prior, self._recalled
         self.reset()
-        self.recall(learnt)
-        self.prior = prior
+        recall(self.kalman, learnt)
+        self.prior, self._recalled = prior, recalled
 
     def recall(self, learnt: Learnt) -> None:
         """Go on from what was learnt before, of the parameters that are adapted here."""
+        if self._look is not None and not self._look.samples:
+            self._recalled = learnt
         recall(self.kalman, learnt)
 
     @property
@@ -238,12 +268,40 @@ class OnlineFilter:
         Estimate
             After the update.
         """
+        sample = ChainStep(position_m, identity, length_m, time_s, behind, elapsed_s)
+        estimate = self._step(sample)
+        if self._look is not None:
+            self._look.take_in(sample)
+            if self._look.is_over:
+                return self._conclude(self._look) or estimate
+        return estimate
+
+    def _step(self, sample: ChainStep) -> Estimate:
+        position_m, identity, length_m, time_s, behind, elapsed_s = sample
         steps, periods = (1, 1.0) if elapsed_s is None else steps_between(elapsed_s, self.period_s)
         for left in range(steps - 1, 0, -1):
             before_s, nowhere = time_s - left * periods * self.period_s, [math.nan] * len(position_m)
             rear = self._rear((math.nan, behind[1], behind[2]), before_s, periods)
             self.kalman.step(nowhere, identity, length_m, rear, before_s, periods)
         return self.kalman.step(position_m, identity, length_m, self._rear(behind, time_s, periods), time_s, periods)
+
+    def _conclude(self, look: FirstLook) -> Estimate | None:
+        """End the first look. If positions are smooth, start anew and take in the samples again."""
+        self._look, estimate = None, None
+        row = look.start(self._model.row)
+        if row is None:
+            return None
+        ahead = ROW.with_effects(population() if self._start.ahead is None else self._start.ahead)
+        ahead[[*SMOOTHED, V_STAR]] = row[[*SMOOTHED, V_STAR]]
+        wanted = ADAPT_ELSEWHERE if self._start.adaptation is ADAPT else self._start.adaptation
+        self._start = _Outset(ahead, wanted, LEARN_ELSEWHERE)
+        self._model = self._model_of(row)
+        self.reset()
+        if self._recalled is not None:
+            self.recall(self._recalled)
+        for sample in look.samples:
+            estimate = self._step(sample)
+        return estimate
 
     def _rear(self, behind: tuple[float, int, float], time_s: float, periods: float) -> tuple[float, float, float]:
         """Return position [m], speed [m/s] and length [m] of the vehicle behind; ``NO_REAR`` while it is not known."""

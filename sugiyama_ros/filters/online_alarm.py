@@ -6,8 +6,19 @@
 import math
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.filters.alarm import JUMP_STD, LARGEST
-from sugiyama_ros.filters.online_state import CHANGED, JUMP, Alarm
+from sugiyama_ros.filters.alarm import JUMP_STD, LARGEST, SURE
+from sugiyama_ros.filters.online_state import (
+    BLOCK,
+    BLOCKS,
+    CHANGED,
+    JUMP,
+    KEPT,
+    QUIET,
+    SAMPLES,
+    SQUARES,
+    SUM,
+    Alarm,
+)
 from sugiyama_ros.filters.state import Linearised, State
 from sugiyama_ros.jit import kernel
 
@@ -53,12 +64,29 @@ def predict_alarm(alarm: Alarm, linearised: Linearised, first: int, periods: flo
 @kernel(allocates=False)
 def observe(alarm: Alarm, innovation: float, variance: float) -> None:
     """Take in the driver's own innovation [m] and its variance, before the filter is updated with it."""
-    bound = LARGEST * math.sqrt(variance)
-    weighted, certain = min(max(innovation, -bound), bound) / variance, 1.0 / variance
+    std = math.sqrt(variance)
+    normal = min(max(innovation / std, -LARGEST), LARGEST)
+    excess = _excess(alarm.colour, normal)
+    weighted, certain = normal / (std * excess), 1.0 / (variance * excess)
     signature = alarm.signature[0]
     for j in range(len(signature)):
         alarm.known[j] += signature[j] * signature[j] * certain
         alarm.seen[j] += signature[j] * weighted
+
+
+@kernel(allocates=False)
+def _excess(colour: Array, normal: float) -> float:
+    """Take in a normalised innovation, and return ``alarm.StyleAlarm.excess``."""
+    colour[SAMPLES] += 1.0
+    colour[SUM] += normal
+    if colour[SAMPLES] % colour[BLOCK] == 0.0:
+        colour[BLOCKS] = colour[KEPT] * colour[BLOCKS] + 1.0
+        colour[SQUARES] = colour[KEPT] * colour[SQUARES] + colour[SUM] * colour[SUM] / colour[BLOCK]
+        colour[SUM] = 0.0
+    if colour[BLOCKS] == 0.0:
+        return 1.0
+    excess: float = colour[SQUARES] / colour[BLOCKS] - SURE * math.sqrt(2.0 / colour[BLOCKS])
+    return max(1.0, excess)
 
 
 @kernel(allocates=False)
@@ -80,6 +108,8 @@ def check_style(alarm: Alarm, state: State, first: int, result: Array) -> None:
 
     The sum of the likelihood ratios is only worked out if it may reach the threshold.
     """
+    if alarm.colour[SAMPLES] < alarm.colour[QUIET]:
+        return
     known, seen = alarm.known, alarm.seen
     columns, jumps = len(known), len(state.mean) - first
     largest = 0.0

@@ -33,6 +33,8 @@ from sugiyama_ros.jit import kernel
 ) = range(13)
 #: Number of these entries.
 RESULTS = 13
+#: Entries of ``Alarm.colour``.
+BLOCK, KEPT, QUIET, SAMPLES, SUM, BLOCKS, SQUARES = range(7)
 
 
 class Sizes(NamedTuple):
@@ -110,7 +112,10 @@ class Alarm(NamedTuple):
     """The alarm of ``alarm.StyleAlarm`` with C columns, C = 0 where no parameter is adapted.
 
     signature, moved: (N, C), the second is overwritten; known, seen: (C,); threshold: (1,); every: (1,) periods from
-    one onset to the next; periods: (1,) since the alarm began; onsets: (1,) their number.
+    one onset to the next; periods: (1,) since the alarm began; onsets: (1,) their number; colour: (7,), the entries
+    ``BLOCK`` to ``SQUARES``: samples in a block, what is kept of the sums in a block, samples without an alarm at
+    first; then the number of samples, the sum in this block, the number of blocks with forgetting, and the sum of
+    their squares.
     """
 
     signature: Array
@@ -121,6 +126,7 @@ class Alarm(NamedTuple):
     every: Array
     periods: Array
     onsets: Ints
+    colour: Array
 
 
 class Scratch(NamedTuple):
@@ -173,7 +179,7 @@ def _shapes(sizes: Sizes) -> list[tuple[int, int]]:
     lanes = [(1, 1), (-(-points_of(m, a) // LANES), UTILITIES + LANES * k), (k, 1), (k, 1)]
     noises = [(2, 1), (2, 2), (j, 1), (j, 2), (2 * j, 2), (2, n), (2 * n, n)]
     noises += [(j, 2), (2, 1), (2, 1), (1, 1), (2, 1), (j, 1), (j, 2), (2 * j, 2)]
-    alarm = [(n, c), (n, c), (c, 1), (c, 1), (1, 1), (1, 1), (1, 1), (1, 1)]
+    alarm = [(n, c), (n, c), (c, 1), (c, 1), (1, 1), (1, 1), (1, 1), (1, 1), (7, 1)]
     scratch = [(n, 1), (n, 1), (n, n), (m, 1), (3, 1), (1, 1)]
     result, scene = (RESULTS + 9, 1), (len(Scene._fields), 1)
     of_model = [*drivers, scene, *linearised, *workspace, *lanes, *scratch]
@@ -254,6 +260,7 @@ def _alarm(memory: Array, layout: Ints, k: int) -> Alarm:
         every=_vector(memory, layout, k + 5),
         periods=_vector(memory, layout, k + 6),
         onsets=_integers(memory, layout, k + 7),
+        colour=_vector(memory, layout, k + 8),
     )
 
 

@@ -25,6 +25,15 @@ from sugiyama_ros.driver.parameters import (
     index,
     population,
 )
+from sugiyama_ros.filters.roughness import (
+    LEAST,
+    OF_POSITION,
+    OF_SPEED,
+    WHITE,
+    desired_speed_above,
+    roughness,
+    roughness_of_noises,
+)
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 #: The parameters that the paper estimates; section 4.1.
@@ -33,17 +42,10 @@ ESTIMATED = ("sigma_nu", "sigma_a", "v_star", "kappa_v")
 FREED = ("sigma_x", "sigma_v")
 #: Places of the noises among the parameters.
 NOISES = [SIGMA_NU, SIGMA_A, SIGMA_X, SIGMA_V]
-# Variance of a third difference, in variances of white noise, of the position noise and of the speed noise (times the
-# squared period): sums of squares of the coefficients of the third, the second and the first difference.
-_WHITE, _OF_POSITION, _OF_SPEED = 20.0, 6.0, 2.0
-# Fewest third differences of a vehicle, and smallest std of the noise [m]: less is the rounding of the numbers.
-_FEWEST, _LEAST = 8, 1e-5
+# Fewest third differences of a vehicle.
+_FEWEST = 8
 # Bound of the noises in a search, as a part of the noise that the positions show.
 _PART = 0.01
-# A speed is far above the desired speed of the population by this factor; the desired speed is then slightly above it.
-_FAR_ABOVE, _SLIGHTLY_ABOVE = 1.5, 1.1
-# Scale of the normal distribution over the median of its absolute values.
-_PER_MEDIAN = 1.4826
 
 
 class Evenness(NamedTuple):
@@ -63,14 +65,12 @@ class Evenness(NamedTuple):
     @property
     def is_smooth(self) -> bool:
         """Whether the positions move more evenly than the model's fixed noises alone would let them."""
-        fixed = at_period(defaults(), self.period_s)
-        expected = _OF_POSITION * fixed[SIGMA_X] ** 2 + _OF_SPEED * (self.period_s * fixed[SIGMA_V]) ** 2
-        return self.roughness_m**2 < float(expected)
+        return self.roughness_m < roughness_of_noises(defaults(), self.period_s)
 
     @property
     def smallest_noise(self) -> float:
         """Lower bound of all noises in a search, in their own units."""
-        noise = float(np.nanmax([self.roughness_m, _LEAST])) / np.sqrt(_WHITE)
+        noise = float(np.nanmax([self.roughness_m, LEAST])) / np.sqrt(WHITE)
         return float(min(1e-3, _PART * noise))
 
     def typical(self, speed: float) -> Array:
@@ -90,15 +90,14 @@ class Evenness(NamedTuple):
             Parameters at the reference period.
         """
         driver = population()
-        if speed > _FAR_ABOVE * driver[V_STAR]:
-            driver[V_STAR] = _SLIGHTLY_ABOVE * speed
+        driver[V_STAR] = desired_speed_above(speed, float(driver[V_STAR]))
         if not self.is_smooth:
             return driver
-        third = max(self.roughness_m, _LEAST) / np.sqrt(3.0)
+        third = max(self.roughness_m, LEAST) / np.sqrt(3.0)
         scale = at_period(np.full(len(NAMES), 0.5), self.period_s)[SIGMA_X] / 0.5
-        driver[SIGMA_NU] = third / np.sqrt(_WHITE)
-        driver[SIGMA_X] = third / np.sqrt(_OF_POSITION) / scale
-        driver[SIGMA_V] = min(third / np.sqrt(_OF_SPEED) / self.period_s / scale, driver[SIGMA_V])
+        driver[SIGMA_NU] = third / np.sqrt(WHITE)
+        driver[SIGMA_X] = third / np.sqrt(OF_POSITION) / scale
+        driver[SIGMA_V] = min(third / np.sqrt(OF_SPEED) / self.period_s / scale, driver[SIGMA_V])
         return driver
 
     def estimated(self, formulation: str = "causal") -> tuple[str, ...]:
@@ -143,7 +142,7 @@ def evenness_of(positions: Iterable[Array], period_s: float) -> Evenness:
         third = np.abs(np.diff(one, n=3))
         moving = third[np.isfinite(third) & (third > 0.0)]
         if len(moving) >= _FEWEST:
-            found.append(_PER_MEDIAN * float(np.median(moving)))
+            found.append(roughness(moving))
     return Evenness(float(np.median(found)) if found else float("nan"), period_s)
 
 

@@ -1,5 +1,6 @@
 """A folder of files with tracks: each file is a recording."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -40,7 +41,7 @@ def read_folder(path: Path, choices: Choices) -> Tracks:
     InputError
         For a folder without such files, a file that cannot be read, and files on different roads.
     """
-    from sugiyama_ros.formats.registry import formats, read_tracks
+    from sugiyama_ros.formats.registry import formats
 
     tables = sorted(one for one in path.iterdir() if _is_table(one))
     files = [one for one in tables if any(known.recognise(head_of(one), one) for known in formats())]
@@ -50,14 +51,45 @@ def read_folder(path: Path, choices: Choices) -> Tracks:
         )
     if len(files) > MAX_FILES:
         raise InputError(f"{path}: more than {MAX_FILES} files; split the folder")
-    name = "table" if choices.columns else "auto"
-    parts = [_named(read_tracks(file, choices, name), file) for file in files]
-    if len({part.about.ring_m for part in parts}) > 1:
-        raise InputError(f"{path}: the files are of different roads; convert each road on its own")
-    together = _joined(path, parts)
+    together = read_files(files, choices, path.name)
     others = ", ".join(one.name for one in tables if one not in files)
     note = f"files of no known format were left out: {others[:200]}" if others else ""
     return replace(together, about=together.about.noting(note))
+
+
+def read_files(files: Sequence[Path], choices: Choices, source: str = "") -> Tracks:
+    """Read several files as recordings of one table.
+
+    Parameters
+    ----------
+    files : sequence of Path
+        The files, or folders.
+    choices : Choices
+        What the user says; it holds for every file.
+    source : str
+        What to call the table.
+
+    Returns
+    -------
+    Tracks
+        One recording for each recording of each file; the name of the file comes first.
+
+    Raises
+    ------
+    InputError
+        For a file that cannot be read, files of the same name, and files on different roads.
+    """
+    from sugiyama_ros.formats.registry import read_tracks
+
+    stems = [file.stem for file in files]
+    twice = next((file for file in files if stems.count(file.stem) > 1), None)
+    if twice is not None:
+        raise InputError(f"{twice}: another file has the same name, so their recordings would mix; rename one")
+    name = "table" if choices.columns else "auto"
+    parts = [_named(read_tracks(file, choices, name), file) for file in files]
+    if len({part.about.ring_m for part in parts}) > 1:
+        raise InputError(f"{files[0]}: the files are of different roads; give the files of each road on their own")
+    return _joined(source or files[0].name, parts)
 
 
 def _is_table(file: Path) -> bool:
@@ -72,7 +104,7 @@ def _named(part: Tracks, file: Path) -> Tracks:
     return replace(part, recording=here if single else joined(here, part.recording, "/"))
 
 
-def _joined(path: Path, parts: list[Tracks]) -> Tracks:
+def _joined(source: str, parts: list[Tracks]) -> Tracks:
     """All parts in one table."""
     columns: dict[str, Array | Labels] = {}
     for name in (*TEXTS, *NUMBERS, "leader", "measured"):
@@ -80,7 +112,7 @@ def _joined(path: Path, parts: list[Tracks]) -> Tracks:
         if any(one is not None for one in found):
             columns[name] = _column(name, parts)
     about = About(
-        source=path.name,
+        source=source,
         view=parts[0].about.view,
         leaders="given",
         ring_m=parts[0].about.ring_m,

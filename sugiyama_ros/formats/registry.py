@@ -3,6 +3,7 @@
 A format of another package is a `Format` behind an entry point of the group ``sugiyama_ros.formats``.
 """
 
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
@@ -135,6 +136,34 @@ def read_recording(path: Path, ring_m: float | None = None) -> Trajectories | Tr
         return read_trajectories(path, ring_m)
     tracks = read_tracks(path, Choices(ring_m=ring_m))
     return whole_road(tracks) or tracks
+
+
+def read_recordings(paths: Sequence[Path], ring_m: float | None = None) -> Trajectories | Tracks:
+    """Read one file as ``read_recording`` does, or pool several files: each is a recording of its own.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Files and folders.
+    ring_m : float, optional
+        Circumference [m] of the ring, where the files do not say it; 0 for an open road.
+
+    Returns
+    -------
+    Trajectories or Tracks
+        `Tracks` for several files.
+
+    Raises
+    ------
+    InputError
+        As for `read_recording`; and for several files of the same name, or on different roads.
+    """
+    if len(paths) == 1:
+        return read_recording(paths[0], ring_m)
+    # a folder is a format of this registry
+    from sugiyama_ros.formats.folder import read_files
+
+    return read_files(paths, Choices(ring_m=ring_m))
 
 
 def format_of(path: Path) -> Format:

@@ -177,6 +177,7 @@ class Follower:
         if elapsed_s is not None:
             self._counts["skipped"] += steps_between(elapsed_s, self.filter.period_s)[0] - 1
         behind = self._vehicle_behind(sample)
+        was_smooth = self.filter.is_smooth
         estimate = self.filter.step(position, self._chain, length, sample.stamp_ns / NS, behind, elapsed_s)
         if not isfinite(estimate.speed):
             raise DivergedError("the filter has diverged and starts anew; are its effects and parameters sensible?")
@@ -186,6 +187,9 @@ class Follower:
             estimate = UNKNOWN._replace(position_m=estimate.position_m)
         if self._unled is None:
             return estimate
+        if self.filter.is_smooth != was_smooth:
+            # what was learnt before is of noises that do not suit the positions
+            self._unled = self.filter.prior if self._kept is None else self._kept.learnt
         self.filter.recall(self._unled)
         return estimate._replace(gap_m=nan, approach_rate=nan, mean_action=nan, scored=False)
 

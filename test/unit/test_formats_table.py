@@ -11,7 +11,7 @@ from pyarrow import parquet
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats import sheet
 from sugiyama_ros.formats.choices import Choices, read_choices
-from sugiyama_ros.formats.registry import format_of, read_tracks, read_trajectories
+from sugiyama_ros.formats.registry import format_of, read_recordings, read_tracks, read_trajectories
 from sugiyama_ros.formats.tracks_parquet import write_tracks
 from sugiyama_ros.trajectories.exchange import KEY
 from sugiyama_ros.trajectories.time_base import is_regular, period_of
@@ -320,3 +320,15 @@ def test_every_file_of_a_folder_is_a_recording(tmp_path: Path) -> None:
 def test_unknown_formats_are_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"format 'shp': not known; choose among mcap, mstf"):
         read_tracks(tmp_path, name="shp")
+
+
+def test_several_files_are_recordings_of_one_table(tmp_path):
+    for name in ("one", "two"):
+        rows = "".join(f"{v},{0.1 * k:.1f},{20.0 * v + k}\n" for v in (1, 2) for k in range(30))
+        (tmp_path / f"{name}.csv").write_text("vehicle,time_s,s_m\n" + rows)
+    files = [tmp_path / "one.csv", tmp_path / "two.csv"]
+    pooled = read_recordings(files)
+    assert pooled.recording.used() == read_tracks(tmp_path).recording.used()
+    assert len(pooled) == 120
+    with pytest.raises(InputError, match="same name"):
+        read_recordings([files[0], files[0]])

@@ -1,0 +1,53 @@
+"""How rough positions are: the size of their third differences, and what a model's noises make of them.
+
+Third differences are large where noise is, and small where a vehicle moves by itself.
+"""
+
+import math
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.driver.parameters import SIGMA_V, SIGMA_X, at_period
+
+#: Variance of a third difference, in variances of white noise, of the position noise and of the speed noise (times the
+#: squared period): sums of squares of the coefficients of the third, the second and the first difference.
+WHITE, OF_POSITION, OF_SPEED = 20.0, 6.0, 2.0
+#: Smallest std of third differences [m]: less is the rounding of the numbers.
+LEAST = 1e-5
+# A speed is far above the desired speed by this factor; the desired speed is then slightly above it.
+_FAR_ABOVE, _SLIGHTLY_ABOVE = 1.5, 1.1
+# Scale of the normal distribution over the median of its absolute values.
+_PER_MEDIAN = 1.4826
+
+
+def roughness(third: Array) -> float:
+    """Return the std [m] of third differences, from their absolute values (n,); spikes do not move it."""
+    return _PER_MEDIAN * float(np.median(third))
+
+
+def roughness_of_noises(row: Array, period_s: float) -> float:
+    """Return the std [m] of third differences that position noise and speed noise alone make.
+
+    Parameters
+    ----------
+    row : ndarray, shape (P,) or longer
+        The driver's parameters at the reference period.
+    period_s : float
+        Time between two samples [s].
+
+    Returns
+    -------
+    float
+        Positions with a smaller roughness are smoother than the model allows.
+    """
+    there = at_period(row, period_s)
+    return math.sqrt(OF_POSITION * float(there[SIGMA_X]) ** 2 + OF_SPEED * (period_s * float(there[SIGMA_V])) ** 2)
+
+
+def desired_speed_above(speed: float, desired: float) -> float:
+    """Return a desired speed [m/s] to start from, for a driver who has driven at a speed [m/s].
+
+    A driver far above a desired speed hardly says how much too small it is.
+    """
+    return _SLIGHTLY_ABOVE * speed if speed > _FAR_ABOVE * desired else desired
