@@ -41,7 +41,7 @@ class Addition:
     form : str
         Name of the effect that was added: one form of the mechanism ``name``.
     drivers : tuple of int
-        Columns of the drivers who have it; empty for all.
+        Columns of the drivers who have it, or who bring nearly all of its gain; empty for all.
     worse : tuple of str
         Where the model with the addition does worse in the last part of the recording than the base model, in words.
     """
@@ -59,6 +59,11 @@ class Addition:
     form: str
     drivers: tuple[int, ...] = ()
     worse: tuple[str, ...] = ()
+
+    @property
+    def is_of_others_too(self) -> bool:
+        """Whether drivers have it who gain nothing by it: nothing was found that only the drivers who gain have."""
+        return bool(self.drivers) and all(who != self.drivers for _, who in self.fit.model.few)
 
 
 def advice_for(name: str, others: Iterable[str]) -> tuple[str, ...]:

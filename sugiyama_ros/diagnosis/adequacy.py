@@ -19,6 +19,7 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.addition import Addition
 from sugiyama_ros.diagnosis.discover import Discovery
 from sugiyama_ros.diagnosis.errors import HeldOutErrors
+from sugiyama_ros.diagnosis.law_check import CLEARLY, FURTHER, LEVEL_OF_LAWS, LawCheck, log_ratio
 from sugiyama_ros.diagnosis.locate import Located, locate
 from sugiyama_ros.effects.registry import EFFECTS
 from sugiyama_ros.fit.cross_validation import Gain, gain
@@ -26,10 +27,8 @@ from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.recording import Recorded
 
 Outcome = Literal["adequate", "explained", "not_explained"]
-# Another law is better by this many standard errors of a paired gain, and by at least this gain [nats].
-_CLEARLY, _LEAST_GAIN = 2.0, 5.0
-# Factor by which free runs of another law must be closer.
-_FURTHER = 1.2
+# Another law is better by at least this gain [nats].
+_LEAST_GAIN = 5.0
 #: Probability below which the biases of a model are larger than chance makes them.
 LEVEL_OF_BINS = 0.01
 # Smallest std of the logarithm of the biases' sum of squares, and its weight as a number of simulated recordings.
@@ -93,6 +92,8 @@ class Evidence:
         Where the final model fails in recordings that it simulates.
     stds : mapping of str to float
         Standard errors of the shared parameters of the final model, by name.
+    checks : mapping of str to LawCheck
+        What other laws do in recordings that the final model simulates, by name.
     """
 
     base: HeldOutErrors
@@ -103,6 +104,7 @@ class Evidence:
     forces: Sequence[Discovery]
     simulated: Sequence[Located]
     stds: Mapping[str, float] = field(default_factory=dict)
+    checks: Mapping[str, LawCheck] = field(default_factory=dict)
 
 
 def judge(data: Recorded, evidence: Evidence) -> Adequacy:
@@ -123,11 +125,12 @@ def judge(data: Recorded, evidence: Evidence) -> Adequacy:
     better = _better_law(data, evidence)
     signs = _signs_say(evidence)
     reasons = [
-        *_laws_say(better, bool(signs)),
+        *_laws_say(data, evidence, better, bool(signs)),
         *_free_runs_say(evidence),
         *_bins_say(evidence),
         *_spread_says(evidence.final),
         *signs,
+        *_few_say(data, evidence.named),
     ]
     reasons += [
         f"a force that depends on {force.covariate} is missing, by {force.strength:.2g} m/s²"
@@ -167,34 +170,57 @@ def simulated_failures(simulations: Sequence[tuple[Recorded, JointFit]], work: E
 def _better_law(data: Recorded, evidence: Evidence) -> tuple[str, Gain] | None:
     """The law that predicts better than the final model by most, if it does so beyond doubt, and its gain.
 
-    Additions that make no physical sense imitate a law, so they do not count against it: the law is then compared with
-    the base model.
+    A law that predicts about as well as the final model is better, too, if it is far behind the model in recordings
+    that the model simulates. Additions that make no physical sense imitate a law, so they do not count against it: the
+    law is then compared with the base model.
     """
     than = evidence.base if _signs_say(evidence) else evidence.final
     gains = {law: gain(data, errors.samples, than.samples) for law, errors in evidence.laws.items()}
-    better = {law: g for law, g in gains.items() if g.nats > max(_CLEARLY * g.se, _LEAST_GAIN)}
+    better = {
+        law: g
+        for law, g in gains.items()
+        if g.nats > max(CLEARLY * g.se, _LEAST_GAIN) or (g.nats > 0.0 and _is_unlikely(evidence, law, g))
+    }
     return max(better.items(), key=lambda one: one[1].nats, default=None)
 
 
-def _laws_say(better: tuple[str, Gain] | None, is_base: bool) -> list[str]:
-    if better is None:
-        return []
-    law, won = better
-    than = " than the model without the additions" if is_base else ""
-    return [f"{law} predicts held-out samples better{than}, by {won.nats:.0f} ± {won.se:.0f} nats"]
+def _is_unlikely(evidence: Evidence, law: str, won: Gain) -> bool:
+    """Whether a law gains more than it does in recordings that the final model simulates."""
+    return law in evidence.checks and evidence.checks[law].p_of_gain(won) < LEVEL_OF_LAWS
+
+
+def _laws_say(data: Recorded, evidence: Evidence, better: tuple[str, Gain] | None, is_base: bool) -> list[str]:
+    """Which law predicts better, or nearly as well although it would be far behind if the final model were right."""
+    if better is not None and better[1].nats > max(CLEARLY * better[1].se, _LEAST_GAIN):
+        law, won = better
+        than = " than the model without the additions" if is_base else ""
+        return [f"{law} predicts held-out samples better{than}, by {won.nats:.0f} ± {won.se:.0f} nats"]
+    reasons = []
+    for law, check in evidence.checks.items():
+        won = gain(data, evidence.laws[law].samples, evidence.final.samples)
+        if _is_unlikely(evidence, law, won):
+            reasons.append(
+                f"{law} predicts held-out samples about as well ({won.nats:+.0f} ± {won.se:.0f} nats), but it is"
+                f" {-np.mean(check.gains):.0f} nats behind in recordings that the model simulates"
+            )
+    return reasons[:1]
 
 
 def _free_runs_say(evidence: Evidence) -> list[str]:
-    """Which law drives on by itself better than the final model by most, if one does so beyond doubt."""
+    """Which law drives on by itself better than the final model by most, if this is unlikely for the right model.
+
+    Free runs of a law that damps waves may end closer than free runs of the right model.
+    """
     own = evidence.final.free_run_10s_m
     errors = {
-        law: other.free_run_10s_m for law, other in evidence.laws.items() if not evidence.final.no_worse_than(other)
+        law: evidence.laws[law].free_run_10s_m
+        for law, check in evidence.checks.items()
+        if not evidence.final.no_worse_than(evidence.laws[law])
+        and log_ratio(evidence.final, evidence.laws[law]) > math.log(FURTHER)
+        and check.p_of_ratio(log_ratio(evidence.final, evidence.laws[law])) < LEVEL_OF_LAWS
     }
-    better = [law for law, error in errors.items() if own > _FURTHER * error]
-    if not better:
-        return []
-    law = min(better, key=lambda name: errors[name])
-    return [f"free runs of {law} end closer: {errors[law]:.2g} m off after 10 s instead of {own:.2g} m"]
+    law = min(errors, key=lambda name: errors[name], default=None)
+    return [f"free runs of {law} end closer: {errors[law]:.2g} m off after 10 s instead of {own:.2g} m"] if law else []
 
 
 def _bins_p_value(evidence: Evidence) -> float | None:
@@ -254,6 +280,16 @@ def _signs_say(evidence: Evidence) -> list[str]:
             if value < least - _SURELY * shared.get(f"{one.form}.{name}", shared.get(name, 0.0)):
                 found.append(f"{one.name} has a sign that makes no physical sense: {name} is {value:.3g}")
     return found
+
+
+def _few_say(data: Recorded, named: Sequence[Addition]) -> list[str]:
+    """Which additions stand for something that a few drivers do."""
+    return [
+        f"{len(one.drivers)} of {data.drivers} drivers bring nearly all of what {one.name} gains: they may do something"
+        f" that is not listed"
+        for one in named
+        if one.is_of_others_too
+    ]
 
 
 def _share(data: Recorded, evidence: Evidence, better: tuple[str, Gain] | None) -> float | None:

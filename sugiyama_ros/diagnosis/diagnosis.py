@@ -15,6 +15,7 @@ from sugiyama_ros.diagnosis.discover import Discovery
 from sugiyama_ros.diagnosis.errors import HeldOutErrors, errors_of, held_out_errors
 from sugiyama_ros.diagnosis.floor import floor_of
 from sugiyama_ros.diagnosis.free_runs import HORIZONS_S
+from sugiyama_ros.diagnosis.law_check import check_laws, open_laws
 from sugiyama_ros.diagnosis.locate import Located, locate
 from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter
 from sugiyama_ros.diagnosis.screen import Screened
@@ -248,15 +249,17 @@ def _summed_up(
     """The diagnosis at the end of a search; ``began``: start on the monotonic clock [s]."""
     compared = ((search.base, search.before), (search.current, search.errors))
     where_before, where_after = (locate(search.data, one.model, e.samples, work) for one, e in compared)
+    laws = {name: errors for name, errors in rivals.items() if name in LAWS}
     evidence = Evidence(
         base=search.before,
         final=search.errors,
         named=search.named,
         located=where_after,
-        laws={name: errors for name, errors in rivals.items() if name in LAWS},
+        laws=laws,
         forces=forces,
         simulated=simulated_failures(search.simulations(), work),
         stds=shared_stds(search.data, search.current, work),
+        checks=check_laws(open_laws(search.data, search.errors, laws), search.simulations(), work),
     )
     adequacy = judge(search.data, evidence)
     if search.quick and rivals and adequacy.outcome == "not_explained":

@@ -1,9 +1,9 @@
-"""Some drivers only: who shows an effect, if a few drivers show it and the others do not.
+"""Effects that only some drivers have.
 
-A fit that gives an effect to all drivers says, for each of them, how strong the effect would be for this driver alone
-and how well it is known. From these the gain of an effect that only some drivers have follows, for any choice of
-drivers, without running the filter. The choice costs what it is worth by chance: the logarithm of the number of
-choices.
+A fit of something to all drivers raises the log posterior of each driver by some amount. Where a few drivers bring
+nearly all of the gain, they may do something that the others do not do, and what was fitted may be only the nearest
+name for it. Each mechanism is then fitted to these drivers alone. The choice of the drivers costs what it is worth by
+chance: the logarithm of the number of choices.
 """
 
 import math
@@ -17,58 +17,73 @@ from scipy.stats import chi2
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.candidacy import LEAST_GAIN
-from sugiyama_ros.diagnosis.candidates import Candidate
-from sugiyama_ros.effects.registry import EFFECTS, ROW, index_of
-from sugiyama_ros.fit.joint import JointFit, maximise, objectives, start_fit
-from sugiyama_ros.fit.model import Model, is_linear
+from sugiyama_ros.diagnosis.candidates import Candidate, added
+from sugiyama_ros.diagnosis.response import predicted, predicted_by_driver
+from sugiyama_ros.diagnosis.screen import joined
+from sugiyama_ros.effects.registry import EFFECTS, index_of
+from sugiyama_ros.fit.joint import JointFit, maximise, objectives, renewed, rise
+from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import FOLDS, Recorded
+from sugiyama_ros.fit.score import PointwiseDensity, predict_drivers
 
 # At most one driver in so many counts as a few, among at least so many drivers.
 _PART, _FEWEST = 3, 4
 # Gains by chance are larger than half a chi-squared variable, because the filter is an approximation.
 _INFLATION = 2.0
-# The strength is at most so many times the strength of the fit to all drivers.
-_FURTHEST = 10.0
-_STEPS = 20
-
+# A driver shows something with this share of the largest gain of a driver, and with at least this gain [nats].
+_SHARE_OF_LARGEST, _LEAST = 0.25, 4.0
+# Share of the gain of all drivers that a few drivers must bring.
+_NEARLY_ALL = 0.8
+_STEPS, _RENEWALS = 10, 3
 
 #: Level of significance: stricter than for all drivers, because no simulation says what the choice gains by chance.
 LEVEL_OF_FEW = 0.001
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Few:
-    """Drivers who may be the only ones with an effect.
+    """Drivers who bring nearly all of a gain.
 
     Parameters
     ----------
     drivers : tuple of int
         Their columns.
-    gain : float
-        Gain of the effect if only they have it [nats], to second order.
-    all_gain : float
-        Gain of the effect if all drivers have it [nats], to second order.
     cost : float
         What the choice of the drivers gains by chance [nats].
-    strength : dict of int to float
-        Strength of the effect that fits these drivers, by place.
     """
 
     drivers: tuple[int, ...]
-    gain: float
-    all_gain: float
     cost: float
-    strength: dict[int, float]
 
-    @property
-    def is_better(self) -> bool:
-        """Whether the effect gains more if only these drivers have it, beyond what the choice of the drivers costs."""
-        return self.gain - self.cost > max(self.all_gain, 0.0) + LEAST_GAIN
-
-    def p_value(self, rise: float, candidates: int) -> float:
+    def p_value(self, rise: float, parameters: int, candidates: int) -> float:
         """Return the probability of a gain [nats] by chance, corrected for the choice among drivers and candidates."""
-        alone = float(chi2.sf(2.0 * max(rise, 0.0) / _INFLATION, len(self.strength)))
+        alone = float(chi2.sf(2.0 * max(rise, 0.0) / _INFLATION, parameters))
         return min(1.0, candidates * math.exp(self.cost / _INFLATION) * alone)
+
+
+@dataclass(frozen=True, eq=False)
+class FitOfFew:
+    """An effect that only some drivers have.
+
+    Parameters
+    ----------
+    candidate : Candidate
+        The effect.
+    few : Few
+        The drivers.
+    fit : JointFit
+        The model with the effect.
+    gain : float
+        Rise of the log posterior [nats] over the model without the effect.
+    p_value : float
+        Probability of such a gain by chance, corrected for the choice among drivers and candidates.
+    """
+
+    candidate: Candidate
+    few: Few
+    fit: JointFit
+    gain: float
+    p_value: float
 
 
 def cost_of(chosen: int, drivers: int) -> float:
@@ -77,63 +92,46 @@ def cost_of(chosen: int, drivers: int) -> float:
     return _INFLATION * float(ways)
 
 
-def switches_of(candidate: Candidate) -> tuple[int, ...]:
-    """Return the places of the strengths of an effect; none for what every driver has for themselves."""
-    if candidate.individual or candidate.name not in EFFECTS:
-        return ()
-    return tuple(index_of(candidate.name, name) for name in EFFECTS[candidate.name].switches)
+def rises(base: JointFit, fitted: JointFit) -> Array:
+    """Return how much larger the log posterior of each driver is in ``fitted`` than in ``base`` (N,) [nats]."""
+    everywhere = range(FOLDS)
+    return objectives(fitted.slopes, fitted.model, everywhere) - objectives(base.slopes, base.model, everywhere)
 
 
-def who_shows(base: JointFit, look: JointFit, candidate: Candidate) -> Few | None:
-    """Find the drivers who gain most by an effect that all drivers have in a fit.
-
-    Along the strength of the effect, the log posterior of each driver is a parabola through three things that are
-    known: its value without the effect, its value in the fit, and its slope there.
+def who_shows(base: JointFit, fitted: JointFit) -> Few | None:
+    """Find the few drivers who bring nearly all of the gain of a fit over another.
 
     Parameters
     ----------
-    base : JointFit
-        A fit without the effect.
-    look : JointFit
-        A fit with the effect.
-    candidate : Candidate
-        The effect.
+    base, fitted : JointFit
+        A model, and the model with something added for all drivers.
 
     Returns
     -------
     Few or None
-        The drivers; None if the effect gains more for all drivers, if it has no strength, or if there are too few
-        drivers.
+        The drivers; None if many drivers bring the gain, or if there are too few drivers.
     """
-    places, drivers = switches_of(candidate), len(look.model.rows)
-    known = bool(places) and set(places) <= set(look.model.shared) and not look.model.few
-    if not known or drivers < _FEWEST:
+    gains = rises(base, fitted)
+    total, drivers = float(gains.sum()), len(gains)
+    chosen = np.flatnonzero(gains > max(_SHARE_OF_LARGEST * gains.max(), _LEAST))
+    if drivers < _FEWEST or not 0 < len(chosen) <= drivers // _PART:
         return None
-    pull, bend = _parabolas(base, look, places)
-    has_signs = all(ROW.declared[k].lower < 0.0 for k in places)
-
-    def best(chosen: Sequence[int]) -> tuple[float, float]:
-        """Gain [nats] of some drivers, and the factor on the strength of the fit."""
-        a, b = float(pull[list(chosen)].sum()), float(bend[list(chosen)].sum())
-        factor = a / (2.0 * b) if b > 1e-9 else 1.0
-        factor = float(np.clip(factor, -_FURTHEST if has_signs else 0.0, _FURTHEST))
-        return a * factor - b * factor * factor, factor
-
-    chosen: list[int] = []
-    found: Few | None = None
-    everybody = best(range(drivers))[0]
-    for _ in range(max(1, drivers // _PART)):
-        gains = {i: best([*chosen, i])[0] for i in range(drivers) if i not in chosen}
-        chosen.append(max(gains, key=lambda i: gains[i]))
-        (worth, factor), cost = best(chosen), cost_of(len(chosen), drivers)
-        if found is None or worth - cost > found.gain - found.cost:
-            strength = {k: factor * float(look.model.rows[0, k]) for k in places}
-            found = Few(tuple(sorted(chosen)), worth, everybody, cost, strength)
-    return found if found and found.is_better else None
+    theirs, cost = float(gains[chosen].sum()), cost_of(len(chosen), drivers)
+    is_clear = theirs - cost > LEAST_GAIN and theirs > _NEARLY_ALL * total
+    return Few(tuple(chosen.tolist()), cost) if is_clear else None
 
 
-def fit_few(data: Recorded, base: JointFit, look: JointFit, candidate: Candidate, few: Few, work: Executor) -> JointFit:
-    """Fit an effect that only some drivers have.
+def switches_of(candidate: Candidate) -> tuple[int, ...]:
+    """Return the places of the strengths of an effect; none for what every driver has for themselves."""
+    if candidate.individual or candidate.happens_once or candidate.name not in EFFECTS:
+        return ()
+    return tuple(index_of(candidate.name, name) for name in EFFECTS[candidate.name].switches)
+
+
+def fit_few(
+    data: Recorded, base: JointFit, candidate: Candidate, few: Few, candidates: int, work: Executor
+) -> FitOfFew:
+    """Fit an effect to the drivers who show it, and to further drivers who then gain by it, too.
 
     Parameters
     ----------
@@ -141,53 +139,76 @@ def fit_few(data: Recorded, base: JointFit, look: JointFit, candidate: Candidate
         The recording.
     base : JointFit
         The model without the effect.
-    look : JointFit
-        A model in which all drivers have the effect.
     candidate : Candidate
-        The effect.
+        The effect; ``switches_of`` returns its strengths.
     few : Few
         The drivers.
+    candidates : int
+        Number of candidates, for Bonferroni's correction.
     work : Executor
         Runs the filters.
 
     Returns
     -------
-    JointFit
+    FitOfFew
         The model with the effect.
     """
-    places, rows = switches_of(candidate), base.model.rows.copy()
-    rows[:, candidate.places] = look.model.rows[0, candidate.places]
-    rows[:, places] = 0.0
-    for k, strength in few.strength.items():
-        least = 1e-3 if ROW.declared[k].lower >= 0.0 else ROW.declared[k].lower
-        rows[list(few.drivers), k] = min(max(strength, least), 0.5 * ROW.declared[k].upper)
-    new = tuple(k for k in candidate.places if k not in base.model.shared)
-    model = replace(
-        base.model,
-        rows=rows,
-        shared=base.model.shared + new,
-        few=(*base.model.few, *((k, few.drivers) for k in places)),
-    )
-    return maximise(data, start_fit(data, model, work), work, iterations=_STEPS)
+    found = _fit(data, base, candidate, few, candidates, work)
+    wider = _widened(data, base, found, work) if found.p_value <= LEVEL_OF_FEW else None
+    if wider is None:
+        return found
+    again = _fit(data, base, candidate, wider, candidates, work)
+    return max(found, again, key=lambda one: one.gain - one.few.cost)
 
 
-def _parabolas(base: JointFit, look: JointFit, places: tuple[int, ...]) -> tuple[Array, Array]:
-    """Each driver's gain a t - b t² [nats] at t times the strength of a fit: a and b, (N,) each.
+def _fit(data: Recorded, base: JointFit, candidate: Candidate, few: Few, candidates: int, work: Executor) -> FitOfFew:
+    """Fit an effect that only some drivers have."""
+    starts = [_start(data, base, candidate, few, k, work) for k in range(len(candidate.starts))]
+    model, samples = max(starts, key=lambda start: predicted(base, *start))
+    nothing: list[tuple[Array, Array, Array]] = [(np.zeros(data.samples),) * 3] * data.drivers
+    new = {k: nothing for k in model.shared if k not in base.model.shared}
+    start = JointFit(model, samples, joined(data, base, model, samples, new))
+    start = renewed(data, start, work, np.isin(np.arange(data.drivers), few.drivers))
+    fitted = maximise(data, start, work, iterations=_STEPS, renewals=_RENEWALS)
+    gained = rise(base, fitted)
+    return FitOfFew(candidate, few, fitted, gained, few.p_value(gained, len(candidate.places), candidates))
 
-    The individual parameters of each driver respond; the place or the time of an effect stays.
-    """
-    model: Model = look.model
-    own, everywhere = len(model.individual), range(FOLDS)
-    at = [own + model.shared.index(k) for k in places]
-    prior, std = np.diag(1.0 / np.array(model.prior_std) ** 2), np.array(model.prior_std)
-    # a strength grows by itself; its logarithm grows by 1
-    ray = np.where(is_linear(places), model.rows[0, list(places)], 1.0)
-    rise = objectives(look.slopes, model, everywhere) - objectives(base.slopes, base.model, everywhere)
-    slope = np.zeros_like(rise)
-    for i, s in enumerate(look.slopes):
-        g, h = s.score.sum(axis=0), s.information.sum(axis=0)
-        towards = g[:own] - model.away[i] / std
-        response = np.linalg.solve(h[:own, :own] + prior, towards)
-        rise[i] += 0.5 * float(towards @ response)
-        slope[i] = float(ray @ (g[at] - h[np.ix_(at, range(own))] @ response))
-    return 2.0 * rise - slope, rise - slope
+
+def _start(
+    data: Recorded, base: JointFit, candidate: Candidate, few: Few, number: int, work: Executor
+) -> tuple[Model, PointwiseDensity]:
+    """One of the starts of an effect of a few drivers, and the samples there."""
+    model, places = added(base.model, candidate, candidate.starts[number]), switches_of(candidate)
+    rows = model.rows.copy()
+    others = [i for i in range(data.drivers) if i not in few.drivers]
+    rows[np.ix_(others, list(places))] = 0.0
+    model = replace(model, rows=rows, few=(*model.few, *((k, few.drivers) for k in places)))
+    samples = base.samples.copy()
+    for i, one in zip(few.drivers, predict_drivers(data, model, few.drivers, work), strict=True):
+        samples.put(i, one)
+    return model, samples
+
+
+def _widened(data: Recorded, base: JointFit, one: FitOfFew, work: Executor) -> Few | None:
+    """The drivers of a fit, and others who gain by the effect at this strength; None if there are none or too many."""
+    has = set(one.few.drivers)
+    others = [i for i in range(data.drivers) if i not in has]
+    rows, places = one.fit.model.rows.copy(), list(one.candidate.places)
+    rows[np.ix_(others, places)] = rows[one.few.drivers[0], places]
+    samples = base.samples.copy()
+    model = replace(one.fit.model, rows=rows, few=base.model.few)
+    for i, there in zip(others, predict_drivers(data, model, others, work), strict=True):
+        samples.put(i, there)
+    gains = predicted_by_driver(base, model, samples) - np.nansum(base.samples.log_likelihood, axis=1)
+    more = [i for i in others if gains[i] > _LEAST]
+    if not more or len(has) + len(more) > data.drivers // _PART:
+        return None
+    return Few(tuple(sorted((*has, *more))), cost_of(len(has) + len(more), data.drivers))
+
+
+def best_of_few(fits: Sequence[FitOfFew], most: int) -> list[FitOfFew]:
+    """Return the forms that gain most, one of each mechanism and at most so many, the best one first."""
+    best: dict[str, FitOfFew] = {}
+    for one in sorted(fits, key=lambda one: -one.gain):
+        best.setdefault(one.candidate.mechanism, one)
+    return list(best.values())[:most]

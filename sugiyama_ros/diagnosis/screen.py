@@ -12,6 +12,7 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.candidates import Candidate, added
+from sugiyama_ros.diagnosis.response import predicted
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.effects.sensing import is_contaminated
 from sugiyama_ros.filters.measurement import weigh_samples
@@ -139,7 +140,7 @@ def _best_start(
         # a parameter that only becomes free changes nothing yet
         is_same = not start and set(base.model.shared) <= set(model.shared)
         at = base.samples.only(some) if is_same else evaluate(data, model, work, some)
-        tried.append((_predicted(base, model, at), model, at))
+        tried.append((predicted(base, model, at), model, at))
     worst = int(np.argmin([likelihood for likelihood, _, _ in tried]))
     loss = (here.total - tried[worst][0]) * data.drivers / len(some)
     _, model, at = max(tried, key=lambda one: one[0])
@@ -246,21 +247,6 @@ def forecast(data: Recorded, before: JointFit, look: Screened, current: JointFit
     everywhere = range(FOLDS)
     reached = objective(here, model, everywhere) + solve(here, model, everywhere, 1e-3).predicted_gain
     return reached - objective(current.slopes, current.model, everywhere)
-
-
-def _predicted(base: JointFit, model: Model, samples: PointwiseDensity) -> float:
-    """Log-likelihood [nats] after the parameters of the base model have responded to the candidate, to first order.
-
-    Half of their predicted gain counts, because the prediction is too large at a distant start.
-    """
-    own, total = len(base.model.individual), samples.total
-    prior = np.diag(1.0 / np.array(base.model.prior_std) ** 2)
-    for i, (s, row) in enumerate(zip(base.slopes, model.rows, strict=True)):
-        y, variance, density = samples.of(i)
-        slope = density_slope(y, variance, s.derivatives.innovation[:own], s.derivatives.variance[:own], row)
-        score = slope[:, np.isfinite(density)].sum(axis=1)
-        total += 0.25 * float(score @ np.linalg.solve(s.information.sum(axis=0)[:own, :own] + prior, score))
-    return total
 
 
 def _strongest(

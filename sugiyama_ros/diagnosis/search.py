@@ -25,7 +25,7 @@ from sugiyama_ros.diagnosis.candidacy import (
 from sugiyama_ros.diagnosis.candidates import Candidate, candidates, only_those
 from sugiyama_ros.diagnosis.discover import Discovery, discover
 from sugiyama_ros.diagnosis.errors import HeldOutErrors, held_out_errors
-from sugiyama_ros.diagnosis.few import LEVEL_OF_FEW, Few, fit_few, who_shows
+from sugiyama_ros.diagnosis.few import LEVEL_OF_FEW, FitOfFew, best_of_few, fit_few, switches_of, who_shows
 from sugiyama_ros.diagnosis.glance import best_forms, worth_screening
 from sugiyama_ros.diagnosis.push import push_candidate
 from sugiyama_ros.diagnosis.screen import FULL, QUICK, Screened, closer, forecast, refine, screen, screen_again
@@ -48,6 +48,8 @@ _RIVAL = 0.5
 _LATER_LOOKS = 8
 # Number of steps of a search that starts at the truth.
 _FEW_STEPS = 4
+# Number of mechanisms that are fitted in full to a few drivers.
+_FEW_FITS = 3
 
 
 class Search:
@@ -140,27 +142,33 @@ class Search:
         for one in sorted(supported, key=lambda one: -predicted[one.candidate.name].nats):
             is_rival = not grown or (one.candidate.mechanism in grown[0].indistinguishable and not self.quick)
             if is_rival and self._predicts_more(one, now):
-                rivals = indistinguishable(self.data, one, scored)
+                full = ((o.candidate.mechanism, o.fit) for o in scored if o.refined)
+                rivals = indistinguishable(self.data, (one.candidate.mechanism, one.fit), full)
                 named = self._grow(one.candidate, one.fit, one.p_value, rivals)
                 grown += [named] if named is not None else []
         best = max(grown, key=lambda one: one.heldout.nats, default=None)
         return self._take(best and self._narrowed(best))
 
     def _narrowed(self, one: Addition) -> Addition:
-        """An addition for the few drivers who show it, if this predicts better than for all of them."""
-        candidate = next(c for c in self._possible if c.name == one.form)
-        few = who_shows(self.current, one.fit, candidate)
-        fewer = self._grow_few(few, one.fit, candidate) if few else None
-        return fewer if few and fewer and fewer.heldout.nats - few.cost > one.heldout.nats else one
+        """What a few drivers do, if they bring nearly all of what an addition for all drivers gains."""
+        few = who_shows(self.current, one.fit)
+        if few is None:
+            return one
+        possible = [c for c in self._possible if switches_of(c)]
+        title = f"round {len(self.named) + 1}: {len(few.drivers)} drivers"
 
-    def _grow_few(self, few: Few, look: JointFit, candidate: Candidate) -> Addition | None:
-        """The model with an effect that only some drivers have, if it gains more than the choice of the drivers."""
-        fitted = fit_few(self.data, self.current, look, candidate, few, self._work)
-        p_value = few.p_value(rise(self.current, fitted), len(self._possible))
-        if p_value > LEVEL_OF_FEW:
-            return None
-        one = self._grow(replace(candidate, drivers=few.drivers), fitted, p_value)
-        return one if one and one.heldout.nats > few.cost and one.after.no_worse_than(one.before) else None
+        def fit(candidate: Candidate) -> FitOfFew:
+            return fit_few(self.data, self.current, candidate, few, len(possible), self._work)
+
+        fits = at_once(fit, possible, title, self._on_progress)
+        likely = best_of_few([f for f in fits if f.p_value <= LEVEL_OF_FEW], _FEW_FITS)
+        full, grown = [(f.candidate.mechanism, f.fit) for f in likely], [one]
+        for f in likely:
+            rivals = indistinguishable(self.data, (f.candidate.mechanism, f.fit), full)
+            narrow = self._grow(replace(f.candidate, drivers=f.few.drivers), f.fit, f.p_value, rivals)
+            grown += [narrow] if narrow and narrow.after.no_worse_than(narrow.before) else []
+        best = max(grown, key=lambda g: g.heldout.nats)
+        return replace(best, drivers=best.drivers or few.drivers)
 
     def discover(self) -> list[tuple[Discovery, Screened]]:
         """Return forces without a name that the current model lacks, the best supported one first."""

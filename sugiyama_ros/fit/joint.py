@@ -150,9 +150,12 @@ def maximise(
 
 
 def _next_step(here: JointFit, folds: Sequence[int], damping: Array, enough: float) -> tuple[Step, NDArray[np.bool_]]:
-    """The next step, and the drivers (N,) that it moves: those with enough predicted gain, or all drivers together."""
-    step = solve(here.slopes, here.model, folds, damping)
-    return step, bool(here.model.shared) | (step.predicted_gains > enough / len(here.slopes))
+    """The next step, and the drivers (N,) that it moves: those with enough predicted gain, and those whom a shared
+    parameter moves.
+    """
+    step, own = solve(here.slopes, here.model, folds, damping), len(here.model.individual)
+    shared = np.array([s.information[:, own:, own:].any() for s in here.slopes])
+    return step, shared | (step.predicted_gains > enough / len(here.slopes))
 
 
 def _risen(here: JointFit, there: JointFit, step: Step, folds: Sequence[int]) -> tuple[Array, Array]:

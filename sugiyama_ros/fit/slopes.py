@@ -192,7 +192,9 @@ def _moved(asked: _Asked, individual: tuple[int, ...], shared: tuple[int, ...]) 
         changed[places] = value(moved, places)
         if k >= len(individual):
             changed_ahead = ahead.copy()
-            changed_ahead[:, places[k]] = changed[places[k]]
+            # not for drivers ahead who do not have what only some drivers have
+            has = ahead[:, places[k]] == row[places[k]]
+            changed_ahead[has, places[k]] = changed[places[k]]
         jobs.append(ChainJob(chain, changed, changed_ahead))
     return jobs
 

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from sugiyama_ros.diagnosis.candidates import candidates
-from sugiyama_ros.diagnosis.few import Few, cost_of, fit_few, who_shows
+from sugiyama_ros.diagnosis.few import Few, cost_of, fit_few, rises, who_shows
 from sugiyama_ros.diagnosis.free_runs import FreeRuns
-from sugiyama_ros.diagnosis.screen import QUICK, screen
 from sugiyama_ros.diagnosis.use import LastPart, drivers_worse, last_part, purpose_of, worse_where
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, defaults
 from sugiyama_ros.effects.registry import ROW, index_of, switch_on
@@ -47,26 +46,33 @@ def fitted(work):
 
 
 @pytest.fixture(scope="module")
-def looked(fitted, work):
-    data, base = fitted
-    candidate = next(c for c in candidates(data) if c.name == "slow_patch")
-    look = screen(data, base, candidate, work, QUICK)
-    return candidate, look, who_shows(base, look.fit, candidate)
+def patch(fitted):
+    return next(c for c in candidates(fitted[0]) if c.name == "slow_patch")
 
 
 @pytest.fixture(scope="module")
-def grown(fitted, looked, work):
+def grown(fitted, patch, work):
     data, base = fitted
-    candidate, look, _ = looked
-    few = Few(SLOW, 0.0, 0.0, 0.0, {PLACE: 0.2})
-    return fit_few(data, base, look.fit, candidate, few, work)
+    return fit_few(data, base, patch, Few(SLOW, cost_of(len(SLOW), CARS)), 1, work).fit
 
 
-def test_the_drivers_who_show_an_effect_are_found(looked):
-    _, _, few = looked
-    assert few is not None
-    assert few.drivers == SLOW
-    assert few.gain - few.cost > few.all_gain
+def test_the_drivers_who_show_an_effect_are_found(fitted, grown):
+    gains = rises(fitted[1], grown)
+    assert gains[list(SLOW)].sum() > 0.8 * gains.sum()
+    assert who_shows(fitted[1], grown) == Few(SLOW, cost_of(len(SLOW), CARS))
+
+
+def test_nobody_is_picked_out_where_everybody_gains(fitted, grown):
+    base = fitted[1]
+    everybody = replace(grown, slopes=(grown.slopes[SLOW[0]],) * CARS)
+    assert who_shows(replace(base, slopes=(base.slopes[SLOW[0]],) * CARS), everybody) is None
+
+
+def test_a_driver_who_was_missed_is_taken_in(fitted, patch, work):
+    data, base = fitted
+    found = fit_few(data, base, patch, Few(SLOW[1:], cost_of(1, CARS)), 1, work)
+    assert found.few.drivers == SLOW
+    assert found.p_value < 1e-6
 
 
 def test_only_these_drivers_get_the_effect(fitted, grown):

@@ -1,0 +1,125 @@
+"""Whether another law does better in the data than in recordings that the model itself simulates.
+
+A law that predicts nearly as well as the model, or whose free runs end closer, says little by itself: free runs without
+noise end closer where a law damps the waves, and short recordings cannot tell laws apart. The recordings that the model
+simulates show what to expect if the model is right (Cox, J. R. Stat. Soc. B 24 (1962) 406).
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import t as student
+
+from sugiyama_ros.diagnosis.errors import HeldOutErrors, held_out_errors
+from sugiyama_ros.diagnosis.rivals import in_filter
+from sugiyama_ros.fit.cross_validation import Gain, gain
+from sugiyama_ros.fit.joint import JointFit
+from sugiyama_ros.fit.recording import Recorded
+
+#: A law is better, or worse, beyond doubt by this many standard errors of a paired gain.
+CLEARLY = 2.0
+#: Factor by which free runs of a law must end closer to count at all.
+FURTHER = 1.2
+#: Probability below which a law does better in the data than in simulations.
+LEVEL_OF_LAWS = 0.01
+# Smallest std of a gain as a part of its mean, and of the logarithm of a ratio of free runs; and their weight as a
+# number of simulated recordings.
+_PART_OF_GAIN, _LOG_RATIO, _COMMON = 0.25, 0.2, 4
+
+
+@dataclass(frozen=True)
+class LawCheck:
+    """What a law does in recordings that the model simulates, beside the model fitted to them.
+
+    Parameters
+    ----------
+    gains : tuple of float
+        Held-out gain of the law over the model [nats], one for each recording.
+    ratios : tuple of float
+        Logarithm of the error of the model's free runs over the error of the law's free runs.
+    """
+
+    gains: tuple[float, ...]
+    ratios: tuple[float, ...]
+
+    def p_of_gain(self, won: Gain) -> float:
+        """Return the probability of a gain as large as ``won`` if the model is right."""
+        return _p_value(won.nats, self.gains, math.hypot(won.se, _PART_OF_GAIN * float(np.mean(self.gains))))
+
+    def p_of_ratio(self, ratio: float) -> float:
+        """Return the probability of a logarithm of the ratio as large as ``ratio`` if the model is right."""
+        return _p_value(ratio, self.ratios, _LOG_RATIO)
+
+
+def _p_value(value: float, by_chance: Sequence[float], least: float) -> float:
+    """Student's t of a value over values by chance, of which some have the std ``least``."""
+    known = np.array(by_chance)
+    freedom = len(known) - 1 + _COMMON
+    squares = float(np.square(known - known.mean()).sum()) + _COMMON * least**2
+    spread = math.sqrt(squares / freedom * (1.0 + 1.0 / len(known)))
+    return float(student.sf((value - float(known.mean())) / max(spread, 1e-9), freedom))
+
+
+def log_ratio(model: HeldOutErrors, law: HeldOutErrors) -> float:
+    """Return the logarithm of the error of the model's free runs over the error of the law's free runs."""
+    return math.log(max(model.free_run_10s_m, 1e-6) / max(law.free_run_10s_m, 1e-6))
+
+
+def open_laws(data: Recorded, model: HeldOutErrors, laws: Mapping[str, HeldOutErrors]) -> tuple[str, ...]:
+    """Return the laws that only simulations can judge: they predict as well, or their free runs end closer.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    model : HeldOutErrors
+        Held-out errors of the model.
+    laws : mapping of str to HeldOutErrors
+        Held-out errors of the laws, by name.
+
+    Returns
+    -------
+    tuple of str
+        At most two names.
+    """
+    gains = {name: gain(data, errors.samples, model.samples) for name, errors in laws.items()}
+    best = max(gains, key=lambda name: gains[name].nats, default=None)
+    closest = min(laws, key=lambda name: laws[name].free_run_10s_m, default=None)
+    found = []
+    if best is not None and abs(gains[best].nats) <= CLEARLY * gains[best].se:
+        found.append(best)
+    if closest is not None and log_ratio(model, laws[closest]) > math.log(FURTHER):
+        found.append(closest)
+    return tuple(dict.fromkeys(found))
+
+
+def check_laws(
+    names: Sequence[str], simulations: Sequence[tuple[Recorded, JointFit]], work: ThreadPoolExecutor
+) -> dict[str, LawCheck]:
+    """Fit laws to recordings that the model simulates.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Names of the laws.
+    simulations : sequence of (Recorded, JointFit)
+        Simulated recordings, with the model fitted to them.
+    work : ThreadPoolExecutor
+        Runs the filters.
+
+    Returns
+    -------
+    dict of str to LawCheck
+        What each law does there.
+    """
+    found: dict[str, list[tuple[float, float]]] = {name: [] for name in names}
+    for simulated, fitted in simulations if names else ():
+        model = held_out_errors(simulated, fitted, work, searched=False)
+        for name in names:
+            law = held_out_errors(simulated, in_filter(simulated, name, work), work, searched=False)
+            won = gain(simulated, law.samples, model.samples).nats
+            found[name].append((won, log_ratio(model, law)))
+    return {name: LawCheck(*zip(*pairs, strict=True)) for name, pairs in found.items() if pairs}
