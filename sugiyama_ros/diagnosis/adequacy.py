@@ -184,6 +184,12 @@ def _better_law(data: Recorded, evidence: Evidence) -> tuple[str, Gain] | None:
     return max(better.items(), key=lambda one: one[1].nats, default=None)
 
 
+def _as_good_as(data: Recorded, law: str, laws: Mapping[str, HeldOutErrors]) -> list[str]:
+    """Laws that do not predict clearly worse than a law."""
+    behind = {name: gain(data, laws[law].samples, errors.samples) for name, errors in laws.items() if name != law}
+    return [name for name, lost in behind.items() if lost.nats < max(CLEARLY * lost.se, _LEAST_GAIN)]
+
+
 def _is_unlikely(evidence: Evidence, law: str, won: Gain) -> bool:
     """Whether a law gains more than it does in recordings that the final model simulates."""
     return law in evidence.checks and evidence.checks[law].p_of_gain(won) < LEVEL_OF_LAWS
@@ -194,7 +200,9 @@ def _laws_say(data: Recorded, evidence: Evidence, better: tuple[str, Gain] | Non
     if better is not None and better[1].nats > max(CLEARLY * better[1].se, _LEAST_GAIN):
         law, won = better
         than = " than the model without the additions" if is_base else ""
-        return [f"{law} predicts held-out samples better{than}, by {won.nats:.0f} ± {won.se:.0f} nats"]
+        equals = _as_good_as(data, law, evidence.laws)
+        also = f" ({' and '.join(equals)} about as well)" if equals else ""
+        return [f"{law} predicts held-out samples better{than}, by {won.nats:.0f} ± {won.se:.0f} nats{also}"]
     reasons = []
     for law, check in evidence.checks.items():
         won = gain(data, evidence.laws[law].samples, evidence.final.samples)

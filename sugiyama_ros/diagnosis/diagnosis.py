@@ -262,8 +262,8 @@ def _summed_up(
         checks=check_laws(open_laws(search.data, search.errors, laws), search.simulations(), work),
     )
     adequacy = judge(search.data, evidence)
-    if search.quick and rivals and adequacy.outcome == "not_explained":
-        # what is missing gets a covariate and a shape, if not a name
+    if search.quick and rivals and (search.named or adequacy.outcome == "not_explained"):
+        # what is missing gets a covariate and a shape, if not a name; and a name is challenged by a flexible force
         forces = [one for one, _ in search.discover() if one.p_value < LEVEL]
         adequacy = judge(search.data, replace(evidence, forces=forces))
     return Diagnosis(

@@ -10,6 +10,7 @@ from sugiyama_ros.diagnosis.adequacy import Evidence, judge, told
 from sugiyama_ros.diagnosis.diagnosis import diagnose
 from sugiyama_ros.diagnosis.discover import Discovery
 from sugiyama_ros.diagnosis.errors import errors_of, held_out_errors
+from sugiyama_ros.diagnosis.law_check import LawCheck, check_laws, open_laws
 from sugiyama_ros.diagnosis.rivals import start_of
 from sugiyama_ros.diagnosis.verdict import document, sentences
 from sugiyama_ros.driver.parameters import defaults
@@ -108,11 +109,34 @@ def test_a_held_out_step_that_fails_is_searched_after_all(own):
     assert guarded.samples.total > stepped.samples.total
 
 
-def test_a_law_whose_free_runs_end_closer_speaks_against_the_model(own):
+def test_a_law_whose_free_runs_end_closer_speaks_against_the_model_unless_simulations_show_the_same(own):
     runs = own.after.runs
-    closer = replace(own.after, runs=replace(runs, coupled=runs.coupled / 2.0, single=runs.single / 2.0))
-    found = judge(own.data, evidence_of(own, laws={"closer": closer}))
+    closer = replace(own.after, runs=replace(runs, coupled=runs.coupled / 3.0, single=runs.single / 3.0))
+    assert open_laws(own.data, own.after, {"closer": closer}) == ("closer",)
+    checks = {"closer": LawCheck((0.0, 0.0), (0.1, -0.1))}
+    found = judge(own.data, evidence_of(own, laws={"closer": closer}, checks=checks))
     assert found.reasons[0].startswith("free runs of closer end closer: ")
+    checks = {"closer": LawCheck((0.0, 0.0), (1.0, 1.2))}
+    assert judge(own.data, evidence_of(own, laws={"closer": closer}, checks=checks)).outcome == "adequate"
+
+
+def test_a_law_that_predicts_as_well_speaks_against_the_model_where_simulations_know_better(own):
+    samples = own.after.samples.copy()
+    samples.log_likelihood[:] += 0.05 * np.sign(np.random.default_rng(0).standard_normal((CARS, 1)))
+    samples.log_likelihood[:] -= np.nanmean(samples.log_likelihood - own.after.samples.log_likelihood) - 1e-4
+    laws = {"even": replace(own.after, samples=samples)}
+    assert open_laws(own.data, own.after, laws) == ("even",)
+    found = judge(own.data, evidence_of(own, laws=laws, checks={"even": LawCheck((-900.0, -800.0), (0.0, 0.0))}))
+    assert (found.outcome, found.better_law) == ("not_explained", "even")
+    assert "850 nats behind in recordings that the model simulates" in told(found)
+    checks = {"even": LawCheck((-5.0, 5.0), (0.0, 0.0))}
+    assert judge(own.data, evidence_of(own, laws=laws, checks=checks)).outcome == "adequate"
+
+
+def test_a_law_is_far_behind_in_recordings_that_the_model_simulates(own):
+    with ThreadPoolExecutor(2) as work:
+        found = check_laws(("constant_speed",), ((own.data, own.final),), work)
+    assert max(found["constant_speed"].gains) < -100.0
 
 
 def test_a_law_starts_at_the_speeds_of_the_data():
