@@ -42,6 +42,8 @@ if TYPE_CHECKING:
 
 # Number of other laws that are fitted at the same time beside the search: more would only take memory.
 _ASIDE = 2
+# Probability below which a force that is left speaks by itself against a model; by chance it may gain 20 nats.
+_SURELY = 0.001
 #: Number of effects that a diagnosis adds at most, unless more are asked for.
 FEW_ADDITIONS = 3
 
@@ -264,7 +266,8 @@ def _summed_up(
     adequacy = judge(search.data, evidence)
     if search.quick and rivals and (search.named or adequacy.outcome == "not_explained"):
         # what is missing gets a covariate and a shape, if not a name; and a name is challenged by a flexible force
-        forces = [one for one, _ in search.discover() if one.p_value < LEVEL]
+        level = LEVEL if adequacy.outcome == "not_explained" else _SURELY
+        forces = [one for one, _ in search.discover() if one.p_value < level]
         adequacy = judge(search.data, replace(evidence, forces=forces))
     return Diagnosis(
         data=search.data,
