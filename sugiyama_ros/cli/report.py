@@ -48,7 +48,7 @@ def report(
     found, recording = read_diagnosis(diagnosis) if diagnosis is not None else None, read_recording(source)
     against = against_truth(source, recording)
     written: list[Path] = []
-    with _showing(diagnosis):
+    with showing(diagnosis):
         write_report(recording, found, to_write, against)
         if figures is not None:
             from sugiyama_ros.page.figures import write_figures
@@ -66,7 +66,7 @@ def report(
 
 
 @contextmanager
-def _showing(diagnosis: Path | None) -> Iterator[None]:
+def showing(diagnosis: Path | None) -> Iterator[None]:
     """Name the diagnosis where what it says cannot be drawn: its checked fields are not all that the page shows."""
     try:
         yield

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import fill
 from typing import Annotated, Any
 
 import typer
@@ -12,6 +13,9 @@ from sugiyama_ros.cli.output import print_json, print_line, print_table
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.outputs import Output, writing
 from sugiyama_ros.tables import TextTable
+
+# Characters of a line of a caption.
+_CAPTION = 150
 
 
 @dataclass(frozen=True)
@@ -69,7 +73,7 @@ def study(options: StudyOptions) -> None:
         given = options.regularise_strength, options.full_noise_at
         answer = asked.answer(Asked(trajectories, options.runs, options.seed, work, *given))
         if to_write is not None:
-            _draw(answer.draw, to_write)
+            _draw(answer.draw, to_write, f"{asked.question} The paper: {asked.paper} (seed {options.seed})")
     if options.as_json:
         print_json({"study": options.name, "paper": asked.paper, "rows": answer.rows, "seed": options.seed})
         return
@@ -84,11 +88,13 @@ def _table(title: str, answers: Sequence[Mapping[str, Any]]) -> TextTable:
     return TextTable(title, headings, rows)
 
 
-def _draw(draw: Callable[[Any], None], output: Output) -> None:
+def _draw(draw: Callable[[Any], None], output: Output, caption: str) -> None:
+    """Draw a picture with a caption below it."""
     need_matplotlib("--output")
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(12, 7), layout="constrained")
     draw(figure)
+    figure.supxlabel(fill(caption, _CAPTION), x=0.01, ha="left", fontsize=9)
     with writing(output) as stream:
         figure.savefig(stream, dpi=120, format=output.path.suffix[1:])

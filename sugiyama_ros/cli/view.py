@@ -8,6 +8,7 @@ import typer
 
 from sugiyama_ros.cli.options import Overwrite
 from sugiyama_ros.cli.output import print_line
+from sugiyama_ros.cli.report import showing
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.outputs import Output, writing
 
@@ -44,11 +45,13 @@ def view(
     stream = rerun.RecordingStream("sugiyama")
     if output is None:
         stream.spawn()
-        log(stream, recording, found)
+        with showing(diagnosis):
+            log(stream, recording, found)
         stream.disconnect()
         return
     content = stream.binary_stream()
-    log(stream, recording, found)
+    with showing(diagnosis):
+        log(stream, recording, found)
     with writing(output) as file:
         file.write(content.read(flush=True))
     print_line(f"recording of Rerun: {output.path} (look at it: rerun {output.path})")

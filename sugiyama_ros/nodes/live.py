@@ -61,7 +61,7 @@ def serve(
         environment.isolate()
     plan = Plan.read(source, output, settings) if source is not None else None
     with ros() as asked_to_stop, contextlib.ExitStack() as stack:
-        view = View(settings.rate)
+        view = View(settings.rate, str(output) if plan is not None else "")
         stack.callback(view.destroy_node)
         server, url = _server(view, host, port)
         runner = OneProcess(plan) if plan is not None else None

@@ -57,9 +57,9 @@ class MovingError:
 class View(Node):
     """Subscribes to everything that the page shows, and calls the services behind its buttons."""
 
-    def __init__(self, rate: float) -> None:
+    def __init__(self, rate: float, recording: str = "") -> None:
         super().__init__("view", start_parameter_services=False)
-        self.rate = rate
+        self.rate, self._recorded_to = rate, recording
         self.road = Road()
         self.space, self.error, self.critic = Log(0), Log(KEPT), Log(KEPT)
         self._driver: dict[int, Log] = {}
@@ -69,6 +69,8 @@ class View(Node):
         self.gains: Mapping[str, float] = {}
         self._now: dict[int, tuple[float, float]] = {}
         self.now: Mapping[int, tuple[float, float]] = self._now
+        self._lanes: dict[int, int] = {}
+        self.lanes: Mapping[int, int] = self._lanes
         self._adapted: dict[int, tuple[float, float, float, float]] = {}
         self.adapted: Mapping[int, tuple[float, float, float, float]] = self._adapted
         self.added: Sequence[str] = ()
@@ -119,6 +121,7 @@ class View(Node):
             silent_s=silent_s,
             ended=bool(steps) and self._step + 1 >= steps,
             domain=os.environ.get("ROS_DOMAIN_ID", "0"),
+            recording=self._recorded_to,
         )
 
     def values(self, name: str) -> str:
@@ -212,6 +215,8 @@ class View(Node):
             self._happened(f"vehicle {vehicle} has left")
         if new := sorted(set(sample.place) - set(self.vehicles)):
             self._meet(new)
+        if sample.lane:
+            self._lanes.update({v: sample.lane[p] for v, p in sample.place.items() if sample.lane[p] >= 0})
         error = math.nan
         if self._base is not None:
             errors = self._base.follow(sample)

@@ -49,6 +49,8 @@ class Status(NamedTuple):
         Whether the last sample of the recording has arrived.
     domain : str
         Number of the ROS domain.
+    recording : str
+        File to which the topics are written; empty where nothing is written.
     """
 
     source: str
@@ -58,6 +60,7 @@ class Status(NamedTuple):
     silent_s: float
     ended: bool
     domain: str
+    recording: str
 
 
 class Feed(Protocol):
@@ -76,6 +79,8 @@ class Feed(Protocol):
         without a critic.
     now : mapping
         Position [m] and speed [m/s] of each vehicle that is on the road.
+    lanes : mapping
+        Number of the lane of each vehicle whose lane is known.
     adapted : mapping
         v*, its std [m/s], kappa_v and its std [s] of each driver, as last published.
     effects : mapping of str to str
@@ -105,6 +110,7 @@ class Feed(Protocol):
     weights: Mapping[str, float]
     gains: Mapping[str, float]
     now: Mapping[int, tuple[float, float]]
+    lanes: Mapping[int, int]
     adapted: Mapping[int, tuple[float, float, float, float]]
     effects: Mapping[str, str]
     added: Sequence[str]

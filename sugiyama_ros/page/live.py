@@ -13,6 +13,7 @@ from bokeh.models import (
     ColumnDataSource,
     DataRange1d,
     Div,
+    GlobalInlineStyleSheet,
     HoverTool,
     LinearColorMapper,
     Select,
@@ -23,7 +24,7 @@ from bokeh.models import (
 )
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.page.feed import KEPT, Feed, Log, Status
+from sugiyama_ros.page.feed import KEPT, Feed, Log
 from sugiyama_ros.page.panels.base import (
     BLUE,
     COLOURS,
@@ -37,11 +38,12 @@ from sugiyama_ros.page.panels.base import (
     panel,
     speed_colours,
 )
+from sugiyama_ros.page.panels.chosen import INPUT
+from sugiyama_ros.page.status import status_line
+from sugiyama_ros.page.style import LIVE
 
 #: Time [s] between two updates of the road, and between two updates of the curves.
 UPDATE_S, TELL_S = 0.1, 0.5
-# Time [s] without a sample after which the source counts as silent.
-_SILENT_S = 3.0
 # The critic is settled when its best model leads by this gain [nats], and has led for this time [s].
 _LEAD_NATS, _LED_S = 5.0, 30.0
 # Models of the critic that are drawn.
@@ -63,6 +65,7 @@ class _Page:
         self._space = ColumnDataSource({"time": [], "place": [], "speed": []})
         self._error = ColumnDataSource({"time": [], "error": [], "base": []})
         self._road = ColumnDataSource({"x": [], "y": [], "speed": [], "vehicle": []})
+        self._lines, self._lines_drawn = ColumnDataSource({"xs": [], "ys": []}), (math.nan,)
         self._adapted = ColumnDataSource({"vehicle": [], "v_star": [], "kappa_v": []})
         derived = ("low", "high", "below", "above", "v_low", "v_high", "k_low", "k_high", "measured")
         self._driver = ColumnDataSource({name: [] for name in (*_COLUMNS, *derived)})
@@ -70,10 +73,13 @@ class _Page:
         self._critic = ColumnDataSource({"time": []})
         self._best, self._best_since_s = "", 0.0
         self._colours = speed_colours(1.0)
-        self._select = Select(title="driver", options=[], width=130)
-        self._effect = Select(title="effect", options=list(feed.effects), value=next(iter(feed.effects)), width=190)
-        self._values = TextInput(title="strength", width=220)
-        self._status, self._said, self._about = Div(text=""), Div(text=""), Div(text="")
+        self._select = Select(title="driver", options=[], width=110, stylesheets=[INPUT])
+        self._effect = Select(
+            title="effect", options=list(feed.effects), value=next(iter(feed.effects)), width=170, stylesheets=[INPUT]
+        )
+        self._values = TextInput(title="strength", width=150, stylesheets=[INPUT])
+        self._status = Div(text="", stylesheets=[GlobalInlineStyleSheet(css=LIVE)])
+        self._said, self._about = Div(text=""), Div(text="")
         self._events = Div(text="")
         self._settled = Div(text="")
         self._plots: dict[str, Any] = {}
@@ -98,14 +104,18 @@ class _Page:
         error.line("time", "base", source=self._error, color=GREY, line_width=2, legend_label="base model")
         error.line("time", "error", source=self._error, color=VERMILION, line_width=2, legend_label="the estimators")
         legend_above(error)
-        self._plots["critic"] = panel("The critic: gain of each model over the base model", "time [s]", "gain [nats]")
+        self._plots["critic"] = panel(
+            "The critic: gain over the base model", "time [s]", "gain [nats]",
+            y_range=DataRange1d(only_visible=True),
+        )  # fmt: skip
         return column(
             self._status,
             self._buttons(),
             self._about,
             self._said,
             row(space, error, **_WIDE),
-            row(road, column(self._plots["critic"], self._settled, **_WIDE), **_WIDE),
+            row(road, self._plots["critic"], **_WIDE),
+            self._settled,
             row(*self._adaptation(), **_WIDE),
             row(*self._one_driver(), **_WIDE),
             self._events,
@@ -119,6 +129,7 @@ class _Page:
         space.scatter("time", "place", source=self._space, size=2, color=colour)
         colour_bar(space, self._colours, "m/s")
         road = panel("The road from above: click a car", "x [m]", "y [m]", match_aspect=True)
+        road.multi_line("xs", "ys", source=self._lines, color=GREY, line_alpha=0.5)
         road.scatter(
             "x", "y", source=self._road, size=14, line_color=GREY, fill_color=colour, nonselection_fill_alpha=1.0,
             nonselection_line_alpha=1.0, selection_line_color=VERMILION, selection_line_width=3,
@@ -136,7 +147,7 @@ class _Page:
             ("v_star", "desired speed v* [m/s]", "v_low", "v_high"),
             ("kappa_v", "risk premium κ_v [s]", "k_low", "k_high"),
         ):
-            plot = panel(f"Chosen driver: {title.split(' [')[0]}, one sigma", "time [s]", title)
+            plot = panel(f"Chosen: {title.split(' [')[0]}", "time [s]", title)
             plot.varea("time", low, high, source=self._driver, color=BLUE, alpha=0.3)
             plot.line("time", name, source=self._driver, color=BLUE, line_width=2)
             found.append(plot)
@@ -148,21 +159,23 @@ class _Page:
         return [*found, strip]
 
     def _one_driver(self) -> tuple[Any, Any]:
-        speed = panel("The chosen driver: speed, with one sigma", "time [s]", "speed [m/s]")
+        speed = panel("Chosen: speed, with one sigma", "time [s]", "speed [m/s]")
         speed.scatter("time", "measured", source=self._driver, color=GREY, size=3, legend_label="from two positions")
         speed.varea("time", "low", "high", source=self._driver, color=BLUE, alpha=0.3)
         speed.line("time", "speed", source=self._driver, color=BLUE, line_width=2, legend_label="filtered")
         legend_above(speed)
-        innovation = panel("Error of the next position, with two sigma", "time [s]", "innovation [m]")
+        innovation = panel("Chosen: next position, two sigma", "time [s]", "innovation [m]")
         innovation.varea("time", "below", "above", source=self._driver, color=ORANGE, alpha=0.3)
         innovation.line("time", "innovation", source=self._driver, color=VERMILION)
         return speed, innovation
 
     def _buttons(self) -> Any:
         rates = sorted({1.0, 2.0, 4.0, 8.0, self._feed.rate})
-        pause = Toggle(label="pause", width=90)
-        rate = Select(title="rate", value=f"{self._feed.rate:g}", options=[f"{r:g}" for r in rates], width=70)
-        add, remove = Button(label="add", width=70), Button(label="remove", width=70)
+        pause = Toggle(label="pause", width=70)
+        rate = Select(
+            title="rate", value=f"{self._feed.rate:g}", options=[f"{r:g}" for r in rates], width=65, stylesheets=[INPUT]
+        )
+        add, remove = Button(label="add", width=60), Button(label="remove", width=75)
         pause.on_change("active", lambda _, __, new: self._feed.pause(bool(new)))
         rate.on_change("value", lambda _, __, new: self._feed.set_rate(float(new)))
         self._select.on_change("value", lambda _, __, new: self._watch(int(new.split()[-1])))
@@ -202,14 +215,26 @@ class _Page:
                 self._select.value = self._select.options[0]
         if feed.now:
             place, speed = np.array(list(feed.now.values())).T
-            x, y = from_above(feed.road, place)
+            lane = np.array([feed.lanes.get(v, 0) for v in feed.now], dtype=np.float64)
+            x, y = from_above(feed.road, place, lane)
+            self._draw_road(np.unique(lane))
             self._road.data = {"x": x, "y": y, "speed": speed, "vehicle": [str(v) for v in feed.now]}
             if (fastest := float(np.nanmax(speed))) > self._colours.high:
                 _widen(self._colours, fastest)
 
+    def _draw_road(self, lanes: Array) -> None:
+        """Draw the middle of each lane; on an open road, from the first vehicle to the last one."""
+        road, places = self._feed.road, [place for place, _ in self._feed.now.values()]
+        ends = (0.0, road.circumference_m) if road.is_ring else (min(places), max(places))
+        if (drawn := (*ends, *lanes.tolist())) == self._lines_drawn:
+            return
+        self._lines_drawn = drawn
+        lines = [from_above(road, np.asarray(np.linspace(*ends, num=121)), lane) for lane in lanes.tolist()]
+        self._lines.data = {"xs": [x for x, _ in lines], "ys": [y for _, y in lines]}
+
     def _tell(self) -> None:
         feed, status = self._feed, self._feed.status()
-        self._status.text = _said(status, feed)
+        self._status.text = status_line(status, feed)
         if self._watched in feed.driver and len(new := self._new(feed.driver[self._watched])):
             self._driver.stream(self._of_driver(new), KEPT)
         if len(new := self._new(feed.space)):
@@ -279,7 +304,8 @@ class _Page:
         if order[0] != self._best or time_s < self._best_since_s:
             self._best, self._best_since_s = order[0], time_s
         lead, led_s = feed.gains[order[0]] - feed.gains[order[1]], time_s - self._best_since_s
-        settled = "settled" if lead >= _LEAD_NATS and led_s >= _LED_S else "not settled"
+        is_settled = lead >= _LEAD_NATS and led_s >= _LED_S
+        settled = "settled among the models that this critic knows" if is_settled else "not settled"
         colours = {name: COLOURS[k % len(COLOURS)] for k, name in enumerate(feed.gains)}
         names = ", ".join(
             f'<b style="color:{colours[name]}">{escape(name.replace("_", " "))}</b> {feed.gains[name]:+.0f}'
@@ -302,29 +328,3 @@ class _Page:
 def _widen(colours: LinearColorMapper, fastest: float) -> None:
     """Let the colours reach the fastest car that was seen; they move in steps, so that they rarely change."""
     colours.high = float(2.0 * math.ceil(fastest / 2.0))
-
-
-def _said(status: Status, feed: Feed) -> str:
-    """The status line, or what the page waits for."""
-    if not feed.vehicles:
-        waiting = "the first positions on /measured" if status.source else "a road on /road and positions on /measured"
-        return (
-            f"Waiting for {waiting}, in ROS domain {escape(status.domain)}. To feed this page, replay a file with"
-            " <code>sugiyama live FILE</code>, or start <code>ros2 launch sugiyama_ros replay.launch.py</code> with"
-            f" <code>ROS_DOMAIN_ID={escape(status.domain)}</code>."
-        )
-    total = f" of {status.total_s:.0f}" if status.total_s > 0.0 else ""
-    if status.ended:
-        state = "ended"
-    elif status.silent_s > _SILENT_S:
-        state = f"silent for {status.silent_s:.0f} s"
-    else:
-        state = "running"
-    rate = "" if math.isnan(status.real_rate) or state != "running" else f", {status.real_rate:.1f} times real time"
-    end = ""
-    if status.ended:
-        end = " Ctrl-C in the terminal closes the recording; <code>sugiyama report</code> makes a page of it."
-    return (
-        f"<b>{escape(status.source or 'live source')}</b>: {status.time_s:.0f}{total} s, {state}{rate};"
-        f" {len(feed.now)} vehicles on the road; ROS domain {escape(status.domain)}.{end}"
-    )

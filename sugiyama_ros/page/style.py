@@ -1,4 +1,4 @@
-"""The style sheet of the report: light and dark, 800 to 1920 pixels wide, and on paper."""
+"""The style sheets of the pages; that of the report: light and dark, 800 to 1920 pixels wide, and on paper."""
 
 STYLE = """
 :root { color-scheme: light dark; --back: #fff; --text: #1b1b1b; --soft: #f3f4f6; --line: #8884; --note: #5c5c5c;
@@ -56,4 +56,10 @@ section td:first-child, section th:first-child, section .left td, section .left 
 @media print { nav { display: none; } body { max-width: none; font-size: 11px; }
   .panel, .card > * { break-inside: avoid; }
   h2 { break-after: avoid; } }
+"""
+#: The style sheet of the live page: light and dark.
+LIVE = """
+:root { color-scheme: light dark; }
+body { font: 14px/1.4 system-ui, sans-serif; background: #fff; color: #1b1b1b; }
+@media (prefers-color-scheme: dark) { body { background: #141414; color: #e4e4e4; } }
 """

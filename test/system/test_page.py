@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import math
 import re
 import shutil
 import signal
@@ -12,6 +13,7 @@ from collections import Counter
 from contextlib import contextmanager
 from http.client import HTTPConnection
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,12 +23,16 @@ from sugiyama_ros.cli.view import view
 from sugiyama_ros.errors import InputError, OutputError
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.page.diagnosis import read_diagnosis
+from sugiyama_ros.page.feed import Status
 from sugiyama_ros.page.html import detectable
+from sugiyama_ros.page.panels.base import from_above
 from sugiyama_ros.page.panels.worth import growth
 from sugiyama_ros.page.recording import read_recording
 from sugiyama_ros.page.report import report, write_report
+from sugiyama_ros.page.status import status_line
 from sugiyama_ros.page.words import headline, how_sure, worse
 from sugiyama_ros.page.words import reasons as words_of_reasons
+from sugiyama_ros.road import Road
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
 SUGIYAMA = str(Path(sys.executable).with_name("sugiyama"))
@@ -425,7 +431,11 @@ def test_the_live_page_streams_and_its_buttons_call_the_services(browser, record
         page.get_by_text("vehicle 5").wait_for(state="attached", timeout=30_000)
         page.get_by_role("button", name="add").click()
         page.get_by_text("effects added: reaction_delay").wait_for(timeout=10_000)
+        page.set_viewport_size({"width": 800, "height": 800})
+        page.emulate_media(color_scheme="dark")
         page.wait_for_timeout(1500)
+        assert page.evaluate("document.documentElement.scrollWidth") <= 800
+        assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(20, 20, 20)"
         # a page that is loaded again, or in a second window, shows the samples before
         shown = page.evaluate(LONGEST_SOURCE)
         again = page.context.new_page()
@@ -475,6 +485,27 @@ def test_adding_the_true_effect_lowers_the_error_on_the_page(browser, tmp_path):
     # estimators and base model see the same samples; without an effect they are the same
     assert first == pytest.approx(base, rel=1e-3)
     assert last < 0.96 * still
+
+
+def test_the_status_line_says_where_the_recording_is_and_what_to_do():
+    status = Status("a.csv", 20.0, 20.0, math.nan, 0.1, True, "7", "out.mcap")
+    feed = SimpleNamespace(vehicles=[0, 1], now={0: (0.0, 1.0)})
+    said = status_line(status, feed)
+    assert "20 of 20 s, ended" in said
+    assert "sugiyama report out.mcap --open" in said
+    assert "silent for 9 s" in status_line(status._replace(ended=False, silent_s=9.0), feed)
+    waiting = status_line(status._replace(source=""), SimpleNamespace(vehicles=[]))
+    assert "Waiting for a road on /road and positions on /measured, in ROS domain 7" in waiting
+    assert "sugiyama live FILE" in waiting
+
+
+def test_lanes_lie_beside_each_other():
+    places = np.linspace(0.0, 80.0, 9)
+    ring = [np.hypot(*from_above(Road(80.0), places, lane)) for lane in (0.0, 1.0)]
+    assert ring[1] - ring[0] == pytest.approx(3.5, rel=1e-12)
+    x, y = from_above(Road(), places, np.arange(9.0))
+    assert x == pytest.approx(places)
+    assert y == pytest.approx(3.5 * np.arange(9.0))
 
 
 def junk(host, port, content):

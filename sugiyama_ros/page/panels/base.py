@@ -28,6 +28,8 @@ CHOSEN = VERMILION
 MOVING_S = 10.0
 #: Precision of the numbers in the page.
 SINGLE = np.float32
+# Width of a lane [m].
+_LANE_M = 3.5
 #: Height of a panel [pixels].
 HEIGHT = 320
 _TOOLS = "pan,wheel_zoom,box_zoom,reset,save"
@@ -93,11 +95,12 @@ def colour_of(model: str, diagnosis: Mapping[str, Any]) -> str:
     return COLOURS[list(diagnosis["errors"]).index(model) % len(COLOURS)]
 
 
-def from_above(road: Road, position_m: Array) -> tuple[Array, Array]:
-    """Coordinates [m] of positions on a road that lies in a circle, or straight on."""
+def from_above(road: Road, position_m: Array, lane: Array | float = 0.0) -> tuple[Array, Array]:
+    """Coordinates [m] of positions on a road that lies in a circle, or straight on; further lanes lie outside."""
+    aside = np.broadcast_to(_LANE_M * np.asarray(lane), position_m.shape)
     if not road.is_ring:
-        return position_m, np.zeros_like(position_m)
-    radius = road.circumference_m / (2.0 * np.pi)
+        return position_m, np.array(aside, dtype=np.float64)
+    radius = road.circumference_m / (2.0 * np.pi) + aside
     return radius * np.cos(position_m / radius), radius * np.sin(position_m / radius)
 
 

@@ -7,8 +7,8 @@ from bokeh.models import ColumnDataSource, CustomJS, Select, TapTool
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.page.panels.base import SINGLE
 
-# Dark on white, whatever the colours of the page around it.
-_INPUT = ".bk-input { color: #1b1b1b; background-color: #fff; }"
+#: Style of an input: dark on white, whatever the colours of the page around it.
+INPUT = ".bk-input { color: #1b1b1b; background-color: #fff; }"
 
 
 class Chosen:
@@ -25,7 +25,7 @@ class Chosen:
     def __init__(self, vehicles: Ints, first: int = 0) -> None:
         self._first = first
         self._options = [f"vehicle {v}" for v in vehicles.tolist()]
-        self.select = Select(value=self._options[first], options=self._options, width=180, stylesheets=[_INPUT])
+        self.select = Select(value=self._options[first], options=self._options, width=180, stylesheets=[INPUT])
         self._series: list[dict[str, Any]] = []
         self._points: list[ColumnDataSource] = []
 
