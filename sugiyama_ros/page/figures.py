@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.outputs import Output, make_directory, writing
@@ -215,6 +216,10 @@ def _bias(axes: Any, one: Mapping[str, Any]) -> Columns:
     axes.set_facecolor("0.85")
     mesh = axes.pcolormesh(first, second, bias.T, cmap="PuOr_r", vmin=-0.5, vmax=0.5)
     axes.figure.colorbar(mesh, label="bias [std]")
+    outlined = np.array(one.get("flagged", []), dtype=np.bool_).reshape(-1, bias.shape[1])
+    for a, b in np.argwhere(outlined).tolist():
+        corner, size = (first[a], second[b]), (first[a + 1] - first[a], second[b + 1] - second[b])
+        axes.add_patch(Rectangle(corner, *size, fill=False, edgecolor="black", linewidth=0.8))
     units = {"speed": "m/s", "gap": "m", "place": "m", "time": "s"}
     axes.set(xlabel=f"{one['first']} [{units[one['first']]}]", ylabel=f"{one['second']} [{units[one['second']]}]")
     i, j = (k.ravel() for k in np.indices(bias.shape))
