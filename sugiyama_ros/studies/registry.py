@@ -16,6 +16,7 @@ STUDIES: Mapping[str, Study] = plugins.registered(
     Study,
     (
         "recovery",
+        "lanes",
         "spectrum",
         "measured_drivers",
         "driver_types",

@@ -1,49 +1,43 @@
-"""Lanes: the same mean actions as one moment at a time, whatever stands beside them."""
+"""Simulated lanes: vehicles come into view and leave, each behind the next one on its lane."""
 
 import numpy as np
 import pytest
 
-from sugiyama_ros.driver.lanes import LANES, MEAN, average_actions, blocks_for, find_best, grid_for, put, value_actions
-from sugiyama_ros.driver.parameters import KAPPA_C, KAPPA_D, KAPPA_V, V_STAR, defaults
-from sugiyama_ros.driver.utility import ACTIONS, mean_action, preferences
+from sugiyama_ros.driver.parameters import SIGMA_A, defaults
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.simulation.lanes import Lane, simulate_lanes
 
 
-def decide(block, grid, period, horizon):
-    value_actions(block, grid, period, horizon)
-    average_actions(block, grid.actions)
-    return block[MEAN : MEAN + LANES].copy()
+def lane(vehicles=4, noise=0.1, length_m=4.0):
+    rows = defaults(vehicles)
+    rows[:, SIGMA_A] = noise
+    return Lane(rows, np.full(vehicles, length_m), ["car"] * (vehicles - 1) + ["truck"])
 
 
-@pytest.mark.parametrize(("period", "horizon"), [(1.0 / 3.0, 4), (0.1, 13), (1.0, 1), (0.5, 2), (0.4, 3)])
-def test_lanes_decide_as_the_utility_says(period, horizon):
-    """Only the ends of the look-ahead are looked at where drivers do not brake; any preferences, any moment."""
-    rng, grid = np.random.default_rng(5), grid_for(ACTIONS, period)
-    for _ in range(40):
-        (block,) = blocks_for(LANES, len(ACTIONS))
-        expected = []
-        for lane in range(LANES):
-            p = defaults()
-            p[[V_STAR, KAPPA_V, KAPPA_C, KAPPA_D]] *= np.exp(0.5 * rng.standard_normal(4))
-            seen = rng.uniform(-1.0, 30.0), rng.uniform(-1.0, 15.0), rng.uniform(-1.0, 15.0)
-            put(block, lane, *seen, preferences(p))
-            expected.append(mean_action(*seen, p, ACTIONS, period, horizon))
-        # rounding of utilities, times the rationality of 200, as in the test of the mean action
-        assert decide(block, grid, period, horizon) == pytest.approx(expected, abs=2e-11)
+def test_vehicles_come_into_view_follow_the_next_one_on_their_lane_and_leave():
+    tracks = simulate_lanes([lane(), lane(3, length_m=8.0)], 60.0, np.random.default_rng(1), view_m=(20.0, 200.0))
+    names = [tracks.vehicle.at(k) for k in range(len(tracks))]
+    assert set(names) == {"1-1", "1-2", "1-3", "1-4", "2-1", "2-2", "2-3"}
+    assert tracks.s_m.min() >= 20.0
+    assert tracks.s_m.max() < 200.0
+    led = 0
+    for k, row in enumerate(tracks.leader_row.tolist()):
+        number, vehicle = names[k].split("-")
+        if row >= 0:
+            assert names[row] == f"{number}-{int(vehicle) + 1}"
+            assert tracks.time_s[row] == tracks.time_s[k]
+            led += 1
+    assert led > 100
+    first = [k for k, name in enumerate(names) if name in ("1-4", "2-3")]
+    # nobody knows who drives ahead of the first vehicle in view
+    assert (tracks.leader_row[first] == -2).all()
+    vehicle_class = tracks.column("class")
+    assert {vehicle_class.at(k) for k in first} == {"truck"}
+    assert set(tracks.length_m[[name[0] == "2" for name in names]].tolist()) == {8.0}
 
 
-def test_a_lane_does_not_depend_on_its_neighbours():
-    grid, (alone,), (beside,) = grid_for(ACTIONS, 0.2), blocks_for(1, len(ACTIONS)), blocks_for(1, len(ACTIONS))
-    put(alone, 3, 4.0, 6.0, 5.0, preferences(defaults()))
-    for lane in range(LANES):
-        put(beside, lane, 4.0 + 3.0 * abs(lane - 3), 6.0, 5.0, preferences(defaults()))
-    assert decide(alone, grid, 0.2, 6)[3] == decide(beside, grid, 0.2, 6)[3]
-
-
-def test_no_leader_is_a_free_road_and_the_best_action_can_be_found_again():
-    grid, (block,) = grid_for(ACTIONS, 1.0 / 3.0), blocks_for(1, len(ACTIONS))
-    put(block, 0, np.inf, 5.0, 0.0, preferences(defaults()))
-    first = decide(block, grid, 1.0 / 3.0, 4)
-    assert first[0] == pytest.approx(mean_action(np.inf, 5.0, 0.0, defaults(), ACTIONS, 1.0 / 3.0, 4), abs=1e-12)
-    find_best(block, len(ACTIONS))
-    average_actions(block, grid.actions)
-    assert np.array_equal(block[MEAN : MEAN + LANES], first)
+def test_a_road_on_which_nobody_is_seen_and_a_collision_are_one_clear_line():
+    with pytest.raises(InputError, match="nobody comes between"):
+        simulate_lanes([lane()], 5.0, np.random.default_rng(1), view_m=(1e5, 2e5))
+    with pytest.raises(InputError, match="collide on lane 1"):
+        simulate_lanes([lane(8, noise=6.0)], 120.0, np.random.default_rng(1))

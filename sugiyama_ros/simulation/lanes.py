@@ -1,0 +1,97 @@
+"""Several lanes of an open road: vehicles come into view, drive behind one another on their lane, and leave."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.road import Road
+from sugiyama_ros.simulation.simulator import REFERENCE_CLOCK, Clock, Simulator, platoon, simulate
+from sugiyama_ros.trajectories.about import About
+from sugiyama_ros.trajectories.exchange import of_columns
+from sugiyama_ros.trajectories.labels import labels_of
+from sugiyama_ros.trajectories.tracks import Tracks
+
+
+@dataclass(frozen=True, eq=False)
+class Lane:
+    """The vehicles of a lane, in the order in which they follow: the last one drives ahead of all others.
+
+    Parameters
+    ----------
+    parameters : ndarray, shape (N, P) or (N, width)
+        Parameters of the drivers at the reference period, or their rows with effects.
+    length_m : ndarray, shape (N,)
+        Lengths [m].
+    vehicle_class : sequence of str
+        Class of each vehicle, N.
+    gap_m : float
+        Gaps [m] at the start, when all vehicles stand.
+    """
+
+    parameters: Array
+    length_m: Array
+    vehicle_class: Sequence[str]
+    gap_m: float = 2.0
+
+
+def simulate_lanes(
+    lanes: Sequence[Lane],
+    duration_s: float,
+    rng: np.random.Generator,
+    *,
+    view_m: tuple[float, float] = (-np.inf, np.inf),
+    clock: Clock = REFERENCE_CLOCK,
+) -> Tracks:
+    """Simulate lanes of an open road.
+
+    Parameters
+    ----------
+    lanes : sequence of Lane
+        The lanes. The vehicle ahead of all others on a lane starts at position 0.
+    duration_s : float
+        Duration [s].
+    rng : numpy.random.Generator
+        Generator of all noises.
+    view_m : (float, float)
+        Part of the road [m] that is seen.
+    clock : Clock
+        Times of the simulation.
+
+    Returns
+    -------
+    Tracks
+        Measured positions with lanes, classes and leaders. Nobody knows who drives ahead of the first vehicle in view.
+
+    Raises
+    ------
+    InputError
+        If vehicles collide, or none comes into view.
+    """
+    parts: list[dict[str, Array | list[str]]] = []
+    for number, lane in enumerate(lanes, 1):
+        start = platoon(lane.length_m, lane.gap_m)
+        run = simulate(
+            Simulator(lane.parameters, lane.length_m, start - start[-1], Road(), rng, clock=clock), duration_s
+        )
+        if run.collisions:
+            raise InputError(f"simulation: vehicles collide on lane {number}; take another seed, or other drivers")
+        position = run.measured.position_m
+        step, vehicle = np.nonzero((position >= view_m[0]) & (position < view_m[1]))
+        parts.append(
+            {
+                "vehicle": [f"{number}-{v + 1}" for v in vehicle],
+                "lane": [str(number)] * len(vehicle),
+                "class": [lane.vehicle_class[v] for v in vehicle],
+                "time_s": np.asarray(clock.start_s + clock.period_s * step, dtype=np.float64),
+                "s_m": position[step, vehicle],
+                "length_m": lane.length_m[vehicle],
+            }
+        )
+    numbers = {name: np.concatenate([part[name] for part in parts]) for name in ("time_s", "s_m", "length_m")}
+    if not len(numbers["s_m"]):
+        raise InputError(f"simulation: nobody comes between {view_m[0]:g} and {view_m[1]:g} m; see more of the road")
+    texts = {name: labels_of([t for part in parts for t in part[name]]) for name in ("vehicle", "lane", "class")}
+    return of_columns({**texts, **numbers}, About(source="adaptiveSeek"))
