@@ -37,7 +37,8 @@ def predicted_by_driver(base: JointFit, model: Model, samples: PointwiseDensity)
     prior = np.diag(1.0 / np.array(base.model.prior_std) ** 2)
     for i, (s, row) in enumerate(zip(base.slopes, model.rows, strict=True)):
         y, variance, density = samples.of(i)
-        slope = density_slope(y, variance, s.derivatives.innovation[:own], s.derivatives.variance[:own], row)
+        by = s.derivatives
+        slope = density_slope(y, variance, by.innovation[:own], by.variance[:own], row)
         score = slope[:, np.isfinite(density)].sum(axis=1)
         total[i] += 0.25 * float(score @ np.linalg.solve(s.information.sum(axis=0)[:own, :own] + prior, score))
     return np.asarray(total)

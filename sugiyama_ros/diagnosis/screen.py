@@ -14,13 +14,12 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.candidates import Candidate, added
 from sugiyama_ros.diagnosis.response import predicted
 from sugiyama_ros.effects.registry import ROW
-from sugiyama_ros.effects.sensing import is_contaminated
 from sugiyama_ros.filters.measurement import weigh_samples
 from sugiyama_ros.fit.joint import JointFit, maximise, objective, solve
 from sugiyama_ros.fit.model import Model, coordinate, value
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import PointwiseDensity, evaluate
-from sugiyama_ros.fit.slopes import Derivatives, Slopes, density_slope, difference_steps, sums
+from sugiyama_ros.fit.slopes import Column, Slopes, column, difference_steps, sums
 
 # Maximum number of steps of a closer look, and smallest predicted gain [nats] of a further step.
 _CLOSER, _LEAST_PREDICTED = 4, 0.4
@@ -275,29 +274,25 @@ def _strongest(
 
 
 def joined(
-    data: Recorded, base: JointFit, model: Model, at: PointwiseDensity, new: dict[int, list[tuple[Array, Array, Array]]]
+    data: Recorded, base: JointFit, model: Model, at: PointwiseDensity, new: dict[int, list[Column]]
 ) -> tuple[Slopes, ...]:
     """Slopes at a model near ``base``: derivatives of ``base``, and ``new`` derivatives by the other parameters."""
     known, places = [*base.model.individual, *base.model.shared], (*model.individual, *model.shared)
     found = []
     for i, (s, row) in enumerate(zip(base.slopes, model.rows, strict=True)):
-        rows = [
-            [old[known.index(k)] if k in known else new[k][i][j] for k in places] for j, old in enumerate(s.derivatives)
-        ]
-        found.append(sums(at.of(i), Derivatives(*map(np.array, rows)), row, data.fold[i]))
+        columns = [s.columns[known.index(k)] if k in known else new[k][i] for k in places]
+        found.append(sums(at.of(i), columns, row, data.fold[i]))
     return tuple(found)
 
 
-def _columns(fitted: JointFit) -> dict[int, list[tuple[Array, Array, Array]]]:
+def _columns(fitted: JointFit) -> dict[int, list[Column]]:
     """Derivatives of every driver's samples by each parameter of a fit, as ``_column`` returns them."""
-    places, derivatives = (*fitted.model.individual, *fitted.model.shared), [s.derivatives for s in fitted.slopes]
-    return {k: [(d.innovation[j], d.variance[j], d.density[j]) for d in derivatives] for j, k in enumerate(places)}
+    places = (*fitted.model.individual, *fitted.model.shared)
+    return {k: [s.columns[j] for s in fitted.slopes] for j, k in enumerate(places)}
 
 
-def _column(
-    data: Recorded, model: Model, at: PointwiseDensity, place: int, work: Executor
-) -> list[tuple[Array, Array, Array]]:
-    """Derivatives of every driver's samples by one parameter, as in ``Slopes``, (T,) each."""
+def _column(data: Recorded, model: Model, at: PointwiseDensity, place: int, work: Executor) -> list[Column]:
+    """Derivatives of every driver's samples by one parameter."""
     coordinates = coordinate(model.rows[:, [place]], [place])
     step = float(difference_steps(data, [place])[0])
     rows = model.rows.copy()
@@ -305,17 +300,6 @@ def _column(
     return differences(at, evaluate(data, replace(model, rows=rows), work), step, model.rows)
 
 
-def differences(
-    at: PointwiseDensity, there: PointwiseDensity, step: float, rows: Array
-) -> list[tuple[Array, Array, Array]]:
-    """Difference quotients of every driver's samples, as in ``Slopes``, (T,) each; rows: (N, WIDTH)."""
-    found = []
-    for i, row in enumerate(rows):
-        y, variance = at.innovation_m[i], at.innovation_var[i]
-        dy, dvar = (there.innovation_m[i] - y) / step, (there.innovation_var[i] - variance) / step
-        direct = np.zeros_like(dy)
-        if is_contaminated(row):
-            direct = (there.log_likelihood[i] - at.log_likelihood[i]) / step
-            direct -= density_slope(y, variance, dy[None], dvar[None], row)[0]
-        found.append((dy, dvar, direct))
-    return found
+def differences(at: PointwiseDensity, there: PointwiseDensity, step: float, rows: Array) -> list[Column]:
+    """Difference quotients of every driver's samples; rows: (N, WIDTH)."""
+    return [column(at.of(i), there.of(i), step, row) for i, row in enumerate(rows)]

@@ -109,7 +109,7 @@ def last_part(data: Recorded, fitted: JointFit, work: Executor) -> LastPart:
     fold[:, begin:] = FOLDS - 1
     split = replace(data, fold=fold)
     samples, rows = fitted.samples, fitted.model.rows
-    slopes = [sums(samples.of(i), s.derivatives, rows[i], fold[i]) for i, s in enumerate(fitted.slopes)]
+    slopes = [sums(samples.of(i), s.columns, rows[i], fold[i]) for i, s in enumerate(fitted.slopes)]
     known = range(FOLDS - 1)
     first = maximise(split, replace(fitted, slopes=tuple(slopes)), work, folds=known, iterations=_STEPS, renewals=1)
     predicted, states = follow(data, first.model, work)

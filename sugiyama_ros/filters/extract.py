@@ -11,7 +11,14 @@ from sugiyama_ros.filters.chain import CHAIN, Chain
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 
-def chain_behind(trajectories: Trajectories, driver: int, vehicles: int = CHAIN, segment: Ints | None = None) -> Chain:
+def chain_behind(
+    trajectories: Trajectories,
+    driver: int,
+    vehicles: int = CHAIN,
+    segment: Ints | None = None,
+    *,
+    with_rear: bool = True,
+) -> Chain:
     """Return the chain that starts with a driver and looks ahead.
 
     Parameters
@@ -24,11 +31,13 @@ def chain_behind(trajectories: Trajectories, driver: int, vehicles: int = CHAIN,
         Number M of vehicles in the chain.
     segment
         Number of the segment that each sample belongs to, (T,). Vehicles of different segments count as different ones.
+    with_rear
+        Whether to filter the vehicle behind, which only effects look at.
 
     Returns
     -------
     Chain
-        T samples of M vehicles, with the filtered vehicle behind.
+        T samples of M vehicles, with the filtered vehicle behind if it is wanted.
     """
     samples = np.arange(len(trajectories.position_m))
     column = np.where(trajectories.present[:, driver], driver, -1)
@@ -39,6 +48,8 @@ def chain_behind(trajectories: Trajectories, driver: int, vehicles: int = CHAIN,
         column = np.where(np.any([column == before for before in columns], axis=0), -1, column)
         columns.append(column)
     chain = _of_columns(trajectories, np.stack(columns, axis=1), segment)
+    if not with_rear:
+        return chain
     return replace(chain, rear=track(_of_columns(trajectories, trajectories.follower[:, driver, None], segment)))
 
 

@@ -33,6 +33,8 @@ _ENOUGH, ENOUGH_CAUSAL = 1e-4, 0.02
 _VAGUE = 0.5
 # Number of jobs that an executor gets at a time, to limit the memory.
 _BATCH = 512
+# Number of jobs that a process gets at a time: each message takes as long as the making of a job.
+_CHUNK = 4
 #: Returns the score at parameters (P,), given the information (P, P) at nearby parameters, or None.
 Score = Callable[[Array, Array | None], Scored]
 #: The same as ``Score``, or None if the log-likelihood is not larger than a number, so that nobody needs the score.
@@ -302,7 +304,7 @@ def calibrate(
     left = [i for i, v in enumerate(trajectories.vehicle.tolist()) if v not in skipped]
     for first in range(0, len(left), _BATCH):
         jobs = (replace(jobs_of(driver), options=options) for driver in left[first : first + _BATCH])
-        yield from map(carry_out, jobs) if work is None else work.map(carry_out, list(jobs))
+        yield from map(carry_out, jobs) if work is None else work.map(carry_out, list(jobs), chunksize=_CHUNK)
 
 
 class JobMaker:
@@ -335,7 +337,7 @@ class JobMaker:
             return replace(one, perceived=paper.perceive(trajectories, driver))
         from sugiyama_ros.filters.extract import chain_behind  # here, because the paper's formulation starts without it
 
-        chain = chain_behind(trajectories, driver)
+        chain = chain_behind(trajectories, driver, with_rear=False)
         ahead = [known.get(_most(chain.identity[:, m]), self._typical) for m in range(1, CHAIN)]
         return replace(one, followed=DriverChains((chain,), np.array(ahead)))
 

@@ -244,7 +244,7 @@ def at_model(data: Recorded, here: JointFit, model: Model, work: Executor, who: 
     rows, slopes_, samples = here.model.rows.copy(), list(here.slopes), here.samples.copy()
     rows[who] = model.rows[who]
     for i, at in zip(numbers, predict_drivers(data, model, numbers, work), strict=True):
-        slopes_[i] = sums(at, slopes_[i].derivatives, rows[i], data.fold[i])
+        slopes_[i] = sums(at, slopes_[i].columns, rows[i], data.fold[i])
         samples.put(i, at)
     return JointFit(replace(model, rows=rows), samples, tuple(slopes_))
 

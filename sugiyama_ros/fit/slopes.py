@@ -9,7 +9,8 @@ import math
 from collections.abc import Iterable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import cache
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -44,6 +45,16 @@ class Derivatives(NamedTuple):
     density: Array
 
 
+#: Derivatives of the samples of one driver by one parameter: innovation, variance, density, (T,) each.
+Column: TypeAlias = tuple[Array, Array, Array]
+
+
+@cache
+def no_density(samples: int) -> Array:
+    """Return the derivative (T,) of the density without outliers: zeros, which all share and nobody changes."""
+    return np.zeros(samples)
+
+
 @dataclass(frozen=True, eq=False)
 class Slopes:
     """Score and information of one driver in each of F folds, by K parameters: individual ones first, then shared ones.
@@ -56,17 +67,27 @@ class Slopes:
         Expected information.
     log_likelihood : ndarray, shape (F,)
         Log-likelihood [nats].
-    derivatives : Derivatives
-        Derivatives of the samples, from which score and information follow.
+    columns : tuple of Column
+        Derivatives of the samples by each parameter, from which score and information follow. Models that share
+        parameters share their columns.
     """
 
     score: Array
     information: Array
     log_likelihood: Array
-    derivatives: Derivatives
+    columns: tuple[Column, ...]
+
+    @property
+    def derivatives(self) -> Derivatives:
+        """Derivatives of the samples by all parameters, as new arrays."""
+        return _stacked(self.columns)
 
 
-def sums(samples: DriverDensity, derivatives: Derivatives, row: Array, fold: Ints) -> Slopes:
+def _stacked(columns: Sequence[Column]) -> Derivatives:
+    return Derivatives(*(np.array([column[j] for column in columns]) for j in range(3)))
+
+
+def sums(samples: DriverDensity, columns: Sequence[Column], row: Array, fold: Ints) -> Slopes:
     """Sum the score and the information of one driver over the samples of each fold.
 
     With outliers, the slope of its density weights each innovation, and the information is the sum of products of
@@ -76,8 +97,8 @@ def sums(samples: DriverDensity, derivatives: Derivatives, row: Array, fold: Int
     ----------
     samples : DriverDensity
         Predictions of the driver's samples.
-    derivatives : Derivatives
-        Derivatives of the driver's samples.
+    columns : sequence of Column
+        Derivatives of the driver's samples by each parameter.
     row : ndarray, shape (WIDTH,)
         Parameters of the driver.
     fold : ndarray of int, shape (T,)
@@ -88,10 +109,10 @@ def sums(samples: DriverDensity, derivatives: Derivatives, row: Array, fold: Int
     Slopes
         Sums for each fold.
     """
-    count = len(derivatives.innovation)
+    count = len(columns)
     score, information, total = np.zeros((FOLDS, count)), np.zeros((FOLDS, count, count)), np.zeros(FOLDS)
-    _add_up(samples, derivatives, row, fold, score, information, total)
-    return Slopes(score, information, total, derivatives)
+    _add_up(samples, _stacked(columns), row, fold, score, information, total)
+    return Slopes(score, information, total, tuple(columns))
 
 
 @kernel
@@ -170,14 +191,33 @@ def _slopes_of(task: tuple[Sequence[_Asked], tuple[int, ...], tuple[int, ...], S
     moved = predict_jobs([job for asked in drivers for job in _moved(asked, individual, shared)])
     found = []
     for number, ((job, at, steps), fold) in enumerate(zip(drivers, folds, strict=True)):
-        dy, dvar, direct = (np.empty((len(steps), len(fold))) for _ in range(3))
         there = moved[number * len(steps) : (number + 1) * len(steps)]
-        for k, (step, (y, variance, density)) in enumerate(zip(steps, there, strict=True)):
-            dy[k], dvar[k], direct[k] = (y - at[0]) / step, (variance - at[1]) / step, (density - at[2]) / step
-        row = job.parameters
-        direct -= density_slope(at[0], at[1], dy, dvar, row) if is_contaminated(row) else direct
-        found.append(sums(at, Derivatives(dy, dvar, direct), row, fold))
+        columns = [column(at, one, step, job.parameters) for step, one in zip(steps, there, strict=True)]
+        found.append(sums(at, columns, job.parameters, fold))
     return found
+
+
+def column(at: DriverDensity, there: DriverDensity, step: float, row: Array) -> Column:
+    """Return the difference quotients of a driver's samples.
+
+    Parameters
+    ----------
+    at, there : DriverDensity
+        Predictions before and after a step.
+    step : float
+        Step of one parameter, in its coordinate.
+    row : ndarray, shape (WIDTH,)
+        Parameters of the driver before the step.
+
+    Returns
+    -------
+    Column
+        Derivatives by the parameter.
+    """
+    dy, dvar = (there[0] - at[0]) / step, (there[1] - at[1]) / step
+    if not is_contaminated(row):
+        return dy, dvar, no_density(len(dy))
+    return dy, dvar, (there[2] - at[2]) / step - density_slope(at[0], at[1], dy[None], dvar[None], row)[0]
 
 
 def _moved(asked: _Asked, individual: tuple[int, ...], shared: tuple[int, ...]) -> list[ChainJob]:
