@@ -8,7 +8,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .NOTPARALLEL:
-.PHONY: help demo test lint docs bench fuzz pictures
+.PHONY: help demo test lint docs bench fuzz soak pictures
 
 # What another environment that is active in the shell would mix into ours: Python's, and ROS's.
 unexport PYTHONPATH PYTHONHOME VIRTUAL_ENV PIP_USER PIP_TARGET PIP_PREFIX
@@ -25,6 +25,7 @@ help:
 	make docs   set up, then build the documentation: docs/_build/html/index.html
 	make bench  set up, then measure the speed; it takes some minutes
 	make fuzz   set up, then read damaged files; FUZZ_EXAMPLES=2000 of each kind take half an hour
+	make soak   set up, then run all nodes for an hour and kill them at random; SOAK_MINUTES=60
 	make pictures  set up, then make the pictures of the pages anew; needs Chromium
 	The first run sets up .venv and takes some minutes. PYTHON=python3.12 chooses the Python of a new .venv.
 	END
@@ -43,6 +44,12 @@ FUZZ_EXAMPLES ?= 2000
 
 fuzz: $(DONE)/compiled $(DONE)/tools
 	@FUZZ_EXAMPLES=$(FUZZ_EXAMPLES) .venv/bin/python -m pytest --timeout 7200 test/fuzz
+
+# SOAK_MINUTES: the first half is quiet, in the second half nodes are killed.
+SOAK_MINUTES ?= 60
+
+soak: $(DONE)/compiled $(DONE)/tools
+	@.venv/bin/python test/soak/soak.py --minutes $(SOAK_MINUTES)
 
 pictures: $(DONE)/compiled $(DONE)/tools
 	@.venv/bin/python docs/pictures.py

@@ -304,6 +304,8 @@ def recover(
     from sugiyama_ros.formats.recover import recover as salvage
 
     if output is None:
+        if not file.name:
+            raise InputError(f"{file}: not a file; give the file to recover")
         output = name_of_part(file) or file.with_name(f"{file.stem}.recovered.mcap")
     saved = salvage(file, Output(output, overwrite))
     text = (

@@ -38,6 +38,8 @@ def report(
     from sugiyama_ros.page.report import write_report
     from sugiyama_ros.page.truth import against_truth
 
+    if not source.name:
+        raise InputError(f"{source}: not a file; give a file that `sugiyama run` recorded")
     page = output or source.with_suffix(".html")
     if page.suffix != ".html":
         raise InputError(f"{page}: is not the name of a page; give a name that ends in .html")
@@ -68,8 +70,11 @@ def report(
 @contextmanager
 def showing(diagnosis: Path | None) -> Iterator[None]:
     """Name the diagnosis where what it says cannot be drawn: its checked fields are not all that the page shows."""
+    import numpy as np
+
     try:
-        yield
+        with np.errstate(all="ignore" if diagnosis is not None else "warn"):
+            yield
     except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
         if diagnosis is None:
             raise

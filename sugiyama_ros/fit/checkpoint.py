@@ -41,6 +41,7 @@ class Checkpoint:
     def __init__(self, path: Path, about: dict[str, Any]) -> None:
         self.path = path
         self._about = about
+        self._head = json.dumps(about, sort_keys=True).encode() + b"\n"
         self._fits: dict[str, dict[int, Fit]] = {}
         self._stream: BinaryIO | None = None
 
@@ -96,13 +97,13 @@ class Checkpoint:
         stream.seek(length)
         stream.truncate()
         if not length:
-            stream.write(json.dumps(self._about, sort_keys=True).encode() + b"\n")
+            stream.write(self._head)
 
     def _read(self, stream: BinaryIO) -> int:
         """Read the lines up to the first one that is unfinished or damaged, and return their length [bytes]."""
         head = stream.readline(_LONGEST_LINE)
-        if not head:
-            return 0
+        if head != self._head and self._head.startswith(head):
+            return 0  # the disk was full
         about = _document(head)
         if not isinstance(about, dict) or set(about) != set(self._about):
             raise OutputError(f"{self.path}: is there, and is no checkpoint of a calibration; move it, or name another")

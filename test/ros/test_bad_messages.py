@@ -27,6 +27,7 @@ from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.nodes.base import cdr_messages, incoming
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.base.samples import Positions
+from sugiyama_ros.nodes.base.spin import ros
 from sugiyama_ros.nodes.base_model import BaseModel
 from sugiyama_ros.nodes.critic import Critic
 from sugiyama_ros.nodes.estimator import Estimator
@@ -226,6 +227,24 @@ def test_a_request_or_a_message_that_the_code_fails_on_does_not_end_the_node(sta
     publisher.publish(Progress())
     stage.until(lambda: estimator.refused == 3)
     assert "cannot be used: ZeroDivisionError" in estimator._reason
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("ROS_DOMAIN_ID", "abc", "no domain; give a number from 0 to 232"),
+        ("ROS_DOMAIN_ID", "500", "no domain"),
+        ("ROS_SECURITY_ENABLE", "true", "ROS does not start: .*SECURITY"),
+    ],
+)
+def test_an_environment_in_which_ros_cannot_start(
+    monkeypatch: pytest.MonkeyPatch, name: str, value: str, words: str
+) -> None:
+    monkeypatch.setenv("ROS_SECURITY_STRATEGY", "Enforce")
+    monkeypatch.setenv("ROS_SECURITY_KEYSTORE", "/nowhere")
+    monkeypatch.setenv(name, value)
+    with pytest.raises(InputError, match=words), ros():
+        pass
 
 
 def test_the_base_model_begins_anew_where_nobody_can_drive(monkeypatch: pytest.MonkeyPatch) -> None:

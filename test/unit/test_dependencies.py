@@ -93,3 +93,15 @@ def test_the_hook_before_commits_runs_the_pinned_ruff() -> None:
 def test_the_citation_has_the_version_of_the_package() -> None:
     version = ElementTree.parse(ROOT / "package.xml").findtext("version")
     assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text()
+
+
+def test_the_licence_of_every_package_is_listed() -> None:
+    """`.ci/licences.py` writes the page, and stops at a licence that does not allow what a user may want to do."""
+    rows = re.findall(r"^\| ([a-z0-9-]+) \| ([^|]+) \| ([^|]+) \|", (ROOT / "docs" / "licences.md").read_text(), re.M)
+    listed = {name: set(versions.split(", ")) for name, versions, _ in rows if name != "package"}
+    pinned: dict[str, set[str]] = {}
+    for python in PYTHONS:
+        for name, version in pins(python, *PINS).items():
+            pinned.setdefault(name, set()).add(version)
+    assert listed == pinned, "run .venv/bin/python .ci/licences.py"
+    assert all(licence.strip() for *_, licence in rows)

@@ -1,6 +1,5 @@
 """Files are written in one place: what it refuses, and that every failure leaves the old or the new file whole."""
 
-import errno
 import os
 import socket
 import stat
@@ -15,8 +14,6 @@ from sugiyama_ros import inputs
 from sugiyama_ros.documents import read_yaml
 from sugiyama_ros.errors import OutputError
 from sugiyama_ros.fit.checkpoint import Checkpoint
-from sugiyama_ros.formats.convert import write_trajectories
-from sugiyama_ros.formats.plain_csv import write_csv
 from sugiyama_ros.formats.reading import open_input
 from sugiyama_ros.outputs import Output, name_of_part, writing
 from sugiyama_ros.road import Road
@@ -181,90 +178,6 @@ def test_the_file_has_the_usual_permissions(tmp_path: Path) -> None:
 )
 def test_the_name_of_an_unfinished_file(part: str, name: str | None) -> None:
     assert name_of_part(Path("folder") / part) == (Path("folder") / name if name else None)
-
-
-# --- fault injection: every call to the operating system fails once
-
-
-class Disk:
-    """Counts the calls that may fail, and lets call number ``failing`` fail."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, failing: int) -> None:
-        self.calls: list[str] = []
-        self._failing = failing
-        for module, name in ((os, "fsync"), (os, "link"), (os, "open"), (os, "fdopen"), (Path, "replace")):
-            monkeypatch.setattr(module, name, self._fails(name, getattr(module, name)))
-
-    def _call(self, name: str) -> None:
-        self.calls.append(name)
-        if len(self.calls) - 1 == self._failing:
-            raise OSError(errno.EIO, os.strerror(errno.EIO))
-
-    def _fails(self, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
-        def call(*arguments: Any, **options: Any) -> Any:
-            self._call(name)
-            made = function(*arguments, **options)
-            return Stream(made, self._call) if name == "fdopen" else made
-
-        return call
-
-
-class Stream:
-    """A file whose writes may fail."""
-
-    def __init__(self, stream: Any, call: Callable[[str], None]) -> None:
-        self._stream, self._call = stream, call
-
-    def write(self, data: bytes) -> int:
-        self._call("write")
-        return int(self._stream.write(data))
-
-    def flush(self) -> None:
-        self._call("flush")
-        self._stream.flush()
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._stream, name)
-
-
-WRITERS = {
-    "csv": lambda target: write_csv(ring(20), target),
-    "bag": lambda target: write_trajectories(ring(), target),
-    "plain": lambda target: write(target, b"new" * 1000),
-}
-
-
-@pytest.mark.parametrize("overwrite", [False, True])
-@pytest.mark.parametrize("writer", WRITERS)
-def test_every_failure_leaves_the_old_or_the_new_file_whole(tmp_path: Path, writer: str, overwrite: bool) -> None:
-    path = tmp_path / "out"
-    WRITERS[writer](Output(path))
-    new = path.read_bytes()
-    failing, seen = 0, set()
-    while True:
-        path.unlink()
-        if overwrite:
-            path.write_bytes(OLD)
-        with pytest.MonkeyPatch.context() as monkeypatch:
-            disk = Disk(monkeypatch, failing)
-            try:
-                WRITERS[writer](Output(path, overwrite))
-                error = None
-            except OutputError as caught:
-                error = caught
-        if len(disk.calls) <= failing:
-            break
-        seen.add(disk.calls[failing])
-        there = path.read_bytes() if path.exists() else None
-        assert there in ((OLD, new) if overwrite else (None, new)), (failing, disk.calls[failing])
-        assert (there == new) == (error is None), (failing, disk.calls[failing])
-        assert names(tmp_path) in ([], ["out"]), (failing, disk.calls[failing])
-        if there is None:
-            path.write_bytes(OLD)
-        failing += 1
-    assert path.read_bytes() == new
-    assert seen >= {"open", "fdopen", "write", "flush", "fsync", "replace" if overwrite else "link"}
-    assert failing >= 7
 
 
 # --- checkpoints of a calibration

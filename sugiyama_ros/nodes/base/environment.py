@@ -5,8 +5,12 @@ import random
 import socket
 import sys
 
+from sugiyama_ros.errors import InputError
+
 # Domains whose ports lie outside the range from which Linux takes ephemeral ports.
 _DOMAINS = range(1, 102)
+# The last domain whose ports exist.
+_LAST_DOMAIN = 232
 # Participants whose ports fit into a domain.
 _PARTICIPANTS = 120
 
@@ -29,6 +33,13 @@ def isolate() -> str:
         domains = random.sample(_DOMAINS, len(_DOMAINS))
         os.environ["ROS_DOMAIN_ID"] = str(next(filter(is_free, domains), domains[0]))
     return os.environ["ROS_DOMAIN_ID"]
+
+
+def check() -> None:
+    """Raise InputError for a domain that ROS cannot use, with which it would fail in many ways."""
+    domain = os.environ.get("ROS_DOMAIN_ID") or "0"
+    if not (domain.isascii() and domain.isdecimal() and int(domain) <= _LAST_DOMAIN):
+        raise InputError(f"ROS_DOMAIN_ID: {domain!r} is no domain; give a number from 0 to {_LAST_DOMAIN}")
 
 
 def is_free(domain: int) -> bool:

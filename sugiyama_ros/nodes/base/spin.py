@@ -35,15 +35,23 @@ _GOODBYE_S = 0.05
 
 @contextmanager
 def ros() -> Iterator[Callable[[], bool]]:
-    """Start rclpy and shut it down; yields a function that says whether SIGINT or SIGTERM has come."""
+    """Start rclpy and shut it down; yields a function that says whether SIGINT or SIGTERM has come.
+
+    Raises InputError where the environment does not let ROS start.
+    """
     asked: list[int] = []
 
     def ask(number: int, _: FrameType | None) -> None:
         asked.append(number)
 
     environment.find_packages()
-    # rclpy's own handlers would take the publishers away before the last messages are sent.
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    environment.check()
+    try:
+        # rclpy's own handlers would take the publishers away before the last messages are sent.
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    except Exception as error:  # the middleware's own class, which it does not export
+        why = str(error).partition(", at /")[0]
+        raise InputError(f"ROS does not start: {why}; correct the environment variables ROS_*") from None
     before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield lambda: bool(asked)

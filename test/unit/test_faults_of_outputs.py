@@ -1,0 +1,267 @@
+"""Fault injection: every call to the operating system fails once, on every way to a file.
+
+After any failure, a name has the old file or the new file, whole, and nothing else is left behind.
+"""
+
+import ast
+import errno
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sugiyama_ros.driver.parameters import COUNT, defaults
+from sugiyama_ros.effects.registry import ROW
+from sugiyama_ros.errors import OutputError
+from sugiyama_ros.filters.online import Learnt
+from sugiyama_ros.fit.checkpoint import Checkpoint
+from sugiyama_ros.fit.driver import Fit
+from sugiyama_ros.fit.model_file import write_drivers
+from sugiyama_ros.formats.bag_folder import METADATA, FolderWriter, bag_files
+from sugiyama_ros.formats.convert import write_trajectories
+from sugiyama_ros.formats.mcap_reader import Bag
+from sugiyama_ros.formats.mcap_writer import Qos
+from sugiyama_ros.formats.measured import MEASURED_TYPE, messages
+from sugiyama_ros.formats.plain_csv import write_csv
+from sugiyama_ros.formats.recover import recover
+from sugiyama_ros.formats.registry import tracks_of
+from sugiyama_ros.formats.tracks_parquet import write_tracks
+from sugiyama_ros.formats.truth import write_simulated
+from sugiyama_ros.nodes.saved_state import Kept, write_learnt
+from sugiyama_ros.outputs import Output, Target, output_of, writing
+from sugiyama_ros.road import Road
+from sugiyama_ros.simulation.experiment import Experiment, carry_out
+from sugiyama_ros.trajectories.trajectories import Trajectories
+
+OLD = b"old, and whole"
+PACKAGE = Path(__file__).parents[2] / "sugiyama_ros"
+#: Files that may open others for writing: the one place, checkpoints, which grow line by line, closed standard streams,
+#: and logs and pages of the developers in folders of their own.
+OTHERS = {
+    "outputs.py",
+    "fit/checkpoint.py",
+    "cli/__init__.py",
+    "nodes/runners.py",
+    "studies/speed/__main__.py",
+    "studies/speed/figure.py",
+}
+
+
+def ring(steps: int = 200) -> Trajectories:
+    position = np.arange(steps)[:, None] * 0.5 + np.array([0.0, 30.0, 60.0])
+    return Trajectories(position % 100.0, np.full(3, 4.5), np.arange(3), Road(100.0), 0.5, 0.0, "model", "ab")
+
+
+SIMULATED = carry_out(Experiment(ring_m=30.0, duration_s=5.0), ROW.with_effects(defaults(2)))
+KEPT = Kept(Learnt(("v_star",), np.array([2.0]), np.array([[0.1]])), 5)
+
+
+class Disk:
+    """Counts the calls that may fail, and lets call number ``failing`` fail."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, failing: int) -> None:
+        self.calls: list[str] = []
+        self._failing = failing
+        for module, name in ((os, "fsync"), (os, "link"), (os, "open"), (os, "fdopen"), (Path, "replace")):
+            monkeypatch.setattr(module, name, self._fails(name, getattr(module, name)))
+
+    def _call(self, name: str) -> None:
+        self.calls.append(name)
+        if len(self.calls) - 1 == self._failing:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    def _fails(self, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*arguments: Any, **options: Any) -> Any:
+            self._call(name)
+            made = function(*arguments, **options)
+            return Stream(made, self._call) if name == "fdopen" else made
+
+        return call
+
+
+class Stream:
+    """A file whose writes may fail: half of the data is written then, as on a disk that is full."""
+
+    def __init__(self, stream: Any, call: Callable[[str], None]) -> None:
+        self._stream, self._call = stream, call
+
+    def write(self, data: bytes) -> int:
+        try:
+            self._call("write")
+        except OSError:
+            self._stream.write(memoryview(data)[: len(data) // 2])
+            self._stream.flush()
+            raise
+        return int(self._stream.write(data))
+
+    def flush(self) -> None:
+        self._call("flush")
+        self._stream.flush()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+def failures(write: Callable[[], object], before: Callable[[], None]) -> Iterator[tuple[str, bool]]:
+    """Write again and again, each time with another call that fails; yields the call, and whether an error came."""
+    failing = 0
+    while True:
+        before()
+        with pytest.MonkeyPatch.context() as monkeypatch:
+            disk = Disk(monkeypatch, failing)
+            try:
+                write()
+                error = False
+            except OutputError:
+                error = True
+        if len(disk.calls) <= failing:
+            return
+        yield disk.calls[failing], error
+        failing += 1
+
+
+def recovered(target: Target) -> None:
+    """Recover a bag, which is beside the target."""
+    source = output_of(target).path.with_name("source.mcap")
+    if not source.exists():
+        write_trajectories(ring(30), source)
+    recover(source, target)
+
+
+def plain(target: Target) -> None:
+    with writing(target) as stream:
+        stream.write(b"new" * 1000)
+
+
+#: All kinds of files. What pages, pictures and studies write goes through `writing` in one piece, as "plain" does.
+WRITERS: dict[str, Callable[[Target], object]] = {
+    "plain": plain,
+    "csv": lambda target: write_csv(ring(20), target),
+    "bag": lambda target: write_trajectories(ring(), target),
+    "truth": lambda target: write_simulated(SIMULATED.measured, SIMULATED.truth, target),
+    "parquet": lambda target: write_tracks(tracks_of(ring(20)), target),
+    "tracks.csv": lambda target: write_tracks(tracks_of(ring(20)), target),
+    "model": lambda target: write_drivers(target, ring(2), ROW.with_effects(defaults(3)), 3 * [{}], {}, 0.0),
+    "state": lambda target: write_learnt(output_of(target).path, KEPT),
+    "recover": recovered,
+}
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+@pytest.mark.parametrize("writer", WRITERS)
+def test_every_failure_leaves_the_old_or_the_new_file_whole(tmp_path: Path, writer: str, overwrite: bool) -> None:
+    path = tmp_path / ("out.csv" if writer == "tracks.csv" else "out")
+    write = WRITERS[writer]
+    write(Output(path))
+    new, beside = path.read_bytes(), sorted(one.name for one in tmp_path.iterdir() if one != path)
+    replaces = overwrite or writer == "state"  # what was learnt is saved again and again
+
+    def before() -> None:
+        path.unlink(missing_ok=True)
+        if overwrite:
+            path.write_bytes(OLD)
+
+    seen = set()
+    for call, error in failures(lambda: write(Output(path, overwrite)), before):
+        seen.add(call)
+        there = path.read_bytes() if path.exists() else None
+        assert there in ((OLD, new) if overwrite else (None, new)), call
+        assert (there == new) == (not error), call
+        assert sorted(one.name for one in tmp_path.iterdir() if one != path) == beside, call
+    assert path.read_bytes() == new
+    assert seen >= {"open", "fdopen", "write", "flush", "fsync", "replace" if replaces else "link"}
+
+
+def test_a_directory_of_rosbag2_holds_whole_files_alone(tmp_path: Path) -> None:
+    """After any failure, each file with a name can be read, and metadata.yaml is there only beside all files."""
+    given = [(stamp, data) for kind, stamp, data in messages(ring(60)) if kind == MEASURED_TYPE]
+    at = iter(range(1000))
+    folder = tmp_path / "0"
+
+    def before() -> None:
+        nonlocal folder
+        folder = tmp_path / str(next(at))
+
+    def write() -> None:
+        with FolderWriter(folder, split_bytes=2000) as bag:
+            topic = bag.topic("/measured", MEASURED_TYPE, Qos())
+            for number, (stamp, data) in enumerate(given):
+                bag.write(topic, data, stamp, stamp)
+                if number % 20 == 19:
+                    bag.flush()
+
+    written = 0
+    for call, error in failures(write, before):
+        whole = sorted(folder.glob("*.mcap")) if folder.exists() else []
+        found = 0
+        for path in whole:
+            with Bag(path) as one:
+                found += sum(1 for _ in one.messages())
+        if (folder / METADATA).exists():
+            assert (bag_files(folder), found) == (whole, len(given)), call
+        assert error == (found < len(given) or not (folder / METADATA).exists()), call
+        for part in folder.glob("*.part") if folder.exists() else ():  # what was flushed before the failure
+            saved = recover(part, folder / "saved.mcap")
+            found += saved.messages
+        written = max(written, found)
+    assert written == len(given)
+    assert len(bag_files(folder)) > 1
+
+
+def fit(vehicle: int) -> Fit:
+    number = np.ones(COUNT)
+    return Fit(vehicle, number, -1.0, number, (), np.ones((COUNT, 2)))
+
+
+def test_a_checkpoint_keeps_the_fits_before_a_failure(tmp_path: Path) -> None:
+    path, about = tmp_path / "model.yaml.fits", {"sha256": "ab"}
+    fits = [fit(v) for v in range(5)]
+
+    def write() -> None:
+        with Checkpoint(path, about) as checkpoint:
+            for one in checkpoint.resume("pass", lambda skip: iter(fits)):
+                done.append(one.vehicle)
+
+    done: list[int] = []
+
+    def before() -> None:
+        path.unlink(missing_ok=True)
+        done.clear()
+
+    seen = set()
+    for call, _ in failures(write, before):
+        seen.add(call)
+        if path.exists():
+            with Checkpoint(path, about) as checkpoint:
+                kept = [one.vehicle for one in checkpoint.resume("pass", lambda skip: iter(()))]
+            assert kept[: len(done)] == done, call
+            assert kept in (done, [*done, len(done)]), call
+    assert done == list(range(5))
+    assert seen >= {"open", "fdopen", "write", "flush"}
+
+
+def writes(call: ast.Call) -> bool:
+    """Whether a call opens a file for writing, or gives a file a name."""
+    called = call.func
+    name = called.attr if isinstance(called, ast.Attribute) else getattr(called, "id", "")
+    is_os = isinstance(called, ast.Attribute) and getattr(called.value, "id", "") == "os"
+    values = [getattr(one, "value", None) for one in (*call.args, *(keyword.value for keyword in call.keywords))]
+    mode = any(isinstance(v, str) and set(v) <= set("rwaxbt+") and set(v) & set("wax+") for v in values)
+    return (
+        (name == "open" and (mode or is_os))
+        or name in ("write_text", "write_bytes", "mkstemp", "copyfile", "touch")
+        or (is_os and name in ("rename", "replace", "link", "truncate", "fdopen"))
+    )
+
+
+def test_only_one_place_writes_files() -> None:
+    """What is not in this table, or in the list of others, cannot write."""
+    found = {
+        str(path.relative_to(PACKAGE))
+        for path in PACKAGE.rglob("*.py")
+        if any(isinstance(node, ast.Call) and writes(node) for node in ast.walk(ast.parse(path.read_text())))
+    }
+    assert found == OTHERS
