@@ -29,6 +29,8 @@ from sugiyama_ros.road import Road
 _UNKNOWN = (math.nan,) * 4
 # Number of events that are kept, and time [s] over which the real rate is measured.
 _EVENTS, _RATE_S = 8, 5.0
+# Samples that wait for the errors of all drivers, at most.
+_OPEN = 128
 
 
 def _milliseconds(time_s: float) -> int:
@@ -91,7 +93,8 @@ class View(Node):
         self._measured: OrderedDict[int, tuple[dict[int, float], float]] = OrderedDict()
         self._moving, self._base_moving = MovingError(), MovingError()
         self._base: BaseModel | None = None
-        self._sum, self._scored = 0.0, 0
+        # squared errors of the drivers who have been heard, by the stamp, of samples that are not complete
+        self._errors: dict[int, list[float]] = {}
         self._latest_s = -math.inf
         self._first_s, self._step = math.nan, -1
         self._arrived: deque[tuple[float, float]] = deque(maxlen=2000)
@@ -203,6 +206,9 @@ class View(Node):
             self._happened("the recording begins anew")
             self._arrived.clear()
             self._base_moving.clear()
+            self._moving.clear()
+            self._errors.clear()
+            self._latest_s = -math.inf
             self._first_s = math.nan
             self._base = BaseModel(self._road) if self._road is not None else None
         self._step = sample.step
@@ -268,20 +274,31 @@ class View(Node):
         time_s, v, innovation, variance, _, scored = found
         if v not in self.driver:
             return
-        if time_s != self._latest_s:
-            if time_s < self._latest_s - 1.0:
-                self._moving.clear()
-            elif math.isfinite(error := self._moving.add(self._latest_s, self._sum, self._scored)):
-                # complete when a newer sample comes
-                self.error.add(self._latest_s, error, self._at(self._latest_s)[1])
-            self._latest_s, self._sum, self._scored = time_s, 0.0, 0
-        if scored:
-            self._sum += innovation**2
-            self._scored += 1
+        if _milliseconds(time_s) > _milliseconds(self._latest_s):
+            self._take_error(time_s, innovation**2 if scored else math.nan)
         place = self._at(time_s)[0].get(v, math.nan)
         adapted = self.adapted.get(v, _UNKNOWN)
         spread = math.sqrt(max(variance, 0.0))
         self.driver[v].add(time_s, *self._state[v], innovation, spread, *adapted, place)
+
+    def _take_error(self, time_s: float, square: float) -> None:
+        """Take in the squared error of one driver; NaN if it does not count. Drivers' topics arrive in any order."""
+        key = _milliseconds(time_s)
+        errors = self._errors.setdefault(key, [])
+        errors.append(square)
+        if len(errors) >= len(self._at(time_s)[0]) > 0:
+            self._tell_errors(key)
+        elif len(self._errors) > _OPEN:
+            self._tell_errors(min(self._errors))
+
+    def _tell_errors(self, last: int) -> None:
+        """Tell the errors of all samples up to one, whose drivers have all been heard, or which has waited for long."""
+        for key in sorted(key for key in self._errors if key <= last):
+            squares = [square for square in self._errors.pop(key) if not math.isnan(square)]
+            self._latest_s = key / 1000.0
+            error = self._moving.add(self._latest_s, sum(squares), len(squares))
+            if math.isfinite(error):
+                self.error.add(self._latest_s, error, self._at(self._latest_s)[1])
 
     def _at(self, time_s: float) -> tuple[Mapping[int, float], float]:
         """Measured positions [m] at a time, and the error [m] of the base model up to then."""

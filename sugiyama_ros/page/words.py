@@ -112,6 +112,8 @@ def certainty(d: Document, n: Document) -> str:
     text += f", {gain / se:.1f} standard errors" if se > 0.0 else ""
     if p := chance(n.get("p_value")):
         text += f"; by chance {p}"
+    if isinstance(who := n.get("who"), list):
+        text += f"; shown by {_vehicles([str(v) for v in who])} only"
     return text
 
 

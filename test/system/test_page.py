@@ -30,7 +30,7 @@ from sugiyama_ros.page.panels.worth import growth
 from sugiyama_ros.page.recording import read_recording
 from sugiyama_ros.page.report import report, write_report
 from sugiyama_ros.page.status import status_line
-from sugiyama_ros.page.words import headline, how_sure, worse
+from sugiyama_ros.page.words import certainty, headline, how_sure, worse
 from sugiyama_ros.page.words import reasons as words_of_reasons
 from sugiyama_ros.road import Road
 
@@ -220,6 +220,7 @@ def test_the_card_says_what_gets_worse_and_that_no_name_is_certain():
     assert how_sure(document) == "No name is certain: these data cannot tell any of them apart from other effects."
     assert worse(document)[0] == "free runs of one car end more than a fifth further off for vehicle 0, of 6"
     assert worse(document)[1:] == kept[-1]["worse_where"]
+    assert certainty(document, {**kept[0], "who": [3, 4]}).endswith("; shown by vehicles 3 and 4 only")
     expected = ["Gipps predicts better", "a force that depends on leader acceleration is missing"]
     assert words_of_reasons(document) == expected
 
