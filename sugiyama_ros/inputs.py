@@ -5,6 +5,8 @@ opens inputs calls `note`. Only the command line remembers; in a notebook, a fil
 """
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 # A file is its device and its number there, whatever its names.
@@ -14,10 +16,17 @@ _own: set[_Key] = set()
 _remembers = False
 
 
-def remember() -> None:
-    """Remember from now on which files are read; the command line calls this."""
+@contextmanager
+def remembered() -> Iterator[None]:
+    """Remember which files are read in the block, and forget them at its end; a command runs in such a block."""
     global _remembers
     _remembers = True
+    try:
+        yield
+    finally:
+        _remembers = False
+        _read.clear()
+        _own.clear()
 
 
 def note(number: int) -> None:

@@ -41,9 +41,9 @@ def _run() -> int | str | None:
     from sugiyama_ros import inputs
     from sugiyama_ros.cli.app import app
 
-    inputs.remember()
     try:
-        app()
+        with inputs.remembered():
+            app()
     except SystemExit as end:
         return end.code
     return 0

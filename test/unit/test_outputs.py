@@ -114,23 +114,23 @@ def test_an_input_is_never_written(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert source.read_bytes() == OLD
 
 
-def test_a_file_that_was_read_on_the_way_is_never_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Metadata beside the tracks, a map of columns, a file of a folder; but what the program wrote itself may go."""
-    for name, value in (("_read", set()), ("_own", set()), ("_remembers", True)):
-        monkeypatch.setattr(inputs, name, value)
-    for name, read in (("a.yaml", read_yaml), ("b.csv", lambda path: open_input(path).close())):
-        (tmp_path / name).write_bytes(OLD)
-        read(tmp_path / name)
-        (tmp_path / f"link.{name}").hardlink_to(tmp_path / name)
-        for known in (name, f"link.{name}"):
-            with pytest.raises(OutputError, match="is also read by this command"):
-                write(Output(tmp_path / known, overwrite=True))
-            assert (tmp_path / known).read_bytes() == OLD
-    own = Output(tmp_path / "own.csv", overwrite=True)
-    for content in (b"first", b"second"):
-        write(own, content)
-        open_input(own.path).close()
-    assert own.path.read_bytes() == b"second"
+def test_a_file_that_was_read_on_the_way_is_never_written(tmp_path: Path) -> None:
+    """Metadata beside the tracks, a map of columns, a file of a folder; but what the command wrote itself may go."""
+    with inputs.remembered():
+        for name, read in (("a.yaml", read_yaml), ("b.csv", lambda path: open_input(path).close())):
+            (tmp_path / name).write_bytes(OLD)
+            read(tmp_path / name)
+            (tmp_path / f"link.{name}").hardlink_to(tmp_path / name)
+            for known in (name, f"link.{name}"):
+                with pytest.raises(OutputError, match="is also read by this command"):
+                    write(Output(tmp_path / known, overwrite=True))
+                assert (tmp_path / known).read_bytes() == OLD
+        own = Output(tmp_path / "own.csv", overwrite=True)
+        for content in (b"first", b"second"):
+            write(own, content)
+            open_input(own.path).close()
+        assert own.path.read_bytes() == b"second"
+    write(Output(tmp_path / "b.csv", overwrite=True))  # nothing is remembered after the command
 
 
 def test_a_file_that_appears_in_the_meantime_stays_and_nothing_is_lost(tmp_path: Path) -> None:
