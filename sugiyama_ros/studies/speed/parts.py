@@ -16,6 +16,7 @@ PARTS = {
     "first": "sugiyama_ros.studies.speed.first_command",
     "throughput": "sugiyama_ros.studies.speed.throughput",
     "run": "sugiyama_ros.studies.speed.run_loop",
+    "tracks": "sugiyama_ros.studies.speed.tracks",
     "many": "sugiyama_ros.studies.speed.many",
 }
 
