@@ -13,6 +13,9 @@ from sugiyama_ros.fit.cross_validation import Gain, sum_error
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.recording import Recorded
 
+# Freed constants take so many standard errors of the held-out gain.
+_CONSTANTS = 2.0
+
 
 @dataclass(frozen=True, eq=False)
 class Addition:
@@ -102,12 +105,13 @@ def least_gain(data: Recorded, won: Gain, candidate: Candidate, of_blocks: float
     """Return the smallest held-out gain [nats] with which something is added.
 
     It is the standard error of the gain over drivers, or over blocks of time (``of_blocks``) where drivers are few.
-    An effect of some drivers only is chosen among very many, so it takes two standard errors. What happens once cannot
-    be held out.
+    An effect of some drivers only is chosen among very many, so it takes two standard errors. So do freed constants,
+    which take in part of whatever is missing. What happens once cannot be held out.
     """
     if candidate.happens_once:
         return -math.inf
     if candidate.drivers:
         return 2.0 * of_blocks
     has_many = data.vicinity.is_whole_road or data.drivers >= MANY_DRIVERS
-    return sum_error(won.drivers) if has_many else won.se
+    error = sum_error(won.drivers) if has_many else won.se
+    return _CONSTANTS * error if candidate.kind == "constants" else error

@@ -6,7 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sugiyama_ros.diagnosis.addition import least_gain
 from sugiyama_ros.diagnosis.adequacy import Evidence, judge, told
+from sugiyama_ros.diagnosis.candidates import named
 from sugiyama_ros.diagnosis.diagnosis import diagnose
 from sugiyama_ros.diagnosis.discover import Discovery
 from sugiyama_ros.diagnosis.errors import errors_of, held_out_errors
@@ -15,7 +17,7 @@ from sugiyama_ros.diagnosis.rivals import start_of
 from sugiyama_ros.diagnosis.verdict import document, sentences
 from sugiyama_ros.driver.parameters import defaults
 from sugiyama_ros.effects.registry import ROW
-from sugiyama_ros.fit.cross_validation import without_folds
+from sugiyama_ros.fit.cross_validation import Gain, sum_error, without_folds
 from sugiyama_ros.laws.registry import LAWS, number_of
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, evenly, simulate
@@ -137,6 +139,13 @@ def test_a_law_is_far_behind_in_recordings_that_the_model_simulates(own):
     with ThreadPoolExecutor(2) as work:
         found = check_laws(("constant_speed",), ((own.data, own.final),), work)
     assert max(found["constant_speed"].gains) < -100.0
+
+
+def test_freed_constants_have_to_gain_twice_as_much_as_an_effect(own):
+    drivers = (1.0, 2.0, 0.0, 3.0, 1.0, 2.0, 0.0, 3.0)
+    won, (constants, effect) = Gain(12.0, 9.0, drivers), named(own.data, ["rationality", "drag"])
+    least = [least_gain(own.data, won, one, 9.0) for one in (constants, effect)]
+    assert least == pytest.approx([2.0 * sum_error(drivers), sum_error(drivers)])
 
 
 def test_a_law_starts_at_the_speeds_of_the_data():
