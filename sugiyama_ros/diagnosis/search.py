@@ -25,7 +25,7 @@ from sugiyama_ros.diagnosis.candidacy import (
 from sugiyama_ros.diagnosis.candidates import Candidate, candidates, only_those
 from sugiyama_ros.diagnosis.discover import Discovery, discover
 from sugiyama_ros.diagnosis.errors import HeldOutErrors, held_out_errors
-from sugiyama_ros.diagnosis.few import LEVEL_OF_FEW, FitOfFew, best_of_few, fit_few, switches_of, who_shows
+from sugiyama_ros.diagnosis.few import LEVEL_OF_FEW, Few, FitOfFew, best_of_few, fit_few, switches_of, who_shows
 from sugiyama_ros.diagnosis.glance import best_forms, worth_screening
 from sugiyama_ros.diagnosis.push import push_candidate
 from sugiyama_ros.diagnosis.screen import FULL, QUICK, Screened, closer, forecast, refine, screen, screen_again
@@ -146,14 +146,23 @@ class Search:
                 rivals = indistinguishable(self.data, (one.candidate.mechanism, one.fit), full)
                 named = self._grow(one.candidate, one.fit, one.p_value, rivals)
                 grown += [named] if named is not None else []
-        best = max(grown, key=lambda one: one.heldout.nats, default=None)
-        return self._take(best and self._narrowed(best))
+        if grown:
+            return self._take(self._narrowed(max(grown, key=lambda one: one.heldout.nats)))
+        # what a few drivers do may be supported without predicting better for all of them
+        by_few = (few for one in supported if (few := who_shows(self.current, one.fit)))
+        of_few = next((found for few in by_few if (found := self._of_few(few))), [])
+        return self._take(max(of_few, key=lambda one: one.heldout.nats, default=None))
 
     def _narrowed(self, one: Addition) -> Addition:
         """What a few drivers do, if they bring nearly all of what an addition for all drivers gains."""
         few = who_shows(self.current, one.fit)
         if few is None:
             return one
+        best = max((one, *self._of_few(few)), key=lambda one: one.heldout.nats)
+        return replace(best, drivers=best.drivers or few.drivers)
+
+    def _of_few(self, few: Few) -> list[Addition]:
+        """Effects that only a few drivers have, and that predict better."""
         possible = [c for c in self._possible if switches_of(c)]
         title = f"round {len(self.named) + 1}: {len(few.drivers)} drivers"
 
@@ -162,13 +171,12 @@ class Search:
 
         fits = at_once(fit, possible, title, self._on_progress)
         likely = best_of_few([f for f in fits if f.p_value <= LEVEL_OF_FEW], _FEW_FITS)
-        full, grown = [(f.candidate.mechanism, f.fit) for f in likely], [one]
+        full, grown = [(f.candidate.mechanism, f.fit) for f in likely], []
         for f in likely:
             rivals = indistinguishable(self.data, (f.candidate.mechanism, f.fit), full)
-            narrow = self._grow(replace(f.candidate, drivers=f.few.drivers), f.fit, f.p_value, rivals)
-            grown += [narrow] if narrow and narrow.after.no_worse_than(narrow.before) else []
-        best = max(grown, key=lambda g: g.heldout.nats)
-        return replace(best, drivers=best.drivers or few.drivers)
+            one = self._grow(replace(f.candidate, drivers=f.few.drivers), f.fit, f.p_value, rivals)
+            grown += [one] if one and one.after.no_worse_than(one.before) else []
+        return grown
 
     def discover(self) -> list[tuple[Discovery, Screened]]:
         """Return forces without a name that the current model lacks, the best supported one first."""

@@ -77,7 +77,7 @@ class Recorder(PacedNode):
         self._waiting_s = 0.0
         self._is_closed = False
         self.create_timer(_POLL_S, self._on_poll, clock=self.steady)
-        self.create_timer(_FLUSH_S, partial(self._guarded, self._bag.flush), clock=self.steady)
+        self.create_timer(_FLUSH_S, partial(self._guarded, self._flush), clock=self.steady)
         self._on_poll()
 
     def health(self) -> Health:
@@ -105,6 +105,11 @@ class Recorder(PacedNode):
             self._bag.__exit__(type(self.failure), self.failure, None)
         else:
             self._guarded(self._bag.close)
+
+    def _flush(self) -> None:
+        """Write what is buffered, until the file is finished."""
+        if not self._is_closed:
+            self._bag.flush()
 
     def _declare(self, name: str, default: Any, description: str) -> Any:
         return self.declare_parameter(name, default, ParameterDescriptor(description=description, read_only=True)).value
