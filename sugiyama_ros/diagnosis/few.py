@@ -98,13 +98,15 @@ def rises(base: JointFit, fitted: JointFit) -> Array:
     return objectives(fitted.slopes, fitted.model, everywhere) - objectives(base.slopes, base.model, everywhere)
 
 
-def who_shows(base: JointFit, fitted: JointFit) -> Few | None:
+def who_shows(base: JointFit, fitted: JointFit, least: float = LEAST_GAIN) -> Few | None:
     """Find the few drivers who bring nearly all of the gain of a fit over another.
 
     Parameters
     ----------
     base, fitted : JointFit
         A model, and the model with something added for all drivers.
+    least : float
+        Smallest gain [nats] beyond what the choice of the drivers costs.
 
     Returns
     -------
@@ -117,7 +119,7 @@ def who_shows(base: JointFit, fitted: JointFit) -> Few | None:
     if drivers < _FEWEST or not 0 < len(chosen) <= drivers // _PART:
         return None
     theirs, cost = float(gains[chosen].sum()), cost_of(len(chosen), drivers)
-    is_clear = theirs - cost > LEAST_GAIN and theirs > _NEARLY_ALL * total
+    is_clear = theirs - cost > least and theirs > _NEARLY_ALL * total
     return Few(tuple(chosen.tolist()), cost) if is_clear else None
 
 

@@ -148,8 +148,8 @@ class Search:
                 grown += [named] if named is not None else []
         if grown:
             return self._take(self._narrowed(max(grown, key=lambda one: one.heldout.nats)))
-        # what a few drivers do may be supported without predicting better for all of them
-        by_few = (few for one in supported if (few := who_shows(self.current, one.fit)))
+        # what a few drivers do may be supported without predicting better for all; whether it is theirs, their fit says
+        by_few = (few for one in supported if (few := who_shows(self.current, one.fit, least=0.0)))
         of_few = next((found for few in by_few if (found := self._of_few(few))), [])
         return self._take(max(of_few, key=lambda one: one.heldout.nats, default=None))
 
