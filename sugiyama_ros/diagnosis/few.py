@@ -25,9 +25,10 @@ from sugiyama_ros.fit.joint import JointFit, maximise, objectives, renewed, rise
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import PointwiseDensity, predict_drivers
+from sugiyama_ros.fit.slopes import Column
 
-# At most one driver in so many counts as a few, among at least so many drivers.
-_PART, _FEWEST = 3, 4
+# At most one driver in so many counts as a few, and at most so many drivers.
+_PART, _MOST = 4, 8
 # Gains by chance are larger than half a chi-squared variable, because the filter is an approximation.
 _INFLATION = 2.0
 # A driver shows something with this share of the largest gain of a driver, and with at least this gain [nats].
@@ -86,6 +87,11 @@ class FitOfFew:
     p_value: float
 
 
+def _most(drivers: int) -> int:
+    """How many drivers count as a few."""
+    return min(drivers // _PART, _MOST)
+
+
 def cost_of(chosen: int, drivers: int) -> float:
     """Return what a choice of some of the drivers gains by chance [nats]."""
     ways = gammaln(drivers + 1) - gammaln(chosen + 1) - gammaln(drivers - chosen + 1)
@@ -116,7 +122,7 @@ def who_shows(base: JointFit, fitted: JointFit, least: float = LEAST_GAIN) -> Fe
     gains = rises(base, fitted)
     total, drivers = float(gains.sum()), len(gains)
     chosen = np.flatnonzero(gains > max(_SHARE_OF_LARGEST * gains.max(), _LEAST))
-    if drivers < _FEWEST or not 0 < len(chosen) <= drivers // _PART:
+    if not 0 < len(chosen) <= _most(drivers):
         return None
     theirs, cost = float(gains[chosen].sum()), cost_of(len(chosen), drivers)
     is_clear = theirs - cost > least and theirs > _NEARLY_ALL * total
@@ -155,20 +161,37 @@ def fit_few(
     FitOfFew
         The model with the effect.
     """
-    found = _fit(data, base, candidate, few, candidates, work)
-    wider = _widened(data, base, found, work) if found.p_value <= LEVEL_OF_FEW else None
-    if wider is None:
-        return found
-    again = _fit(data, base, candidate, wider, candidates, work)
-    return max(found, again, key=lambda one: one.gain - one.few.cost)
+    alone = _alone(data, base)
+    found = _fit(data, alone, candidate, few, candidates, work)
+    wider = _widened(data, alone, found, work) if found.p_value <= LEVEL_OF_FEW else None
+    if wider is not None:
+        again = _fit(data, alone, candidate, wider, candidates, work)
+        found = max(found, again, key=lambda one: one.gain - one.few.cost)
+    return replace(found, fit=_together(data, base, found.fit))
+
+
+def _alone(data: Recorded, base: JointFit) -> JointFit:
+    """A fit whose shared parameters are held: what a few drivers have then moves nobody else."""
+    model, shared = base.model, list(base.model.shared)
+    ahead = model.ahead.copy()
+    ahead[:, shared] = model.rows[:, shared]
+    held = replace(model, shared=(), few=(), ahead=ahead)
+    return JointFit(held, base.samples, joined(data, base, held, base.samples, {}))
+
+
+def _together(data: Recorded, base: JointFit, fitted: JointFit) -> JointFit:
+    """A fit in which the shared parameters of ``base`` may move again."""
+    model = replace(fitted.model, shared=base.model.shared + fitted.model.shared, few=base.model.few + fitted.model.few)
+    new = {k: [s.columns[len(model.individual) + j] for s in fitted.slopes] for j, k in enumerate(fitted.model.shared)}
+    return JointFit(model, fitted.samples, joined(data, base, model, fitted.samples, new))
 
 
 def _fit(data: Recorded, base: JointFit, candidate: Candidate, few: Few, candidates: int, work: Executor) -> FitOfFew:
     """Fit an effect that only some drivers have."""
     starts = [_start(data, base, candidate, few, k, work) for k in range(len(candidate.starts))]
     model, samples = max(starts, key=lambda start: predicted(base, *start))
-    nothing: list[tuple[Array, Array, Array]] = [(np.zeros(data.samples),) * 3] * data.drivers
-    new = {k: nothing for k in model.shared if k not in base.model.shared}
+    nothing: list[Column] = [(np.zeros(data.samples),) * 3] * data.drivers
+    new = {k: nothing for k in model.shared}
     start = JointFit(model, samples, joined(data, base, model, samples, new))
     start = renewed(data, start, work, np.isin(np.arange(data.drivers), few.drivers))
     fitted = maximise(data, start, work, iterations=_STEPS, renewals=_RENEWALS)
@@ -203,7 +226,7 @@ def _widened(data: Recorded, base: JointFit, one: FitOfFew, work: Executor) -> F
         samples.put(i, there)
     gains = predicted_by_driver(base, model, samples) - np.nansum(base.samples.log_likelihood, axis=1)
     more = [i for i in others if gains[i] > _LEAST]
-    if not more or len(has) + len(more) > data.drivers // _PART:
+    if not more or len(has) + len(more) > _most(data.drivers):
         return None
     return Few(tuple(sorted((*has, *more))), cost_of(len(has) + len(more), data.drivers))
 

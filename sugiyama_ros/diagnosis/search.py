@@ -163,7 +163,8 @@ class Search:
 
     def _of_few(self, few: Few) -> list[Addition]:
         """Effects that only a few drivers have, and that predict better."""
-        possible = [c for c in self._possible if switches_of(c)]
+        known = {*self.current.model.individual, *self.current.model.shared}
+        possible = [c for c in self._possible if switches_of(c) and known.isdisjoint(c.places)]
         title = f"round {len(self.named) + 1}: {len(few.drivers)} drivers"
 
         def fit(candidate: Candidate) -> FitOfFew:
