@@ -13,8 +13,8 @@ from sugiyama_ros.fit.cross_validation import Gain, sum_error
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.recording import Recorded
 
-# Freed constants take so many standard errors of the held-out gain.
-_CONSTANTS = 2.0
+# An effect of some drivers only, and freed constants, take so many standard errors of the held-out gain.
+_FLEXIBLE = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +111,7 @@ def least_gain(data: Recorded, won: Gain, candidate: Candidate, of_blocks: float
     if candidate.happens_once:
         return -math.inf
     if candidate.drivers:
-        return 2.0 * of_blocks
+        return _FLEXIBLE * of_blocks
     has_many = data.vicinity.is_whole_road or data.drivers >= MANY_DRIVERS
     error = sum_error(won.drivers) if has_many else won.se
-    return _CONSTANTS * error if candidate.kind == "constants" else error
+    return _FLEXIBLE * error if candidate.kind == "constants" else error

@@ -13,10 +13,10 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from scipy.stats import t as student
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.addition import Addition
+from sugiyama_ros.diagnosis.chance import p_value_of
 from sugiyama_ros.diagnosis.discover import Discovery
 from sugiyama_ros.diagnosis.errors import HeldOutErrors
 from sugiyama_ros.diagnosis.law_check import CLEARLY, FURTHER, LEVEL_OF_LAWS, LawCheck, log_ratio
@@ -31,8 +31,8 @@ Outcome = Literal["adequate", "explained", "not_explained"]
 _LEAST_GAIN = 5.0
 #: Probability below which the biases of a model are larger than chance makes them.
 LEVEL_OF_BINS = 0.01
-# Smallest std of the logarithm of the biases' sum of squares, and its weight as a number of simulated recordings.
-_SPREAD, _COMMON = 0.25, 4
+# Common std of the logarithm of the biases' sum of squares.
+_SPREAD = 0.25
 # Mean NIS of held-out samples within which a filter knows its own errors.
 _NIS = (0.8, 1.25)
 # A sign is wrong if a parameter is on the wrong side by this many standard deviations.
@@ -176,18 +176,19 @@ def _better_law(data: Recorded, evidence: Evidence) -> tuple[str, Gain] | None:
     """
     than = evidence.base if _signs_say(evidence) else evidence.final
     gains = {law: gain(data, errors.samples, than.samples) for law, errors in evidence.laws.items()}
-    better = {
-        law: g
-        for law, g in gains.items()
-        if g.nats > max(CLEARLY * g.se, _LEAST_GAIN) or (g.nats > 0.0 and _is_unlikely(evidence, law, g))
-    }
+    better = {law: g for law, g in gains.items() if _is_clear(g) or (g.nats > 0.0 and _is_unlikely(evidence, law, g))}
     return max(better.items(), key=lambda one: one[1].nats, default=None)
 
 
 def _as_good_as(data: Recorded, law: str, laws: Mapping[str, HeldOutErrors]) -> list[str]:
     """Laws that do not predict clearly worse than a law."""
     behind = {name: gain(data, laws[law].samples, errors.samples) for name, errors in laws.items() if name != law}
-    return [name for name, lost in behind.items() if lost.nats < max(CLEARLY * lost.se, _LEAST_GAIN)]
+    return [name for name, lost in behind.items() if not _is_clear(lost)]
+
+
+def _is_clear(won: Gain) -> bool:
+    """Whether a gain is beyond doubt."""
+    return won.nats > max(CLEARLY * won.se, _LEAST_GAIN)
 
 
 def _is_unlikely(evidence: Evidence, law: str, won: Gain) -> bool:
@@ -197,7 +198,7 @@ def _is_unlikely(evidence: Evidence, law: str, won: Gain) -> bool:
 
 def _laws_say(data: Recorded, evidence: Evidence, better: tuple[str, Gain] | None, is_base: bool) -> list[str]:
     """Which law predicts better, or nearly as well although it would be far behind if the final model were right."""
-    if better is not None and better[1].nats > max(CLEARLY * better[1].se, _LEAST_GAIN):
+    if better is not None and _is_clear(better[1]):
         law, won = better
         than = " than the model without the additions" if is_base else ""
         equals = _as_good_as(data, law, evidence.laws)
@@ -220,27 +221,24 @@ def _free_runs_say(evidence: Evidence) -> list[str]:
     Free runs of a law that damps waves may end closer than free runs of the right model.
     """
     own = evidence.final.free_run_10s_m
-    errors = {
-        law: evidence.laws[law].free_run_10s_m
-        for law, check in evidence.checks.items()
-        if not evidence.final.no_worse_than(evidence.laws[law])
-        and log_ratio(evidence.final, evidence.laws[law]) > math.log(FURTHER)
-        and check.p_of_ratio(log_ratio(evidence.final, evidence.laws[law])) < LEVEL_OF_LAWS
-    }
-    law = min(errors, key=lambda name: errors[name], default=None)
-    return [f"free runs of {law} end closer: {errors[law]:.2g} m off after 10 s instead of {own:.2g} m"] if law else []
+    errors = {}
+    for law, check in evidence.checks.items():
+        other = evidence.laws[law]
+        ratio = log_ratio(evidence.final, other)
+        is_closer = ratio > math.log(FURTHER) and not evidence.final.no_worse_than(other)
+        if is_closer and check.p_of_ratio(ratio) < LEVEL_OF_LAWS:
+            errors[law] = other.free_run_10s_m
+    best = min(errors, key=lambda name: errors[name], default=None)
+    return (
+        [f"free runs of {best} end closer: {errors[best]:.2g} m off after 10 s instead of {own:.2g} m"] if best else []
+    )
 
 
 def _bins_p_value(evidence: Evidence) -> float | None:
     """Probability of biases as large as in the data, by the model's own simulations; None with less than two."""
     if len(evidence.simulated) < 2:
         return None
-    of_chance = np.array([_log_squares(one) for one in evidence.simulated])
-    runs, above = len(of_chance), _log_squares(evidence.located) - float(of_chance.mean())
-    freedom = runs - 1 + _COMMON
-    squares = float(np.square(of_chance - of_chance.mean()).sum()) + _COMMON * _SPREAD**2
-    spread = math.sqrt(squares / freedom * (1.0 + 1.0 / runs))
-    return float(student.sf(above / spread, freedom))
+    return p_value_of(_log_squares(evidence.located), [_log_squares(one) for one in evidence.simulated], _SPREAD)
 
 
 def _bins_say(evidence: Evidence) -> list[str]:

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from sugiyama_ros.diagnosis.candidates import Candidate
+from sugiyama_ros.diagnosis.chance import COMMON, spread_of_next
 from sugiyama_ros.diagnosis.screen import Effort, Screened, closer, screen
 from sugiyama_ros.effects.registry import effect
 from sugiyama_ros.fit.joint import JointFit
@@ -22,8 +23,6 @@ LEAST_GAIN = 5.0
 _OBVIOUS = 60.0
 # Smallest spread of simulated gains [nats].
 _LEAST_SPREAD = 1.5
-# Weight of the common spread in the spread of one candidate, as a number of simulated recordings.
-_COMMON = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,11 +118,9 @@ class NullGains:
         common = max(float(np.median(spreads)) * math.sqrt(0.5 * freedom) if spreads else 0.0, least)
         # a parameter gains half a nat by chance (Wilks); a few simulations know this less well for one parameter alone
         runs = len(gains) if candidate.name in self.gains else 0
-        weight = 0 if candidate.individual and runs else _COMMON
+        weight = 0 if candidate.individual and runs else COMMON
         expected = (runs * float(gains.mean()) + weight * 0.5 * freedom) / (runs + weight)
-        squares = float(np.sum(np.square(gains - gains.mean())))
-        known = len(gains) - 1 + _COMMON
-        spread = float(np.sqrt((squares + _COMMON * common**2) / known * (1.0 + 1.0 / len(gains))))
+        spread, known = spread_of_next(gains, common)
         p_alone = float(student.sf((look.gain - candidate.elsewhere - expected) / spread, known))
         return Candidacy(
             look=look,

@@ -208,10 +208,15 @@ def _start(
     others = [i for i in range(data.drivers) if i not in few.drivers]
     rows[np.ix_(others, list(places))] = 0.0
     model = replace(model, rows=rows, few=(*model.few, *((k, few.drivers) for k in places)))
+    return model, _anew(data, base, model, few.drivers, work)
+
+
+def _anew(data: Recorded, base: JointFit, model: Model, who: Sequence[int], work: Executor) -> PointwiseDensity:
+    """The samples of ``base``, and of some drivers those at a model."""
     samples = base.samples.copy()
-    for i, one in zip(few.drivers, predict_drivers(data, model, few.drivers, work), strict=True):
+    for i, one in zip(who, predict_drivers(data, model, who, work), strict=True):
         samples.put(i, one)
-    return model, samples
+    return samples
 
 
 def _widened(data: Recorded, base: JointFit, one: FitOfFew, work: Executor) -> Few | None:
@@ -220,20 +225,10 @@ def _widened(data: Recorded, base: JointFit, one: FitOfFew, work: Executor) -> F
     others = [i for i in range(data.drivers) if i not in has]
     rows, places = one.fit.model.rows.copy(), list(one.candidate.places)
     rows[np.ix_(others, places)] = rows[one.few.drivers[0], places]
-    samples = base.samples.copy()
     model = replace(one.fit.model, rows=rows, few=base.model.few)
-    for i, there in zip(others, predict_drivers(data, model, others, work), strict=True):
-        samples.put(i, there)
-    gains = predicted_by_driver(base, model, samples) - np.nansum(base.samples.log_likelihood, axis=1)
+    promised = predicted_by_driver(base, model, _anew(data, base, model, others, work))
+    gains = promised - np.nansum(base.samples.log_likelihood, axis=1)
     more = [i for i in others if gains[i] > _LEAST]
     if not more or len(has) + len(more) > _most(data.drivers):
         return None
     return Few(tuple(sorted((*has, *more))), cost_of(len(has) + len(more), data.drivers))
-
-
-def best_of_few(fits: Sequence[FitOfFew], most: int) -> list[FitOfFew]:
-    """Return the forms that gain most, one of each mechanism and at most so many, the best one first."""
-    best: dict[str, FitOfFew] = {}
-    for one in sorted(fits, key=lambda one: -one.gain):
-        best.setdefault(one.candidate.mechanism, one)
-    return list(best.values())[:most]

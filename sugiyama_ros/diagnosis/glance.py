@@ -3,8 +3,10 @@
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
+from typing import TypeVar
 
 from sugiyama_ros.diagnosis.candidates import Candidate, added
+from sugiyama_ros.diagnosis.few import FitOfFew
 from sugiyama_ros.diagnosis.screen import Screened, differences, joined
 from sugiyama_ros.fit.joint import JointFit, solve
 from sugiyama_ros.fit.recording import FOLDS, Recorded
@@ -17,6 +19,8 @@ _PROMISE = 10.0
 
 # Drivers on whom a glance falls, or up to twice as many.
 _DRIVERS = 4
+
+_Look = TypeVar("_Look", Screened, FitOfFew)
 
 
 def glance(data: Recorded, base: JointFit, candidate: Candidate, work: Executor) -> float:
@@ -66,9 +70,9 @@ def worth_screening(
     return [c for c in possible if c.name not in left]
 
 
-def best_forms(looks: Sequence[Screened]) -> list[Screened]:
-    """Return the looks at the form of each mechanism that gains most."""
-    best: dict[str, Screened] = {}
+def best_forms(looks: Sequence[_Look]) -> list[_Look]:
+    """Return the looks at, or the fits of, the form of each mechanism that gains most."""
+    best: dict[str, _Look] = {}
     for look in looks:
         mechanism = look.candidate.mechanism
         if mechanism not in best or look.gain > best[mechanism].gain:

@@ -11,8 +11,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import t as student
 
+from sugiyama_ros.diagnosis.chance import p_value_of
 from sugiyama_ros.diagnosis.errors import HeldOutErrors, held_out_errors
 from sugiyama_ros.diagnosis.rivals import in_filter
 from sugiyama_ros.fit.cross_validation import Gain, gain
@@ -25,9 +25,8 @@ CLEARLY = 2.0
 FURTHER = 1.2
 #: Probability below which a law does better in the data than in simulations.
 LEVEL_OF_LAWS = 0.01
-# Smallest std of a gain as a part of its mean, and of the logarithm of a ratio of free runs; and their weight as a
-# number of simulated recordings.
-_PART_OF_GAIN, _LOG_RATIO, _COMMON = 0.25, 0.2, 4
+# Common std of gains as a part of their mean, and of the logarithm of a ratio of free runs.
+_PART_OF_GAIN, _LOG_RATIO = 0.25, 0.2
 
 
 @dataclass(frozen=True)
@@ -47,20 +46,11 @@ class LawCheck:
 
     def p_of_gain(self, won: Gain) -> float:
         """Return the probability of a gain as large as ``won`` if the model is right."""
-        return _p_value(won.nats, self.gains, math.hypot(won.se, _PART_OF_GAIN * float(np.mean(self.gains))))
+        return p_value_of(won.nats, self.gains, math.hypot(won.se, _PART_OF_GAIN * float(np.mean(self.gains))))
 
     def p_of_ratio(self, ratio: float) -> float:
         """Return the probability of a logarithm of the ratio as large as ``ratio`` if the model is right."""
-        return _p_value(ratio, self.ratios, _LOG_RATIO)
-
-
-def _p_value(value: float, by_chance: Sequence[float], least: float) -> float:
-    """Student's t of a value over values by chance, of which some have the std ``least``."""
-    known = np.array(by_chance)
-    freedom = len(known) - 1 + _COMMON
-    squares = float(np.square(known - known.mean()).sum()) + _COMMON * least**2
-    spread = math.sqrt(squares / freedom * (1.0 + 1.0 / len(known)))
-    return float(student.sf((value - float(known.mean())) / max(spread, 1e-9), freedom))
+        return p_value_of(ratio, self.ratios, _LOG_RATIO)
 
 
 def log_ratio(model: HeldOutErrors, law: HeldOutErrors) -> float:

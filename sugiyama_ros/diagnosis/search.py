@@ -25,7 +25,7 @@ from sugiyama_ros.diagnosis.candidacy import (
 from sugiyama_ros.diagnosis.candidates import Candidate, candidates, only_those
 from sugiyama_ros.diagnosis.discover import Discovery, discover
 from sugiyama_ros.diagnosis.errors import HeldOutErrors, held_out_errors
-from sugiyama_ros.diagnosis.few import LEVEL_OF_FEW, Few, FitOfFew, best_of_few, fit_few, switches_of, who_shows
+from sugiyama_ros.diagnosis.few import LEVEL_OF_FEW, Few, FitOfFew, fit_few, switches_of, who_shows
 from sugiyama_ros.diagnosis.glance import best_forms, worth_screening
 from sugiyama_ros.diagnosis.push import push_candidate
 from sugiyama_ros.diagnosis.screen import FULL, QUICK, Screened, closer, forecast, refine, screen, screen_again
@@ -171,7 +171,8 @@ class Search:
             return fit_few(self.data, self.current, candidate, few, len(possible), self._work)
 
         fits = at_once(fit, possible, title, self._on_progress)
-        likely = best_of_few([f for f in fits if f.p_value <= LEVEL_OF_FEW], _FEW_FITS)
+        forms = best_forms([f for f in fits if f.p_value <= LEVEL_OF_FEW])
+        likely = sorted(forms, key=lambda f: -f.gain)[:_FEW_FITS]
         full, grown = [(f.candidate.mechanism, f.fit) for f in likely], []
         for f in likely:
             rivals = indistinguishable(self.data, (f.candidate.mechanism, f.fit), full)

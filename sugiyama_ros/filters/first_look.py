@@ -14,16 +14,14 @@ from typing import NamedTuple
 import numpy as np
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.driver.parameters import REFERENCE_PERIOD_S, SIGMA_NU, SIGMA_V, SIGMA_X, V_STAR
+from sugiyama_ros.driver.parameters import SIGMA_NU, SIGMA_V, SIGMA_X, V_STAR
 from sugiyama_ros.filters.any_time import steps_between
 from sugiyama_ros.filters.roughness import (
     LEAST,
-    OF_POSITION,
-    OF_SPEED,
-    WHITE,
     desired_speed_above,
     roughness,
     roughness_of_noises,
+    with_smooth_noises,
 )
 from sugiyama_ros.road import Road
 
@@ -115,10 +113,7 @@ class FirstLook:
         if rough >= roughness_of_noises(row, self.period_s):
             return None
         rough = max(rough, LEAST)
-        start, scale = row.copy(), math.sqrt(self.period_s / REFERENCE_PERIOD_S)
-        start[SIGMA_NU] = rough / math.sqrt(WHITE)
-        start[SIGMA_X] = _REST * rough / math.sqrt(OF_POSITION) / scale
-        start[SIGMA_V] = min(_REST * rough / math.sqrt(OF_SPEED) / self.period_s / scale, row[SIGMA_V])
+        start = with_smooth_noises(row, rough, _REST * rough, self.period_s)
         start[V_STAR] = desired_speed_above(self._speed, float(row[V_STAR]))
         return start
 

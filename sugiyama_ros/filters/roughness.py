@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.driver.parameters import SIGMA_V, SIGMA_X, at_period
+from sugiyama_ros.driver.parameters import REFERENCE_PERIOD_S, SIGMA_NU, SIGMA_V, SIGMA_X, at_period
 
 #: Variance of a third difference, in variances of white noise, of the position noise and of the speed noise (times the
 #: squared period): sums of squares of the coefficients of the third, the second and the first difference.
@@ -43,6 +43,32 @@ def roughness_of_noises(row: Array, period_s: float) -> float:
     """
     there = at_period(row, period_s)
     return math.sqrt(OF_POSITION * float(there[SIGMA_X]) ** 2 + OF_SPEED * (period_s * float(there[SIGMA_V])) ** 2)
+
+
+def with_smooth_noises(row: Array, white_m: float, rest_m: float, period_s: float) -> Array:
+    """Return a row with noises that make third differences of a given size.
+
+    Parameters
+    ----------
+    row : ndarray, shape (P,) or longer
+        The driver's parameters at the reference period.
+    white_m : float
+        Std [m] of the third differences that the measurement noise makes.
+    rest_m : float
+        Std [m] of the third differences that the position noise makes, and the speed noise at most: it does not grow.
+    period_s : float
+        Time between two samples [s].
+
+    Returns
+    -------
+    ndarray
+        A copy of the row.
+    """
+    start, scale = row.copy(), math.sqrt(period_s / REFERENCE_PERIOD_S)
+    start[SIGMA_NU] = white_m / math.sqrt(WHITE)
+    start[SIGMA_X] = rest_m / math.sqrt(OF_POSITION) / scale
+    start[SIGMA_V] = min(rest_m / math.sqrt(OF_SPEED) / period_s / scale, row[SIGMA_V])
+    return start
 
 
 def desired_speed_above(speed: float, desired: float) -> float:

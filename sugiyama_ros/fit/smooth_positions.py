@@ -14,25 +14,22 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import (
-    NAMES,
     SIGMA_A,
     SIGMA_NU,
     SIGMA_V,
     SIGMA_X,
     V_STAR,
-    at_period,
     defaults,
     index,
     population,
 )
 from sugiyama_ros.filters.roughness import (
     LEAST,
-    OF_POSITION,
-    OF_SPEED,
     WHITE,
     desired_speed_above,
     roughness,
     roughness_of_noises,
+    with_smooth_noises,
 )
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
@@ -93,12 +90,8 @@ class Evenness(NamedTuple):
         driver[V_STAR] = desired_speed_above(speed, float(driver[V_STAR]))
         if not self.is_smooth:
             return driver
-        third = max(self.roughness_m, LEAST) / np.sqrt(3.0)
-        scale = at_period(np.full(len(NAMES), 0.5), self.period_s)[SIGMA_X] / 0.5
-        driver[SIGMA_NU] = third / np.sqrt(WHITE)
-        driver[SIGMA_X] = third / np.sqrt(OF_POSITION) / scale
-        driver[SIGMA_V] = min(third / np.sqrt(OF_SPEED) / self.period_s / scale, driver[SIGMA_V])
-        return driver
+        third = max(self.roughness_m, LEAST) / float(np.sqrt(3.0))
+        return with_smooth_noises(driver, third, third, self.period_s)
 
     def estimated(self, formulation: str = "causal") -> tuple[str, ...]:
         """Return the names of the parameters that are estimated unless the user names others.

@@ -1,0 +1,42 @@
+"""How far values by chance spread, known from a few simulated recordings."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.stats import t as student
+
+from sugiyama_ros.arrays import Array
+
+#: Weight of the common std in the spread of one value, as a number of simulated recordings.
+COMMON = 4
+
+
+def spread_of_next(by_chance: Array, common: float) -> tuple[float, int]:
+    """Return how far the next value by chance lies from the mean of the known ones.
+
+    Parameters
+    ----------
+    by_chance : ndarray, shape (R,)
+        Values in R simulated recordings.
+    common : float
+        Std that all such values share.
+
+    Returns
+    -------
+    spread : float
+        Scale of Student's t distribution.
+    freedom : int
+        Its degrees of freedom.
+    """
+    runs = len(by_chance)
+    freedom = runs - 1 + COMMON
+    squares = float(np.square(by_chance - by_chance.mean()).sum())
+    return math.sqrt((squares + COMMON * common**2) / freedom * (1.0 + 1.0 / runs)), freedom
+
+
+def p_value_of(value: float, by_chance: Sequence[float], common: float) -> float:
+    """Return the probability of a value as large by chance; parameters as for ``spread_of_next``."""
+    known = np.array(by_chance)
+    spread, freedom = spread_of_next(known, common)
+    return float(student.sf((value - float(known.mean())) / max(spread, 1e-9), freedom))
