@@ -1,7 +1,7 @@
 """Follow the vehicles that a perception sees, and record everything.
 
     ros2 launch sugiyama_ros live.launch.py centre_line:=LINE.csv topics:="['/car*/odom']" output:=FILE.mcap
-        [frame:=map] [model:=MODEL.yaml]
+        [frame:=map] [model:=MODEL.yaml] [namespace:=NAME] [use_sim_time:=true]
 
 The launch ends with Ctrl-C; the file is finished then.
 """
@@ -9,9 +9,9 @@ The launch ends with Ctrl-C; the file is finished then.
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
+from launch.actions import DeclareLaunchArgument, GroupAction, OpaqueFunction, Shutdown
 from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
+from launch_ros.actions import Node, PushROSNamespace, SetParameter
 
 from launch import LaunchContext, LaunchDescription
 from sugiyama_ros.nodes.base import environment
@@ -20,7 +20,7 @@ from sugiyama_ros.nodes.base import environment
 RETRIES = 5
 
 
-def nodes(context: LaunchContext) -> list[Node]:
+def nodes(context: LaunchContext) -> list[GroupAction]:
     """Tracks, all drivers in view, and a recorder."""
     import yaml
 
@@ -31,7 +31,9 @@ def nodes(context: LaunchContext) -> list[Node]:
     line = {"centre_line": given("centre_line"), "topics": yaml.safe_load(given("topics")), "frame": given("frame")}
     model = {"model": given("model")}
     again = {"respawn": True, "respawn_delay": 1.0, "respawn_max_retries": RETRIES}
-    return [
+    everything = [
+        PushROSNamespace(given("namespace")),
+        SetParameter("use_sim_time", given("use_sim_time") == "true"),
         # the recorder ends last, so it gets more time before it is killed
         Node(
             package=package,
@@ -43,6 +45,7 @@ def nodes(context: LaunchContext) -> list[Node]:
         Node(package=package, executable="drivers", parameters=[config / "drivers.yaml", model], **again),
         Node(package=package, executable="tracks", parameters=[config / "tracks.yaml", line], **again),
     ]
+    return [GroupAction(everything)]
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -55,6 +58,13 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument("topics", description="patterns of the topics of vehicles, as a list in YAML"),
             DeclareLaunchArgument("frame", default_value="", description="frame of the centre line"),
             DeclareLaunchArgument("model", default_value="", description="model file from which drivers start"),
+            DeclareLaunchArgument("namespace", default_value="", description="namespace of all nodes"),
+            DeclareLaunchArgument(
+                "use_sim_time",
+                default_value="false",
+                choices=["true", "false"],
+                description="whether the time is that of /clock",
+            ),
             DeclareLaunchArgument("output", description="MCAP file, or directory, to write"),
             DeclareLaunchArgument("config", default_value=str(config), description="directory of parameter files"),
             OpaqueFunction(function=nodes),

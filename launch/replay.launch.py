@@ -1,7 +1,7 @@
 """Replay a recording through one estimator for each driver and record everything.
 
     ros2 launch sugiyama_ros replay.launch.py source:=FILE output:=FILE.mcap [rate:=1.0] [ring:=230.0]
-        [model:=MODEL.yaml] [critic:=true]
+        [model:=MODEL.yaml] [critic:=true] [namespace:=NAME] [use_sim_time:=true]
 
 ``rate:=0.0`` is as fast as the nodes take it; ``ring`` is needed only where the file does not say it. The launch ends
 with the replay, or with Ctrl-C; the file is finished then.
@@ -10,20 +10,21 @@ with the replay, or with Ctrl-C; the file is finished then.
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
+from launch.actions import DeclareLaunchArgument, GroupAction, OpaqueFunction, Shutdown
 from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
+from launch_ros.actions import Node, PushROSNamespace, SetParameter
 
 from launch import LaunchContext, LaunchDescription
 from sugiyama_ros.formats.registry import known_suffixes
 from sugiyama_ros.nodes.base import environment
-from sugiyama_ros.nodes.plan import Plan, RunSettings
+from sugiyama_ros.nodes.plan import Plan, RunSettings, within
 
 #: How often an estimator that was killed starts again.
 RETRIES = 5
+FLAG = ["true", "false"]
 
 
-def nodes(context: LaunchContext) -> list[Node]:
+def nodes(context: LaunchContext) -> list[GroupAction]:
     """One replay, one recorder, and one estimator for each vehicle of the file."""
 
     def given(name: str) -> str:
@@ -38,13 +39,18 @@ def nodes(context: LaunchContext) -> list[Node]:
     )
     plan = Plan.read(Path(given("source")), Path(given("output")), settings)
     package = "sugiyama_ros"
+    space = given("namespace")
+    recorder = {**plan.recorder, "paced_topics": within(space, plan.recorder["paced_topics"])}
+    sending = {**plan.sending, "wait_for": within(space, plan.sending["wait_for"]), "exit_at_end": True}
     critic = [Node(package=package, executable="critic", parameters=[config / "critic.yaml"])]
-    return [
+    everything = [
+        PushROSNamespace(space),
+        SetParameter("use_sim_time", given("use_sim_time") == "true"),
         # the recorder ends last, so it gets more time before it is killed
         Node(
             package=package,
             executable="recorder",
-            parameters=[config / "recorder.yaml", plan.recorder],
+            parameters=[config / "recorder.yaml", recorder],
             sigterm_timeout="20",
             on_exit=Shutdown(reason="the recorder has ended"),
         ),
@@ -54,7 +60,7 @@ def nodes(context: LaunchContext) -> list[Node]:
             Node(
                 package=package,
                 executable="estimator",
-                namespace=namespace,
+                namespace=namespace.strip("/"),
                 parameters=[
                     *([] if settings.model else [config / "estimator.yaml"]),
                     plan.estimator,
@@ -69,10 +75,11 @@ def nodes(context: LaunchContext) -> list[Node]:
         Node(
             package=package,
             executable="replay",
-            parameters=[config / "replay.yaml", plan.sending, {"exit_at_end": True}],
+            parameters=[config / "replay.yaml", sending],
             on_exit=Shutdown(reason="the replay has ended"),
         ),
     ]
+    return [GroupAction(everything)]
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -86,7 +93,13 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument("rate", default_value="1.0", description="times real time; 0: as fast as possible"),
             DeclareLaunchArgument("ring", default_value="0.0", description="circumference [m]; 0: as the file says"),
             DeclareLaunchArgument("model", default_value="", description="model file from which the estimators start"),
-            DeclareLaunchArgument("critic", default_value="false", description="whether a critic listens"),
+            DeclareLaunchArgument(
+                "critic", default_value="false", choices=FLAG, description="whether a critic listens"
+            ),
+            DeclareLaunchArgument("namespace", default_value="", description="namespace of all nodes"),
+            DeclareLaunchArgument(
+                "use_sim_time", default_value="false", choices=FLAG, description="whether the time is that of /clock"
+            ),
             DeclareLaunchArgument("config", default_value=str(config), description="directory of parameter files"),
             OpaqueFunction(function=nodes),
         ]

@@ -1,7 +1,7 @@
 """Simulate drivers on a ring, follow each of them with an estimator, and record everything.
 
     ros2 launch sugiyama_ros simulate.launch.py output:=FILE.mcap [vehicles:=22] [duration:=0.0] [rate:=1.0]
-        [config:=DIRECTORY]
+        [model:=MODEL.yaml] [critic:=true] [namespace:=NAME] [use_sim_time:=true] [config:=DIRECTORY]
 
 The launch ends after ``duration`` [s], if it is not 0, or with Ctrl-C; the file is finished then.
 """
@@ -9,20 +9,21 @@ The launch ends after ``duration`` [s], if it is not 0, or with Ctrl-C; the file
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
+from launch.actions import DeclareLaunchArgument, GroupAction, OpaqueFunction, Shutdown
 from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
+from launch_ros.actions import Node, PushROSNamespace, SetParameter
 
 from launch import LaunchContext, LaunchDescription
 from sugiyama_ros.formats.truth import namespaces
 from sugiyama_ros.nodes.base import environment
-from sugiyama_ros.nodes.plan import estimators, step_topics
+from sugiyama_ros.nodes.plan import CRITIC, RECORDER, estimators, step_topics, within
 
 #: How often an estimator that was killed starts again.
 RETRIES = 5
+FLAG = ["true", "false"]
 
 
-def nodes(context: LaunchContext) -> list[Node]:
+def nodes(context: LaunchContext) -> list[GroupAction]:
     """One simulator, one recorder, and one estimator for each vehicle."""
 
     def given(name: str) -> str:
@@ -33,15 +34,20 @@ def nodes(context: LaunchContext) -> list[Node]:
     spaces = namespaces(range(vehicles))
     package = "sugiyama_ros"
     truth = [f"{space}/truth" for space in spaces]
-    recorder = {"output": given("output"), "paced_topics": [*step_topics(spaces), *truth]}
+    around, model, has_critic = given("namespace"), given("model"), given("critic") == "true"
+    followers = [RECORDER, *estimators(spaces), *([CRITIC] if has_critic else [])]
+    recorder = {"output": given("output"), "paced_topics": within(around, [*step_topics(spaces), *truth])}
     simulator = {
         "vehicles": vehicles,
         "duration": float(given("duration")),
         "exit_at_end": True,
         "rate": float(given("rate")),
-        "wait_for": ["/recorder", *estimators(spaces)],
+        "wait_for": within(around, followers),
     }
-    return [
+    critic = [Node(package=package, executable="critic", parameters=[config / "critic.yaml"])]
+    everything = [
+        PushROSNamespace(around),
+        SetParameter("use_sim_time", given("use_sim_time") == "true"),
         # the recorder ends last, so it gets more time before it is killed
         Node(
             package=package,
@@ -51,12 +57,13 @@ def nodes(context: LaunchContext) -> list[Node]:
             on_exit=Shutdown(reason="the recorder has ended"),
         ),
         Node(package=package, executable="keeper"),
+        *(critic if has_critic else []),
         *(
             Node(
                 package=package,
                 executable="estimator",
-                namespace=space,
-                parameters=[config / "estimator.yaml", {"ask_keeper": True}],
+                namespace=space.strip("/"),
+                parameters=[{"model": model} if model else config / "estimator.yaml", {"ask_keeper": True}],
                 respawn=True,
                 respawn_delay=1.0,
                 respawn_max_retries=RETRIES,
@@ -70,6 +77,7 @@ def nodes(context: LaunchContext) -> list[Node]:
             on_exit=Shutdown(reason="the simulator has ended"),
         ),
     ]
+    return [GroupAction(everything)]
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -84,6 +92,14 @@ def generate_launch_description() -> LaunchDescription:
                 "duration", default_value="0.0", description="time [s] of the simulation; 0: endless"
             ),
             DeclareLaunchArgument("rate", default_value="1.0", description="times real time; 0: as fast as possible"),
+            DeclareLaunchArgument("model", default_value="", description="model file from which the estimators start"),
+            DeclareLaunchArgument(
+                "critic", default_value="false", choices=FLAG, description="whether a critic listens"
+            ),
+            DeclareLaunchArgument("namespace", default_value="", description="namespace of all nodes"),
+            DeclareLaunchArgument(
+                "use_sim_time", default_value="false", choices=FLAG, description="whether the time is that of /clock"
+            ),
             DeclareLaunchArgument("config", default_value=str(config), description="directory of parameter files"),
             OpaqueFunction(function=nodes),
         ]

@@ -1,9 +1,11 @@
 """Executors for work in independent parts: threads or processes of this machine, or a Dask cluster."""
 
 import os
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
+from itertools import islice
 from multiprocessing import get_context
 from typing import Any, TypeVar
 
@@ -12,6 +14,10 @@ from sugiyama_ros.progress import OnStage
 
 # Number of items that are under way at the same time. They share the same workers.
 _AT_ONCE = 3
+# Number of tasks that are under way at the same time: more than a large cluster has workers.
+_TASKS = 512
+# Number of items that a process gets at a time: each message takes as long as the making of an item.
+_CHUNK = 4
 _Common = TypeVar("_Common")
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
@@ -131,6 +137,42 @@ def send(
 
     sent: Any = default_client().scatter(common, broadcast=True)
     return [there.submit(function, sent, item) for item in items]
+
+
+def in_turn(function: Callable[[_Item], _Result], items: Iterable[_Item], work: Executor | None) -> Iterator[_Result]:
+    """Call a function for many items, of which only some are under way at a time.
+
+    Neither this machine nor the scheduler of a cluster ever holds all items, and no task is large.
+
+    Parameters
+    ----------
+    function : callable
+        Called with one item.
+    items : iterable
+        The items, made when their turn comes.
+    work : Executor or None
+        Makes the calls; without it, they are made one after the other.
+
+    Yields
+    ------
+    object
+        Results in the order of the items.
+    """
+    if work is None:
+        yield from map(function, items)
+        return
+    left, size = iter(items), _CHUNK if isinstance(work, ProcessPoolExecutor) else 1
+    under_way: deque[Future[list[_Result]]] = deque()
+    while part := tuple(islice(left, size)):
+        under_way.append(work.submit(_each, function, part))
+        if len(under_way) >= _TASKS:
+            yield from under_way.popleft().result()
+    while under_way:
+        yield from under_way.popleft().result()
+
+
+def _each(function: Callable[[_Item], _Result], items: Iterable[_Item]) -> list[_Result]:
+    return [function(item) for item in items]
 
 
 def at_once(

@@ -208,7 +208,8 @@ class Effect:
         Whether the function depends on the past (``past_gap`` and the like of `Seen`). The first parameter of the
         effect is then the time [s] that the driver looks back.
     bank : mapping of str to float, optional
-        Values at which the live diagnosis runs a filter with the effect; left out if the effect takes no part.
+        Values at which the live diagnosis begins with the effect, whose strength it then fits; left out if the effect
+        takes no part. A place that is left out is tried all along the road.
     benchmark : tuple of mapping
         Strong and weak values with which the benchmark of the diagnosis hides the effect. If a place or a time is left
         out, the benchmark draws it at random.

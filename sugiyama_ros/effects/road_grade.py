@@ -25,5 +25,6 @@ EFFECT = Effect(
     parameters=(Parameter("grade", "s", "1", 0.0, -0.3, 0.3, "slope in the middle, positive uphill"), *PLACE),
     starts=around({"grade": 0.01}),
     function=push,
+    bank={"grade": 0.02},
     benchmark=({"grade": 0.05, "width": 80.0}, {"grade": 0.02, "width": 80.0}),
 )

@@ -25,6 +25,7 @@ EFFECT = Effect(
     ),
     starts=around({"reduction": 0.1}),
     function=prefer,
+    bank={"reduction": 0.05},
     benchmark=({"reduction": 0.07, "width": 80.0}, {"reduction": 0.03, "width": 80.0}),
     advice={"road_grade": "survey the road, or record standing starts all along the road"},
 )

@@ -19,8 +19,8 @@ class ChainModel:
 
     row: (WIDTH,) of the driver at the reference period; rows: (M, WIDTH) of all drivers at the period of the samples;
     places: (A,) of the adapted parameters in UTILITY; prior_mean, prior_var: (A,) of their logarithms; noise_shift:
-    (2,) of the logarithms of NOISES from the reference period to the period of the samples; has_effects: whether a
-    driver behind another vehicle has effects; measured_otherwise: whether an effect of the measurement is on.
+    (2,) of the logarithms of NOISES from the reference period to the period of the samples; sees_rear: whether an
+    effect depends on the vehicle behind; measured_otherwise: whether an effect of the measurement is on.
     """
 
     row: Array
@@ -30,7 +30,7 @@ class ChainModel:
     prior_var: Array
     noise_shift: Array
     scene: Scene
-    has_effects: bool
+    sees_rear: bool
     measured_otherwise: bool
 
     @property
@@ -92,6 +92,6 @@ def chain_model(
         prior_var=prior_var,
         noise_shift=np.log(rows[0, NOISES] / row[NOISES]),
         scene=scene_at(period_s, circumference_m, adaptation.relaxation_s),
-        has_effects=bool(names) and vehicles > 1,
+        sees_rear=any(effect(name).sees_rear for name in names) and vehicles > 1,
         measured_otherwise=any(effect(name).stage == MEASUREMENT for name in names),
     )

@@ -14,7 +14,10 @@ from sugiyama_ros.filters.noise import NOISES
 
 @dataclass(frozen=True, eq=False)
 class Learnt:
-    """Logarithms (A,) of adapted parameters at the reference period, by name, and their covariance (A, A)."""
+    """Logarithms (A,) of adapted parameters at the reference period, by name, and their covariance (A, A).
+
+    Parameters of effects, such as ``drag.c0``, stand with their values, not with logarithms.
+    """
 
     names: tuple[str, ...]
     mean: Array

@@ -119,7 +119,7 @@ class OnlineFilter:
     def reset(self) -> None:
         """Forget all samples and everything learnt."""
         self.kalman = self._engine_of(self._model)
-        self._behind = self._follower() if self._model.has_effects else None
+        self._behind = self._follower() if self._model.sees_rear else None
         self.prior = self.learnt
         if self._look is not None:
             self._look, self._recalled = FirstLook(self.road, self.period_s), None
@@ -154,7 +154,7 @@ class OnlineFilter:
             )
         self._model = model
         self.kalman.change(model)
-        if model.has_effects and self._behind is None:
+        if model.sees_rear and self._behind is None:
             self._behind = self._follower()
 
     def _follower(self) -> "OnlineFilter":
@@ -187,6 +187,15 @@ class OnlineFilter:
     def learnt(self) -> Learnt:
         """All that is known of the driver's parameters, to go on from."""
         return learnt_of(self.kalman)
+
+    def plain_copy(self) -> "OnlineFilter":
+        """Return a filter that knows the same, without a first look and without what a subclass adds."""
+        copied = OnlineFilter.__new__(OnlineFilter)
+        copied.__dict__.update({name: self.__dict__[name] for name in ("road", "period_s", "vehicles", "engine")})
+        copied.kalman, copied._behind = copy.deepcopy((self.kalman, self._behind))
+        copied._model, copied._start, copied._look = copied.kalman.model, self._start, None
+        copied.prior, copied._recalled = self.prior, self._recalled
+        return copied
 
     @property
     def is_smooth(self) -> bool:
@@ -232,8 +241,8 @@ class OnlineFilter:
 
     @property
     def looks_back(self) -> bool:
-        """Whether the driver has effects, which may depend on the vehicle behind."""
-        return self._model.has_effects
+        """Whether an effect of the driver depends on the vehicle behind."""
+        return self._model.sees_rear
 
     def step(
         self,
@@ -293,7 +302,7 @@ class OnlineFilter:
             return None
         ahead = ROW.with_effects(population() if self._start.ahead is None else self._start.ahead)
         ahead[[*SMOOTHED, V_STAR]] = row[[*SMOOTHED, V_STAR]]
-        wanted = ADAPT_ELSEWHERE if self._start.adaptation is ADAPT else self._start.adaptation
+        wanted = ADAPT_ELSEWHERE if self._start.adaptation == ADAPT else self._start.adaptation
         self._start = _Outset(ahead, wanted, LEARN_ELSEWHERE)
         self._model = self._model_of(row)
         self.reset()

@@ -6,6 +6,8 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array, Mask, selection
 from sugiyama_ros.driver.parameters import NAMES
+from sugiyama_ros.effects.registry import ROW
+from sugiyama_ros.filters.effect_filter import EffectFilter
 from sugiyama_ros.filters.noise import NOISES
 from sugiyama_ros.filters.online import OnlineFilter
 
@@ -80,3 +82,27 @@ class ShownParameters:
         """Names of the adapted parameters that the samples so far do not tell."""
         told = zip(self._names, self.adapted_identified.tolist(), strict=True)
         return [name for name, is_identified in told if not is_identified]
+
+
+class ShownWithEffects(ShownParameters):
+    """As `ShownParameters`, for a filter that learns parameters of effects; arguments as there."""
+
+    def __init__(self, filter_: EffectFilter, shown: Sequence[int]) -> None:
+        self._filter, self._shown, self._names = filter_, list(shown), list(filter_.adapted)
+        self._of = np.array([ROW.entries.index(name) for name in self._names])
+        at = [self._shown.index(k) for k in self._of]
+        self._at, self._block = at, np.ix_(at, at)
+        self.value: Array = filter_.parameters[self._shown]
+        self.read()
+
+    def read(self) -> None:
+        """Fill the arrays with what the filter knows now."""
+        identified = self._filter.identified
+        self.value[:] = self._filter.parameters[self._shown]
+        self.adapted_covariance = self._filter.parameter_covariance[np.ix_(self._of, self._of)]
+        self.adapted_identified = np.array([name in identified for name in self._names])
+
+
+def shown_of(filter_: OnlineFilter, shown: Sequence[int]) -> ShownParameters:
+    """Return what a filter knows of the parameters at some places (S,) of a driver's row."""
+    return ShownWithEffects(filter_, shown) if isinstance(filter_, EffectFilter) else ShownParameters(filter_, shown)

@@ -4,14 +4,15 @@ from typing import Any
 
 import numpy as np
 from rcl_interfaces.msg import ParameterDescriptor
+from sugiyama_msgs.msg import DriverParameters, Verdict
 from sugiyama_msgs.msg import Road as RoadMessage
-from sugiyama_msgs.msg import Verdict
 from sugiyama_msgs.srv import AddEffect
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import NAMES, population
-from sugiyama_ros.effects.registry import ROW, switched_on
+from sugiyama_ros.effects.registry import ROW, active, switched_on
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.filters.bank import Bank, strengths
+from sugiyama_ros.filters.bank import Bank
 from sugiyama_ros.filters.chain import CHAIN
 from sugiyama_ros.filters.online import warm_up
 from sugiyama_ros.formats.measured import FRAME
@@ -32,8 +33,9 @@ _VERDICT_EVERY_NS = 5 * cdr_messages.NS
 class Critic(PacedNode):
     """Publishes a verdict every 5 s of the recording. ``~/add_effect`` adds an effect to all running estimators.
 
-    A jump back in time starts the bank anew. Parameters of the node: the parameters of a driver, from which every model
-    of the bank starts, and ``forget_s``.
+    A jump back in time starts the bank anew, and so does an effect that the estimators of all drivers get or lose: the
+    bank looks for what is missing beyond them. Parameters of the node: the parameters of a driver, from which every
+    model of the bank starts, and ``forget_s``.
 
     Parameters
     ----------
@@ -54,12 +56,14 @@ class Critic(PacedNode):
         self._road: RoadMessage | None = None
         self._bank: Bank | None = None
         self._chains: dict[int, list[int]] = {}
+        # parameters of effects that each estimator has, by vehicle
+        self._effects_of: dict[int, dict[str, float]] = {}
         self._stamp_ns: int | None = None
         self._told_ns = 0
         self._failure = ""
         self._to_verdict = self.create_publisher(Verdict, "verdict", STREAM)
         self.create_service(AddEffect, "~/add_effect", self._on_add_effect)
-        self.listen(RoadMessage, self.shared("road"), incoming.road, self._on_road, LATCHED)
+        self.hear(RoadMessage, self.shared("road"), incoming.road, self._on_road, LATCHED)
         subscribe_measured(self, self.take_in, feed)
 
     def health(self) -> Health:
@@ -67,8 +71,11 @@ class Critic(PacedNode):
         if self._failure:
             return Health(ERROR, self._failure, {})
         if self._road is None:
-            return Health(WARN, "waiting for the road", {})
-        return Health(OK, "comparing", {"samples": self._bank.samples if self._bank else 0})
+            return Health(WARN, f"waiting for a road on {self.shared('road')}", {})
+        if self._bank is None:
+            return Health(WARN, f"nothing heard on {self.shared('measured')} yet", {})
+        said = "settled" if self._bank.is_settled else "not settled"
+        return Health(OK, f"comparing; {said}", {"samples": self._bank.samples, "added": ", ".join(self._bank.effects)})
 
     def _on_road(self, road: RoadMessage) -> None:
         self._road, self._bank = road, None
@@ -91,7 +98,8 @@ class Critic(PacedNode):
         jumped = self._stamp_ns is not None and sample.stamp_ns < self._stamp_ns
         if self._bank is None or jumped:
             row = np.array([self.get_parameter(name).value for name in NAMES])
-            vehicles = sorted(sample.place)
+            row, vehicles = self._with_added(row), sorted(sample.place)
+            self._listen_to(vehicles)
             self._bank = Bank(vehicles, road.period_s, Road(road.circumference_m), row, self._forget_s)
             self._chains, self._failure = {v: sample.chain(v, CHAIN) for v in vehicles}, ""
             self._told_ns = sample.stamp_ns
@@ -109,15 +117,43 @@ class Critic(PacedNode):
             self._told_ns = sample.stamp_ns
             self._publish(sample, self._bank)
 
+    def _listen_to(self, vehicles: list[int]) -> None:
+        """Listen to which effects the estimators have."""
+        for vehicle, space in zip(vehicles, namespaces(vehicles), strict=True):
+            if vehicle not in self._chains:
+                topic = self.shared(f"{space.lstrip('/')}/parameters")
+                self.listen(DriverParameters, topic, incoming.parameters, self._on_parameters, STREAM)
+
+    def _on_parameters(self, message: DriverParameters) -> None:
+        """Note the effects of a driver's model. Once all drivers have others than the bank, the bank begins anew."""
+        values = zip(message.name, message.value, strict=True)
+        self._effects_of[message.vehicle] = {name: value for name, value in values if name not in NAMES}
+        if self._bank is not None and active(self._with_added(self._bank.row)) != self._bank.effects:
+            self._bank = None
+
+    def _with_added(self, row: Array) -> Array:
+        """Row (WIDTH,) with the effects that all estimators have, at the means of their values."""
+        row = ROW.with_effects(row[: len(NAMES)])
+        known = list(self._effects_of.values())
+        if known and len(known) >= len(self._chains):
+            for name in set.intersection(*map(set, known)) & set(ROW.entries):
+                row[ROW.entries.index(name)] = float(np.mean([values[name] for values in known]))
+        return row
+
     def _publish(self, sample: cdr_messages.Sample, bank: Bank) -> None:
-        weights = bank.weights
+        weights, fitted = bank.weights, bank.fitted
+        values = {f"{name}.{p}": value for name, found in fitted.items() for p, value in found.items()}
         message = Verdict(
             best=bank.names[int(weights.argmax())],
             model=list(bank.names),
             weight=weights.tolist(),
             log_likelihood=bank.gains.tolist(),
-            strength=strengths(bank.names).tolist(),
+            strength=[next(iter(found.values()), 0.0) for found in fitted.values()],
+            parameter=list(values),
+            value=list(values.values()),
             samples=bank.samples,
+            settled=bank.is_settled,
+            added=list(bank.effects),
         )
         message.header.stamp = cdr_messages.time_message(sample.stamp_ns)
         message.header.frame_id = FRAME

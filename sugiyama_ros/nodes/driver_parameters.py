@@ -1,5 +1,6 @@
 """Parameters of nodes that follow a driver: how they are declared, and the model file from which they start."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,17 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import NAMES, PARAMETERS, check_for_filter, population
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.filters.chain import Adaptation
+from sugiyama_ros.filters.effect_filter import EffectFilter
+from sugiyama_ros.filters.effect_values import STRENGTHS, check_names
+from sugiyama_ros.filters.online import ADAPT, OnlineFilter
 from sugiyama_ros.fit.driver_types import DriverTypes
 from sugiyama_ros.fit.model_file import read_model
 from sugiyama_ros.nodes.arrivals import WINDOW_S
+from sugiyama_ros.road import Road
+
+#: Prior std of the logarithm of a preference for which none was measured: a factor of two up or down.
+OTHER_STD = 0.7
 
 
 def check_driver(node: Node) -> None:
@@ -76,6 +85,40 @@ def declare_model(node: Node, vehicle: int) -> tuple[Array, DriverTypes | None]:
         return ROW.with_effects(population()), None
     model = read_model(file)
     return model.rows_of(np.array([vehicle]))[0], model.types
+
+
+@dataclass(frozen=True)
+class Adapted:
+    """What is learnt online of a driver: preferences, in the state of the filter, and parameters of effects.
+
+    adaptation: of preferences; of_effects: names such as ``drag.c0``, or ``effects`` for the strengths of all effects.
+    """
+
+    adaptation: Adaptation
+    of_effects: tuple[str, ...]
+
+    def filter_of(self, period_s: float, road: Road, row: Array) -> OnlineFilter:
+        """Return the filter of a driver who starts from a row (WIDTH,)."""
+        if self.of_effects:
+            return EffectFilter(period_s, road, row, self.of_effects, self.adaptation)
+        return OnlineFilter(period_s, road, row, adaptation=self.adaptation)
+
+
+def declare_adapt(node: Node) -> Adapted:
+    """Declare the parameter ``adapt``: which parameters are learnt online. Raises InputError for an unknown name."""
+    about = ParameterDescriptor(
+        description="parameters that are learnt online: preferences, parameters of effects such as drag.c0, or effects"
+        " for the strengths of all effects in the model",
+        read_only=True,
+    )
+    given = node.declare_parameter("adapt", list(ADAPT.names), about).value
+    names = tuple(dict.fromkeys(name for name in given if name))
+    own = tuple(name for name in names if name != STRENGTHS and "." not in name)
+    known = dict(zip(ADAPT.names, ADAPT.prior_std, strict=True))
+    stds = tuple(known.get(name, OTHER_STD) for name in own)
+    of_effects = tuple(name for name in names if name not in own)
+    check_names(of_effects)
+    return Adapted(Adaptation(own, stds, ADAPT.relaxation_s), of_effects)
 
 
 def declare_float(node: Node, name: str, default: float, about: ParameterDescriptor) -> float:

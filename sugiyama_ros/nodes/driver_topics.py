@@ -10,7 +10,7 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import NAMES
 from sugiyama_ros.effects.registry import ROW, active
 from sugiyama_ros.filters.online import Estimate, OnlineFilter
-from sugiyama_ros.filters.shown import ShownParameters
+from sugiyama_ros.filters.shown import ShownParameters, shown_of
 from sugiyama_ros.fit.driver_types import DriverTypes
 from sugiyama_ros.nodes.base import cdr_messages
 from sugiyama_ros.nodes.base.driver_array_messages import KnownDriver, ParameterNames
@@ -95,7 +95,7 @@ class DriverTopics:
         """From now on, publish the driver's parameters and the parameters of the effects that act in a row (WIDTH,)."""
         of_effects = [k for name in active(effects) for k in range(ROW.places[name].start, ROW.places[name].stop)]
         shown = [*range(len(NAMES)), *of_effects]
-        self._shown = ShownParameters(filter_, shown)
+        self._shown = shown_of(filter_, shown)
         names = [ROW.entries[k] for k in shown]
         self._names = ParameterNames(tuple(names), filter_.adapted)
         self._message = cdr_messages.Parameters(self._vehicle, names, filter_.adapted)

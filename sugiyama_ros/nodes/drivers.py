@@ -139,7 +139,9 @@ class DriversNode(LifecycleNodeMixin, PacedNode):
         if not self._is_active:
             return Health(OK, "not active", self._counts)
         if self._view is None or self._arrivals is None:
-            return Health(WARN, "waiting for the road", self._counts)
+            return Health(WARN, f"waiting for a road on {self.resolve_topic_name('road')}", self._counts)
+        if self._arrivals.stamp_ns is None:
+            return Health(WARN, f"nothing heard on {self.resolve_topic_name('measured')} yet", self._counts)
         view = self._view
         values = {**self._counts, **self._arrivals.rhythm, **view.counts, "drivers": len(view.drivers)}
         if view.left_out:

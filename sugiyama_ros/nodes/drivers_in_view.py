@@ -12,16 +12,16 @@ from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import NAMES, population
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.filters.online import OnlineFilter
 from sugiyama_ros.fit.driver_types import DriverTypes
 from sugiyama_ros.fit.model_file import ModelFile, read_model
 from sugiyama_ros.nodes.base.cdr_messages import NS, Sample
 from sugiyama_ros.nodes.base.driver_array_messages import KnownDriver
 from sugiyama_ros.nodes.base.node import PacedNode
 from sugiyama_ros.nodes.base.qos import LIVE, STREAM
-from sugiyama_ros.nodes.driver_parameters import check_driver, declare_driver, declare_path
+from sugiyama_ros.nodes.driver_parameters import Adapted, check_driver, declare_adapt, declare_driver, declare_path
 from sugiyama_ros.nodes.driver_topics import DriverTopics
 from sugiyama_ros.nodes.follower import UNKNOWN, DivergedError, Follower
+from sugiyama_ros.nodes.outputs.registry import StandardTopics
 from sugiyama_ros.nodes.saved_state import Kept, file_of, read_learnt, write_learnt
 from sugiyama_ros.road import Road
 
@@ -31,7 +31,8 @@ class DriversSettings:
     """From what the drivers start, and where what is learnt of them goes.
 
     model: the model file, None without one; save_state, resume: directories, None without; has_vehicle_topics: whether
-    each driver has topics of their own instead of one message for all; qos: of what is published.
+    each driver has topics of their own instead of one message for all; qos: of what is published; adapted: what is
+    learnt; standard: what is published for others.
     """
 
     model: ModelFile | None
@@ -39,6 +40,8 @@ class DriversSettings:
     resume: Path | None
     has_vehicle_topics: bool
     qos: QoSProfile
+    adapted: Adapted
+    standard: StandardTopics
 
     @property
     def effects(self) -> Array:
@@ -65,7 +68,8 @@ def read_settings(node: PacedNode) -> DriversSettings:
     late = "whether who subscribes late also gets the last messages that were sent before, as a recorder may need"
     about = ParameterDescriptor(description=late, read_only=True)
     qos = STREAM if node.declare_parameter("late_subscribers", False, about).value else LIVE
-    settings = DriversSettings(model, save_state, resume, vehicle_topics, qos)
+    standard = StandardTopics(node)
+    settings = DriversSettings(model, save_state, resume, vehicle_topics, qos, declare_adapt(node), standard)
     declare_driver(node, settings.effects)
     check_driver(node)
     return settings
@@ -181,6 +185,9 @@ class DriversInView:
         self._of_filters["changes of style"] += change is not None
         driver.topics.publish_estimate(sample.stamp_ns, estimate, change)
         driver.topics.publish_parameters(sample.stamp_ns, driver.follower.filter, False)
+        if not late:
+            follower, standard = driver.follower, self._settings.standard
+            standard.publish(self._road, follower, estimate, sample.stamp_ns, f"vehicle_{follower.vehicle:02}/")
 
     # What a topic of all drivers needs: `DriverTopics` puts each driver here.
     def join(self, node: PacedNode) -> None:
@@ -214,6 +221,7 @@ class DriversInView:
         for vehicle in gone:
             driver = self.drivers.pop(vehicle)
             driver.topics.close()
+            self._settings.standard.retire(vehicle, f"vehicle_{vehicle:02}/")
             self.counts["retired"] += 1
             # without a stamp, nobody has seen the vehicle since time has jumped
             kept = self._known[vehicle] = Kept(driver.follower.filter.learnt, driver.follower.stamp_ns or 0)
@@ -223,7 +231,7 @@ class DriversInView:
     def _meet(self, vehicle: int) -> _InView:
         """Make the filter of a driver, who may have been here before."""
         row = self._row_of(vehicle)
-        filter_ = OnlineFilter(self._period_s, self._road, row)
+        filter_ = self._settings.adapted.filter_of(self._period_s, self._road, row)
         kept = self._known.pop(vehicle, None) or self._saved(vehicle)
         self.counts["came" if kept is None else "came again"] += 1
         follower = Follower(vehicle, filter_, kept, self._of_filters, self._window_s)

@@ -24,6 +24,7 @@ from sugiyama_ros.nodes.base.spin import run_node
 from sugiyama_ros.nodes.driver_array import DriverArrayTopic
 from sugiyama_ros.nodes.driver_parameters import (
     check_driver,
+    declare_adapt,
     declare_driver,
     declare_model,
     declare_path,
@@ -32,6 +33,7 @@ from sugiyama_ros.nodes.driver_parameters import (
 from sugiyama_ros.nodes.driver_topics import DriverTopics
 from sugiyama_ros.nodes.effect_services import add_effect, remove_effect
 from sugiyama_ros.nodes.follower import UNKNOWN, DivergedError, Follower
+from sugiyama_ros.nodes.outputs.registry import StandardTopics
 from sugiyama_ros.nodes.saved_state import Kept, file_of, kept_in, read_learnt, write_learnt
 from sugiyama_ros.road import Road
 
@@ -47,7 +49,7 @@ class Estimator(PacedNode):
     time, the filter forgets where the vehicles are, and keeps what it has learnt.
 
     Parameters of the node: the parameters of a driver, ``model``, ``save_state``, ``resume``, ``ask_keeper``,
-    ``array_topic`` and ``reorder_window``. Services: ``~/reset``, ``~/add_effect``, ``~/remove_effect``.
+    ``array_topic``, ``reorder_window`` and ``adapt``. Services: ``~/reset``, ``~/add_effect``, ``~/remove_effect``.
 
     Parameters
     ----------
@@ -75,10 +77,11 @@ class Estimator(PacedNode):
         )
         if self._is_asking:
             self.listen(DriverParameters, "_kept_parameters", incoming.parameters, self._on_kept, LATCHED)
-            self._patience = self.create_timer(_PATIENCE_S, self._on_kept, clock=self.steady)
+            self._patience = self.create_timer(_PATIENCE_S, lambda: self._on_kept(), clock=self.steady)
         declare_driver(self, row)
         check_driver(self)
-        self._window_s = declare_window(self)
+        self._window_s, self._adapted = declare_window(self), declare_adapt(self)
+        self._standard = StandardTopics(self)
         self.add_post_set_parameters_callback(lambda _: self._begin_anew())
         self._effects = row
         self._road: RoadMessage | None = None
@@ -92,7 +95,7 @@ class Estimator(PacedNode):
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(AddEffect, "~/add_effect", self._on_add_effect)
         self.create_service(RemoveEffect, "~/remove_effect", self._on_remove_effect)
-        self.listen(RoadMessage, self.shared("road"), incoming.road, self._on_road, LATCHED)
+        self.hear(RoadMessage, self.shared("road"), incoming.road, self._on_road, LATCHED)
         subscribe_measured(self, self.take_in, feed)
         self.on_clock_jump(self._on_clock_jump)
 
@@ -111,7 +114,9 @@ class Estimator(PacedNode):
         if self._failure:
             return Health(ERROR, self._failure, self._counts)
         if self._road is None or self._follower is None or self._arrivals is None:
-            return Health(WARN, "waiting for the road", self._counts)
+            return Health(WARN, f"waiting for a road on {self.shared('road')}", self._counts)
+        if self._arrivals.stamp_ns is None:
+            return Health(OK, f"ready; nothing heard on {self.shared('measured')} yet", self._counts)
         values = {**self._counts, **self._arrivals.rhythm}
         if self._follower.missing_in_a_row:
             return Health(WARN, f"{self._follower.missing_in_a_row} samples missing in a row", values)
@@ -194,7 +199,8 @@ class Estimator(PacedNode):
             return
         row = self._effects.copy()
         row[: len(NAMES)] = [self.get_parameter(name).value for name in NAMES]
-        filter_ = OnlineFilter(self._road.period_s, Road(self._road.circumference_m), row)
+        self._lane = Road(self._road.circumference_m)
+        filter_ = self._adapted.filter_of(self._road.period_s, self._lane, row)
         self._follower = Follower(self.vehicle, filter_, self.kept, self._counts, self._window_s)
         self._arrivals = Arrivals(self._road.period_s, self._window_s, self._counts)
         self._topics.choose_parameters(self._effects, filter_)
@@ -252,6 +258,8 @@ class Estimator(PacedNode):
         change = follower.filter.change_of_style if estimate is not None else None
         self._topics.publish_estimate(sample.stamp_ns, estimate, change)
         if estimate is not None:
+            if not late:
+                self._standard.publish(self._lane, follower, estimate, sample.stamp_ns, "")
             self._counts["changes of style"] += change is not None
             if self._topics.publish_parameters(sample.stamp_ns, follower.filter, self._is_last(sample)):
                 self._save_if_due(sample.stamp_ns)

@@ -14,6 +14,7 @@ from sugiyama_ros.filters.online import NOBODY, Estimate, OnlineFilter
 from sugiyama_ros.nodes.base.cdr_messages import LONGEST_M, NS, Sample
 from sugiyama_ros.nodes.base.qos import DEPTH
 from sugiyama_ros.nodes.base.samples import UNKNOWN_LEADER
+from sugiyama_ros.nodes.prediction import Prediction, predict
 from sugiyama_ros.nodes.saved_state import Kept
 
 #: What is published where nothing is known, so that every topic has a message for every step.
@@ -153,6 +154,11 @@ class Follower:
             self.follow(past.sample)
         self._counts["missing"], self._counts["skipped"] = counted
         return estimate
+
+    def predict(self, now: Estimate, stamp_ns: int, ahead_s: float) -> Prediction:
+        """Predict the driver's path from the latest sample on; see ``prediction.predict``."""
+        lengths = [self._length_m.get(vehicle, 0.0) for vehicle in self._chain]
+        return predict(self.filter, now, self._chain, lengths, stamp_ns / NS, ahead_s)
 
     def _keep_what_is_known(self, sample: Sample) -> None:
         """Keep what is known before a sample, and forget what is older than any sample may be late."""

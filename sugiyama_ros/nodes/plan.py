@@ -32,6 +32,12 @@ def step_topics(spaces: Iterable[str]) -> list[str]:
     return ["/clock", "/measured", *(f"{space}/{topic}" for space in spaces for topic in ("state", "innovation"))]
 
 
+def within(namespace: str, names: Iterable[str]) -> list[str]:
+    """Full names of nodes or topics when all of them lie in a namespace; /clock is the same for everybody."""
+    begin = namespace.strip("/")
+    return [f"/{begin}{name}" if begin and name != "/clock" else name for name in names]
+
+
 @dataclass(frozen=True)
 class RunSettings:
     """How a recording is replayed.

@@ -77,7 +77,7 @@ class Recorder(PacedNode):
         self._waiting_s = 0.0
         self._is_closed = False
         self.create_timer(_POLL_S, self._on_poll, clock=self.steady)
-        self.create_timer(_FLUSH_S, partial(self._guarded, self._flush), clock=self.steady)
+        self.create_timer(_FLUSH_S, lambda: self._guarded(self._flush), clock=self.steady)
         self._on_poll()
 
     def health(self) -> Health:

@@ -9,7 +9,8 @@ import numpy as np
 from sugiyama_msgs.msg import DriverParameters
 
 from sugiyama_ros.documents import read_json
-from sugiyama_ros.driver.parameters import NAMES, PARAMETERS
+from sugiyama_ros.driver.parameters import NAMES
+from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.learnt import Learnt
 from sugiyama_ros.nodes.base.cdr_messages import NS
@@ -37,7 +38,11 @@ def kept_in(message: DriverParameters) -> Kept:
     places = np.flatnonzero(message.estimated)
     value = np.array(message.value)[places]
     covariance = np.array(message.covariance).reshape(2 * [len(message.value)])[np.ix_(places, places)]
-    learnt = Learnt(tuple(message.name[k] for k in places), np.log(value), covariance / np.outer(value, value))
+    names = tuple(message.name[k] for k in places)
+    # what is learnt of a driver are logarithms, what is learnt of effects are the values
+    of_driver = np.array([name in NAMES for name in names])
+    scale = np.where(of_driver, value, 1.0)
+    learnt = Learnt(names, np.where(of_driver, np.log(np.abs(value)), value), covariance / np.outer(scale, scale))
     return _checked(Kept(learnt, message.header.stamp.sec * NS + message.header.stamp.nanosec))
 
 
@@ -70,7 +75,7 @@ def read_learnt(path: Path) -> Kept:
 def _checked(kept: Kept) -> Kept:
     """What was learnt, if an estimator can have learnt it; else ValueError."""
     names, mean, covariance = kept.learnt.names, kept.learnt.mean, kept.learnt.covariance
-    if unknown := [name for name in names if name not in NAMES]:
+    if unknown := [name for name in names if name not in ROW.entries]:
         raise ValueError(f"{unknown[0]!r} is not the name of a parameter")
     if len(set(names)) != len(names) or mean.shape != (len(names),) or covariance.shape != 2 * mean.shape:
         raise ValueError("its arrays differ in length")
@@ -78,7 +83,11 @@ def _checked(kept: Kept) -> Kept:
         raise ValueError("its covariance is no covariance")
     np.linalg.cholesky(covariance)
     for name, logarithm in zip(names, mean.tolist(), strict=True):
-        p = PARAMETERS[NAMES.index(name)]
+        p = ROW.declared[ROW.entries.index(name)]
+        if name not in NAMES:
+            if not p.lower <= logarithm <= p.upper:
+                raise ValueError(f"{name} is out of bounds")
+            continue
         if not _LEAST < logarithm < math.log(_BEYOND * p.upper) or math.exp(logarithm) < p.lower / _BEYOND:
             raise ValueError(f"{name} is far out of bounds")
     if not abs(kept.until_ns) < 1 << 63:

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
-from rclpy.serialization import deserialize_message
 from sugiyama_msgs.msg import MeasuredPositions
 from sugiyama_msgs.msg import Road as RoadMessage
 
@@ -19,7 +18,7 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.centre_line import read_lanes
 from sugiyama_ros.formats.measured import FRAME
 from sugiyama_ros.nodes.base import cdr_messages
-from sugiyama_ros.nodes.base.incoming import RefusedError
+from sugiyama_ros.nodes.base.incoming import decoded
 from sugiyama_ros.nodes.base.node import OK, WARN, Health, PacedNode
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM, offered
 from sugiyama_ros.nodes.base.samples import Positions
@@ -97,12 +96,7 @@ class TracksNode(PacedNode):
             return False
         self._known.add(topic)
 
-        def decode(raw: bytes) -> Any:
-            try:
-                return deserialize_message(raw, message)
-            except Exception:  # the middleware's own class, which it does not export
-                raise RefusedError(f"cannot be decoded as {kind}") from None
-
+        decode = partial(decoded, kind=message)
         self.listen(message, topic, decode, take, offered(self.get_publishers_info_by_topic(topic)))
         return True
 

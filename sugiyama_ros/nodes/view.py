@@ -19,6 +19,7 @@ from sugiyama_ros.effects.effect import RecordingExtent
 from sugiyama_ros.effects.registry import EFFECTS, effect
 from sugiyama_ros.formats.truth import namespaces
 from sugiyama_ros.nodes.base import cdr_messages, incoming
+from sugiyama_ros.nodes.base.any_publisher import AnyPublisher
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.base_model import BaseModel
 from sugiyama_ros.nodes.plan import REPLAY, estimators
@@ -63,7 +64,10 @@ class View(Node):
         super().__init__("view", start_parameter_services=False)
         self.rate, self._recorded_to = rate, recording
         self.road = Road()
-        self.space, self.error, self.critic = Log(0), Log(KEPT), Log(KEPT)
+        self.space, self.error = Log(0), Log(KEPT)
+        self._critic: dict[str, Log] = {}
+        self.critic: Mapping[str, Log] = self._critic
+        self.is_settled = False
         self._driver: dict[int, Log] = {}
         self.driver: Mapping[int, Log] = self._driver
         self.vehicles: Sequence[int] = ()
@@ -87,7 +91,8 @@ class View(Node):
             for name, e in EFFECTS.items()
             if e.function is not None and e.starts(self._recording())
         }
-        self._strength: dict[str, float] = {}
+        # the critic's values of all parameters of effects
+        self._fitted: dict[str, float] = {}
         self._state: dict[int, tuple[float, float]] = {}
         # by the stamp: positions, and the error of the base model up to then; topics arrive in any order
         self._measured: OrderedDict[int, tuple[dict[int, float], float]] = OrderedDict()
@@ -105,8 +110,11 @@ class View(Node):
     def _listen(
         self, kind: type, topic: str, decode: Callable[[bytes], Any], take: Callable[[Any], None], qos: Any = STREAM
     ) -> None:
-        """Subscribe to a topic. A message that is not valid is left out; the nodes of the road tell of it."""
-        self.create_subscription(kind, topic, incoming.receiver(decode, take, lambda reason: None), qos, raw=True)
+        """Subscribe to a topic, whatever its publishers offer.
+
+        A message that is not valid is left out; the nodes of the road tell of it.
+        """
+        AnyPublisher(self, kind, topic, incoming.receiver(decode, take, lambda reason: None), qos)
 
     def status(self) -> Status:
         """Where the recording is, and how fast it goes."""
@@ -128,13 +136,10 @@ class View(Node):
         )
 
     def values(self, name: str) -> str:
-        """Values of an effect: the critic's strength, or else the values where a search begins."""
+        """Values of an effect: the critic's, or else the values where a search begins."""
         if name not in EFFECTS or not (starts := effect(name).starts(self._recording())):
             return ""
-        values = dict(starts[0])
-        first = effect(name).parameters[0].name
-        if first in values and self._strength.get(name):
-            values[first] = self._strength[name]
+        values = {p: self._fitted.get(f"{name}.{p}", start) for p, start in starts[0].items()}
         return ", ".join(f"{k}={v:.4g}" for k, v in values.items())
 
     def pause(self, paused: bool) -> None:
@@ -306,7 +311,10 @@ class View(Node):
 
     def _on_verdict(self, message: Verdict) -> None:
         self.weights = dict(zip(message.model, message.weight, strict=True))
-        self._strength = dict(zip(message.model, message.strength, strict=True))
+        self._fitted = dict(zip(message.parameter, message.value, strict=True))
         if len(message.log_likelihood) == len(message.model):
             self.gains = dict(zip(message.model, map(float, message.log_likelihood), strict=True))
-            self.critic.add(message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec, *self.gains.values())
+            time_s = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+            for name, gain in self.gains.items():
+                self._critic.setdefault(name, Log(KEPT)).add(time_s, gain)
+        self.is_settled = bool(message.settled)

@@ -191,7 +191,13 @@ MESSAGES = {
         name=["v_star"], value=[10.0], estimated=[True], covariance=[1.0], identified=[True]
     ),
     "verdict": Verdict(
-        best="base", model=["base", "drag"], weight=[0.5, 0.5], log_likelihood=[0.0, 1.0], strength=[0.0, 1.0]
+        best="base",
+        model=["base", "drag"],
+        weight=[0.5, 0.5],
+        log_likelihood=[0.0, 1.0],
+        strength=[0.0, 1.0],
+        parameter=["drag.c0"],
+        value=[1.0],
     ),
     "state": VehicleState(vehicle=1, position_m=1.0),
     "innovation": Innovation(vehicle=1, innovation_m=0.1, innovation_var=0.2),

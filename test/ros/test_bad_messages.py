@@ -71,6 +71,7 @@ BAD_ROADS = {
     "ring below 0": road_of(ring_m=-230.0),
     "steps": road_of(steps=2**64 - 1),
     "truncated": road_of()[:30],
+    "nothing": road_of()[:4],
     "big endian": b"\0\0" + road_of()[2:],
     "xcdr2": b"\0\7" + road_of()[2:],
 }

@@ -10,7 +10,7 @@ from sugiyama_msgs.msg import DriverParameters, Innovation, Verdict
 from sugiyama_msgs.srv import AddEffect, RemoveEffect, Seek
 
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, V_STAR, defaults, population
-from sugiyama_ros.effects.registry import ROW, switch_on
+from sugiyama_ros.effects.registry import ROW, active, switch_on
 from sugiyama_ros.filters.causal import filter_chain
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.online import ADAPT
@@ -106,7 +106,7 @@ def test_a_hidden_delay_is_named_added_and_the_error_falls(stage, delayed, tmp_p
 
     request = AddEffect.Request(effect="reaction_delay", name=["delay"], value=[DELAY_S])
     assert stage.call(AddEffect, "/critic/add_effect", request).success
-    stage.until(lambda: all(e.filter.looks_back for e in estimators))
+    stage.until(lambda: all(active(e.filter.parameters) for e in estimators))
     assert stage.call(Seek, "/replay/seek", Seek.Request(time_s=0.0)).success
     stage.until(lambda: ears.pass_done(samples), 100.0)
     after = ears.rmse()

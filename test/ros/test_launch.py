@@ -14,6 +14,7 @@ import yaml
 
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.truth import read_truth
+from sugiyama_ros.nodes.results import read_run
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(150)]
 ROOT = Path(__file__).parents[2]
@@ -71,17 +72,24 @@ def ended(child: "subprocess.Popen[bytes]", log: Path, timeout_s: float = 100.0)
             os.killpg(child.pid, signal.SIGKILL)
 
 
-def test_the_end_of_the_replay_ends_the_launch(prefix: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "given", [{}, {"namespace": "ring", "use_sim_time": "true", "critic": "true"}], ids=["as it is", "all arguments"]
+)
+def test_the_end_of_the_replay_ends_the_launch(prefix: Path, tmp_path: Path, given: dict[str, str]) -> None:
     rows = [f"{0.5 * k},{v},{25.0 * v + 3.0 * k},4.5" for k in range(60) for v in range(2)]
     (tmp_path / "a.csv").write_text("\n".join(["time_s,vehicle,position_m,length_m", *rows]) + "\n")
     log, output = tmp_path / "said.txt", tmp_path / "out.mcap"
-    code, said = ended(started("replay", log, source=tmp_path / "a.csv", output=output, rate=0.0), log)
+    child = started("replay", log, source=tmp_path / "a.csv", output=output, rate=0.0, **given)
+    code, said = ended(child, log)
     assert code == 0, said
     assert "process has died" not in said
-    assert len(re.findall("process has finished cleanly", said)) == 5
+    assert len(re.findall("process has finished cleanly", said)) == (6 if given else 5)
     with Bag(output) as bag:
         counts = {topic.name: topic.count for topic in bag.info().topics}
-    assert [counts[f"/vehicle_{v:02}/state"] for v in range(2)] == [60, 60]
+    space = "/ring" if given else ""
+    assert [counts[f"{space}/vehicle_{v:02}/state"] for v in range(2)] == [60, 60]
+    assert counts.get(f"{space}/verdict", 0) == (6 if given else 0)
+    assert [driver.vehicle for driver in read_run(output)[1]] == [0, 1]
 
 
 def test_ctrl_c_leaves_a_whole_bag(prefix: Path, tmp_path: Path) -> None:

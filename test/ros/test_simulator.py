@@ -129,6 +129,42 @@ def test_a_changed_driver_is_a_change_of_style(stage) -> None:
     assert 0.0 < told.header.stamp.sec - since.sec < 25.0
 
 
+class AskOnce:
+    """Asks the simulator of a run, through its service, to let a driver drive otherwise from some step on."""
+
+    def __init__(self, step: int, request: SetDriver.Request) -> None:
+        self._step, self._request = step, request
+        self._node: Node | None = None
+
+    def __call__(self, steps: int, total: int) -> None:
+        if self._node is None and steps >= self._step:
+            self._node = Node("asks", start_parameter_services=False)
+            client = self._node.create_client(SetDriver, "/simulator/set_driver")
+            assert client.wait_for_service(10.0)
+            client.call_async(self._request)
+
+    def close(self) -> None:
+        assert self._node is not None
+        self._node.destroy_node()
+
+
+def test_a_driver_who_is_changed_during_a_run_is_told_of(tmp_path: Path) -> None:
+    """The report says when the estimator told of the change, and of nothing else."""
+    request = SetDriver.Request(vehicle=1, name=["v_star"], value=[6.8])
+    ask = AskOnce(300, request)
+    drivers = FromSimulator(3, Experiment(ring_m=600.0, duration_s=400.0, start="equal", seed=1))
+    result = run(drivers, tmp_path / "sim.mcap", on_progress=ask)
+    assert (result.steps, result.messages_lost) == (1201, 0)
+    found = against_truth(result.output)
+    assert found is not None
+    (change,) = found.changes
+    assert (change.vehicle, change.name, change.before, change.after) == (1, "v_star", 10.26, 6.8)
+    assert 100.0 <= change.time_s < 370.0
+    assert 0.0 < change.told_s - change.time_s < 25.0
+    assert found.false_alarms == 0
+    ask.close()
+
+
 def test_a_simulated_run_is_compared_with_the_truth(tmp_path: Path) -> None:
     """In one command: simulator, estimators, file; all is recorded, and the report finds the truth in it."""
     from sugiyama_ros.page.recording import read_recording

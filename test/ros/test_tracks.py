@@ -9,16 +9,21 @@ import pytest
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data
-from rclpy.serialization import serialize_message
-from sugiyama_msgs.msg import MeasuredPositions, Road
+from rclpy.serialization import deserialize_message
+from sugiyama_msgs.msg import DriverArray, MeasuredPositions, Road
+from typer.testing import CliRunner
 
 from sugiyama_ros.bridges.from_bag import tracks_of_bag
 from sugiyama_ros.bridges.perception import PerceptionSettings
+from sugiyama_ros.cli.app import app
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.centre_line import read_lanes
-from sugiyama_ros.formats.mcap_writer import BagWriter, Qos
+from sugiyama_ros.formats.mcap_reader import Bag
+from sugiyama_ros.formats.registry import read_tracks
 from sugiyama_ros.nodes.base.node import OK
-from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
+from sugiyama_ros.nodes.base.qos import LATCHED, LIVE, STREAM
+from sugiyama_ros.nodes.drivers import DriversNode
+from sugiyama_ros.nodes.recorder import Recorder
 from sugiyama_ros.nodes.tracks import TracksNode
 from sugiyama_ros.trajectories.tracks import NOBODY
 
@@ -87,36 +92,87 @@ class World(Node):
         self.roads: list[Road] = []
         self.samples: list[MeasuredPositions] = []
         self.create_subscription(Road, "road", self.roads.append, LATCHED)
+        self.drivers: list[DriverArray] = []
         self.create_subscription(MeasuredPositions, "measured", self.samples.append, STREAM)
+        self.create_subscription(DriverArray, "drivers", self.drivers.append, LIVE)
 
 
-def test_odometry_becomes_vehicles_on_lanes_with_leaders(stage, tmp_path: Path) -> None:
-    line, rng = write_line(tmp_path / "line.csv"), np.random.default_rng(2)
+def check_drivers(heard: list[DriverArray], node: DriversNode) -> None:
+    """Drivers are made and retired; what 15 s tell of them is identified, and the truth lies within three stds."""
+    came = {v: next(m for m in heard if v in m.vehicle).header.stamp.sec for v in START_M}
+    assert came == {1: 0, 2: 0, 3: 0, 4: 0, 5: came[5]}
+    assert came[5] in (7, 8)
+    last = heard[-1]
+    assert sorted(last.vehicle) == [1, 2, 4, 5]  # car 3 left at 13 s
+    assert set(node.in_view) == {1, 2, 4, 5}
+    names, estimated = list(last.name), np.flatnonzero(last.estimated)
+    adapted = [names[k] for k in estimated]
+    identified = np.reshape(last.identified, (len(last.vehicle), len(adapted)))
+    value = np.reshape(last.value, (len(last.vehicle), len(names)))
+    covariance = np.reshape(last.parameter_covariance, (len(last.vehicle), len(adapted), len(adapted)))
+    noise = adapted.index("sigma_nu")
+    assert identified[:, noise].all()
+    # the positions are noisy by 0.1 m along the road
+    std = np.sqrt(covariance[:, noise, noise])
+    assert np.all(np.abs(value[:, names.index("sigma_nu")] - 0.1) < 3.0 * std + 0.02), (value[:, 0], std)
+    # who drives alone at 10 m/s wants to
+    free = list(last.vehicle).index(2)
+    v_star = adapted.index("v_star")
+    assert identified[free, v_star]
+    assert abs(value[free, names.index("v_star")] - SPEED) < 3.0 * np.sqrt(covariance[free, v_star, v_star])
+
+
+def drive(stage, world: World, node: TracksNode, recorder: Recorder) -> None:
+    """Let the five cars tell where they are, each at stamps of its own, until all of it has been taken in."""
+    rng, sent = np.random.default_rng(2), 0
+    stage.until(lambda: all(p.get_subscription_count() == 2 for p in world.of.values()))
+    for k in range(round(END_S * RATE_HZ)):
+        for car, (begin, end) in SEEN_S.items():
+            if begin <= k / RATE_HZ < end:
+                world.of[car].publish(odometry(car, k / RATE_HZ + 0.003 * car, rng))
+                sent += 1
+                # what is seen first decides when samples are, so the messages reach all in the order of the bag
+                stage.until(partial(lambda n: node.received == n == recorded(recorder, "/car"), sent))
+    stage.until(lambda: len(world.samples) >= END_S * RATE_HZ - 1)
+    stage.until(lambda: len(world.drivers) == len(world.samples) == recorded(recorder, "/drivers"))
+
+
+def recorded(recorder: Recorder, begin: str) -> int:
+    """Messages recorded so far on the topics whose names begin so."""
+    return sum(count for topic, count in recorder.counts.items() if topic.startswith(begin))
+
+
+def test_odometry_becomes_vehicles_on_lanes_with_leaders_in_one_bag(stage, tmp_path: Path) -> None:
+    line, bag = write_line(tmp_path / "line.csv"), tmp_path / "drive.mcap"
     given = {"centre_line": str(line), "topics": ["/car*/odom"]}
     node = TracksNode(parameter_overrides=[Parameter(name, value=value) for name, value in given.items()])
     world = World()
-    stage.add(world, node)
-    stage.until(lambda: all(p.get_subscription_count() == 1 for p in world.of.values()))
-    sent = 0
-    with BagWriter(tmp_path / "seen.mcap") as bag:
-        channel = {car: bag.topic(f"/car{car}/odom", "nav_msgs/msg/Odometry", Qos()) for car in START_M}
-        for k in range(round(END_S * RATE_HZ)):
-            for car, (begin, end) in SEEN_S.items():
-                time_s = k / RATE_HZ + 0.003 * car  # each car has its own stamps
-                if begin <= k / RATE_HZ < end:
-                    message = odometry(car, time_s, rng)
-                    world.of[car].publish(message)
-                    bag.write(channel[car], serialize_message(message), round(time_s * 1e9), round(time_s * 1e9))
-                    sent += 1
-                    # what is seen first decides when samples are, so the messages come in the order of the bag
-                    stage.until(partial(lambda n: node.received == n, sent))
-    stage.until(lambda: len(world.samples) >= END_S * RATE_HZ - 1)
+    drivers = DriversNode(parameter_overrides=[Parameter("retire_after", value=1.0)])
+    recorder = Recorder(parameter_overrides=[Parameter("output", value=str(bag))])
+    stage.add(world, node, drivers, recorder)
+    drive(stage, world, node, recorder)
+    recorder.finish()
+    recorder.close()
+    with Bag(bag) as opened:
+        kept = [deserialize_message(raw, DriverArray) for _, _, _, raw in opened.raw_messages({"/drivers"})]
+    assert list(map(str, kept)) == list(map(str, world.drivers))
+    check_drivers(kept, drivers)
     assert node.health().level == OK
     assert vars(node._perception.moments.counts)["late"] == 0
     assert world.roads[0].period_s == 0.1
+    live = check_samples(world.samples)
+    check_converted(live, bag, line, tmp_path / "tracks.parquet")
+    with pytest.raises(InputError, match="no topic /bus"):
+        tracks_of_bag(bag, "/bus*", read_lanes(line), PerceptionSettings())
 
+
+Rows = dict[tuple[float, str], tuple[float, int, int]]
+
+
+def check_samples(samples: list[MeasuredPositions]) -> Rows:
+    """Positions, lanes and leaders are right; position, lane and leader of each row, by time and vehicle."""
     live = {}
-    for message in world.samples:
+    for message in samples:
         stamp_s = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
         allowed = [true_leaders(t) for t in np.arange(max(stamp_s - SOON_S, 0.0), stamp_s + 0.051, 0.05)]
         for k, car in enumerate(message.vehicle):
@@ -134,7 +190,15 @@ def test_odometry_becomes_vehicles_on_lanes_with_leaders(stage, tmp_path: Path) 
     assert max(key[0] for key in live if key[1] == "3") < 13.1
     assert min(key[0] for key in live if key[1] == "5") >= 7.95
 
-    tracks = tracks_of_bag(tmp_path / "seen.mcap", "/car*/odom", read_lanes(line), PerceptionSettings())
+    return live
+
+
+def check_converted(live: Rows, bag: Path, line: Path, output: Path) -> None:
+    """`sugiyama convert` reads the same rows from the bag."""
+    given = ["convert", str(bag), str(output), "--odometry", "/car*/odom", "--centerline", str(line)]
+    said = CliRunner().invoke(app, given)
+    assert said.exit_code == 0, said.output
+    tracks = read_tracks(output)
     assert tracks.lane is not None
     leader = tracks.leader
     offline = {
@@ -147,8 +211,6 @@ def test_odometry_becomes_vehicles_on_lanes_with_leaders(stage, tmp_path: Path) 
     }
     assert live.items() <= offline.items()
     assert len(offline) - len(live) <= 4  # the last sample is complete only at the end of the bag
-    with pytest.raises(InputError, match="no topic /bus"):
-        tracks_of_bag(tmp_path / "seen.mcap", "/bus*", read_lanes(line), PerceptionSettings())
 
 
 def test_what_cannot_be_used_is_told(stage, tmp_path: Path) -> None:

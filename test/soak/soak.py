@@ -39,6 +39,8 @@ from sugiyama_ros.nodes.base.spin import RUNNER, Spinner, ros
 NODES = ("replay", "drivers", "critic", "recorder")
 #: What a kill may take [s], and how long a node may take to end when it is asked to.
 ALLOWED_S, END_S = 1.0, 30.0
+# Characters of what a process that did not end says about its threads.
+_SAID = 3000
 #: Growth [MB] of a process in the quiet half, after its first third, and change of its descriptors.
 GROWTH_MB, DESCRIPTORS = 10.0, 2
 # A recorder that is killed sooner [ns] may have nothing on the disk.
@@ -130,7 +132,7 @@ class Soak:
         with (self.folder / f"{name}.log").open("ab") as log:
             child = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, cwd=self.folder,
-                start_new_session=True, env=os.environ | {RUNNER: str(os.getpid())},
+                start_new_session=True, env=os.environ | {RUNNER: str(os.getpid()), "PYTHONFAULTHANDLER": "1"},
             )  # fmt: skip
         self.running[name] = Process(name, child, output)
 
@@ -163,9 +165,10 @@ class Soak:
         while one.child.poll() is None and time.monotonic() < deadline:
             spin(0.05)
         if one.child.poll() is None:
-            self.faults.append(f"{name} did not end within {END_S:g} s")
-            one.child.kill()
+            one.child.send_signal(signal.SIGABRT)  # Python then says where each thread is, whoever holds its lock
             one.child.wait()
+            said = (self.folder / f"{name}.log").read_text(errors="replace").rpartition("Fatal Python error")[2]
+            self.faults.append(f"{name} did not end within {END_S:g} s; it was here:\n{said[:_SAID]}")
         if name == "replay":
             self.source_ends_ns += [at_ns, time.time_ns()]
         starting = at_ns - one.began_ns < _BEGINNING_NS  # until the handlers are there, a signal ends the process

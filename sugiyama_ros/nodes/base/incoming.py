@@ -26,6 +26,8 @@ MOST_STEPS = 1 << 53
 PERIODS_S, RINGS_M = (1e-3, 1e3), (1.0, 1e7)
 #: Time [s] between the stamps of a vehicle and of its sample, at most.
 MOST_OFFSET_S = 60.0
+# Bytes before the first field of a message.
+_ENCAPSULATION = 4
 # Characters of a reason; names from messages may be in it.
 _LONGEST_REASON = 500
 
@@ -79,7 +81,7 @@ def unusable(error: Exception) -> RefusedError:
 
 def road(raw: bytes) -> RoadMessage:
     """Decode a Road. Raises RefusedError for a road on which nobody can drive, or samples without a period."""
-    message = _decoded(raw, RoadMessage)
+    message = decoded(raw, RoadMessage)
     period_s, ring_m = message.period_s, message.circumference_m
     if not PERIODS_S[0] <= period_s <= PERIODS_S[1]:
         raise RefusedError(f"a period of {period_s:g} s is not within {PERIODS_S[0]:g} to {PERIODS_S[1]:g} s")
@@ -125,28 +127,34 @@ def sample(raw: bytes) -> Sample:
 
 def progress(raw: bytes) -> Progress:
     """Decode a Progress. Raises RefusedError."""
-    return _decoded(raw, Progress)
+    return decoded(raw, Progress)
 
 
 def parameters(raw: bytes) -> DriverParameters:
     """Decode DriverParameters. Raises RefusedError for uneven arrays, or estimates that are not positive numbers."""
-    message = _decoded(raw, DriverParameters)
+    message = decoded(raw, DriverParameters)
     count = len(message.name)
     if not count == len(message.value) == len(message.estimated) or len(message.covariance) != count * count:
         raise RefusedError("its arrays differ in length")
-    value = np.array(message.value)[np.array(message.estimated, dtype=bool)]
-    if not ((value > 0.0) & np.isfinite(value)).all() or not np.isfinite(message.covariance).all():
-        raise RefusedError("an estimate is no positive number, or its covariance is no number")
+    value, estimated = np.array(message.value), np.array(message.estimated, dtype=bool)
+    # parameters of effects, such as drag.c0, may be negative
+    of_driver = np.array(["." not in name for name in message.name], dtype=bool)
+    if not (value[estimated & of_driver] > 0.0).all() or not np.isfinite(value[estimated]).all():
+        raise RefusedError("an estimate is no positive number")
+    if not np.isfinite(message.covariance).all():
+        raise RefusedError("its covariance is no number")
     return message
 
 
 def verdict(raw: bytes) -> Verdict:
     """Decode a Verdict. Raises RefusedError for uneven arrays, or a weight that is no number."""
-    message = _decoded(raw, Verdict)
+    message = decoded(raw, Verdict)
     if not len(message.model) == len(message.weight) == len(message.strength):
         raise RefusedError("its arrays differ in length")
-    if not all(map(isfinite, (*message.weight, *message.strength))):
-        raise RefusedError("a weight or a strength is no number")
+    if len(message.parameter) != len(message.value):
+        raise RefusedError("its arrays differ in length")
+    if not all(map(isfinite, (*message.weight, *message.strength, *message.value))):
+        raise RefusedError("a weight or a value is no number")
     return message
 
 
@@ -157,12 +165,12 @@ def state(raw: bytes) -> tuple[float, int, float, float, float]:
 
 def style_change(raw: bytes) -> StyleChange:
     """Decode a StyleChange. Raises RefusedError."""
-    return _decoded(raw, StyleChange)
+    return decoded(raw, StyleChange)
 
 
 def drivers(raw: bytes) -> DriverArray:
     """Decode a DriverArray. Raises RefusedError for uneven arrays, or without the parameters that every driver has."""
-    message = _decoded(raw, DriverArray)
+    message = decoded(raw, DriverArray)
     count, names = len(message.vehicle), len(message.name)
     each = (message.scored, message.innovation_m, message.nis)
     if any(len(values) != count for values in each) or len(message.value) != count * names:
@@ -194,9 +202,10 @@ def _read(raw: bytes, read: Callable[[bytes], Any]) -> Any:
         raise RefusedError(str(error)) from None
 
 
-def _decoded(raw: bytes, kind: type) -> Any:
-    """A message from bytes in plain CDR."""
-    if raw[:2] not in (b"\0\0", b"\0\1"):
+def decoded(raw: bytes, kind: type) -> Any:
+    """Decode a message of a class from bytes in plain CDR. Raises RefusedError."""
+    # ROS 2 Kilted would end the process on a message that is nothing but its encapsulation
+    if raw[:2] not in (b"\0\0", b"\0\1") or len(raw) <= _ENCAPSULATION:
         raise RefusedError("is not in plain CDR")
     try:
         return deserialize_message(raw, kind)

@@ -44,4 +44,4 @@ def subscribe_measured(node: PacedNode, take_in: TakeIn, feed: MeasuredFeed | No
     if feed is not None:
         feed.hand_to(node, take_in)
     else:
-        node.listen(MeasuredPositions, node.shared("measured"), sample, take_in, STREAM)
+        node.hear(MeasuredPositions, node.shared("measured"), sample, take_in, STREAM)

@@ -19,6 +19,7 @@ from rclpy.service import Service
 from sugiyama_msgs.msg import Progress
 
 from sugiyama_ros.errors import SugiyamaError
+from sugiyama_ros.nodes.base.any_publisher import AnyPublisher
 from sugiyama_ros.nodes.base.incoming import receiver, unusable
 from sugiyama_ros.nodes.base.qos import PROGRESS_OUT, STREAM, WINDOW
 
@@ -84,7 +85,10 @@ class PacedNode(Node):
         return _real(parameter, self.get_parameter(parameter.name).value) if known else parameter
 
     def shared(self, topic: str) -> str:
-        """Full name of a topic that all nodes of a road share."""
+        """Full name of a topic that all nodes of a road share, or what its relative name was remapped to."""
+        resolved = self.resolve_topic_name(topic)
+        if resolved != self.resolve_topic_name(topic, only_expand=True):
+            return resolved
         return re.sub(r"/vehicle_\d+$", "", self.get_namespace()).rstrip("/") + "/" + topic
 
     def stream(self, kind: type, topic: str, qos: QoSProfile) -> Publisher:
@@ -127,6 +131,12 @@ class PacedNode(Node):
             if hasattr(refused, "message"):
                 refused.message = str(reason)
             return refused
+
+    def hear(
+        self, kind: type, topic: str, decode: Callable[[bytes], Any], take: Callable[[Any], None], qos: QoSProfile
+    ) -> AnyPublisher:
+        """Subscribe as `listen` does, also to publishers that offer less than ``qos``, such as those of a sensor."""
+        return AnyPublisher(self, kind, topic, receiver(decode, take, partial(self.refuse, topic)), qos)
 
     def on_clock_jump(self, callback: Callable[[], None]) -> None:
         """Call back when the time of the recording, /clock, has jumped back; nothing happens on the system's clock."""

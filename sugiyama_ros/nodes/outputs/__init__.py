@@ -1,0 +1,1 @@
+"""Standard messages of each driver, for others to use: one file for each output."""

@@ -1,0 +1,81 @@
+"""Where a driver will be in the next seconds, with its spread: the driver's filter goes on without samples."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import nan
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.filters.online import Estimate, OnlineFilter
+
+#: How far ahead [s] a path is predicted, unless asked otherwise.
+AHEAD_S = 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """States of a driver now and in the next seconds.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (K,)
+        Times [s] from now on; the first is 0.
+    position_m, speed : ndarray, shape (K,)
+        Positions [m], not wrapped on a ring, and speeds [m/s].
+    covariance : ndarray, shape (K, 2, 2)
+        Of positions and speeds.
+    """
+
+    time_s: Array
+    position_m: Array
+    speed: Array
+    covariance: Array
+
+
+def predict(
+    filter_: OnlineFilter,
+    now: Estimate,
+    identity: Sequence[int],
+    length_m: Sequence[float],
+    time_s: float = 0.0,
+    ahead_s: float = AHEAD_S,
+) -> Prediction:
+    """Predict a driver's path with a filter, which afterwards knows what it knew before.
+
+    Parameters
+    ----------
+    filter_
+        The driver's filter, after its latest sample.
+    now
+        What it knows.
+    identity, length_m
+        Numbers and lengths [m] of the vehicles of the chain, as in the latest sample.
+    time_s
+        Time of the latest sample [s].
+    ahead_s
+        How far ahead to predict [s].
+
+    Returns
+    -------
+    Prediction
+        The state of now, and one for each period ahead.
+    """
+    periods = round(ahead_s / filter_.period_s)
+    saved = filter_.saved()
+    found, nowhere = [now], [nan] * len(identity)
+    for k in range(1, periods + 1):
+        at_s = time_s + k * filter_.period_s
+        found.append(filter_.step(nowhere, identity, length_m, at_s, (nan, -1, 0.0)))
+    filter_.restore(saved)
+    position = np.array([one.position_m for one in found])
+    steps: Array = np.diff(position)
+    if filter_.road.is_ring:
+        lap = filter_.road.circumference_m
+        steps -= lap * np.round(steps / lap)
+    return Prediction(
+        time_s=np.array([k * filter_.period_s for k in range(periods + 1)]),
+        position_m=position[0] + np.concatenate([[0.0], np.cumsum(steps)]),
+        speed=np.array([one.speed for one in found]),
+        covariance=np.array([one.covariance[:2, :2] for one in found]),
+    )

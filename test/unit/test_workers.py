@@ -1,0 +1,39 @@
+"""Executors: many items in turn."""
+
+import math
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from multiprocessing import get_context
+
+import pytest
+
+from sugiyama_ros import workers
+from sugiyama_ros.workers import in_turn
+
+
+def test_only_some_of_many_items_are_under_way(monkeypatch):
+    monkeypatch.setattr(workers, "_TASKS", 8)
+    made = []
+
+    def items():
+        for number in range(50):
+            made.append(number)
+            yield number
+
+    with ThreadPoolExecutor(2) as work:
+        for done, result in enumerate(in_turn(math.sqrt, items(), work)):
+            assert result == math.sqrt(done)
+            assert len(made) <= done + 8
+    assert len(made) == 50
+
+
+@pytest.mark.parametrize("items", [0, 1, 7])
+def test_results_come_in_the_order_of_the_items(items):
+    expected = [math.sqrt(number) for number in range(items)]
+    assert list(in_turn(math.sqrt, range(items), None)) == expected
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as work:
+        assert list(in_turn(math.sqrt, range(items), work)) == expected
+
+
+def test_what_goes_wrong_in_a_task_is_told():
+    with ThreadPoolExecutor(1) as work, pytest.raises(TypeError):
+        list(in_turn(math.sqrt, ["a", None], work))
