@@ -200,8 +200,10 @@ def pooled(trajectories: Trajectories, settings: Settings, effects: Sequence[str
     from sugiyama_ros.fit.model_file import own_stds
     from sugiyama_ros.fit.population import fit_base
     from sugiyama_ros.fit.recording import prepare
+    from sugiyama_ros.fit.sampling import with_short_periods
     from sugiyama_ros.fit.sandwich import shared_stds
 
+    trajectories = with_short_periods(trajectories)
     data = prepare(trajectories)
     chosen = named(data, effects)
     fitted = fit_base(data, [index(name) for name in settings.estimated], work)

@@ -36,6 +36,7 @@ from sugiyama_ros.results import Result
 from sugiyama_ros.tables import TextTable
 from sugiyama_ros.trajectories.time_base import on_time_base
 from sugiyama_ros.trajectories.tracks import Tracks
+from sugiyama_ros.workers import in_turn
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -256,12 +257,13 @@ def calibrate_tracks(
     even, speed = evenness_on(every), fastest_on(every)
     names = tuple(estimated) or even.estimated()
     places = np.array([index(name) for name in names])
-    jobs = [_job(k, own, places, even, speed) for k, own in enumerate(found.enough)]
-    drivers = []
-    fits = map(carry_out, jobs) if work is None else work.map(carry_out, jobs)
-    for own, job, fit in zip(found.enough, jobs, fits, strict=True):
-        drivers.append(replace(_calibrated(own, job, fit), leader_class=leader_class(tracks, own)))
-        on_progress(len(drivers), len(jobs))
+    jobs = (_job(k, own, places, even, speed) for k, own in enumerate(found.enough))
+    drivers: list[CalibratedDriver] = []
+    for own, (fit, nis) in zip(found.enough, in_turn(_carry_out, jobs, work), strict=True):
+        who = own[0].stretch
+        counts = len(own), following_s(own), fit, nis, leader_class(tracks, own)
+        drivers.append(CalibratedDriver(who.recording, who.vehicle, who.vehicle_class, *counts))
+        on_progress(len(drivers), len(found.enough))
     known = TracksCalibration(names, tuple(drivers), ())
     (everybody,) = medians_of([("", None)] * len(drivers), [d.fit for d in drivers], names)
     few = [own for own in found.few if following_s(own) > 0.0]
@@ -276,15 +278,15 @@ def _job(number: int, own: Sequence[Drive], places: Ints, even: Evenness, speed:
     return Job(number, start, places, lower_bounds(even), upper_bounds(speed), PLAIN, followed=followed)
 
 
-def _calibrated(own: Sequence[Drive], job: Job, fit: Fit) -> CalibratedDriver:
-    assert job.followed is not None
-    assert job.followed.ahead is not None
-    ahead, parts = job.followed.ahead, []
-    jobs = [ChainJob(d.chain, fit.parameters, ahead[: d.chain.position_m.shape[1] - 1]) for d in own]
-    for drive, predicted in zip(own, predict_samples(jobs), strict=True):
-        counts = drive.scored & np.isfinite(predicted.log_likelihood)
+def _carry_out(job: Job) -> tuple[Fit, float]:
+    """Search for a driver's parameters; returns the fit and the mean of the squared normalised innovations."""
+    fit, followed = carry_out(job), job.followed
+    assert followed is not None
+    assert followed.ahead is not None
+    jobs = [ChainJob(c, fit.parameters, followed.ahead[: c.position_m.shape[1] - 1]) for c in followed.chains]
+    parts = []
+    for scored, predicted in zip(followed.scored, predict_samples(jobs), strict=True):
+        counts = scored & np.isfinite(predicted.log_likelihood)
         parts.append((predicted.innovation**2 / predicted.innovation_var)[counts])
     squares = np.concatenate(parts)
-    who = own[0].stretch
-    nis = float(squares.mean()) if len(squares) else float("nan")
-    return CalibratedDriver(who.recording, who.vehicle, who.vehicle_class, len(own), following_s(own), fit, nis)
+    return fit, float(squares.mean()) if len(squares) else float("nan")

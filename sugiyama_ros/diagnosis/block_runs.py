@@ -1,7 +1,5 @@
 """A whole recording driven by a model: free runs of all vehicles, one for each block of time, for pictures."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from sugiyama_ros.arrays import Array
@@ -11,23 +9,25 @@ from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import Recorded
 
 
-def run_blocks(data: Recorded, models: Sequence[Model], states: Sequence[Array]) -> Array:
-    """Let all vehicles drive by the model through each block of time, from the recorded state at its first sample.
+def run_blocks(data: Recorded, model: Model, states: Array, fold: int) -> Array:
+    """Let all vehicles drive by a model through each block of time of a fold, from the recorded state at its start.
 
     Parameters
     ----------
     data : Recorded
         The recording.
-    models : sequence of Model
-        For every fold, the model fitted without the fold. No block is driven by a model that has seen the block.
-    states : sequence of ndarray, shape (T, N, 4)
-        Filtered states of each of the models, as ``filtered_states`` returns them.
+    model : Model
+        The model, which has not seen the blocks of the fold.
+    states : ndarray, shape (T, N, 4)
+        States filtered with this model, as ``filtered_states`` returns them.
+    fold : int
+        Number of the fold.
 
     Returns
     -------
     ndarray, shape (T, N)
-        Positions [m], wrapped on a ring; NaN while the filter settles, and for vehicles that were not there at the
-        start of the block, and on tracks, where nobody says who drives before and after a stretch.
+        Positions [m], wrapped on a ring; NaN in other folds, while the filter settles, and for vehicles that were not
+        there at the start of the block, and on tracks, where nobody says who drives before and after a stretch.
     """
     around = data.vicinity
     position = np.full((data.samples, data.drivers), np.nan)
@@ -38,11 +38,9 @@ def run_blocks(data: Recorded, models: Sequence[Model], states: Sequence[Array])
     parts = np.flatnonzero(np.diff(block) | np.diff(segment)) + 1
     for first, end in zip((0, *parts.tolist()), (*parts.tolist(), len(position)), strict=True):
         k = max(first, SETTLING + 4) if first == 0 else first
-        if k + 1 >= end:
+        if k + 1 >= end or fold_at[first] != fold:
             continue
-        fold = int(fold_at[first])
-        state = states[fold]
-        position[k] = state[k, :, 0]
-        position[k + 1 : end] = drive_all(data, models[fold], state, k, end - k - 1)
+        position[k] = states[k, :, 0]
+        position[k + 1 : end] = drive_all(data, model, states, k, end - k - 1)
     wrapped: Array = around.road.wrap(position)
     return np.where(np.isfinite(around.position_m), wrapped, np.nan)

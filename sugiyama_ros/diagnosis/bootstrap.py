@@ -62,9 +62,10 @@ def resample(data: Recorded, model: Model, states: Array, rng: np.random.Generat
             simulator, order = _start(t, model, k, position[k], speed[k], known[k] & t.present[k], rng)
         if simulator is not None:
             measured[k, order] = simulator.measure()
-    # keep the recorded positions of samples that could not be simulated
+    # keep the recorded positions of samples that could not be simulated, and miss what the recording misses
     empty = np.all(np.isnan(measured), axis=1)
     measured[empty] = t.position_m[empty]
+    measured[np.isnan(t.position_m)] = np.nan
     return prepare(replace(t, position_m=measured, source="simulated from the fitted model"), segment)
 
 

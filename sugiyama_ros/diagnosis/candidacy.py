@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import t as student
@@ -60,6 +60,10 @@ class Candidacy:
     def candidate(self) -> Candidate:
         """The candidate itself."""
         return self.look.candidate
+
+    def without_fits(self, instead: JointFit) -> "Candidacy":
+        """Return the result with another fit ``instead`` of its own fits, which take memory."""
+        return replace(self, look=replace(self.look, fit=instead), fit=instead)
 
     @property
     def needed(self) -> float:

@@ -285,7 +285,7 @@ def _compared(
     errors = errors_of(data, models, work)
     s = errors.samples
     scored = np.isfinite(s.log_likelihood)
-    normal = np.where(scored, s.innovation_m / np.sqrt(s.innovation_var), np.nan)
+    normal = np.where(scored, s.innovation_m / np.sqrt(s.innovation_var), np.nan)[:, :: data.every]
     nis = np.nanmean(np.square(normal[scored.any(axis=1)]), axis=1)
     return Compared(
         name=name,

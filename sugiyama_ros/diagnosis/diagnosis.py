@@ -61,7 +61,7 @@ class Diagnosis(Result):
     named : tuple of Addition
         The additions, in order.
     scored : tuple of Candidacy
-        Candidates of the first round, the best one first.
+        Candidates of the first round, the best one first, without their fits.
     heldout : dict of str to Gain
         Held-out gains of these candidates, by name.
     discovered : tuple of Discovery
@@ -77,7 +77,7 @@ class Diagnosis(Result):
     rivals : dict of str to dict
         Held-out errors of other laws, by name.
     floor : dict of str to dict
-        Errors of ``final`` on a recording that it simulates, under the name ``floor``: no model can do better.
+        Errors of ``final`` on recordings that it simulates, under the name ``floor``: no model can do better.
     adequacy : Adequacy
         Whether the data give reason to doubt ``final``.
     stds : mapping of str to float
@@ -249,9 +249,12 @@ def _summed_up(
     began: float,
 ) -> Diagnosis:
     """The diagnosis at the end of a search; ``began``: start on the monotonic clock [s]."""
+    search.forget()
     compared = ((search.base, search.before), (search.current, search.errors))
     where_before, where_after = (locate(search.data, one.model, e.samples, work) for one, e in compared)
     laws = {name: errors for name, errors in rivals.items() if name in LAWS}
+    simulations = search.simulations()
+    own = [(simulated, held_out_errors(simulated, fitted, work, searched=False)) for simulated, fitted in simulations]
     evidence = Evidence(
         base=search.before,
         final=search.errors,
@@ -259,15 +262,16 @@ def _summed_up(
         located=where_after,
         laws=laws,
         forces=forces,
-        simulated=simulated_failures(search.simulations(), work),
+        simulated=simulated_failures(simulations, work),
         stds=shared_stds(search.data, search.current, work),
-        checks=check_laws(open_laws(search.data, search.errors, laws), search.simulations(), work),
+        checks=check_laws(open_laws(search.data, search.errors, laws), own, work),
     )
     adequacy = judge(search.data, evidence)
     if search.quick and rivals and (search.named or adequacy.outcome == "not_explained"):
         # what is missing gets a covariate and a shape, if not a name; and a name is challenged by a flexible force
         level = LEVEL if adequacy.outcome == "not_explained" else _SURELY
-        forces = [one for one, _ in search.discover() if one.p_value < level]
+        found = (one for one, _ in search.discover() if one.p_value < level)
+        forces = sorted(found, key=lambda one: -one.gain_nats)
         adequacy = judge(search.data, replace(evidence, forces=forces))
     return Diagnosis(
         data=search.data,
@@ -284,7 +288,7 @@ def _summed_up(
         smallest=search.smallest,
         refused=tuple(search.refused),
         rivals={name: errors.summary() for name, errors in rivals.items()},
-        floor={"floor": floor_of(search.data, search.current, search.seed, work).summary()},
+        floor={"floor": floor_of([errors for _, errors in own])},
         adequacy=adequacy,
         stds=evidence.stds,
         searched=search.searched,
@@ -304,7 +308,8 @@ def _grow(search: Search, most: int, *, with_forces: bool, add_forces: bool) -> 
             pass
         if forces or not with_forces:
             break
-        forces = [one for one in search.discover() if one[0].p_value < LEVEL]
+        found = (one for one in search.discover() if one[0].p_value < LEVEL)
+        forces = sorted(found, key=lambda one: -one[0].gain_nats)
         # a new force may make other candidates supported
         is_growing = add_forces and search.add_force(forces)
     return [force for force, _ in forces]

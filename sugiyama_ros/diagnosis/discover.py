@@ -1,5 +1,6 @@
 """Missing forces without a name: a curve over each covariate, fitted as the effect ``discovered_force``."""
 
+from collections.abc import Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass
 
@@ -55,8 +56,8 @@ class Discovery:
 
 def discover(
     data: Recorded, fitted: JointFit, work: Executor, effort: Effort = FULL
-) -> list[tuple[Discovery, Screened]]:
-    """Fit a force over each covariate.
+) -> Iterator[tuple[Discovery, Screened]]:
+    """Fit a force over each covariate, one after the other.
 
     Parameters
     ----------
@@ -69,13 +70,12 @@ def discover(
     effort : Effort
         Limits of the fits.
 
-    Returns
-    -------
-    list of (Discovery, Screened)
-        The forces with their rough fits, the best supported one first. Bonferroni's correction applies to the p-values.
+    Yields
+    ------
+    (Discovery, Screened)
+        A force with its rough fit. Bonferroni's correction applies to the p-value.
     """
     seen = covariates_of(data, filtered_states(data, fitted.model, work))
-    found = []
     around = data.vicinity
     unknown = () if around.is_whole_road else ("time", "rear_gap") + ("place",) * (not around.has_places)
     for number, covariate in enumerate(COVARIATES, 1):
@@ -110,8 +110,7 @@ def discover(
             knots=tuple(knots.tolist()),
             force=tuple(force.tolist()),
         )
-        found.append((discovery, look))
-    return sorted(found, key=lambda pair: -pair[0].gain_nats)
+        yield discovery, look
 
 
 def covariates_of(data: Recorded, state: Array) -> tuple[Array, ...]:

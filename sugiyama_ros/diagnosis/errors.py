@@ -9,7 +9,7 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.block_runs import run_blocks
-from sugiyama_ros.diagnosis.free_runs import HORIZONS_S, FreeRuns, free_runs, rmse
+from sugiyama_ros.diagnosis.free_runs import HORIZONS_S, FreeRuns, first_known, free_runs, rmse
 from sugiyama_ros.fit.cross_validation import of_folds, searched_without_folds, without_folds
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.model import Model
@@ -201,7 +201,11 @@ def errors_of(data: Recorded, models: Sequence[Model], work: Executor) -> HeldOu
     HeldOutErrors
         Errors over all folds.
     """
-    followed = [follow(data, model, work) for model in models]
-    samples = of_folds(data, [samples for samples, _ in followed])
-    states = [states for _, states in followed]
-    return HeldOutErrors(samples, free_runs(data, models, states, work), run_blocks(data, models, states))
+    by_fold, runs, position = [], [], []
+    for fold, model in enumerate(models):
+        # the states take most of the memory, so there are only those of one model at a time
+        samples, states = follow(data, model, work)
+        by_fold.append(samples)
+        runs.append(free_runs(data, model, states, work, fold))
+        position.append(run_blocks(data, model, states, fold))
+    return HeldOutErrors(of_folds(data, by_fold), FreeRuns.of_folds(runs), first_known(position))

@@ -1,38 +1,30 @@
-"""The floor: errors of a model on a recording that the model has simulated itself."""
+"""The floor: errors of a model on recordings that the model has simulated itself."""
 
-from concurrent.futures import Executor
+from collections.abc import Sequence
 
-from sugiyama_ros.diagnosis.bootstrap import resampled_fit, seeds
-from sugiyama_ros.diagnosis.errors import HeldOutErrors, held_out_errors
-from sugiyama_ros.fit.joint import JointFit
-from sugiyama_ros.fit.recording import Recorded
-from sugiyama_ros.fit.score import filtered_states
+import numpy as np
 
-# Steps of the fit to the simulated recording, which starts at the truth.
-_FEW_STEPS = 3
+from sugiyama_ros.diagnosis.errors import HeldOutErrors
 
 
-def floor_of(data: Recorded, fitted: JointFit, seed: int, work: Executor) -> HeldOutErrors:
-    """Return the held-out errors of a model on a recording that it simulates, after a short fit to this recording.
+def floor_of(errors: Sequence[HeldOutErrors]) -> dict[str, float]:
+    """Put together the held-out errors of a model on recordings that it simulates.
 
     What is left then is noise. No model can be expected to do better on the measured recording.
 
     Parameters
     ----------
-    data : Recorded
-        The recording.
-    fitted : JointFit
-        The model.
-    seed : int
-        Seed of the noises.
-    work : Executor
-        Runs the filters.
+    errors : sequence of HeldOutErrors
+        Errors on each simulated recording, after a short fit to it.
 
     Returns
     -------
-    HeldOutErrors
-        Errors on the simulated recording.
+    dict of str to float
+        Errors by name, as ``HeldOutErrors.summary``: lengths [m] as the root of the mean square over the recordings,
+        and the mean log-likelihood.
     """
-    states = filtered_states(data, fitted.model, work)
-    simulated, again = resampled_fit(data, fitted, states, seeds(seed, 1)[0], work, _FEW_STEPS)
-    return held_out_errors(simulated, again, work, searched=False)
+    each = [one.summary() for one in errors]
+    return {
+        name: float(np.sqrt(np.mean(np.square(found))) if name.endswith("_m") else np.mean(found))
+        for name, found in {name: [one[name] for one in each] for name in each[0]}.items()
+    }

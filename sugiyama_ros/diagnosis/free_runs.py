@@ -4,12 +4,14 @@ In a coupled run all vehicles follow the model. In a single run one vehicle foll
 leader.
 """
 
+import math
 from collections.abc import Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, fields
+from typing import NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sugiyama_ros.arrays import Array, Ints, Mask
 from sugiyama_ros.driver.parameters import at_period, horizon_at
@@ -25,6 +27,7 @@ from sugiyama_ros.simulation.free_run import run_coupled, run_single
 HORIZONS_S = (2.0, 5.0, 10.0)
 # Time between two starts [s].
 _EVERY_S = 2.5
+_Kind = TypeVar("_Kind", bound=np.generic)
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,9 +62,22 @@ class FreeRuns:
     speed: Array
     start: Ints
 
+    @classmethod
+    def of_folds(cls, by_fold: Sequence["FreeRuns"]) -> "FreeRuns":
+        """Put together the runs of each fold, which have the same starts."""
+        return cls(**{field.name: first_known([getattr(one, field.name) for one in by_fold]) for field in fields(cls)})
 
-def free_runs(data: Recorded, models: Sequence[Model], states: Sequence[Array], work: Executor) -> FreeRuns:
-    """Start a free run every 2.5 s, with the model that was fitted without the fold of the start.
+
+def first_known(parts: Sequence[NDArray[_Kind]]) -> NDArray[_Kind]:
+    """Return arrays (...) put together: each entry from the first array that knows it."""
+    known = parts[0]
+    for part in parts[1:]:
+        known = np.where(np.isnan(known), part, known)
+    return known
+
+
+def free_runs(data: Recorded, model: Model, states: Array, work: Executor, fold: int | None = None) -> FreeRuns:
+    """Start a free run every 2.5 s.
 
     On tracks, the runs are of single cars behind their measured leaders, and end where the leader changes.
 
@@ -69,52 +85,48 @@ def free_runs(data: Recorded, models: Sequence[Model], states: Sequence[Array], 
     ----------
     data : Recorded
         The recording.
-    models : sequence of Model
-        For every fold, the model fitted without the fold.
-    states : sequence of ndarray, shape (T, V, 4)
-        Filtered states of each of the models, as ``filtered_states`` returns them.
+    model : Model
+        The model that drives.
+    states : ndarray, shape (T, V, 4)
+        States filtered with this model, as ``filtered_states`` returns them.
     work : Executor
         Carries out the runs.
+    fold : int, optional
+        Drivers start only in the blocks of this fold; by default everywhere.
 
     Returns
     -------
     FreeRuns
-        Errors at the horizons.
+        Errors at the horizons. Its starts do not depend on ``fold``.
     """
     around = data.vicinity
-    steps = np.array([max(1, round(h / around.period_s)) for h in HORIZONS_S])
-    starts = np.arange(SETTLING + 4, data.samples - steps[-1], max(1, round(_EVERY_S / around.period_s)))
+    tick_s = data.every * around.period_s
+    steps = data.every * np.array([max(1, round(h / tick_s)) for h in HORIZONS_S])
+    apart = data.every * max(1, round(_EVERY_S / tick_s))
+    starts = np.arange(data.every * math.ceil((SETTLING + 4) / data.every), data.samples - steps[-1], apart)
     unbroken = data.segment[:, starts - SETTLING] == data.segment[:, starts + steps[-1]]
     if not around.is_whole_road:
         unbroken &= data.scored[:, starts]
     starts, unbroken = starts[unbroken.any(axis=0)], unbroken[:, unbroken.any(axis=0)]
-    rows = [at_period(model.rows, around.period_s) for model in models]
-    jobs = [_Start(data, rows, states, int(k), steps, who) for k, who in zip(starts, unbroken.T, strict=True)]
+    who = unbroken if fold is None else unbroken & (data.fold[:, starts] == fold)
+    rows = at_period(model.rows, around.period_s)
+    jobs = [_Start(data, rows, states, int(k), steps, some) for k, some in zip(starts, who.T, strict=True)]
     errors = list(work.map(_from_start, jobs))
     empty = np.empty((0, len(steps), data.drivers))
-    fields = [np.array([e[j] for e in errors]) if errors else empty for j in range(7)]
-    coupled, single, coupled_speed, single_speed, coupled_gap, gap, speed = fields
-    return FreeRuns(
-        coupled=coupled,
-        single=single,
-        coupled_speed=coupled_speed,
-        single_speed=single_speed,
-        coupled_gap=coupled_gap,
-        gap=gap,
-        speed=speed,
-        start=starts,
-    )
+    names = [field.name for field in fields(FreeRuns)][:-1]
+    found = {name: np.array([e[j] for e in errors]) if errors else empty for j, name in enumerate(names)}
+    return FreeRuns(**found, start=starts)
 
 
 class _Start(NamedTuple):
     """A start of free runs: the sample k, the horizons in samples, and the drivers (N,) who start there.
 
-    rows, states: of the model without each fold.
+    rows, states: of the model.
     """
 
     data: Recorded
-    rows: Sequence[Array]
-    states: Sequence[Array]
+    rows: Array
+    states: Array
     k: int
     steps: Ints
     who: Mask
@@ -122,19 +134,17 @@ class _Start(NamedTuple):
 
 def _from_start(job: _Start) -> tuple[Array, ...]:
     """Fields of FreeRuns for the runs that start at one sample, (H, N) each; NaN for drivers who do not start there."""
-    data, drivers = job.data, job.data.drivers
-    fold = data.fold[:, job.k]
-    fields = [np.full((len(job.steps), drivers), np.nan) for _ in range(7)]
-    for f in np.unique(fold[job.who]).tolist():
-        chosen = job.who & (fold == f)
-        of_fold = _of_fold(data, job.rows[f], job.states[f], job.k, job.steps, chosen)
-        for field, found in zip(fields, of_fold, strict=True):
-            field[:, chosen] = found[:, :drivers][:, chosen]
-    return tuple(fields)
+    drivers, who = job.data.drivers, job.who
+    errors = tuple(np.full((len(job.steps), drivers), np.nan) for _ in range(7))
+    if who.any():
+        for error, found in zip(errors, _errors(job), strict=True):
+            error[:, who] = found[:, :drivers][:, who]
+    return errors
 
 
-def _of_fold(data: Recorded, rows: Array, state: Array, k: int, steps: Ints, who: Mask) -> tuple[Array, ...]:
-    """Fields of FreeRuns for the vehicles in all columns, (H, V) each; they hold for the drivers in ``who`` (N,)."""
+def _errors(job: _Start) -> tuple[Array, ...]:
+    """Fields of FreeRuns for the vehicles in all columns, (H, V) each; they hold for the drivers who start."""
+    data, rows, state, k, steps, who = job
     around, ring = data.vicinity, data.vicinity.road.circumference_m
     leader = np.where(np.isfinite(state[k, around.leader[k], 0]), around.leader[k], -1)
     coupled, single = _drive_on(data, rows, state[k : k + steps[-1] + 1], k, leader, who)

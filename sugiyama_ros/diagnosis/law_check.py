@@ -16,7 +16,6 @@ from sugiyama_ros.diagnosis.chance import p_value_of
 from sugiyama_ros.diagnosis.errors import HeldOutErrors, held_out_errors
 from sugiyama_ros.diagnosis.rivals import in_filter
 from sugiyama_ros.fit.cross_validation import Gain, gain
-from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.recording import Recorded
 
 #: A law is better, or worse, beyond doubt by this many standard errors of a paired gain.
@@ -87,7 +86,7 @@ def open_laws(data: Recorded, model: HeldOutErrors, laws: Mapping[str, HeldOutEr
 
 
 def check_laws(
-    names: Sequence[str], simulations: Sequence[tuple[Recorded, JointFit]], work: ThreadPoolExecutor
+    names: Sequence[str], simulations: Sequence[tuple[Recorded, HeldOutErrors]], work: ThreadPoolExecutor
 ) -> dict[str, LawCheck]:
     """Fit laws to recordings that the model simulates.
 
@@ -95,8 +94,8 @@ def check_laws(
     ----------
     names : sequence of str
         Names of the laws.
-    simulations : sequence of (Recorded, JointFit)
-        Simulated recordings, with the model fitted to them.
+    simulations : sequence of (Recorded, HeldOutErrors)
+        Simulated recordings, with the errors of the model fitted to them.
     work : ThreadPoolExecutor
         Runs the filters.
 
@@ -106,8 +105,7 @@ def check_laws(
         What each law does there.
     """
     found: dict[str, list[tuple[float, float]]] = {name: [] for name in names}
-    for simulated, fitted in simulations if names else ():
-        model = held_out_errors(simulated, fitted, work, searched=False)
+    for simulated, model in simulations:
         for name in names:
             law = held_out_errors(simulated, in_filter(simulated, name, work), work, searched=False)
             won = gain(simulated, law.samples, model.samples).nats

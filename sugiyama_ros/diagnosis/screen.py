@@ -110,7 +110,36 @@ def screen(data: Recorded, base: JointFit, candidate: Candidate, work: Executor,
     Screened
         The rough fit.
     """
-    model, at, loss, loss_at = _best_start(data, base, candidate, work, effort.drivers)
+    some, tried = _starts(data, base, candidate, work, effort.drivers)
+    here = base.samples.only(some)
+    worst = int(np.argmin([likelihood for likelihood, _, _ in tried]))
+    loss = (here.total - tried[worst][0]) * data.drivers / len(some)
+    promised, model, at = max(tried, key=lambda one: one[0])
+
+    def look_from(start: Model, there: PointwiseDensity) -> Screened:
+        slopes = _slopes_at(data, base, candidate, start, there, work)
+        return _first_steps(
+            data,
+            base,
+            Screened(candidate, JointFit(start, there, slopes), 0.0, 0.0, loss, candidate.starts[worst]),
+            work,
+            effort,
+        )
+
+    if candidate.strengths:
+        strongest = added(base.model, candidate, _strongest(data, base, here, candidate, tried))
+        look = look_from(strongest, evaluate(data, strongest, work))
+        if look.gain >= 0.0 or promised <= here.total:
+            return look
+        # what acts strongly was scaled too far: its samples are not proportional to its strength
+        return max(look, look_from(model, _of_all(data, model, at, some, work)), key=lambda one: one.gain)
+    return look_from(model, _of_all(data, model, at, some, work))
+
+
+def _slopes_at(
+    data: Recorded, base: JointFit, candidate: Candidate, model: Model, at: PointwiseDensity, work: Executor
+) -> tuple[Slopes, ...]:
+    """Slopes at a start: derivatives of ``base``, and new ones by the parameters of the candidate."""
     known = {*base.model.individual, *base.model.shared}
     new = {}
     if len(candidate.strengths) == 1:
@@ -119,39 +148,35 @@ def screen(data: Recorded, base: JointFit, candidate: Candidate, work: Executor,
     for k in (*model.individual, *model.shared):
         if k not in known and k not in new:
             new[k] = _column(data, model, at, k, work)
-    fitted = JointFit(model, at, joined(data, base, model, at, new))
-    look = Screened(candidate=candidate, fit=fitted, gain=0.0, predicted_gain=0.0, loss=loss, loss_at=loss_at)
-    return _first_steps(data, base, look, work, effort)
+    return joined(data, base, model, at, new)
 
 
-def _best_start(
+def _of_all(data: Recorded, model: Model, at: PointwiseDensity, some: range, work: Executor) -> PointwiseDensity:
+    """The samples of all drivers, of whom some are known."""
+    others = [i for i in range(data.drivers) if i not in some]
+    rest = evaluate(data, model, work, others)
+    for i in others:
+        at.put(i, rest.of(i))
+    return at
+
+
+def _starts(
     data: Recorded, base: JointFit, candidate: Candidate, work: Executor, drivers: int
-) -> tuple[Model, PointwiseDensity, float, dict[int, float | Array]]:
-    """The start with the largest predicted likelihood, the samples there, and loss and loss_at as in ``Screened``.
+) -> tuple[range, list[tuple[float, Model, PointwiseDensity]]]:
+    """Some drivers, and of each start the predicted likelihood, the model and the samples of these drivers.
 
     drivers: number of drivers on whom the starts are compared, or up to twice as many.
     """
     is_only = len(candidate.starts) == 1
     some = range(0, data.drivers, 1 if is_only else max(1, data.drivers // drivers))
-    here, tried = base.samples.only(some), []
+    tried = []
     for start in candidate.starts:
         model = added(base.model, candidate, start)
         # a parameter that only becomes free changes nothing yet
         is_same = not start and set(base.model.shared) <= set(model.shared)
         at = base.samples.only(some) if is_same else evaluate(data, model, work, some)
         tried.append((predicted(base, model, at), model, at))
-    worst = int(np.argmin([likelihood for likelihood, _, _ in tried]))
-    loss = (here.total - tried[worst][0]) * data.drivers / len(some)
-    _, model, at = max(tried, key=lambda one: one[0])
-    if candidate.strengths:
-        model = added(base.model, candidate, _strongest(data, base, here, candidate, tried))
-        at = evaluate(data, model, work)
-    else:
-        others = [i for i in range(data.drivers) if i not in some]
-        rest = evaluate(data, model, work, others)
-        for i in others:
-            at.put(i, rest.of(i))
-    return model, at, loss, candidate.starts[worst]
+    return some, tried
 
 
 def screen_again(

@@ -4,7 +4,7 @@ Every candidate is screened in the same way on the data and on data simulated fr
 p-value therefore says how often chance, the fit and the approximations of the filter give such a gain.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -81,7 +81,7 @@ class Search:
     named : list of Addition
         The additions, in order.
     scored : list of Candidacy
-        Candidates of the first round, the best one first.
+        Candidates of the first round, the best one first, without their fits.
     heldout : dict of str to Gain
         Held-out gains of these candidates, by name.
     smallest : dict of str to float
@@ -180,10 +180,14 @@ class Search:
             grown += [one] if one and one.after.no_worse_than(one.before) else []
         return grown
 
-    def discover(self) -> list[tuple[Discovery, Screened]]:
-        """Return forces without a name that the current model lacks, the best supported one first."""
+    def discover(self) -> Iterator[tuple[Discovery, Screened]]:
+        """Yield forces without a name that the current model lacks."""
         self._on_progress("forces without a name", 0, 1)
         return discover(self.data, self.current, self._work, self.effort)
+
+    def forget(self) -> None:
+        """Give up the looks at candidates, which take memory; no round can follow."""
+        self._seen.clear()
 
     def add_force(self, forces: Sequence[tuple[Discovery, Screened]]) -> bool:
         """Add the first force that predicts better, and return whether there is one."""
@@ -224,8 +228,8 @@ class Search:
         fitted = at_once(self._in_full, hopeful, f"{title}: fitting", self._on_progress)
         scored = sorted([*fitted, *(one for one in scored if one not in hopeful)], key=lambda one: -one.score)
         if is_first:
-            self.scored, self.smallest = scored, smallest_detectable(looks, null)
-            self.heldout = self._gains(scored)
+            self.heldout, self.smallest = self._gains(scored), smallest_detectable(looks, null)
+            self.scored = [one.without_fits(self.base) for one in scored]
         return scored
 
     def _gains(self, scored: Sequence[Candidacy]) -> dict[str, Gain]:
@@ -248,12 +252,10 @@ class Search:
     def _grow(
         self, candidate: Candidate, fitted: JointFit, p_value: float, rivals: tuple[str, ...] = ()
     ) -> Addition | None:
-        """The model with a candidate, fitted in full; None if its held-out gain is below its standard error over
-        drivers. On tracks of a few drivers, blocks of time count too.
-        """
+        """The model with a candidate, fitted in full; None if its held-out gain is below ``least_gain``."""
         data, work, before = self.data, self._work, self.errors
-        model = replace(fitted.model, ahead=fitted.model.rows)
-        grown = warm_start(data, fitted, model, work, renewals=0 if self.quick else self.effort.renewals)
+        # what is named has converged, also in a quick search; new derivatives cost little beside the search
+        grown = warm_start(data, fitted, replace(fitted.model, ahead=fitted.model.rows), work, renewals=FULL.renewals)
         after = held_out_errors(data, grown, work, searched=not self.quick)
         won = gain(data, after.samples, before.samples)
         if won.nats < least_gain(data, won, candidate, block_error(data, after.samples, before.samples)):

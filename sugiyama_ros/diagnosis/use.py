@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
+from scipy.stats import t as student
 
 from sugiyama_ros.arrays import Array, Mask
 from sugiyama_ros.diagnosis.free_runs import HORIZONS_S, FreeRuns, free_runs
@@ -25,8 +26,9 @@ Purpose = Literal["prediction", "simulation", "online"]
 _PURPOSES: tuple[Purpose, ...] = get_args(Purpose)
 # Part of the recording that is fitted.
 _FITTED = 0.6
-# Worse by this many paired standard errors, and by this factor of the mean square error.
-_CLEARLY, _TOLERANCE = 2.0, 1.1
+# Worse by this many paired standard errors; worse by chance with this probability, and by this factor of the mean
+# square error.
+_CLEARLY, _CHANCE, _TOLERANCE = 2.0, 0.05, 1.1
 # Below this speed [m/s] a car stands; below this part of the fastest tenth's speed it is in a jam.
 _STANDING, _SLOW = 0.5, 0.5
 _FEWEST = 20
@@ -67,10 +69,13 @@ class LastPart:
         Free runs that start there.
     drivers : ndarray, shape (N,)
         Log-likelihood of the samples of each driver [nats].
+    period_s : float
+        Time between two samples [s].
     """
 
     runs: FreeRuns
     drivers: Array
+    period_s: float
 
     @property
     def collisions(self) -> int:
@@ -113,14 +118,16 @@ def last_part(data: Recorded, fitted: JointFit, work: Executor) -> LastPart:
     known = range(FOLDS - 1)
     first = maximise(split, replace(fitted, slopes=tuple(slopes)), work, folds=known, iterations=_STEPS, renewals=1)
     predicted, states = follow(data, first.model, work)
-    runs = free_runs(data, [first.model] * FOLDS, [states] * FOLDS, work)
+    runs = free_runs(data, first.model, states, work)
     chosen = runs.start >= begin
     cut = {name: values[chosen] for name, values in vars(runs).items()}
-    return LastPart(FreeRuns(**cut), np.nansum(predicted.log_likelihood[:, begin:], axis=1))
+    return LastPart(FreeRuns(**cut), np.nansum(predicted.log_likelihood[:, begin:], axis=1), data.vicinity.period_s)
 
 
 def worse_where(ours: LastPart, base: LastPart, purpose: Purpose) -> tuple[str, ...]:
     """Say where a model does worse in the last part than the base model, from the same starts.
+
+    What is only told must hold against the number of comparisons; what refuses an addition does so in doubt.
 
     Parameters
     ----------
@@ -141,12 +148,15 @@ def worse_where(ours: LastPart, base: LastPart, purpose: Purpose) -> tuple[str, 
         found.append(f"one step ahead into the last part it loses {-change.sum():.0f} nats")
     if purpose == "online":
         return tuple(found)
+    compared: list[tuple[str, float, str]] = []
+    start_s = np.asarray(ours.period_s * (base.runs.start - base.runs.start[:1]), dtype=np.float64)
     for regime, chosen in _regimes(base.runs):
         for k, horizon in enumerate(HORIZONS_S):
-            errors = [np.where(chosen[:, k], one.runs.coupled[:, k], np.nan) for one in (ours, base)]
-            told = _told(*errors)
-            if told:
-                found.append(f"free runs of {horizon:g} s into the last part{regime} end {told}")
+            ends, base_ends = (np.where(chosen[:, k], one.runs.coupled[:, k], np.nan) for one in (ours, base))
+            if beside := _beside(ends, base_ends, np.floor(start_s / horizon)):
+                compared.append((f"free runs of {horizon:g} s into the last part{regime}", *beside))
+    by_chance = _CHANCE / len(compared) if purpose == "prediction" and compared else _CHANCE
+    found += [f"{runs} end {told}" for runs, p, told in compared if p < by_chance]
     if ours.collisions > base.collisions:
         found.append(f"{ours.collisions} cars collide in free runs into the last part instead of {base.collisions}")
     return tuple(found)
@@ -170,15 +180,20 @@ def _regimes(runs: FreeRuns) -> Iterator[tuple[str, Mask]]:
     yield ", in free flow,", speed >= slow
 
 
-def _told(ours: Array, base: Array) -> str:
-    """Both errors in words if ours (S, N) are clearly larger than the base model's; empty otherwise."""
+def _beside(ours: Array, base: Array, block: Array) -> tuple[float, str] | None:
+    """Probability that our errors (S, N) are larger than the base model's by chance, and both in words.
+
+    None if there are too few; 1 if ours are hardly larger. Runs that overlap have the same number in block (S,); blocks
+    are taken as independent.
+    """
     change = np.square(ours) - np.square(base)
     known = np.isfinite(change).sum(axis=1)
-    if known.sum() < _FEWEST or (known > 0).sum() < 3:
-        return ""
-    by_start = np.nansum(change, axis=1)[known > 0]
-    error = float(np.sqrt(len(by_start) * np.var(by_start, ddof=1)))
+    blocks = np.unique(block[known > 0])
+    if known.sum() < _FEWEST or len(blocks) < 3:
+        return None
+    by_block = np.array([np.nansum(change[block == one]) for one in blocks])
+    error = float(np.sqrt(len(blocks) * np.var(by_block, ddof=1)))
     squares = [float(np.nanmean(np.square(one))) for one in (ours, base)]
-    if by_start.sum() <= _CLEARLY * error or squares[0] <= _TOLERANCE * squares[1]:
-        return ""
-    return f"{np.sqrt(squares[0]):.2g} m off instead of {np.sqrt(squares[1]):.2g} m"
+    is_larger = squares[0] > _TOLERANCE * squares[1]
+    p = float(student.sf(by_block.sum() / max(error, 1e-9), len(blocks) - 1)) if is_larger else 1.0
+    return p, f"{np.sqrt(squares[0]):.2g} m off instead of {np.sqrt(squares[1]):.2g} m"

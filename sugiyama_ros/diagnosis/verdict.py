@@ -70,7 +70,7 @@ def document(d: Diagnosis) -> dict[str, Any]:
         "free_run": drives(d),
         "about": about(),
         "vehicles": d.data.drivers,
-        "samples": d.data.samples if d.data.vicinity.is_whole_road else int(d.data.scored.sum()),
+        "samples": d.data.measured_samples if d.data.vicinity.is_whole_road else int(d.data.scored.sum()),
         "bootstrap_runs": d.bootstrap_runs,
         "quick": d.quick,
         "seed": d.seed,

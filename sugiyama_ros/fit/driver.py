@@ -22,6 +22,7 @@ from sugiyama_ros.fit.scoring import Point, search
 from sugiyama_ros.fit.smooth_positions import ESTIMATED, evenness
 from sugiyama_ros.fit.standard_errors import stds
 from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.workers import in_turn
 
 Formulation = Literal["paper", "causal"]
 #: Acceleration noise [m/s^2] at the start. It is larger than usual estimates, because the likelihood is smoother there.
@@ -31,10 +32,6 @@ START_SIGMA_A = 1.0
 _ENOUGH, ENOUGH_CAUSAL = 1e-4, 0.02
 # A parameter does not count as identified if the std of its logarithm is larger than this.
 _VAGUE = 0.5
-# Number of jobs that an executor gets at a time, to limit the memory.
-_BATCH = 512
-# Number of jobs that a process gets at a time: each message takes as long as the making of a job.
-_CHUNK = 4
 #: Returns the score at parameters (P,), given the information (P, P) at nearby parameters, or None.
 Score = Callable[[Array, Array | None], Scored]
 #: The same as ``Score``, or None if the log-likelihood is not larger than a number, so that nobody needs the score.
@@ -301,10 +298,8 @@ def calibrate(
     """
     jobs_of = JobMaker(trajectories, formulation, estimated, starts or {})
     skipped = set(skip)
-    left = [i for i, v in enumerate(trajectories.vehicle.tolist()) if v not in skipped]
-    for first in range(0, len(left), _BATCH):
-        jobs = (replace(jobs_of(driver), options=options) for driver in left[first : first + _BATCH])
-        yield from map(carry_out, jobs) if work is None else work.map(carry_out, list(jobs), chunksize=_CHUNK)
+    left = (i for i, v in enumerate(trajectories.vehicle.tolist()) if v not in skipped)
+    yield from in_turn(carry_out, (replace(jobs_of(driver), options=options) for driver in left), work)
 
 
 class JobMaker:

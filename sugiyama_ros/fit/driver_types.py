@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.driver.parameters import index
+from sugiyama_ros.driver.parameters import NAMES, index
 
 if TYPE_CHECKING:
     # The online filter is not needed to keep or write the classes, and takes long to load.
@@ -49,11 +49,14 @@ class DriverTypes:
         # Imported here: commands that only read or write classes start sooner without scipy.
         from scipy.special import softmax
 
-        logs = np.log(self.rows[:, [index(name) for name in learnt.names]])
-        return np.asarray(softmax(np.log(self.share) + _log_density(logs, learnt) - _log_density(logs, prior)))
+        # the classes say nothing of parameters of effects
+        of_driver = [k for k, name in enumerate(learnt.names) if name in NAMES]
+        logs = np.log(self.rows[:, [index(learnt.names[k]) for k in of_driver]])
+        gain = _log_density(logs, learnt, of_driver) - _log_density(logs, prior, of_driver)
+        return np.asarray(softmax(np.log(self.share) + gain))
 
 
-def _log_density(logs: Array, learnt: "Learnt") -> Array:
-    """Log-density (K,) at points (K, A), without the terms that are equal for all points."""
-    off = logs - learnt.mean
-    return np.asarray(-0.5 * np.sum(off * np.linalg.solve(learnt.covariance, off.T).T, axis=1))
+def _log_density(logs: Array, learnt: "Learnt", chosen: list[int]) -> Array:
+    """Log-density (K,) of the chosen parameters at points (K, A), without the terms that are equal for all points."""
+    off, covariance = logs - learnt.mean[chosen], learnt.covariance[np.ix_(chosen, chosen)]
+    return np.asarray(-0.5 * np.sum(off * np.linalg.solve(covariance, off.T).T, axis=1))

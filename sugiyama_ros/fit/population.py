@@ -18,6 +18,7 @@ from sugiyama_ros.fit.driver import calibrate
 from sugiyama_ros.fit.joint import JointFit, at_model, maximise, mixed, objectives, renewed, start_fit, warm_start
 from sugiyama_ros.fit.model import Model, coordinate
 from sugiyama_ros.fit.recording import FOLDS, Recorded
+from sugiyama_ros.fit.sampling import measured
 
 #: Prior std of a parameter's coordinate (a logarithm for most): before the spread is known; smallest; largest.
 PRIOR_STD, LEAST_STD, LARGEST_STD = 1.0, 0.05, 1.0
@@ -103,7 +104,7 @@ def _by_paper(data: Recorded, model: Model, work: Executor) -> Model | None:
         return None
     names = [NAMES[k] for k in model.individual]
     try:
-        fits = list(calibrate(data.trajectories, "paper", names, work=work))
+        fits = list(calibrate(measured(data.trajectories), "paper", names, work=work))
     except InputError:
         return None
     rows = model.rows.copy()

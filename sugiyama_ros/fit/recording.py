@@ -12,7 +12,8 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.chain import CHAIN, Chain
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.fit.bounds import SMALLEST, fastest, lower_bounds, upper_bounds
-from sugiyama_ros.fit.smooth_positions import Evenness, evenness
+from sugiyama_ros.fit.sampling import measured, measured_every, with_short_periods
+from sugiyama_ros.fit.smooth_positions import Evenness, evenness, smoothing_window
 from sugiyama_ros.fit.vicinity import DriverName, Vicinity
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
@@ -50,6 +51,8 @@ class Recorded:
         Smallest sizes of parameters with a logarithmic coordinate, and upper bounds of the search.
     trajectories : Trajectories or None
         The recording, where it is one road on which everybody is recorded; None for tracks.
+    every : int
+        Vehicles are measured in one sample of so many.
     """
 
     vicinity: Vicinity
@@ -64,6 +67,7 @@ class Recorded:
     lower: Array
     upper: Array
     trajectories: Trajectories | None = None
+    every: int = 1
 
     @property
     def drivers(self) -> int:
@@ -75,6 +79,11 @@ class Recorded:
         """Number T of samples."""
         return self.fold.shape[1]
 
+    @property
+    def measured_samples(self) -> int:
+        """Number of samples without those that came in between."""
+        return len(range(0, self.samples, self.every))
+
 
 def prepare(trajectories: Trajectories, segment: Ints | None = None) -> Recorded:
     """Prepare trajectories for a fit.
@@ -82,7 +91,7 @@ def prepare(trajectories: Trajectories, segment: Ints | None = None) -> Recorded
     Parameters
     ----------
     trajectories : Trajectories
-        N vehicles at T samples.
+        N vehicles at T samples. Where these are more than 0.5 s apart, empty samples come in between.
     segment : ndarray of int, shape (T,), optional
         Number of the unbroken part of the recording. Every filter restarts where the number changes.
 
@@ -96,6 +105,7 @@ def prepare(trajectories: Trajectories, segment: Ints | None = None) -> Recorded
     InputError
         If the recording is too short to hold out samples.
     """
+    trajectories = with_short_periods(trajectories)
     samples, drivers = trajectories.position_m.shape
     duration = trajectories.period_s * samples
     if duration < 8.0:
@@ -106,7 +116,7 @@ def prepare(trajectories: Trajectories, segment: Ints | None = None) -> Recorded
     )
     chains = tuple(chain_behind(trajectories, i, segment=segment) for i in range(drivers))
     unbroken = np.zeros(samples, np.int64) if segment is None else segment
-    even, speed = evenness(trajectories), fastest(trajectories)
+    even, speed = evenness(measured(trajectories)), fastest(measured(trajectories))
     lower, upper = bounds_of(even, speed)
     return Recorded(
         vicinity=_vicinity(trajectories),
@@ -115,12 +125,13 @@ def prepare(trajectories: Trajectories, segment: Ints | None = None) -> Recorded
         block=np.tile(block, (drivers, 1)),
         fold=np.tile(block % FOLDS, (drivers, 1)),
         segment=np.tile(unbroken, (drivers, 1)),
-        scored=np.tile(_who_follows(chains)[:, None], (1, samples)),
+        scored=_who_follows(chains)[:, None] & _smoothed_alike(trajectories),
         even=even,
         speed=speed,
         lower=lower,
         upper=upper,
         trajectories=trajectories,
+        every=measured_every(trajectories),
     )
 
 
@@ -185,6 +196,15 @@ def _who_follows(chains: Sequence[Chain]) -> Mask:
     led = np.array([((chain.identity[:, 0] >= 0) & (chain.identity[:, 1] >= 0)).sum() for chain in chains])
     follows = led > _LEAST_LED * there
     return follows if follows.any() else np.ones_like(follows)
+
+
+def _smoothed_alike(trajectories: Trajectories) -> Mask:
+    """Whether samples are as smooth as all others, (N, T): at the ends of a record, smoothers have half a window."""
+    seen, present = measured(trajectories), trajectories.present.T
+    window = smoothing_window(seen.road.unwrap(seen.position_m).T, seen.period_s)
+    ends = window * measured_every(trajectories)
+    since, until = np.cumsum(present, axis=1), np.cumsum(present[:, ::-1], axis=1)[:, ::-1]
+    return np.asarray((since > ends) & (until > ends) | (ends == 0))
 
 
 def _columns(trajectories: Trajectories, driver: int, m: int) -> Ints:

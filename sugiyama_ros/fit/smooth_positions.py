@@ -41,6 +41,11 @@ FREED = ("sigma_x", "sigma_v")
 NOISES = [SIGMA_NU, SIGMA_A, SIGMA_X, SIGMA_V]
 # Fewest third differences of a vehicle.
 _FEWEST = 8
+# Third differences of noise are correlated over three samples. Beyond these, smoothing shows as an autocorrelation
+# above this one; over so much time [s] it is looked for.
+_OF_NOISE, _CORRELATED, _LONGEST_S = 3, 0.2, 3.0
+# Third differences beyond so many stds count as this much: spikes tell nothing about smoothing.
+_SPIKE = 3.0
 # Bound of the noises in a search, as a part of the noise that the positions show.
 _PART = 0.01
 
@@ -137,6 +142,40 @@ def evenness_of(positions: Iterable[Array], period_s: float) -> Evenness:
         if len(moving) >= _FEWEST:
             found.append(roughness(moving))
     return Evenness(float(np.median(found)) if found else float("nan"), period_s)
+
+
+def smoothing_window(positions: Iterable[Array], period_s: float) -> int:
+    """Return over how many samples somebody has smoothed positions.
+
+    Third differences of unsmoothed positions are correlated over three samples at most. A smoother adds correlation at
+    the width of its window.
+
+    Parameters
+    ----------
+    positions : iterable of ndarray, shape (T,)
+        Continuous positions of each vehicle [m]; NaN where missing.
+    period_s : float
+        Time [s] between two samples.
+
+    Returns
+    -------
+    int
+        Distance in samples at which the third differences of all vehicles are correlated most, by more than 0.2; 0 if
+        there is none within 3 s.
+    """
+    products = np.zeros(max(0, round(_LONGEST_S / period_s) - _OF_NOISE))
+    square = 0.0
+    for one in positions:
+        third = np.diff(one, n=3)
+        known = np.isfinite(third)
+        if known.sum() < _FEWEST + _OF_NOISE + len(products):
+            continue
+        most = _SPIKE * roughness(np.abs(third[known]))
+        third = np.where(known, np.clip(third, -most, most), 0.0)
+        square += float(third @ third)
+        products += [third[k:] @ third[:-k] for k in range(_OF_NOISE + 1, _OF_NOISE + 1 + len(products))]
+    correlated = np.abs(products) > _CORRELATED * square
+    return _OF_NOISE + 1 + int(np.argmax(np.abs(products))) if correlated.any() else 0
 
 
 def evenness(trajectories: Trajectories) -> Evenness:

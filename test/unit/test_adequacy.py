@@ -14,6 +14,7 @@ from sugiyama_ros.diagnosis.discover import Discovery
 from sugiyama_ros.diagnosis.errors import errors_of, held_out_errors
 from sugiyama_ros.diagnosis.law_check import LawCheck, check_laws, open_laws
 from sugiyama_ros.diagnosis.rivals import start_of
+from sugiyama_ros.diagnosis.rounding import rounding_says
 from sugiyama_ros.diagnosis.verdict import document, sentences
 from sugiyama_ros.driver.parameters import defaults
 from sugiyama_ros.effects.registry import ROW
@@ -84,6 +85,19 @@ def test_a_filter_that_is_too_sure_of_itself_speaks_against_the_model(own):
     assert "surer of itself" in found.reasons[0]
 
 
+def test_coarse_positions_speak_against_what_is_named(own):
+    def with_steps_of(step_m):
+        around = own.data.vicinity
+        return replace(own.data, vicinity=replace(around, position_m=step_m * np.round(around.position_m / step_m)))
+
+    variance = float(np.nanmedian(own.after.samples.innovation_var))
+    said = rounding_says(with_steps_of(1.0), own.after)
+    assert said[0].startswith(f"positions are rounded to 1 m, {100.0 / 12.0 / variance:.0f} % of the variance")
+    assert rounding_says(with_steps_of(0.1), own.after) == rounding_says(own.data, own.after) == []
+    # nothing is named, so nothing is said
+    assert judge(with_steps_of(1.0), evidence_of(own)).outcome == "adequate"
+
+
 def test_a_force_that_is_left_speaks_against_the_model(own):
     force = Discovery("gap", 0.7, 1e-6, 40.0, (), ())
     found = judge(own.data, evidence_of(own, forces=[force]))
@@ -137,7 +151,9 @@ def test_a_law_that_predicts_as_well_speaks_against_the_model_where_simulations_
 
 def test_a_law_is_far_behind_in_recordings_that_the_model_simulates(own):
     with ThreadPoolExecutor(2) as work:
-        found = check_laws(("constant_speed",), ((own.data, own.final),), work)
+        found = check_laws(
+            ("constant_speed",), ((own.data, held_out_errors(own.data, own.final, work, searched=False)),), work
+        )
     assert max(found["constant_speed"].gains) < -100.0
 
 

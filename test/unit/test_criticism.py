@@ -14,6 +14,7 @@ import yaml
 from sugiyama_ros.diagnosis.candidates import named
 from sugiyama_ros.diagnosis.diagnosis import diagnose
 from sugiyama_ros.diagnosis.errors import errors_of
+from sugiyama_ros.diagnosis.free_runs import free_runs
 from sugiyama_ros.diagnosis.screen import FULL, screen
 from sugiyama_ros.diagnosis.use import Goal
 from sugiyama_ros.diagnosis.verdict import document, sentences
@@ -25,7 +26,7 @@ from sugiyama_ros.fit.joint import fit, objective
 from sugiyama_ros.fit.model_file import read_model, write_model
 from sugiyama_ros.fit.population import fit_base, start_model
 from sugiyama_ros.fit.recording import FOLDS, prepare
-from sugiyama_ros.fit.score import evaluate
+from sugiyama_ros.fit.score import evaluate, filtered_states
 from sugiyama_ros.fit.slopes import slopes
 from sugiyama_ros.laws.registry import RIVALS
 from sugiyama_ros.road import Road
@@ -143,6 +144,16 @@ def test_free_runs_start_where_the_filter_is(fitted, work):
     details = errors.details()
     assert details["single_car_10s_gap_m"] == pytest.approx(found["single_car_10s_m"], rel=1e-9)
     assert details["single_car_2s_gap_fit_percent"] < 100.0
+
+
+def test_runs_of_all_folds_are_the_runs_of_the_whole_recording(fitted, work):
+    _, data, base = fitted
+    whole = free_runs(data, base.model, filtered_states(data, base.model, work), work)
+    found = errors_of(data, [base.model] * FOLDS, work)
+    for name, values in vars(whole).items():
+        assert np.array_equal(getattr(found.runs, name), values, equal_nan=True), name
+    # the blocks of every fold are driven, but for the samples in which the filter settles
+    assert np.isfinite(found.block_position_m[20:]).mean() > 0.95
 
 
 @pytest.fixture(scope="module")

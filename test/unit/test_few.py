@@ -116,19 +116,33 @@ def runs(error, gap=5.0, speed=6.0):
 
 
 def test_what_makes_the_last_part_worse_is_told():
-    base = LastPart(runs(1.0), np.zeros(4))
+    base = LastPart(runs(1.0), np.zeros(4), 10.0)
     assert worse_where(base, base, "simulation") == ()
-    worse = worse_where(LastPart(runs(2.0), np.zeros(4)), base, "simulation")
+    worse = worse_where(LastPart(runs(2.0), np.zeros(4), 10.0), base, "simulation")
     assert worse[0] == "free runs of 2 s into the last part end 2 m off instead of 1 m"
     assert any("in free flow" in one for one in worse)
-    assert worse_where(LastPart(runs(2.0), np.zeros(4)), base, "online") == ()
-    lost = LastPart(runs(1.0), np.full(4, -10.0) + np.arange(4))
+    assert worse_where(LastPart(runs(2.0), np.zeros(4), 10.0), base, "online") == ()
+    lost = LastPart(runs(1.0), np.full(4, -10.0) + np.arange(4), 10.0)
     assert worse_where(lost, base, "online") == ("one step ahead into the last part it loses 34 nats",)
 
 
+def test_what_is_worse_by_chance_in_one_of_many_comparisons_is_not_told():
+    # nothing differs but the noise of the starts; 9 comparisons in each of 200 recordings
+    rng, base = np.random.default_rng(8), LastPart(runs(1.0), np.zeros(4), 10.0)
+    told, refused = 0, 0
+    for _ in range(200):
+        noise = np.exp(0.3 * rng.standard_normal((10, 3, 1))) * np.full((10, 3, 4), 1.0)
+        then = np.exp(0.3 * rng.standard_normal((10, 3, 1))) * np.full((10, 3, 4), 1.0)
+        ours, theirs = (LastPart(replace(base.runs, coupled=one), np.zeros(4), 10.0) for one in (noise, then))
+        told += bool(worse_where(ours, theirs, "prediction"))
+        refused += bool(worse_where(ours, theirs, "simulation"))
+    # at most 5 % of 200 are expected; 20 or more are, with 5 %, less likely than 0.2 %
+    assert told < 20 < refused
+
+
 def test_a_car_inside_its_leader_is_a_collision():
-    base = LastPart(runs(1.0), np.zeros(4))
-    inside = LastPart(replace(runs(1.0), coupled_gap=np.full((10, 3, 4), -6.0)), np.zeros(4))
+    base = LastPart(runs(1.0), np.zeros(4), 10.0)
+    inside = LastPart(replace(runs(1.0), coupled_gap=np.full((10, 3, 4), -6.0)), np.zeros(4), 10.0)
     assert (base.collisions, inside.collisions) == (0, 120)
     assert worse_where(inside, base, "simulation")[-1].startswith("120 cars collide")
 
