@@ -10,12 +10,12 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
-from sugiyama_ros.diagnosis.candidates import candidates, recording_of
-from sugiyama_ros.diagnosis.diagnosis import INDIVIDUAL
+from sugiyama_ros.diagnosis.candidates import candidates
 from sugiyama_ros.diagnosis.discover import discover
 from sugiyama_ros.diagnosis.errors import errors_of
 from sugiyama_ros.diagnosis.rivals import in_filter
 from sugiyama_ros.diagnosis.screen import refine, with_candidate
+from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
 from sugiyama_ros.effects.discovered_force import COVARIATES
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.population import fit_base
@@ -46,9 +46,9 @@ def main(source: Path, document: Path) -> None:
             figures = (f"{seen['loglik_per_sample']:.3f}", f"{unseen['loglik_per_sample']:.3f}", *errors)
             print("| " + " | ".join((name, *figures)) + " |", flush=True)
 
-        fitted = fit_base(early, INDIVIDUAL, work)
+        fitted = fit_base(early, early.even.individual(V_STAR, KAPPA_V), work)
         row("base", fitted)
-        possible = {c.name: c for c in candidates(recording_of(early), early.drivers)}
+        possible = {c.name: c for c in candidates(early)}
         for named in json.loads(document.read_text())["verdict"]["effects"]:
             if named["name"] in possible:
                 fitted = with_candidate(early, fitted, possible[named["name"]], work)

@@ -97,8 +97,10 @@ class Feed(Protocol):
         Time [s], position [m] and speed [m/s] of every vehicle at every sample.
     error : Log
         Time [s], one-step error [m] of all drivers over the last ``MOVING_S`` seconds, and of the base model.
-    critic : Log
-        Time [s] and gain [nats] of each model of the critic, in the order of ``gains``.
+    is_settled : bool
+        Whether the critic's probabilities have been stable for a while.
+    critic : mapping
+        For each model that the critic has had, a Log of time [s] and gain [nats].
     driver : mapping
         For each vehicle a Log of time [s], speed and its std [m/s], innovation and its std [m], v* and its std [m/s],
         kappa_v and its std [s], and the measured position [m].
@@ -119,7 +121,8 @@ class Feed(Protocol):
     said: str
     space: Log
     error: Log
-    critic: Log
+    is_settled: bool
+    critic: Mapping[str, Log]
     driver: Mapping[int, Log]
 
     def status(self) -> Status:

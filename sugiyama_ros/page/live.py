@@ -44,8 +44,6 @@ from sugiyama_ros.page.style import LIVE
 
 #: Time [s] between two updates of the road, and between two updates of the curves.
 UPDATE_S, TELL_S = 0.1, 0.5
-# The critic is settled when its best model leads by this gain [nats], and has led for this time [s].
-_LEAD_NATS, _LED_S = 5.0, 30.0
 # Models of the critic that are drawn.
 _MODELS = 5
 _COLUMNS = ("time", "speed", "std", "innovation", "spread", "v_star", "v_star_std", "kappa_v", "kappa_v_std", "place")
@@ -70,8 +68,7 @@ class _Page:
         derived = ("low", "high", "below", "above", "v_low", "v_high", "k_low", "k_high", "measured")
         self._driver = ColumnDataSource({name: [] for name in (*_COLUMNS, *derived)})
         self._last = (math.nan, math.nan)
-        self._critic = ColumnDataSource({"time": []})
-        self._best, self._best_since_s = "", 0.0
+        self._critic: dict[str, ColumnDataSource] = {}
         self._colours = speed_colours(1.0)
         self._select = Select(title="driver", options=[], width=110, stylesheets=[INPUT])
         self._effect = Select(
@@ -290,35 +287,33 @@ class _Page:
         if not feed.gains:
             self._settled.text = "No critic has spoken yet (sugiyama run --critic)."
             return
-        if len(self._critic.data) == 1:
-            self._critic.data = {name: [] for name in ("time", *feed.gains)}
-            for k, name in enumerate(feed.gains):
-                plot.line("time", name, source=self._critic, color=COLOURS[k % len(COLOURS)], line_width=2, name=name)
-        new = self._new(feed.critic)
-        if len(new):
-            self._critic.stream(dict(zip(("time", *feed.gains), new, strict=True)), KEPT)
+        # what is added to the estimators is a model of the critic no longer
+        for name, log in feed.critic.items():
+            if name not in self._critic:
+                self._critic[name] = ColumnDataSource({"time": [], "gain": []})
+                plot.line("time", "gain", source=self._critic[name], color=self._colour(name), line_width=2, name=name)
+            if len(new := self._new(log)):
+                self._critic[name].stream(dict(zip(("time", "gain"), new, strict=True)), KEPT)
         order = sorted(feed.gains, key=lambda name: -feed.gains[name])
         for line in plot.renderers:
             line.visible = line.name in (*order[:_MODELS], "base")
-        time_s = float(self._critic.data["time"][-1]) if len(self._critic.data["time"]) else 0.0
-        if order[0] != self._best or time_s < self._best_since_s:
-            self._best, self._best_since_s = order[0], time_s
-        lead, led_s = feed.gains[order[0]] - feed.gains[order[1]], time_s - self._best_since_s
-        is_settled = lead >= _LEAD_NATS and led_s >= _LED_S
-        settled = "settled among the models that this critic knows" if is_settled else "not settled"
-        colours = {name: COLOURS[k % len(COLOURS)] for k, name in enumerate(feed.gains)}
+        settled = "settled among the models that this critic knows" if feed.is_settled else "not settled"
         names = ", ".join(
-            f'<b style="color:{colours[name]}">{escape(name.replace("_", " "))}</b> {feed.gains[name]:+.0f}'
+            f'<b style="color:{self._colour(name)}">{escape(name.replace("_", " "))}</b> {feed.gains[name]:+.0f}'
             for name in order[:_MODELS]
         )
-        self._settled.text = (
-            f"{settled}: {escape(order[0].replace('_', ' '))} leads by {lead:.0f} nats for {led_s:.0f} s. {names} nats."
-            f"{self._not_known()}"
-        )
+        lead = feed.gains[order[0]] - feed.gains[order[1]] if len(order) > 1 else 0.0
+        best = escape(order[0].replace("_", " "))
+        self._settled.text = f"{settled}: {best} leads by {lead:.0f} nats. {names} nats.{self._not_known()}"
+
+    def _colour(self, name: str) -> str:
+        """Colour of a model of the critic."""
+        return COLOURS[list(self._critic).index(name) % len(COLOURS)]
 
     def _not_known(self) -> str:
         """Say which effects the critic does not follow: the lead of another effect proves nothing against them."""
-        missing = [name.replace("_", " ") for name in self._feed.effects if name not in self._feed.gains]
+        known = {*self._feed.gains, *self._feed.added}
+        missing = [name.replace("_", " ") for name in self._feed.effects if name not in known]
         if not missing:
             return ""
         names = escape(", ".join(missing))

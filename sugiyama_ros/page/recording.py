@@ -1,6 +1,5 @@
 """A recorded run as arrays over samples and vehicles."""
 
-from collections import defaultdict
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -62,7 +61,7 @@ class Recording(Result):
     verdict_s : array (K,)
         Time of each verdict [s].
     weights : dict of arrays (K,)
-        Posterior probability of each model.
+        Posterior probability of each model; NaN while the critic has no such model, as after its effect was added.
     changes : tuple of StyleChanged
         Changes of style, in the order in which they were published.
     types : dict of arrays (C,)
@@ -134,7 +133,7 @@ def read_recording(path: Path) -> Recording:
         np.asarray(t.start_s + np.arange(len(t.position_m)) * t.period_s, dtype=np.float64),
         reading.series,
         np.array(reading.verdict_s),
-        {name: np.array(values) for name, values in reading.weights.items() if len(values) == len(reading.verdict_s)},
+        reading.weights(),
         tuple(reading.changes),
         {v: np.array(p) for v, p in sorted(reading.types.items())},
         dict(sorted(reading.truth.items())),
@@ -150,7 +149,7 @@ class _Reading:
         names = ["speed_std", *_ADAPTED, *(name for fields in _FIELDS.values() for name in fields)]
         self.series: dict[str, Array] = {name: np.full(shape, np.nan) for name in names}
         self._column = {int(v): k for k, v in enumerate(trajectories.vehicle)}
-        self.weights: defaultdict[str, list[float]] = defaultdict(list)
+        self._verdicts: list[dict[str, float]] = []
         self.verdict_s: list[float] = []
         self.changes: list[StyleChanged] = []
         self.types: dict[int, list[float]] = {}
@@ -162,12 +161,16 @@ class _Reading:
         if kind == "verdict":
             if len(message.model) == len(message.weight):
                 self.verdict_s.append(time_s)
-                for name, weight in zip(message.model, message.weight, strict=True):
-                    self.weights[name].append(float(weight))
+                self._verdicts.append(dict(zip(message.model, map(float, message.weight), strict=True)))
         elif kind == "drivers":
             self._take_all(self._step(time_s), message)
         elif int(message.vehicle) in self._column:
             self._take_one(kind, time_s, message)
+
+    def weights(self) -> dict[str, Array]:
+        """Probability of each model at each verdict; NaN while the critic has no such model."""
+        names = dict.fromkeys(name for verdict in self._verdicts for name in verdict)
+        return {name: np.array([verdict.get(name, np.nan) for verdict in self._verdicts]) for name in names}
 
     def _step(self, time_s: float) -> int | None:
         step = round((time_s - self._t.start_s) / self._t.period_s)

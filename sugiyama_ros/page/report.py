@@ -20,8 +20,9 @@ from sugiyama_ros.page.style import STYLE
 from sugiyama_ros.page.truth import SHOWN, AgainstTruth
 
 _FLOOR = (
-    '<p class="note">Floor: the final model on one recording that it simulates itself. What is left there is noise. It'
-    " differs from recording to recording, so that a model may lie below it. In the pictures, the floor is dashed.</p>"
+    '<p class="note">Floor: the final model on a few recordings that it simulates itself. What is left there is'
+    " noise. It differs from recording to recording, so that a model may lie a little below it. In the pictures, the"
+    " floor is dashed.</p>"
 )
 
 
@@ -142,10 +143,10 @@ def _drivers(r: Recording, d: Mapping[str, Any] | None, chosen: Chosen) -> Secti
         text += f"<p>{len(r.changes)} changes of style were noticed (triangles).</p>"
     if r.weights:
         panels += [drivers.error_over_time(r), drivers.weights(r)]
-        best = max(r.weights, key=lambda name: float(r.weights[name][-1])).replace("_", " ")
+        best = max(r.weights, key=lambda name: float(np.nan_to_num(r.weights[name][-1]))).replace("_", " ")
         text += (
-            f"<p>At the end, the critic of this run prefers: {escape(best)}. The critic compares a few effects of fixed"
-            " strength and fits nothing; where it differs from the verdict above, the verdict counts.</p>"
+            f"<p>At the end, the critic of this run prefers: {escape(best)}. The critic compares a few effects, whose"
+            " strengths and places it fits as it goes; where it differs from the verdict above, the verdict counts.</p>"
         )
     else:
         panels.append(drivers.error_over_time(r))

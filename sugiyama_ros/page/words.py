@@ -32,7 +32,7 @@ def summary_of(d: Document, name: str) -> str:
 
 def model_name(name: str) -> str:
     """Name of a model in tables and legends."""
-    known = {"before": "base model", "after": "with what was added", "floor": "floor (one simulation)"}
+    known = {"before": "base model", "after": "with what was added", "floor": "floor (simulated)"}
     if name in known:
         return known[name]
     law = name.removesuffix("_least_squares")

@@ -17,13 +17,16 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from bokeh.document import Document
+from bokeh.models import Div, GlyphRenderer
 from bokeh.util.token import generate_jwt_token
 
 from sugiyama_ros.cli.view import view
 from sugiyama_ros.errors import InputError, OutputError
 from sugiyama_ros.formats.mcap_reader import Bag
+from sugiyama_ros.page import live
 from sugiyama_ros.page.diagnosis import read_diagnosis
-from sugiyama_ros.page.feed import Status
+from sugiyama_ros.page.feed import KEPT, Log, Status
 from sugiyama_ros.page.html import detectable
 from sugiyama_ros.page.panels.base import from_above
 from sugiyama_ros.page.panels.worth import growth
@@ -498,6 +501,40 @@ def test_the_status_line_says_where_the_recording_is_and_what_to_do():
     waiting = status_line(status._replace(source=""), SimpleNamespace(vehicles=[]))
     assert "Waiting for a road on /road and positions on /measured, in ROS domain 7" in waiting
     assert "sugiyama live FILE" in waiting
+
+
+def feed_of_a_critic(gains):
+    """What a page needs to know while nobody is on the road and a critic speaks."""
+    nobody = dict.fromkeys(("vehicles", "changed_s", "events", "added"), ())
+    nothing = {name: {} for name in ("now", "lanes", "driver", "adapted")}
+    status = Status("", 0.0, 0.0, math.nan, math.nan, False, "7", "")
+    logs = {name: Log(KEPT) for name in gains}
+    return SimpleNamespace(
+        road=Road(60.0), rate=1.0, effects={"drag": "Drag", "second_leader": "Second leader"}, said="", space=Log(1),
+        error=Log(1), gains=gains, critic=logs, is_settled=False, status=lambda: status, values=lambda name: "",
+        **nobody, **nothing,
+    )  # fmt: skip
+
+
+def test_a_page_shows_a_critic_whose_models_change():
+    # drag is added to the estimators, so that the critic compares with a model that has it
+    feed = feed_of_a_critic({"base": 0.0, "drag": 7.0, "second_leader": 2.0})
+    for name, log in feed.critic.items():
+        log.add(1.0, feed.gains[name])
+    feed.gains, feed.is_settled, feed.added = {"base": 0.0, "second_leader": 3.0}, True, ("drag",)
+    for name in feed.gains:
+        feed.critic[name].add(6.0, feed.gains[name])
+    document = Document()
+    live.page(feed)(document)
+    told = " ".join(div.text for div in document.select({"type": Div}))
+    assert "settled among the models that this critic knows: second leader leads by 3 nats." in told
+    assert "does not know" not in told
+    drawn = {line.name: line.data_source.data for line in document.select({"type": GlyphRenderer}) if line.name}
+    assert {name: list(data["gain"]) for name, data in drawn.items()} == {
+        "base": [0.0, 0.0],
+        "drag": [7.0],
+        "second_leader": [2.0, 3.0],
+    }
 
 
 def test_lanes_lie_beside_each_other():

@@ -145,7 +145,7 @@ def error_over_time(r: Recording) -> UIElement:
 def weights(r: Recording) -> UIElement:
     """Posterior probability of each model of the critic's bank, over time."""
     plot = panel("Probability of each model of the critic over time", "time [s]", "probability")
-    shown = sorted(r.weights, key=lambda name: -float(r.weights[name].max()))[:5]
+    shown = sorted(r.weights, key=lambda name: -float(np.nanmax(r.weights[name])))[:5]
     for name, colour in zip(shown, (BLUE, CHOSEN, GREEN, ORANGE, GREY), strict=False):
         plot.line(r.verdict_s, r.weights[name], color=colour, legend_label=name.replace("_", " "), line_width=2)
     legend_above(plot)
