@@ -58,6 +58,7 @@ setup(
         "dask": ["distributed>=2024.8"],
         "notebook": ["matplotlib>=3.8", "pandas>=2.2"],
         "pictures": ["matplotlib>=3.8"],
+        "sumo": ["eclipse-sumo>=1.20"],  # for a test only
         "view": ["rerun-sdk>=0.41"],
     },
     zip_safe=False,

@@ -28,10 +28,13 @@ _WANTED = {
     "speed_m": need("vehicle_speed"),
     "class": take("vehicle_type"),
     "leader": take("vehicle_leaderID"),
+    "gap_m": take("vehicle_leaderGap"),
     "length_m": take("vehicle_length"),
 }
 _TEXTS = {"vehicle": "id", "lane_name": "lane", "class": "type", "leader": "leaderID"}
 _NUMBERS = {"s_m": "pos", "speed_m": "speed"}
+# Present only if the user asked SUMO for leaders.
+_GAP = "leaderGap"
 
 
 def read_sumo(path: Path, choices: Choices) -> Tracks:
@@ -65,15 +68,16 @@ def read_sumo(path: Path, choices: Choices) -> Tracks:
     lane, vehicle = text_of(columns, "lane_name"), text_of(columns, "vehicle")
     del columns["lane_name"]
     about = about_file(path)
-    if "length_m" not in columns:
-        columns["length_m"] = np.full(len(lane), DEFAULT_LENGTH_M)
-        about = about.noting(f"lengths are not in the file: every vehicle counts as {DEFAULT_LENGTH_M:g} m long")
     edges, columns["lane"] = _edges(lane, path)
     time, speed = np.asarray(columns["time_s"]), np.asarray(columns.pop("speed_m"))
     placed = along_edges(Edges(edges, vehicle.code, time, np.asarray(columns["s_m"]), speed))
     columns["s_m"] = placed.s_m
     if placed.road is not None:
         columns["road"] = placed.road
+    gap = columns.pop("gap_m", None)
+    if "length_m" not in columns:
+        columns["length_m"], note = _lengths(columns, gap)
+        about = about.noting(note)
     about = replace(about.noting(placed.note), ring_m=placed.ring_m)
     return put_together(columns, about, choices, reference="front")
 
@@ -89,11 +93,41 @@ def _edges(lane: Labels, path: Path) -> tuple[Labels, Labels]:
     return labels(lane.code, [edge for edge, _, _ in parts]), labels(lane.code, [number for _, _, number in parts])
 
 
+def _lengths(columns: Mapping[str, Array | Labels], gap: Array | Labels | None) -> tuple[Array, str]:
+    """Lengths [m] of the vehicles of the rows, (R,), and a note on where they come from.
+
+    A vehicle that others follow is as long as the way between two front bumpers is longer than the gap.
+    """
+    vehicle, s, time = text_of(columns, "vehicle"), np.asarray(columns["s_m"]), np.asarray(columns["time_s"])
+    length = np.full(len(vehicle.text), np.nan)
+    if gap is not None and "leader" in columns:
+        followed = np.flatnonzero(np.asarray(gap) >= 0.0)
+        leader = text_of(columns, "leader")
+        place = {text: code for code, text in enumerate(vehicle.text)}
+        ahead = np.array([place.get(text, -1) for text in leader.text])[leader.code[followed]]
+        _, moment = np.unique(time, return_inverse=True)
+        key, wanted = vehicle.code + moment * len(place), ahead + moment[followed] * len(place)
+        order = np.argsort(key)
+        row = order[np.minimum(np.searchsorted(key, wanted, sorter=order), len(key) - 1)]
+        way = s[row] - s[followed] - np.asarray(gap)[followed]
+        told = (ahead >= 0) & (key[row] == wanted) & (way > 0.0)
+        for one in np.unique(ahead[told]).tolist():
+            length[one] = round(float(np.median(way[told & (ahead == one)])), 2)
+    known = np.isfinite(length)
+    rest = f"every {'other ' * bool(known.any())}vehicle counts as {DEFAULT_LENGTH_M:g} m long"
+    if known.any():
+        note = f"lengths of {known.sum()} vehicles follow from the gaps of those behind; {rest}"
+    else:
+        note = f"lengths are not in the file: {rest}"
+    return np.where(known, length, DEFAULT_LENGTH_M)[vehicle.code], note
+
+
 class _Gathered:
     """Columns of an XML file, gathered vehicle by vehicle."""
 
     def __init__(self) -> None:
         self.number = {name: array("d") for name in ("time_s", *_NUMBERS)}
+        self._gap = array("d")
         self._code = {name: array("i") for name in _TEXTS}
         self._texts: dict[str, dict[str, int]] = {name: {} for name in _TEXTS}
 
@@ -103,6 +137,7 @@ class _Gathered:
         self.number["time_s"].append(time_s)
         for name, source in _NUMBERS.items():
             self.number[name].append(attribute(said, source, where))
+        self._gap.append(attribute(said, _GAP, where) if _GAP in said else -1.0)
         for name, source in _TEXTS.items():
             text, known = said.get(source, ""), self._texts[name]
             self._code[name].append(known.setdefault(text, len(known)) if text else -1)
@@ -110,6 +145,7 @@ class _Gathered:
     def columns(self) -> dict[str, Array | Labels]:
         """The columns; those of text that are empty are left out."""
         found: dict[str, Array | Labels] = {name: np.frombuffer(values) for name, values in self.number.items()}
+        found["gap_m"] = np.frombuffer(self._gap)
         for name, codes in self._code.items():
             code = np.frombuffer(codes, dtype=np.int32)
             if name in ("vehicle", "lane_name") or (code >= 0).any():
