@@ -87,7 +87,7 @@ class FitOfFew:
     p_value: float
 
 
-def _most(drivers: int) -> int:
+def at_most(drivers: int) -> int:
     """How many drivers count as a few."""
     return min(drivers // _PART, _MOST)
 
@@ -122,7 +122,7 @@ def who_shows(base: JointFit, fitted: JointFit, least: float = LEAST_GAIN) -> Fe
     gains = rises(base, fitted)
     total, drivers = float(gains.sum()), len(gains)
     chosen = np.flatnonzero(gains > max(_SHARE_OF_LARGEST * gains.max(), _LEAST))
-    if not 0 < len(chosen) <= _most(drivers):
+    if not 0 < len(chosen) <= at_most(drivers):
         return None
     theirs, cost = float(gains[chosen].sum()), cost_of(len(chosen), drivers)
     is_clear = theirs - cost > least and theirs > _NEARLY_ALL * total
@@ -139,7 +139,7 @@ def switches_of(candidate: Candidate) -> tuple[int, ...]:
 def fit_few(
     data: Recorded, base: JointFit, candidate: Candidate, few: Few, candidates: int, work: Executor
 ) -> FitOfFew:
-    """Fit an effect to the drivers who show it, and to further drivers who then gain by it, too.
+    """Fit an effect to the drivers who show it, without those who gain nothing, and with further ones who then gain.
 
     Parameters
     ----------
@@ -162,12 +162,20 @@ def fit_few(
         The model with the effect.
     """
     alone = _alone(data, base)
-    found = _fit(data, alone, candidate, few, candidates, work)
-    wider = _widened(data, alone, found, work) if found.p_value <= LEVEL_OF_FEW else None
-    if wider is not None:
-        again = _fit(data, alone, candidate, wider, candidates, work)
-        found = max(found, again, key=lambda one: one.gain - one.few.cost)
+
+    def fit_to(who: Few) -> FitOfFew:
+        return _fit(data, alone, candidate, who, candidates, work)
+
+    found = fit_to(few)
+    if found.p_value <= LEVEL_OF_FEW:
+        found = max((found, *map(fit_to, _narrowed(data, alone, found))), key=_left)
+        found = max((found, *map(fit_to, _widened(data, alone, found, work))), key=_left)
     return replace(found, fit=_together(data, base, found.fit))
+
+
+def _left(one: FitOfFew) -> float:
+    """What a fit gains beyond what the choice of its drivers gains by chance [nats]."""
+    return one.gain - one.few.cost
 
 
 def _alone(data: Recorded, base: JointFit) -> JointFit:
@@ -219,8 +227,15 @@ def _anew(data: Recorded, base: JointFit, model: Model, who: Sequence[int], work
     return samples
 
 
-def _widened(data: Recorded, base: JointFit, one: FitOfFew, work: Executor) -> Few | None:
-    """The drivers of a fit, and others who gain by the effect at this strength; None if there are none or too many."""
+def _narrowed(data: Recorded, base: JointFit, one: FitOfFew) -> list[Few]:
+    """The drivers of a fit who gain by it, if some do and some do not."""
+    gains = rises(base, one.fit)
+    left = tuple(i for i in one.few.drivers if gains[i] > _LEAST)
+    return [Few(left, cost_of(len(left), data.drivers))] if 0 < len(left) < len(one.few.drivers) else []
+
+
+def _widened(data: Recorded, base: JointFit, one: FitOfFew, work: Executor) -> list[Few]:
+    """The drivers of a fit, and others who gain by the effect at this strength, if there are some and not too many."""
     has = set(one.few.drivers)
     others = [i for i in range(data.drivers) if i not in has]
     rows, places = one.fit.model.rows.copy(), list(one.candidate.places)
@@ -229,6 +244,6 @@ def _widened(data: Recorded, base: JointFit, one: FitOfFew, work: Executor) -> F
     promised = predicted_by_driver(base, model, _anew(data, base, model, others, work))
     gains = promised - np.nansum(base.samples.log_likelihood, axis=1)
     more = [i for i in others if gains[i] > _LEAST]
-    if not more or len(has) + len(more) > _most(data.drivers):
-        return None
-    return Few(tuple(sorted((*has, *more))), cost_of(len(has) + len(more), data.drivers))
+    if not more or len(has) + len(more) > at_most(data.drivers):
+        return []
+    return [Few(tuple(sorted((*has, *more))), cost_of(len(has) + len(more), data.drivers))]

@@ -25,7 +25,8 @@ from sugiyama_ros.diagnosis.candidacy import (
 from sugiyama_ros.diagnosis.candidates import Candidate, candidates, only_those
 from sugiyama_ros.diagnosis.discover import Discovery, discover
 from sugiyama_ros.diagnosis.errors import HeldOutErrors, held_out_errors
-from sugiyama_ros.diagnosis.few import LEVEL_OF_FEW, Few, FitOfFew, fit_few, switches_of, who_shows
+from sugiyama_ros.diagnosis.few import who_shows
+from sugiyama_ros.diagnosis.few_screen import ShownByFew, fits_of_few, shown_by_few
 from sugiyama_ros.diagnosis.glance import best_forms, worth_screening
 from sugiyama_ros.diagnosis.push import push_candidate
 from sugiyama_ros.diagnosis.screen import FULL, QUICK, Screened, closer, forecast, refine, screen, screen_again
@@ -48,8 +49,6 @@ _RIVAL = 0.5
 _LATER_LOOKS = 8
 # Number of steps of a search that starts at the truth.
 _FEW_STEPS = 4
-# Number of mechanisms that are fitted in full to a few drivers.
-_FEW_FITS = 3
 
 
 class Search:
@@ -120,6 +119,7 @@ class Search:
         self.heldout: dict[str, Gain] = {}
         self.smallest: dict[str, float] = {}
         self.refused: list[tuple[str, tuple[str, ...]]] = []
+        self._few_gained: dict[str, float] = {}
         self._simulated: list[tuple[Recorded, JointFit]] | None = None
         self._last_part: LastPart | None = None
 
@@ -147,34 +147,28 @@ class Search:
                 named = self._grow(one.candidate, one.fit, one.p_value, rivals)
                 grown += [named] if named is not None else []
         if grown:
-            return self._take(self._narrowed(max(grown, key=lambda one: one.heldout.nats)))
-        # what a few drivers do may be supported without predicting better for all; whether it is theirs, their fit says
-        by_few = (few for one in supported if (few := who_shows(self.current, one.fit, least=0.0)))
-        of_few = next((found for few in by_few if (found := self._of_few(few))), [])
-        return self._take(max(of_few, key=lambda one: one.heldout.nats, default=None))
+            grown = [self._narrowed(max(grown, key=lambda one: one.heldout.nats))]
+        grown += self._of_few(self._shown_by_few(max((one.gain for one in supported), default=0.0)))
+        return self._take(max(grown, key=lambda one: one.heldout.nats, default=None))
 
     def _narrowed(self, one: Addition) -> Addition:
-        """What a few drivers do, if they bring nearly all of what an addition for all drivers gains."""
+        """An addition with the few drivers, if any, who bring nearly all that it gains."""
         few = who_shows(self.current, one.fit)
-        if few is None:
-            return one
-        best = max((one, *self._of_few(few)), key=lambda one: one.heldout.nats)
-        return replace(best, drivers=best.drivers or few.drivers)
+        return one if few is None else replace(one, drivers=few.drivers)
 
-    def _of_few(self, few: Few) -> list[Addition]:
-        """Effects that only a few drivers have, and that predict better."""
+    def _shown_by_few(self, gained: float) -> list[ShownByFew]:
+        """Effects by which a few drivers may gain more than all drivers gain by another one (gained) [nats]."""
         known = {*self.current.model.individual, *self.current.model.shared}
-        possible = [c for c in self._possible if switches_of(c) and known.isdisjoint(c.places)]
-        title = f"round {len(self.named) + 1}: {len(few.drivers)} drivers"
+        possible = [c for c in self._possible if known.isdisjoint(c.places) and self._few_gained.get(c.name, 1.0) > 0.0]
+        shown = shown_by_few(self.data, self.current, possible, self._work, self._on_progress)
+        self._few_gained |= {one.candidate.name: one.gain for one in shown}
+        return [one for one in shown if one.gain > max(_RIVAL * gained, _SHARE * shown[0].gain, LEAST_GAIN)]
 
-        def fit(candidate: Candidate) -> FitOfFew:
-            return fit_few(self.data, self.current, candidate, few, len(possible), self._work)
-
-        fits = at_once(fit, possible, title, self._on_progress)
-        forms = best_forms([f for f in fits if f.p_value <= LEVEL_OF_FEW])
-        likely = sorted(forms, key=lambda f: -f.gain)[:_FEW_FITS]
-        full, grown = [(f.candidate.mechanism, f.fit) for f in likely], []
-        for f in likely:
+    def _of_few(self, shown: Sequence[ShownByFew]) -> list[Addition]:
+        """Effects that only a few drivers have, and that predict better."""
+        fits = fits_of_few(self.data, self.current, shown, len(self._possible), self._work, self._on_progress)
+        full, grown = [(f.candidate.mechanism, f.fit) for f in fits], []
+        for f in fits:
             rivals = indistinguishable(self.data, (f.candidate.mechanism, f.fit), full)
             one = self._grow(replace(f.candidate, drivers=f.few.drivers), f.fit, f.p_value, rivals)
             grown += [one] if one and one.after.no_worse_than(one.before) else []

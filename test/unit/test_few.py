@@ -8,6 +8,7 @@ import pytest
 
 from sugiyama_ros.diagnosis.candidates import candidates
 from sugiyama_ros.diagnosis.few import Few, cost_of, fit_few, rises, who_shows
+from sugiyama_ros.diagnosis.few_screen import chosen, fits_of_few, shown_by_few
 from sugiyama_ros.diagnosis.free_runs import FreeRuns
 from sugiyama_ros.diagnosis.use import LastPart, drivers_worse, last_part, purpose_of, worse_where
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, defaults
@@ -60,6 +61,33 @@ def test_the_drivers_who_show_an_effect_are_found(fitted, grown):
     gains = rises(fitted[1], grown)
     assert gains[list(SLOW)].sum() > 0.8 * gains.sum()
     assert who_shows(fitted[1], grown) == Few(SLOW, cost_of(len(SLOW), CARS))
+
+
+def test_the_screen_shows_who_would_gain(fitted, patch, work):
+    data, base = fitted
+    possible = [c for c in candidates(data) if c.name in {"slow_patch", "comfort_limits", "preference_drift"}]
+    best, *others = shown_by_few(data, base, possible, work, lambda *_: None)
+    assert (best.candidate, best.few.drivers) == (patch, SLOW)
+    assert best.gain > 20.0
+    assert {one.candidate.name for one in others} == {"comfort_limits", "preference_drift"}
+    fits = fits_of_few(data, base, [best], len(possible), work, lambda *_: None)
+    assert [f.few.drivers for f in fits] == [SLOW]
+    assert fits[0].p_value < 1e-6
+
+
+def test_the_choice_of_drivers_seldom_gains_by_chance():
+    # a strength of one's own gains half a chi-squared variable (Wilks)
+    rng = np.random.default_rng(3)
+    gains = 0.5 * rng.chisquare(1, (1000, 22))
+    assert sum(chosen(one)[1] > 2.0 for one in gains) < 10
+    gains[:, [3, 8, 15]] += 20.0
+    assert all(set(chosen(one)[0].drivers) >= {3, 8, 15} for one in gains)
+
+
+def test_a_driver_who_gains_nothing_is_left_out(fitted, patch, work):
+    data, base = fitted
+    found = fit_few(data, base, patch, Few((SLOW[0], 6), cost_of(2, CARS)), 1, work)
+    assert 6 not in found.few.drivers
 
 
 def test_nobody_is_picked_out_where_everybody_gains(fitted, grown):
