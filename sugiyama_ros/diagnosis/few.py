@@ -163,19 +163,19 @@ def fit_few(
     """
     alone = _alone(data, base)
 
-    def fit_to(who: Few) -> FitOfFew:
-        return _fit(data, alone, candidate, who, candidates, work)
+    def better(one: FitOfFew, others: Sequence[Few]) -> FitOfFew:
+        """The best of a fit and fits to other drivers, which begin where the fit ended."""
+        row = one.fit.model.rows[one.few.drivers[0]]
+        there = replace(candidate, starts=({k: float(row[k]) for k in candidate.entries},))
+        again = [_fit(data, alone, there, who, candidates, work) for who in others]
+        return max((one, *again), key=lambda f: f.gain - f.few.cost)
 
-    found = fit_to(few)
+    found = _fit(data, alone, candidate, few, candidates, work)
     if found.p_value <= LEVEL_OF_FEW:
-        found = max((found, *map(fit_to, _narrowed(data, alone, found))), key=_left)
-        found = max((found, *map(fit_to, _widened(data, alone, found, work))), key=_left)
+        found = better(found, _narrowed(data, alone, found))
+        found = better(found, _widened(data, alone, found, work))
+    found = replace(found, candidate=candidate)
     return replace(found, fit=_together(data, base, found.fit))
-
-
-def _left(one: FitOfFew) -> float:
-    """What a fit gains beyond what the choice of its drivers gains by chance [nats]."""
-    return one.gain - one.few.cost
 
 
 def _alone(data: Recorded, base: JointFit) -> JointFit:

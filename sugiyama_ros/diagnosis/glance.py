@@ -48,7 +48,10 @@ def glance(data: Recorded, base: JointFit, candidate: Candidate, work: Executor)
     some = range(0, data.drivers, 1 if candidate.happens_once else max(1, data.drivers // _DRIVERS))
     here, best = base.samples.only(some), 0.0
     place = candidate.places[0]
-    model = replace(base.model, shared=(*base.model.shared, place))
+    if candidate.individual:
+        model = added(base.model, replace(candidate, places=(place,)), {})
+    else:
+        model = replace(base.model, shared=(*base.model.shared, place))
     for start in candidate.starts:
         there = added(base.model, candidate, start)
         new = {place: differences(here, evaluate(data, there, work, some), 1.0, there.rows)}

@@ -1,4 +1,4 @@
-"""The measured gap has a constant error: the marker is off the car's centre, or the length is wrong."""
+"""The measured gap has an error: a marker is off the car's centre, a length is wrong, or clocks differ."""
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import Parameter
@@ -12,6 +12,26 @@ def perceive(seen: Seen, p: Array) -> tuple[float, float, float]:
     return seen.gap + p[0], seen.speed, seen.leader_speed
 
 
+@kernel
+def perceive_later(seen: Seen, p: Array) -> tuple[float, float, float]:
+    """Compute what the driver sees of a leader whose clock differs by ``p[0]`` [s], to first order."""
+    leader_speed = max(seen.leader_speed + p[0] * seen.leader_acceleration, 0.0)
+    return seen.gap + p[0] * seen.leader_speed, seen.speed, leader_speed
+
+
+_CLOCK = Effect(
+    name="clock_offset",
+    stage=MEASUREMENT,
+    title="clocks that differ",
+    summary="a leader was measured somewhat earlier or later than the driver behind (each with a clock of its own)",
+    source="kinematics: a leader drives on between two clocks, to first order",
+    parameters=(Parameter("offset", "δ_t", "s", 0.0, -1.0, 1.0, "the driver's own clock minus the leader's"),),
+    starts=at({"offset": 0.05}),
+    function=perceive_later,
+    individual=True,
+    sees_accelerations=True,
+)
+
 EFFECT = Effect(
     name="gap_offset",
     stage=MEASUREMENT,
@@ -22,4 +42,5 @@ EFFECT = Effect(
     starts=at({"offset": 0.1}),
     function=perceive,
     individual=True,
+    forms=(_CLOCK,),
 )

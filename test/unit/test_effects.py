@@ -23,6 +23,7 @@ ACTING = {
     "second_leader": {"weight": 0.6},
     "second_leader_utility": {"weight": 0.6, "share": 0.5},
     "gap_offset": {"offset": 0.5},
+    "clock_offset": {"offset": 0.2},
     "perception_threshold": {"threshold": 1.0},
     "slow_patch": {"reduction": 0.2, "centre": 50.0, "width": 60.0},
     "preference_switch": {"v_star_change": -0.2, "kappa_v_change": 0.2, "time": 20.0},
@@ -46,10 +47,13 @@ ACTING = {
     "discovered_force": {"covariate": 2.0, "first": 0.0, "last": 10.0, "force_0": 0.5, "force_7": -0.5},
     "outlier_noise": {"share": 0.1, "factor": 4.0},
     "sensor_eccentricity": {"cosine": 1.5, "sine": 1.0},
+    "sensor_distortion": {"cosine_2": 1.0, "sine_2": 0.5, "cosine_3": -0.5, "sine_3": 0.3},
     "uneven_noise": {"cosine": 0.4, "sine": -0.3},
 }
 #: Effects that draw random numbers of their own, or act on measurements alone.
 CHANCE = ("preference_drift", "preference_drift_walk", "outlier_noise")
+#: Effects by which drivers see another gap than the measured one.
+SEEN = ("gap_offset", "clock_offset")
 NAMES_OF_EFFECTS = list(EFFECTS)
 DRIVERS, RING_M = 8, 110.0
 
@@ -133,12 +137,12 @@ def test_at_zero_strength_the_model_is_the_base_model(name):
 @pytest.mark.parametrize("name", NAMES_OF_EFFECTS)
 def test_an_effect_acts_and_leaves_the_noise_alone(name):
     base, changed = recording(drivers()), recording(switch_on(ROW.with_effects(drivers()), name, ACTING[name]))
-    if name == "gap_offset":
+    if name in SEEN:
         assert not np.array_equal(base.position_m, changed.position_m)
     else:
         assert not np.array_equal(base.measured.position_m, changed.measured.position_m)
     noise = [r.measured.road.difference(r.measured.position_m, r.position_m) for r in (base, changed)]
-    if effect(name).stage != "measurement" or name == "gap_offset":
+    if effect(name).stage != "measurement" or name in SEEN:
         assert noise[0] == pytest.approx(noise[1], abs=1e-9)
 
 
@@ -159,7 +163,7 @@ def test_the_online_filter_is_the_batch_filter(name):
     assert online.parameters[V_STAR] > 0.0
 
 
-@pytest.mark.parametrize("name", [n for n in NAMES_OF_EFFECTS if n not in ("external_push", "gap_offset")])
+@pytest.mark.parametrize("name", [n for n in NAMES_OF_EFFECTS if n not in ("external_push", *SEEN)])
 def test_the_true_effect_predicts_better(name):
     """Both models have the true parameters of the drivers."""
     base = drivers()

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sugiyama_ros.diagnosis.candidacy import LEAST_GAIN
 from sugiyama_ros.diagnosis.candidates import candidates
 from sugiyama_ros.diagnosis.few import Few, cost_of, fit_few, rises, who_shows
 from sugiyama_ros.diagnosis.few_screen import chosen, fits_of_few, shown_by_few
@@ -68,7 +69,7 @@ def test_the_screen_shows_who_would_gain(fitted, patch, work):
     possible = [c for c in candidates(data) if c.name in {"slow_patch", "comfort_limits", "preference_drift"}]
     best, *others = shown_by_few(data, base, possible, work, lambda *_: None)
     assert (best.candidate, best.few.drivers) == (patch, SLOW)
-    assert best.gain > 20.0
+    assert best.gain > LEAST_GAIN
     assert {one.candidate.name for one in others} == {"comfort_limits", "preference_drift"}
     fits = fits_of_few(data, base, [best], len(possible), work, lambda *_: None)
     assert [f.few.drivers for f in fits] == [SLOW]
