@@ -2,7 +2,8 @@
 
 A driver's likelihood is the sum over the stretches in which the driver follows a known vehicle. Samples around the
 driver's own lane changes do not count. A driver who follows for a short time says too little about four parameters, and
-gets the parameters of the class of vehicles (``vehicle_classes``). Drivers ahead count as typical drivers.
+gets the parameters of the class of vehicles (``vehicle_classes``). There are two passes: in the first, drivers ahead
+count as typical drivers; in the second, they have the parameters that the first pass found, or those of their class.
 """
 
 import math
@@ -13,22 +14,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sugiyama_ros.arrays import Ints
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.calibration.drivers_ahead import DriversAhead
 from sugiyama_ros.calibration.vehicle_classes import (
     BriefDriver,
     ClassMedians,
+    brief_driver,
     leader_class,
     medians_of,
-    with_parameters_of_class,
 )
 from sugiyama_ros.driver.parameters import PARAMETERS, SIGMA_A, index
 from sugiyama_ros.drives import Drive
-from sugiyama_ros.filters.causal import ChainJob, predict_samples
-from sugiyama_ros.filters.chain import CHAIN
 from sugiyama_ros.fit.bounds import lower_bounds, upper_bounds
-from sugiyama_ros.fit.driver import PLAIN, START_SIGMA_A, Fit, Job, carry_out
-from sugiyama_ros.fit.driver_score import DriverChains
-from sugiyama_ros.fit.smooth_positions import Evenness
+from sugiyama_ros.fit.driver import START_SIGMA_A, Fit, Job, SearchOptions, carry_out
+from sugiyama_ros.fit.driver_score import DriverChains, predicted
 from sugiyama_ros.fit.stretched import LEAST_FOLLOWING_S, evenness_on, fastest_on, followers, following_s
 from sugiyama_ros.plots import BLUE
 from sugiyama_ros.progress import OnProgress
@@ -84,11 +83,14 @@ class TracksCalibration(Result):
         In the order of the tracks.
     brief : tuple of BriefDriver
         Drivers who follow a known vehicle for less than ``LEAST_FOLLOWING_S``, with the parameters of their class.
+    profiled : bool
+        Whether the intervals come from the profile likelihood.
     """
 
     estimated: tuple[str, ...]
     drivers: tuple[CalibratedDriver, ...]
     brief: tuple[BriefDriver, ...]
+    profiled: bool = False
 
     @property
     def left_out(self) -> int:
@@ -129,6 +131,8 @@ class TracksCalibration(Result):
                     for column, value in (
                         (name, float(d.fit.parameters[index(name)])),
                         (f"{name}_std", float(d.fit.std[index(name)])),
+                        (f"{name}_low", float(d.fit.interval[index(name), 0])),
+                        (f"{name}_high", float(d.fit.interval[index(name), 1])),
                         (f"{name}_identified", d.fit.identified(name)),
                     )
                 },
@@ -153,7 +157,8 @@ class TracksCalibration(Result):
                     **{n: float(d.fit.parameters[index(n)]) for n in self.estimated},
                     "log_likelihood": d.fit.log_likelihood,
                     "nis": d.nis if math.isfinite(d.nis) else None,
-                    "std": {n: value if math.isfinite(value) else None for n, value in std.items()},
+                    "std": dict(zip(std, _finite(np.array(list(std.values()))), strict=True)),
+                    "interval": {n: _finite(d.fit.interval[index(n)]) for n in self.estimated},
                     "identified": {n: d.fit.identified(n) for n in self.estimated},
                 }
             )
@@ -176,11 +181,7 @@ class TracksCalibration(Result):
         """Make a table of each driver's parameters, and of the medians over classes and over pairs of classes."""
         rows = []
         for d in self.drivers:
-            cells = [
-                f"{d.fit.parameters[index(n)]:.3g} "
-                + (f"± {d.fit.std[index(n)]:.2g}" if d.fit.identified(n) else "(not identified)")
-                for n in self.estimated
-            ]
+            cells = [self._cell(d.fit, n) for n in self.estimated]
             name = f"{d.recording} {d.vehicle}".strip()
             rows.append((name, d.vehicle_class, f"{d.following_s:.0f}", *cells, f"{d.nis:.2f}"))
         pairs = self.pairs if len({one.leader_class for one in self.pairs} - {""}) > 1 else ()
@@ -204,6 +205,11 @@ class TracksCalibration(Result):
             one.set(ylabel=f"{name} [{PARAMETERS[index(name)].unit}]")
         axes[-1].set(xlabel="following [s]")
 
+    def _cell(self, fit: Fit, name: str) -> str:
+        k = index(name)
+        known = "{:.3g} to {:.3g}".format(*fit.interval[k]) if self.profiled else f"± {fit.std[k]:.2g}"
+        return f"{fit.parameters[k]:.3g} {known if fit.identified(name) else '(not identified)'}"
+
     def _medians(self, groups: Sequence[tuple[str, str | None]]) -> tuple[ClassMedians, ...]:
         return medians_of(groups, [d.fit for d in self.drivers], self.estimated)
 
@@ -225,6 +231,7 @@ def calibrate_tracks(
     tracks: Tracks,
     estimated: Sequence[str] = (),
     *,
+    profiled: bool = False,
     work: Executor | None = None,
     on_progress: OnProgress = lambda done, total: None,
 ) -> TracksCalibration:
@@ -236,6 +243,8 @@ def calibrate_tracks(
         Tracks with leaders.
     estimated : sequence of str
         Names of the parameters to estimate; by default those of ``Evenness.estimated``.
+    profiled : bool
+        Whether the intervals come from the profile likelihood, which takes longer.
     work : Executor, optional
         Runs the searches; without an executor, the searches run one after the other.
     on_progress : callable
@@ -257,36 +266,63 @@ def calibrate_tracks(
     even, speed = evenness_on(every), fastest_on(every)
     names = tuple(estimated) or even.estimated()
     places = np.array([index(name) for name in names])
-    jobs = (_job(k, own, places, even, speed) for k, own in enumerate(found.enough))
-    drivers: list[CalibratedDriver] = []
-    for own, (fit, nis) in zip(found.enough, in_turn(_carry_out, jobs, work), strict=True):
+    options = SearchOptions(profiled=profiled)
+    search = Job(0, even.typical(speed), places, lower_bounds(even), upper_bounds(speed), options)
+    fits = _passes(tracks, found.enough, search, names, work, on_progress)
+    drivers = []
+    for own, (fit, nis) in zip(found.enough, fits, strict=True):
         who = own[0].stretch
         counts = len(own), following_s(own), fit, nis, leader_class(tracks, own)
         drivers.append(CalibratedDriver(who.recording, who.vehicle, who.vehicle_class, *counts))
-        on_progress(len(drivers), len(found.enough))
-    known = TracksCalibration(names, tuple(drivers), ())
-    (everybody,) = medians_of([("", None)] * len(drivers), [d.fit for d in drivers], names)
+    ahead = DriversAhead(tracks, search.start).of(found.enough, [d.fit for d in drivers], names)
     few = [own for own in found.few if following_s(own) > 0.0]
-    return replace(known, brief=with_parameters_of_class(few, known.classes, everybody, even.typical(speed)))
+    brief = [brief_driver(own, ahead.of_class(own[0].stretch.vehicle_class), ahead(own)) for own in few]
+    return TracksCalibration(names, tuple(drivers), tuple(brief), profiled)
 
 
-def _job(number: int, own: Sequence[Drive], places: Ints, even: Evenness, speed: float) -> Job:
-    typical = even.typical(speed)
+def _passes(
+    tracks: Tracks,
+    drivers: Sequence[Sequence[Drive]],
+    search: Job,
+    names: Sequence[str],
+    work: Executor | None,
+    on_progress: OnProgress,
+) -> list[tuple[Fit, float]]:
+    """Make both passes; returns the fit and the mean of the squared normalised innovations of each driver.
+
+    search: the search of the second pass, from a typical driver and without data.
+    """
+    typical, total = search.start, 2 * len(drivers)
     start = typical.copy()
     start[SIGMA_A] = START_SIGMA_A
-    followed = DriverChains(tuple(d.chain for d in own), np.tile(typical, (CHAIN - 1, 1)), tuple(d.scored for d in own))
-    return Job(number, start, places, lower_bounds(even), upper_bounds(speed), PLAIN, followed=followed)
+    quick = replace(search, start=start, options=SearchOptions(with_errors=False))
+    ahead, first = DriversAhead(tracks, typical), []
+    for fit in in_turn(carry_out, (_job(quick, k, own, ahead) for k, own in enumerate(drivers)), work):
+        first.append(fit)
+        on_progress(len(first), total)
+    ahead, second = ahead.of(drivers, first, names), []
+    searches = (replace(search, start=fit.parameters) for fit in first)
+    jobs = (_job(one, k, own, ahead) for k, (one, own) in enumerate(zip(searches, drivers, strict=True)))
+    for found in in_turn(_with_nis, jobs, work):
+        second.append(found)
+        on_progress(total // 2 + len(second), total)
+    return second
 
 
-def _carry_out(job: Job) -> tuple[Fit, float]:
-    """Search for a driver's parameters; returns the fit and the mean of the squared normalised innovations."""
+def _job(search: Job, number: int, own: Sequence[Drive], ahead: DriversAhead) -> Job:
+    """The search for a driver."""
+    followed = DriverChains(tuple(d.chain for d in own), ahead(own), tuple(d.scored for d in own))
+    return replace(search, vehicle=number, followed=followed)
+
+
+def _with_nis(job: Job) -> tuple[Fit, float]:
+    """Carry out a search; returns the fit and the mean of the squared normalised innovations."""
     fit, followed = carry_out(job), job.followed
     assert followed is not None
-    assert followed.ahead is not None
-    jobs = [ChainJob(c, fit.parameters, followed.ahead[: c.position_m.shape[1] - 1]) for c in followed.chains]
-    parts = []
-    for scored, predicted in zip(followed.scored, predict_samples(jobs), strict=True):
-        counts = scored & np.isfinite(predicted.log_likelihood)
-        parts.append((predicted.innovation**2 / predicted.innovation_var)[counts])
-    squares = np.concatenate(parts)
+    innovation, variance, density = predicted(followed, [fit.parameters])[0]
+    squares = (innovation**2 / variance)[np.isfinite(density)]
     return fit, float(squares.mean()) if len(squares) else float("nan")
+
+
+def _finite(values: Array) -> list[float | None]:
+    return [value if math.isfinite(value) else None for value in values.tolist()]

@@ -5,7 +5,7 @@ of the driver's class of vehicles then stand for theirs.
 """
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -129,15 +129,11 @@ def medians_of(
     return tuple(found)
 
 
-def with_parameters_of_class(
-    few: Sequence[Sequence[Drive]], classes: Sequence[ClassMedians], everybody: ClassMedians, typical: Array
-) -> tuple[BriefDriver, ...]:
-    """Give drivers who follow too briefly the parameters of their class.
+def rows_of_classes(classes: Sequence[ClassMedians], everybody: ClassMedians, typical: Array) -> Callable[[str], Array]:
+    """Return what gives the parameters (P,) of a class of vehicles.
 
     Parameters
     ----------
-    few : sequence of sequence of Drive
-        The stretches of each of these drivers.
     classes : sequence of ClassMedians
         The classes.
     everybody : ClassMedians
@@ -147,22 +143,40 @@ def with_parameters_of_class(
 
     Returns
     -------
-    tuple of BriefDriver
-        The drivers.
+    callable
+        Takes the name of a class; a class without a calibrated driver has the parameters of everybody.
     """
-    rows: dict[str | None, Array] = {}
-    for one in (*classes, everybody):
+
+    def row_of(*sources: ClassMedians) -> Array:
         row = typical.copy()
-        for source in (everybody, one):
+        for source in sources:
             for name, median in source.medians.items():
                 row[index(name)] = row[index(name)] if median is None else median
-        rows[one.vehicle_class if one is not everybody else None] = row
-    return tuple(_brief(own, rows.get(own[0].stretch.vehicle_class, rows[None]), typical) for own in few)
+        return row
+
+    rows, others = {one.vehicle_class: row_of(everybody, one) for one in classes}, row_of(everybody)
+    return lambda kind: rows.get(kind, others)
 
 
-def _brief(own: Sequence[Drive], row: Array, typical: Array) -> BriefDriver:
+def brief_driver(own: Sequence[Drive], row: Array, ahead: Sequence[Array]) -> BriefDriver:
+    """Give a driver who follows too briefly the parameters of the class.
+
+    Parameters
+    ----------
+    own : sequence of Drive
+        The driver's stretches.
+    row : ndarray, shape (P,)
+        Parameters of the class.
+    ahead : sequence of ndarray, shape (M - 1, P)
+        Parameters of the drivers ahead on each stretch.
+
+    Returns
+    -------
+    BriefDriver
+        The driver.
+    """
     squares, densities, samples = [], [], 0
-    jobs = [ChainJob(d.chain, row, np.tile(typical, (d.chain.position_m.shape[1] - 1, 1))) for d in own]
+    jobs = [ChainJob(d.chain, row, rows) for d, rows in zip(own, ahead, strict=True)]
     for drive, predicted in zip(own, predict_samples(jobs), strict=True):
         counts = drive.scored & np.isfinite(predicted.log_likelihood)
         squares.append((predicted.innovation**2 / predicted.innovation_var)[counts])

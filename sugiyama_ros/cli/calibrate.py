@@ -94,7 +94,7 @@ class CalibrateOptions:
     @property
     def needs_one_lane(self) -> bool:
         """Whether an option works on a single lane only, on which everybody is present."""
-        alone = self.formulation == "paper" or self.is_pooled or self.regularise or self.profile
+        alone = self.formulation == "paper" or self.is_pooled or self.regularise
         return alone or bool(self.hops or self.classes) or self.output is not None
 
     def check(self) -> None:
@@ -167,7 +167,9 @@ def _calibrate_tracks(options: CalibrateOptions) -> None:
     tracks = read_tracks(sources[0], choices) if len(sources) == 1 else read_files(sources, choices)
     began = time.monotonic()
     with progress("calibrating") as advance, workers(tracks.runs, options.scheduler) as work:
-        found = calibrate_tracks(tracks, names(options.parameters), work=work, on_progress=advance)
+        found = calibrate_tracks(
+            tracks, names(options.parameters), profiled=options.profile, work=work, on_progress=advance
+        )
     if options.as_json:
         print_json(found.document(time.monotonic() - began))
         return

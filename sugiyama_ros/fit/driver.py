@@ -333,11 +333,11 @@ class JobMaker:
         from sugiyama_ros.filters.extract import chain_behind  # here, because the paper's formulation starts without it
 
         chain = chain_behind(trajectories, driver, with_rear=False)
-        ahead = [known.get(_most(chain.identity[:, m]), self._typical) for m in range(1, CHAIN)]
-        return replace(one, followed=DriverChains((chain,), np.array(ahead)))
+        ahead = [known.get(most_seen(chain.identity[:, m]), self._typical) for m in range(1, CHAIN)]
+        return replace(one, followed=DriverChains((chain,), (np.array(ahead),)))
 
 
-def _most(identity: Ints) -> int:
-    """Number of the vehicle that is present in most samples, or -1."""
+def most_seen(identity: Ints) -> int:
+    """Return the number of the vehicle that is present in most samples, (T,), or -1."""
     values, counts = np.unique(identity[identity >= 0], return_counts=True)
     return int(values[np.argmax(counts)]) if len(values) else -1

@@ -24,14 +24,14 @@ class DriverChains(NamedTuple):
     ----------
     chains : tuple of Chain
         Data of the driver and of the vehicles ahead.
-    ahead : ndarray, shape (M - 1, P), or None
-        Parameters of the drivers ahead. A chain of fewer vehicles takes the first ones.
+    ahead : tuple of ndarray, shape (M - 1, P)
+        For each chain the parameters of the drivers ahead.
     scored : tuple of ndarray of bool, shape (T,)
         Samples of each chain that count, besides those that the filter leaves out; empty if all others count.
     """
 
     chains: tuple[Chain, ...]
-    ahead: Array | None
+    ahead: tuple[Array, ...]
     scored: tuple[Mask, ...] = ()
 
 
@@ -110,17 +110,16 @@ def predicted(followed: DriverChains, rows: Sequence[Array]) -> Array:
     # Imported here: the paper's formulation does not need the causal filter, which takes long to load.
     from sugiyama_ros.filters import causal
 
-    jobs = [causal.ChainJob(c, row, _first(followed.ahead, c)) for row in rows for c in followed.chains]
+    if not rows:  # one parameter alone has a profile, too
+        return np.empty((0, 3, sum(len(chain.position_m) for chain in followed.chains)))
+    each_chain = list(zip(followed.chains, followed.ahead, strict=True))
+    jobs = [causal.ChainJob(chain, row, ahead) for row in rows for chain, ahead in each_chain]
     each, count = causal.predict_samples(jobs), len(followed.chains)
     found = [np.concatenate([np.array(one) for one in each[k : k + count]], axis=1) for k in range(0, len(jobs), count)]
     samples = np.array(found)
     if followed.scored:
         samples[:, 2, ~np.concatenate(followed.scored)] = np.nan
     return samples
-
-
-def _first(ahead: Array | None, chain: Chain) -> Array | None:
-    return None if ahead is None else ahead[: chain.position_m.shape[1] - 1]
 
 
 def regularised(scored: Scored, parameters: Array, strength: float = 1.0) -> Scored:

@@ -63,7 +63,8 @@ def simulate_lanes(
     Returns
     -------
     Tracks
-        Measured positions with lanes, classes and leaders. Nobody knows who drives ahead of the first vehicle in view.
+        Measured positions with lanes, classes and leaders. Nobody is ahead of the first vehicle if the view has no end
+        ahead; else it is not known who is.
 
     Raises
     ------
@@ -94,4 +95,5 @@ def simulate_lanes(
     if not len(numbers["s_m"]):
         raise InputError(f"simulation: nobody comes between {view_m[0]:g} and {view_m[1]:g} m; see more of the road")
     texts = {name: labels_of([t for part in parts for t in part[name]]) for name in ("vehicle", "lane", "class")}
-    return of_columns({**texts, **numbers}, About(source="adaptiveSeek"))
+    about = About(source="adaptiveSeek", view="whole" if view_m[1] == np.inf else "end")
+    return of_columns({**texts, **numbers}, about)

@@ -44,13 +44,14 @@ def two_lanes(rng: np.random.Generator) -> Tracks:
 def _answer(asked: Asked) -> Answer:
     """Simulate two lanes, and fit all drivers who follow somebody.
 
-    The table has, for each class, the truth, the median and the bias of the fits, and the share of 95 % intervals that
-    contain the truth, of the fits in which the parameter is identified.
+    The table has, for each class, the truth, the median and the bias of the fits, and how often 95 % intervals contain
+    the truth: those from standard errors, and those from the profile likelihood. Only fits count in which the parameter
+    is identified.
     """
     found: list[CalibratedDriver] = []
     for k in range(asked.runs):
         tracks = two_lanes(np.random.default_rng(asked.seed + k))
-        found += calibrate_tracks(tracks, ESTIMATED, work=asked.work).drivers
+        found += calibrate_tracks(tracks, ESTIMATED, profiled=True, work=asked.work).drivers
     rows: list[Row] = []
     held: dict[tuple[str, str], Array] = {}
     for kind in (CAR, TRUCK):
@@ -60,6 +61,7 @@ def _answer(asked: Asked) -> Answer:
             known = [fit for fit in own if fit.identified(name)]
             value = np.array([fit.parameters[place] for fit in known])
             std, truth = np.array([fit.std[place] for fit in known]), float(drivers_of(kind)[place])
+            low, high = np.array([fit.interval[place] for fit in known]).reshape(-1, 2).T
             held[kind, name] = value
             rows.append(
                 {
@@ -69,7 +71,8 @@ def _answer(asked: Asked) -> Answer:
                     "median": float(np.median(value)) if len(value) else np.nan,
                     "bias": float(value.mean() - truth) if len(value) else np.nan,
                     "bias error": float(value.std(ddof=1) / np.sqrt(len(value))) if len(value) > 1 else np.nan,
-                    "coverage of 95 %": float(np.mean(np.abs(value - truth) < _SURE * std)) if len(value) else np.nan,
+                    "in 95 % error": float(np.mean(np.abs(value - truth) < _SURE * std)) if len(value) else np.nan,
+                    "in 95 % profile": float(np.mean((low < truth) & (truth < high))) if len(value) else np.nan,
                     "identified": len(known),
                     "fits": len(own),
                 }

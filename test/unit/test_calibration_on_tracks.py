@@ -7,12 +7,16 @@ import numpy as np
 import pytest
 
 import sugiyama_ros as sg
+from sugiyama_ros.calibration.drivers_ahead import DriversAhead
 from sugiyama_ros.calibration.on_tracks import LEAST_FOLLOWING_S, calibrate_tracks
 from sugiyama_ros.cli.app import app
-from sugiyama_ros.driver.parameters import V_STAR
+from sugiyama_ros.driver.parameters import V_STAR, population
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.fit.driver import Fit
+from sugiyama_ros.fit.stretched import followers
 from sugiyama_ros.trajectories.labels import labels_of
 from sugiyama_ros.trajectories.one_lane import tracks_of
+from sugiyama_ros.trajectories.time_base import on_time_base
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +58,40 @@ def test_drivers_who_follow_for_a_short_time_are_left_out(tracks):
     assert len(found.table().rows) == 3 + 1 + 2
     with pytest.raises(InputError, match="nobody follows a known vehicle for 15 s"):
         calibrate_tracks(tracks.select(leaves))
+
+
+def test_drivers_ahead_have_their_own_parameters_or_those_of_their_class(tracks):
+    kind = np.where(np.asarray(tracks.run) % 2 == 0, "truck", "car")
+    tracks = on_time_base(replace(tracks, vehicle_class=labels_of(kind.tolist())))
+    (zero, one, *_) = drivers = followers(tracks).enough
+    typical = population()
+    fits = [_fit(typical + k) for k in range(len(drivers))]
+    ahead = DriversAhead(tracks, typical)
+    np.testing.assert_array_equal(ahead(zero)[0], np.tile(typical, (2, 1)))
+    # vehicles 1 and 2 are ahead of vehicle 0
+    ahead = ahead.of(drivers[:2], fits[:2], ["v_star"])
+    np.testing.assert_array_equal(ahead(zero)[0][0], typical + 1)
+    of_class = typical.copy()
+    of_class[V_STAR] = fits[0].parameters[V_STAR]
+    np.testing.assert_array_equal(ahead(one)[0][0], of_class, "vehicle 2 is a truck, as vehicle 0 is")
+    np.testing.assert_array_equal(ahead.of_class("bus")[V_STAR], np.median([f.parameters[V_STAR] for f in fits[:2]]))
+
+
+def _fit(parameters):
+    std = np.full(len(parameters), 0.01)
+    return Fit(0, parameters, 0.0, std, (), np.stack([parameters - 1.0, parameters + 1.0], axis=1))
+
+
+def test_intervals_may_come_from_the_profile(tracks):
+    some = tracks.select(np.asarray(tracks.time_s) < tracks.time_s[0] + 40.0)
+    plain, profiled = (calibrate_tracks(some, ["v_star"], profiled=one) for one in (False, True))
+    for one, other in zip(plain.document(0.0)["drivers"], profiled.document(0.0)["drivers"], strict=True):
+        assert one["v_star"] == other["v_star"]
+        low, high = other["interval"]["v_star"]
+        assert low < one["v_star"] < (np.inf if high is None else high)
+        assert one["interval"]["v_star"] != other["interval"]["v_star"]
+    assert any(" to " in cell for row in profiled.table().rows for cell in row)
+    assert not any(" to " in cell for row in plain.table().rows for cell in row)
 
 
 def test_a_class_without_an_identified_parameter_has_no_median(tracks):
