@@ -18,8 +18,8 @@ from sugiyama_ros.trajectories.tracks import NUMBERS, Tracks
 
 #: A foot [m].
 FOOT_M = 0.3048
-# Times above are milliseconds since 1970.
-_MILLISECONDS = 1e11
+# Times above these count parts of a second since 1970: the part [s], and its name.
+_PARTS = ((1e17, 1e-9, "nanoseconds"), (1e14, 1e-6, "microseconds"), (1e11, 1e-3, "milliseconds"))
 
 
 @dataclass(frozen=True)
@@ -128,11 +128,10 @@ def put_together(
     if choices.view is not None:
         about = replace(about, view=choices.view)
     time = np.asarray(columns["time_s"])
-    if len(time) and np.nanmax(np.abs(time), initial=0.0) > _MILLISECONDS:
-        columns["time_s"], about = (
-            time * 1e-3,
-            about.noting("times are milliseconds in the file; they were divided by 1000"),
-        )
+    latest = float(np.nanmax(np.abs(time), initial=0.0))
+    if part := next(((part, name) for above, part, name in _PARTS if latest > above), None):
+        columns["time_s"] = time * part[0]
+        about = about.noting(f"times are {part[1]} in the file; they were made seconds")
     tracks = assemble(columns, about, choices.reference or reference)
     if np.any(np.diff(tracks.start) > 1) and not is_regular(tracks):
         tracks = on_time_base(tracks)

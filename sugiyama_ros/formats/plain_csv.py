@@ -124,8 +124,8 @@ def _is_plain(head: bytes, path: Path) -> bool:
     if not set(_REQUIRED) <= set(header) or set(header) & _OF_TRACKS:
         return False
     first = dict(zip(header, rows[1], strict=False)) if len(rows) > 1 else {}
-    epoch_ms = re.fullmatch(r"\d{13}(\.\d*)?", first.get("time_s", "").strip()) is not None
-    return _VEHICLE.fullmatch(first.get("vehicle", "0").strip()) is not None and not epoch_ms
+    since_1970 = re.fullmatch(r"\d{13,19}(\.\d*)?", first.get("time_s", "").strip()) is not None
+    return _VEHICLE.fullmatch(first.get("vehicle", "0").strip()) is not None and not since_1970
 
 
 FORMAT = Format(

@@ -122,7 +122,7 @@ def _numbers(texts: list[str], where: str) -> list[float]:
 
 def _recognise(head: bytes, path: Path) -> bool:
     first = head.decode("utf-8-sig", errors="replace").partition("\n")[0]
-    return tuple(one.strip() for one in first.split(";"))[: len(_HEAD)] == _HEAD
+    return tuple(one.strip().lower() for one in first.split(";"))[: len(_HEAD)] == _HEAD
 
 
 FORMAT = tracks_format(

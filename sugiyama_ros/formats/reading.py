@@ -10,6 +10,16 @@ from sugiyama_ros import inputs
 from sugiyama_ros.errors import InputError
 
 _MAX_LINE = 10_000
+# Files that hold another file, or text in another encoding: their first bytes, and the cure.
+_PACKED = (
+    (b"\x1f\x8b", "compressed by gzip", "unpack it with gunzip"),
+    (b"PK\x03\x04", "a zip archive or a spreadsheet", "unpack it with unzip, or save it as CSV"),
+    (b"BZh", "compressed by bzip2", "unpack it with bunzip2"),
+    (b"\xfd7zXZ", "compressed by xz", "unpack it with unxz"),
+    (b"\x28\xb5\x2f\xfd", "compressed by zstd", "unpack it with unzstd"),
+    (b"\xff\xfe", "text in UTF-16", "save it as UTF-8"),
+    (b"\xfe\xff", "text in UTF-16", "save it as UTF-8"),
+)
 
 
 def open_input(path: Path) -> BinaryIO:
@@ -23,6 +33,20 @@ def open_input(path: Path) -> BinaryIO:
         raise InputError(f"{path}: cannot be read: {reason}; check the name and the permissions") from None
     inputs.note(stream.fileno())
     return stream
+
+
+def why_no_text(head: bytes) -> str:
+    """Say why the first bytes of a file are no UTF-8 text, and what to do; empty if they are text, or nothing known."""
+    for magic, what, cure in _PACKED:
+        if head.startswith(magic):
+            return f"{what}; {cure}"
+    try:
+        head.decode("utf-8")
+    except UnicodeDecodeError as error:
+        # the last letter may be cut off
+        if error.end < len(head) - 4 and b"\0" not in head:
+            return "not UTF-8 text; save it as UTF-8, as by iconv -f LATIN1 -t UTF-8"
+    return ""
 
 
 def shown_name(path: Path) -> str:

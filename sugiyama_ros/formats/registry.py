@@ -11,6 +11,7 @@ from sugiyama_ros import plugins
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.format import Format
+from sugiyama_ros.formats.reading import why_no_text
 from sugiyama_ros.formats.sheet import head_of
 from sugiyama_ros.trajectories.one_lane import tracks_of, whole_road
 from sugiyama_ros.trajectories.tracks import Tracks
@@ -175,4 +176,5 @@ def format_of(path: Path) -> Format:
         if known.recognise(head, path):
             return known
     failed = "".join(f"; format {name}: {reason}" for (group, name), reason in plugins.FAILED.items() if group == GROUP)
-    raise InputError(f"{path}: not a known file format; give a file in {known_suffixes()}{failed}")
+    why = why_no_text(head) or f"not a known file format; give a file in {known_suffixes()}{failed}"
+    raise InputError(f"{path}: {why}")

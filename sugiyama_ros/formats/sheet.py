@@ -57,12 +57,12 @@ class Sheet:
         return not self.separator
 
     def find(self, *alternatives: str) -> str | None:
-        """The first of some names that the table has, in lower or upper case; None if it has none."""
-        known = {name.lower(): name for name in reversed(self.names)}
-        return next((known[name.lower()] for name in alternatives if name.lower() in known), None)
+        """The first of some names that the table has, in any case, and with any of ``_ -`` in between; None if none."""
+        known = {_plain(name): name for name in reversed(self.names)}
+        return next((known[_plain(name)] for name in alternatives if _plain(name) in known), None)
 
     def has(self, *names: str) -> bool:
-        """Whether the table has all of these columns, in lower or upper case."""
+        """Whether the table has all of these columns, as `find` finds them."""
         return all(self.find(name) is not None for name in names)
 
 
@@ -320,6 +320,10 @@ def _is_number(text: str, decimal: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+def _plain(name: str) -> str:
+    return name.lower().replace("-", "_").replace(" ", "_")
 
 
 def _unique(names: list[str]) -> list[str]:

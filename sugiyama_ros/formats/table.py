@@ -7,6 +7,7 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import MAPPED, Choices
 from sugiyama_ros.formats.columns import Take, about_file, need, nobody, put_together, read_columns, take
 from sugiyama_ros.formats.format import tracks_format
+from sugiyama_ros.formats.reading import why_no_text
 from sugiyama_ros.formats.sheet import head_of, sheet_of
 from sugiyama_ros.trajectories.labels import Labels
 from sugiyama_ros.trajectories.tracks import Tracks
@@ -41,7 +42,10 @@ def read_table(path: Path, choices: Choices) -> Tracks:
     InputError
         With line and column, for a file of another form.
     """
-    sheet = sheet_of(path, head_of(path))
+    head = head_of(path)
+    if why := why_no_text(head) if not head.startswith(b"PAR1") else "":
+        raise InputError(f"{path}: {why}")
+    sheet = sheet_of(path, head)
     if sheet is None:
         raise InputError(
             f"{path}:1: no column time_s, vehicle, position_m; give a table whose first line names its columns"
@@ -59,10 +63,18 @@ def read_table(path: Path, choices: Choices) -> Tracks:
     return put_together(columns, about, choices)
 
 
+def _recognise(head: bytes, path: Path) -> bool:
+    """Any file with the name of a table; a text only with the columns that tracks need."""
+    if path.is_dir() or path.suffix.lower() != ".txt":
+        return path.suffix.lower() in _SUFFIXES and not path.is_dir()
+    sheet = sheet_of(path, head)
+    return sheet is not None and all(sheet.find(*one.names) for one in _PLAIN.values() if not one.optional)
+
+
 FORMAT = tracks_format(
     name="table",
-    suffixes=_SUFFIXES,
-    recognise=lambda head, path: path.suffix.lower() in _SUFFIXES and not path.is_dir(),
+    suffixes=(*_SUFFIXES, ".txt"),
+    recognise=_recognise,
     tracks=read_table,
     summary="a table with the columns of tracks (time_s, vehicle, s_m, and more if known), or any table with --columns",
 )

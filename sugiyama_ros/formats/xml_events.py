@@ -63,8 +63,9 @@ def _events(path: Path, stream: BinaryIO, parser: "Parser") -> Iterator[tuple[st
 
 def attribute(attributes: Mapping[str, str], name: str, where: str) -> float:
     """A number among the attributes of an element. Raises InputError."""
-    text = attributes.get(name)
+    if name not in attributes:
+        raise InputError(f"{where}: no attribute {name}; write the file with it")
     try:
-        return float(text if text is not None else "")
+        return float(attributes[name])
     except ValueError:
-        raise InputError(f"{where}: {name} {str(text)[:40]!r} is not a number; correct the file") from None
+        raise InputError(f"{where}: {name} {attributes[name][:40]!r} is not a number; correct the file") from None

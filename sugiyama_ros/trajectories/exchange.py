@@ -111,7 +111,7 @@ def from_frame(frame: "pandas.DataFrame", about: About | None = None) -> Tracks:
     Parameters
     ----------
     frame : pandas.DataFrame
-        Columns vehicle, time_s [s] and s_m [m], and perhaps the other columns of tracks.
+        Columns vehicle, time_s [s] and s_m (or position_m) [m], and perhaps the other columns of tracks.
     about : About, optional
         Where they come from.
 
@@ -125,9 +125,11 @@ def from_frame(frame: "pandas.DataFrame", about: About | None = None) -> Tracks:
     InputError
         For a missing column, a value that is not a number, or vehicles that overlap.
     """
+    if "s_m" not in frame.columns:
+        frame = frame.rename(columns={"position_m": "s_m"})
     missing = [name for name in ("vehicle", "time_s", "s_m") if name not in frame.columns]
     if missing:
-        raise InputError(f"data frame: no column {', '.join(missing)}; name the columns as tracks do")
+        raise InputError(f"data frame: no column {', '.join(missing)}; name it so, as by frame.rename")
     try:
         columns = {name: _column(name, frame[name]) for name in _COLUMNS if name in frame.columns}
     except (TypeError, ValueError) as error:

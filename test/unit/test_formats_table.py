@@ -79,7 +79,7 @@ def test_what_users_write_is_accepted(tmp_path: Path, cells: Cells, separator: s
 def test_epoch_milliseconds_are_said(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text(table(lambda k, i, t, s: (1700000000000 + 100 * i, k, f"{s:.3f}", 4.5)))
-    assert "times are milliseconds in the file; they were divided by 1000" in read_tracks(path).about.notes
+    assert "times are milliseconds in the file; they were made seconds" in read_tracks(path).about.notes
 
 
 def test_lengths_that_vary(tmp_path: Path) -> None:

@@ -176,7 +176,7 @@ def test_too_many_samples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_a_file_of_no_known_format_is_refused(tmp_path: Path) -> None:
-    assert "not a known file format" in refused(tmp_path, "a.txt", CSV)
+    assert "not a known file format" in refused(tmp_path, "a.dat", CSV)
     with pytest.raises(InputError, match="No such file"):
         read_trajectories(tmp_path / "none.csv")
     with pytest.raises(InputError, match="not a regular file"):
