@@ -17,11 +17,11 @@ import numpy as np
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.addition import Addition
 from sugiyama_ros.diagnosis.chance import p_value_of
+from sugiyama_ros.diagnosis.coarseness import rounding_says, sampling_says
 from sugiyama_ros.diagnosis.discover import Discovery
 from sugiyama_ros.diagnosis.errors import HeldOutErrors
 from sugiyama_ros.diagnosis.law_check import CLEARLY, FURTHER, LEVEL_OF_LAWS, LawCheck, log_ratio
 from sugiyama_ros.diagnosis.locate import Located, locate
-from sugiyama_ros.diagnosis.rounding import rounding_says
 from sugiyama_ros.effects.registry import EFFECTS
 from sugiyama_ros.fit.cross_validation import Gain, gain
 from sugiyama_ros.fit.joint import JointFit
@@ -132,7 +132,7 @@ def judge(data: Recorded, evidence: Evidence) -> Adequacy:
         *_spread_says(evidence.final),
         *signs,
         *_few_say(data, evidence.named),
-        *(rounding_says(data, evidence.final) if evidence.named else ()),
+        *((*rounding_says(data, evidence.final), *sampling_says(data)) if evidence.named else ()),
     ]
     reasons += [
         f"a force that depends on {force.covariate} is missing, by {force.strength:.2g} m/s²"

@@ -18,7 +18,7 @@ from sugiyama_ros.fit.driver import calibrate
 from sugiyama_ros.fit.joint import JointFit, at_model, maximise, mixed, objectives, renewed, start_fit, warm_start
 from sugiyama_ros.fit.model import Model, coordinate
 from sugiyama_ros.fit.recording import FOLDS, Recorded
-from sugiyama_ros.fit.sampling import measured
+from sugiyama_ros.fit.sampling import measured_every
 
 #: Prior std of a parameter's coordinate (a logarithm for most): before the spread is known; smallest; largest.
 PRIOR_STD, LEAST_STD, LARGEST_STD = 1.0, 0.05, 1.0
@@ -26,6 +26,9 @@ PRIOR_STD, LEAST_STD, LARGEST_STD = 1.0, 0.05, 1.0
 _NEARLY = 20.0
 # A driver further than this from the median driver, in prior stds, is fitted again.
 _FAR_AWAY = 3.5
+# A fit has settled if the log-likelihood changes by less than this for each driver [nats] when the drivers ahead get
+# the parameters that were found for them. Maximum number of fits until it has.
+_AGREES, _PASSES = 0.1, 5
 
 
 def start_model(data: Recorded, individual: Sequence[int]) -> Model:
@@ -51,7 +54,8 @@ def start_model(data: Recorded, individual: Sequence[int]) -> Model:
 def fit_base(data: Recorded, individual: Sequence[int], work: Executor, start: Model | None = None) -> JointFit:
     """Fit every driver alone, then all drivers as draws from one population.
 
-    The second fit uses the first fit's parameters for the drivers ahead.
+    The second fit uses the first fit's parameters for the drivers ahead. It is repeated, with its own parameters for
+    them, until the likelihood no longer depends on which of the two are used.
 
     Parameters
     ----------
@@ -73,7 +77,22 @@ def fit_base(data: Recorded, individual: Sequence[int], work: Executor, start: M
     near = _by_paper(data, first, work) if start is None else None
     start_at = start_fit(data, near or first, work)
     found = maximise(data, start_at, work, iterations=10 if near is None else 3, enough=_NEARLY)
-    return _second_chance(data, warm_start(data, found, as_population(found.model), work), work)
+    found = _second_chance(data, warm_start(data, found, as_population(found.model), work), work)
+    return _consistent(data, found, work)
+
+
+def _consistent(data: Recorded, found: JointFit, work: Executor) -> JointFit:
+    """Fit again with the parameters found for the drivers ahead, too, until the log-likelihood hardly changes."""
+    enough = _AGREES * data.drivers
+    there = at_model(data, found, as_population(found.model), work, np.ones(data.drivers, np.bool_))
+    change = there.log_likelihood - found.log_likelihood
+    for _ in range(_PASSES):
+        if abs(change) < enough:
+            break
+        before = found.log_likelihood
+        found = _second_chance(data, warm_start(data, found, as_population(found.model), work), work)
+        change = found.log_likelihood - before
+    return found
 
 
 def _second_chance(data: Recorded, found: JointFit, work: Executor) -> JointFit:
@@ -97,14 +116,16 @@ def _second_chance(data: Recorded, found: JointFit, work: Executor) -> JointFit:
 def _by_paper(data: Recorded, model: Model, work: Executor) -> Model | None:
     """The model fitted with the paper's formulation; None if the formulation cannot use the recording.
 
+    In the paper, drivers decide once for each sample. So the formulation says little of samples that are far apart.
+
     A parameter that the data of a driver do not determine becomes the median over the drivers whose data determine it,
     if there are any.
     """
-    if data.trajectories is None:
+    if data.trajectories is None or measured_every(data.trajectories) > 1:
         return None
     names = [NAMES[k] for k in model.individual]
     try:
-        fits = list(calibrate(measured(data.trajectories), "paper", names, work=work))
+        fits = list(calibrate(data.trajectories, "paper", names, work=work))
     except InputError:
         return None
     rows = model.rows.copy()

@@ -9,12 +9,12 @@ import pytest
 from sugiyama_ros.diagnosis.addition import least_gain
 from sugiyama_ros.diagnosis.adequacy import Evidence, judge, told
 from sugiyama_ros.diagnosis.candidates import named
+from sugiyama_ros.diagnosis.coarseness import rounding_says, sampling_says
 from sugiyama_ros.diagnosis.diagnosis import diagnose
 from sugiyama_ros.diagnosis.discover import Discovery
 from sugiyama_ros.diagnosis.errors import errors_of, held_out_errors
 from sugiyama_ros.diagnosis.law_check import LawCheck, check_laws, open_laws
 from sugiyama_ros.diagnosis.rivals import start_of
-from sugiyama_ros.diagnosis.rounding import rounding_says
 from sugiyama_ros.diagnosis.verdict import document, sentences
 from sugiyama_ros.driver.parameters import defaults
 from sugiyama_ros.effects.registry import ROW
@@ -96,6 +96,12 @@ def test_coarse_positions_speak_against_what_is_named(own):
     assert rounding_says(with_steps_of(0.1), own.after) == rounding_says(own.data, own.after) == []
     # nothing is named, so nothing is said
     assert judge(with_steps_of(1.0), evidence_of(own)).outcome == "adequate"
+
+
+def test_samples_that_are_far_apart_are_a_reason_against_names(own):
+    assert sampling_says(own.data) == []
+    (said,) = sampling_says(replace(own.data, every=3))
+    assert said.startswith("samples are 1 s apart, and drivers decide 3 times")
 
 
 def test_a_force_that_is_left_speaks_against_the_model(own):

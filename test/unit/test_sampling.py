@@ -10,7 +10,7 @@ from sugiyama_ros.diagnosis.bootstrap import resample
 from sugiyama_ros.diagnosis.free_runs import free_runs
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, defaults
 from sugiyama_ros.effects.registry import ROW
-from sugiyama_ros.fit.population import start_model
+from sugiyama_ros.fit.population import fit_base, start_model
 from sugiyama_ros.fit.recording import prepare
 from sugiyama_ros.fit.sampling import measured, measured_every, with_short_periods
 from sugiyama_ros.fit.score import evaluate, filtered_states
@@ -43,6 +43,19 @@ def test_empty_samples_come_in_between_and_go_again(slow):
     assert again.period_s == pytest.approx(slow.period_s)
     assert with_short_periods(finer) is finer
     assert measured(slow) is slow
+
+
+def test_a_fit_settles_on_the_same_parameters_for_drivers_and_for_those_ahead(slow):
+    data, own = prepare(slow), (SIGMA_NU, SIGMA_A, V_STAR, KAPPA_V)
+    with ThreadPoolExecutor(1) as work:
+        found = fit_base(data, own, work)
+        settled = evaluate(data, replace(found.model, ahead=found.model.rows), work)
+        true = ROW.with_effects(defaults(CARS))
+        truth = evaluate(data, replace(found.model, rows=true, ahead=true), work)
+    assert settled.total == pytest.approx(found.log_likelihood, abs=0.1 * CARS)
+    assert found.log_likelihood > truth.total
+    # half of chi-squared of four parameters for each driver; its 99.9 % quantile for 32 degrees of freedom is 31
+    assert found.log_likelihood < truth.total + 31.3
 
 
 def test_a_filter_knows_its_errors_between_pictures_that_are_a_second_apart(slow):

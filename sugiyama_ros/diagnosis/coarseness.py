@@ -1,4 +1,4 @@
-"""Whether positions are rounded so coarsely that a search may name an effect for it."""
+"""Whether positions are so coarse, in space or in time, that a search may name an effect for it."""
 
 import numpy as np
 
@@ -43,4 +43,29 @@ def rounding_says(data: Recorded, final: HeldOutErrors) -> list[str]:
     return [
         f"positions are rounded to {q:.2g} m, {100.0 * part:.0f} % of the variance of the innovations: what is named"
         " may only make up for it"
+    ]
+
+
+def sampling_says(data: Recorded) -> list[str]:
+    """Say that samples are so far apart that drivers decide several times in between.
+
+    Close to contact, what a driver does depends on where exactly the leader is. Between two samples the filter knows
+    the leader poorly, and its linear forecast goes wrong there.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+
+    Returns
+    -------
+    list of str
+        One reason, or none.
+    """
+    if data.every == 1:
+        return []
+    apart_s = data.every * data.vicinity.period_s
+    return [
+        f"samples are {apart_s:.2g} s apart, and drivers decide {data.every} times from one to the next: what is named"
+        " may only make up for what the filter cannot know in between"
     ]
