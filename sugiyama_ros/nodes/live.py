@@ -4,6 +4,7 @@ import contextlib
 import logging
 import socket
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from bokeh.server.server import Server
@@ -59,7 +60,7 @@ def serve(
     """
     if source is not None:
         environment.isolate()
-    plan = Plan.read(source, output, settings) if source is not None else None
+    plan = _plan(source, output, settings) if source is not None else None
     with ros() as asked_to_stop, contextlib.ExitStack() as stack:
         view = View(settings.rate, str(output) if plan is not None else "")
         stack.callback(view.destroy_node)
@@ -78,6 +79,12 @@ def serve(
         stack.callback(turns.stop)
         on_ready(url)
         IOLoop.current().start()
+
+
+def _plan(source: Path, output: Path, settings: RunSettings) -> Plan:
+    """What runs beside the page; without a critic where vehicles come and go."""
+    plan = Plan.read(source, output, replace(settings, critic=False))
+    return plan if plan.has_tracks else replace(plan, settings=settings)
 
 
 def _turns(spinner: Spinner, runner: OneProcess | None, asked_to_stop: Callable[[], bool]) -> PeriodicCallback:

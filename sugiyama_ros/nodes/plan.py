@@ -119,7 +119,9 @@ class Plan:
         """Raise InputError for what the graph of a run cannot do."""
         count = len(self.source.vehicles)
         if self.has_tracks and self.settings.critic:
-            raise InputError("critic: it cannot follow vehicles that come and go yet; leave out --critic")
+            raise InputError(
+                "--critic: it compares models on the same vehicles all along; these come and go; leave out --critic"
+            )
         if not self.has_tracks and count > MOST_NODES:
             raise InputError(
                 f"{count} vehicles: a node for each driver works for at most {MOST_NODES}; convert the file to tracks,"

@@ -11,7 +11,15 @@ from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.node import Node
 from std_srvs.srv import Trigger
-from sugiyama_msgs.msg import DriverParameters, Innovation, MeasuredPositions, StyleChange, VehicleState, Verdict
+from sugiyama_msgs.msg import (
+    DriverArray,
+    DriverParameters,
+    Innovation,
+    MeasuredPositions,
+    StyleChange,
+    VehicleState,
+    Verdict,
+)
 from sugiyama_msgs.msg import Road as RoadMessage
 from sugiyama_msgs.srv import AddEffect, RemoveEffect
 
@@ -22,7 +30,9 @@ from sugiyama_ros.nodes.base import cdr_messages, incoming
 from sugiyama_ros.nodes.base.any_publisher import AnyPublisher
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.base_model import BaseModel
-from sugiyama_ros.nodes.plan import REPLAY, estimators
+from sugiyama_ros.nodes.driver_array import TOPIC
+from sugiyama_ros.nodes.plan import DRIVERS, REPLAY, estimators
+from sugiyama_ros.nodes.told import each_driver
 from sugiyama_ros.page.feed import KEPT, Log, Status
 from sugiyama_ros.page.panels.base import MOVING_S
 from sugiyama_ros.road import Road
@@ -106,6 +116,10 @@ class View(Node):
         self._listen(RoadMessage, "/road", incoming.road, self._on_road, LATCHED)
         self._listen(MeasuredPositions, "/measured", incoming.sample, self._on_measured)
         self._listen(Verdict, "/verdict", incoming.verdict, self._on_verdict)
+        # from one node for all drivers, who then have no topics of their own
+        self._are_together = False
+        self._listen(DriverArray, f"/{TOPIC}", incoming.drivers, self._on_drivers)
+        self._listen(StyleChange, "/style_change", incoming.style_change, self._on_change)
 
     def _listen(
         self, kind: type, topic: str, decode: Callable[[bytes], Any], take: Callable[[Any], None], qos: Any = STREAM
@@ -164,7 +178,7 @@ class View(Node):
             self.said = f"{values}: give name=value, with commas between"
             return
         request = AddEffect.Request(effect=name, name=list(found), value=list(found.values()))
-        for estimator in estimators(namespaces(self.vehicles)):
+        for estimator in self._estimators():
             self._call(AddEffect, f"{estimator}/add_effect", request)
         self.added = tuple(dict.fromkeys([*self.added, name]))
         self._happened(f"{name} added ({values})")
@@ -172,12 +186,17 @@ class View(Node):
 
     def remove(self, name: str) -> None:
         """Call every estimator's ~/remove_effect."""
-        for estimator in estimators(namespaces(self.vehicles)):
+        for estimator in self._estimators():
             self._call(RemoveEffect, f"{estimator}/remove_effect", RemoveEffect.Request(effect=name))
         if name in self.added:
             self._happened(f"{name} removed")
             self._changed_s.append(self._latest_s)
         self.added = tuple(one for one in self.added if one != name)
+
+    def _estimators(self) -> Sequence[str]:
+        """Full names of the nodes that follow the drivers."""
+        running = {f"{space.rstrip('/')}/{name}" for name, space in self.get_node_names_and_namespaces()}
+        return [DRIVERS] if DRIVERS in running else estimators(namespaces(self.vehicles))
 
     def _happened(self, what: str) -> None:
         self._events.appendleft(f"{self._latest_s:.0f} s: {what}" if math.isfinite(self._latest_s) else what)
@@ -248,11 +267,21 @@ class View(Node):
                 continue
             self._driver[v] = Log(KEPT)
             self._state[v] = (math.nan, math.nan)
+            if self._are_together:
+                continue
             self._listen(VehicleState, f"{space}/state", incoming.state, self._on_state)
             self._listen(Innovation, f"{space}/innovation", incoming.innovation, self._on_innovation)
             self._listen(DriverParameters, f"{space}/parameters", incoming.parameters, self._on_parameters)
             self._listen(StyleChange, f"{space}/style_change", incoming.style_change, self._on_change)
         self.vehicles = everybody
+
+    def _on_drivers(self, message: DriverArray) -> None:
+        self._are_together = True
+        for told in each_driver(message):
+            if told.adapted is not None:
+                self._adapted[told.state[1]] = told.adapted
+            self._on_state(told.state)
+            self._on_innovation(told.innovation)
 
     def _on_state(self, state: tuple[float, int, float, float, float]) -> None:
         time_s, v, position, speed, variance = state

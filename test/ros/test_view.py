@@ -1,8 +1,9 @@
 """The node behind the live page."""
 
+import pytest
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
-from sugiyama_msgs.msg import MeasuredPositions, Road, VehicleState
+from sugiyama_msgs.msg import DriverArray, MeasuredPositions, Road, VehicleState
 
 from sugiyama_ros.formats.measured import FRAME
 from sugiyama_ros.nodes.view import View
@@ -31,3 +32,37 @@ def test_a_page_hears_publishers_that_offer_less_than_a_replay(stage) -> None:
 
     stage.until(told)
     assert view.now[1][1] == 10.0
+
+
+def test_a_page_hears_of_drivers_who_come_and_go_in_one_message(stage) -> None:
+    """As `sugiyama live` has it on tracks: one node follows all drivers."""
+    view, world = View(1.0), Node("drivers")
+    to_measured = world.create_publisher(MeasuredPositions, "/measured", qos_profile_sensor_data)
+    to_drivers = world.create_publisher(DriverArray, "/drivers", qos_profile_sensor_data)
+    stage.add(view, world)
+    steps = iter(range(100_000))
+
+    def told() -> bool:
+        k = next(steps)
+        vehicles = [3, 120] if k < 3 else [120]
+        count = len(vehicles)
+        message = MeasuredPositions(vehicle=vehicles, leader=[-2] * count, position_m=[1.0 * k] * count, step=k)
+        message.length_m = [4.5] * count
+        array = DriverArray(vehicle=vehicles, position_m=[1.0 * k] * count, speed=[10.0] * count)
+        array.state_covariance = [0.04] * (9 * count)
+        array.innovation_m, array.innovation_var, array.nis = [0.1] * count, [0.01] * count, [1.0] * count
+        array.log_likelihood, array.scored = [0.0] * count, [True] * count
+        array.name, array.estimated = ["sigma_a", "v_star", "kappa_v"], [False, True, True]
+        array.value, array.parameter_covariance = [0.5, 9.0, 0.3] * count, [0.25, 0.0, 0.0, 0.01] * count
+        array.identified = [True] * (2 * count)
+        for one in (message, array):
+            one.header.frame_id = FRAME
+            one.header.stamp.sec, one.header.stamp.nanosec = divmod(k * 100_000_000, 1_000_000_000)
+        to_measured.publish(message)
+        to_drivers.publish(array)
+        return 120 in view.adapted and 3 not in view.now and 120 in view.now
+
+    stage.until(told)
+    assert view.now[120][1] == 10.0
+    assert view.adapted[120] == pytest.approx((9.0, 0.5, 0.3, 0.1))
+    assert view._estimators() == ["/drivers"]
