@@ -17,9 +17,10 @@ from sugiyama_ros.calibration.calibrate import each_driver
 from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.diagnosis.compare import compare
 from sugiyama_ros.diagnosis.diagnosis import diagnose
-from sugiyama_ros.driver.parameters import defaults
+from sugiyama_ros.driver.parameters import NAMES, defaults
 from sugiyama_ros.effects.registry import ROW, switch_on
 from sugiyama_ros.filters.online import OnlineFilter, warm_up
+from sugiyama_ros.filters.shown import shown_of
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 _VEHICLES, _RING_M, _DURATION_S = 3, 35.0, 30.0
@@ -50,13 +51,14 @@ def compile_all(tell: Callable[[str], None] = print) -> None:
 
 
 def _follow(recording: Trajectories) -> None:
-    """Filter a few samples of one driver online, without and with effects."""
+    """Filter a few samples of one driver online, without and with effects, and show the parameters."""
     warm_up()
     row = switch_on(ROW.with_effects(defaults()), _EFFECT, _VALUES)
     online = OnlineFilter(recording.period_s, recording.road, row)
     length, vehicles = recording.length_m.tolist(), recording.vehicle.tolist()
     for time_s, position in zip(recording.time_s[:10].tolist(), recording.position_m.tolist(), strict=False):
         online.step(position, vehicles, length, time_s, (position[-1], vehicles[-1], length[-1]))
+    shown_of(online, range(len(NAMES)))
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ learnt. So the third differences of the first seconds decide with which noises a
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -90,6 +90,10 @@ class FirstLook:
             # a vehicle that stands still says nothing
             if third > 0.0:
                 self._third.append(third)
+
+    def copied(self) -> "FirstLook":
+        """Return a look that has seen the same. The samples are shared: nobody changes them."""
+        return replace(self, samples=self.samples.copy(), _row=self._row.copy(), _third=self._third.copy())
 
     @property
     def is_over(self) -> bool:

@@ -206,13 +206,13 @@ class OnlineFilter:
         """Return all that the filter knows now, for ``restore``."""
         parts = self.kalman, self._behind, self._model, self._start, self.prior, self._recalled
         behind = None if self._behind is None else self._behind.saved()
-        return parts, self.kalman.saved(), behind, copy.deepcopy(self._look)
+        return parts, self.kalman.saved(), behind, None if self._look is None else self._look.copied()
 
     def restore(self, saved: Any) -> None:
         """Go back to what ``saved`` has returned. ``change`` must not have been called since."""
         parts, own, behind, look = saved
         self.kalman, self._behind, self._model, self._start, self.prior, self._recalled = parts
-        self._look = copy.deepcopy(look)
+        self._look = None if look is None else look.copied()
         self.kalman.restore(own)
         if self._behind is not None:
             self._behind.restore(behind)

@@ -4,12 +4,46 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sugiyama_ros.arrays import Array, Mask, selection
+from sugiyama_ros.arrays import Array, Ints, Mask
 from sugiyama_ros.driver.parameters import NAMES
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.filters.effect_filter import EffectFilter
 from sugiyama_ros.filters.noise import NOISES
 from sugiyama_ros.filters.online import OnlineFilter
+from sugiyama_ros.jit import kernel
+
+_NO_NOISES = np.empty((0, 0))
+
+
+@kernel
+def _read(
+    known: tuple[Array, Array, Array],
+    where: tuple[Ints, Ints, Array, Array],
+    value: Array,
+    covariance: Array,
+    identified: Mask,
+) -> None:
+    """Fill in what is shown of A adapted parameters, of which the noises come first.
+
+    known: the driver's row (P,), and the covariances of the logarithms of the noises and of the other parameters.
+    where: places in the row and in ``value``, factors, and bounds of the variances, (A,) each. To be filled: value
+    (S,), covariance (A, A), identified (A,).
+    """
+    row, noises, others = known
+    places, at, scale, bound = where
+    first = len(noises)
+    for i in range(len(places)):
+        value[at[i]] = row[places[i]] * scale[i]
+    for i in range(len(places)):
+        for j in range(len(places)):
+            log = 0.0
+            if i < first and j < first:
+                log = noises[i, j]
+            elif i >= first and j >= first:
+                log = others[i - first, j - first]
+            covariance[i, j] = log * value[at[j]] * value[at[i]]
+            if i == j:
+                identified[i] = log < bound[i]
 
 
 class ShownParameters:
@@ -39,29 +73,25 @@ class ShownParameters:
         model, shown = kalman.model, list(shown)
         noises = NOISES if kalman.learning is not None else []
         places = [*noises, *model.adapted]
-        self._places, self._names = selection(places), [NAMES[k] for k in places]
         at = [shown.index(k) for k in places]
-        self._at, self._into, self._block = at, selection(at), np.ix_(at, at)
-        self._scale = np.ones(len(places))
-        self._scale[: len(noises)] = model.row[noises] / model.rows[0, noises]
+        scale = np.ones(len(places))
+        scale[: len(noises)] = model.row[noises] / model.rows[0, noises]
         noise_std = kalman.learning.prior_std if kalman.learning is not None else ()
-        self._bound = 0.25 * np.concatenate([np.square(noise_std), model.prior_var])
+        bound = 0.25 * np.concatenate([np.square(noise_std), model.prior_var])
+        self._names, self._at, self._block = [NAMES[k] for k in places], at, np.ix_(at, at)
+        self._where = np.array(places), np.array(at), scale, bound
         self._entries = model.adapted_entries
-        self._of_noises, self._of_state = slice(0, len(noises)), slice(len(noises), len(places))
-        self._logs = np.zeros((len(places), len(places)))
         self.value: Array = model.row[shown]
         self.read()
 
     def read(self) -> None:
         """Fill the arrays with what the filter knows now."""
-        kalman, logs = self._filter.kalman, self._logs
-        logs[self._of_state, self._of_state] = kalman.P[self._entries, self._entries]
-        if kalman.noises is not None:
-            logs[self._of_noises, self._of_noises] = kalman.noises.covariance
-        value = kalman.rows[0, self._places] * self._scale
-        self.value[self._into] = value
-        self.adapted_covariance: Array = logs * value * value[:, None]
-        self.adapted_identified: Mask = logs.diagonal() < self._bound
+        kalman, count = self._filter.kalman, len(self._at)
+        noises = _NO_NOISES if kalman.noises is None else kalman.noises.covariance
+        self.adapted_covariance: Array = np.empty((count, count))
+        self.adapted_identified: Mask = np.empty(count, np.bool_)
+        known = kalman.rows[0], noises, kalman.P[self._entries, self._entries]
+        _read(known, self._where, self.value, self.adapted_covariance, self.adapted_identified)
 
     @property
     def covariance(self) -> Array:

@@ -30,6 +30,10 @@ class Arrival(Enum):
     JUMPED = auto()
 
 
+#: What is taken in.
+FOLLOWED = (Arrival.NEXT, Arrival.LATE, Arrival.JUMPED)
+
+
 def new_counts() -> dict[str, int]:
     """Return what is counted of the samples, all 0."""
     names = ("samples", "missing", "duplicates", "sorted in", "late", "resets", "skipped", "changes of style")

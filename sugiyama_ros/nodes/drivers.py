@@ -13,7 +13,7 @@ from sugiyama_msgs.srv import AddEffect, RemoveEffect
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import SugiyamaError
 from sugiyama_ros.filters.online import warm_up
-from sugiyama_ros.nodes.arrivals import Arrival, Arrivals, new_counts
+from sugiyama_ros.nodes.arrivals import FOLLOWED, Arrival, Arrivals, new_counts
 from sugiyama_ros.nodes.base import incoming
 from sugiyama_ros.nodes.base.any_publisher import AnyPublisher
 from sugiyama_ros.nodes.base.cdr_messages import NS, Sample
@@ -190,7 +190,7 @@ class DriversNode(LifecycleNodeMixin, PacedNode):
             view.restart()
             if (aside := arrivals.taken_aside()) is not None:
                 self._publish(aside, view, late=False)
-        if arrival in (Arrival.NEXT, Arrival.LATE, Arrival.JUMPED):
+        if arrival in FOLLOWED:
             self._publish(sample, view, late=arrival is Arrival.LATE)
         self.taken(sample.step + 1, last=self._road is not None and sample.step + 1 == self._road.steps)
 

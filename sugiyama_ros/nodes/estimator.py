@@ -14,7 +14,7 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import NAMES
 from sugiyama_ros.errors import InputError, SugiyamaError
 from sugiyama_ros.filters.online import OnlineFilter, warm_up
-from sugiyama_ros.nodes.arrivals import Arrival, Arrivals, new_counts
+from sugiyama_ros.nodes.arrivals import FOLLOWED, Arrival, Arrivals, new_counts
 from sugiyama_ros.nodes.base import incoming
 from sugiyama_ros.nodes.base.cdr_messages import NS, Sample
 from sugiyama_ros.nodes.base.measured_feed import MeasuredFeed, subscribe_measured
@@ -237,7 +237,7 @@ class Estimator(PacedNode):
             self._forget()
             if (aside := arrivals.taken_aside()) is not None:
                 self._publish(aside, late=False)
-        if arrival in (Arrival.NEXT, Arrival.LATE, Arrival.JUMPED):
+        if arrival in FOLLOWED:
             self._publish(sample, late=arrival is Arrival.LATE)
         self.taken(sample.step + 1, last=self._is_last(sample))
 

@@ -1,9 +1,8 @@
 """Following one driver from sample to sample: what the filter is given, and how a late sample is sorted in."""
 
 from collections import deque
-from dataclasses import dataclass
 from math import isfinite, isnan, nan
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -38,8 +37,7 @@ class DivergedError(ArithmeticError):
     """The state of a filter is no number any more."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Past:
+class _Past(NamedTuple):
     """A sample that was taken in, and what was known before it."""
 
     sample: Sample

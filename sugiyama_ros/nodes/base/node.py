@@ -62,6 +62,8 @@ class PacedNode(Node):
         self._jumps: list[JumpHandle] = []
         self._streams: dict[str, Publisher] = {}
         self._to_progress = self.create_publisher(Progress, self.shared("_progress"), PROGRESS_OUT)
+        # made once: a message takes longer to make than to fill in
+        self._progress = Progress(node=self.get_fully_qualified_name())
         self._to_diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", STREAM)
         self.create_timer(_BEAT_S, self.beat, clock=self.steady)
 
@@ -159,7 +161,7 @@ class PacedNode(Node):
     def taken(self, steps: int, last: bool = False) -> None:
         """Note that all samples before number ``steps`` have been taken."""
         self.steps = steps
-        if last or steps % (WINDOW // 4) == 0:
+        if last or steps % (WINDOW // 2) == 0:
             self._tell()
 
     def health(self) -> Health:
@@ -211,9 +213,8 @@ class PacedNode(Node):
 
     def _tell(self) -> None:
         self._told, self._told_s = (self.steps, self.published), time.monotonic()
-        self._to_progress.publish(
-            Progress(node=self.get_fully_qualified_name(), steps=self.steps, published=self.published)
-        )
+        self._progress.steps, self._progress.published = self._told
+        self._to_progress.publish(self._progress)
 
 
 def _real(given: Parameter, known: Any) -> Parameter:
