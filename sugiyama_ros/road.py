@@ -106,7 +106,10 @@ class Road:
         if not self.is_ring:
             return position_m
         flat = position_m.reshape(len(position_m), -1).copy()
-        for column in flat.T:
-            known = np.flatnonzero(np.isfinite(column))
-            column[known] = np.unwrap(column[known], period=self.circumference_m)
+        is_known = np.isfinite(flat)
+        complete = is_known.all(axis=0)
+        flat[:, complete] = np.unwrap(flat[:, complete], axis=0, period=self.circumference_m)
+        for k in np.flatnonzero(~complete):
+            known = is_known[:, k]
+            flat[known, k] = np.unwrap(flat[known, k], period=self.circumference_m)
         return flat.reshape(position_m.shape)

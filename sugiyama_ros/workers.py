@@ -17,7 +17,7 @@ _AT_ONCE = 3
 # Number of tasks that are under way at the same time: more than a large cluster has workers.
 _TASKS = 512
 # Number of items that a process gets at a time: each message takes as long as the making of an item.
-_CHUNK = 4
+_CHUNK = 8
 _Common = TypeVar("_Common")
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
@@ -139,7 +139,12 @@ def send(
     return [there.submit(function, sent, item) for item in items]
 
 
-def in_turn(function: Callable[[_Item], _Result], items: Iterable[_Item], work: Executor | None) -> Iterator[_Result]:
+def in_turn(
+    function: Callable[[_Item], _Result],
+    items: Iterable[Any],
+    work: Executor | None,
+    unpacked: Callable[[tuple[Any, ...]], Iterable[_Item]] = tuple,
+) -> Iterator[_Result]:
     """Call a function for many items, of which only some are under way at a time.
 
     Neither this machine nor the scheduler of a cluster ever holds all items, and no task is large.
@@ -149,9 +154,11 @@ def in_turn(function: Callable[[_Item], _Result], items: Iterable[_Item], work: 
     function : callable
         Called with one item.
     items : iterable
-        The items, made when their turn comes.
+        The items, made when their turn comes; or what ``unpacked`` makes items of.
     work : Executor or None
         Makes the calls; without it, they are made one after the other.
+    unpacked : callable
+        Called with some of ``items``. What it returns is sent to a worker, which iterates over it.
 
     Yields
     ------
@@ -159,12 +166,13 @@ def in_turn(function: Callable[[_Item], _Result], items: Iterable[_Item], work: 
         Results in the order of the items.
     """
     if work is None:
-        yield from map(function, items)
+        for item in items:
+            yield from map(function, unpacked((item,)))
         return
     left, size = iter(items), _CHUNK if isinstance(work, ProcessPoolExecutor) else 1
     under_way: deque[Future[list[_Result]]] = deque()
     while part := tuple(islice(left, size)):
-        under_way.append(work.submit(_each, function, part))
+        under_way.append(work.submit(_each, function, unpacked(part)))
         if len(under_way) >= _TASKS:
             yield from under_way.popleft().result()
     while under_way:

@@ -1,7 +1,7 @@
 """The three kinds of calibration: each driver alone, all drivers as one population, or classes of drivers."""
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
@@ -10,14 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from sugiyama_ros.arrays import Array
 from sugiyama_ros.calibration.result import Calibration, Settings
 from sugiyama_ros.driver.parameters import NAMES, index
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.checkpoint import Checkpoint
 from sugiyama_ros.fit.classes import find_classes
-from sugiyama_ros.fit.driver import Fit, JobMaker, SearchOptions, calibrate
+from sugiyama_ros.fit.driver import Fit, SearchOptions
+from sugiyama_ros.fit.each_driver import JobMaker, each_of
 from sugiyama_ros.fit.intervals import quadratic
 from sugiyama_ros.progress import OnProgress
 from sugiyama_ros.trajectories.trajectories import Trajectories
@@ -56,16 +56,16 @@ def each_driver(
     OutputError
         If ``kept`` cannot be written.
     """
-    passes = 1 if settings.formulation == "paper" else 2
-    drivers = len(trajectories.vehicle)
+    passes, drivers = 1 if settings.formulation == "paper" else 2, len(trajectories.vehicle)
+    maker = JobMaker(trajectories, settings.formulation, settings.estimated, {})
     found: dict[int, Fit] = {}
     with contextlib.ExitStack() as stack:
         resume = None
         if kept is not None:
             resume = stack.enter_context(Checkpoint(kept, _about(trajectories, settings))).resume
         for number in range(passes):
-            starts = {v: fit.parameters for v, fit in found.items()}
-            one_pass = _one_pass(trajectories, settings, starts, number == passes - 1, work)
+            knowing = maker.knowing({v: fit.parameters for v, fit in found.items()})
+            one_pass = _one_pass(knowing, settings, number == passes - 1, work)
             latest: dict[int, Fit] = {}
             for fit in resume(f"pass {number + 1}", one_pass) if resume else one_pass():
                 latest[fit.vehicle] = fit
@@ -99,25 +99,18 @@ def _about(trajectories: Trajectories, settings: Settings) -> dict[str, Any]:
 
 
 def _one_pass(
-    trajectories: Trajectories, settings: Settings, starts: Mapping[int, Array], is_last: bool, work: Executor | None
+    maker: JobMaker, settings: Settings, is_last: bool, work: Executor | None
 ) -> Callable[..., Iterator[Fit]]:
-    """Make a function that fits all drivers from ``starts``. Only the last pass computes errors and intervals."""
-    return partial(
-        calibrate,
-        trajectories,
-        settings.formulation,
-        settings.estimated,
-        SearchOptions(
-            is_regularised=settings.is_regularised,
-            profiled=settings.profiled and is_last,
-            hops=settings.hops,
-            seed=settings.seed,
-            with_errors=is_last,
-            strength=settings.strength,
-        ),
-        starts=starts,
-        work=work,
+    """Make a function that fits all drivers. Only the last pass computes errors and intervals."""
+    options = SearchOptions(
+        is_regularised=settings.is_regularised,
+        profiled=settings.profiled and is_last,
+        hops=settings.hops,
+        seed=settings.seed,
+        with_errors=is_last,
+        strength=settings.strength,
     )
+    return partial(each_of, maker, options, work=work)
 
 
 def in_classes(trajectories: Trajectories, settings: Settings, count: int, work: Executor) -> Calibration:

@@ -79,7 +79,7 @@ class ShownParameters:
         noise_std = kalman.learning.prior_std if kalman.learning is not None else ()
         bound = 0.25 * np.concatenate([np.square(noise_std), model.prior_var])
         self._names, self._at, self._block = [NAMES[k] for k in places], at, np.ix_(at, at)
-        self._where = np.array(places), np.array(at), scale, bound
+        self._where = np.array(places, np.int64), np.array(at, np.int64), scale, bound
         self._entries = model.adapted_entries
         self.value: Array = model.row[shown]
         self.read()

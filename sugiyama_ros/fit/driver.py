@@ -1,28 +1,20 @@
-"""Maximum-likelihood calibration of many drivers, each driver alone (section 5 of the paper).
+"""Maximum-likelihood calibration of one driver (section 5 of the paper)."""
 
-Drivers do not depend on each other, so any executor can run the fits: threads, processes or a Dask cluster.
-"""
-
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from concurrent.futures import Executor
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.driver.parameters import NAMES, SIGMA_A, index
+from sugiyama_ros.driver.parameters import NAMES, index
 from sugiyama_ros.filters import paper
-from sugiyama_ros.filters.chain import CHAIN
 from sugiyama_ros.filters.paper import Scored
-from sugiyama_ros.fit.bounds import LogSpace, fastest, log_space, lower_bounds, upper_bounds
+from sugiyama_ros.fit.bounds import LogSpace, log_space
 from sugiyama_ros.fit.driver_score import DriverChains, causal_score, predicted, regularised
 from sugiyama_ros.fit.intervals import end_of_profile, quadratic
 from sugiyama_ros.fit.scoring import Point, search
-from sugiyama_ros.fit.smooth_positions import ESTIMATED, evenness
 from sugiyama_ros.fit.standard_errors import stds
-from sugiyama_ros.trajectories.trajectories import Trajectories
-from sugiyama_ros.workers import in_turn
 
 Formulation = Literal["paper", "causal"]
 #: Acceleration noise [m/s^2] at the start. It is larger than usual estimates, because the likelihood is smoother there.
@@ -254,90 +246,3 @@ def _fall(job: Job, found: Fit, place: int, sign: float) -> Callable[[float], fl
         return float(np.sqrt(2.0 * max(0.0, found.log_likelihood - there.log_likelihood)))
 
     return fall
-
-
-def calibrate(
-    trajectories: Trajectories,
-    formulation: Formulation = "causal",
-    estimated: Sequence[str] = ESTIMATED,
-    options: SearchOptions = PLAIN,
-    *,
-    starts: Mapping[int, Array] | None = None,
-    skip: Collection[int] = (),
-    work: Executor | None = None,
-) -> Iterator[Fit]:
-    """Fit every driver alone.
-
-    Parameters
-    ----------
-    trajectories : Trajectories
-        The recording.
-    formulation : {"causal", "paper"}
-        Likelihood.
-    estimated : sequence of str
-        Names of the parameters in the search.
-    options : SearchOptions
-        Further options.
-    starts : mapping of int to ndarray, shape (P,), optional
-        Parameters by vehicle, for the start and for the drivers ahead. The default start is the paper's mean with a
-        larger acceleration noise.
-    skip : collection of int
-        Vehicles to leave out.
-    work : Executor, optional
-        Carries out the searches; without it, they run one after the other.
-
-    Yields
-    ------
-    Fit
-        One for each driver, in the order of the vehicles.
-
-    Raises
-    ------
-    InputError
-        For an unknown parameter, or data that the formulation cannot use.
-    """
-    jobs_of = JobMaker(trajectories, formulation, estimated, starts or {})
-    skipped = set(skip)
-    left = (i for i, v in enumerate(trajectories.vehicle.tolist()) if v not in skipped)
-    yield from in_turn(carry_out, (replace(jobs_of(driver), options=options) for driver in left), work)
-
-
-class JobMaker:
-    """Makes the plain searches for the parameters of the drivers of a recording.
-
-    Arguments as for ``calibrate``; known: parameters (P,) by vehicle, as ``starts`` there.
-    """
-
-    def __init__(
-        self,
-        trajectories: Trajectories,
-        formulation: Formulation,
-        estimated: Sequence[str],
-        known: Mapping[int, Array],
-    ) -> None:
-        self._trajectories, self._formulation, self._known = trajectories, formulation, known
-        self._places = np.array([index(name) for name in estimated])
-        even = evenness(trajectories)
-        speed = fastest(trajectories)
-        self._bounds, self._typical = (lower_bounds(even), upper_bounds(speed)), even.typical(speed)
-
-    def __call__(self, driver: int) -> Job:
-        """Return the search for the driver in column ``driver``."""
-        trajectories, known = self._trajectories, self._known
-        begin = self._typical.copy()
-        begin[SIGMA_A] = START_SIGMA_A
-        vehicle = int(trajectories.vehicle[driver])
-        one = Job(vehicle, known.get(vehicle, begin), self._places, *self._bounds)
-        if self._formulation == "paper":
-            return replace(one, perceived=paper.perceive(trajectories, driver))
-        from sugiyama_ros.filters.extract import chain_behind  # here, because the paper's formulation starts without it
-
-        chain = chain_behind(trajectories, driver, with_rear=False)
-        ahead = [known.get(most_seen(chain.identity[:, m]), self._typical) for m in range(1, CHAIN)]
-        return replace(one, followed=DriverChains((chain,), (np.array(ahead),)))
-
-
-def most_seen(identity: Ints) -> int:
-    """Return the number of the vehicle that is present in most samples, (T,), or -1."""
-    values, counts = np.unique(identity[identity >= 0], return_counts=True)
-    return int(values[np.argmax(counts)]) if len(values) else -1

@@ -1,6 +1,7 @@
 """Measured or simulated trajectories of many vehicles on one road, on a regular time base."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -131,6 +132,34 @@ class Trajectories(Result):
             if len(on_road) > 1:
                 leader[first:last, on_road] = _leaders(filled[first:last][:, on_road], on_road, self.road)
         return leader
+
+    def around(self, drivers: Sequence[int], ahead: int) -> "Trajectories":
+        """Return the part of the recording that some drivers see: these drivers first, then those who drive ahead.
+
+        Parameters
+        ----------
+        drivers : sequence of int
+            Columns of the drivers.
+        ahead : int
+            How many vehicles ahead of each driver belong to the part. They keep their leaders within the part.
+        """
+        near = np.asarray(drivers)
+        seen = near.tolist()
+        for _ in range(ahead):
+            near = np.unique(self.leader[:, near])
+            near = near[near >= 0]
+            seen += near.tolist()
+        columns = np.array(list(dict.fromkeys(seen)))
+        place = np.full(len(self.vehicle) + 1, -1)  # the last entry is that of nobody, -1
+        place[columns] = np.arange(len(columns))
+        part = replace(
+            self,
+            position_m=self.position_m[:, columns],
+            length_m=self.length_m[columns],
+            vehicle=self.vehicle[columns],
+        )
+        part.__dict__["leader"] = place[self.leader[:, columns]]  # found among all vehicles
+        return part
 
     @cached_property
     def follower(self) -> Ints:

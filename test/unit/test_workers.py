@@ -37,3 +37,11 @@ def test_results_come_in_the_order_of_the_items(items):
 def test_what_goes_wrong_in_a_task_is_told():
     with ThreadPoolExecutor(1) as work, pytest.raises(TypeError):
         list(in_turn(math.sqrt, ["a", None], work))
+
+
+def test_items_are_made_where_they_are_used():
+    def roots_of_squares(numbers):
+        return (number * number for number in numbers)
+
+    for work in (None, ThreadPoolExecutor(1)):
+        assert list(in_turn(math.sqrt, range(9), work, roots_of_squares)) == list(range(9))
