@@ -161,7 +161,7 @@ class PacedNode(Node):
     def taken(self, steps: int, last: bool = False) -> None:
         """Note that all samples before number ``steps`` have been taken."""
         self.steps = steps
-        if last or steps % (WINDOW // 2) == 0:
+        if last or steps % (WINDOW // 4) == 0:
             self._tell()
 
     def health(self) -> Health:
