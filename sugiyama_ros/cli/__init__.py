@@ -7,6 +7,7 @@ commands are loaded ends the program in good order too.
 
 import os
 import sys
+from contextlib import suppress
 
 from sugiyama_ros.errors import SugiyamaError
 
@@ -50,7 +51,8 @@ def _run() -> int | str | None:
 
 
 def _refused(reason: str) -> int:
-    print(f"error: {reason}", file=sys.stderr)
+    with suppress(OSError):  # the disk of a log may be full too
+        print(f"error: {reason}", file=sys.stderr)
     return _REFUSED
 
 

@@ -36,7 +36,10 @@ def print_note(text: str) -> None:
 
 
 def print_table(table: TextTable, boxed: bool = True, wide: bool = False) -> None:
-    """Print a table. Columns that do not fit stand below, with the first column again, unless the table may be wide."""
+    """Print a table. Columns that do not fit stand below, with the first column again, unless the table may be wide.
+
+    What is not known, NaN, is shown as "-".
+    """
     room = _WIDE if wide else max(_out.width, _NARROW)
     for number, part in enumerate(_parts(table, room)):
         _print_part(part if number == 0 else replace(part, title=""), boxed)
@@ -68,7 +71,7 @@ def _print_part(table: TextTable, boxed: bool) -> None:
     for number, heading in enumerate(table.headings):
         shown.add_column(escape(heading), justify="left" if number < table.left else "right")
     for row in table.rows:
-        shown.add_row(*map(escape, row))
+        shown.add_row(*("-" if cell == "nan" else escape(cell) for cell in row))
     Console(width=_WIDE).print(shown, highlight=False)
 
 

@@ -1,7 +1,7 @@
 """Download a public data set, verify, unpack and convert it."""
 
 import http.client
-import tempfile
+import io
 import time
 import urllib.error
 import urllib.request
@@ -16,7 +16,7 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.catalogue import CATALOGUE, DataSet
 from sugiyama_ros.formats.convert import convert
 from sugiyama_ros.formats.reading import sha256
-from sugiyama_ros.outputs import Output, make_directory, not_written, writing
+from sugiyama_ros.outputs import Output, make_directory, writing
 from sugiyama_ros.progress import OnProgress
 
 _TIMEOUT_S = 20.0
@@ -74,13 +74,10 @@ def fetch(
     bag = Output(data.path.with_suffix(".mcap"), overwrite)
     data.check()
     bag.check()
-    try:
-        with tempfile.TemporaryFile(dir=directory) as archive:
-            for block in _downloaded(url or data_set.url, data_set, on_progress):
-                archive.write(block)
-            content = _unpacked(archive, f"{name}.zip", data_set)
-    except OSError as error:
-        raise not_written(directory, error) from None
+    archive = io.BytesIO()  # the catalogue says how large it is
+    for block in _downloaded(url or data_set.url, data_set, on_progress):
+        archive.write(block)
+    content = _unpacked(archive, f"{name}.zip", data_set)
     with writing(data) as stream:
         stream.write(content)
     convert(data.path, bag)

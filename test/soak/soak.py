@@ -239,12 +239,14 @@ class Soak:
     def run(self, minutes: float) -> None:
         """Let everything run, first in peace, and then with kills."""
         half_s = 30.0 * minutes
-        with ros():
+        with ros() as asked_to_stop:
             self.listener = Listener()
             spinner = Spinner([self.listener])
 
             def spin(time_s: float) -> None:
-                spinner.until(lambda: False, time_s)
+                spinner.until(asked_to_stop, time_s)
+                if asked_to_stop():
+                    raise KeyboardInterrupt
                 self.look(time.monotonic())
 
             for name in ("page", "recorder", "drivers", "critic", "replay"):
@@ -296,6 +298,8 @@ def main() -> int:
         soak = Soak(Path(name), given.rate, given.seed)
         try:
             soak.run(given.minutes)
+        except KeyboardInterrupt:
+            return 130
         finally:
             for one in soak.running.values():
                 one.child.kill()

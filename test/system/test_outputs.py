@@ -137,6 +137,12 @@ def test_a_full_stdout_is_one_line(here):
             refused(sugiyama(*arguments, stdout=full, stderr=subprocess.PIPE, capture_output=False), "No space left")
 
 
+def test_a_full_stderr_does_not_change_the_exit_code(here):
+    for arguments in (("info", "missing.csv"), ("fetch", "sugiyama2008"), ("no_such_command",)):
+        with Path("/dev/full").open("wb") as full:
+            assert sugiyama(*arguments, stdout=full, stderr=full, capture_output=False).returncode == 2
+
+
 def test_a_closed_stdout_is_no_error_and_no_file_takes_its_place(here):
     done = subprocess.run(
         ["bash", "-c", f"{SUGIYAMA} simulate -o out.csv --duration 5 >&-"], capture_output=True, check=False
@@ -187,6 +193,13 @@ def test_odd_paths(here, name):
 def test_simulations_without_end_or_sense_are_refused(here, arguments):
     refused(sugiyama("simulate", "-o", "out.mcap", *arguments))
     assert not (here / "out.mcap").exists()
+
+
+def test_a_value_that_no_node_takes_is_one_line(here):
+    refused(
+        sugiyama("run", "--simulate", "-o", "out.mcap", "--vehicles", "2", "--seed", str(2**31)), "seed out of range"
+    )
+    assert not list(here.glob("out.*"))
 
 
 @pytest.mark.parametrize("option", ["--model", "--diagnosis"])

@@ -5,8 +5,13 @@ After any failure, a name has the old file or the new file, whole, and nothing e
 
 import ast
 import errno
+import hashlib
+import io
 import os
+import shutil
+import zipfile
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +26,9 @@ from sugiyama_ros.fit.checkpoint import Checkpoint
 from sugiyama_ros.fit.driver import Fit
 from sugiyama_ros.fit.model_file import write_drivers
 from sugiyama_ros.formats.bag_folder import METADATA, FolderWriter, bag_files
+from sugiyama_ros.formats.catalogue import CATALOGUE
 from sugiyama_ros.formats.convert import write_trajectories
+from sugiyama_ros.formats.fetch import fetch
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.mcap_writer import Qos
 from sugiyama_ros.formats.measured import MEASURED_TYPE, messages
@@ -32,6 +39,9 @@ from sugiyama_ros.formats.tracks_parquet import write_tracks
 from sugiyama_ros.formats.truth import write_simulated
 from sugiyama_ros.nodes.saved_state import Kept, write_learnt
 from sugiyama_ros.outputs import Output, Target, output_of, writing
+from sugiyama_ros.page.figures import write_figures
+from sugiyama_ros.page.recording import read_recording
+from sugiyama_ros.page.report import write_report
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.experiment import Experiment, carry_out
 from sugiyama_ros.trajectories.trajectories import Trajectories
@@ -65,8 +75,9 @@ class Disk:
     def __init__(self, monkeypatch: pytest.MonkeyPatch, failing: int) -> None:
         self.calls: list[str] = []
         self._failing = failing
-        for module, name in ((os, "fsync"), (os, "link"), (os, "open"), (os, "fdopen"), (Path, "replace")):
-            monkeypatch.setattr(module, name, self._fails(name, getattr(module, name)))
+        for name in ("fsync", "link", "open", "fdopen", "mkdir"):
+            monkeypatch.setattr(os, name, self._fails(name, getattr(os, name)))
+        monkeypatch.setattr(Path, "replace", self._fails("replace", Path.replace))
 
     def _call(self, name: str) -> None:
         self.calls.append(name)
@@ -100,6 +111,10 @@ class Stream:
     def flush(self) -> None:
         self._call("flush")
         self._stream.flush()
+
+    def truncate(self) -> int:
+        self._call("truncate")
+        return int(self._stream.truncate())
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
@@ -136,7 +151,7 @@ def plain(target: Target) -> None:
         stream.write(b"new" * 1000)
 
 
-#: All kinds of files. What pages, pictures and studies write goes through `writing` in one piece, as "plain" does.
+#: All kinds of files.
 WRITERS: dict[str, Callable[[Target], object]] = {
     "plain": plain,
     "csv": lambda target: write_csv(ring(20), target),
@@ -147,17 +162,40 @@ WRITERS: dict[str, Callable[[Target], object]] = {
     "model": lambda target: write_drivers(target, ring(2), ROW.with_effects(defaults(3)), 3 * [{}], {}, 0.0),
     "state": lambda target: write_learnt(output_of(target).path, KEPT),
     "recover": recovered,
+    "result.csv": lambda target: tracks_of(ring(20)).save(output_of(target).path),
+    "result.parquet": lambda target: tracks_of(ring(20)).save(output_of(target).path),
+}
+#: Writers that replace a file of their own, or that Python's functions offer.
+REPLACE = ("state", "result.csv", "result.parquet")
+#: All places that write, with the test that lets them fail. "pieces": the place writes what it has made in memory.
+PLACES = {
+    "formats/mcap_writer.py": "bag",
+    "formats/bag_folder.py": "a directory of rosbag2",
+    "formats/fetch.py": "a fetch",
+    "formats/plain_csv.py": "csv",
+    "formats/recover.py": "recover",
+    "formats/tracks_parquet.py": "parquet",
+    "fit/model_file.py": "model",
+    "nodes/saved_state.py": "state",
+    "page/figures.py": "pages and figures",
+    "page/report.py": "pages and figures",
+    "results.py": "result.csv",
+    "trajectories/tracks.py": "result.parquet",
+    "cli/study.py": "pieces",
+    "cli/view.py": "pieces",
+    "studies/away/__main__.py": "pieces",
+    "studies/hidden_effects.py": "pieces",
 }
 
 
 @pytest.mark.parametrize("overwrite", [False, True])
 @pytest.mark.parametrize("writer", WRITERS)
 def test_every_failure_leaves_the_old_or_the_new_file_whole(tmp_path: Path, writer: str, overwrite: bool) -> None:
-    path = tmp_path / ("out.csv" if writer == "tracks.csv" else "out")
+    path = tmp_path / f"out{Path(writer).suffix}"
     write = WRITERS[writer]
     write(Output(path))
     new, beside = path.read_bytes(), sorted(one.name for one in tmp_path.iterdir() if one != path)
-    replaces = overwrite or writer == "state"  # what was learnt is saved again and again
+    replaces = overwrite or writer in REPLACE
 
     def before() -> None:
         path.unlink(missing_ok=True)
@@ -173,6 +211,70 @@ def test_every_failure_leaves_the_old_or_the_new_file_whole(tmp_path: Path, writ
         assert sorted(one.name for one in tmp_path.iterdir() if one != path) == beside, call
     assert path.read_bytes() == new
     assert seen >= {"open", "fdopen", "write", "flush", "fsync", "replace" if replaces else "link"}
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_every_failure_of_a_fetch_leaves_whole_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, overwrite: bool
+) -> None:
+    """Both files are old or new, the bag is new only beside new data, and the user's archive of the name stays."""
+    data = b"# circuit length is 100m.\n1.0 0.0\n2.0 0.5\n3.0 1.0\n\n50.0 0.0\n51.0 0.5\n52.0 1.0\n"
+    archive = io.BytesIO()
+    with zipfile.ZipFile(archive, "w") as packed:
+        packed.writestr("case1.data", data)
+    content = archive.getvalue()
+    entry = replace(
+        CATALOGUE["sugiyama2008"], size_bytes=len(content), sha256=hashlib.sha256(content).hexdigest()
+    )  # fmt: skip
+    monkeypatch.setitem(CATALOGUE, "sugiyama2008", entry)
+    monkeypatch.setattr("urllib.request.urlopen", lambda *_, **__: io.BytesIO(content))
+    folder = tmp_path / "data"
+
+    def before() -> None:
+        if not overwrite:
+            shutil.rmtree(folder, ignore_errors=True)
+            return
+        folder.mkdir(exist_ok=True)
+        for name in ("case1.data", "case1.mcap", "sugiyama2008.zip"):
+            (folder / name).write_bytes(OLD)
+
+    def there() -> dict[str, bytes]:
+        return {one.name: one.read_bytes() for one in folder.iterdir()} if folder.exists() else {}
+
+    before()
+    old = there()
+    fetch("sugiyama2008", folder, overwrite=True)
+    new, seen = there(), set()
+    for call, error in failures(lambda: fetch("sugiyama2008", folder, overwrite=overwrite), before):
+        seen.add(call)
+        found = there()
+        assert found in (old, old | {"case1.data": data}, new), call
+        assert (found == new) == (not error), call
+    assert there() == new
+    assert seen >= {"open", "write", "flush", "fsync", "replace" if overwrite else "link", "mkdir"}
+
+
+def test_every_failure_leaves_whole_pages_and_figures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is drawn is left out, because it takes long."""
+    source, folder = tmp_path / "run.mcap", tmp_path / "figures"
+    write_trajectories(ring(30), source)
+    run = read_recording(source)
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda figure, stream, **_: stream.write(b"drawn"))
+    monkeypatch.setattr("sugiyama_ros.page.report.report", lambda *_: "drawn")
+
+    def write() -> None:
+        write_figures(run, None, folder)
+        write_report(run, None, Output(folder / "page.html"))
+
+    def there() -> dict[str, bytes]:
+        return {one.name: one.read_bytes() for one in folder.iterdir()} if folder.exists() else {}
+
+    write()
+    new = there()
+    for call, error in failures(write, lambda: shutil.rmtree(folder, ignore_errors=True)):
+        assert there().items() <= new.items(), call
+        assert (there() == new) == (not error), call
+    assert {Path(name).suffix for name in new} == {".html", ".pdf", ".png", ".csv"}
 
 
 def test_a_directory_of_rosbag2_holds_whole_files_alone(tmp_path: Path) -> None:
@@ -250,18 +352,36 @@ def writes(call: ast.Call) -> bool:
     is_os = isinstance(called, ast.Attribute) and getattr(called.value, "id", "") == "os"
     values = [getattr(one, "value", None) for one in (*call.args, *(keyword.value for keyword in call.keywords))]
     mode = any(isinstance(v, str) and set(v) <= set("rwaxbt+") and set(v) & set("wax+") for v in values)
+    to_stream = any(getattr(one, "id", "") in ("stream", "file") for one in call.args)
     return (
         (name == "open" and (mode or is_os))
-        or name in ("write_text", "write_bytes", "mkstemp", "copyfile", "touch")
+        or name in ("write_text", "write_bytes", "mkstemp", "copyfile", "touch", "TemporaryFile", "NamedTemporaryFile")
+        or (name in ("savefig", "imsave", "write_table", "to_csv", "to_parquet") and call.args and not to_stream)
         or (is_os and name in ("rename", "replace", "link", "truncate", "fdopen"))
     )
 
 
-def test_only_one_place_writes_files() -> None:
-    """What is not in this table, or in the list of others, cannot write."""
-    found = {
-        str(path.relative_to(PACKAGE))
-        for path in PACKAGE.rglob("*.py")
-        if any(isinstance(node, ast.Call) and writes(node) for node in ast.walk(ast.parse(path.read_text())))
-    }
-    assert found == OTHERS
+def calls(tree: ast.AST) -> Iterator[ast.Call]:
+    return (node for node in ast.walk(tree) if isinstance(node, ast.Call))
+
+
+TREES = {str(path.relative_to(PACKAGE)): ast.parse(path.read_text()) for path in PACKAGE.rglob("*.py")}
+
+
+def test_only_one_place_opens_files_for_writing() -> None:
+    assert {name for name, tree in TREES.items() if any(map(writes, calls(tree)))} == OTHERS
+
+
+def test_every_place_that_writes_is_in_the_table() -> None:
+    """`writing` is always the head of a with statement, so that a failure of any kind removes what was begun."""
+    found = set()
+    for name, tree in TREES.items():
+        if name == "outputs.py":
+            continue
+        heads = [item.context_expr for node in ast.walk(tree) if isinstance(node, ast.With) for item in node.items]
+        for call in calls(tree):
+            called = getattr(call.func, "id", "")
+            assert called != "writing" or call in heads, name
+            if called in ("writing", "Draft"):
+                found.add(name)
+    assert found == set(PLACES)

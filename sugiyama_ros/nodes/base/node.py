@@ -11,6 +11,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType, JumpHandle, JumpThreshold
 from rclpy.duration import Duration
+from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
@@ -18,7 +19,7 @@ from rclpy.qos import QoSProfile
 from rclpy.service import Service
 from sugiyama_msgs.msg import Progress
 
-from sugiyama_ros.errors import SugiyamaError
+from sugiyama_ros.errors import InputError, SugiyamaError
 from sugiyama_ros.nodes.base.any_publisher import AnyPublisher
 from sugiyama_ros.nodes.base.incoming import receiver, unusable
 from sugiyama_ros.nodes.base.qos import PROGRESS_OUT, STREAM, WINDOW
@@ -68,11 +69,17 @@ class PacedNode(Node):
         self.create_timer(_BEAT_S, self.beat, clock=self.steady)
 
     def declare_parameter(self, name: str, value: Any = None, *rest: Any, **more: Any) -> Parameter:
-        """Declare a parameter. Where a real number is expected, a whole number will do, as in ``v_star: 10``."""
+        """Declare a parameter. Where a real number is expected, a whole number will do, as in ``v_star: 10``.
+
+        Raises InputError for a value of another type, or out of range.
+        """
         given = self._parameter_overrides.get(name)
         if given is not None:
             self._parameter_overrides[name] = _real(given, value)
-        return super().declare_parameter(name, value, *rest, **more)
+        try:
+            return super().declare_parameter(name, value, *rest, **more)
+        except ParameterException as error:
+            raise InputError(str(error)) from None
 
     def set_parameters(self, parameter_list: list[Parameter]) -> list[SetParametersResult]:
         """Set parameters, each on its own. Where a real number is expected, a whole number will do."""
