@@ -70,7 +70,7 @@ def read_yaml(path: Path) -> Any:
                 if depth > DEEPEST:
                     raise InputError(f"{path}: lists and mappings lie more than {DEEPEST} deep; not read")
             return yaml.load(text, Loader=loader)
-        except yaml.YAMLError as error:
+        except (yaml.YAMLError, LookupError, TypeError, AttributeError) as error:  # of "!!int ''", LookupError
             raise ValueError("is no YAML") from error
 
     return parsed(path, parse, "YAML")

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 from sugiyama_ros.bridges.fields import Bridge
 from sugiyama_ros.bridges.frames import Frames
 from sugiyama_ros.bridges.moments import Moments, Numbers, RoadMoment
+from sugiyama_ros.errors import InputError
 from sugiyama_ros.trajectories.centre_line import RoadLanes
 from sugiyama_ros.trajectories.placing import Placer, SeenVehicle
 from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M
@@ -15,6 +16,8 @@ from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M
 #: Names of the topics with transforms, and whether these stay for ever.
 TF_TOPICS = {"/tf": False, "/tf_static": True}
 TF_TYPE = "tf2_msgs/msg/TFMessage"
+# Shortest and longest time [s] between two samples.
+_PERIODS_S = (1e-3, 1e3)
 # Length [m] beyond which a vehicle is none.
 _LONGEST_M = 100.0
 
@@ -31,11 +34,22 @@ class PerceptionSettings:
         Frame of the centre line; if empty, all positions are taken to be in it.
     length_m : float
         Length [m] of a vehicle of which nobody says it.
+
+    Raises
+    ------
+    InputError
+        For a period with which nobody is followed, or a length that is no positive number.
     """
 
     period_s: float = 0.1
     frame: str = ""
     length_m: float = DEFAULT_LENGTH_M
+
+    def __post_init__(self) -> None:
+        if not _PERIODS_S[0] <= self.period_s <= _PERIODS_S[1]:
+            raise InputError(f"period: {self.period_s:g} s is not within {_PERIODS_S[0]:g} to {_PERIODS_S[1]:g} s")
+        if not 0.0 < self.length_m < math.inf:
+            raise InputError(f"length: {self.length_m:g} m is not the length of a vehicle; give a positive number")
 
 
 class RoadSample(NamedTuple):

@@ -1,12 +1,13 @@
 """What the user says about a file that the file does not say itself."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from sugiyama_ros.documents import number, read_yaml
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.about import Reference, View
 from sugiyama_ros.trajectories.tracks import NUMBERS, TEXTS
 
@@ -30,12 +31,20 @@ class Choices:
         Circumference [m] of the ring.
     view : {"end", "whole"}, optional
         Whether vehicles may be ahead of the first one.
+
+    Raises
+    ------
+    InputError
+        If the circumference is negative or not finite.
     """
 
     columns: Mapping[str, tuple[str, float]] = field(default_factory=dict)
     reference: Reference | None = None
     ring_m: float | None = None
     view: View | None = None
+
+    def __post_init__(self) -> None:
+        Road(self.ring_m or 0.0)
 
 
 def read_choices(path: Path) -> Choices:
@@ -62,12 +71,18 @@ def read_choices(path: Path) -> Choices:
     unknown = [name for name in said if name not in (*MAPPED, "reference", "ring_m", "view")]
     if unknown:
         raise InputError(f"{path}: {str(unknown[0])[:40]!r} is no column of tracks; choose among {', '.join(MAPPED)}")
-    return Choices(
+    choices = Choices(
         columns={name: _column(path, name, said[name]) for name in MAPPED if name in said},
         reference=_one_of(path, "reference", said.get("reference"), _REFERENCES),
-        ring_m=number(said["ring_m"], f"{path}: ring_m") if "ring_m" in said else None,
         view=_one_of(path, "view", said.get("view"), _VIEWS),
     )
+    if "ring_m" not in said:
+        return choices
+    ring_m = number(said["ring_m"], f"{path}: ring_m")
+    try:
+        return replace(choices, ring_m=ring_m)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
 
 
 def reference_of(text: str | None) -> Reference | None:

@@ -47,6 +47,7 @@ class DriversNode(LifecycleNodeMixin, PacedNode):
     def __init__(self, **options: Any) -> None:
         PacedNode.__init__(self, "drivers", **options)
         LifecycleNodeMixin.__init__(self)
+        self.guard_services()
         warm_up()
         self._settings = read_settings(self)
         self._window_s = declare_window(self)

@@ -33,5 +33,5 @@ def remove_effect(
         take(without)
         response.success = True
     else:
-        response.message = f"effect {request.effect!r}: is not in the model"
+        response.message = str(incoming.RefusedError(f"effect {request.effect!r}: is not in the model"))
     return response

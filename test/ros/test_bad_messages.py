@@ -143,6 +143,21 @@ def test_random_bytes_never_raise_anything_else() -> None:
     assert refused > 3000
 
 
+def test_lengths_that_are_more_than_there_is_are_refused_before_room_is_made() -> None:
+    """The middleware would make 11 GB of room for 2**28 texts, which a message of 60 bytes can claim."""
+    parameters = DriverParameters(name=["v_star"], value=[8.0], covariance=[1.0], estimated=[True], identified=[True])
+    verdict = Verdict(model=["base"], weight=[1.0], log_likelihood=[0.0], strength=[0.0])
+    for decode, message in ((incoming.parameters, parameters), (incoming.verdict, verdict)):
+        raw, refused = bytes(serialize_message(message)), 0
+        decode(raw)
+        for at in range(4, len(raw) - 3, 4):
+            try:
+                decode(raw[:at] + (1 << 24).to_bytes(4, "little") + raw[at + 4 :])
+            except incoming.RefusedError:
+                refused += 1
+        assert refused >= 5
+
+
 def test_nodes_go_on_after_bad_messages(stage: Any, tmp_path: Path) -> None:
     talker = Node("talker")
     road = talker.create_publisher(RoadMessage, "/road", LATCHED)

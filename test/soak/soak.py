@@ -23,6 +23,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 import numpy as np
@@ -43,6 +44,8 @@ ALLOWED_S, END_S = 1.0, 30.0
 _SAID = 3000
 #: Growth [MB] of a process in the quiet half, after its first third, and change of its descriptors.
 GROWTH_MB, DESCRIPTORS = 10.0, 2
+#: Time [s] in which the page answers, and the answers of the quiet half are there, on a machine of others too.
+PATIENCE_S = 120.0
 # A recorder that is killed sooner [ns] may have nothing on the disk.
 _BEGINNING_NS = 10_000_000_000
 _PORT, _LOOK_S, _VISIT_S = 5077, 2.0, 10.0
@@ -88,6 +91,12 @@ class Process:
     seen: list[tuple[float, float, int]] = field(default_factory=list)
     began_ns: int = field(default_factory=time.time_ns)
 
+    def catches(self, number: signal.Signals) -> bool:
+        """Whether the process has a handler for a signal; until it has one, the signal ends it."""
+        lines = Path(f"/proc/{self.child.pid}/status").read_text().splitlines()
+        masks = [int(line.split()[1], 16) for line in lines if line.startswith("SigCgt")]
+        return any(mask >> (number - 1) & 1 for mask in masks)
+
     def look(self, now_s: float) -> None:
         """Note memory and descriptors."""
         about = Path(f"/proc/{self.child.pid}")
@@ -114,6 +123,7 @@ class Soak:
         self._bags = 0
         self._visited_s = self._looked_s = 0.0
         self.visits = 0
+        self._visit = Thread()
 
     def start(self, name: str) -> None:
         """Start a node, or the page."""
@@ -147,19 +157,24 @@ class Soak:
                 self._check_bag(one, time.time_ns(), killed=True)
                 self.start(name)
             one.look(now_s)
-        if now_s - self._visited_s > _VISIT_S and "page" in self.running:
+        if now_s - self._visited_s > _VISIT_S and "page" in self.running and not self._visit.is_alive():
             self._visited_s = now_s
-            try:
-                with urllib.request.urlopen(f"http://localhost:{_PORT}/", timeout=20) as answer:
-                    self.visits += answer.status == 200
-            except OSError as error:
-                if self.visits:  # at first, it is still starting
-                    self.faults.append(f"the page does not answer: {error}")
+            self._visit = Thread(target=self.visit, daemon=True)
+            self._visit.start()
+
+    def visit(self) -> None:
+        """Open the page, as a browser does. At first, it is still starting."""
+        try:
+            with urllib.request.urlopen(f"http://localhost:{_PORT}/", timeout=PATIENCE_S) as answer:
+                self.visits += answer.status == 200
+        except OSError as error:
+            if self.visits:
+                self.faults.append(f"the page does not answer: {error}")
 
     def end(self, name: str, spin: Any, how: signal.Signals) -> None:
         """Kill a process, or ask it to end; then look at its bag."""
         one = self.running.pop(name)
-        at_ns = time.time_ns()
+        at_ns, starting = time.time_ns(), not one.catches(how)
         one.child.send_signal(how)
         deadline = time.monotonic() + END_S
         while one.child.poll() is None and time.monotonic() < deadline:
@@ -171,7 +186,6 @@ class Soak:
             self.faults.append(f"{name} did not end within {END_S:g} s; it was here:\n{said[:_SAID]}")
         if name == "replay":
             self.source_ends_ns += [at_ns, time.time_ns()]
-        starting = at_ns - one.began_ns < _BEGINNING_NS  # until the handlers are there, a signal ends the process
         if how != signal.SIGKILL and one.child.returncode not in (0, 130, *((-how,) if starting else ())):
             self.faults.append(f"{name} ended with code {one.child.returncode}")
         self.kills[f"{name}, {how.name}"] += 1
@@ -228,11 +242,15 @@ class Soak:
         if abs(last - first) > DESCRIPTORS:
             self.faults.append(f"{name}: descriptors went from {first:g} to {last:g}")
 
+    def unanswered(self, from_ns: int, until_ns: int) -> tuple[int, int]:
+        """Samples that came between two times, and how many of them have no answer yet."""
+        wanted = Counter(stamp for at, stamp in self.listener.samples if from_ns < at < until_ns)
+        return sum(wanted.values()), sum((wanted - Counter(stamp for _, stamp in self.listener.answers)).values())
+
     def check_answers(self, from_ns: int, until_ns: int) -> None:
         """Every sample of the quiet half is answered."""
-        wanted = Counter(stamp for at, stamp in self.listener.samples if from_ns < at < until_ns)
-        missing = sum((wanted - Counter(stamp for _, stamp in self.listener.answers)).values())
-        self.figures["quiet half: samples, without an answer"] = f"{sum(wanted.values())}, {missing}"
+        wanted, missing = self.unanswered(from_ns, until_ns)
+        self.figures["quiet half: samples, without an answer"] = f"{wanted}, {missing}"
         if missing:
             self.faults.append(f"{missing} samples were not answered")
 
@@ -257,7 +275,10 @@ class Soak:
                 spin(0.2)
             for name in self.running:
                 self.check_flat(name, begin_s, time.monotonic())
-            self.check_answers(begin_ns, time.time_ns() - 5_000_000_000)
+            end_ns = time.time_ns()
+            while self.unanswered(begin_ns, end_ns)[1] and time.time_ns() - end_ns < 1e9 * PATIENCE_S:
+                spin(1.0)
+            self.check_answers(begin_ns, end_ns)
             chaos_s = time.monotonic()
             while time.monotonic() - chaos_s < half_s:
                 spin(self.rng.uniform(2.0, 15.0))

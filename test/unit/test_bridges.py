@@ -12,6 +12,7 @@ import pytest
 from sugiyama_ros.bridges.fields import read_bridge, yaw
 from sugiyama_ros.bridges.frames import Frames
 from sugiyama_ros.bridges.moments import Moments, Numbers, RoadMoment
+from sugiyama_ros.bridges.perception import PerceptionSettings
 from sugiyama_ros.bridges.registry import BRIDGES
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.bag_folder import bag_files
@@ -203,3 +204,9 @@ def test_directories_of_rosbag2(tmp_path: Path) -> None:
         (tmp_path / "metadata.yaml").write_text(text)
         with pytest.raises(InputError, match=why):
             bag_files(tmp_path)
+
+
+@pytest.mark.parametrize("settings", [{"period_s": math.nan}, {"period_s": 0.0}, {"length_m": -1.0}])
+def test_settings_with_which_nobody_can_be_followed(settings: dict[str, float]) -> None:
+    with pytest.raises(InputError, match=r"is not"):
+        PerceptionSettings(**settings)

@@ -104,6 +104,8 @@ def test_a_vehicle_has_a_number_that_ros_can_send(tmp_path: Path, key: str) -> N
         (ALIASES, "aliases"),
         ("a: 2001-99-99", "is no YAML"),
         ("\t", "YAML"),
+        ("a: !!int ''", "is no YAML"),
+        ("? [1]\n: 2", "is no YAML"),
     ],
 )
 def test_crafted_yaml(tmp_path: Path, text: str, words: str) -> None:

@@ -204,6 +204,7 @@ def test_a_map_of_columns(tmp_path: Path) -> None:
         ("s_m: {column: a, factor: b}", "factor of s_m: 'b' is no finite number"),
         ("reference: middle", "reference 'middle' is not known; choose among centre, front, rear"),
         ("ring_m: round", "ring_m: 'round' is no finite number"),
+        ("ring_m: -5", "ring: -5.0 m is not a circumference"),
         ("ring_m: " + "9" * 400, "is no finite number"),
         ("lane: &a [x]\nreference: *a", "has aliases"),
     ],

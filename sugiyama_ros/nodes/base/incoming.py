@@ -17,7 +17,7 @@ from rclpy.serialization import deserialize_message
 from sugiyama_msgs.msg import DriverArray, DriverParameters, Progress, StyleChange, Verdict
 from sugiyama_msgs.msg import Road as RoadMessage
 
-from sugiyama_ros.nodes.base import cdr_messages
+from sugiyama_ros.nodes.base import cdr_lengths, cdr_messages
 from sugiyama_ros.nodes.base.cdr_messages import Sample
 
 #: Steps of a recording, at most; counts of steps stay exact in a double.
@@ -208,6 +208,7 @@ def decoded(raw: bytes, kind: type) -> Any:
     if raw[:2] not in (b"\0\0", b"\0\1") or len(raw) <= _ENCAPSULATION:
         raise RefusedError("is not in plain CDR")
     try:
+        cdr_lengths.check(memoryview(raw)[_ENCAPSULATION:], kind, "<" if raw[1] else ">")
         return deserialize_message(raw, kind)
     except Exception:  # the middleware's own class, which it does not export
         raise RefusedError(f"cannot be decoded as {kind.__name__}") from None

@@ -11,7 +11,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType, JumpHandle, JumpThreshold
 from rclpy.duration import Duration
-from rclpy.exceptions import ParameterException
+from rclpy.exceptions import ParameterException, ParameterNotDeclaredException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
@@ -90,6 +90,8 @@ class PacedNode(Node):
         return super().set_parameters_atomically([self._as_declared(p) for p in parameter_list])
 
     def _as_declared(self, parameter: Parameter) -> Parameter:
+        if not parameter.name:  # rclpy would take it, because "" counts as false
+            raise ParameterNotDeclaredException([parameter.name])
         known = self.has_parameter(parameter.name)
         return _real(parameter, self.get_parameter(parameter.name).value) if known else parameter
 
@@ -129,6 +131,12 @@ class PacedNode(Node):
     ) -> Service:
         """Offer a service. A request on which the callback fails is counted and refused, and the node goes on."""
         return super().create_service(srv_type, srv_name, partial(self._serve, srv_name, callback), **options)
+
+    def guard_services(self) -> None:
+        """Guard the services as well that a mixin of rclpy has offered."""
+        for service in self.services:
+            if getattr(service.callback, "func", None) != self._serve:
+                service.callback = partial(self._serve, service.srv_name, service.callback)
 
     def _serve(self, name: str, callback: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
         try:

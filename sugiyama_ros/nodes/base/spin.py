@@ -107,7 +107,8 @@ def run_node(make: Callable[[], PacedNode]) -> None:
     runner = int(os.environ.get(RUNNER, os.getppid()))
     try:
         with ros() as asked_to_stop:
-            node = make()
+            with _interruptible():
+                node = make()
             spinner = Spinner([node])
             while not asked_to_stop() and node.failure is None and not node.is_done and os.getppid() == runner:
                 spinner.slice()
@@ -118,10 +119,27 @@ def run_node(make: Callable[[], PacedNode]) -> None:
             if node.failure is not None:
                 raise node.failure
             _leave(node, spinner)
+    except KeyboardInterrupt:
+        os._exit(0)  # nothing has begun; what was made of the node goes with the process
     except (SugiyamaError, ParameterException) as error:
         # rclpy's errors of parameters say in one line which value is wrong
         print(" ".join(str(error).split()), file=sys.stderr)
         sys.exit(2 if isinstance(error, (InputError, ParameterException)) else 1)
+
+
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    """Let SIGINT and SIGTERM end the block at once, by KeyboardInterrupt.
+
+    A node takes seconds of processor time to start, which is a minute on a busy machine.
+    """
+    stop = (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.signal(number, signal.default_int_handler) for number in stop}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _leave(node: Node, spinner: Spinner) -> NoReturn:
