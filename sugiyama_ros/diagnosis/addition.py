@@ -13,8 +13,9 @@ from sugiyama_ros.fit.cross_validation import Gain, sum_error
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.recording import Recorded
 
-# An effect of some drivers only, and freed constants, take so many standard errors of the held-out gain.
-_FLEXIBLE = 2.0
+#: An effect of some drivers only, freed constants and forces without a name take so many standard errors of their
+#: held-out gain.
+FLEXIBLE = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +112,7 @@ def least_gain(data: Recorded, won: Gain, candidate: Candidate, of_blocks: float
     if candidate.happens_once:
         return -math.inf
     if candidate.drivers:
-        return _FLEXIBLE * of_blocks
+        return FLEXIBLE * of_blocks
     has_many = data.vicinity.is_whole_road or data.drivers >= MANY_DRIVERS
     error = sum_error(won.drivers) if has_many else won.se
-    return _FLEXIBLE * error if candidate.kind == "constants" else error
+    return FLEXIBLE * error if candidate.kind == "constants" else error

@@ -11,7 +11,7 @@ from functools import partial
 
 import numpy as np
 
-from sugiyama_ros.diagnosis.addition import Addition, advice_for, least_gain, parameters_of
+from sugiyama_ros.diagnosis.addition import FLEXIBLE, Addition, advice_for, least_gain, parameters_of
 from sugiyama_ros.diagnosis.bootstrap import resampled_fit, seeds
 from sugiyama_ros.diagnosis.candidacy import (
     LEAST_GAIN,
@@ -188,7 +188,9 @@ class Search:
         for force, look in forces:
             one = self._grow(look.candidate, refine(self.data, look, self._work), force.p_value)
             # a curve is flexible where data are few: it may predict one step well and fail in a free run
-            if one is not None and one.after.no_worse_than(one.before):
+            if one is None or one.heldout.nats < FLEXIBLE * one.heldout.se:
+                continue
+            if one.after.no_worse_than(one.before):
                 return self._take(one)
         return False
 
