@@ -7,7 +7,7 @@ from sugiyama_msgs.msg import DriverArray
 
 from sugiyama_ros.nodes.base.driver_array_messages import ArrayWriter, KnownDriver
 from sugiyama_ros.nodes.base.node import PacedNode
-from sugiyama_ros.nodes.base.qos import DEPTH, STREAM
+from sugiyama_ros.nodes.base.qos import DEPTH
 
 #: Name of the topic, in the namespace of the road.
 TOPIC = "drivers"
@@ -43,7 +43,7 @@ class DriverArrayTopic:
         """Wait for one more driver. The node of the first driver holds the publisher."""
         self._drivers += 1
         if self._publisher is None:
-            self._publisher = node.create_publisher(DriverArray, node.shared(TOPIC), STREAM)
+            self._publisher = node.stream(DriverArray, node.shared(TOPIC))
 
     def put(self, node: PacedNode, stamp_ns: int, driver: KnownDriver | None) -> None:
         """Take a driver's answer to the sample at a stamp [ns], and publish the message if it was the last answer.

@@ -3,7 +3,6 @@
 from typing import Protocol
 
 from rclpy.publisher import Publisher
-from rclpy.qos import QoSProfile
 from sugiyama_msgs.msg import DriverParameters, DriverType, Innovation, StyleChange, VehicleState
 
 from sugiyama_ros.arrays import Array
@@ -15,7 +14,6 @@ from sugiyama_ros.fit.driver_types import DriverTypes
 from sugiyama_ros.nodes.base import cdr_messages
 from sugiyama_ros.nodes.base.driver_array_messages import KnownDriver, ParameterNames
 from sugiyama_ros.nodes.base.node import PacedNode
-from sugiyama_ros.nodes.base.qos import STREAM
 
 _PARAMETERS_EVERY_NS = cdr_messages.NS
 
@@ -28,6 +26,11 @@ class AllDrivers(Protocol):
 
     def put(self, node: PacedNode, stamp_ns: int, driver: KnownDriver | None) -> None:
         """Take what is known of a driver after the sample at a stamp [ns]; None if the sample was left out."""
+
+
+def shared_topics(types: DriverTypes | None) -> list[tuple[type, str]]:
+    """Classes and names of the topics that each driver has also where they are in one message with other drivers."""
+    return [(StyleChange, "style_change"), *([(DriverType, "driver_type")] if types is not None else [])]
 
 
 class DriverTopics:
@@ -48,8 +51,6 @@ class DriverTopics:
     space : str
         Namespace of the topics within the node's, such as ``vehicle_07/``; empty for the node's own. Drivers in the
         same namespace share its topics.
-    qos : QoSProfile
-        Quality of service of the topics.
     """
 
     def __init__(
@@ -59,7 +60,6 @@ class DriverTopics:
         types: DriverTypes | None,
         array: AllDrivers | None = None,
         space: str = "",
-        qos: QoSProfile = STREAM,
     ) -> None:
         self._node = node
         self._vehicle = vehicle
@@ -69,7 +69,7 @@ class DriverTopics:
         self._shown: ShownParameters | None = None
         self._stamp_ns: int | None = None
         self._array = array
-        self._space, self._qos = space, qos
+        self._space = space
         self._topics: list[str] = []
         if array is not None:
             array.join(node)
@@ -77,13 +77,13 @@ class DriverTopics:
             self._to_state = self._stream(VehicleState, "state")
             self._to_innovation = self._stream(Innovation, "innovation")
             self._to_parameters = self._stream(DriverParameters, "parameters")
-        self._to_changes = self._stream(StyleChange, "style_change")
-        if types is not None:
-            self._to_type = self._stream(DriverType, "driver_type")
+        self._to_changes, *to_type = [self._stream(kind, topic) for kind, topic in shared_topics(types)]
+        if to_type:
+            (self._to_type,) = to_type
 
     def _stream(self, kind: type, topic: str) -> Publisher:
         self._topics.append(self._space + topic)
-        return self._node.stream(kind, self._space + topic, self._qos)
+        return self._node.stream(kind, self._space + topic)
 
     def close(self) -> None:
         """Take down the topics that are the driver's own."""

@@ -22,6 +22,7 @@ from sugiyama_ros.nodes.base.qos import DEPTH, LATCHED, STREAM
 from sugiyama_ros.nodes.base.spin import run_node
 from sugiyama_ros.nodes.driver_array import TOPIC, ArrayMessages
 from sugiyama_ros.nodes.driver_parameters import declare_float, declare_window
+from sugiyama_ros.nodes.driver_topics import shared_topics
 from sugiyama_ros.nodes.drivers_in_view import DriversInView, read_settings
 from sugiyama_ros.nodes.effect_services import add_effect, remove_effect
 
@@ -35,8 +36,8 @@ class DriversNode(LifecycleNodeMixin, PacedNode):
     activates itself, unless ``autostart`` is false: then a lifecycle manager does.
 
     Parameters of the node: the parameters of a driver, from which a driver starts who is not in ``model``; ``model``,
-    ``save_state``, ``resume``, ``reorder_window``, ``retire_after``, ``most_drivers``, ``vehicle_topics``,
-    ``late_subscribers`` and ``autostart``. Services: ``~/reset``, ``~/add_effect``, ``~/remove_effect``.
+    ``save_state``, ``resume``, ``reorder_window``, ``retire_after``, ``most_drivers``, ``vehicle_topics``
+    and ``autostart``. Services: ``~/reset``, ``~/add_effect``, ``~/remove_effect``.
 
     Parameters
     ----------
@@ -92,9 +93,10 @@ class DriversNode(LifecycleNodeMixin, PacedNode):
             self.trigger_activate()
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Subscribe, and offer the topic of all drivers."""
+        """Subscribe, and offer the topics of all drivers, so that a recorder hears them from the first message on."""
         if not self._settings.has_vehicle_topics:
-            self.stream(DriverArray, TOPIC, self._settings.qos)
+            for kind, topic in ((DriverArray, TOPIC), *shared_topics(self._settings.types)):
+                self.stream(kind, topic)
         on_road = incoming.receiver(incoming.road, self._on_road, lambda reason: self.refuse("road", reason))
         on_sample = incoming.receiver(incoming.sample, self.take_in, lambda reason: self.refuse("measured", reason))
         self._inputs = [
@@ -199,9 +201,7 @@ class DriversNode(LifecycleNodeMixin, PacedNode):
         """Take in a sample, and publish what follows from it."""
         known = view.take_in(sample, late)
         if known and not self._settings.has_vehicle_topics:
-            self.send(
-                self.stream(DriverArray, TOPIC, self._settings.qos), self._messages.message(sample.stamp_ns, known)
-            )
+            self.send(self.stream(DriverArray, TOPIC), self._messages.message(sample.stamp_ns, known))
         if view.failure and not self._failure:
             self._failure = view.failure
             self.get_logger().error(self._failure)

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 from rcl_interfaces.msg import ParameterDescriptor
-from rclpy.qos import QoSProfile
 from sugiyama_msgs.msg import Road as RoadMessage
 
 from sugiyama_ros.arrays import Array, Ints
@@ -17,7 +16,6 @@ from sugiyama_ros.fit.model_file import ModelFile, read_model
 from sugiyama_ros.nodes.base.cdr_messages import NS, Sample
 from sugiyama_ros.nodes.base.driver_array_messages import KnownDriver
 from sugiyama_ros.nodes.base.node import PacedNode
-from sugiyama_ros.nodes.base.qos import LIVE, STREAM
 from sugiyama_ros.nodes.driver_parameters import Adapted, check_driver, declare_adapt, declare_driver, declare_path
 from sugiyama_ros.nodes.driver_topics import DriverTopics
 from sugiyama_ros.nodes.follower import UNKNOWN, DivergedError, Follower
@@ -31,7 +29,7 @@ class DriversSettings:
     """From what the drivers start, and where what is learnt of them goes.
 
     model: the model file, None without one; save_state, resume: directories, None without; has_vehicle_topics: whether
-    each driver has topics of their own instead of one message for all; qos: of what is published; adapted: what is
+    each driver has topics of their own instead of one message for all; adapted: what is
     learnt; standard: what is published for others.
     """
 
@@ -39,7 +37,6 @@ class DriversSettings:
     save_state: Path | None
     resume: Path | None
     has_vehicle_topics: bool
-    qos: QoSProfile
     adapted: Adapted
     standard: StandardTopics
 
@@ -65,11 +62,8 @@ def read_settings(node: PacedNode) -> DriversSettings:
         description="whether each driver has topics of their own, not `drivers`", read_only=True
     )
     vehicle_topics = bool(node.declare_parameter("vehicle_topics", False, about).value)
-    late = "whether who subscribes late also gets the last messages that were sent before, as a recorder may need"
-    about = ParameterDescriptor(description=late, read_only=True)
-    qos = STREAM if node.declare_parameter("late_subscribers", False, about).value else LIVE
     standard = StandardTopics(node)
-    settings = DriversSettings(model, save_state, resume, vehicle_topics, qos, declare_adapt(node), standard)
+    settings = DriversSettings(model, save_state, resume, vehicle_topics, declare_adapt(node), standard)
     declare_driver(node, settings.effects)
     check_driver(node)
     return settings
@@ -237,9 +231,7 @@ class DriversInView:
         follower = Follower(vehicle, filter_, kept, self._of_filters, self._window_s)
         own = self._settings.has_vehicle_topics
         space = f"vehicle_{vehicle:02}/" if own else ""
-        topics = DriverTopics(
-            self._node, vehicle, self._settings.types, None if own else self, space, self._settings.qos
-        )
+        topics = DriverTopics(self._node, vehicle, self._settings.types, None if own else self, space)
         topics.choose_parameters(self._effects, filter_)
         driver = self.drivers[vehicle] = _InView(follower, topics, -(1 << 62))
         return driver

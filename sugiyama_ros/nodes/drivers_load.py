@@ -23,7 +23,7 @@ from sugiyama_msgs.msg import Road as RoadMessage
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import SugiyamaError
 from sugiyama_ros.nodes.base import cdr_messages, environment
-from sugiyama_ros.nodes.base.qos import LATCHED, LIVE, STREAM
+from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.base.samples import Positions
 from sugiyama_ros.nodes.base.spin import RUNNER, Spinner, ros
 
@@ -70,7 +70,7 @@ class _Perception(Node):
         self._drivers = drivers
         self._to_road = self.create_publisher(RoadMessage, "road", LATCHED)
         self._to_measured = self.create_publisher(MeasuredPositions, "measured", STREAM)
-        self.create_subscription(DriverArray, "drivers", self._on_answer, LIVE, raw=True)
+        self.create_subscription(DriverArray, "drivers", self._on_answer, STREAM, raw=True)
         self._to_road.publish(RoadMessage(circumference_m=0.0, period_s=period_s))
 
     @property

@@ -222,7 +222,7 @@ class Estimator(PacedNode):
             self._arrivals.clock_has_jumped()
 
     def _go_on(self) -> None:
-        """Take in what waits. The last samples are latched, so a late node may hear them before the road."""
+        """Take in what waits. A late node may hear samples before the road."""
         while self._waiting and self._arrivals is not None and not self._is_asking:
             self._arrive(self._waiting.popleft(), self._arrivals)
 

@@ -245,5 +245,5 @@ class Follower:
         return sample.position_m[place], self._behind, self._length_m[self._behind]
 
     def _is_known(self, stamp_ns: int, kept: Kept) -> bool:
-        """Whether an earlier run has learnt from the sample: a late subscriber gets the last samples once more."""
+        """Whether an earlier run has learnt from the sample: the last samples may be sent once more."""
         return kept.until_ns - DEPTH * self.filter.period_s * NS < stamp_ns <= kept.until_ns

@@ -158,7 +158,7 @@ class Plan:
     def drivers(self) -> dict[str, Any]:
         """Parameters of the node that follows all vehicles."""
         own = {name: value for name, value in self.estimator.items() if name != "array_topic"}
-        return {**own, "late_subscribers": True, "most_drivers": max(1000, len(self.source.vehicles))}
+        return {**own, "most_drivers": max(1000, len(self.source.vehicles))}
 
     @property
     def followers(self) -> list[str]:

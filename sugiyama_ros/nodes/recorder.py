@@ -15,7 +15,7 @@ from sugiyama_ros.formats.bag_folder import FolderWriter
 from sugiyama_ros.formats.mcap_writer import BagWriter, Qos
 from sugiyama_ros.nodes.base import cdr_messages, incoming
 from sugiyama_ros.nodes.base.log_time import LogTime, begins_with_stamp
-from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode
+from sugiyama_ros.nodes.base.node import ERROR, OK, RECORDER, UNRECORDED, WARN, Health, PacedNode
 from sugiyama_ros.nodes.base.pacing import Levels
 from sugiyama_ros.nodes.base.qos import DEPTH, reliable
 from sugiyama_ros.nodes.base.spin import run_node
@@ -29,8 +29,6 @@ _FROM_ALL = 5000
 _FLUSH_S = 1.0
 #: Silence [s] after which a topic is no longer waited for.
 PATIENCE_S = 10.0
-#: A topic of ROS itself, which says nothing about the road.
-_LEFT_OUT = "/parameter_events"
 #: What all nodes log. It is recorded, but no node counts what it logs.
 LOG = "/rosout"
 _MB = 1_000_000
@@ -52,7 +50,7 @@ class Recorder(PacedNode):
     """
 
     def __init__(self, **options: Any) -> None:
-        super().__init__("recorder", **options)
+        super().__init__(RECORDER, **options)
         measured = self.shared("measured")
         output = self._declare("output", "", "MCAP file to write, or directory for rosbag2")
         overwrite = self._declare("overwrite", False, "replace a file of this name")
@@ -118,7 +116,7 @@ class Recorder(PacedNode):
         new = [
             (topic, types[0])
             for topic, types in self.get_topic_names_and_types()
-            if topic not in self._known and topic != _LEFT_OUT and not topic_or_service_is_hidden(topic)
+            if topic not in self._known and topic not in UNRECORDED and not topic_or_service_is_hidden(topic)
         ]
         # a subscription takes some milliseconds; a queue may not hold the messages that wait meanwhile
         for topic, type_name in new[:_AT_A_TIME]:

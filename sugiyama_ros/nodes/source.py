@@ -14,7 +14,7 @@ from visualization_msgs.msg import MarkerArray
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.measured import FRAME
 from sugiyama_ros.nodes.base import cdr_messages, incoming
-from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode
+from sugiyama_ros.nodes.base.node import ERROR, OK, RECORDER, WARN, Health, PacedNode
 from sugiyama_ros.nodes.base.pacing import Pace
 from sugiyama_ros.nodes.base.qos import LATCHED, PROGRESS_IN, STREAM, WINDOW
 from sugiyama_ros.nodes.base.samples import PositionSamples
@@ -32,7 +32,8 @@ class Source(PacedNode):
     """Publishes samples as ``road``, ``measured``, ``/clock`` and ``markers``.
 
     The source is at most WINDOW steps ahead of the slowest subscriber that reports its progress. It no longer waits for
-    a subscriber that is silent for 10 s.
+    a subscriber that is silent for 10 s. If it waits for a recorder, it sends nothing before the recorder hears every
+    topic of the nodes that it waits for.
 
     Parameters of the node: ``rate`` (times real time; 0: as fast as the subscribers take it), ``start_paused``,
     ``wait_for`` (full names of the nodes to wait for), ``exit_at_end``. Services: ``~/pause``, ``~/resume`` and
@@ -65,7 +66,9 @@ class Source(PacedNode):
         self.samples = self.open()
         self._speed_up = self.get_parameter("rate").value
         self._paused = self.get_parameter("start_paused").value
-        self._pace = Pace(WINDOW, PATIENCE_S, filter(None, self.get_parameter("wait_for").value))
+        awaited = [name for name in self.get_parameter("wait_for").value if name]
+        self._pace = Pace(WINDOW, PATIENCE_S, awaited)
+        self._is_for_recorder = any(name.rpartition("/")[2] == RECORDER for name in awaited)
         self.next_step = 0
         self._jump_to: int | None = None
         self._anchor: tuple[float, int] | None = None
@@ -139,7 +142,9 @@ class Source(PacedNode):
     @property
     def _may_send(self) -> bool:
         at_end = self.samples.steps and self.next_step == self.samples.steps
-        return self._jump_to is None and not at_end and self._pace.may_send
+        if self._jump_to is not None or at_end or not self._pace.may_send:
+            return False
+        return self.is_recorded or not self._is_for_recorder
 
     def _is_due(self) -> bool:
         """Whether the next step is due. Its time is counted from the first step, so that no error adds up."""
@@ -182,6 +187,9 @@ class Source(PacedNode):
 
     def _on_progress(self, message: Progress) -> None:
         if message.node == self.get_fully_qualified_name():
+            return
+        if self._is_for_recorder and message.node in self._pace.missing and not message.recorded:
+            # its first messages would not be in the file
             return
         if message.node in self._pace.dropped:
             self.get_logger().info(f"{message.node} is back")

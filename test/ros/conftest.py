@@ -36,11 +36,15 @@ class Stage:
 
     def kill(self, node: Node) -> None:
         """Take a node down without an orderly end. Other nodes may be added then."""
+        self.suspend()
+        self.nodes.remove(node)
+        node.destroy_node()
+
+    def suspend(self) -> None:
+        """Carry out nothing until the next ``until``. Other nodes may be added then."""
         assert self._spinner is not None
         self._spinner.close()
         self._spinner = None
-        self.nodes.remove(node)
-        node.destroy_node()
 
     def until(self, done: Callable[[], bool], timeout_s: float = 20.0) -> None:
         """Carry out callbacks until ``done()``; fails after ``timeout_s``."""

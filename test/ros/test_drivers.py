@@ -19,7 +19,7 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.online import OnlineFilter
 from sugiyama_ros.nodes.base import cdr_messages
 from sugiyama_ros.nodes.base.node import OK, WARN
-from sugiyama_ros.nodes.base.qos import LATCHED, LIVE, STREAM
+from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.base.samples import UNKNOWN_LEADER
 from sugiyama_ros.nodes.drivers import DriversNode
 from sugiyama_ros.nodes.saved_state import read_learnt
@@ -40,7 +40,7 @@ class Perception(Node):
         self.step = 0
         self.to_road = self.create_publisher(RoadMessage, f"{space}road", road_qos)
         self.to_measured = self.create_publisher(MeasuredPositions, f"{space}measured", qos)
-        self.create_subscription(DriverArray, f"{space}drivers", self.answers.append, LIVE)
+        self.create_subscription(DriverArray, f"{space}drivers", self.answers.append, STREAM)
         self.send_road()
 
     def send_road(self) -> None:

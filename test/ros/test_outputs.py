@@ -14,7 +14,7 @@ from rclpy.qos import qos_profile_sensor_data
 from sugiyama_msgs.msg import MeasuredPositions, Road
 
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.nodes.base.qos import LIVE
+from sugiyama_ros.nodes.base.qos import STREAM
 from sugiyama_ros.nodes.estimator import Estimator
 from sugiyama_ros.nodes.replay import Replay
 
@@ -34,7 +34,7 @@ def test_standard_messages_of_now_and_of_the_next_seconds(stage, ring_csv: Path)
     heard: dict[str, list[Any]] = defaultdict(list)
     ears = Node("ears")
     for name, kind in names.items():
-        ears.create_subscription(kind, f"/vehicle_00/{name}", heard[name].append, LIVE)
+        ears.create_subscription(kind, f"/vehicle_00/{name}", heard[name].append, STREAM)
     stage.add(replay, estimator, ears)
     stage.until(lambda: bool(heard["odometry"]) and seconds(heard["odometry"][-1]) >= 99.5)
     stage.until(lambda: seconds(heard["predicted_path"][-1]) >= 99.0)

@@ -25,7 +25,7 @@ from sugiyama_ros.formats.recover import recover
 from sugiyama_ros.nodes import recorder as recorder_module
 from sugiyama_ros.nodes.base import cdr_messages
 from sugiyama_ros.nodes.base.node import ERROR
-from sugiyama_ros.nodes.base.qos import STREAM
+from sugiyama_ros.nodes.base.qos import STREAM, reliable
 from sugiyama_ros.nodes.base.samples import Positions
 from sugiyama_ros.nodes.recorder import Recorder
 
@@ -85,7 +85,7 @@ def test_a_topic_that_appears_later_is_recorded_too(stage, tmp_path: Path) -> No
     node, recording = Node("sender"), recorder(tmp_path / "out.mcap")
     stage.add(node, recording)
     stage.for_a_while(0.1)
-    publisher = node.create_publisher(String, "late", STREAM)
+    publisher = node.create_publisher(String, "late", reliable(5))
     for k in range(5):
         publisher.publish(String(data=str(k)))
     stage.until(lambda: holds(recording, "/late", 5))

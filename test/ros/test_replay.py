@@ -12,7 +12,8 @@ from sugiyama_msgs.srv import Seek
 
 from sugiyama_ros.nodes import source
 from sugiyama_ros.nodes.base.node import ERROR, OK, Health, PacedNode
-from sugiyama_ros.nodes.base.qos import LATCHED, STREAM, WINDOW
+from sugiyama_ros.nodes.base.qos import LATCHED, STREAM, WINDOW, offered
+from sugiyama_ros.nodes.recorder import Recorder
 from sugiyama_ros.nodes.replay import Replay
 from sugiyama_ros.nodes.simulator import SimulatorNode
 
@@ -165,3 +166,39 @@ def test_markers_show_the_vehicles(stage, ring_csv: Path) -> None:
     for box in boxes:
         radius = (box.pose.position.x**2 + box.pose.position.y**2) ** 0.5
         assert radius == pytest.approx(100.0 / 6.283185307, rel=1e-6)
+
+
+class Named(Listener):
+    """A listener that publishes something, too, and says so."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.stream(Road, "answer")
+
+
+def test_nothing_is_sent_before_the_recorder_hears_everything(stage, ring_csv: Path, tmp_path: Path) -> None:
+    node, listener = replay(ring_csv, wait_for=["/listener", "/recorder"]), Named()
+    stage.add(node, listener)
+    stage.for_a_while(1.0)
+    assert (node.next_step, node.is_recorded, listener.is_recorded) == (0, False, False)
+    assert "/listener" in node.health().message
+    stage.suspend()
+    recorder = Recorder(parameter_overrides=[Parameter("output", value=str(tmp_path / "out.mcap"))])
+    stage.add(recorder)
+    stage.until(lambda: recorder.counts.get("/measured") == 200)
+    assert node.is_recorded
+    assert listener.is_recorded
+    recorder.close()
+
+
+def test_who_subscribes_late_hears_nothing_old(stage, ring_csv: Path) -> None:
+    """As ``ros2 topic echo`` does, which asks for what the publishers offer."""
+    node, listener = replay(ring_csv), Listener()
+    stage.add(node, listener)
+    stage.until(lambda: len(listener.samples) == 200)
+    heard: list[int] = []
+    late = offered(listener.get_publishers_info_by_topic("/measured"))
+    listener.create_subscription(MeasuredPositions, "/measured", lambda sample: heard.append(sample.step), late)
+    assert stage.call(Seek, "/replay/seek", Seek.Request(time_s=50.0)).success
+    stage.until(lambda: len(heard) > 50)
+    assert heard[0] == 100

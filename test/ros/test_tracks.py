@@ -21,7 +21,7 @@ from sugiyama_ros.formats.centre_line import read_lanes
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.registry import read_tracks
 from sugiyama_ros.nodes.base.node import OK
-from sugiyama_ros.nodes.base.qos import LATCHED, LIVE, STREAM
+from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.drivers import DriversNode
 from sugiyama_ros.nodes.recorder import Recorder
 from sugiyama_ros.nodes.tracks import TracksNode
@@ -94,7 +94,7 @@ class World(Node):
         self.create_subscription(Road, "road", self.roads.append, LATCHED)
         self.drivers: list[DriverArray] = []
         self.create_subscription(MeasuredPositions, "measured", self.samples.append, STREAM)
-        self.create_subscription(DriverArray, "drivers", self.drivers.append, LIVE)
+        self.create_subscription(DriverArray, "drivers", self.drivers.append, STREAM)
 
 
 def check_drivers(heard: list[DriverArray], node: DriversNode) -> None:

@@ -17,6 +17,7 @@ from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.service import Service
+from rclpy.topic_or_service_is_hidden import topic_or_service_is_hidden
 from sugiyama_msgs.msg import Progress
 
 from sugiyama_ros.errors import InputError, SugiyamaError
@@ -24,6 +25,9 @@ from sugiyama_ros.nodes.base.any_publisher import AnyPublisher
 from sugiyama_ros.nodes.base.incoming import receiver, unusable
 from sugiyama_ros.nodes.base.qos import PROGRESS_OUT, STREAM, WINDOW
 
+#: Name of the node that records, in any namespace, and topics of ROS itself that say nothing about the road.
+RECORDER = "recorder"
+UNRECORDED = ("/parameter_events",)
 _BEAT_S = 0.1
 _REPORT_S = 1.0
 _RECEIVED_S = 5.0
@@ -54,7 +58,8 @@ class PacedNode(Node):
         self.is_done = False
         self.received = 0
         self._announced = False
-        self._told: tuple[int, int] | None = None
+        self._told: tuple[int, int, bool] | None = None
+        self._is_recorded = False
         self._told_s = self._reported_s = 0.0
         self._level = OK
         #: Messages that were dropped, and why the last one was.
@@ -102,10 +107,10 @@ class PacedNode(Node):
             return resolved
         return re.sub(r"/vehicle_\d+$", "", self.get_namespace()).rstrip("/") + "/" + topic
 
-    def stream(self, kind: type, topic: str, qos: QoSProfile) -> Publisher:
+    def stream(self, kind: type, topic: str) -> Publisher:
         """Publisher of a topic, made at the first call, and shared by everything in the node that publishes there."""
         if topic not in self._streams:
-            self._streams[topic] = self.create_publisher(kind, topic, qos)
+            self._streams[topic] = self.create_publisher(kind, topic, STREAM)
         return self._streams[topic]
 
     def end_stream(self, topic: str) -> None:
@@ -173,6 +178,20 @@ class PacedNode(Node):
             self._announced = True
             self._tell()
 
+    @property
+    def is_recorded(self) -> bool:
+        """Whether a recorder hears everything that this node publishes, so that nothing is missing in its file."""
+        self._is_recorded = self._is_recorded or all(map(self._has_recorder, self.publishers))
+        return self._is_recorded
+
+    def _has_recorder(self, publisher: Publisher) -> bool:
+        topic = publisher.topic_name
+        if topic in UNRECORDED or topic_or_service_is_hidden(topic):
+            return True
+        known = self.get_subscriptions_info_by_topic(topic)
+        # the graph may show a subscriber a moment before the middleware sends to it
+        return any(one.node_name == RECORDER for one in known) and publisher.get_subscription_count() >= len(known)
+
     def taken(self, steps: int, last: bool = False) -> None:
         """Note that all samples before number ``steps`` have been taken."""
         self.steps = steps
@@ -198,7 +217,9 @@ class PacedNode(Node):
             status=[DiagnosticStatus(level=level, name=name, message=message, hardware_id="", values=pairs)]
         )
         message_array.header.stamp = self.get_clock().now().to_msg()
-        self.send(self._to_diagnostics, message_array)
+        # what nobody hears cannot be in a recording
+        if self._to_diagnostics.get_subscription_count():
+            self.send(self._to_diagnostics, message_array)
 
     def report_if_worse(self) -> None:
         """Publish the health at once if it has worsened."""
@@ -223,12 +244,13 @@ class PacedNode(Node):
         now = time.monotonic()
         if now - self._reported_s >= _REPORT_S:
             self.report()
-        if self._announced and (self._told != (self.steps, self.published) or now - self._told_s >= _REPORT_S):
+        now_known = (self.steps, self.published, self.is_recorded)
+        if self._announced and (self._told != now_known or now - self._told_s >= _REPORT_S):
             self._tell()
 
     def _tell(self) -> None:
-        self._told, self._told_s = (self.steps, self.published), time.monotonic()
-        self._progress.steps, self._progress.published = self._told
+        self._told, self._told_s = (self.steps, self.published, self.is_recorded), time.monotonic()
+        self._progress.steps, self._progress.published, self._progress.recorded = self._told
         self._to_progress.publish(self._progress)
 
 

@@ -25,10 +25,8 @@ def reliable(depth: int, durability: QoSDurabilityPolicy = QoSDurabilityPolicy.T
     )
 
 
-#: For every topic that is recorded. Transient local, so that a late subscriber also gets the messages sent before.
-STREAM = reliable(DEPTH)
-#: For streams that nobody needs to hear afterwards: who subscribes hears what comes from then on.
-LIVE = reliable(DEPTH, QoSDurabilityPolicy.VOLATILE)
+#: For every topic with more than one message: who subscribes hears what comes from then on, and nothing old.
+STREAM = reliable(DEPTH, QoSDurabilityPolicy.VOLATILE)
 #: Latched: the last message only.
 LATCHED = reliable(1)
 #: Progress counts from the start, so only the last message of a sender matters; a receiver hears many senders.

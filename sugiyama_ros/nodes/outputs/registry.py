@@ -10,7 +10,6 @@ from sugiyama_ros.filters.online import Estimate
 from sugiyama_ros.formats.centre_line import read_lanes
 from sugiyama_ros.nodes.base.cdr_messages import NS
 from sugiyama_ros.nodes.base.node import PacedNode
-from sugiyama_ros.nodes.base.qos import LIVE
 from sugiyama_ros.nodes.driver_parameters import declare_path
 from sugiyama_ros.nodes.follower import Follower
 from sugiyama_ros.nodes.outputs.output import DriverOutput, Known, Places
@@ -22,8 +21,6 @@ _MODULES = ("odometry", "predicted_path", "predicted_odometry")
 
 class StandardTopics:
     """Publishes what the parameter ``publish`` asks for, of each driver, on topics such as ``vehicle_07/odometry``.
-
-    These topics are volatile: who plans with a driver's state must not get an old one.
 
     Parameters
     ----------
@@ -67,7 +64,7 @@ class StandardTopics:
         known = Known(stamp_ns, vehicle, path, Places(road, self._line, self._frame))
         for one in due:
             self._told_ns[vehicle, one.name] = stamp_ns
-            publisher = self._node.stream(one.kind, space + one.name, LIVE)
+            publisher = self._node.stream(one.kind, space + one.name)
             for message in one.messages(known):
                 self._node.send(publisher, message)
 
