@@ -1,9 +1,10 @@
 """Follow the vehicles that a perception sees, and record everything.
 
     ros2 launch sugiyama_ros live.launch.py centre_line:=LINE.csv topics:="['/car*/odom']" output:=FILE.mcap
-        [frame:=map] [model:=MODEL.yaml] [namespace:=NAME] [use_sim_time:=true]
+        [frame:=map] [model:=MODEL.yaml] [critic:=true] [namespace:=NAME] [use_sim_time:=true]
 
-The launch ends with Ctrl-C; the file is finished then.
+The critic follows the vehicles that are in view when it first sees any. The launch ends with Ctrl-C; the file is
+finished then.
 """
 
 from pathlib import Path
@@ -18,6 +19,7 @@ from sugiyama_ros.nodes.base import environment
 
 #: How often a node that was killed starts again.
 RETRIES = 5
+FLAG = ["true", "false"]
 
 
 def nodes(context: LaunchContext) -> list[GroupAction]:
@@ -29,7 +31,7 @@ def nodes(context: LaunchContext) -> list[GroupAction]:
 
     config, package = Path(given("config")), "sugiyama_ros"
     line = {"centre_line": given("centre_line"), "topics": yaml.safe_load(given("topics")), "frame": given("frame")}
-    model = {"model": given("model")}
+    model, has_critic = {"model": given("model")}, given("critic") == "true"
     again = {"respawn": True, "respawn_delay": 1.0, "respawn_max_retries": RETRIES}
     everything = [
         PushROSNamespace(given("namespace")),
@@ -43,6 +45,7 @@ def nodes(context: LaunchContext) -> list[GroupAction]:
             on_exit=Shutdown(reason="the recorder has ended"),
         ),
         Node(package=package, executable="drivers", parameters=[config / "drivers.yaml", model], **again),
+        *([Node(package=package, executable="critic", parameters=[config / "critic.yaml"])] if has_critic else []),
         Node(package=package, executable="tracks", parameters=[config / "tracks.yaml", line], **again),
     ]
     return [GroupAction(everything)]
@@ -58,12 +61,12 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument("topics", description="patterns of the topics of vehicles, as a list in YAML"),
             DeclareLaunchArgument("frame", default_value="", description="frame of the centre line"),
             DeclareLaunchArgument("model", default_value="", description="model file from which drivers start"),
+            DeclareLaunchArgument(
+                "critic", default_value="false", choices=FLAG, description="whether a critic listens"
+            ),
             DeclareLaunchArgument("namespace", default_value="", description="namespace of all nodes"),
             DeclareLaunchArgument(
-                "use_sim_time",
-                default_value="false",
-                choices=["true", "false"],
-                description="whether the time is that of /clock",
+                "use_sim_time", default_value="false", choices=FLAG, description="whether the time is that of /clock"
             ),
             DeclareLaunchArgument("output", description="MCAP file, or directory, to write"),
             DeclareLaunchArgument("config", default_value=str(config), description="directory of parameter files"),

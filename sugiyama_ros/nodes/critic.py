@@ -96,6 +96,8 @@ class Critic(PacedNode):
 
     def _follow(self, sample: cdr_messages.Sample, road: RoadMessage) -> None:
         jumped = self._stamp_ns is not None and sample.stamp_ns < self._stamp_ns
+        if (self._bank is None or jumped) and not sample.place:
+            return
         if self._bank is None or jumped:
             row = np.array([self.get_parameter(name).value for name in NAMES])
             row, vehicles = self._with_added(row), sorted(sample.place)

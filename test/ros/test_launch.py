@@ -12,12 +12,14 @@ from pathlib import Path
 import pytest
 import yaml
 
+from sugiyama_ros.driver.parameters import NAMES, population
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.truth import read_truth
 from sugiyama_ros.nodes.results import read_run
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(150)]
 ROOT = Path(__file__).parents[2]
+ALL = {"namespace": "ring", "use_sim_time": "true", "critic": "true"}
 _LAUNCH = """
 import signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell in the background ignores it
@@ -72,9 +74,7 @@ def ended(child: "subprocess.Popen[bytes]", log: Path, timeout_s: float = 100.0)
             os.killpg(child.pid, signal.SIGKILL)
 
 
-@pytest.mark.parametrize(
-    "given", [{}, {"namespace": "ring", "use_sim_time": "true", "critic": "true"}], ids=["as it is", "all arguments"]
-)
+@pytest.mark.parametrize("given", [{}, ALL], ids=["as it is", "all arguments"])
 def test_the_end_of_the_replay_ends_the_launch(prefix: Path, tmp_path: Path, given: dict[str, str]) -> None:
     rows = [f"{0.5 * k},{v},{25.0 * v + 3.0 * k},4.5" for k in range(60) for v in range(2)]
     (tmp_path / "a.csv").write_text("\n".join(["time_s,vehicle,position_m,length_m", *rows]) + "\n")
@@ -119,10 +119,33 @@ def test_ctrl_c_leaves_a_whole_bag(prefix: Path, tmp_path: Path) -> None:
     assert counts["/vehicle_00/state"] > 10
 
 
-def test_a_live_launch_waits_for_vehicles_and_ends_with_ctrl_c(prefix: Path, tmp_path: Path) -> None:
+def model_file(folder: Path) -> Path:
+    """A model file with one driver, as the mean of the population."""
+    driver = {"parameters": dict(zip(NAMES, population().tolist(), strict=True))}
+    (folder / "model.yaml").write_text(yaml.safe_dump({"sugiyama_model": 1, "drivers": {0: driver}}))
+    return folder / "model.yaml"
+
+
+def test_a_simulation_with_all_arguments_ends_by_itself(prefix: Path, tmp_path: Path) -> None:
+    log, output = tmp_path / "said.txt", tmp_path / "out.mcap"
+    more = {"vehicles": 2, "duration": 30.0, "rate": 0.0, "model": model_file(tmp_path), "config": ROOT / "config"}
+    code, said = ended(started("simulate", log, output=output, **more, **ALL), log)
+    assert code == 0, said
+    assert "process has died" not in said
+    with Bag(output) as bag:
+        counts = {topic.name: topic.count for topic in bag.info().topics}
+    assert counts["/ring/vehicle_00/state"] == counts["/ring/vehicle_00/truth"] == counts["/ring/measured"]
+    assert counts["/ring/verdict"] >= 5
+
+
+@pytest.mark.parametrize("given", [{}, ALL], ids=["as it is", "all arguments"])
+def test_a_live_launch_waits_for_vehicles_and_ends_with_ctrl_c(
+    prefix: Path, tmp_path: Path, given: dict[str, str]
+) -> None:
     (tmp_path / "line.csv").write_text("x,y\n0,0\n100,0\n")
     log, output = tmp_path / "said.txt", tmp_path / "out.mcap"
-    child = started("live", log, centre_line=tmp_path / "line.csv", topics="['/car*/odom']", output=output)
+    given = given | ({"frame": "map", "model": model_file(tmp_path)} if given else {})
+    child = started("live", log, centre_line=tmp_path / "line.csv", topics="['/car*/odom']", output=output, **given)
     deadline = time.monotonic() + 60.0
     while time.monotonic() < deadline and not any(p.stat().st_size > 5_000 for p in tmp_path.glob("out*.part")):
         time.sleep(0.2)
@@ -132,8 +155,12 @@ def test_a_live_launch_waits_for_vehicles_and_ends_with_ctrl_c(prefix: Path, tmp
     assert "process has died" not in said
     with Bag(output) as bag:
         counts = {topic.name: topic.count for topic in bag.info().topics}
-    assert counts["/road"] == 1
+    assert counts["/ring/road" if given else "/road"] == 1
     assert counts["/diagnostics"] > 2
+    if given:
+        with Bag(output) as bag:
+            told = {one.name for m in bag.messages(["/diagnostics"]) for one in m.message.status}
+        assert "/ring/critic" in told
 
 
 def test_a_wrong_value_is_one_line() -> None:
