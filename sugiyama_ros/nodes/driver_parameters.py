@@ -13,7 +13,7 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import NAMES, PARAMETERS, check_for_filter, population
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.filters.chain import Adaptation
+from sugiyama_ros.filters.chain import CHAIN, Adaptation
 from sugiyama_ros.filters.effect_filter import EffectFilter
 from sugiyama_ros.filters.effect_values import STRENGTHS, check_names
 from sugiyama_ros.filters.online import ADAPT, OnlineFilter
@@ -97,11 +97,14 @@ class Adapted:
     adaptation: Adaptation
     of_effects: tuple[str, ...]
 
-    def filter_of(self, period_s: float, road: Road, row: Array) -> OnlineFilter:
-        """Return the filter of a driver who starts from a row (WIDTH,)."""
+    def filter_of(self, period_s: float, road: Road, row: Array, vehicles: int = CHAIN) -> OnlineFilter:
+        """Return the filter of a driver who starts from a row (WIDTH,), with a number of vehicles in its chain.
+
+        A filter that learns values of effects keeps the usual chain: each value costs as much as another filter.
+        """
         if self.of_effects:
             return EffectFilter(period_s, road, row, self.of_effects, self.adaptation)
-        return OnlineFilter(period_s, road, row, adaptation=self.adaptation)
+        return OnlineFilter(period_s, road, row, adaptation=self.adaptation, vehicles=vehicles)
 
 
 def declare_adapt(node: Node) -> Adapted:

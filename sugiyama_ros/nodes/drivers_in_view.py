@@ -225,7 +225,7 @@ class DriversInView:
     def _meet(self, vehicle: int) -> _InView:
         """Make the filter of a driver, who may have been here before."""
         row = self._row_of(vehicle)
-        filter_ = self._settings.adapted.filter_of(self._period_s, self._road, row)
+        filter_ = self._settings.adapted.filter_of(self._period_s, self._road, row, self._settings.standard.vehicles)
         kept = self._known.pop(vehicle, None) or self._saved(vehicle)
         self.counts["came" if kept is None else "came again"] += 1
         follower = Follower(vehicle, filter_, kept, self._of_filters, self._window_s)

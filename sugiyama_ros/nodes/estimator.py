@@ -200,7 +200,7 @@ class Estimator(PacedNode):
         row = self._effects.copy()
         row[: len(NAMES)] = [self.get_parameter(name).value for name in NAMES]
         self._lane = Road(self._road.circumference_m)
-        filter_ = self._adapted.filter_of(self._road.period_s, self._lane, row)
+        filter_ = self._adapted.filter_of(self._road.period_s, self._lane, row, self._standard.vehicles)
         self._follower = Follower(self.vehicle, filter_, self.kept, self._counts, self._window_s)
         self._arrivals = Arrivals(self._road.period_s, self._window_s, self._counts)
         self._topics.choose_parameters(self._effects, filter_)

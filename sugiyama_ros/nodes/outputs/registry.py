@@ -6,6 +6,7 @@ from math import isnan
 from rcl_interfaces.msg import ParameterDescriptor
 
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.filters.chain import CHAIN
 from sugiyama_ros.filters.online import Estimate
 from sugiyama_ros.formats.centre_line import read_lanes
 from sugiyama_ros.nodes.base.cdr_messages import NS
@@ -13,6 +14,7 @@ from sugiyama_ros.nodes.base.node import PacedNode
 from sugiyama_ros.nodes.driver_parameters import declare_path
 from sugiyama_ros.nodes.follower import Follower
 from sugiyama_ros.nodes.outputs.output import DriverOutput, Known, Places
+from sugiyama_ros.nodes.prediction import VEHICLES
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.centre_line import CentreLine
 
@@ -53,6 +55,11 @@ class StandardTopics:
         frame = ParameterDescriptor(description="frame of published poses", read_only=True)
         self._frame = str(node.declare_parameter("frame", "road", frame).value)
         self._told_ns: dict[tuple[int, str], int] = {}
+
+    @property
+    def vehicles(self) -> int:
+        """Vehicles that a driver's filter needs in its chain: more where a path is predicted."""
+        return VEHICLES if any(one.ahead_s > 0.0 for one in self.outputs) else CHAIN
 
     def publish(self, road: Road, follower: Follower, estimate: Estimate, stamp_ns: int, space: str) -> None:
         """Publish what is due of a driver after a sample; ``space`` such as ``vehicle_07/``."""
