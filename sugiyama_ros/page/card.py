@@ -11,6 +11,7 @@ from sugiyama_ros.page.words import (
     certainty,
     headline,
     how_sure,
+    length,
     model_name,
     reasons,
     size_of,
@@ -18,6 +19,7 @@ from sugiyama_ros.page.words import (
     title_of,
     what_to_do,
     worse,
+    would_have_shown,
 )
 
 # Models of the bars, and sentences of one kind that the card has room for.
@@ -57,13 +59,15 @@ def _verdict(d: Mapping[str, Any] | None) -> str:
     effects = d["verdict"]["effects"]
     rows: list[tuple[str, str]] = []
     if len(effects) == 1:
-        rows.append(("How large", size_of(d, effects[0])))
         if summary := summary_of(d, effects[0]["name"]):
             rows.append(("What it is", summary))
+        rows.append(("How large", size_of(d, effects[0])))
     else:
         rows += _few("What was found", [f"{title_of(d, n['name'])}: {certainty(d, n)}" for n in effects])
-    if effects:
-        rows.append(("How sure", how_sure(d)))
+    if sure := how_sure(d):
+        rows.append(("How sure", sure))
+    if not effects:
+        rows += _few("Would have shown", [f"{title}: {size}" for title, size in would_have_shown(d)])
     rows += _few("What gets worse", worse(d)) + _few("What is left", reasons(d))
     rows.append(("What to do", what_to_do(d)))
     if hidden := d.get("hidden"):
@@ -126,7 +130,7 @@ def _tile(title: str, about: str, key: str, errors: Mapping[str, Any]) -> str:
     number = "–"
     if before is not None and after is not None:
         fall = f" ({100.0 * (after / before - 1.0):+.0f} %)" if before > 0.0 and after != before else ""
-        number = f"{before:.3g} → {after:.3g} m{fall}" if after != before else f"{before:.3g} m"
+        number = f"{length(before)} → {length(after)} m{fall}" if after != before else f"{length(before)} m"
     shown = [(model, value) for model in _SHOWN if (value := _value(errors, model, key)) is not None]
     if before is not None and before == after:
         shown = [(model, value) for model, value in shown if model != "after"]
@@ -134,7 +138,7 @@ def _tile(title: str, about: str, key: str, errors: Mapping[str, Any]) -> str:
     full = 1.5 * max([before or 0.0, after or 0.0, 1e-9])
     bars = "".join(
         f'<tr class="{model}"><td>{escape(model_name(model))}</td><td class="bar"><i style="width:'
-        f'{100.0 * min(value / full, 1.0):.1f}%"></i></td><td>{value:.3g} m{" ▸" if value > full else ""}</td></tr>'
+        f'{100.0 * min(value / full, 1.0):.1f}%"></i></td><td>{length(value)} m{" ▸" if value > full else ""}</td></tr>'
         for model, value in shown
     )
     return (
@@ -150,7 +154,7 @@ def _free_runs(errors: Mapping[str, Any]) -> str:
         return _tile("Free run, 10 s", "error of one car behind its measured leader", "single_car_10s_m", errors)
     text = "error after 10 s in which all cars drive by the model"
     if ends[0] is not None and ends[1] is not None:
-        text += f"; one car behind its measured leader: {' → '.join(dict.fromkeys(f'{end:.3g}' for end in ends))} m"
+        text += f"; one car behind its measured leader: {' → '.join(dict.fromkeys(map(length, ends)))} m"
     return _tile("Free run, 10 s", text, "free_run_10s_m", errors)
 
 

@@ -13,6 +13,7 @@ from matplotlib.patches import Rectangle
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.outputs import Output, make_directory, writing
+from sugiyama_ros.page.found import found_in
 from sugiyama_ros.page.panels.base import BLUE, GREEN, GREY, ORANGE, VERMILION, colour_of
 from sugiyama_ros.page.panels.measured import fastest, places, speeds
 from sugiyama_ros.page.panels.space_time import speeds_of_run
@@ -106,11 +107,12 @@ def _of_diagnosis(r: Recording, d: Mapping[str, Any]) -> dict[str, Drawing]:
     }
     if all("v_star" in driver for driver in d["drivers"]):
         found["drivers"] = lambda axes: _drivers(axes, d)
+    ring_m = r.trajectories.road.circumference_m
     for when in ("before", "after") if d["verdict"]["effects"] else ("before",):
         if d.get("free_run", {}).get("time_s"):
             found[f"space_time_{when}"] = lambda axes, when=when: _simulated(axes, r, d["free_run"], when)  # type: ignore[misc]
         for one in d.get("where", {}).get(when, {}).get("maps", []):
-            found[f"bias_{one['first']}_{one['second']}_{when}"] = lambda axes, one=one: _bias(axes, one)  # type: ignore[misc]
+            found[f"bias_{one['first']}_{one['second']}_{when}"] = lambda axes, one=one: _bias(axes, one, d, ring_m)  # type: ignore[misc]
     return found
 
 
@@ -210,7 +212,7 @@ def _drivers(axes: Any, d: Mapping[str, Any]) -> Columns:
     return columns
 
 
-def _bias(axes: Any, one: Mapping[str, Any]) -> Columns:
+def _bias(axes: Any, one: Mapping[str, Any], d: Mapping[str, Any], ring_m: float) -> Columns:
     first, second = (np.array(one[f"{name}_edges"], dtype=np.float64) for name in ("first", "second"))
     bias = np.array(one["bias"], dtype=np.float64)
     axes.set_facecolor("0.85")
@@ -220,6 +222,11 @@ def _bias(axes: Any, one: Mapping[str, Any]) -> Columns:
     for a, b in np.argwhere(outlined).tolist():
         corner, size = (first[a], second[b]), (first[a + 1] - first[a], second[b + 1] - second[b])
         axes.add_patch(Rectangle(corner, *size, fill=False, edgecolor="black", linewidth=0.8))
+    for covariate, low, high in found_in((one["first"], one["second"]), d, ring_m):
+        for end in {low, high}:
+            line = axes.axvline if covariate == one["first"] else axes.axhline
+            line(end, color=VERMILION, linewidth=1.0, linestyle="--")
+    axes.set(xlim=(first[0], first[-1]), ylim=(second[0], second[-1]))
     units = {"speed": "m/s", "gap": "m", "place": "m", "time": "s"}
     axes.set(xlabel=f"{one['first']} [{units[one['first']]}]", ylabel=f"{one['second']} [{units[one['second']]}]")
     i, j = (k.ravel() for k in np.indices(bias.shape))

@@ -9,7 +9,16 @@ from typing import Any
 from sugiyama_ros.page.card import name_of
 from sugiyama_ros.page.panels.base import colour_of
 from sugiyama_ros.page.recording import Recording
-from sugiyama_ros.page.words import Document, certainty, model_name, models, not_told_apart, quantity, size_of, title_of
+from sugiyama_ros.page.words import (
+    Document,
+    certainty,
+    model_name,
+    models,
+    not_told_apart,
+    size_of,
+    title_of,
+    would_have_shown,
+)
 
 _COLUMNS = {
     "one_step_rmse_m": "one step [m]",
@@ -111,17 +120,7 @@ def _bin(b: Mapping[str, Any]) -> str:
 
 def detectable(d: Document) -> str:
     """What these data would usually have shown, and what was not searched for."""
-    rows = []
-    for one in d["smallest_detectable"]:
-        if not one["value"]:
-            continue
-        declared = d.get("about", {}).get(one["name"], {}).get("parameters", {}).get(one["parameter"], {})
-        meaning = str(declared.get("meaning", one["parameter"].replace("_", " "))).split(";")[0]
-        value, unit = float(one["value"]), str(declared.get("unit", ""))
-        # a smaller limit is a stronger effect
-        end = "or less" if d.get("about", {}).get(one["name"], {}).get("is_limit") else "or more"
-        size = f"{quantity(value, unit)} {end if value > 0.0 else 'or beyond'}"
-        rows.append([title_of(d, one["name"]), f"{meaning}: {size}"])
+    rows = [list(row) for row in would_have_shown(d)]
     text = ""
     if rows:
         text += "<h3>What these data would usually have shown</h3>"

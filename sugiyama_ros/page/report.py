@@ -118,7 +118,7 @@ def _diagnosed(r: Recording, d: Mapping[str, Any], chosen: Chosen) -> list[Secti
         Section("fails", "Where it fails", (legend if maps else "") + text, maps, "four" if len(maps) == 4 else ""),
         Section(
             "missing", "What is missing",
-            html.additions(d) + "<p>Red: added (▸), and what cannot be told apart from it in these data.</p>",
+            html.additions(d) + "<p>Orange: added (▸), and what cannot be told apart from it in these data.</p>",
             [missing.candidates(d)], "side", html.detectable(d),
         ),
         Section("worth", "What it is worth", html.errors(d) + _FLOOR, worths, "three" if len(worths) == 3 else ""),

@@ -54,6 +54,27 @@ def quantity(value: float, unit: str = "", std: float | None = None) -> str:
     return f"{text} {unit.replace('^2', '²').replace('^3', '³')}".strip()
 
 
+def length(value_m: float) -> str:
+    """A length [m] with three digits, so that lengths beside each other end alike."""
+    return f"{value_m:#.3g}".rstrip(".") if value_m < 1e3 else f"{value_m:.0f}"
+
+
+def would_have_shown(d: Document) -> list[tuple[str, str]]:
+    """Effects that are not in the data, and how strong each would have to be to have usually shown."""
+    found = []
+    for one in d.get("smallest_detectable", ()):
+        if not one["value"]:
+            continue
+        declared = d.get("about", {}).get(one["name"], {}).get("parameters", {}).get(one["parameter"], {})
+        meaning = str(declared.get("meaning", one["parameter"].replace("_", " "))).split(";")[0]
+        value, unit = float(one["value"]), str(declared.get("unit", ""))
+        # a smaller limit is a stronger effect
+        end = "or less" if d.get("about", {}).get(one["name"], {}).get("is_limit") else "or more"
+        size = f"{quantity(value, unit)} {end if value > 0.0 else 'or beyond'}"
+        found.append((title_of(d, one["name"]), f"{meaning}: {size}"))
+    return found
+
+
 def plain(d: Document, text: str) -> str:
     """A sentence of the command line, with names for people instead of identifiers."""
     about = d.get("about", {})
@@ -108,7 +129,7 @@ def headline(d: Document) -> str:
 def certainty(d: Document, n: Document) -> str:
     """How certain an addition is."""
     gain, se = float(n["heldout_gain_nats"]), float(n["heldout_gain_se"])
-    text = f"held-out gain {gain:.0f} ± {se:.0f} nats"
+    text = f"{gain:.0f} ± {se:.0f} nats better on unseen data"
     text += f", {gain / se:.1f} standard errors" if se > 0.0 else ""
     if p := chance(n.get("p_value")):
         text += f"; by chance {p}"
@@ -130,6 +151,11 @@ def not_told_apart(d: Document, n: Document) -> str:
 def how_sure(d: Document) -> str:
     """How certain the names are, in one sentence."""
     effects = d["verdict"]["effects"]
+    if not effects:
+        before, expected = d.get("where", {}).get("before"), d["verdict"].get("adequacy", {}).get("bins_expected")
+        if before is None or expected is None:
+            return ""
+        return f"{len(before['flagged'])} of {len(before['bins'])} bins are biased; {expected:.1f} would be by chance."
     if len(effects) == 1:
         others = not_told_apart(d, effects[0])
         return certainty(d, effects[0]) + (f"; cannot be told apart from {others}." if others else ".")

@@ -180,9 +180,10 @@ def test_the_card_says_what_how_much_how_sure_and_what_to_do(page):
         "What was missing is explained",
         "The model lacks this: slower stretch of road. With it, nothing in these data speaks against the model.",
         "share taken off v*: 0.20 ± 0.01; middle: 5 m; length: 30 m",
-        "held-out gain 50 ± 9 nats, 5.6 standard errors; by chance p &lt; 0.001; cannot be told apart from hill",
+        "50 ± 9 nats better on unseen data, 5.6 standard errors; by chance p &lt; 0.001",
+        "cannot be told apart from hill",
         "To tell them apart, survey the road.",
-        "3 → 1.5 m (-50 %)",
+        "3.00 → 1.50 m (-50 %)",
         "hidden in this simulation: slower stretch of road",
         "90 %",
     ):

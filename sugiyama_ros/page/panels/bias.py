@@ -8,6 +8,7 @@ from bokeh.models import BoxAnnotation, ColumnDataSource, HoverTool, LinearColor
 from bokeh.palettes import PuOr11
 
 from sugiyama_ros.arrays import Array
+from sugiyama_ros.page.found import found_in
 from sugiyama_ros.page.panels.base import EMPTY, VERMILION, colour_bar, panel
 
 _UNITS = {"speed": "m/s", "gap": "m", "place": "m", "time": "s"}
@@ -80,26 +81,13 @@ def _range(edges: Array) -> Range1d:
 def _draw_found(plot: Any, one: Mapping[str, Any], diagnosis: Mapping[str, Any], ring_m: float) -> None:
     """Draw places, times and ranges of what was found into a map."""
     axes = _axes(one)
-    for effect in diagnosis["verdict"]["effects"]:
-        declared = diagnosis.get("about", {}).get(effect["name"], {}).get("parameters", {})
-        values = effect.get("parameters", {})
-        for name, value in values.items():
-            axis = declared.get(name, {}).get("axis")
-            if axis == "time" and "time" in axes:
-                plot.add_layout(Span(location=value, dimension="height", line_color=VERMILION, line_width=2))
-            elif axis == "place" and "place" in axes:
-                for shift in (-ring_m, 0.0, ring_m) if ring_m else (0.0,):
-                    half = 0.5 * float(values.get("width", 0.0))
-                    _band(plot, "place", axes, value + shift - half, value + shift + half)
-    for force in diagnosis["verdict"].get("discovered", []):
-        if force["covariate"] in axes:
-            knots, size = np.array(force["knots"]), np.abs(np.array(force["force"]))
-            strong = knots[size >= 0.5 * size.max()]
-            _band(plot, force["covariate"], axes, float(strong.min()), float(strong.max()))
-
-
-def _band(plot: Any, covariate: str, axes: tuple[str, str], low: float, high: float) -> None:
-    ends = {"left": low, "right": high} if covariate == axes[0] else {"bottom": low, "top": high}
-    plot.add_layout(
-        BoxAnnotation(**ends, fill_color=None, line_color=VERMILION, line_alpha=1.0, line_width=2.5, line_dash="dashed")
-    )
+    for covariate, low, high in found_in(axes, diagnosis, ring_m):
+        across = covariate == axes[0]
+        if low == high:
+            dimension = "height" if across else "width"
+            plot.add_layout(Span(location=low, dimension=dimension, line_color=VERMILION, line_width=2))
+        else:
+            ends = {"left": low, "right": high} if across else {"bottom": low, "top": high}
+            band = BoxAnnotation(**ends, fill_color=None, line_color=VERMILION, line_alpha=1.0, line_width=2.5,
+                                 line_dash="dashed")  # fmt: skip
+            plot.add_layout(band)

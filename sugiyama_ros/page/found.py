@@ -1,0 +1,46 @@
+"""Where in a map of the bias something was found: places, times and ranges of what was added."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+
+class Found(NamedTuple):
+    """A range of a covariate; a time at which something happens has no width."""
+
+    covariate: str
+    low: float
+    high: float
+
+
+def found_in(axes: tuple[str, str], diagnosis: Mapping[str, Any], ring_m: float) -> list[Found]:
+    """Return what to draw into a map over two covariates.
+
+    Parameters
+    ----------
+    axes
+        Covariates of the map.
+    diagnosis
+        Document of the diagnosis.
+    ring_m
+        Circumference [m] of the ring, on which a place comes again; 0 for an open road.
+    """
+    found = []
+    for effect in diagnosis["verdict"]["effects"]:
+        declared = diagnosis.get("about", {}).get(effect["name"], {}).get("parameters", {})
+        values = effect.get("parameters", {})
+        for name, value in values.items():
+            axis = declared.get(name, {}).get("axis")
+            if axis == "time" and "time" in axes:
+                found.append(Found("time", float(value), float(value)))
+            elif axis == "place" and "place" in axes:
+                half = 0.5 * float(values.get("width", 0.0))
+                for shift in (-ring_m, 0.0, ring_m) if ring_m else (0.0,):
+                    found.append(Found("place", value + shift - half, value + shift + half))
+    for force in diagnosis["verdict"].get("discovered", []):
+        if force["covariate"] in axes:
+            knots, size = np.array(force["knots"]), np.abs(np.array(force["force"]))
+            strong = knots[size >= 0.5 * size.max()]
+            found.append(Found(force["covariate"], float(strong.min()), float(strong.max())))
+    return found
