@@ -250,10 +250,10 @@ def _bins_say(evidence: Evidence) -> list[str]:
         return []
     expected = _mean_flagged(evidence.simulated)
     worst = evidence.located.flagged[:1]
-    where = f", most of all at {worst[0].covariate} {worst[0].label or f'{worst[0].low:.3g} to {worst[0].high:.3g}'}"
+    where = f", most of all at {worst[0].shown}" if worst else ""
     return [
         f"it is biased in {len(evidence.located.flagged)} of {len(evidence.located.bins)} bins"
-        f" ({expected:.1f} in its own simulations){where if worst else ''}"
+        f" ({expected:.1f} in its own simulations){where}"
     ]
 
 

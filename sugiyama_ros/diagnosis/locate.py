@@ -26,6 +26,8 @@ RATE = 0.05
 _BINS, _FEWEST = 10, 30
 # A driver accelerates or brakes beyond this acceleration [m/s^2], and stands below this speed [m/s].
 _CHANGING, _STANDING = 0.3, 0.5
+#: Units of the covariates; a driver and a regime have none.
+UNITS = {"speed": "m/s", "approach_rate": "m/s", "gap": "m", "rear_gap": "m", "place": "m", "time": "s"}
 _REGIMES = ("standing", "braking", "accelerating", "following")
 
 
@@ -62,6 +64,12 @@ class Bin:
     nis: float
     p_value: float
     flagged: bool = False
+
+    @property
+    def shown(self) -> str:
+        """Covariate and range with its unit, in words."""
+        unit = UNITS.get(self.covariate, "")
+        return f"{self.covariate} {self.label or f'{self.low:.3g} to {self.high:.3g} {unit}'.strip()}"
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,8 @@ from sugiyama_ros.fit.model_file import own_stds
 UNLISTED = "something that is not listed"
 # Maximum number of bins that the sentences mention.
 _WORST = 3
+# Strengths that would have shown, in words.
+_SHOWN = 5
 
 
 def document(d: Diagnosis) -> dict[str, Any]:
@@ -160,13 +162,22 @@ def _drivers(d: Diagnosis) -> list[dict[str, Any]]:
 
 
 def _told(b: Bin) -> str:
-    value = b.label or f"{b.low:.3g} to {b.high:.3g}"
-    return f"{b.covariate} {value} ({b.bias:+.2f} std)"
+    return f"{b.shown} ({b.bias:+.2f} std)"
 
 
 def _quantity(value: float, unit: str) -> str:
     """A value with its unit; a pure number has none."""
     return f"{value:.3g}" if unit in ("", "1") else f"{value:.3g} {unit}"
+
+
+def _not_certain(d: Diagnosis) -> list[str]:
+    """Return one sentence on what the additions cannot be told apart from, and one on what would tell them apart."""
+    others = [f"{n.name} from {', '.join(n.indistinguishable)}" for n in d.named if n.indistinguishable]
+    if d.named and is_open(d):
+        others.append(f"{'all' if len(d.named) > 1 else d.named[0].name} from {UNLISTED}")
+    advice = dict.fromkeys(one for n in d.named for one in n.advice)
+    lines = [f"Cannot be told apart: {'; '.join(others)}."] if others else []
+    return lines + ([f"To tell them apart: {'; '.join(advice)}."] if advice else [])
 
 
 def sentences(d: Diagnosis) -> list[str]:
@@ -179,7 +190,9 @@ def sentences(d: Diagnosis) -> list[str]:
             for name in d.smallest
             for p in [effect(name).parameters[0]]
         ]
-        lines.append("Effects of this strength would usually have shown: " + ", ".join(shown) + "." if shown else "")
+        more = f", and {len(shown) - _SHOWN} more (in the report and in --json)" if len(shown) > _SHOWN else ""
+        listed = ", ".join(shown[:_SHOWN]) + more
+        lines.append(f"Effects of this strength would usually have shown: {listed}." if shown else "")
     for n in d.named:
         units = {p.name: p.unit for p in EFFECTS[n.form].parameters} if n.form in EFFECTS else {}
         units |= {p.name: p.unit for p in ROW.declared if p.name in n.parameters and p.name not in units}
@@ -193,11 +206,8 @@ def sentences(d: Diagnosis) -> list[str]:
         which = who(n, d.data.vicinity.numbers)
         if which != "all":
             lines.append(f"  Only vehicles {', '.join(map(str, which))} show it.")
-        lines += [f"  In use: {one}." for one in n.worse[:_WORST]]
-        if n.indistinguishable or is_open(d):
-            others = [*n.indistinguishable, *([UNLISTED] if is_open(d) else [])]
-            advice = f" To tell them apart: {'; '.join(n.advice)}." if n.advice else ""
-            lines.append(f"  Cannot be told apart from: {', '.join(others)}.{advice}")
+    lines += _not_certain(d)
+    lines += [f"In use it is worse than the base model: {one}." for n in d.named[-1:] for one in n.worse[:_WORST]]
     left_out = not_searched(d.data)
     if left_out and not d.data.vicinity.is_whole_road:
         lines.append("Not searched: " + ", ".join(f"{name} ({reason})" for name, reason in left_out.items()) + ".")
