@@ -149,12 +149,13 @@ def _tile(title: str, about: str, key: str, errors: Mapping[str, Any]) -> str:
 
 def _free_runs(errors: Mapping[str, Any]) -> str:
     """The tile of free runs: of all cars, or of one car where a recording has no whole road."""
-    ends = [_value(errors, model, "single_car_10s_m") for model in ("before", "after")]
     if _value(errors, "before", "free_run_10s_m") is None:
         return _tile("Free run, 10 s", "error of one car behind its measured leader", "single_car_10s_m", errors)
     text = "error after 10 s in which all cars drive by the model"
-    if ends[0] is not None and ends[1] is not None:
-        text += f"; one car behind its measured leader: {' → '.join(dict.fromkeys(map(length, ends)))} m"
+    one_car = (_value(errors, model, "single_car_10s_m") for model in ("before", "after"))
+    ends = list(dict.fromkeys(length(end) for end in one_car if end is not None))
+    if ends:
+        text += f"; one car behind its measured leader: {' → '.join(ends)} m"
     return _tile("Free run, 10 s", text, "free_run_10s_m", errors)
 
 
