@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
-from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
@@ -132,15 +131,7 @@ def declare_float(node: Node, name: str, default: float, about: ParameterDescrip
     InputError
         If the node was started with something else, or with a number out of range.
     """
-    try:
-        return float(node.declare_parameter(name, default, about).value)
-    except InvalidParameterTypeException:
-        raise InputError(f"parameter {name}: what was given is not a number; give one such as {default:g}") from None
-    except InvalidParameterValueException:
-        bounds = about.floating_point_range[0]
-        raise InputError(
-            f"parameter {name}: out of bounds; give {bounds.from_value:g} to {bounds.to_value:g}"
-        ) from None
+    return float(node.declare_parameter(name, default, about).value)
 
 
 def declare_window(node: Node) -> float:

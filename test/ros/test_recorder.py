@@ -195,9 +195,9 @@ def test_a_signal_leaves_a_closed_file(stage, tmp_path: Path, number: signal.Sig
     command = [sys.executable, "-m", "sugiyama_ros.nodes.recorder", "--ros-args", "-p", f"output:={output}"]
     child = subprocess.Popen(command)
     try:
+        stage.until(lambda: publisher.get_subscription_count() > 0)
         for k in range(100):
             publisher.publish(String(data=str(k)))
-        stage.until(lambda: publisher.get_subscription_count() > 0)
         stage.for_a_while(0.5)
         child.send_signal(number)
         assert child.wait(15) == 0
@@ -212,7 +212,6 @@ def test_a_process_that_cannot_be_taken_down_ends_with_its_work_done(stage, tmp_
     output = tmp_path / "out.mcap"
     node = Node("sender")
     publisher = node.create_publisher(String, "plain", STREAM)
-    publisher.publish(String(data="one"))
     stage.add(node)
     code = (
         "from sugiyama_ros.nodes.recorder import Recorder, main\n"
@@ -224,6 +223,7 @@ def test_a_process_that_cannot_be_taken_down_ends_with_its_work_done(stage, tmp_
     child = subprocess.Popen([sys.executable, "-c", code, "--ros-args", "-p", f"output:={output}"])
     try:
         stage.until(lambda: publisher.get_subscription_count() > 0)
+        publisher.publish(String(data="one"))
         stage.for_a_while(0.5)
         child.send_signal(signal.SIGINT)
         assert child.wait(15) == -signal.SIGALRM

@@ -3,15 +3,20 @@
 import re
 import time
 from array import array
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.clock import Clock, ClockType, JumpHandle, JumpThreshold
 from rclpy.duration import Duration
-from rclpy.exceptions import ParameterException, ParameterNotDeclaredException
+from rclpy.exceptions import (
+    InvalidParameterTypeException,
+    InvalidParameterValueException,
+    ParameterException,
+    ParameterNotDeclaredException,
+)
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
@@ -31,6 +36,8 @@ UNRECORDED = ("/parameter_events",)
 _BEAT_S = 0.1
 _REPORT_S = 1.0
 _RECEIVED_S = 5.0
+# What a parameter of a type is called.
+_KINDS = {float: "a number", int: "a whole number", bool: "true or false", str: "a text"}
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 
@@ -83,6 +90,11 @@ class PacedNode(Node):
             self._parameter_overrides[name] = _real(given, value)
         try:
             return super().declare_parameter(name, value, *rest, **more)
+        except InvalidParameterTypeException:
+            kind = _KINDS.get(type(value), "of the right type")
+            raise InputError(f"parameter {name}: what was given is not {kind}; give one such as {value!r}") from None
+        except InvalidParameterValueException as error:
+            raise InputError(_out_of_bounds(name, (*rest, *more.values())) or str(error)) from None
         except ParameterException as error:
             raise InputError(str(error)) from None
 
@@ -252,6 +264,14 @@ class PacedNode(Node):
         self._told, self._told_s = (self.steps, self.published, self.is_recorded), time.monotonic()
         self._progress.steps, self._progress.published, self._progress.recorded = self._told
         self._to_progress.publish(self._progress)
+
+
+def _out_of_bounds(name: str, about: Sequence[Any]) -> str:
+    """Say within which bounds a parameter must lie; empty if none of ``about`` is a descriptor with bounds."""
+    found = [bounds for one in about if isinstance(one, ParameterDescriptor) for bounds in one.floating_point_range]
+    return "".join(
+        f"parameter {name}: out of bounds; give {bounds.from_value:g} to {bounds.to_value:g}" for bounds in found[:1]
+    )
 
 
 def _real(given: Parameter, known: Any) -> Parameter:
