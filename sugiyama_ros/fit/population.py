@@ -26,9 +26,9 @@ PRIOR_STD, LEAST_STD, LARGEST_STD = 1.0, 0.05, 1.0
 _NEARLY = 20.0
 # A driver further than this from the median driver, in prior stds, is fitted again.
 _FAR_AWAY = 3.5
-# A fit has settled if the log-likelihood changes by less than this for each driver [nats] when the drivers ahead get
-# the parameters that were found for them. Maximum number of fits until it has.
-_AGREES, _PASSES = 0.1, 5
+# A fit has settled if the log-likelihood changes by less than this for each driver, or for all of them [nats], when the
+# drivers ahead get the parameters that were found for them. Maximum number of fits until it has.
+_AGREES, _AGREE, _PASSES = 0.1, 2.0, 5
 
 
 def start_model(data: Recorded, individual: Sequence[int]) -> Model:
@@ -83,7 +83,7 @@ def fit_base(data: Recorded, individual: Sequence[int], work: Executor, start: M
 
 def _consistent(data: Recorded, found: JointFit, work: Executor) -> JointFit:
     """Fit again with the parameters found for the drivers ahead, too, until the log-likelihood hardly changes."""
-    enough = _AGREES * data.drivers
+    enough = max(_AGREES * data.drivers, _AGREE)
     there = at_model(data, found, as_population(found.model), work, np.ones(data.drivers, np.bool_))
     change = there.log_likelihood - found.log_likelihood
     for _ in range(_PASSES):
