@@ -17,6 +17,9 @@ from sugiyama_ros.workers import at_once
 # A candidate is screened if a glance at it predicts more than this gain [nats].
 _PROMISE = 10.0
 
+# Gain [nats] that a parameter of one driver brings by chance, on average.
+_BY_CHANCE = 0.5
+
 # Drivers on whom a glance falls, or up to twice as many.
 _DRIVERS = 4
 
@@ -65,7 +68,9 @@ def worth_screening(
     """Return the candidates, but of those that get a glance first only those whose glance promises something."""
 
     def promises(candidate: Candidate) -> bool:
-        return glance(data, base, candidate, work) > _PROMISE + candidate.elsewhere
+        has_own = candidate.individual and not candidate.happens_once
+        own = _BY_CHANCE * data.drivers * len(candidate.places) if has_own else 0.0
+        return glance(data, base, candidate, work) > _PROMISE + candidate.elsewhere + own
 
     glanced = [c for c in possible if c.glanced]
     promised = at_once(promises, glanced, "first glances", on_progress)

@@ -26,7 +26,7 @@ PRIOR_STD, LEAST_STD, LARGEST_STD = 1.0, 0.05, 1.0
 _NEARLY = 20.0
 # A driver further than this from the median driver, in prior stds, is fitted again.
 _FAR_AWAY = 3.5
-# A fit has settled if the log-likelihood changes by less than this for each driver, or for all of them [nats], when the
+# A fit has settled if the log-likelihood rises by less than this for each driver, or for all of them [nats], when the
 # drivers ahead get the parameters that were found for them. Maximum number of fits until it has.
 _AGREES, _AGREE, _PASSES = 0.1, 2.0, 5
 
@@ -55,7 +55,7 @@ def fit_base(data: Recorded, individual: Sequence[int], work: Executor, start: M
     """Fit every driver alone, then all drivers as draws from one population.
 
     The second fit uses the first fit's parameters for the drivers ahead. It is repeated, with its own parameters for
-    them, until the likelihood no longer depends on which of the two are used.
+    them, as long as the likelihood rises by it.
 
     Parameters
     ----------
@@ -77,21 +77,30 @@ def fit_base(data: Recorded, individual: Sequence[int], work: Executor, start: M
     near = _by_paper(data, first, work) if start is None else None
     start_at = start_fit(data, near or first, work)
     found = maximise(data, start_at, work, iterations=10 if near is None else 3, enough=_NEARLY)
-    found = _second_chance(data, warm_start(data, found, as_population(found.model), work), work)
-    return _consistent(data, found, work)
+    return _settled(data, _as_one_population(data, found, work), work)
 
 
-def _consistent(data: Recorded, found: JointFit, work: Executor) -> JointFit:
-    """Fit again with the parameters found for the drivers ahead, too, until the log-likelihood hardly changes."""
+def _as_one_population(data: Recorded, near: JointFit, work: Executor) -> JointFit:
+    """Fit all drivers as draws from one population, with the parameters of a nearby fit for the drivers ahead."""
+    return _second_chance(data, warm_start(data, near, as_population(near.model), work), work)
+
+
+def _settled(data: Recorded, found: JointFit, work: Executor) -> JointFit:
+    """Fit again with the parameters found for the drivers ahead, too, while the log-likelihood rises by it.
+
+    Where it falls, the drivers ahead are better predicted by the parameters of the fit before, which is kept.
+    """
     enough = max(_AGREES * data.drivers, _AGREE)
     there = at_model(data, found, as_population(found.model), work, np.ones(data.drivers, np.bool_))
-    change = there.log_likelihood - found.log_likelihood
+    if abs(there.log_likelihood - found.log_likelihood) < enough:
+        return found
     for _ in range(_PASSES):
-        if abs(change) < enough:
+        again = _as_one_population(data, found, work)
+        rise = again.log_likelihood - found.log_likelihood
+        if rise > 0.0:
+            found = again
+        if rise < enough:
             break
-        before = found.log_likelihood
-        found = _second_chance(data, warm_start(data, found, as_population(found.model), work), work)
-        change = found.log_likelihood - before
     return found
 
 
