@@ -1,6 +1,7 @@
 """``sugiyama simulate``."""
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,6 +15,7 @@ from sugiyama_ros.outputs import Output
 
 if TYPE_CHECKING:
     from sugiyama_ros.arrays import Array
+    from sugiyama_ros.simulation.experiment import Experiment
     from sugiyama_ros.simulation.result import Simulation
 
 
@@ -21,9 +23,21 @@ if TYPE_CHECKING:
 class SimulateOptions:
     """Options of the command."""
 
-    output: Annotated[Path, typer.Option("--output", "-o", help="File to write: .mcap or .csv.")]
-    vehicles: Annotated[int, typer.Option(min=1, help="Number of vehicles.")] = 22
-    ring: Annotated[float, typer.Option(min=0.0, help="Circumference of the ring [m]; 0 for an open road.")] = 230.0
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="File to write: .mcap or .csv; with --lanes, .parquet or .csv.")
+    ]
+    vehicles: Annotated[int, typer.Option(min=1, help="Number of vehicles, on each lane.")] = 22
+    ring: Annotated[
+        float | None,
+        typer.Option(min=0.0, help="Circumference of the ring [m]; 0 for an open road. By default 230."),
+    ] = None
+    lanes: Annotated[
+        int | None, typer.Option(min=1, max=100, help="Simulate an open road with so many lanes, and write tracks.")
+    ] = None
+    view: Annotated[
+        str | None,
+        typer.Option(help="With --lanes: FROM,TO: part of the road [m] on which vehicles are seen. By default all."),
+    ] = None
     duration: Annotated[float, typer.Option(min=1.0, help="Duration of the simulation [s].")] = 250.0
     gap: Annotated[
         float, typer.Option(help="Gap between the vehicles at the start [m]. All vehicles start from rest.")
@@ -50,8 +64,14 @@ class SimulateOptions:
 def simulate(options: SimulateOptions) -> None:
     """Simulate drivers on a ring or an open road.
 
-    The file has the positions that a camera would measure. An MCAP file also has the truth about each vehicle.
+    The file has the positions that a camera would measure. An MCAP file also has the truth about each vehicle. The
+    first vehicle starts at 0 m and all others behind it.
     """
+    if options.lanes is not None:
+        _simulate_lanes(options, options.lanes)
+        return
+    if options.view is not None:
+        raise InputError("--view: is for tracks; add --lanes, or leave it out")
     from sugiyama_ros.formats.plain_csv import write_csv
     from sugiyama_ros.formats.truth import write_simulated
 
@@ -90,8 +110,17 @@ def _simulated(options: SimulateOptions) -> "Simulation":
     """Simulate from rest."""
     from sugiyama_ros.simulation.experiment import Experiment, carry_out
 
-    experiment = Experiment(
-        ring_m=options.ring,
+    experiment = _experiment(options, Experiment.ring_m if options.ring is None else options.ring)
+    experiment.check(options.vehicles)
+    return carry_out(experiment, _rows(options, options.vehicles))
+
+
+def _experiment(options: SimulateOptions, ring_m: float) -> "Experiment":
+    """The setting that the options ask for."""
+    from sugiyama_ros.simulation.experiment import Experiment
+
+    return Experiment(
+        ring_m=ring_m,
         duration_s=options.duration,
         gap_m=options.gap,
         period_s=options.period,
@@ -100,12 +129,54 @@ def _simulated(options: SimulateOptions) -> "Simulation":
         seed=options.seed,
         start=options.start,
     )
-    experiment.check(options.vehicles)
-    return carry_out(experiment, _rows(options))
 
 
-def _rows(options: SimulateOptions) -> "Array":
-    """Parameters (N, WIDTH) of the drivers: the paper's or a model file's, changed by --set and --effect."""
+def _simulate_lanes(options: SimulateOptions, lanes: int) -> None:
+    """Simulate an open road with lanes, and write the tracks of who is in view."""
+    from sugiyama_ros.formats.tracks_parquet import write_tracks
+    from sugiyama_ros.simulation.lanes import alike_lanes
+
+    if options.output.suffix not in (".parquet", ".csv"):
+        raise InputError(f"{options.output}: tracks cannot be written so; give a .parquet or .csv name")
+    if options.ring:
+        raise InputError("--ring: a ring has one lane; leave out --ring or --lanes")
+    to_write = Output(options.output, options.overwrite, (options.model,) if options.model is not None else ())
+    to_write.check()
+    experiment = _experiment(options, 0.0)
+    experiment.check(options.vehicles * lanes)
+    tracks = alike_lanes(experiment, _rows(options, options.vehicles * lanes), lanes, _view(options.view))
+    write_tracks(tracks, to_write)
+    seen = tracks.runs
+    document = {
+        "output": str(options.output),
+        "lanes": lanes,
+        "vehicles": options.vehicles * lanes,
+        "seen": seen,
+        "rows": len(tracks),
+        "seed": options.seed,
+    }
+    if options.as_json:
+        print_json(document)
+        return
+    print_line(f"{options.vehicles * lanes} vehicles on {lanes} lanes, {seen} of them seen, {len(tracks)} rows")
+    print_line(f"in {options.output} (sugiyama info {options.output})")
+
+
+def _view(text: str | None) -> tuple[float, float]:
+    """Part of the road [m] that is seen. Raises InputError."""
+    if text is None:
+        return -math.inf, math.inf
+    try:
+        first, last = (float(part) for part in text.split(","))
+    except ValueError:
+        first, last = math.nan, math.nan
+    if not first < last:
+        raise InputError(f"--view {text}: is no part of a road; give two positions in metres, such as 100,500")
+    return first, last
+
+
+def _rows(options: SimulateOptions, vehicles: int) -> "Array":
+    """Parameters (N, WIDTH) of N drivers: the paper's or a model file's, changed by --set and --effect."""
     import numpy as np
 
     from sugiyama_ros.driver.parameters import defaults
@@ -114,9 +185,9 @@ def _rows(options: SimulateOptions) -> "Array":
     from sugiyama_ros.fit.model_file import read_model
     from sugiyama_ros.simulation.experiment import changed
 
-    rows = ROW.with_effects(defaults(options.vehicles))
+    rows = ROW.with_effects(defaults(vehicles))
     if options.model is not None:
-        rows = read_model(options.model).rows_of(np.arange(options.vehicles))
+        rows = read_model(options.model).rows_of(np.arange(vehicles))
     for text in options.parameter or ():
         rows = changed(rows, dict([read_parameter(text, "--set")]), {})
     for text in options.effect or ():

@@ -38,9 +38,9 @@ def variants_of(name: str, road: Road) -> tuple[Given, ...]:
 class _Variant:
     """One model: a filter for each vehicle, and strengths and places that all drivers share, fitted to what comes."""
 
-    def __init__(self, vehicles: Sequence[int], period_s: float, road: Road, row: Array, name: str) -> None:
-        self.filters = {v: OnlineFilter(period_s, road, row) for v in vehicles}
-        self.score, self._row, self._name, self._lap_m = 0.0, row, name, road.circumference_m
+    def __init__(self, period_s: float, road: Road, row: Array, name: str) -> None:
+        self.filters: dict[int, OnlineFilter] = {}
+        self.score, self._row, self._name, self._period_s, self._road = 0.0, row, name, period_s, road
         # every filter allows for outliers already, so their share is not fitted
         fitted = name != BASE and effect(name).contamination is None
         names = [f"{name}.{switch}" for switch in effect(name).switches] if fitted else []
@@ -49,8 +49,17 @@ class _Variant:
         places = {f"{name}.{p}": near_m for p in variants_of(name, road)[0] if p not in BANK[name]} if fitted else {}
         self.values = values_of(row, [*names, *places], places) if names else None
         self._beside: dict[int, Sensitivity] = {}
+
+    def meet(self, vehicle: int) -> None:
+        """Follow one more vehicle."""
+        self.filters[vehicle] = OnlineFilter(self._period_s, self._road, self._row)
         if self.values is not None:
-            self._beside = {v: Sensitivity(one, self.values) for v, one in self.filters.items()}
+            self._beside[vehicle] = Sensitivity(self.filters[vehicle], self.values)
+
+    def leave(self, vehicle: int) -> None:
+        """Follow a vehicle no longer."""
+        del self.filters[vehicle]
+        self._beside.pop(vehicle, None)
 
     def step(self, vehicle: int, sample: tuple[Any, ...]) -> tuple[bool, float]:
         """Take in a sample of one vehicle; returns whether it counts, and its log-likelihood."""
@@ -75,8 +84,8 @@ class _Variant:
         if self.values is not None:
             row[self.values.places] = self.values.mean
         found = {p: float(row[ROW.index_of(self._name, p.name)]) for p in effect(self._name).parameters}
-        on_ring = self._lap_m > 0.0
-        return {p.name: v % self._lap_m if on_ring and p.axis == "place" else v for p, v in found.items()}
+        lap_m = self._road.circumference_m
+        return {p.name: v % lap_m if lap_m > 0.0 and p.axis == "place" else v for p, v in found.items()}
 
     @property
     def cost(self) -> float:
@@ -91,12 +100,10 @@ class Bank:
     """A filter for each model and vehicle; scores are sums of log-likelihoods that forget.
 
     The strength of each effect is fitted as the samples come; a sample is predicted before it is fitted. An effect of
-    a place begins at places all along a ring, and its place is fitted too.
+    a place begins at places all along a ring, and its place is fitted too. Vehicles may come and go (`meet`, `leave`).
 
     Parameters
     ----------
-    vehicles
-        Numbers of the vehicles.
     period_s
         Time between two samples [s].
     road
@@ -123,23 +130,40 @@ class Bank:
     Applications to Tracking and Navigation (2001), section 11.6.
     """
 
-    def __init__(
-        self, vehicles: Sequence[int], period_s: float, road: Road, parameters: Array, forget_s: float
-    ) -> None:
+    def __init__(self, period_s: float, road: Road, parameters: Array, forget_s: float) -> None:
         base = ROW.with_effects(parameters)
         self.row, self.effects = base, active(base)
-        self._models = {BASE: [_Variant(vehicles, period_s, road, base, BASE)]}
+        self._models = {BASE: [_Variant(period_s, road, base, BASE)]}
         for name in BANK:
             given = () if name in self.effects else variants_of(name, road)
             if given:
                 rows = [switch_on(base, name, values) for values in given]
-                self._models[name] = [_Variant(vehicles, period_s, road, row, name) for row in rows]
+                self._models[name] = [_Variant(period_s, road, row, name) for row in rows]
         self.names = tuple(self._models)
         self._period_s = period_s
         self._memory = float(np.exp(-period_s / forget_s))
         self._since_s = self._time_s = 0.0
         self._told: list[tuple[float, Array]] = []
         self.samples = 0
+
+    @property
+    def vehicles(self) -> list[int]:
+        """Numbers of the vehicles that are followed."""
+        return list(self._models[BASE][0].filters)
+
+    def meet(self, vehicle: int) -> None:
+        """Follow one more vehicle, with every model."""
+        for variant in self._variants:
+            variant.meet(vehicle)
+
+    def leave(self, vehicle: int) -> None:
+        """Follow a vehicle no longer. The scores keep what it has said."""
+        for variant in self._variants:
+            variant.leave(vehicle)
+
+    @property
+    def _variants(self) -> list[_Variant]:
+        return [variant for model in self._models.values() for variant in model]
 
     def step(
         self,
@@ -151,7 +175,7 @@ class Bank:
         behind: tuple[float, int, float] = NOBODY,
     ) -> None:
         """Take in a sample of one vehicle and add up all scores; arguments as ``OnlineFilter.step``."""
-        variants = [variant for model in self._models.values() for variant in model]
+        variants = self._variants
         sample = position_m, identity, length_m, time_s, behind
         found = [variant.step(vehicle, sample) for variant in variants]
         if all(scored for scored, _ in found):
@@ -164,11 +188,10 @@ class Bank:
         self._since_s += self._period_s
         self._time_s += self._period_s
         is_due = self._since_s >= EVERY_S
-        for model in self._models.values():
-            for variant in model:
-                variant.score *= self._memory
-                if is_due:
-                    variant.fit(self._since_s)
+        for variant in self._variants:
+            variant.score *= self._memory
+            if is_due:
+                variant.fit(self._since_s)
         if is_due:
             self._since_s = 0.0
             self._told = [(t, w) for t, w in self._told if t > self._time_s - SETTLED_S - 2.0 * EVERY_S]

@@ -1,10 +1,12 @@
 """The critic: a bank of models follows all vehicles. The model that predicts best shows what the others lack."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from rcl_interfaces.msg import ParameterDescriptor
-from sugiyama_msgs.msg import DriverParameters, Verdict
+from rclpy.subscription import Subscription
+from sugiyama_msgs.msg import DriverArray, DriverParameters, Verdict
 from sugiyama_msgs.msg import Road as RoadMessage
 from sugiyama_msgs.srv import AddEffect
 
@@ -21,21 +23,27 @@ from sugiyama_ros.nodes.base import cdr_messages, incoming
 from sugiyama_ros.nodes.base.measured_feed import MeasuredFeed, subscribe_measured
 from sugiyama_ros.nodes.base.node import ERROR, OK, WARN, Health, PacedNode
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
+from sugiyama_ros.nodes.base.samples import UNKNOWN_LEADER
 from sugiyama_ros.nodes.base.sight import sight
 from sugiyama_ros.nodes.base.spin import run_node
+from sugiyama_ros.nodes.driver_array import TOPIC
 from sugiyama_ros.nodes.driver_parameters import check_driver, declare_driver
-from sugiyama_ros.nodes.plan import estimators
+from sugiyama_ros.nodes.plan import DRIVERS, estimators
+from sugiyama_ros.nodes.told import effects_of
 from sugiyama_ros.road import Road
 
 _VERDICT_EVERY_NS = 5 * cdr_messages.NS
+# Time after the last sight of a vehicle at which its filters are dropped.
+_GONE_NS = 5 * cdr_messages.NS
 
 
 class Critic(PacedNode):
     """Publishes a verdict every 5 s of the recording. ``~/add_effect`` adds an effect to all running estimators.
 
     A jump back in time starts the bank anew, and so does an effect that the estimators of all drivers get or lose: the
-    bank looks for what is missing beyond them. Parameters of the node: the parameters of a driver, from which every
-    model of the bank starts, and ``forget_s``.
+    bank looks for what is missing beyond them. Vehicles may come and go. While nobody knows whom a driver follows, the
+    driver is not followed: what they do then tells nothing of a model. Parameters of the node: the parameters of a
+    driver, from which every model of the bank starts, and ``forget_s``.
 
     Parameters
     ----------
@@ -56,14 +64,18 @@ class Critic(PacedNode):
         self._road: RoadMessage | None = None
         self._bank: Bank | None = None
         self._chains: dict[int, list[int]] = {}
-        # parameters of effects that each estimator has, by vehicle
-        self._effects_of: dict[int, dict[str, float]] = {}
+        self._seen_ns: dict[int, int] = {}
+        self._heard: dict[int, Subscription] = {}
+        # parameters of effects that each driver's model has, by vehicle, and the latest message about all drivers
+        self._effects_of: dict[int, Mapping[str, float]] = {}
+        self._drivers: DriverArray | None = None
         self._stamp_ns: int | None = None
         self._told_ns = 0
         self._failure = ""
         self._to_verdict = self.create_publisher(Verdict, "verdict", STREAM)
         self.create_service(AddEffect, "~/add_effect", self._on_add_effect)
         self.hear(RoadMessage, self.shared("road"), incoming.road, self._on_road, LATCHED)
+        self.listen(DriverArray, self.shared(TOPIC), incoming.drivers, self._on_drivers, STREAM)
         subscribe_measured(self, self.take_in, feed)
 
     def health(self) -> Health:
@@ -99,45 +111,69 @@ class Critic(PacedNode):
         if (self._bank is None or jumped) and not sample.place:
             return
         if self._bank is None or jumped:
-            row = np.array([self.get_parameter(name).value for name in NAMES])
-            row, vehicles = self._with_added(row), sorted(sample.place)
-            self._listen_to(vehicles)
-            self._bank = Bank(vehicles, road.period_s, Road(road.circumference_m), row, self._forget_s)
-            self._chains, self._failure = {v: sample.chain(v, CHAIN) for v in vehicles}, ""
+            row = self._with_added(np.array([self.get_parameter(name).value for name in NAMES]))
+            self._bank = Bank(road.period_s, Road(road.circumference_m), row, self._forget_s)
+            self._chains, self._seen_ns, self._failure = {}, {}, ""
             self._told_ns = sample.stamp_ns
         if self._stamp_ns == sample.stamp_ns:
             return
         self._stamp_ns = sample.stamp_ns
         self._bank.forget()
-        for vehicle in self._chains:
-            if vehicle in sample.place:
-                self._chains[vehicle] = sample.chain(vehicle, CHAIN)
-            position, length, behind = sight(sample, vehicle, self._chains[vehicle])
-            time_s = sample.stamp_ns / cdr_messages.NS
-            self._bank.step(vehicle, position, self._chains[vehicle], length, time_s, behind)
+        self._meet_and_leave(sample, self._bank)
+        for vehicle, chain in self._chains.items():
+            position, length, behind = sight(sample, vehicle, chain)
+            self._bank.step(vehicle, position, chain, length, sample.stamp_ns / cdr_messages.NS, behind)
         if sample.stamp_ns - self._told_ns >= _VERDICT_EVERY_NS or sample.step + 1 == road.steps:
             self._told_ns = sample.stamp_ns
             self._publish(sample, self._bank)
 
-    def _listen_to(self, vehicles: list[int]) -> None:
-        """Listen to which effects the estimators have."""
-        for vehicle, space in zip(vehicles, namespaces(vehicles), strict=True):
-            if vehicle not in self._chains:
-                topic = self.shared(f"{space.lstrip('/')}/parameters")
-                self.listen(DriverParameters, topic, incoming.parameters, self._on_parameters, STREAM)
+    def _meet_and_leave(self, sample: cdr_messages.Sample, bank: Bank) -> None:
+        """Follow the drivers in view of whom it is known whom they follow, and nobody else."""
+        for vehicle, place in sample.place.items():
+            if sample.leader[place] != UNKNOWN_LEADER:
+                if vehicle not in self._chains:
+                    bank.meet(vehicle)
+                    self._listen_to(vehicle)
+                self._chains[vehicle], self._seen_ns[vehicle] = sample.chain(vehicle, CHAIN), sample.stamp_ns
+            elif vehicle in self._chains:
+                self._seen_ns[vehicle] = sample.stamp_ns - _GONE_NS
+        for vehicle in [v for v, seen_ns in self._seen_ns.items() if seen_ns <= sample.stamp_ns - _GONE_NS]:
+            bank.leave(vehicle)
+            del self._chains[vehicle], self._seen_ns[vehicle]
+            self._effects_of.pop(vehicle, None)
+            if vehicle in self._heard:
+                self.destroy_subscription(self._heard.pop(vehicle))
+
+    def _listen_to(self, vehicle: int) -> None:
+        """Listen to which effects the estimator of a driver has, unless one message says it of all drivers."""
+        if vehicle not in self._heard and not self.count_publishers(self.shared(TOPIC)):
+            topic = self.shared(f"{namespaces([vehicle])[0].lstrip('/')}/parameters")
+            self._heard[vehicle] = self.listen(
+                DriverParameters, topic, incoming.parameters, self._on_parameters, STREAM
+            )
 
     def _on_parameters(self, message: DriverParameters) -> None:
-        """Note the effects of a driver's model. Once all drivers have others than the bank, the bank begins anew."""
+        """Note the effects of a driver's model."""
         values = zip(message.name, message.value, strict=True)
         self._effects_of[message.vehicle] = {name: value for name, value in values if name not in NAMES}
+        self._begin_anew_with_added()
+
+    def _on_drivers(self, message: DriverArray) -> None:
+        """Note the effects of the models of all drivers."""
+        before, self._drivers = self._drivers, message
+        if before is None or before.name != message.name:
+            self._begin_anew_with_added()
+
+    def _begin_anew_with_added(self) -> None:
+        """Let the bank begin anew once all drivers have other effects than the bank."""
         if self._bank is not None and active(self._with_added(self._bank.row)) != self._bank.effects:
             self._bank = None
 
     def _with_added(self, row: Array) -> Array:
         """Row (WIDTH,) with the effects that all estimators have, at the means of their values."""
         row = ROW.with_effects(row[: len(NAMES)])
-        known = list(self._effects_of.values())
-        if known and len(known) >= len(self._chains):
+        known = list(self._effects_of.values()) if self._drivers is None else effects_of(self._drivers)
+        if known and (self._drivers is not None or len(known) >= len(self._chains)):
             for name in set.intersection(*map(set, known)) & set(ROW.entries):
                 row[ROW.entries.index(name)] = float(np.mean([values[name] for values in known]))
         return row
@@ -169,7 +205,9 @@ class Critic(PacedNode):
         except (incoming.RefusedError, InputError) as error:
             response.message = str(error)
             return response
-        names = estimators(namespaces(self._chains)) if self._chains else []
+        of_all = f"{self.shared(DRIVERS.lstrip('/'))}/add_effect"
+        is_one = any(name == of_all for name, _ in self.get_service_names_and_types())
+        names = [self.shared(DRIVERS.lstrip("/"))] if is_one else estimators(namespaces(self._chains))
         clients = [self.create_client(AddEffect, f"{name}/add_effect") for name in names]
         ready = [client for client in clients if client.service_is_ready() or client.wait_for_service(1.0)]
         for client in ready:

@@ -14,6 +14,7 @@ from sugiyama_ros.errors import SugiyamaError
 from sugiyama_ros.nodes.base import environment
 from sugiyama_ros.nodes.base.spin import Spinner, ros
 from sugiyama_ros.nodes.plan import Plan, RunSettings
+from sugiyama_ros.nodes.run_source import FromTracks
 from sugiyama_ros.nodes.runners import OneProcess
 from sugiyama_ros.nodes.view import View
 from sugiyama_ros.page.guard import Guard, log_quietly
@@ -23,6 +24,8 @@ from sugiyama_ros.page.live import page
 LOCAL = "127.0.0.1"
 # Bytes that a browser may send at a time, and in the head of a request.
 _LARGEST_MESSAGE, _LARGEST_HEADER = 1 << 20, 1 << 14
+# Samples of drivers, in a second of a recording with vehicles that come and go, that a critic beside the page can take.
+_CRITIC_AT_MOST = 200.0
 # Time [s] for which the nodes run at a stretch, and from one stretch to the next.
 _STRETCH_S, _EVERY_S = 0.01, 0.015
 
@@ -82,9 +85,11 @@ def serve(
 
 
 def _plan(source: Path, output: Path, settings: RunSettings) -> Plan:
-    """What runs beside the page; without a critic where vehicles come and go."""
-    plan = Plan.read(source, output, replace(settings, critic=False))
-    return plan if plan.has_tracks else replace(plan, settings=settings)
+    """What runs beside the page; without a critic where too many vehicles are in view."""
+    plan = Plan.read(source, output, settings)
+    if isinstance(plan.source, FromTracks) and plan.source.samples.drivers_per_s > _CRITIC_AT_MOST:
+        return replace(plan, settings=replace(settings, critic=False))
+    return plan
 
 
 def _turns(spinner: Spinner, runner: OneProcess | None, asked_to_stop: Callable[[], bool]) -> PeriodicCallback:

@@ -118,10 +118,6 @@ class Plan:
     def check_size(self) -> None:
         """Raise InputError for what the graph of a run cannot do."""
         count = len(self.source.vehicles)
-        if self.has_tracks and self.settings.critic:
-            raise InputError(
-                "--critic: it compares models on the same vehicles all along; these come and go; leave out --critic"
-            )
         if not self.has_tracks and count > MOST_NODES:
             raise InputError(
                 f"{count} vehicles: a node for each driver works for at most {MOST_NODES}; convert the file to tracks,"
@@ -163,9 +159,8 @@ class Plan:
     @property
     def followers(self) -> list[str]:
         """Full names of the nodes that follow the source; without the recorder."""
-        if self.has_tracks:
-            return [DRIVERS]
-        return [*self.estimators, *([CRITIC] if self.settings.critic else [])]
+        own = [DRIVERS] if self.has_tracks else self.estimators
+        return [*own, *([CRITIC] if self.settings.critic else [])]
 
     @property
     def sending(self) -> dict[str, Any]:

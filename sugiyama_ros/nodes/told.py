@@ -1,11 +1,13 @@
 """What a message about all drivers says of each of them, in the form of the topics of single vehicles."""
 
 from collections.abc import Iterator
+from math import isfinite
 from typing import NamedTuple
 
 import numpy as np
 from sugiyama_msgs.msg import DriverArray
 
+from sugiyama_ros.driver.parameters import NAMES
 from sugiyama_ros.nodes.base.cdr_messages import NS, ReadInnovation
 
 # Entries of the state: position, speed, acceleration.
@@ -56,3 +58,10 @@ def each_driver(message: DriverArray) -> Iterator[Told]:
             ReadInnovation(time_s, int(vehicle), *of_innovation),
             adapted[k],
         )
+
+
+def effects_of(message: DriverArray) -> list[dict[str, float]]:
+    """Return the parameters of the effects that the model of each driver has, N mappings from name to value."""
+    value = np.array(message.value).reshape(len(message.vehicle), len(message.name)).tolist()
+    named = [k for k, name in enumerate(message.name) if name not in NAMES]
+    return [{message.name[k]: row[k] for k in named if isfinite(row[k])} for row in value]

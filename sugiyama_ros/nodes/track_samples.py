@@ -49,6 +49,11 @@ class TrackSamples:
         self._lane = _lanes(tracks)[order] if tracks.lane is not None else None
         self._d_m = None if tracks.d_m is None else tracks.d_m[order]
 
+    @property
+    def drivers_per_s(self) -> float:
+        """Samples of drivers in a second, where most vehicles are in view."""
+        return float(np.diff(self._first).max(initial=0)) / self.period_s
+
     def at(self, step: int) -> Positions:
         """Sample number ``step``: the vehicles that are in view then."""
         here = slice(self._first[step], self._first[step + 1])

@@ -115,9 +115,7 @@ def set_up(experiment: Experiment, rows: Array) -> Simulator:
     experiment.check(len(rows))
     vehicles, rows = len(rows), rows.copy()
     rng = np.random.default_rng(experiment.seed)
-    if experiment.spread > 0.0:
-        for k in (V_STAR, KAPPA_V):
-            rows[:, k] *= np.exp(experiment.spread * rng.standard_normal(vehicles))
+    spread_out(rows, experiment.spread, rng)
     length_m = np.full(vehicles, experiment.length_m or DEFAULT_LENGTH_M)
     road = Road(experiment.ring_m)
     start_m = evenly(length_m, road) if experiment.start == "equal" else platoon(length_m, experiment.gap_m)
@@ -129,6 +127,13 @@ def set_up(experiment: Experiment, rows: Array) -> Simulator:
         )
     clock = Clock(experiment.period_s, horizon=experiment.horizon)
     return Simulator(rows, length_m, start_m, road, rng, clock=clock)
+
+
+def spread_out(rows: Array, spread: float, rng: np.random.Generator) -> None:
+    """Let drivers differ: change, in place, v_star and kappa_v of rows (N, width) by factors of this relative std."""
+    if spread > 0.0:
+        for k in (V_STAR, KAPPA_V):
+            rows[:, k] *= np.exp(spread * rng.standard_normal(len(rows)))
 
 
 def carry_out(experiment: Experiment, rows: Array) -> Simulation:

@@ -8,11 +8,13 @@ import numpy as np
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Road
+from sugiyama_ros.simulation.experiment import Experiment, spread_out
 from sugiyama_ros.simulation.simulator import REFERENCE_CLOCK, Clock, Simulator, platoon, simulate
 from sugiyama_ros.trajectories.about import About
 from sugiyama_ros.trajectories.exchange import of_columns
 from sugiyama_ros.trajectories.labels import labels_of
 from sugiyama_ros.trajectories.tracks import Tracks
+from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,3 +99,32 @@ def simulate_lanes(
     texts = {name: labels_of([t for part in parts for t in part[name]]) for name in ("vehicle", "lane", "class")}
     about = About(source="adaptiveSeek", view="whole" if view_m[1] == np.inf else "end")
     return of_columns({**texts, **numbers}, about)
+
+
+def alike_lanes(experiment: Experiment, rows: Array, lanes: int, view_m: tuple[float, float]) -> Tracks:
+    """Simulate lanes with equally many vehicles of the usual length.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        The setting; its road does not count.
+    rows : ndarray, shape (N, width)
+        Rows of the drivers at the reference period, N a multiple of ``lanes``; they stay as they are.
+    lanes : int
+        Number of lanes.
+    view_m : (float, float)
+        Part of the road [m] that is seen.
+
+    Returns
+    -------
+    Tracks
+        As from `simulate_lanes`, which also says what it raises.
+    """
+    rng, rows = np.random.default_rng(experiment.seed), rows.copy()
+    spread_out(rows, experiment.spread, rng)
+    each = len(rows) // lanes
+    lane = [
+        Lane(own, np.full(each, DEFAULT_LENGTH_M), ["car"] * each, experiment.gap_m) for own in np.split(rows, lanes)
+    ]
+    clock = Clock(experiment.period_s, horizon=experiment.horizon)
+    return simulate_lanes(lane, experiment.duration_s, rng, view_m=view_m, clock=clock)

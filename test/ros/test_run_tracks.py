@@ -6,13 +6,16 @@ import numpy as np
 import pytest
 from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message
-from sugiyama_msgs.msg import DriverArray, MeasuredPositions
+from sugiyama_msgs.msg import DriverArray, MeasuredPositions, Verdict
+from sugiyama_msgs.srv import AddEffect, Seek
 
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.registry import read_tracks
 from sugiyama_ros.nodes.base.samples import UNKNOWN_LEADER
 from sugiyama_ros.nodes.base.spin import Spinner
+from sugiyama_ros.nodes.critic import Critic
+from sugiyama_ros.nodes.drivers import DriversNode
 from sugiyama_ros.nodes.plan import MOST_NODES
 from sugiyama_ros.nodes.replay import Replay
 from sugiyama_ros.nodes.run import run
@@ -73,9 +76,29 @@ def test_vehicles_with_the_same_name_have_numbers_of_their_own(tracks_csv: Path)
     assert samples.names[3] == "11 of recording b"
 
 
+def test_a_critic_follows_who_is_in_view_and_whose_leader_is_known(tracks_csv: Path, tmp_path: Path) -> None:
+    result = run(tracks_csv, tmp_path / "out.mcap", critic=True)
+    assert result.messages_lost == 0
+    verdicts = messages(tmp_path / "out.mcap", "/verdict", Verdict)
+    assert len(verdicts) >= 2
+    # driver 11 has a known leader in 50 samples, of which the first few only start the filters; nobody else has one
+    assert 40 <= verdicts[-1].samples < 50
+    assert sum(verdicts[-1].weight) == pytest.approx(1.0)
+
+
+def test_the_critic_adds_an_effect_to_the_models_of_all_who_come_and_go(stage, tracks_csv: Path) -> None:
+    about = {"source": str(tracks_csv), "rate": 0.0, "wait_for": ["/drivers", "/critic"]}
+    replay = Replay(parameter_overrides=[Parameter(k, value=v) for k, v in about.items()])
+    drivers, critic = DriversNode(), Critic()
+    stage.add(replay, drivers, critic)
+    stage.until(lambda: critic.steps == drivers.steps == 140)
+    request = AddEffect.Request(effect="drag", name=["c0"], value=[0.1])
+    assert stage.call(AddEffect, "/critic/add_effect", request).success
+    assert stage.call(Seek, "/replay/seek", Seek.Request(time_s=0.0)).success
+    stage.until(lambda: critic.health().values.get("added") == "drag")
+
+
 def test_what_does_not_work_is_said_up_front(tracks_csv: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="critic"):
-        run(tracks_csv, tmp_path / "out.mcap", critic=True)
     many = tmp_path / "many.csv"
     lines = ["time_s,vehicle,position_m"]
     lines += [f"{0.5 * k},{v},{20.0 * v + k}" for k in range(3) for v in range(MOST_NODES + 1)]

@@ -29,7 +29,9 @@ def judged(effects, base=None, seconds=100.0, speed=6.0):
     chains = [chain_behind(t, v) for v in range(DRIVERS)]
     row = ROW.with_effects(population())
     row[KAPPA_V] = 0.3
-    bank, settled = Bank(range(DRIVERS), DT, road, switch_on(row, *base) if base else row, 120.0), []
+    bank, settled = Bank(DT, road, switch_on(row, *base) if base else row, 120.0), []
+    for v in range(DRIVERS):
+        bank.meet(v)
     for k in range(len(t.position_m)):
         bank.forget()
         for v, chain in enumerate(chains):
@@ -71,3 +73,17 @@ def test_without_an_effect_the_base_model_leads_and_this_gets_settled():
 def test_an_effect_of_a_place_takes_no_part_on_an_open_road():
     assert variants_of("slow_patch", Road()) == ()
     assert len({v["centre"] for v in variants_of("slow_patch", Road(230.0))}) == 4
+
+
+def test_a_driver_who_leaves_is_forgotten_but_what_they_said_counts():
+    bank, _ = judged({}, seconds=15.0)
+    samples, gains = bank.samples, bank.gains
+    bank.leave(1)
+    assert bank.vehicles == [0, 2, 3]
+    assert bank.samples == samples
+    assert bank.gains == pytest.approx(gains)
+    bank.meet(1)
+    for k in range(2):
+        bank.step(1, [0.0 + 2.0 * k, 20.0 + 2.0 * k, np.nan], [1, 2, -1], [4.33, 4.33, 0.0], k * DT)
+    # a filter that begins anew has no speed yet, so its first samples do not count
+    assert bank.samples == samples

@@ -22,6 +22,7 @@ from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.service import Service
+from rclpy.subscription import Subscription
 from rclpy.topic_or_service_is_hidden import topic_or_service_is_hidden
 from sugiyama_msgs.msg import Progress
 
@@ -138,10 +139,10 @@ class PacedNode(Node):
 
     def listen(
         self, kind: type, topic: str, decode: Callable[[bytes], Any], take: Callable[[Any], None], qos: QoSProfile
-    ) -> None:
+    ) -> Subscription:
         """Subscribe to a topic. A message that ``decode`` refuses is counted and dropped."""
         callback = receiver(decode, take, partial(self.refuse, topic))
-        self.create_subscription(kind, topic, callback, qos, raw=True)
+        return self.create_subscription(kind, topic, callback, qos, raw=True)
 
     def create_service(
         self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **options: Any
