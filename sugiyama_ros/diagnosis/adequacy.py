@@ -123,10 +123,12 @@ def judge(data: Recorded, evidence: Evidence) -> Adequacy:
     Adequacy
         The outcome with its reasons.
     """
-    better = _better_law(data, evidence)
     signs = _signs_say(evidence)
+    than = evidence.base if signs else evidence.final
+    gains = {law: gain(data, errors.samples, than.samples) for law, errors in evidence.laws.items()}
+    better = _better_law(evidence, gains)
     reasons = [
-        *_laws_say(data, evidence, better, bool(signs)),
+        *_laws_say(data, evidence, gains, bool(signs)),
         *_free_runs_say(evidence),
         *_bins_say(evidence),
         *_spread_says(evidence.final),
@@ -169,17 +171,17 @@ def simulated_failures(simulations: Sequence[tuple[Recorded, JointFit]], work: E
     return tuple(locate(simulated, fitted.model, fitted.samples, work) for simulated, fitted in simulations)
 
 
-def _better_law(data: Recorded, evidence: Evidence) -> tuple[str, Gain] | None:
-    """The law that predicts better than the final model by most, if it does so beyond doubt, and its gain.
+def _better_law(evidence: Evidence, gains: Mapping[str, Gain]) -> tuple[str, Gain] | None:
+    """The law that gains most, if one of them predicts better beyond doubt, and its gain.
 
-    A law that predicts about as well as the final model is better, too, if it is far behind the model in recordings
-    that the model simulates. Additions that make no physical sense imitate a law, so they do not count against it: the
-    law is then compared with the base model.
+    gains: what each law gains over the final model. Additions that make no physical sense imitate a law, so they do not
+    count against it: the laws are then compared with the base model.
+
+    The right law gains most and may scatter most, so the doubt is whether any law is better. A law that predicts about
+    as well as the final model is better, too, if it is far behind the model in recordings that the model simulates.
     """
-    than = evidence.base if _signs_say(evidence) else evidence.final
-    gains = {law: gain(data, errors.samples, than.samples) for law, errors in evidence.laws.items()}
-    better = {law: g for law, g in gains.items() if _is_clear(g) or (g.nats > 0.0 and _is_unlikely(evidence, law, g))}
-    return max(better.items(), key=lambda one: one[1].nats, default=None)
+    is_better = any(_is_clear(g) or (g.nats > 0.0 and _is_unlikely(evidence, law, g)) for law, g in gains.items())
+    return max(gains.items(), key=lambda one: one[1].nats) if is_better else None
 
 
 def _as_good_as(data: Recorded, law: str, laws: Mapping[str, HeldOutErrors]) -> list[str]:
@@ -198,10 +200,10 @@ def _is_unlikely(evidence: Evidence, law: str, won: Gain) -> bool:
     return law in evidence.checks and evidence.checks[law].p_of_gain(won) < LEVEL_OF_LAWS
 
 
-def _laws_say(data: Recorded, evidence: Evidence, better: tuple[str, Gain] | None, is_base: bool) -> list[str]:
+def _laws_say(data: Recorded, evidence: Evidence, gains: Mapping[str, Gain], is_base: bool) -> list[str]:
     """Which law predicts better, or nearly as well although it would be far behind if the final model were right."""
-    if better is not None and _is_clear(better[1]):
-        law, won = better
+    if any(_is_clear(won) for won in gains.values()):
+        law, won = max(gains.items(), key=lambda one: one[1].nats)
         than = " than the model without the additions" if is_base else ""
         equals = _as_good_as(data, law, evidence.laws)
         also = f" ({' and '.join(equals)} about as well)" if equals else ""

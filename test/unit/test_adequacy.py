@@ -69,6 +69,22 @@ def test_a_better_law_speaks_against_the_model(own):
     assert judge(own.data, evidence_of(own, laws={"worse": worse})).outcome == "adequate"
 
 
+def test_the_law_that_gains_most_is_named_although_it_scatters_most(own):
+    def law(gained, scattered):
+        samples = own.after.samples.copy()
+        by_driver = gained + scattered * (np.arange(CARS) % 2 - 0.5)
+        samples.log_likelihood[:] += by_driver[:, None]
+        return replace(own.after, samples=samples)
+
+    firm, loose = law(0.05, 0.0), law(0.06, 0.4)
+    found = judge(own.data, evidence_of(own, laws={"firm": firm, "loose": loose}))
+    assert found.better_law == "loose"
+    assert found.reasons[0].startswith("loose predicts held-out samples better")
+    assert "(firm about as well)" in found.reasons[0]
+    # a gain that is in doubt, and no other law
+    assert judge(own.data, evidence_of(own, laws={"loose": loose})).better_law is None
+
+
 def test_biases_speak_against_the_model_only_beyond_its_own_simulations(own):
     biased = replace(own.where_after, bins=tuple(replace(b, bias=0.3, flagged=True) for b in own.where_after.bins))
     found = judge(own.data, evidence_of(own, located=biased, simulated=[own.where_after] * 2))
