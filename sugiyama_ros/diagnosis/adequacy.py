@@ -23,7 +23,7 @@ from sugiyama_ros.diagnosis.errors import HeldOutErrors
 from sugiyama_ros.diagnosis.law_check import CLEARLY, FURTHER, LEVEL_OF_LAWS, LawCheck, log_ratio
 from sugiyama_ros.diagnosis.locate import Located, locate
 from sugiyama_ros.effects.registry import EFFECTS
-from sugiyama_ros.fit.cross_validation import Gain, gain
+from sugiyama_ros.fit.cross_validation import Gain, gain, sum_error
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.recording import Recorded
 
@@ -191,8 +191,13 @@ def _as_good_as(data: Recorded, law: str, laws: Mapping[str, HeldOutErrors]) -> 
 
 
 def _is_clear(won: Gain) -> bool:
-    """Whether a gain is beyond doubt."""
-    return won.nats > max(CLEARLY * won.se, _LEAST_GAIN)
+    """Whether a gain is beyond doubt, with or without the block of time that gains most.
+
+    One such block, as when all start out of a jam, widens the standard error although it is not against the gain.
+    """
+    others = sorted(won.blocks)[:-1]
+    error = max(sum_error(others), sum_error(won.drivers))
+    return any(nats > max(CLEARLY * se, _LEAST_GAIN) for nats, se in ((won.nats, won.se), (sum(others), error)))
 
 
 def _is_unlikely(evidence: Evidence, law: str, won: Gain) -> bool:

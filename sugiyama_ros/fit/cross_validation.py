@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.filters.measurement import weigh_samples
 from sugiyama_ros.fit.joint import JointFit, maximise, solve, start_fit
 from sugiyama_ros.fit.model import Model, coordinate, moved
@@ -160,11 +161,14 @@ class Gain:
         Standard error of the sum [nats].
     drivers : tuple of float
         Sum over the samples of each driver [nats].
+    blocks : tuple of float
+        Sum over the samples of each block of time [nats].
     """
 
     nats: float
     se: float
     drivers: tuple[float, ...]
+    blocks: tuple[float, ...] = ()
 
 
 def gain(data: Recorded, better: PointwiseDensity, than: PointwiseDensity) -> Gain:
@@ -183,15 +187,20 @@ def gain(data: Recorded, better: PointwiseDensity, than: PointwiseDensity) -> Ga
         The standard error is the larger of two: a jackknife over blocks of time, and a jackknife over drivers.
     """
     by_driver = np.nansum(better.log_likelihood - than.log_likelihood, axis=1)
-    se = max(sum_error(by_driver), block_error(data, better, than))
-    return Gain(float(by_driver.sum()), se, tuple(by_driver.tolist()))
+    by_block = _by_block(data, better, than)
+    se = max(sum_error(by_driver), sum_error(by_block))
+    return Gain(float(by_driver.sum()), se, tuple(by_driver.tolist()), tuple(by_block.tolist()))
 
 
 def block_error(data: Recorded, better: PointwiseDensity, than: PointwiseDensity) -> float:
     """Return the standard error [nats] of the gain of one model over another, by a jackknife over blocks of time."""
+    return sum_error(_by_block(data, better, than))
+
+
+def _by_block(data: Recorded, better: PointwiseDensity, than: PointwiseDensity) -> Array:
+    """Gain of one model over another in each block of time [nats]."""
     difference = better.log_likelihood - than.log_likelihood
-    blocks = np.bincount(data.block.ravel(), weights=np.nan_to_num(difference).ravel())
-    return sum_error(blocks)
+    return np.asarray(np.bincount(data.block.ravel(), weights=np.nan_to_num(difference).ravel()), np.float64)
 
 
 def sum_error(parts: ArrayLike) -> float:

@@ -85,6 +85,16 @@ def test_the_law_that_gains_most_is_named_although_it_scatters_most(own):
     assert judge(own.data, evidence_of(own, laws={"loose": loose})).better_law is None
 
 
+def test_one_block_that_gains_most_does_not_hide_what_all_others_gain(own):
+    def law(everywhere, in_first_block):
+        samples = own.after.samples.copy()
+        samples.log_likelihood[:] += np.where(own.data.block == 0, in_first_block, everywhere)
+        return replace(own.after, samples=samples)
+
+    assert judge(own.data, evidence_of(own, laws={"law": law(0.05, 2.0)})).better_law == "law"
+    assert judge(own.data, evidence_of(own, laws={"law": law(0.0, 2.0)})).better_law is None
+
+
 def test_biases_speak_against_the_model_only_beyond_its_own_simulations(own):
     biased = replace(own.where_after, bins=tuple(replace(b, bias=0.3, flagged=True) for b in own.where_after.bins))
     found = judge(own.data, evidence_of(own, located=biased, simulated=[own.where_after] * 2))
