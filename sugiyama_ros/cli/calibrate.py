@@ -22,7 +22,7 @@ from sugiyama_ros.cli.options import (
     names,
     takes,
 )
-from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table, progress
+from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table, print_warnings, progress
 from sugiyama_ros.errors import InputError
 
 if TYPE_CHECKING:
@@ -165,6 +165,7 @@ def _calibrate_tracks(options: CalibrateOptions) -> None:
 
     choices, sources = Choices(ring_m=options.ring), options.sources
     tracks = read_tracks(sources[0], choices) if len(sources) == 1 else read_files(sources, choices)
+    print_warnings(tracks)
     began = time.monotonic()
     with progress("calibrating") as advance, workers(tracks.runs, options.scheduler) as work:
         found = calibrate_tracks(

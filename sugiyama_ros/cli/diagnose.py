@@ -20,7 +20,7 @@ from sugiyama_ros.cli.options import (
     names,
     takes,
 )
-from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table
+from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table, print_warnings
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.progress import stages
 
@@ -77,6 +77,7 @@ def diagnose(options: DiagnoseOptions) -> None:
 
     goal = Goal(only=chosen or (), forces=chosen == (), purpose=purpose_of(options.purpose))
     recording = read_recordings(options.sources, options.ring)
+    print_warnings(recording)
     with stages() as advance, helpers(options.scheduler) as workers:
         found = find(
             recording,
@@ -149,6 +150,7 @@ def compare(
 
     given = read_model(model) if model is not None else None
     recording = read_recordings(sources, ring)
+    print_warnings(recording)
     with stages() as advance, helpers(scheduler) as workers:
         compared = compare_models(recording, names(effects), given, seed=seed, workers=workers, on_progress=advance)
     if as_json:

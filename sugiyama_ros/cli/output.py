@@ -19,6 +19,8 @@ from sugiyama_ros.tables import TextTable
 
 if TYPE_CHECKING:
     from sugiyama_ros.page.truth import AgainstTruth
+    from sugiyama_ros.trajectories.tracks import Tracks
+    from sugiyama_ros.trajectories.trajectories import Trajectories
 
 # Columns of a terminal, at least, and columns of a line that is not broken.
 _NARROW, _WIDE = 80, 1000
@@ -33,6 +35,14 @@ def print_line(text: str) -> None:
 def print_note(text: str) -> None:
     """Print a line of text to stderr, unbroken."""
     _err.print(escape(text), soft_wrap=True, highlight=False)
+
+
+def print_warnings(recording: "Trajectories | Tracks") -> None:
+    """Print to stderr what a file of tracks needs attention for."""
+    about = getattr(recording, "about", None)
+    for note in about.notes if about is not None else ():
+        if note.startswith("warning"):
+            print_note(note)
 
 
 def print_table(table: TextTable, boxed: bool = True, wide: bool = False) -> None:

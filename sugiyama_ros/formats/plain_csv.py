@@ -14,6 +14,7 @@ from sugiyama_ros.formats.samples import Samples, agreed_road
 from sugiyama_ros.formats.sheet import MISSING
 from sugiyama_ros.formats.table import read_table
 from sugiyama_ros.outputs import Target, writing
+from sugiyama_ros.trajectories.jumps import check_jumps
 from sugiyama_ros.trajectories.one_lane import check_order
 from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M, Trajectories
 
@@ -70,13 +71,14 @@ def read_csv(path: Path, ring_m: float | None = None) -> Trajectories:
                     if lengths.setdefault(vehicle, length) != length:
                         raise InputError(
                             f"{where}: vehicle {vehicle} is {length:g} m long here and {lengths[vehicle]:g} m above;"
-                            " give it one length"
+                            f" give it one length, or make tracks of the file: sugiyama convert {path} tracks.parquet"
                         )
         except csv.Error as error:
             raise InputError(f"{path}:{rows.line_num}: not CSV: {error}; correct the line") from None
     length_m = [lengths.get(vehicle, DEFAULT_LENGTH_M) for vehicle in samples.vehicles]
     trajectories = samples.trajectories(length_m, agreed_road(path, None, ring_m), checksum)
     check_order(trajectories, str(path))
+    check_jumps(trajectories, str(path))
     return trajectories
 
 

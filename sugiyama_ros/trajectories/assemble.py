@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from sugiyama_ros.arrays import Array, Ints, Mask
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.trajectories.about import About, Reference
+from sugiyama_ros.trajectories.jumps import jumps_noted
 from sugiyama_ros.trajectories.labels import Labels, labels, labels_of, numbered, same_label
 from sugiyama_ros.trajectories.leaders import (
     LEAST_AGREEMENT,
@@ -95,9 +96,10 @@ def assemble(
         measured=number["measured"] != 0.0 if "measured" in number else None,
     )
     tracks = led(tracks, text.get("leader"), compared=checked)
-    if checked:
-        check_gaps(tracks)
-    return tracks
+    if not checked:
+        return tracks
+    check_gaps(tracks)
+    return replace(tracks, about=tracks.about.noting(jumps_noted(tracks)))
 
 
 def led(tracks: Tracks, named: Labels | None, compared: bool = True) -> Tracks:

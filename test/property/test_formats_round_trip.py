@@ -22,11 +22,12 @@ def some_trajectories(draw: st.DrawFn) -> Trajectories:
     steps, vehicles = draw(st.integers(2, 12)), draw(st.integers(1, 4))
     random = np.random.default_rng(draw(st.integers(0, 1 << 32)))
     road = Road(draw(st.sampled_from([0.0, 230.0, 1000.1])))
-    position = road.wrap(random.uniform(-50.0, 2000.0, (steps, vehicles)))
+    start = random.uniform(-50.0, 2000.0, vehicles)
+    position = road.wrap(start + np.cumsum(random.uniform(-5.0, 25.0, (steps, vehicles)), axis=0))
     position[random.random((steps, vehicles)) < draw(st.sampled_from([0.0, 0.3]))] = np.nan
     # Each vehicle is seen at least once, and the first vehicle always: a time without any sample is not written.
-    position[:, 0] = np.arange(steps)
-    position[0, :] = np.arange(vehicles)
+    position[:, 0] = road.wrap(start[0] + np.arange(steps))
+    position[0, :] = road.wrap(start)
     return Trajectories(
         position_m=position,
         length_m=random.uniform(3.0, 20.0, vehicles),

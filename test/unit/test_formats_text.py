@@ -9,7 +9,7 @@ import pytest
 from sugiyama_ros.errors import InputError, OutputError
 from sugiyama_ros.formats import samples
 from sugiyama_ros.formats.plain_csv import write_csv
-from sugiyama_ros.formats.registry import read_trajectories
+from sugiyama_ros.formats.registry import read_tracks, read_trajectories
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M, Trajectories, regular_time_base
 
@@ -210,3 +210,27 @@ def test_skipped_times_are_counted() -> None:
         regular_time_base(np.array([0.0, 0.1, 0.2, 10.0]), "here")
     with pytest.raises(InputError, match="only one time"):
         regular_time_base(np.array([0.0]), "here")
+
+
+def test_a_vehicle_that_jumps_is_named_with_its_time(tmp_path: Path) -> None:
+    file = tmp_path / "jump.csv"
+    rows = [
+        f"{0.5 * t},{v},{20.0 * v + 4.0 * t + (1000.0 if (t, v) == (17, 2) else 0.0)}"
+        for t in range(60)
+        for v in range(3)
+    ]
+    file.write_text("time_s,vehicle,position_m\n" + "\n".join(rows) + "\n")
+    with pytest.raises(InputError, match=r"jump.csv: vehicle 2 jumps by 1004 m between 8 s and 8.5 s; correct"):
+        read_trajectories(file)
+    notes = read_tracks(file).about.notes
+    assert [note for note in notes if "jumps by 1004 m between 8 s and 8.5 s; 1 more jump" in note]
+    rows = [f"{0.5 * t},1,{(4.0 * t) % 230.0}" for t in range(60)]
+    file.write_text("time_s,vehicle,position_m\n" + "\n".join(rows) + "\n")
+    assert read_trajectories(file, 230.0).duration_s == 29.5
+
+
+def test_a_vehicle_whose_length_varies_is_refused_with_the_cure(tmp_path: Path) -> None:
+    file = tmp_path / "longer.csv"
+    file.write_text("time_s,vehicle,position_m,length_m\n0,1,0,4\n1,1,9,5\n")
+    with pytest.raises(InputError, match=r"5 m long here and 4 m above; give it one length, or .* convert .* tracks"):
+        read_trajectories(file)

@@ -7,9 +7,12 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 # A function is called so often that the clock runs for at least this time [s].
 _SPAN_S = 0.005
+# Time [s] after which it is looked again whether a command has ended.
+_LOOK_S = 0.02
 
 
 @dataclass(frozen=True)
@@ -110,11 +113,40 @@ def cpu_of_command(command: Sequence[str], folder: Path) -> float:
     RuntimeError
         If the command fails.
     """
+    return used_by_command(command, folder).cpu_s
+
+
+class Used(NamedTuple):
+    """CPU time [s] of a command and of the processes that it waits for, and the memory [MB] of all of them at most."""
+
+    cpu_s: float
+    memory_mb: float
+
+
+def used_by_command(command: Sequence[str], folder: Path) -> Used:
+    """Measure what a command needs, as `cpu_of_command`; memory that processes share counts for each of them."""
     said = folder / "said.txt"
     with said.open("wb") as stream:
         process = subprocess.Popen(command, cwd=folder, stdout=stream, stderr=subprocess.STDOUT)
-        _, status, used = os.wait4(process.pid, 0)
+    memory_mb, ended, status, used = 0.0, 0, 0, None
+    while not ended:
+        time.sleep(_LOOK_S)
+        memory_mb = max(memory_mb, _memory_mb(process.pid))
+        ended, status, used = os.wait4(process.pid, os.WNOHANG)
     process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode:
         raise RuntimeError(f"{' '.join(command)}: {said.read_text()}")
-    return used.ru_utime + used.ru_stime
+    assert used is not None
+    return Used(used.ru_utime + used.ru_stime, memory_mb)
+
+
+def _memory_mb(pid: int) -> float:
+    """Memory [MB] of a process and of those that it has started; 0 of a process that has ended."""
+    try:
+        pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+        started = {
+            one for task in Path(f"/proc/{pid}/task").iterdir() for one in (task / "children").read_text().split()
+        }
+    except OSError:
+        return 0.0
+    return pages * os.sysconf("SC_PAGESIZE") / 2**20 + sum(_memory_mb(int(one)) for one in started)

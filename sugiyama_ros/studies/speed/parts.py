@@ -18,6 +18,10 @@ PARTS = {
     "run": "sugiyama_ros.studies.speed.run_loop",
     "tracks": "sugiyama_ros.studies.speed.tracks",
     "many": "sugiyama_ros.studies.speed.many",
+    "many_on_lanes": "sugiyama_ros.studies.speed.many_on_lanes",
+    "ngsim_calibrate": "sugiyama_ros.studies.speed.ngsim_calibrate",
+    "ngsim_diagnose": "sugiyama_ros.studies.speed.ngsim_diagnose",
+    "ngsim_run": "sugiyama_ros.studies.speed.ngsim_run",
 }
 
 
