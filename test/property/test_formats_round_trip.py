@@ -23,7 +23,7 @@ def some_trajectories(draw: st.DrawFn) -> Trajectories:
     random = np.random.default_rng(draw(st.integers(0, 1 << 32)))
     road = Road(draw(st.sampled_from([0.0, 230.0, 1000.1])))
     start = random.uniform(-50.0, 2000.0, vehicles)
-    position = road.wrap(start + np.cumsum(random.uniform(-5.0, 25.0, (steps, vehicles)), axis=0))
+    position = road.wrap(start + np.cumsum(random.uniform(-5.0, 14.0, (steps, vehicles)), axis=0))
     position[random.random((steps, vehicles)) < draw(st.sampled_from([0.0, 0.3]))] = np.nan
     # Each vehicle is seen at least once, and the first vehicle always: a time without any sample is not written.
     position[:, 0] = road.wrap(start[0] + np.arange(steps))
