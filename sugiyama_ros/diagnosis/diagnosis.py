@@ -4,18 +4,17 @@ import os
 import time
 from collections.abc import Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sugiyama_ros.diagnosis.addition import Addition
-from sugiyama_ros.diagnosis.adequacy import Adequacy, Evidence, judge, simulated_failures, told
+from sugiyama_ros.diagnosis.adequacy import Adequacy, told
 from sugiyama_ros.diagnosis.candidacy import Candidacy
 from sugiyama_ros.diagnosis.discover import Discovery
 from sugiyama_ros.diagnosis.errors import HeldOutErrors, errors_of, held_out_errors
-from sugiyama_ros.diagnosis.floor import floor_of
 from sugiyama_ros.diagnosis.free_runs import HORIZONS_S
-from sugiyama_ros.diagnosis.law_check import check_laws, open_laws
+from sugiyama_ros.diagnosis.judging import judged
 from sugiyama_ros.diagnosis.locate import Located, locate
 from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter
 from sugiyama_ros.diagnosis.screen import Screened
@@ -27,7 +26,6 @@ from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.model_file import write_model
 from sugiyama_ros.fit.population import fit_base
 from sugiyama_ros.fit.recording import Recorded
-from sugiyama_ros.fit.sandwich import shared_stds
 from sugiyama_ros.fit.stretched import prepared
 from sugiyama_ros.laws.registry import LAWS, RIVALS
 from sugiyama_ros.plots import bars
@@ -42,8 +40,6 @@ if TYPE_CHECKING:
 
 # Number of other laws that are fitted at the same time beside the search: more would only take memory.
 _ASIDE = 2
-# Probability below which a force that is left speaks by itself against a model; by chance it may gain 20 nats.
-_SURELY = 0.001
 #: Number of effects that a diagnosis adds at most, unless more are asked for.
 FEW_ADDITIONS = 3
 
@@ -253,26 +249,7 @@ def _summed_up(
     compared = ((search.base, search.before), (search.current, search.errors))
     where_before, where_after = (locate(search.data, one.model, e.samples, work) for one, e in compared)
     laws = {name: errors for name, errors in rivals.items() if name in LAWS}
-    simulations = search.simulations()
-    own = [(simulated, held_out_errors(simulated, fitted, work, searched=False)) for simulated, fitted in simulations]
-    evidence = Evidence(
-        base=search.before,
-        final=search.errors,
-        named=search.named,
-        located=where_after,
-        laws=laws,
-        forces=forces,
-        simulated=simulated_failures(simulations, work),
-        stds=shared_stds(search.data, search.current, work),
-        checks=check_laws(open_laws(search.data, search.errors, laws), own, work),
-    )
-    adequacy = judge(search.data, evidence)
-    if search.quick and rivals and (search.named or adequacy.outcome == "not_explained"):
-        # what is missing gets a covariate and a shape, if not a name; and a name is challenged by a flexible force
-        level = LEVEL if adequacy.outcome == "not_explained" else _SURELY
-        found = (one for one, _ in search.discover() if one.p_value < level)
-        forces = sorted(found, key=lambda one: -one.gain_nats)
-        adequacy = judge(search.data, replace(evidence, forces=forces))
+    found = judged(search, where_after, forces, laws, work)
     return Diagnosis(
         data=search.data,
         base=search.base,
@@ -280,7 +257,7 @@ def _summed_up(
         named=tuple(search.named),
         scored=tuple(search.scored),
         heldout=search.heldout,
-        discovered=tuple(forces),
+        discovered=tuple(found.evidence.forces),
         before=search.before,
         after=search.errors,
         where_before=where_before,
@@ -288,9 +265,9 @@ def _summed_up(
         smallest=search.smallest,
         refused=tuple(search.refused),
         rivals={name: errors.summary() for name, errors in rivals.items()},
-        floor={"floor": floor_of([errors for _, errors in own])},
-        adequacy=adequacy,
-        stds=evidence.stds,
+        floor={"floor": found.floor},
+        adequacy=found.adequacy,
+        stds=found.evidence.stds,
         searched=search.searched,
         bootstrap_runs=search.effort.runs,
         quick=search.quick,
@@ -308,8 +285,7 @@ def _grow(search: Search, most: int, *, with_forces: bool, add_forces: bool) -> 
             pass
         if forces or not with_forces:
             break
-        found = (one for one in search.discover() if one[0].p_value < LEVEL)
-        forces = sorted(found, key=lambda one: -one[0].gain_nats)
+        forces = search.forces(LEVEL)
         # a new force may make other candidates supported
         is_growing = add_forces and search.add_force(forces)
     return [force for force, _ in forces]

@@ -1,11 +1,11 @@
 """Missing forces without a name: a curve over each covariate, fitted as the effect ``discovered_force``."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.stats import ncx2
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.candidates import Candidate
@@ -55,7 +55,7 @@ class Discovery:
 
 
 def discover(
-    data: Recorded, fitted: JointFit, work: Executor, effort: Effort = FULL
+    data: Recorded, fitted: JointFit, work: Executor, effort: Effort = FULL, only: Sequence[str] = COVARIATES
 ) -> Iterator[tuple[Discovery, Screened]]:
     """Fit a force over each covariate, one after the other.
 
@@ -69,6 +69,8 @@ def discover(
         Runs the filters.
     effort : Effort
         Limits of the fits.
+    only : sequence of str
+        Names of the covariates.
 
     Yields
     ------
@@ -79,7 +81,7 @@ def discover(
     around = data.vicinity
     unknown = () if around.is_whole_road else ("time", "rear_gap") + ("place",) * (not around.has_places)
     for number, covariate in enumerate(COVARIATES, 1):
-        if covariate in unknown:
+        if covariate in unknown or covariate not in only:
             continue
         road = around.road
         if covariate == "place":
@@ -101,16 +103,57 @@ def discover(
         force = look.fit.model.rows[0, list(_FORCES)]
         ring = covariate == "place" and road.is_ring
         knots = low + (high - low) * np.arange(KNOTS) / (KNOTS if ring else KNOTS - 1)
-        p_value = min(1.0, len(COVARIATES) * float(chi2.sf(2.0 * max(look.gain, 0.0) / _INFLATION, KNOTS - 1)))
         discovery = Discovery(
             covariate=covariate,
             strength=float(np.ptp(force)),
-            p_value=p_value,
+            p_value=_p_value(look.gain),
             gain_nats=look.gain,
             knots=tuple(knots.tolist()),
             force=tuple(force.tolist()),
         )
         yield discovery, look
+
+
+def against_simulations(
+    found: Sequence[tuple[Discovery, Screened]],
+    simulations: Sequence[tuple[Recorded, JointFit]],
+    work: Executor,
+    effort: Effort,
+) -> list[tuple[Discovery, Screened]]:
+    """Compare forces with the forces that are found in recordings that the model simulates.
+
+    The filter approximates, so that a force gains something even where none is missing, the more the smaller the noise.
+
+    Parameters
+    ----------
+    found : sequence of (Discovery, Screened)
+        Forces with their rough fits.
+    simulations : sequence of (Recorded, JointFit)
+        Simulated recordings, with the fits to them.
+    work : Executor
+        Runs the filters.
+    effort : Effort
+        Limits of the fits.
+
+    Returns
+    -------
+    list of (Discovery, Screened)
+        The same forces. Their p-values come from a non-central chi-squared distribution, with the mean of the simulated
+        gains if that is larger than by chance alone.
+    """
+    names = [force.covariate for force, _ in found]
+    gains: dict[str, list[float]] = {name: [] for name in names}
+    for simulated, fitted in simulations:
+        for force, _ in discover(simulated, fitted, work, effort, names):
+            gains[force.covariate].append(force.gain_nats)
+    return [(replace(force, p_value=_p_value(force.gain_nats, gains[force.covariate])), look) for force, look in found]
+
+
+def _p_value(gain: float, simulated: Sequence[float] = ()) -> float:
+    """Probability of a gain [nats] without a force, with regard to the number of covariates; simulated: such gains."""
+    free = KNOTS - 1
+    beyond = max(2.0 * float(np.mean(simulated)) / _INFLATION - free, 0.0) if simulated else 0.0
+    return min(1.0, len(COVARIATES) * float(ncx2.sf(2.0 * max(gain, 0.0) / _INFLATION, free, beyond)))
 
 
 def covariates_of(data: Recorded, state: Array) -> tuple[Array, ...]:

@@ -4,7 +4,7 @@ Every candidate is screened in the same way on the data and on data simulated fr
 p-value therefore says how often chance, the fit and the approximations of the filter give such a gain.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -23,7 +23,7 @@ from sugiyama_ros.diagnosis.candidacy import (
     smallest_detectable,
 )
 from sugiyama_ros.diagnosis.candidates import Candidate, candidates, only_those
-from sugiyama_ros.diagnosis.discover import Discovery, discover
+from sugiyama_ros.diagnosis.discover import Discovery, against_simulations, discover
 from sugiyama_ros.diagnosis.errors import HeldOutErrors, held_out_errors
 from sugiyama_ros.diagnosis.few import who_shows
 from sugiyama_ros.diagnosis.few_screen import ShownByFew, fits_of_few, shown_by_few
@@ -120,7 +120,7 @@ class Search:
         self.smallest: dict[str, float] = {}
         self.refused: list[tuple[str, tuple[str, ...]]] = []
         self._few_gained: dict[str, float] = {}
-        self._simulated: list[tuple[Recorded, JointFit]] | None = None
+        self._simulated: list[tuple[Recorded, JointFit]] = []
         self._last_part: LastPart | None = None
 
     def add_effect(self) -> bool:
@@ -174,10 +174,13 @@ class Search:
             grown += [one] if one and one.after.no_worse_than(one.before) else []
         return grown
 
-    def discover(self) -> Iterator[tuple[Discovery, Screened]]:
-        """Yield forces without a name that the current model lacks."""
+    def forces(self, level: float) -> list[tuple[Discovery, Screened]]:
+        """Forces without a name that the current model lacks, at a level of significance; the largest gain first."""
         self._on_progress("forces without a name", 0, 1)
-        return discover(self.data, self.current, self._work, self.effort)
+        forces = discover(self.data, self.current, self._work, self.effort)
+        if found := [one for one in forces if one[0].p_value < level]:
+            found = against_simulations(found, self.simulations(), self._work, self.effort)
+        return sorted((one for one in found if one[0].p_value < level), key=lambda one: -one[0].gain_nats)
 
     def forget(self) -> None:
         """Give up the looks at candidates, which take memory; no round can follow."""
@@ -213,7 +216,10 @@ class Search:
         doubtful = [k for k in promising if self._judge(looks[k]).p_value <= LEVEL and not is_obvious(looks[k])]
         if is_first and not doubtful:
             doubtful = promising[:1]
-        null = self._simulate([looks[k].candidate for k in doubtful]) if doubtful else UNKNOWN
+        null = UNKNOWN
+        if doubtful:
+            chosen = [looks[k].candidate for k in doubtful]
+            null = null_gains(self.simulations(), chosen, self.effort, self._work, self._on_progress)
         scored = [self._judge(look, null) for look in looks]
         best = max(scored[k].gain for k in promising)
         hopeful = [
@@ -279,7 +285,7 @@ class Search:
             self.refused.append((one.name, worse))
             self._possible = tuple(c for c in self._possible if c.mechanism != one.name)
             return bool(self._possible)
-        self.current, self.errors, self._simulated = one.fit, one.after, None
+        self.current, self.errors, self._simulated = one.fit, one.after, []
         self.named.append(replace(one, worse=worse))
         self._possible = tuple(c for c in self._possible if c.mechanism != one.name)
         return True
@@ -329,18 +335,15 @@ class Search:
         refined = refine(self.data, one.look, self._work, self.effort)
         return replace(one, fit=refined, gain=max(one.gain, rise(self.current, refined)), refined=True)
 
-    def simulations(self) -> list[tuple[Recorded, JointFit]]:
-        """Recordings that the current model simulates, with the fits to them; simulated once for each model."""
-        if self._simulated is None:
+    def simulations(self, runs: int = 0) -> list[tuple[Recorded, JointFit]]:
+        """Recordings that the current model simulates, with the fits to them; ``runs``: number, if more than usual."""
+        wanted = max(runs, self.effort.runs)
+        if len(self._simulated) < wanted:
             states = filtered_states(self.data, self.current.model, self._work)
 
             def one_run(rng: np.random.Generator) -> tuple[Recorded, JointFit]:
                 return resampled_fit(self.data, self.current, states, rng, self._work, _FEW_STEPS)
 
-            rngs = seeds(self.seed + len(self.named), self.effort.runs)
-            self._simulated = at_once(one_run, rngs, "simulating the current model", self._on_progress)
+            rngs = seeds(self.seed + len(self.named), wanted)[len(self._simulated) :]
+            self._simulated += at_once(one_run, rngs, "simulating the current model", self._on_progress)
         return self._simulated
-
-    def _simulate(self, chosen: Sequence[Candidate]) -> NullGains:
-        """Gains of candidates on recordings that the current model simulates."""
-        return null_gains(self.simulations(), chosen, self.effort, self._work, self._on_progress)

@@ -1,0 +1,112 @@
+"""The evidence about the final model of a search, and the judgement that rests on it."""
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+from sugiyama_ros.diagnosis.adequacy import Adequacy, Evidence, judge, simulated_failures
+from sugiyama_ros.diagnosis.discover import Discovery
+from sugiyama_ros.diagnosis.errors import HeldOutErrors, held_out_errors
+from sugiyama_ros.diagnosis.floor import floor_of
+from sugiyama_ros.diagnosis.law_check import check_laws, open_laws
+from sugiyama_ros.diagnosis.locate import Located
+from sugiyama_ros.diagnosis.screen import FULL
+from sugiyama_ros.diagnosis.search import LEVEL, Search
+from sugiyama_ros.fit.sandwich import shared_stds
+
+# Probability below which a force that is left speaks by itself against a model; by chance it may gain 20 nats.
+_SURELY = 0.001
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """A judgement of the final model.
+
+    Parameters
+    ----------
+    adequacy : Adequacy
+        The outcome.
+    evidence : Evidence
+        What it rests on.
+    floor : dict of str to float
+        Errors of the model on recordings that it simulates.
+    """
+
+    adequacy: Adequacy
+    evidence: Evidence
+    floor: dict[str, float]
+
+
+def judged(
+    search: Search,
+    located: Located,
+    forces: Sequence[Discovery],
+    laws: Mapping[str, HeldOutErrors],
+    work: ThreadPoolExecutor,
+) -> Judged:
+    """Judge the final model of a search.
+
+    A quick search simulates few recordings. Where they alone speak against the model, there are as many as in a full
+    search. What is missing gets a covariate and a shape, if not a name, and a flexible force challenges the names.
+
+    Parameters
+    ----------
+    search : Search
+        The search at its end.
+    located : Located
+        Where the final model fails.
+    forces : sequence of Discovery
+        Forces without a name that are left, as far as they are known.
+    laws : mapping of str to HeldOutErrors
+        Held-out errors of other laws.
+    work : ThreadPoolExecutor
+        Runs the filters.
+
+    Returns
+    -------
+    Judged
+        The judgement.
+    """
+    found = _judged(search, _evidence(search, located, forces, laws, work), work, 0)
+    if search.quick and found.adequacy.outcome == "not_explained":
+        alone = judge(search.data, replace(found.evidence, simulated=(), checks={}))
+        if alone.outcome != "not_explained":
+            found = _judged(search, found.evidence, work, FULL.runs)
+    is_unexplained = found.adequacy.outcome == "not_explained"
+    if search.quick and laws and (search.named or is_unexplained):
+        left = [force for force, _ in search.forces(LEVEL if is_unexplained else _SURELY)]
+        evidence = replace(found.evidence, forces=left)
+        found = replace(found, adequacy=judge(search.data, evidence), evidence=evidence)
+    return found
+
+
+def _evidence(
+    search: Search,
+    located: Located,
+    forces: Sequence[Discovery],
+    laws: Mapping[str, HeldOutErrors],
+    work: ThreadPoolExecutor,
+) -> Evidence:
+    """What is known without simulations."""
+    return Evidence(
+        base=search.before,
+        final=search.errors,
+        named=search.named,
+        located=located,
+        laws=laws,
+        forces=forces,
+        simulated=(),
+        stds=shared_stds(search.data, search.current, work),
+    )
+
+
+def _judged(search: Search, evidence: Evidence, work: ThreadPoolExecutor, runs: int) -> Judged:
+    """The judgement by simulations of the final model, and by other evidence; ``runs``: number, if more than usual."""
+    simulations = search.simulations(runs)
+    own = [(simulated, held_out_errors(simulated, fitted, work, searched=False)) for simulated, fitted in simulations]
+    evidence = replace(
+        evidence,
+        simulated=simulated_failures(simulations, work),
+        checks=check_laws(open_laws(search.data, search.errors, evidence.laws), own, work),
+    )
+    return Judged(judge(search.data, evidence), evidence, floor_of([errors for _, errors in own]))
