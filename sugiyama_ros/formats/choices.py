@@ -13,6 +13,8 @@ from sugiyama_ros.trajectories.tracks import NUMBERS, TEXTS
 
 #: Columns that a map may name.
 MAPPED = (*TEXTS, *NUMBERS, "leader", "measured")
+# Factors to metres or seconds, without their signs: from picoseconds to the largest units.
+_FACTORS = 1e-12, 1e12
 _REFERENCES: tuple[Reference, ...] = ("centre", "front", "rear")
 _VIEWS: tuple[View, ...] = ("end", "whole")
 
@@ -99,7 +101,10 @@ def _one_of(where: object, name: str, value: Any, known: tuple[Any, ...]) -> Any
 
 def _column(path: Path, name: str, said: Any) -> tuple[str, float]:
     if isinstance(said, dict) and set(said) <= {"column", "factor"} and "column" in said:
-        return str(said["column"]), number(said.get("factor", 1.0), f"{path}: factor of {name}")
+        factor = number(said.get("factor", 1.0), f"{path}: factor of {name}")
+        if not _FACTORS[0] <= abs(factor) <= _FACTORS[1]:
+            raise InputError(f"{path}: factor of {name}: {factor:g} is no unit's factor; 0.3048 makes metres of feet")
+        return str(said["column"]), factor
     if isinstance(said, dict | list):
         raise InputError(f"{path}: {name}: give the name of a column, or {{column: NAME, factor: NUMBER}}")
     return str(said), 1.0

@@ -76,7 +76,9 @@ def read_columns(sheet: Sheet, wanted: Mapping[str, Take]) -> dict[str, Array | 
     for name, place in found.items():
         column = read[place]
         factor = wanted[name].factor
-        table[name] = column if isinstance(column, Labels) or factor == 1.0 else column * factor
+        # what becomes too large is left out later on, as no time or no position
+        with np.errstate(over="ignore"):
+            table[name] = column if isinstance(column, Labels) or factor == 1.0 else column * factor
     return table
 
 

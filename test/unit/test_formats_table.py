@@ -202,6 +202,8 @@ def test_a_map_of_columns(tmp_path: Path) -> None:
         ("speed: v", "'speed' is no column of tracks"),
         ("lane: {name: a}", "lane: give the name of a column"),
         ("s_m: {column: a, factor: b}", "factor of s_m: 'b' is no finite number"),
+        ("s_m: {column: a, factor: 0}", "factor of s_m: 0 is no unit's factor"),
+        ("s_m: {column: a, factor: 1.0e+308}", "factor of s_m: 1e+308 is no unit's factor"),
         ("reference: middle", "reference 'middle' is not known; choose among centre, front, rear"),
         ("ring_m: round", "ring_m: 'round' is no finite number"),
         ("ring_m: -5", "ring: -5.0 m is not a circumference"),
@@ -333,3 +335,12 @@ def test_several_files_are_recordings_of_one_table(tmp_path):
     assert len(pooled) == 120
     with pytest.raises(InputError, match="same name"):
         read_recordings([files[0], files[0]])
+
+
+def test_a_position_that_becomes_too_large_is_left_out(tmp_path: Path) -> None:
+    file, chosen = tmp_path / "large.csv", tmp_path / "map.yaml"
+    file.write_text("time_s,vehicle,a\n" + "".join(f"{t},1,{t}\n" for t in range(9)) + "9,1,1e308\n")
+    chosen.write_text("s_m: {column: a, factor: 1000.0}\ntime_s: time_s\nvehicle: vehicle\n")
+    tracks = read_tracks(file, read_choices(chosen))
+    assert len(tracks) == 9
+    assert dict(tracks.about.dropped) == {"no position": 1}
