@@ -32,7 +32,7 @@ def with_biases(located, bias):
     return replace(located, bins=tuple(replace(b, bias=bias, flagged=bias > 0.2) for b in located.bins))
 
 
-class Searched:
+class SearchEnd:
     """A search at its end, whose simulations are numbers."""
 
     quick, named, current = True, (), None
@@ -58,7 +58,7 @@ def judged(monkeypatch, own, biases_of_simulations, left=(), laws=()):
     monkeypatch.setattr(judging, "simulated_failures", located_in)
     monkeypatch.setattr(judging, "held_out_errors", lambda *arguments, **options: own.after)
     monkeypatch.setattr(judging, "shared_stds", lambda *arguments: {})
-    search = Searched(own, left)
+    search = SearchEnd(own, left)
     found = judging.judged(search, with_biases(own.where_after, 0.3), (), dict(laws), None)
     return found, search.asked
 
