@@ -19,7 +19,7 @@ _SURELY = 0.001
 
 
 @dataclass(frozen=True, eq=False)
-class Judgement:
+class JudgedModel:
     """A judgement of the final model.
 
     Parameters
@@ -43,7 +43,7 @@ def judged(
     forces: Sequence[Discovery],
     laws: Mapping[str, HeldOutErrors],
     work: ThreadPoolExecutor,
-) -> Judgement:
+) -> JudgedModel:
     """Judge the final model of a search.
 
     A quick search simulates few recordings. Where they alone speak against the model, there are as many as in a full
@@ -64,7 +64,7 @@ def judged(
 
     Returns
     -------
-    Judgement
+    JudgedModel
         The judgement.
     """
     found = _judged(search, _evidence(search, located, forces, laws, work), work, 0)
@@ -100,7 +100,7 @@ def _evidence(
     )
 
 
-def _judged(search: Search, evidence: Evidence, work: ThreadPoolExecutor, runs: int) -> Judgement:
+def _judged(search: Search, evidence: Evidence, work: ThreadPoolExecutor, runs: int) -> JudgedModel:
     """The judgement by simulations of the final model, and by other evidence; ``runs``: number, if more than usual."""
     simulations = search.simulations(runs)
     own = [(simulated, held_out_errors(simulated, fitted, work, searched=False)) for simulated, fitted in simulations]
@@ -109,4 +109,4 @@ def _judged(search: Search, evidence: Evidence, work: ThreadPoolExecutor, runs: 
         simulated=simulated_failures(simulations, work),
         checks=check_laws(open_laws(search.data, search.errors, evidence.laws), own, work),
     )
-    return Judgement(judge(search.data, evidence), evidence, floor_of([errors for _, errors in own]))
+    return JudgedModel(judge(search.data, evidence), evidence, floor_of([errors for _, errors in own]))
