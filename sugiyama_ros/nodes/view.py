@@ -4,7 +4,7 @@ import math
 import os
 import time
 from collections import OrderedDict, deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
@@ -77,16 +77,16 @@ class View(Node):
         self.space, self.error = Log(0), Log(KEPT)
         self._critic: dict[str, Log] = {}
         self.critic: Mapping[str, Log] = self._critic
-        self.is_settled = False
+        self.best, self.is_settled = "", False
         self._driver: dict[int, Log] = {}
         self.driver: Mapping[int, Log] = self._driver
         self.vehicles: Sequence[int] = ()
-        self.weights: Mapping[str, float] = {}
         self.gains: Mapping[str, float] = {}
         self._now: dict[int, tuple[float, float]] = {}
         self.now: Mapping[int, tuple[float, float]] = self._now
         self._lanes: dict[int, int] = {}
         self.lanes: Mapping[int, int] = self._lanes
+        self.followers: Collection[int] = frozenset()
         self._adapted: dict[int, tuple[float, float, float, float]] = {}
         self.adapted: Mapping[int, tuple[float, float, float, float]] = self._adapted
         self.added: Sequence[str] = ()
@@ -247,10 +247,8 @@ class View(Node):
             self._meet(new)
         if sample.lane:
             self._lanes.update({v: sample.lane[p] for v, p in sample.place.items() if sample.lane[p] >= 0})
-        error = math.nan
-        if self._base is not None:
-            errors = self._base.follow(sample)
-            error = self._base_moving.add(time_s, sum(e * e for e in errors), len(errors))
+        errors = self._base.follow(sample) if self._base is not None else []
+        error = self._base_moving.add(time_s, sum(e * e for e in errors), len(errors))
         self._measured[_milliseconds(time_s)] = {v: sample.position_m[p] for v, p in sample.place.items()}, error
         while len(self._measured) > KEPT:
             self._measured.popitem(last=False)
@@ -308,6 +306,7 @@ class View(Node):
         time_s, v, innovation, variance, _, scored = found
         if v not in self.driver:
             return
+        self.followers = {*self.followers, v} if scored else self.followers
         if _milliseconds(time_s) > _milliseconds(self._latest_s):
             self._take_error(time_s, innovation**2 if scored else math.nan)
         place = self._at(time_s)[0].get(v, math.nan)
@@ -339,11 +338,10 @@ class View(Node):
         return self._measured.get(_milliseconds(time_s), ({}, math.nan))
 
     def _on_verdict(self, message: Verdict) -> None:
-        self.weights = dict(zip(message.model, message.weight, strict=True))
         self._fitted = dict(zip(message.parameter, message.value, strict=True))
         if len(message.log_likelihood) == len(message.model):
             self.gains = dict(zip(message.model, map(float, message.log_likelihood), strict=True))
             time_s = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
             for name, gain in self.gains.items():
                 self._critic.setdefault(name, Log(KEPT)).add(time_s, gain)
-        self.is_settled = bool(message.settled)
+        self.best, self.is_settled = str(message.best), bool(message.settled)

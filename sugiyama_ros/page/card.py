@@ -4,11 +4,13 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
+import numpy as np
+
 from sugiyama_ros.page.recording import Recording
 from sugiyama_ros.page.thumbnail import thumbnail
 from sugiyama_ros.page.words import (
-    OUTCOMES,
-    certainty,
+    badge,
+    gain_in_words,
     headline,
     how_sure,
     length,
@@ -25,13 +27,19 @@ from sugiyama_ros.page.words import (
 # Models of the bars, and sentences of one kind that the card has room for.
 _SHOWN = ("before", "after", "idm", "fvdm", "floor")
 _LINES = 3
+# Names that are short enough for the tiles.
+_NAMES = {"before": "before", "after": "after", "floor": "floor"}
+#: Errors [m] below this are told in millimetres.
+SMALL_M = 0.01
 
 
 def card(r: Recording, diagnosis: Mapping[str, Any] | None) -> str:
     """The card as HTML."""
     t = r.trajectories
     road = f"a ring of {t.road.circumference_m:g} m" if t.road.is_ring else "an open road"
-    facts = f"{len(t.vehicle)} vehicles, {t.duration_s:.0f} s, a sample every {t.period_s:.3g} s, on {road}"
+    followers = int(np.sum(r.error_by_driver > 0.0))
+    some = f" ({followers} of them followers)" if 0 < followers < len(t.vehicle) else ""
+    facts = f"{len(t.vehicle)} vehicles{some}, {t.duration_s:.0f} s, a sample every {t.period_s:.3g} s, on {road}"
     name = escape(name_of(r))
     about = (
         f'<div class="what"><h1>{name}</h1><p>{escape(facts)}</p>'
@@ -55,7 +63,7 @@ def _verdict(d: Mapping[str, Any] | None) -> str:
             "</div>"
         )
     outcome = d["verdict"].get("adequacy", {}).get("outcome", "")
-    sign, words = OUTCOMES.get(outcome, ("", "Diagnosis"))
+    sign, words = badge(d)
     effects = d["verdict"]["effects"]
     rows: list[tuple[str, str]] = []
     if len(effects) == 1:
@@ -63,11 +71,13 @@ def _verdict(d: Mapping[str, Any] | None) -> str:
             rows.append(("What it is", summary))
         rows.append(("How large", size_of(d, effects[0])))
     else:
-        rows += _few("What was found", [f"{title_of(d, n['name'])}: {certainty(d, n)}" for n in effects])
+        rows += _few("What was found", [gain_in_words(d, n) for n in effects])
     if sure := how_sure(d):
         rows.append(("How sure", sure))
     if not effects:
-        rows += _few("Would have shown", [f"{title}: {size}" for title, size in would_have_shown(d)])
+        sizes = would_have_shown(d)
+        shown = [size if size.startswith(f"{title}:") else f"{title}: {size}" for title, size in sizes]
+        rows += _few("Would have shown", shown)
     rows += _few("What gets worse", worse(d)) + _few("What is left", reasons(d))
     rows.append(("What to do", what_to_do(d)))
     if hidden := d.get("hidden"):
@@ -106,39 +116,46 @@ def _explained(d: Mapping[str, Any]) -> str:
     if share is not None:
         text = f"{100.0 * float(share):.0f} %"
         bar = f'<div class="bar"><i style="width:{100.0 * min(max(float(share), 0.0), 1.0):.1f}%"></i></div>'
-        note = "of the held-out gain that these additions, and the best law or force beyond them, bring"
+        note = "of what the additions and the best other law or force gain on unseen data"
     else:
-        text, bar, note = "–", "", "of a gain: nothing that was tried gains anything beyond chance"
-    rows = ""
-    for when in ("before", "after") if d["verdict"]["effects"] else ("before",):
+        text, bar, note = "–", "", "nothing that was tried gains anything beyond chance"
+    rows, effects = "", d["verdict"]["effects"]
+    for when in ("before", "after") if effects else ("before",):
         where = d.get("where", {}).get(when)
         if where:
             biased = f"{len(where['flagged'])} of {len(where['bins'])}"
-            rows += f'<tr class="{when}"><td>{escape(model_name(when))}</td><td>{biased}</td></tr>'
+            rows += f'<tr class="{when}"><td>{_NAMES[when] if effects else model_name(when)}</td><td>{biased}</td></tr>'
     if rows and of_chance is not None:
-        rows += f"<tr><td>by chance, in simulations</td><td>{float(of_chance):.1f}</td></tr>"
+        rows += f"<tr><td>by chance</td><td>{float(of_chance):.1f}</td></tr>"
     if rows:
-        rows = f'<tr class="before"><td>biased bins</td><td></td></tr>{rows}'
+        note += ". The model is biased in so many parts of the data:"
     return (
-        f'<div class="tile"><h3>Explained</h3><p class="number">{text}</p>{bar}<p class="note">{note}</p>'
+        f'<div class="tile"><h3>Share explained</h3><p class="number">{text}</p>{bar}<p class="note">{note}</p>'
         f"<table>{rows}</table></div>"
     )
 
 
 def _tile(title: str, about: str, key: str, errors: Mapping[str, Any]) -> str:
     before, after = (_value(errors, model, key) for model in ("before", "after"))
+    known = [value for value in (before, after) if value is not None]
+    # positions that somebody has smoothed are predicted to the millimetre
+    scale, unit = (1e3, "mm") if known and max(known) < SMALL_M else (1.0, "m")
     number = "–"
     if before is not None and after is not None:
-        fall = f" ({100.0 * (after / before - 1.0):+.0f} %)" if before > 0.0 and after != before else ""
-        number = f"{length(before)} → {length(after)} m{fall}" if after != before else f"{length(before)} m"
+        grown = ", worse" if after > before else ""
+        change = f" <span>({100.0 * (after / before - 1.0):+.0f} %{grown})</span>" if before > 0.0 else ""
+        ends = list(dict.fromkeys(length(scale * end) for end in (before, after)))
+        number = f"{' → '.join(ends)} {unit}{change if len(ends) > 1 else ''}"
     shown = [(model, value) for model in _SHOWN if (value := _value(errors, model, key)) is not None]
+    names = _NAMES
     if before is not None and before == after:
-        shown = [(model, value) for model, value in shown if model != "after"]
+        shown, names = [(model, value) for model, value in shown if model != "after"], {"floor": "floor"}
     # a law that goes astray may leave the picture
-    full = 1.5 * max([before or 0.0, after or 0.0, 1e-9])
+    full = 1.5 * max([*known, 1e-9])
     bars = "".join(
-        f'<tr class="{model}"><td>{escape(model_name(model))}</td><td class="bar"><i style="width:'
-        f'{100.0 * min(value / full, 1.0):.1f}%"></i></td><td>{length(value)} m{" ▸" if value > full else ""}</td></tr>'
+        f'<tr class="{model}"><td>{escape(names.get(model, model_name(model)))}</td><td class="bar"><i style="width:'
+        f'{100.0 * min(value / full, 1.0):.1f}%"></i></td><td>{length(scale * value)} {unit}'
+        f"{' ▸' if value > full else ''}</td></tr>"
         for model, value in shown
     )
     return (

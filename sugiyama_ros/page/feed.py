@@ -1,7 +1,7 @@
 """What the live page shows, and what its buttons do; the node behind the page offers it."""
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from itertools import islice
 from typing import NamedTuple, Protocol
 
@@ -74,13 +74,16 @@ class Feed(Protocol):
         Rate of the replay that was asked for, in times real time.
     vehicles : sequence of int
         Numbers of the vehicles that have been seen; empty before the first sample.
-    weights, gains : mapping
-        Posterior probability of each model of the critic, and its gain over the base model [nats], by name; empty
-        without a critic.
+    best : str
+        Model that the critic finds most probable; empty without a critic.
+    gains : mapping
+        Gain of each model of the critic over the base model [nats], by name; empty without a critic.
     now : mapping
         Position [m] and speed [m/s] of each vehicle that is on the road.
     lanes : mapping
         Number of the lane of each vehicle whose lane is known.
+    followers : collection of int
+        Vehicles of whose drivers something is learnt; who follows nobody is not among them.
     adapted : mapping
         v*, its std [m/s], kappa_v and its std [s] of each driver, as last published.
     effects : mapping of str to str
@@ -109,10 +112,11 @@ class Feed(Protocol):
     road: Road
     rate: float
     vehicles: Sequence[int]
-    weights: Mapping[str, float]
+    best: str
     gains: Mapping[str, float]
     now: Mapping[int, tuple[float, float]]
     lanes: Mapping[int, int]
+    followers: Collection[int]
     adapted: Mapping[int, tuple[float, float, float, float]]
     effects: Mapping[str, str]
     added: Sequence[str]

@@ -112,7 +112,9 @@ def _of_diagnosis(r: Recording, d: Mapping[str, Any]) -> dict[str, Drawing]:
         if d.get("free_run", {}).get("time_s"):
             found[f"space_time_{when}"] = lambda axes, when=when: _simulated(axes, r, d["free_run"], when)  # type: ignore[misc]
         for one in d.get("where", {}).get(when, {}).get("maps", []):
-            found[f"bias_{one['first']}_{one['second']}_{when}"] = lambda axes, one=one: _bias(axes, one, d, ring_m)  # type: ignore[misc]
+            if np.size(one["bias"]):  # recordings may have no places in common
+                name = f"bias_{one['first']}_{one['second']}_{when}"
+                found[name] = lambda axes, one=one: _bias(axes, one, d, ring_m)  # type: ignore[misc]
     return found
 
 

@@ -6,17 +6,19 @@ from html import escape
 from importlib import metadata
 from typing import Any
 
-from sugiyama_ros.page.card import name_of
+from sugiyama_ros.page.card import SMALL_M, name_of
 from sugiyama_ros.page.panels.base import colour_of
 from sugiyama_ros.page.recording import Recording
 from sugiyama_ros.page.words import (
     Document,
-    certainty,
+    chance,
     model_name,
     models,
     not_told_apart,
+    on_unseen,
     size_of,
     title_of,
+    worse_in_use,
     would_have_shown,
 )
 
@@ -31,6 +33,15 @@ _COLUMNS = {
 _SMALL = ("one_step_rmse_m", "loglik_per_sample")
 _UNITS = {"speed": "m/s", "approach_rate": "m/s", "gap": "m", "rear_gap": "m", "place": "m", "time": "s"}
 _PACKAGES = ("sugiyama_ros", "numpy", "scipy", "numba", "bokeh")
+_EVIDENCE = (
+    '<p class="note">Nats: logarithm of how much more probable the model makes the data; one nat is a factor of 2.7.'
+    " p: probability that chance gains as much on the fitted data, as in simulations where nothing is missing, with"
+    " regard to how many effects were tried. A gain with a large p is no evidence.</p>"
+)
+_IN_USE = (
+    '<p class="note">Worse in use: than the base model, where both drive into a part of the recording to which neither'
+    " was fitted.</p>"
+)
 # Bias [std] below which a regime is not worth a word.
 _SMALLEST = 0.02
 
@@ -47,38 +58,45 @@ def errors(d: Document) -> str:
     """Held-out errors of all models, each with its colour in the pictures; without columns that nothing is known of."""
     shown = models(d)
     columns = {key: title for key, title in _COLUMNS.items() if any(one.get(key) is not None for one in shown.values())}
+    # positions that somebody has smoothed are predicted to the millimetre
+    largest = {key: max(one.get(key) or 0.0 for one in shown.values()) for key in columns if key.endswith("_m")}
+    in_mm = {key for key, value in largest.items() if value < SMALL_M}
     rows = "".join(
         f'<tr><td><i class="swatch" style="background:{colour_of(name, d)}"></i>{escape(model_name(name))}</td>'
-        + "".join(f"<td>{_number(found.get(key), 3 if key in _SMALL else 2)}</td>" for key in columns)
+        + "".join(f"<td>{_number(found.get(key), 1e3 if key in in_mm else 1.0, key)}</td>" for key in columns)
         + "</tr>"
         for name, found in shown.items()
     )
-    head = "".join(f"<th>{escape(h)}</th>" for h in ("held-out errors", *columns.values()))
+    titles = (title.replace("[m]", "[mm]") if key in in_mm else title for key, title in columns.items())
+    head = "".join(f"<th>{escape(h)}</th>" for h in ("errors on unseen data", *titles))
     return f'<div class="scroll"><table><tr>{head}</tr>{rows}</table></div>'
 
 
-def _number(value: Any, digits: int) -> str:
-    return "" if value is None else f"{float(value):.{digits}f}"
+def _number(value: Any, scale: float, key: str) -> str:
+    digits = 3 if key in _SMALL and scale == 1.0 else 2
+    return "" if value is None else f"{scale * float(value):.{digits}f}"
 
 
 def additions(d: Document) -> str:
     """What was added, one row each; and the sentences of the command line, to be opened."""
-    text = ""
     if effects := d["verdict"]["effects"]:
         rows = [
             [
-                title_of(d, n["name"]),
+                f"{title_of(d, n['name'])} ({n['name']})",
                 size_of(d, n) or "a value of each driver",
-                certainty(d, n),
+                on_unseen(n),
+                chance(n.get("p_value")),
                 not_told_apart(d, n) or "nothing",
-                "; ".join(n.get("worse_where", ())) or "nowhere",
+                "; ".join(worse_in_use(n)) or "nowhere",
             ]
             for n in effects
         ]
-        headings = ["added", "how large", "how sure", "cannot be told apart from", "worse than the base model in use"]
-        text = table(headings, rows, left=True)
+        headings = ["added", "how large", "unseen data", "fitted data", "cannot be told apart from", "worse in use"]
+        text = table(headings, rows, left=True) + (_IN_USE if any(map(worse_in_use, effects)) else "")
+    else:
+        text = "<p>Nothing was added.</p>"
     lines = "".join(f"<li>{escape(line.strip())}</li>" for line in d["verdict"].get("told", []))
-    return text + (
+    return f"{text}{_EVIDENCE}" + (
         f"<details><summary>What sugiyama diagnose prints</summary><ul>{lines}</ul></details>" if lines else ""
     )
 
@@ -107,9 +125,9 @@ def _bias(b: Mapping[str, Any] | None) -> str:
         return "too few samples"
     bias = float(b["bias"])
     if abs(bias) < _SMALLEST and not b["flagged"]:
-        return "right"
+        return "no bias"
     says = f"cars are {'ahead of' if bias > 0.0 else 'behind'} the prediction by {abs(bias):.2f} std"
-    return says + (" (flagged)" if b["flagged"] else "")
+    return says + (" (more than chance)" if b["flagged"] else "")
 
 
 def _bin(b: Mapping[str, Any]) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 from bokeh.document import Document
 from bokeh.layouts import column, row
 from bokeh.models import (
+    BasicTickFormatter,
     Button,
     ColumnDataSource,
     DataRange1d,
@@ -41,6 +42,7 @@ from sugiyama_ros.page.panels.base import (
 from sugiyama_ros.page.panels.chosen import INPUT
 from sugiyama_ros.page.status import status_line
 from sugiyama_ros.page.style import LIVE
+from sugiyama_ros.page.words import length
 
 #: Time [s] between two updates of the road, and between two updates of the curves.
 UPDATE_S, TELL_S = 0.1, 0.5
@@ -101,17 +103,19 @@ class _Page:
         error.line("time", "base", source=self._error, color=GREY, line_width=2, legend_label="base model")
         error.line("time", "error", source=self._error, color=VERMILION, line_width=2, legend_label="the estimators")
         legend_above(error)
-        self._plots["critic"] = panel(
+        error.yaxis.formatter = BasicTickFormatter(use_scientific=False)
+        self._plots["critic"] = critic = panel(
             "The critic: gain over the base model", "time [s]", "gain [nats]",
-            y_range=DataRange1d(only_visible=True),
+            y_range=DataRange1d(only_visible=True), visible=False,
         )  # fmt: skip
+        critic.line([0.0], [math.nan])  # Bokeh warns of a plot that has nothing to draw
         return column(
             self._status,
             self._buttons(),
             self._about,
             self._said,
             row(space, error, **_WIDE),
-            row(road, self._plots["critic"], **_WIDE),
+            row(road, critic, **_WIDE),
             self._settled,
             row(*self._adaptation(), **_WIDE),
             row(*self._one_driver(), **_WIDE),
@@ -125,7 +129,8 @@ class _Page:
         space = panel("Where everybody is, and how fast", "time [s]", "position [m]")
         space.scatter("time", "place", source=self._space, size=2, color=colour)
         colour_bar(space, self._colours, "m/s")
-        road = panel("The road from above: click a car", "x [m]", "y [m]", match_aspect=True)
+        road = panel("The road from above: click a car", "x [m]", "y [m]", match_aspect=True,
+                     x_range=DataRange1d(range_padding=0.2))  # fmt: skip
         road.multi_line("xs", "ys", source=self._lines, color=GREY, line_alpha=0.5)
         road.scatter(
             "x", "y", source=self._road, size=14, line_color=GREY, fill_color=colour, nonselection_fill_alpha=1.0,
@@ -148,7 +153,8 @@ class _Page:
             plot.varea("time", low, high, source=self._driver, color=BLUE, alpha=0.3)
             plot.line("time", name, source=self._driver, color=BLUE, line_width=2)
             found.append(plot)
-        strip = panel("All drivers now: click one", "desired speed v* [m/s]", "risk premium κ_v [s]")
+        strip = panel("All drivers now: click one", "desired speed v* [m/s]", "risk premium κ_v [s]",
+                      x_range=DataRange1d(default_span=1.0), y_range=DataRange1d(default_span=0.1))  # fmt: skip
         dots = strip.scatter("v_star", "kappa_v", source=self._adapted, size=9, color=BLUE, nonselection_alpha=0.8,
                              selection_color=VERMILION)  # fmt: skip
         strip.add_tools(TapTool(), HoverTool(renderers=[dots], tooltips=[("vehicle", "@vehicle")]))
@@ -156,12 +162,12 @@ class _Page:
         return [*found, strip]
 
     def _one_driver(self) -> tuple[Any, Any]:
-        speed = panel("Chosen: speed, with one sigma", "time [s]", "speed [m/s]")
+        speed = panel("Chosen: speed, one sigma", "time [s]", "speed [m/s]")
         speed.scatter("time", "measured", source=self._driver, color=GREY, size=3, legend_label="from two positions")
         speed.varea("time", "low", "high", source=self._driver, color=BLUE, alpha=0.3)
         speed.line("time", "speed", source=self._driver, color=BLUE, line_width=2, legend_label="filtered")
         legend_above(speed)
-        innovation = panel("Chosen: next position, two sigma", "time [s]", "innovation [m]")
+        innovation = panel("Chosen: error, two sigma", "time [s]", "error [m]")
         innovation.varea("time", "below", "above", source=self._driver, color=ORANGE, alpha=0.3)
         innovation.line("time", "innovation", source=self._driver, color=VERMILION)
         return speed, innovation
@@ -208,8 +214,9 @@ class _Page:
         feed = self._feed
         if len(self._select.options) != len(feed.vehicles):
             self._select.options = [f"vehicle {v}" for v in feed.vehicles]
-            if not self._select.value:
-                self._select.value = self._select.options[0]
+        # the first driver of whom something was learnt: the first car of a platoon follows nobody
+        if feed.followers and not self._select.value:
+            self._select.value = f"vehicle {min(feed.followers)}"
         if feed.now:
             place, speed = np.array(list(feed.now.values())).T
             lane = np.array([feed.lanes.get(v, 0) for v in feed.now], dtype=np.float64)
@@ -238,10 +245,10 @@ class _Page:
             self._space.stream(dict(zip(("time", "place", "speed"), new, strict=True)), KEPT * len(feed.vehicles))
         if len(new := self._new(feed.error)):
             self._error.stream(dict(zip(("time", "error", "base"), new, strict=True)), KEPT)
-        if feed.adapted:
-            values = np.array(list(feed.adapted.values()))
+        if learnt := {v: found for v, found in feed.adapted.items() if v in feed.followers}:
+            values = np.array(list(learnt.values()))
             self._adapted.data = {
-                "vehicle": [str(v) for v in feed.adapted],
+                "vehicle": [str(v) for v in learnt],
                 "v_star": values[:, 0],
                 "kappa_v": values[:, 2],
             }
@@ -255,8 +262,8 @@ class _Page:
             time, error, base = (self._error.data[name] for name in ("time", "error", "base"))
             shown = ""
             if len(error):
-                shown = f"{time[-1]:.0f} s: one-step error over {MOVING_S:g} s {error[-1]:.3f} m"
-                shown += f", base model {base[-1]:.3f} m; " if math.isfinite(base[-1]) else "; "
+                shown = f"{time[-1]:.0f} s: one-step error over {MOVING_S:g} s {length(error[-1])} m"
+                shown += f", base model {length(base[-1])} m; " if math.isfinite(base[-1]) else "; "
             added = ", ".join(feed.added) or "none"
             self._said.text = f"{shown}effects added: {added}. {escape(feed.said)}"
         self._events.text = "<b>Events</b><br>" + ("<br>".join(map(escape, feed.events)) or "none yet")
@@ -285,8 +292,9 @@ class _Page:
     def _tell_critic(self) -> None:
         feed, plot = self._feed, self._plots["critic"]
         if not feed.gains:
-            self._settled.text = "No critic has spoken yet (sugiyama run --critic)."
+            self._settled.text = "No critic has spoken yet. There is none where vehicles come and go."
             return
+        plot.visible = True
         # what is added to the estimators is a model of the critic no longer
         for name, log in feed.critic.items():
             if name not in self._critic:
@@ -297,14 +305,15 @@ class _Page:
         order = sorted(feed.gains, key=lambda name: -feed.gains[name])
         for line in plot.renderers:
             line.visible = line.name in (*order[:_MODELS], "base")
-        settled = "settled among the models that this critic knows" if feed.is_settled else "not settled"
+        settled = "settled among the models that this critic knows" if feed.is_settled else "not settled yet"
         names = ", ".join(
             f'<b style="color:{self._colour(name)}">{escape(name.replace("_", " "))}</b> {feed.gains[name]:+.0f}'
             for name in order[:_MODELS]
         )
-        lead = feed.gains[order[0]] - feed.gains[order[1]] if len(order) > 1 else 0.0
-        best = escape(order[0].replace("_", " "))
-        self._settled.text = f"{settled}: {best} leads by {lead:.0f} nats. {names} nats.{self._not_known()}"
+        # the critic's own words: which model is best, and whether that has settled, is in its message
+        best = "the base model" if feed.best == "base" else escape(feed.best.replace("_", " "))
+        gains = f"Gains over the base model: {names} nats."
+        self._settled.text = f"{settled}: {best} leads. {gains}{self._not_known()}"
 
     def _colour(self, name: str) -> str:
         """Colour of a model of the critic."""

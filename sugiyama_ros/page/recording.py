@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from sugiyama_ros.arrays import Array
+from sugiyama_ros.arrays import Array, Mask
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.registry import read_trajectories
 from sugiyama_ros.plots import space_time
@@ -128,6 +128,7 @@ def read_recording(path: Path) -> Recording:
             reading.take(_KINDS[type_name], message)
     for values in (reading.series[name] for name in _ADAPTED):
         _hold(values)
+        values[~_learnt(t.position_m, reading.series["scored"])] = np.nan
     return Recording(
         t,
         np.asarray(t.start_s + np.arange(len(t.position_m)) * t.period_s, dtype=np.float64),
@@ -223,6 +224,14 @@ class _Reading:
             if name in names:
                 self.series[name][step, columns] = value[:, names.index(name)]
                 self.series[f"{name}_std"][step, columns] = std[:, names.index(name)]
+
+
+def _learnt(position_m: Array, scored: Array) -> Mask:
+    """Where (T, N) a driver is on the road, or missing for a moment, who can be learnt from: who follows somebody."""
+    seen = np.isfinite(position_m)
+    here = np.logical_or.accumulate(seen, axis=0) & np.logical_or.accumulate(seen[::-1], axis=0)[::-1]
+    follows = (scored > 0.0).any(axis=0)
+    return np.asarray(here & (follows | ~follows.any()))
 
 
 def _hold(values: Array) -> None:

@@ -18,7 +18,9 @@ from sugiyama_ros.page.panels.chosen import Chosen
 from sugiyama_ros.page.recording import Recording
 from sugiyama_ros.page.style import STYLE
 from sugiyama_ros.page.truth import SHOWN, AgainstTruth
+from sugiyama_ros.page.words import title_of
 
+_ORANGE = "<p>Orange: added (▸), and what cannot be told apart from it in these data.</p>"
 _FLOOR = (
     '<p class="note">Floor: the final model on a few recordings that it simulates itself. What is left there is'
     " noise. It differs from recording to recording, so that a model may lie a little below it. In the pictures, the"
@@ -118,7 +120,7 @@ def _diagnosed(r: Recording, d: Mapping[str, Any], chosen: Chosen) -> list[Secti
         Section("fails", "Where it fails", (legend if maps else "") + text, maps, "four" if len(maps) == 4 else ""),
         Section(
             "missing", "What is missing",
-            html.additions(d) + "<p>Orange: added (▸), and what cannot be told apart from it in these data.</p>",
+            html.additions(d) + (_ORANGE if d["verdict"]["effects"] else ""),
             [missing.candidates(d)], "side", html.detectable(d),
         ),
         Section("worth", "What it is worth", html.errors(d) + _FLOOR, worths, "three" if len(worths) == 3 else ""),
@@ -142,8 +144,8 @@ def _drivers(r: Recording, d: Mapping[str, Any] | None, chosen: Chosen) -> Secti
     if r.changes:
         text += f"<p>{len(r.changes)} changes of style were noticed (triangles).</p>"
     if r.weights:
-        panels += [drivers.error_over_time(r), drivers.weights(r)]
-        best = max(r.weights, key=lambda name: float(np.nan_to_num(r.weights[name][-1]))).replace("_", " ")
+        panels += [drivers.error_over_time(r), drivers.weights(r, d or {})]
+        best = title_of(d or {}, max(r.weights, key=lambda name: float(np.nan_to_num(r.weights[name][-1]))))
         text += (
             f"<p>At the end, the critic of this run prefers: {escape(best)}. The critic compares a few effects, whose"
             " strengths and places it fits as it goes; where it differs from the verdict above, the verdict counts.</p>"

@@ -14,9 +14,8 @@ h3 { font-size: .95rem; margin: .6rem 0 .2rem; } p { margin: .25rem 0; }
 .note { color: var(--note); font-size: .85rem; }
 .card { display: grid; grid-template-columns: minmax(220px, 1fr) 2.6fr; gap: 1rem; }
 .card > * { background: var(--soft); border-radius: 8px; padding: .8rem 1rem; min-width: 0; }
-.what { display: flex; flex-direction: column; }
-.card img { width: 100%; min-height: 110px; height: 110px; max-height: 300px; flex: 1; image-rendering: pixelated;
-  border-radius: 4px; }
+.what { display: grid; grid-template-rows: auto auto minmax(110px, 1fr) auto; }
+.card img { width: 100%; height: 0; min-height: 100%; image-rendering: pixelated; border-radius: 4px; }
 .badge { display: inline-block; margin: 0; padding: .05rem .7rem; border-radius: 1rem; color: var(--back);
   background: var(--note); font-weight: 600; } .adequate .badge, .explained .badge { background: var(--good); }
 .not_explained .badge { background: var(--bad); }
@@ -26,7 +25,7 @@ dt { color: var(--note); } dd { margin: 0; min-width: 0; overflow-wrap: anywhere
 .card .tiles { grid-column: 1 / -1; display: grid; grid-template-columns: repeat(3, 1fr); gap: 1rem; padding: 0;
   background: none; }
 .tile { background: var(--soft); border-radius: 8px; padding: .5rem 1rem .7rem; min-width: 0; }
-.tile .number { font-size: 1.3rem; font-weight: 600; white-space: nowrap; }
+.tile .number { font-size: 1.3rem; font-weight: 600; } .number span { white-space: nowrap; }
 .tile table { width: 100%; font-size: .85rem; } .tile td { padding: .08rem .4rem .08rem 0; white-space: nowrap; }
 .bar { width: 45%; } div.bar { width: 100%; background: var(--line); border-radius: 3px; }
 .bar i { display: block; height: .75rem; background: #777; border-radius: 3px; min-width: 1px; }
@@ -49,8 +48,10 @@ section td:first-child, section th:first-child, section .left td, section .left 
   { grid-column: 1 / -1; }
 @media (max-width: 1099px) { .three { grid-template-columns: minmax(0, 1fr); }
   .panels.side { grid-template-columns: minmax(0, 1fr); } .tile .number { font-size: 1.05rem; }
-  .tile { padding: .5rem .6rem; } .tile td:first-child { white-space: normal; } .bar { min-width: 3rem; }
-  .card { grid-template-columns: minmax(200px, 1fr) 2fr; } }
+  .tile { padding: .5rem .6rem; } .bar { min-width: 3rem; } .card { grid-template-columns: minmax(0, 1fr); gap: .7rem; }
+  .card > * { padding: .5rem .8rem; } .card .tiles { gap: .7rem; }
+  .what { grid-template: auto auto minmax(20px, 1fr) / 1fr 1.3fr; gap: 0 1rem; }
+  .card img { grid-area: 1 / 2 / 4 / 3; min-height: 110px; } }
 @media (min-width: 1600px) { .four { grid-template-columns: repeat(4, minmax(0, 1fr)); } }
 @media (max-width: 640px) { .card, .card .tiles, .panels { grid-template-columns: minmax(0, 1fr) !important; } }
 @media print { nav { display: none; } body { max-width: none; font-size: 11px; }

@@ -11,8 +11,10 @@ _LAWS = {"idm": "IDM", "fvdm": "FVDM", "ovm": "OVM", "gipps": "Gipps", "newell":
 _FEW = 2
 # A driver's single-car error has grown clearly, as `sugiyama diagnose` says it.
 _WORSE = 1.2
-#: Outcomes of a verdict: sign and words.
-OUTCOMES = {
+# A gain of fewer standard errors is not clear.
+_CLEAR = 2.0
+# Outcomes of a verdict: sign and words.
+_OUTCOMES = {
     "adequate": ("✓", "The model is adequate"),
     "explained": ("✓", "What was missing is explained"),
     "not_explained": ("✗", "Not explained"),
@@ -108,6 +110,14 @@ def chance(p_value: float | None) -> str:
     return "p < 0.001" if p_value < 1e-3 else f"p {p_value:.2g}"
 
 
+def badge(d: Document) -> tuple[str, str]:
+    """The outcome of a verdict: a sign, and words."""
+    outcome, effects = d["verdict"].get("adequacy", {}).get("outcome", ""), d["verdict"]["effects"]
+    if outcome == "explained" and not any(map(is_confirmed, effects)):
+        return "?", "Explained, but not confirmed"
+    return _OUTCOMES.get(outcome, ("", "Diagnosis"))
+
+
 def headline(d: Document) -> str:
     """The verdict as one plain sentence."""
     effects = [title_of(d, n["name"]) for n in d["verdict"]["effects"]]
@@ -122,25 +132,49 @@ def headline(d: Document) -> str:
     if outcome == "not_explained":
         helps = "helps, but does" if len(effects) == 1 else "help, but do"
         return f"The model lacks more than what was found: {found} {helps} not explain these data."
+    if not any(map(is_confirmed, d["verdict"]["effects"])):
+        return f"The model may lack this: {_and(effects)}. Unseen data do not confirm it."
     end = " With it, nothing in these data speaks against the model." if outcome == "explained" else ""
     return f"The model lacks this: {_and(effects)}.{end}"
 
 
-def certainty(d: Document, n: Document) -> str:
-    """How certain an addition is."""
-    gain, se = float(n["heldout_gain_nats"]), float(n["heldout_gain_se"])
-    text = f"{gain:.0f} ± {se:.0f} nats better on unseen data"
-    text += f", {gain / se:.1f} standard errors" if se > 0.0 else ""
+def is_confirmed(n: Document) -> bool:
+    """Whether the gain of an addition on unseen data is above its standard error."""
+    return float(n["heldout_gain_nats"]) > float(n["heldout_gain_se"])
+
+
+def certainty(n: Document) -> str:
+    """How certain an addition is: its gain on data that no fit has seen, and its p-value on the fitted data."""
+    text = on_unseen(n)
     if p := chance(n.get("p_value")):
-        text += f"; by chance {p}"
+        text += f"; chance gains as much on the fitted data with {p}"
+    return text
+
+
+def on_unseen(n: Document) -> str:
+    """What an addition gains on data that no fit has seen, and for whom."""
+    gain, se = float(n["heldout_gain_nats"]), float(n["heldout_gain_se"])
+    if is_confirmed(n):
+        text = f"{gain:.0f} ± {se:.0f} nats better on unseen data"
+        if se > 0.0:
+            text += f", {'only ' if gain < _CLEAR * se else ''}{gain / se:.1f} standard errors"
+    else:
+        text = f"unseen data do not confirm it ({gain:.0f} ± {se:.0f} nats: not above the standard error)"
     if isinstance(who := n.get("who"), list):
         text += f"; shown by {_vehicles([str(v) for v in who])} only"
     return text
 
 
+def gain_in_words(d: Document, n: Document) -> str:
+    """The name of an addition, and what it gains on unseen data, in a few words."""
+    size = f"{float(n['heldout_gain_nats']):.0f} ± {float(n['heldout_gain_se']):.0f} nats"
+    told = f"{size} better on unseen data" if is_confirmed(n) else f"unseen data do not confirm it ({size})"
+    return f"{title_of(d, n['name'])}: {told}"
+
+
 def found_in_words(d: Document) -> list[str]:
     """What was added, how large it is and how certain, one line each."""
-    return [f"{title_of(d, n['name'])} ({size_of(d, n)}): {certainty(d, n)}" for n in d["verdict"]["effects"]]
+    return [f"{title_of(d, n['name'])} ({size_of(d, n)}): {certainty(n)}" for n in d["verdict"]["effects"]]
 
 
 def not_told_apart(d: Document, n: Document) -> str:
@@ -155,10 +189,13 @@ def how_sure(d: Document) -> str:
         before, expected = d.get("where", {}).get("before"), d["verdict"].get("adequacy", {}).get("bins_expected")
         if before is None or expected is None:
             return ""
-        return f"{len(before['flagged'])} of {len(before['bins'])} bins are biased; {expected:.1f} would be by chance."
+        text = f"the model is biased in {len(before['flagged'])} of {len(before['bins'])} parts of the data (bins)"
+        text += f", in its own simulations in {expected:.1f} on average"
+        is_adequate = d["verdict"]["adequacy"]["outcome"] == "adequate"
+        return f"{text}; this is within chance." if is_adequate else f"{text}."
     if len(effects) == 1:
         others = not_told_apart(d, effects[0])
-        return certainty(d, effects[0]) + (f"; cannot be told apart from {others}." if others else ".")
+        return certainty(effects[0]) + (f"; cannot be told apart from {others}." if others else ".")
     certain = [title_of(d, n["name"]) for n in effects if not n["indistinguishable"]]
     if len(certain) == len(effects):
         return "Each name can be told apart from everything else that was searched for."
@@ -176,10 +213,22 @@ def worse(d: Document) -> list[str]:
         return []
     found = []
     ends = [(one, *(one[f"single_car_10s_{when}_m"] for when in ("before", "after"))) for one in d["drivers"]]
-    names = [str(one.get("name", one["vehicle"])) for one, b, a in ends if None not in (a, b) and a > _WORSE * b]
+    names = [_number(one) for one, b, a in ends if None not in (a, b) and a > _WORSE * b]
     if names:
         found.append(f"free runs of one car end more than a fifth further off for {_vehicles(names)}, of {len(ends)}")
-    return found + [str(line) for line in effects[-1].get("worse_where", ())]
+    return found + worse_in_use(effects[-1])
+
+
+def worse_in_use(n: Document) -> list[str]:
+    """Where the model with an addition does worse than the base model beyond what both were fitted to."""
+    part = "the last 40 % (fitted without it)"
+    return [str(line).replace("the last part", part) for line in n.get("worse_where", ())]
+
+
+def _number(driver: Document) -> str:
+    """The number of a vehicle as the pictures have it, with its name in the recording where that differs."""
+    number, name = str(driver["vehicle"]), str(driver.get("name", ""))
+    return f"{number} ({name})" if name not in ("", number) else number
 
 
 def _vehicles(names: list[str]) -> str:
@@ -188,7 +237,8 @@ def _vehicles(names: list[str]) -> str:
 
 def reasons(d: Document) -> list[str]:
     """What speaks against the final model."""
-    return [plain(d, str(reason)) for reason in d["verdict"].get("adequacy", {}).get("reasons", [])]
+    said = d["verdict"].get("adequacy", {}).get("reasons", [])
+    return [plain(d, str(reason)).replace("held-out samples", "unseen data") for reason in said]
 
 
 def what_to_do(d: Document) -> str:
@@ -204,13 +254,17 @@ def what_to_do(d: Document) -> str:
         )
         names = "Do not take the names for causes. " if effects else ""
         return f"{names}Look below where the model{' still' if effects else ''} fails.{use}"
-    if effects:
+    if not effects:
         return (
-            "Add it: sugiyama diagnose FILE --add auto -o model.yaml, then give --model model.yaml to other commands."
+            "Use the model as it is. The table of what these data would have shown says how small a missing effect may"
+            " be."
         )
-    return (
-        "Use the model as it is. The table of what these data would have shown says how small a missing effect may be."
-    )
+    if not any(map(is_confirmed, effects)):
+        return "Record more before you use it: unseen data do not confirm it."
+    text = "Add it: sugiyama diagnose FILE --add auto -o model.yaml, then give --model model.yaml to other commands."
+    if effects[-1].get("worse_where"):
+        text += " If you simulate, diagnose with --for simulation: it adds nothing that makes free runs worse."
+    return text
 
 
 def _and(names: list[str], word: str = "and") -> str:

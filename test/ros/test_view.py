@@ -51,7 +51,7 @@ def test_a_page_hears_of_drivers_who_come_and_go_in_one_message(stage) -> None:
         array = DriverArray(vehicle=vehicles, position_m=[1.0 * k] * count, speed=[10.0] * count)
         array.state_covariance = [0.04] * (9 * count)
         array.innovation_m, array.innovation_var, array.nis = [0.1] * count, [0.01] * count, [1.0] * count
-        array.log_likelihood, array.scored = [0.0] * count, [True] * count
+        array.log_likelihood, array.scored = [0.0] * count, [v == 120 for v in vehicles]
         array.name, array.estimated = ["sigma_a", "v_star", "kappa_v"], [False, True, True]
         array.value, array.parameter_covariance = [0.5, 9.0, 0.3] * count, [0.25, 0.0, 0.0, 0.01] * count
         array.identified = [True] * (2 * count)
@@ -64,5 +64,6 @@ def test_a_page_hears_of_drivers_who_come_and_go_in_one_message(stage) -> None:
 
     stage.until(told)
     assert view.now[120][1] == 10.0
+    assert view.followers == {120}  # of the first one, who follows nobody, nothing is learnt
     assert view.adapted[120] == pytest.approx((9.0, 0.5, 0.3, 0.1))
     assert view._estimators() == ["/drivers"]

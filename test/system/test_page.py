@@ -33,7 +33,7 @@ from sugiyama_ros.page.panels.worth import growth
 from sugiyama_ros.page.recording import read_recording
 from sugiyama_ros.page.report import report, write_report
 from sugiyama_ros.page.status import status_line
-from sugiyama_ros.page.words import certainty, headline, how_sure, worse
+from sugiyama_ros.page.words import badge, certainty, headline, how_sure, what_to_do, worse
 from sugiyama_ros.page.words import reasons as words_of_reasons
 from sugiyama_ros.road import Road
 
@@ -180,10 +180,10 @@ def test_the_card_says_what_how_much_how_sure_and_what_to_do(page):
         "What was missing is explained",
         "The model lacks this: slower stretch of road. With it, nothing in these data speaks against the model.",
         "share taken off v*: 0.20 ± 0.01; middle: 5 m; length: 30 m",
-        "50 ± 9 nats better on unseen data, 5.6 standard errors; by chance p &lt; 0.001",
+        "50 ± 9 nats better on unseen data, 5.6 standard errors; chance gains as much on the fitted data with p &lt;",
         "cannot be told apart from hill",
         "To tell them apart, survey the road.",
-        "3.00 → 1.50 m (-50 %)",
+        "3.00 → 1.50 m <span>(-50 %)</span>",
         "hidden in this simulation: slower stretch of road",
         "90 %",
     ):
@@ -200,7 +200,7 @@ def test_the_card_says_what_how_much_how_sure_and_what_to_do(page):
     ],
 )
 def test_the_headline_does_not_say_more_than_the_verdict(effects, outcome, words):
-    found = [{"name": name} for name in effects]
+    found = [{"name": name, "heldout_gain_nats": 9.0, "heldout_gain_se": 3.0} for name in effects]
     verdict = {"effects": found, "adequacy": {"outcome": outcome} if outcome else {}}
     assert words in headline({"verdict": verdict, "about": DIAGNOSIS["about"]})
 
@@ -215,7 +215,7 @@ def test_no_model_is_left_out_of_the_growth_of_errors():
 
 def test_the_card_says_what_gets_worse_and_that_no_name_is_certain():
     kept = [{**DIAGNOSIS["verdict"]["effects"][0], "name": name} for name in ("slow_patch", "drag", "road_grade")]
-    kept[-1]["worse_where"] = [f"free runs of {k} s end further off" for k in (2, 5, 10)]
+    kept[-1]["worse_where"] = [f"free runs of {k} s into the last part end further off" for k in (2, 5, 10)]
     reasons = ["gipps predicts better", "a force that depends on leader_acceleration is missing"]
     adequacy = {"outcome": "not_explained", "better_law": "gipps", "reasons": reasons}
     about = {**DIAGNOSIS["about"], "gipps": {"kind": "law", "title": "Gipps' law", "parameters": {}}}
@@ -223,10 +223,29 @@ def test_the_card_says_what_gets_worse_and_that_no_name_is_certain():
     assert headline(document).endswith("3 additions help, but do not explain these data.")
     assert how_sure(document) == "No name is certain: these data cannot tell any of them apart from other effects."
     assert worse(document)[0] == "free runs of one car end more than a fifth further off for vehicle 0, of 6"
-    assert worse(document)[1:] == kept[-1]["worse_where"]
-    assert certainty(document, {**kept[0], "who": [3, 4]}).endswith("; shown by vehicles 3 and 4 only")
+    told = [line.replace("last part", "last 40 % (fitted without it)") for line in kept[-1]["worse_where"]]
+    assert worse(document)[1:] == told
+    assert "; shown by vehicles 3 and 4 only; chance gains" in certainty({**kept[0], "who": [3, 4]})
     expected = ["Gipps predicts better", "a force that depends on leader acceleration is missing"]
     assert words_of_reasons(document) == expected
+
+
+@pytest.mark.parametrize(
+    ("gain", "words"),
+    [
+        (3.0, "unseen data do not confirm it (3 ± 8 nats: not above the standard error); chance gains as much"),
+        (-30.0, "unseen data do not confirm it (-30 ± 8 nats: not above the standard error); chance gains as much"),
+        (12.0, "12 ± 8 nats better on unseen data, only 1.5 standard errors; chance gains as much"),
+    ],
+)
+def test_a_gain_below_its_standard_error_does_not_read_as_certain(gain, words):
+    found = {**DIAGNOSIS["verdict"]["effects"][0], "heldout_gain_nats": gain, "heldout_gain_se": 8.0, "advice": []}
+    document = {**DIAGNOSIS, "verdict": {**DIAGNOSIS["verdict"], "effects": [found]}}
+    assert certainty(found).startswith(words)
+    is_confirmed = gain > 8.0
+    assert (badge(document) == ("✓", "What was missing is explained")) == is_confirmed
+    assert headline(document).startswith("The model lacks this" if is_confirmed else "The model may lack this")
+    assert ("Record more" in what_to_do(document)) != is_confirmed
 
 
 def test_what_the_data_would_have_shown_is_said_with_its_direction():
@@ -252,7 +271,12 @@ def test_tracks_have_a_page_without_runs_of_the_whole_road(recorded):
         for model, one in DIAGNOSIS["errors"].items()
     }
     run = {"time_s": [], "block": [], "before": [], "after": []}
-    text = report(read_recording(recorded), {**DIAGNOSIS, "errors": errors, "free_run": run})
+    # recordings that have no places in common have no map over place and time
+    nowhere = {**WHERE["maps"][1], "first_edges": [], "bias": [], "flagged": []}
+    where = {when: {**WHERE, "maps": [WHERE["maps"][0], nowhere]} for when in ("before", "after")}
+    text = report(read_recording(recorded), {**DIAGNOSIS, "errors": errors, "free_run": run, "where": where})
+    assert "Bias over speed and gap" in text
+    assert "Bias over time and position" not in text
     assert "The model drives" not in text
     assert "Free runs of all cars together" not in text
     assert "error of one car behind its measured leader" in text
@@ -292,6 +316,15 @@ POINT = """([title, x, y]) => {
 # Speeds that panels of the chosen driver show, as one number.
 SHOWN = """[...Bokeh.documents[0]._all_models.values()].filter(m => m.type == "ColumnDataSource" && m.data.meant)
     .map(m => m.data.meant.slice(-5).join())"""
+# Plots that have a legend; the middles [pixels] of a legend's entries in the window; which curves of a plot are drawn.
+LEGENDS = """[...Bokeh.index.query(v => v.model.type == "Legend")].map(v => v.parent.model.title.text)"""
+LEGEND = """title => {
+    const [legend] = [...Bokeh.index.query(v => v.model.type == "Legend" && v.parent.model.title.text == title)]
+    legend.el.scrollIntoView({block: "center"})
+    return legend.entries.map(e => e.el.getBoundingClientRect()).map(b => [b.left + b.width / 2, b.top + b.height / 2])
+}"""
+DRAWN = """[...Bokeh.index.query(v => v.model.type == "Figure" && v.model.title.text == TITLE)][0]
+    .model.renderers.filter(r => r.visible).length"""
 # Fastest opening of a page that anybody waits for [s], in CPU time of the browser's main thread.
 OPENS_S = 2.0
 
@@ -315,12 +348,8 @@ def test_the_report_in_a_browser(browser, page):
     shown.on("console", lambda message: problems.append(message.text) if message.type == "error" else None)
     shown.on("pageerror", lambda error: problems.append(str(error)))
     shown.on("request", lambda request: asked.append(request.url))
-    meter = context.new_cdp_session(shown)
-    meter.send("Performance.enable", {"timeDomain": "threadTicks"})
     shown.goto(page.as_uri())
     shown.wait_for_function(READY)
-    spent = {one["name"]: one["value"] for one in meter.send("Performance.getMetrics")["metrics"]}
-    assert spent["TaskDuration"] < OPENS_S
     for width, scheme in ((800, "light"), (1280, "dark"), (1920, "light")):
         shown.emulate_media(color_scheme=scheme)
         shown.set_viewport_size({"width": width, "height": 800})
@@ -331,6 +360,8 @@ def test_the_report_in_a_browser(browser, page):
         assert back == {"light": "rgb(255, 255, 255)", "dark": "rgb(20, 20, 20)"}[scheme]
         check_layout(np.array(shown.evaluate(CELLS)), width)
     choose_drivers(shown)
+    hover(shown)
+    click_legends(shown)
     # the road from above plays, and stops
     slider = "[...Bokeh.index.query(v => v.model.type == 'Slider')][0].model.value"
     start = shown.evaluate(slider)
@@ -347,6 +378,38 @@ def test_the_report_in_a_browser(browser, page):
     context.close()
     assert problems == []
     assert asked == [page.as_uri()]
+
+
+def test_the_report_opens_quickly(browser, page):
+    spent = []
+    for _ in range(3):  # other programs share the cores and their caches: the fastest opening counts
+        shown = browser.new_page(viewport={"width": 800, "height": 800})
+        meter = shown.context.new_cdp_session(shown)
+        meter.send("Performance.enable", {"timeDomain": "threadTicks"})
+        shown.goto(page.as_uri())
+        shown.wait_for_function(READY)
+        found = {one["name"]: one["value"] for one in meter.send("Performance.getMetrics")["metrics"]}
+        spent.append(found["TaskDuration"])
+        shown.close()
+    assert 0.0 < min(spent) < OPENS_S
+
+
+def test_the_card_fits_one_screen(browser, recorded, tmp_path):
+    # as much as a verdict has to say: many additions that leave a lot unexplained
+    kept = [{**DIAGNOSIS["verdict"]["effects"][0], "name": f"slow_patch_{k}", "advice": []} for k in range(6)]
+    kept[-1]["worse_where"] = [
+        f"free runs of {k} s into the last part end 3.1 m off instead of 1.6 m" for k in (2, 5, 10)
+    ]
+    reasons = ["gipps predicts held-out samples better, by 517 ± 102 nats (fvdm and helly about as well)"] * 3
+    adequacy = {"outcome": "not_explained", "better_law": "gipps", "reasons": reasons, "bins_expected": 0.0}
+    document = {**DIAGNOSIS, "verdict": {**DIAGNOSIS["verdict"], "effects": kept, "adequacy": adequacy}}
+    write_report(read_recording(recorded), document, tmp_path / "card.html")
+    for width, height in ((800, 1000), (1280, 800), (1920, 800)):
+        shown = browser.new_page(viewport={"width": width, "height": height})
+        shown.goto((tmp_path / "card.html").as_uri())
+        shown.wait_for_function(READY)
+        assert shown.evaluate("document.querySelector('.card').getBoundingClientRect().bottom") < height
+        shown.close()
 
 
 def choose_drivers(shown):
@@ -378,6 +441,39 @@ def choose_drivers(shown):
     place = shown.evaluate(f"(d => [d.x[1], d.y[1]])({car})")
     shown.mouse.click(*shown.evaluate(POINT, ["The road from above", *place]))
     follows(1)
+
+
+def hover(shown):
+    """Move the mouse over points of plots: each says its numbers, with units."""
+    points = {
+        "Gain, ± one standard error": ((25.0, "▸ slower stretch of road (p 0.5)"), "50 nats"),
+        "Free runs of all cars together": ((6.0, 1.75), "base model"),
+        "Free runs of one car, 10 s: each driver": (("3", 1.5), "2.00 m"),
+        "Bias over speed and gap, before": ((23.0, 10.0), "-0.40 std"),
+        "The drivers, as fitted": ((13.0, 0.2), "13.00 m/s"),
+    }
+    for title, (point, says) in points.items():
+        x, y = shown.evaluate(POINT, [title, *point])
+        said = shown.locator(".bk-Tooltip").get_by_text(says, exact=True).first
+        assert not said.is_visible(), title
+        shown.mouse.move(x, y)
+        said.wait_for(timeout=30_000)
+        shown.mouse.move(2.0, 2.0)
+        said.wait_for(state="hidden", timeout=30_000)
+
+
+def click_legends(page):
+    """Click each entry of each legend: one curve or more disappear, and come back with a second click."""
+    titles = page.evaluate(LEGENDS)
+    for title in titles:
+        drawn = DRAWN.replace("TITLE", json.dumps(title))
+        for place in page.evaluate(LEGEND, title):
+            whole = page.evaluate(drawn)
+            page.mouse.click(*place)
+            page.wait_for_function(f"{drawn} < {whole}")
+            page.mouse.click(*place)
+            page.wait_for_function(f"{drawn} == {whole}")
+    return titles
 
 
 def check_layout(cells, width):
@@ -419,7 +515,7 @@ def live_page(browser, source, rate, recording):
         page.on("console", lambda message: problems.append(message.text) if message.type == "error" else None)
         page.on("request", lambda request: asked.add(request.url.split("/")[2]))
         page.goto(f"http://localhost:{port}")
-        page.get_by_text("effects added: none").wait_for(timeout=30_000)
+        page.get_by_text("effects added: none").wait_for(timeout=60_000)
         yield page
         context.close()
     finally:
@@ -433,9 +529,9 @@ def live_page(browser, source, rate, recording):
 
 def test_the_live_page_streams_and_its_buttons_call_the_services(browser, recorded, tmp_path):
     with live_page(browser, recorded.parent / "sim.mcap", 2, tmp_path / "live.mcap") as page:
-        page.get_by_text("vehicle 5").wait_for(state="attached", timeout=30_000)
+        page.get_by_text("vehicle 5").wait_for(state="attached", timeout=60_000)
         page.get_by_role("button", name="add").click()
-        page.get_by_text("effects added: reaction_delay").wait_for(timeout=10_000)
+        page.get_by_text("effects added: reaction_delay").wait_for(timeout=60_000)
         page.set_viewport_size({"width": 800, "height": 800})
         page.emulate_media(color_scheme="dark")
         page.wait_for_timeout(1500)
@@ -445,14 +541,20 @@ def test_the_live_page_streams_and_its_buttons_call_the_services(browser, record
         shown = page.evaluate(LONGEST_SOURCE)
         again = page.context.new_page()
         again.goto(page.url)
-        again.get_by_text("one-step error over").wait_for(timeout=10_000)
+        again.get_by_text("one-step error over").wait_for(timeout=60_000)
         assert again.evaluate(LONGEST_SOURCE) >= shown > 20
         again.close()
         page.get_by_role("button", name="remove").click()
-        page.get_by_text("effects added: none").wait_for(timeout=10_000)
+        page.get_by_text("effects added: none").wait_for(timeout=60_000)
         page.get_by_role("button", name="pause").click()
         page.wait_for_timeout(500)
         assert page.locator("canvas").count() >= 6
+        assert len(click_legends(page)) == 2
+        # a driver's point in the strip of all drivers says whose it is
+        drivers = "[...Bokeh.documents[0]._all_models.values()].map(m => m.data).filter(d => d?.vehicle && d.v_star)[0]"
+        vehicle, *point = page.evaluate(f"(d => [d.vehicle[0], d.v_star[0], d.kappa_v[0]])({drivers})")
+        page.mouse.move(*page.evaluate(POINT, ["All drivers now: click one", *point]))
+        page.locator(".bk-Tooltip").get_by_text(vehicle, exact=True).first.wait_for(timeout=30_000)
     r = read_recording(tmp_path / "live.mcap")
     assert r.has_estimates
     with Bag(tmp_path / "live.mcap") as bag:
@@ -483,7 +585,7 @@ def test_adding_the_true_effect_lowers_the_error_on_the_page(browser, tmp_path):
         before = shown(page, 60)
         page.get_by_label("effect", exact=True).select_option("limited_power")
         page.get_by_role("button", name="add").click()
-        page.get_by_text("effects added: limited_power").wait_for(timeout=10_000)
+        page.get_by_text("effects added: limited_power").wait_for(timeout=60_000)
         after = shown(page, 150)
     parts = ((before, 25), (after, 95))
     (first, base), (last, still) = (np.mean([e for t, e in part.items() if t > since], axis=0) for part, since in parts)
@@ -513,6 +615,7 @@ def feed_of_a_critic(gains):
     return SimpleNamespace(
         road=Road(60.0), rate=1.0, effects={"drag": "Drag", "second_leader": "Second leader"}, said="", space=Log(1),
         error=Log(1), gains=gains, critic=logs, is_settled=False, status=lambda: status, values=lambda name: "",
+        best="second_leader", followers=(),
         **nobody, **nothing,
     )  # fmt: skip
 
@@ -528,7 +631,7 @@ def test_a_page_shows_a_critic_whose_models_change():
     document = Document()
     live.page(feed)(document)
     told = " ".join(div.text for div in document.select({"type": Div}))
-    assert "settled among the models that this critic knows: second leader leads by 3 nats." in told
+    assert "settled among the models that this critic knows: second leader leads." in told
     assert "does not know" not in told
     drawn = {line.name: line.data_source.data for line in document.select({"type": GlyphRenderer}) if line.name}
     assert {name: list(data["gain"]) for name, data in drawn.items()} == {

@@ -23,6 +23,8 @@ def bias_maps(diagnosis: Mapping[str, Any], ring_m: float) -> list[UIElement]:
     added = bool(diagnosis["verdict"]["effects"])
     found = []
     for k, before in enumerate(where.get("before", {}).get("maps", [])):
+        if not np.size(before["bias"]):  # recordings have no places in common
+            continue
         plot = _bias_map(before, "before" if added else "")
         _draw_found(plot, before, diagnosis, ring_m)
         found.append(plot)
@@ -48,7 +50,7 @@ def _bias_map(one: Mapping[str, Any], when: str, beside: Any = None) -> Any:
         ranges = {"x_range": _range(across), "y_range": _range(up)}
     title = f"Bias over {_NAMES.get(x, x)} and {_NAMES.get(y, y)}" + (f", {when}" if when else "")
     plot = panel(title, *labels, background_fill_color=EMPTY, **ranges)
-    bias = np.array(one["bias"], dtype=np.float64).reshape(max(len(first) - 1, 0), -1)
+    bias = np.array(one["bias"], dtype=np.float64).reshape(len(first) - 1, -1)
     flagged = np.array(one.get("flagged", np.zeros(bias.shape)), dtype=np.bool_).reshape(bias.shape)
     i, j = np.nonzero(np.isfinite(bias))
     across, up, a, b = (second, first, j, i) if y == one["first"] else (first, second, i, j)
@@ -60,21 +62,23 @@ def _bias_map(one: Mapping[str, Any], when: str, beside: Any = None) -> Any:
             "top": up[b + 1],
             "bias": bias[i, j],
             "line": np.where(flagged[i, j], "#000000", "#00000000"),
-            "says": np.where(flagged[i, j], "flagged", "within chance"),
+            "says": np.where(flagged[i, j], "more than chance", "within chance"),
         }
     )
     colours = LinearColorMapper(PuOr11, low=-_END, high=_END)
     quads = plot.quad("left", "right", "bottom", "top", source=source, line_color="line", line_width=1.5,
                       fill_color={"field": "bias", "transform": colours})  # fmt: skip
     colour_bar(plot, colours, "std")
-    plot.add_tools(HoverTool(renderers=[quads], tooltips=[("bias", "@bias{0.00} std"), ("", "@says")]))
+    # at the mouse: the middle of a bin that is cut off lies outside the picture
+    tooltips = [("bias", "@bias{0.00} std"), ("", "@says")]
+    plot.add_tools(HoverTool(renderers=[quads], tooltips=tooltips, point_policy="follow_mouse"))
     return plot
 
 
 def _range(edges: Array) -> Range1d:
     """The edges from end to end; a last bin that is far wider than the others is cut off."""
     if len(edges) < 3:
-        return Range1d(0.0, 1.0)
+        return Range1d(float(edges[0]), float(edges[-1]))
     return Range1d(float(edges[0]), float(min(edges[-1], edges[-2] + 0.3 * (edges[-2] - edges[0]))))
 
 

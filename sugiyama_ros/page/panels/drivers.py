@@ -12,10 +12,13 @@ from sugiyama_ros.page.panels.base import BLUE, CHOSEN, GREEN, GREY, MOVING_S, O
 from sugiyama_ros.page.panels.chosen import Chosen
 from sugiyama_ros.page.panels.measured import naive_speeds
 from sugiyama_ros.page.recording import Recording
+from sugiyama_ros.page.words import title_of
 
 _NAMES = {"v_star": "desired speed v* [m/s]", "kappa_v": "risk premium κ_v [s]"}
 # Time [s] between two points of the curves of all drivers.
 _EVERY_S = 2.0
+# A filter has settled once its standard deviation is below this multiple of its median.
+_SETTLED = 5.0
 
 
 def against_each_other(r: Recording, diagnosis: Mapping[str, Any] | None, chosen: Chosen) -> UIElement:
@@ -50,7 +53,13 @@ def _fitted(r: Recording, diagnosis: Mapping[str, Any] | None) -> tuple[dict[str
     if of:
         rows = [of.get(v, {}) for v in r.trajectories.vehicle.tolist()]
         return {n: [math.nan if row.get(n) is None else float(row[n]) for row in rows] for n in names}, "as fitted"
-    return {n: [float(x) for x in r.series[n][-1]] for n in names}, "at the end of the run"
+    return {n: [_last(column) for column in r.series[n].T] for n in names}, "at the end of the run"
+
+
+def _last(values: Array) -> float:
+    """The last value that is known; NaN without any."""
+    known = values[np.isfinite(values)]
+    return float(known[-1]) if len(known) else math.nan
 
 
 def over_time(r: Recording, name: str, chosen: Chosen) -> UIElement:
@@ -101,24 +110,25 @@ def _truth(r: Recording, name: str) -> Array:
 def in_detail(r: Recording, chosen: Chosen) -> list[UIElement]:
     """One driver: the speed, how well each next position was predicted, and what the driver means to do."""
     s = r.series
+    # while a filter settles, its errors are larger than anything that the picture is about
     std = np.sqrt(s["innovation_var"])
+    usual = [np.median(one[np.isfinite(one)]) if np.isfinite(one).any() else 0.0 for one in std.T]
+    counts = (s["scored"] > 0.0) & (std < _SETTLED * np.array(usual))
     shown = chosen.series(
         time=np.broadcast_to(r.time_s[:, None], s["speed"].shape),
         low=s["speed"] - s["speed_std"], high=s["speed"] + s["speed_std"], speed=s["speed"],
-        measured=naive_speeds(r), meant=s["mean_action"], innovation=s["innovation_m"],
-        below=-2.0 * std, above=2.0 * std,
+        measured=naive_speeds(r), meant=s["mean_action"], innovation=np.where(counts, s["innovation_m"], np.nan),
+        below=np.where(counts, -2.0 * std, np.nan), above=np.where(counts, 2.0 * std, np.nan),
     )  # fmt: skip
     speed = panel("The chosen driver: speed, with one standard deviation", "time [s]", "speed [m/s]")
     speed.varea("time", "low", "high", source=shown, color=BLUE, alpha=0.3)
     speed.line("time", "measured", source=shown, color=GREY, legend_label="from two positions, smoothed")
     speed.line("time", "speed", source=shown, color=BLUE, legend_label="filtered", line_width=2)
     legend_above(speed)
-    error = panel(
-        "Error of the next position, with two deviations", "time [s]", "innovation [m]", x_range=speed.x_range
-    )
+    error = panel("Error of the next position, with two deviations", "time [s]", "error [m]", x_range=speed.x_range)
     error.varea("time", "below", "above", source=shown, color=ORANGE, alpha=0.3)
     error.line("time", "innovation", source=shown, color=CHOSEN)
-    meant = panel("What the driver means to do", "time [s]", "mean action [m/s²]", x_range=speed.x_range)
+    meant = panel("What the driver means to do", "time [s]", "acceleration [m/s²]", x_range=speed.x_range)
     meant.line("time", "meant", source=shown, color=GREEN)
     return [speed, error, meant]
 
@@ -142,11 +152,11 @@ def error_over_time(r: Recording) -> UIElement:
     return plot
 
 
-def weights(r: Recording) -> UIElement:
+def weights(r: Recording, diagnosis: Mapping[str, Any]) -> UIElement:
     """Posterior probability of each model of the critic's bank, over time."""
     plot = panel("Probability of each model of the critic over time", "time [s]", "probability")
     shown = sorted(r.weights, key=lambda name: -float(np.nanmax(r.weights[name])))[:5]
     for name, colour in zip(shown, (BLUE, CHOSEN, GREEN, ORANGE, GREY), strict=False):
-        plot.line(r.verdict_s, r.weights[name], color=colour, legend_label=name.replace("_", " "), line_width=2)
+        plot.line(r.verdict_s, r.weights[name], color=colour, legend_label=title_of(diagnosis, name), line_width=2)
     legend_above(plot)
     return plot
