@@ -85,7 +85,7 @@ def additions(d: Document) -> str:
                 f"{title_of(d, n['name'])} ({n['name']})",
                 size_of(d, n) or "a value of each driver",
                 on_unseen(n),
-                chance(n.get("p_value")),
+                chance(n.get("p_value")).replace(" ", "\u00a0"),
                 not_told_apart(d, n) or "nothing",
                 "; ".join(worse_in_use(n)) or "nowhere",
             ]

@@ -292,7 +292,7 @@ class _Page:
     def _tell_critic(self) -> None:
         feed, plot = self._feed, self._plots["critic"]
         if not feed.gains:
-            self._settled.text = "No critic has spoken yet. There is none where vehicles come and go."
+            self._settled.text = "No critic has spoken yet. There is none where too many vehicles are in view."
             return
         plot.visible = True
         # what is added to the estimators is a model of the critic no longer

@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from http.client import HTTPConnection
 from pathlib import Path
 from types import SimpleNamespace
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -28,6 +29,7 @@ from sugiyama_ros.page import live
 from sugiyama_ros.page.diagnosis import read_diagnosis
 from sugiyama_ros.page.feed import KEPT, Log, Status
 from sugiyama_ros.page.html import detectable
+from sugiyama_ros.page.layouts import lichtblick, plotjuggler
 from sugiyama_ros.page.panels.base import from_above
 from sugiyama_ros.page.panels.worth import growth
 from sugiyama_ros.page.recording import read_recording
@@ -38,6 +40,7 @@ from sugiyama_ros.page.words import reasons as words_of_reasons
 from sugiyama_ros.road import Road
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
+ROOT = Path(__file__).parents[2]
 SUGIYAMA = str(Path(sys.executable).with_name("sugiyama"))
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 # Length of the longest line of data that a page of Bokeh holds.
@@ -712,11 +715,22 @@ def test_beyond_this_machine_the_page_asks_for_a_token(recorded, tmp_path):
     assert len(logged) < 10 * 300
 
 
-def test_layouts_for_other_programs_name_what_is_recorded(recorded):
-    layouts = Path(__file__).parents[2] / "layouts"
-    asked = re.findall(r'"value": "(/[^"]+)"', (layouts / "lichtblick.json").read_text())
-    asked += re.findall(r'curve name="([^"]+)"', (layouts / "plotjuggler.xml").read_text())
-    declared = (layouts.parent / "msg_defs" / "msg" / "DriverArray.msg").read_text()
+def test_the_layouts_beside_the_package_are_those_of_the_experiment():
+    for name, made in (("lichtblick.json", lichtblick), ("plotjuggler.xml", plotjuggler)):
+        assert (ROOT / "layouts" / name).read_text() == made(range(22))
+
+
+def test_layouts_for_other_programs_name_every_vehicle_of_a_recording(recorded, tmp_path):
+    for name in ("layout.json", "layout.xml"):
+        done = subprocess.run([SUGIYAMA, "view", recorded, "--save", tmp_path / name], capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        assert done.stdout.startswith("layout of 6 vehicles")
+    plots = json.loads((tmp_path / "layout.json").read_text())
+    placed = re.findall(r'"(?:first|second)": "([^"]+)"', json.dumps(plots["layout"]))
+    assert sorted(placed) == sorted(plots["configById"])
+    asked = re.findall(r'"value": "(/[^"]+)"', (tmp_path / "layout.json").read_text())
+    asked += [curve.get("name") for curve in ElementTree.parse(tmp_path / "layout.xml").iter("curve")]
+    declared = (ROOT / "msg_defs" / "msg" / "DriverArray.msg").read_text()
     fields = set(re.findall(r"^[a-z]\w+\[\] (\w+)", declared, re.MULTILINE))
     with Bag(recorded) as bag:
         topics = {topic.name for topic in bag.info().topics}
@@ -726,8 +740,6 @@ def test_layouts_for_other_programs_name_what_is_recorded(recorded):
         topic, field, place = re.fullmatch(r"(/\w+(?:/\w+)?)[./](\w+)(?:\[([\d:]+)\])?", path).groups()
         if topic == "/drivers":  # in bags of `run --array`
             assert field in fields
-            continue
-        if topic not in topics and topic.split("/")[1] > "vehicle_05":  # the bag has six vehicles, the experiment 22
             continue
         value = np.array(getattr(latest[topic], field))
         if place in ("2", "3"):
@@ -745,7 +757,7 @@ def test_the_recording_of_rerun_holds_all_drivers_and_the_verdict(recorded, page
     view(recorded, recorded.parent / "diagnosis.json", tmp_path / "run.rrd")
     with pytest.raises(OutputError, match="exists already"):
         view(recorded, save=tmp_path / "run.rrd")
-    with pytest.raises(InputError, match=r"ends in \.rrd"):
+    with pytest.raises(InputError, match=r"ends in \.rrd, \.json or \.xml"):
         view(recorded, save=tmp_path / "run.mcap")
     read = RrdReader(tmp_path / "run.rrd")
     assert len(read.recordings()) == len(read.blueprints()) == 1

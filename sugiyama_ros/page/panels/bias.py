@@ -29,7 +29,7 @@ def bias_maps(diagnosis: Mapping[str, Any], ring_m: float) -> list[UIElement]:
         _draw_found(plot, before, diagnosis, ring_m)
         found.append(plot)
         if added:
-            after = _bias_map(where["after"]["maps"][k], "with what was added", plot)
+            after = _bias_map(where["after"]["maps"][k], "after", plot)
             _draw_found(after, before, diagnosis, ring_m)
             found.append(after)
     return found
