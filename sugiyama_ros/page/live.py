@@ -316,8 +316,9 @@ class _Page:
         self._settled.text = f"{settled}: {best} leads. {gains}{self._not_known()}"
 
     def _colour(self, name: str) -> str:
-        """Colour of a model of the critic."""
-        return COLOURS[list(self._critic).index(name) % len(COLOURS)]
+        """Colour of a model of the critic: the first one, grey, is that of the base model alone."""
+        others = [one for one in self._critic if one != "base"]
+        return COLOURS[0] if name == "base" else COLOURS[1 + others.index(name) % (len(COLOURS) - 1)]
 
     def _not_known(self) -> str:
         """Say which effects the critic does not follow: the lead of another effect proves nothing against them."""

@@ -1,12 +1,15 @@
 """The node behind the live page."""
 
 import pytest
+from bokeh.document import Document
+from bokeh.models import Div
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
-from sugiyama_msgs.msg import DriverArray, MeasuredPositions, Road, VehicleState
+from sugiyama_msgs.msg import DriverArray, MeasuredPositions, Road, VehicleState, Verdict
 
 from sugiyama_ros.formats.measured import FRAME
 from sugiyama_ros.nodes.view import View
+from sugiyama_ros.page import live
 
 
 def test_a_page_hears_publishers_that_offer_less_than_a_replay(stage) -> None:
@@ -67,3 +70,24 @@ def test_a_page_hears_of_drivers_who_come_and_go_in_one_message(stage) -> None:
     assert view.followers == {120}  # of the first one, who follows nobody, nothing is learnt
     assert view.adapted[120] == pytest.approx((9.0, 0.5, 0.3, 0.1))
     assert view._estimators() == ["/drivers"]
+
+
+@pytest.mark.parametrize(("settled", "words"), [(True, "settled among the models"), (False, "not settled yet")])
+def test_the_page_repeats_the_words_of_the_critic(stage, settled, words) -> None:
+    """Best and settled are fields of the message: the largest gain alone does not make a model the best one."""
+    view, world = View(1.0), Node("critic_of_others")
+    to_verdict = world.create_publisher(Verdict, "/verdict", qos_profile_sensor_data)
+    stage.add(view, world)
+    message = Verdict(best="base", model=["base", "drag"], weight=[0.6, 0.4], strength=[0.0, 0.1], settled=settled)
+    message.log_likelihood = [0.0, 1.0]
+
+    def told() -> bool:
+        to_verdict.publish(message)
+        return bool(view.best)
+
+    stage.until(told)
+    document = Document()
+    live.page(view)(document)
+    said = " ".join(div.text for div in document.select({"type": Div}))
+    assert words in said
+    assert ": the base model leads. Gains over the base model: " in said

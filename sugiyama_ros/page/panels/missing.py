@@ -34,7 +34,7 @@ def candidates(diagnosis: Mapping[str, Any]) -> UIElement:
     )
     plot = panel(
         "Gain, ± one standard error",
-        "held-out gain [nats]",
+        "gain on unseen data [nats]",
         "",
         x_range=_range(gain - se, gain + se),
         y_range=FactorRange(factors=names),
