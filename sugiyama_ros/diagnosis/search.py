@@ -28,6 +28,7 @@ from sugiyama_ros.diagnosis.errors import HeldOutErrors, held_out_errors
 from sugiyama_ros.diagnosis.few import who_shows
 from sugiyama_ros.diagnosis.few_screen import ShownByFew, fits_of_few, shown_by_few
 from sugiyama_ros.diagnosis.glance import best_forms, worth_screening
+from sugiyama_ros.diagnosis.placing import best_placed
 from sugiyama_ros.diagnosis.push import push_candidate
 from sugiyama_ros.diagnosis.screen import FULL, QUICK, Screened, closer, forecast, refine, screen, screen_again
 from sugiyama_ros.diagnosis.telling_apart import indistinguishable
@@ -256,8 +257,9 @@ class Search:
     ) -> Addition | None:
         """The model with a candidate, fitted in full; None if its held-out gain is below ``least_gain``."""
         data, work, before = self.data, self._work, self.errors
-        # what is named has converged, also in a quick search; new derivatives cost little beside the search
+        # what is named has converged, also in a quick search
         grown = warm_start(data, fitted, replace(fitted.model, ahead=fitted.model.rows), work, renewals=FULL.renewals)
+        grown = best_placed(data, grown, candidate, work)
         after = held_out_errors(data, grown, work, searched=not self.quick)
         won = gain(data, after.samples, before.samples)
         if won.nats < least_gain(data, won, candidate, block_error(data, after.samples, before.samples)):
@@ -318,8 +320,7 @@ class Search:
     def _worth_a_look(self) -> list[Candidate]:
         """The candidates with the largest predicted gains over the current model, from earlier looks."""
         seen = [c for c in self._possible if c.name in self._seen]
-        order = sorted(seen, key=lambda c: -forecast(self.data, *self._seen[c.name], self.current))
-        return order[:_LATER_LOOKS]
+        return sorted(seen, key=lambda c: -forecast(self.data, *self._seen[c.name], self.current))[:_LATER_LOOKS]
 
     def _look(self, candidate: Candidate) -> Screened:
         """Screen a candidate from the end of an earlier look, or from the start if the earlier look leads nowhere."""
