@@ -56,7 +56,7 @@ class Guard(AuthProvider):  # type: ignore[misc]
     async def _user(self, handler: Any) -> str:
         request = handler.request
         origin = request.headers.get("Origin")
-        if not self._is_here(request.host) or (origin is not None and urlsplit(origin).netloc != request.host):
+        if not self._is_here(request.host) or (origin is not None and _netloc(origin) != request.host):
             raise HTTPError(403)
         if self.token:
             self._check_token(handler)
@@ -81,6 +81,14 @@ class Guard(AuthProvider):  # type: ignore[misc]
             raise HTTPError(403)
         if asked:
             handler.set_cookie(cookie, asked, httponly=True, samesite="Strict")
+
+
+def _netloc(origin: str) -> str:
+    """Host and port of an origin; empty if it is not an address."""
+    try:
+        return urlsplit(origin).netloc
+    except ValueError:
+        return ""
 
 
 def _is_address(name: str) -> bool:

@@ -696,6 +696,7 @@ def test_beyond_this_machine_the_page_asks_for_a_token(recorded, tmp_path):
         here = "127.0.0.2:5107"
         for headers in ({"Host": "evil.example:5107"}, {"Host": "127.0.0.2:80"}, {"Origin": "http://127.0.0.2:8000"}):
             assert ask(path, **headers)[0] == 403
+        assert ask(path, Origin="http://[")[0] == 403
         assert ask(path, Host=here, Origin=f"http://{here}")[0] == 200
         headers = headers_of(path)
         assert headers["Content-Security-Policy"] == "frame-ancestors 'none'"
