@@ -12,11 +12,12 @@ from sugiyama_msgs.srv import AddEffect, Seek
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.registry import read_tracks
+from sugiyama_ros.nodes import live
 from sugiyama_ros.nodes.base.samples import UNKNOWN_LEADER
 from sugiyama_ros.nodes.base.spin import Spinner
 from sugiyama_ros.nodes.critic import Critic
 from sugiyama_ros.nodes.drivers import DriversNode
-from sugiyama_ros.nodes.plan import MOST_NODES
+from sugiyama_ros.nodes.plan import MOST_NODES, RunSettings
 from sugiyama_ros.nodes.replay import Replay
 from sugiyama_ros.nodes.run import run
 from sugiyama_ros.nodes.track_samples import TrackSamples
@@ -96,6 +97,16 @@ def test_the_critic_adds_an_effect_to_the_models_of_all_who_come_and_go(stage, t
     assert stage.call(AddEffect, "/critic/add_effect", request).success
     assert stage.call(Seek, "/replay/seek", Seek.Request(time_s=0.0)).success
     stage.until(lambda: critic.health().values.get("added") == "drag")
+
+
+def test_a_live_page_leaves_the_critic_out_where_many_are_in_view(
+    tracks_csv: Path, tmp_path: Path, monkeypatch
+) -> None:
+    settings = RunSettings(critic=True)
+    assert live._plan(tracks_csv, tmp_path / "out.mcap", settings).settings.critic
+    # two drivers at 10 Hz
+    monkeypatch.setattr(live, "_CRITIC_AT_MOST", 19.0)
+    assert not live._plan(tracks_csv, tmp_path / "out.mcap", settings).settings.critic
 
 
 def test_what_does_not_work_is_said_up_front(tracks_csv: Path, tmp_path: Path) -> None:
