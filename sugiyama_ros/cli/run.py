@@ -228,6 +228,8 @@ def live(options: LiveOptions) -> None:
         if options.show:
             typer.launch(url)
 
+    if not options.host.strip():
+        raise InputError("--host: is empty; leave it out for this machine alone, or give an address such as 0.0.0.0")
     output = own_output(options.output, _LIVE, options.overwrite, options.source, options.model)
     settings = RunSettings(rate_of(options.rate), options.ring, options.model, critic=True, overwrite=output.overwrite)
     domain = environment.isolate() if options.source is not None else os.environ.get("ROS_DOMAIN_ID", "0")

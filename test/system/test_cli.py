@@ -147,6 +147,7 @@ def test_bad_bags(sugiyama, here, kind, command):
         (("simulate", "-o", "out.csv", "--set", "v_star=nan"), ("v_star", "bounds")),
         (("simulate", "-o", "out.csv", "--ring", "50"), ("ring of 50 m", "22 vehicles")),
         (("simulate", "-o", "nowhere/out.csv"), ("nowhere",)),
+        (("live", "good.csv", "--host", ""), ("--host", "leave it out")),
         (("simulate", "-o", "out.csv", "--view", "0,9"), ("--view", "add --lanes")),
         (("simulate", "-o", "out.csv", "--lanes", "2", "--view", "9,0"), ("--view 9,0", "100,500")),
         (("simulate", "-o", "out.csv", "--lanes", "2", "--ring", "230"), ("--ring", "leave out")),
