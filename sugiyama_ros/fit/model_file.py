@@ -179,7 +179,7 @@ def read_model(path: Path) -> ModelFile:
         except InputError as error:
             raise InputError(f"{where}: {error}") from None
         except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise InputError(f"{where}: {type(error).__name__} {error}; give every parameter a number") from None
+            raise InputError(f"{where}: {_wrong(error)}; give every parameter a number") from None
         rows.append(row)
     types = _types(path, document["classes"]) if "classes" in document else None
     about_data = document.get("data")
@@ -208,8 +208,13 @@ def _types(path: Path, classes: Any) -> DriverTypes:
     except InputError as error:
         raise InputError(f"{path}: classes: {error}") from None
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{path}: classes: {type(error).__name__} {error}; give share and every parameter") from None
+        raise InputError(f"{path}: classes: {_wrong(error)}; give share and every parameter") from None
     return DriverTypes(share / share.sum(), rows)
+
+
+def _wrong(error: Exception) -> str:
+    """What is wrong with a document that raises an error when it is read."""
+    return f"{error} is missing" if isinstance(error, KeyError) else f"cannot be read ({error})"
 
 
 def own_stds(fitted: JointFit) -> list[dict[str, float]]:
