@@ -76,10 +76,9 @@ def shown_by_few(
         return []
 
     def look(candidate: Candidate) -> ShownByFew:
-        starts = _starts(candidate)
-        gains = [_gains(data, base, candidate, k, work) for k in starts]
+        gains = [g for k in _starts(candidate) for g in _gains(data, base, candidate, k, work)]
         few, gain = max((chosen(g) for g in gains), key=lambda one: one[1])
-        return ShownByFew(candidate, few, gain - math.log(len(starts)))
+        return ShownByFew(candidate, few, gain - math.log(len(gains)))
 
     shown = at_once(look, [c for c in possible if switches_of(c)], "effects of a few drivers", on_progress)
     return sorted(shown, key=lambda one: -one.gain)
@@ -158,13 +157,16 @@ def _starts(candidate: Candidate) -> Sequence[int]:
     return numbers[:: 1 if len(numbers) <= _MOST_STARTS else 2]
 
 
-def _gains(data: Recorded, base: JointFit, candidate: Candidate, number: int, work: Executor) -> Array:
-    """Predict what each driver would gain (N,) [nats] by an effect at one of its starts, scaled for this driver."""
+def _gains(data: Recorded, base: JointFit, candidate: Candidate, number: int, work: Executor) -> list[Array]:
+    """Predict what each driver would gain (N,) [nats] by an effect at one of its starts, scaled for this driver.
+
+    A strength of either sign is predicted for each sign, because those who share an effect share its sign.
+    """
     there = added(base.model, candidate, candidate.starts[number])
     new = differences(base.samples, evaluate(data, there, work), 1.0, there.rows)
-    has_signs = ROW.declared[switches_of(candidate)[0]].lower < 0.0
-    scales = _scaled(data, base, new)
-    return np.array([0.5 * slope * scale if scale > 0.0 or has_signs else 0.0 for slope, scale in scales])
+    signs = (1.0, -1.0) if ROW.declared[switches_of(candidate)[0]].lower < 0.0 else (1.0,)
+    slopes, scales = np.array(_scaled(data, base, new)).T
+    return [np.where(sign * scales > 0.0, 0.5 * slopes * scales, 0.0) for sign in signs]
 
 
 def _scaled(data: Recorded, base: JointFit, new: Sequence[Column]) -> list[tuple[float, float]]:

@@ -14,6 +14,7 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import (
+    LEAST_NOISE,
     SIGMA_A,
     SIGMA_NU,
     SIGMA_V,
@@ -73,7 +74,7 @@ class Evenness(NamedTuple):
     def smallest_noise(self) -> float:
         """Lower bound of all noises in a search, in their own units."""
         noise = float(np.nanmax([self.roughness_m, LEAST])) / np.sqrt(WHITE)
-        return float(min(1e-3, _PART * noise))
+        return float(np.clip(_PART * noise, LEAST_NOISE, 1e-3))
 
     def typical(self, speed: float) -> Array:
         """Return a driver of the population, with noises and a desired speed that suit the recording.

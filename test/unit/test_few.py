@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sugiyama_ros.diagnosis import few_screen
 from sugiyama_ros.diagnosis.candidacy import LEAST_GAIN
 from sugiyama_ros.diagnosis.candidates import candidates
 from sugiyama_ros.diagnosis.few import Few, cost_of, fit_few, rises, who_shows
@@ -78,6 +79,16 @@ def test_the_screen_shows_who_would_gain(fitted, patch, work):
     fits = fits_of_few(data, base, [best], len(possible), work, lambda *_: None)
     assert [f.few.drivers for f in fits] == [SLOW]
     assert fits[0].p_value < 1e-6
+
+
+def test_those_who_share_an_effect_share_its_sign(fitted, work, monkeypatch):
+    data, base = fitted
+    drag = next(c for c in candidates(data) if c.name == "drag")
+    would = [(60.0 * sign, sign) for sign in (1.0, -1.0) * (CARS // 2)]
+    monkeypatch.setattr(few_screen, "_scaled", lambda *arguments: would)
+    best = shown_by_few(data, base, [replace(drag, starts=drag.starts[:1])], work, lambda *_: None)[0]
+    assert len(best.few.drivers) == 2
+    assert len({driver % 2 for driver in best.few.drivers}) == 1
 
 
 def test_the_choice_of_drivers_seldom_gains_by_chance():
