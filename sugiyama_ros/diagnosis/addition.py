@@ -11,7 +11,6 @@ from sugiyama_ros.diagnosis.errors import MANY_DRIVERS, HeldOutErrors
 from sugiyama_ros.effects.registry import EFFECTS, ROW
 from sugiyama_ros.fit.cross_validation import Gain, sum_error
 from sugiyama_ros.fit.joint import JointFit
-from sugiyama_ros.fit.recording import Recorded
 
 #: An effect of some drivers only, freed constants and forces without a name take so many standard errors of their
 #: held-out gain.
@@ -102,7 +101,7 @@ def parameters_of(fitted: JointFit, candidate: Candidate) -> dict[str, float]:
     return {ROW.declared[k].name: float(v) for k, v in zip(places, rows, strict=True)}
 
 
-def least_gain(data: Recorded, won: Gain, candidate: Candidate, of_blocks: float) -> float:
+def least_gain(won: Gain, candidate: Candidate, of_blocks: float) -> float:
     """Return the smallest held-out gain [nats] with which something is added.
 
     It is the standard error of the gain over drivers, or over blocks of time (``of_blocks``) where drivers are few.
@@ -113,6 +112,5 @@ def least_gain(data: Recorded, won: Gain, candidate: Candidate, of_blocks: float
         return -math.inf
     if candidate.drivers:
         return FLEXIBLE * of_blocks
-    has_many = data.vicinity.is_whole_road or data.drivers >= MANY_DRIVERS
-    error = sum_error(won.drivers) if has_many else won.se
+    error = sum_error(won.drivers) if len(won.drivers) >= MANY_DRIVERS else won.se
     return FLEXIBLE * error if candidate.kind == "constants" else error

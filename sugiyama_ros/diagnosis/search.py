@@ -262,7 +262,7 @@ class Search:
         grown = best_placed(data, grown, candidate, work)
         after = held_out_errors(data, grown, work, searched=not self.quick)
         won = gain(data, after.samples, before.samples)
-        if won.nats < least_gain(data, won, candidate, block_error(data, after.samples, before.samples)):
+        if won.nats < least_gain(won, candidate, block_error(data, after.samples, before.samples)):
             return None
         return Addition(
             name=candidate.mechanism,

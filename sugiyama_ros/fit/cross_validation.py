@@ -160,7 +160,7 @@ class Gain:
     se : float
         Standard error of the sum [nats].
     drivers : tuple of float
-        Sum over the samples of each driver [nats].
+        Sum over the samples of each driver who is predicted [nats].
     blocks : tuple of float
         Sum over the samples of each block of time [nats].
     """
@@ -186,7 +186,9 @@ def gain(data: Recorded, better: PointwiseDensity, than: PointwiseDensity) -> Ga
     Gain
         The standard error is the larger of two: a jackknife over blocks of time, and a jackknife over drivers.
     """
-    by_driver = np.nansum(better.log_likelihood - than.log_likelihood, axis=1)
+    difference = better.log_likelihood - than.log_likelihood
+    # who follows nobody is not predicted, and tells nothing of how drivers differ
+    by_driver = np.nansum(difference[np.isfinite(difference).any(axis=1)], axis=1)
     by_block = _by_block(data, better, than)
     se = max(sum_error(by_driver), sum_error(by_block))
     return Gain(float(by_driver.sum()), se, tuple(by_driver.tolist()), tuple(by_block.tolist()))
