@@ -143,7 +143,7 @@ def _over_runs(by_horizon: Sequence[Array]) -> tuple[float, float]:
     if not by_horizon:
         return 0.0, 0.0
     changes: Array = np.mean(by_horizon, axis=0)
-    axis = 0 if changes.shape[1] >= MANY_DRIVERS else 1
+    axis = 0 if np.isfinite(changes).any(axis=0).sum() >= MANY_DRIVERS else 1
     count, total = np.isfinite(changes).sum(axis=axis), np.nansum(changes, axis=axis)
     count, total = count[count > 0], total[count > 0]
     if len(count) < 2:

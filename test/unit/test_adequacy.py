@@ -177,6 +177,12 @@ def test_a_law_that_predicts_as_well_speaks_against_the_model_where_simulations_
     found = judge(own.data, evidence_of(own, laws=laws, checks={"even": LawCheck((-900.0, -800.0), (0.0, 0.0))}))
     assert (found.outcome, found.better_law) == ("not_explained", "even")
     assert "850 nats behind in recordings that the model simulates" in told(found)
+    samples.log_likelihood[:] -= 0.1
+    behind = {"even": replace(own.after, samples=samples)}
+    found = judge(own.data, evidence_of(own, laws=behind, checks={"even": LawCheck((-9e3, -8e3), (0.0, 0.0))}))
+    assert found.reasons[0].startswith("even is ")
+    assert "nats behind on held-out samples, but it is 8500 nats behind in recordings" in found.reasons[0]
+    samples.log_likelihood[:] += 0.1
     checks = {"even": LawCheck((-5.0, 5.0), (0.0, 0.0))}
     assert judge(own.data, evidence_of(own, laws=laws, checks=checks)).outcome == "adequate"
 
