@@ -74,8 +74,9 @@ def _open_standard_streams() -> None:
 
 
 def _flush_or_drop() -> None:
-    """Flush stdout. What cannot be written is dropped, so that the interpreter does not try again at its end."""
-    try:
-        sys.stdout.flush()
-    except OSError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    """Flush both streams. What cannot be written is dropped, so that the interpreter does not try again at its end."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

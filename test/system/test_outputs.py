@@ -137,10 +137,13 @@ def test_a_full_stdout_is_one_line(here):
             refused(sugiyama(*arguments, stdout=full, stderr=subprocess.PIPE, capture_output=False), "No space left")
 
 
-def test_a_full_stderr_does_not_change_the_exit_code(here):
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_a_full_stderr_does_not_change_the_exit_code(here, unbuffered):
+    environment = os.environ | {"PYTHONUNBUFFERED": unbuffered}
     for arguments in (("info", "missing.csv"), ("fetch", "sugiyama2008"), ("no_such_command",)):
         with Path("/dev/full").open("wb") as full:
-            assert sugiyama(*arguments, stdout=full, stderr=full, capture_output=False).returncode == 2
+            done = sugiyama(*arguments, stdout=full, stderr=full, capture_output=False, env=environment)
+            assert done.returncode == 2
 
 
 def test_a_closed_stdout_is_no_error_and_no_file_takes_its_place(here):
