@@ -1,4 +1,7 @@
-"""The notebooks in examples run from the first cell to the last, and their assertions hold."""
+"""The notebooks in examples run from the first cell to the last, and their assertions hold.
+
+They take a minute, and `make docs` runs them, too: an error in a cell fails it.
+"""
 
 import os
 import re
@@ -11,6 +14,7 @@ import pytest
 NOTEBOOKS = sorted((Path(__file__).parents[2] / "examples").glob("*.md"))
 
 
+@pytest.mark.slow
 @pytest.mark.system
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
