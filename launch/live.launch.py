@@ -3,8 +3,7 @@
     ros2 launch sugiyama_ros live.launch.py centre_line:=LINE.csv topics:="['/car*/odom']" output:=FILE.mcap
         [frame:=map] [model:=MODEL.yaml] [critic:=true] [namespace:=NAME] [use_sim_time:=true]
 
-The critic follows the vehicles that are in view when it first sees any. The launch ends with Ctrl-C; the file is
-finished then.
+The critic follows the vehicles in view. The launch ends with Ctrl-C; the file is finished then.
 """
 
 from pathlib import Path

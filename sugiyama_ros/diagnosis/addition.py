@@ -101,16 +101,16 @@ def parameters_of(fitted: JointFit, candidate: Candidate) -> dict[str, float]:
     return {ROW.declared[k].name: float(v) for k, v in zip(places, rows, strict=True)}
 
 
-def least_gain(won: Gain, candidate: Candidate, of_blocks: float) -> float:
+def least_gain(won: Gain, candidate: Candidate) -> float:
     """Return the smallest held-out gain [nats] with which something is added.
 
-    It is the standard error of the gain over drivers, or over blocks of time (``of_blocks``) where drivers are few.
+    It is the standard error of the gain over drivers, or over blocks of time where drivers are few.
     An effect of some drivers only is chosen among very many, so it takes two standard errors. So do freed constants,
     which take in part of whatever is missing. What happens once cannot be held out.
     """
     if candidate.happens_once:
         return -math.inf
     if candidate.drivers:
-        return FLEXIBLE * of_blocks
+        return FLEXIBLE * sum_error(won.blocks)
     error = sum_error(won.drivers) if len(won.drivers) >= MANY_DRIVERS else won.se
     return FLEXIBLE * error if candidate.kind == "constants" else error

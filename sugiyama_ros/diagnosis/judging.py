@@ -67,37 +67,18 @@ def judged(
     JudgedModel
         The judgement.
     """
-    found = _judged(search, _evidence(search, located, forces, laws, work), work, 0)
-    if search.quick and found.adequacy.outcome == "not_explained":
-        alone = judge(search.data, replace(found.evidence, simulated=(), checks={}))
-        if alone.outcome != "not_explained":
-            found = _judged(search, found.evidence, work, FULL.runs)
+    stds = shared_stds(search.data, search.current, work)
+    before = Evidence(search.before, search.errors, search.named, located, laws, forces, simulated=(), stds=stds)
+    found = _judged(search, before, work, 0)
     is_unexplained = found.adequacy.outcome == "not_explained"
+    if search.quick and is_unexplained and judge(search.data, before).outcome != "not_explained":
+        found = _judged(search, before, work, FULL.runs)
+        is_unexplained = found.adequacy.outcome == "not_explained"
     if search.quick and laws and (search.named or is_unexplained):
         left = [force for force, _ in search.forces(LEVEL if is_unexplained else _SURELY)]
         evidence = replace(found.evidence, forces=left)
         found = replace(found, adequacy=judge(search.data, evidence), evidence=evidence)
     return found
-
-
-def _evidence(
-    search: Search,
-    located: Located,
-    forces: Sequence[Discovery],
-    laws: Mapping[str, HeldOutErrors],
-    work: ThreadPoolExecutor,
-) -> Evidence:
-    """What is known without simulations."""
-    return Evidence(
-        base=search.before,
-        final=search.errors,
-        named=search.named,
-        located=located,
-        laws=laws,
-        forces=forces,
-        simulated=(),
-        stds=shared_stds(search.data, search.current, work),
-    )
 
 
 def _judged(search: Search, evidence: Evidence, work: ThreadPoolExecutor, runs: int) -> JudgedModel:

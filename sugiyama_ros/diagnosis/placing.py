@@ -53,7 +53,7 @@ def best_placed(data: Recorded, fitted: JointFit, candidate: Candidate, work: Ex
 def _best_along(data: Recorded, fitted: JointFit, place: int, spacing: float, work: Executor) -> JointFit:
     """The best fit with one parameter within the distance between two starts."""
     here = fitted.model.rows[:, place]
-    shares = np.arange(-_TRIES, _TRIES + 1) / _TRIES
+    shares = np.delete(np.arange(-_TRIES, _TRIES + 1), _TRIES) / _TRIES
 
     def promised(share: float) -> tuple[float, Array]:
         rows = fitted.model.rows.copy()
@@ -63,7 +63,7 @@ def _best_along(data: Recorded, fitted: JointFit, place: int, spacing: float, wo
 
     tried = [promised(float(share)) for share in shares]
     best, rows = max(tried, key=lambda one: one[0])
-    if best < tried[_TRIES][0] + _WORTH:
+    if best < predicted(fitted, fitted.model, fitted.samples) + _WORTH:
         return fitted
     again = warm_start(data, fitted, replace(fitted.model, rows=rows), work, renewals=FULL.renewals)
     return again if rise(fitted, again) > 0.0 else fitted

@@ -33,7 +33,7 @@ from sugiyama_ros.diagnosis.push import push_candidate
 from sugiyama_ros.diagnosis.screen import FULL, QUICK, Screened, closer, forecast, refine, screen, screen_again
 from sugiyama_ros.diagnosis.telling_apart import indistinguishable
 from sugiyama_ros.diagnosis.use import ANYTHING, Goal, LastPart, last_part, worse_where
-from sugiyama_ros.fit.cross_validation import Gain, block_error, gain, held_out_nearly
+from sugiyama_ros.fit.cross_validation import Gain, gain, held_out_nearly
 from sugiyama_ros.fit.joint import JointFit, rise, warm_start
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.score import filtered_states
@@ -262,7 +262,7 @@ class Search:
         grown = best_placed(data, grown, candidate, work)
         after = held_out_errors(data, grown, work, searched=not self.quick)
         won = gain(data, after.samples, before.samples)
-        if won.nats < least_gain(won, candidate, block_error(data, after.samples, before.samples)):
+        if won.nats < least_gain(won, candidate):
             return None
         return Addition(
             name=candidate.mechanism,

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sugiyama_ros.arrays import Array
 from sugiyama_ros.filters.measurement import weigh_samples
 from sugiyama_ros.fit.joint import JointFit, maximise, solve, start_fit
 from sugiyama_ros.fit.model import Model, coordinate, moved
@@ -189,20 +188,9 @@ def gain(data: Recorded, better: PointwiseDensity, than: PointwiseDensity) -> Ga
     difference = better.log_likelihood - than.log_likelihood
     # who follows nobody is not predicted, and tells nothing of how drivers differ
     by_driver = np.nansum(difference[np.isfinite(difference).any(axis=1)], axis=1)
-    by_block = _by_block(data, better, than)
+    by_block = np.bincount(data.block.ravel(), weights=np.nan_to_num(difference).ravel())
     se = max(sum_error(by_driver), sum_error(by_block))
     return Gain(float(by_driver.sum()), se, tuple(by_driver.tolist()), tuple(by_block.tolist()))
-
-
-def block_error(data: Recorded, better: PointwiseDensity, than: PointwiseDensity) -> float:
-    """Return the standard error [nats] of the gain of one model over another, by a jackknife over blocks of time."""
-    return sum_error(_by_block(data, better, than))
-
-
-def _by_block(data: Recorded, better: PointwiseDensity, than: PointwiseDensity) -> Array:
-    """Gain of one model over another in each block of time [nats]."""
-    difference = better.log_likelihood - than.log_likelihood
-    return np.asarray(np.bincount(data.block.ravel(), weights=np.nan_to_num(difference).ravel()), np.float64)
 
 
 def sum_error(parts: ArrayLike) -> float:

@@ -18,7 +18,7 @@ from sugiyama_ros.diagnosis.rivals import start_of
 from sugiyama_ros.diagnosis.verdict import document, sentences
 from sugiyama_ros.driver.parameters import defaults
 from sugiyama_ros.effects.registry import ROW
-from sugiyama_ros.fit.cross_validation import Gain, block_error, gain, sum_error, without_folds
+from sugiyama_ros.fit.cross_validation import Gain, gain, sum_error, without_folds
 from sugiyama_ros.laws.registry import LAWS, number_of
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, evenly, simulate
@@ -198,7 +198,7 @@ def test_a_law_is_far_behind_in_recordings_that_the_model_simulates(own):
 def test_freed_constants_have_to_gain_twice_as_much_as_an_effect(own):
     drivers = (1.0, 2.0, 0.0, 3.0, 1.0, 2.0, 0.0, 3.0)
     won, (constants, effect) = Gain(12.0, 9.0, drivers), named(own.data, ["rationality", "drag"])
-    least = [least_gain(won, one, 9.0) for one in (constants, effect)]
+    least = [least_gain(won, one) for one in (constants, effect)]
     assert least == pytest.approx([2.0 * sum_error(drivers), sum_error(drivers)])
 
 
@@ -208,9 +208,9 @@ def test_one_driver_who_is_predicted_leaves_the_error_to_blocks_of_time(own):
     better.log_likelihood[0] += 0.1 + 0.1 * own.data.block[0]
     won = gain(own.data, better, alone)
     assert won.drivers == pytest.approx((won.nats,))
-    assert 0.0 < won.se == block_error(own.data, better, alone) < won.nats
+    assert 0.0 < won.se == sum_error(won.blocks) < won.nats
     effect = named(own.data, ["drag"])[0]
-    assert least_gain(won, effect, won.se) == won.se
+    assert least_gain(won, effect) == won.se
 
 
 def test_a_law_starts_at_the_speeds_of_the_data():

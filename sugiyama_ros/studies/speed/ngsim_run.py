@@ -1,11 +1,10 @@
 """The run of 94 measured drivers of NGSIM I-80 and of those ahead of them, as a command."""
 
-import sys
 import tempfile
 from pathlib import Path
 
-from sugiyama_ros.studies.speed.figure import SpeedFigure, used_by_command
-from sugiyama_ros.studies.speed.ngsim import write_drivers
+from sugiyama_ros.studies.speed.figure import SpeedFigure
+from sugiyama_ros.studies.speed.ngsim import used_on_drivers
 
 _COMMAND = ("run", "drivers.parquet", "-o", "run.mcap", "--json")
 
@@ -14,8 +13,7 @@ def measure() -> tuple[SpeedFigure, ...]:
     """Measure the command. Raises InputError without the data."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        write_drivers(folder / "drivers.parquet")
-        used = used_by_command((sys.executable, "-m", "sugiyama_ros.cli", *_COMMAND), folder)
+        used = used_on_drivers(folder, *_COMMAND)
         size_mb = (folder / "run.mcap").stat().st_size / 1e6
     return (
         SpeedFigure("ngsim_run_s", "run of these drivers", used.cpu_s, "s of CPU time", 25),
