@@ -18,22 +18,23 @@ from sugiyama_ros.trajectories.trajectories import Trajectories
 
 @st.composite
 def some_trajectories(draw: st.DrawFn) -> Trajectories:
-    """A few vehicles that come and go, with samples missing in between."""
+    """A few vehicles that come and go at up to 42 m/s, with samples missing in between."""
     steps, vehicles = draw(st.integers(2, 12)), draw(st.integers(1, 4))
     random = np.random.default_rng(draw(st.integers(0, 1 << 32)))
     road = Road(draw(st.sampled_from([0.0, 230.0, 1000.1])))
+    period_s = draw(st.sampled_from([1.0 / 3.0, 0.1, 0.04, 1.0]) | st.floats(0.01, 2.0))
     start = random.uniform(-50.0, 2000.0, vehicles)
-    position = road.wrap(start + np.cumsum(random.uniform(-5.0, 14.0, (steps, vehicles)), axis=0))
+    position = road.wrap(start + period_s * np.cumsum(random.uniform(-15.0, 42.0, (steps, vehicles)), axis=0))
     position[random.random((steps, vehicles)) < draw(st.sampled_from([0.0, 0.3]))] = np.nan
     # Each vehicle is seen at least once, and the first vehicle always: a time without any sample is not written.
-    position[:, 0] = road.wrap(start[0] + np.arange(steps))
+    position[:, 0] = road.wrap(start[0] + period_s * np.arange(steps))
     position[0, :] = road.wrap(start)
     return Trajectories(
         position_m=position,
         length_m=random.uniform(3.0, 20.0, vehicles),
         vehicle=random.permutation(50)[:vehicles],
         road=road,
-        period_s=draw(st.sampled_from([1.0 / 3.0, 0.1, 0.04, 1.0]) | st.floats(0.01, 2.0)),
+        period_s=period_s,
         start_s=draw(st.sampled_from([0.0, 12.5]) | st.floats(0.0, 1000.0)),
         source="some.csv",
         sha256="0" * 64,
