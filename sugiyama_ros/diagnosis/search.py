@@ -148,17 +148,16 @@ class Search:
                 named = self._grow(one.candidate, one.fit, one.p_value, rivals)
                 grown += [named] if named is not None else []
         if grown:
-            grown = [self._narrowed(max(grown, key=lambda one: one.heldout.nats))]
-        grown += self._of_few(self._shown_by_few(max((one.gain for one in supported), default=0.0)))
+            best = max(grown, key=lambda one: one.heldout.nats)
+            few = who_shows(self.current, best.fit)
+            grown = [best if few is None else replace(best, drivers=few.drivers)]
+        # what is supported but does not predict better must not hide what a few drivers show
+        gained = next((one.gain for one in supported if grown and one.candidate.name == grown[0].form), 0.0)
+        grown += self._of_few(self._shown_by_few(gained))
         return self._take(max(grown, key=lambda one: one.heldout.nats, default=None))
 
-    def _narrowed(self, one: Addition) -> Addition:
-        """An addition with the few drivers, if any, who bring nearly all that it gains."""
-        few = who_shows(self.current, one.fit)
-        return one if few is None else replace(one, drivers=few.drivers)
-
     def _shown_by_few(self, gained: float) -> list[ShownByFew]:
-        """Effects by which a few drivers may gain more than all drivers gain by another one (gained) [nats]."""
+        """Effects by which a few drivers may gain more than all drivers by what was found (gained) [nats]."""
         known = {*self.current.model.individual, *self.current.model.shared}
         possible = [c for c in self._possible if known.isdisjoint(c.places) and self._few_gained.get(c.name, 1.0) > 0.0]
         shown = shown_by_few(self.data, self.current, possible, self._work, self._on_progress)

@@ -2,22 +2,24 @@
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from sugiyama_ros.diagnosis import few_screen
-from sugiyama_ros.diagnosis.candidacy import LEAST_GAIN
+from sugiyama_ros.diagnosis.candidacy import LEAST_GAIN, Candidacy
 from sugiyama_ros.diagnosis.candidates import candidates
 from sugiyama_ros.diagnosis.few import Few, cost_of, fit_few, rises, who_shows
 from sugiyama_ros.diagnosis.few_screen import chosen, fits_of_few, shown_by_few
 from sugiyama_ros.diagnosis.free_runs import FreeRuns
-from sugiyama_ros.diagnosis.screen import with_candidate
+from sugiyama_ros.diagnosis.screen import Screened, with_candidate
+from sugiyama_ros.diagnosis.search import Search
 from sugiyama_ros.diagnosis.use import LastPart, drivers_worse, last_part, purpose_of, worse_where
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, defaults
 from sugiyama_ros.effects.registry import ROW, index_of, switch_on
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.fit.cross_validation import without_folds
+from sugiyama_ros.fit.cross_validation import Gain, without_folds
 from sugiyama_ros.fit.model_file import own_stds
 from sugiyama_ros.fit.population import fit_base
 from sugiyama_ros.fit.recording import prepare
@@ -98,6 +100,23 @@ def test_the_choice_of_drivers_seldom_gains_by_chance():
     assert sum(chosen(one)[1] > 2.0 for one in gains) < 10
     gains[:, [3, 8, 15]] += 20.0
     assert all(set(chosen(one)[0].drivers) >= {3, 8, 15} for one in gains)
+
+
+@pytest.mark.parametrize(("predicts", "hides"), [(False, 0.0), (True, 1000.0)])
+def test_only_what_predicts_better_hides_a_few_drivers(fitted, patch, grown, work, monkeypatch, predicts, hides):
+    data, base = fitted
+    search = Search(data, base, True, 0, work, on_progress=lambda *_: None)
+    look = Screened(patch, grown, gain=1000.0, predicted_gain=1000.0, loss=0.0, loss_at={})
+    supported = Candidacy(look, grown, 1000.0, 0.0, 1.0, p_value=0.0, p_alone=0.0, refined=True)
+    added = SimpleNamespace(form=patch.name, fit=grown, heldout=Gain(50.0, 1.0, ()), drivers=())
+    asked = []
+    monkeypatch.setattr(search, "_look_at_all", lambda: [supported])
+    monkeypatch.setattr(search, "_predicts_more", lambda *_: True)
+    monkeypatch.setattr(search, "_grow", lambda *_: added if predicts else None)
+    monkeypatch.setattr(search, "_shown_by_few", lambda gained: asked.append(gained) or [])
+    monkeypatch.setattr(search, "_take", lambda one: one is not None)
+    assert search.add_effect() is predicts
+    assert asked == [hides]
 
 
 def test_a_driver_who_gains_nothing_is_left_out(fitted, patch, work):
