@@ -33,8 +33,14 @@ help:
 demo: $(DONE)/compiled
 	@.venv/bin/sugiyama demo
 
+# Tests that start no nodes run two at a time; the others are about time, so each has the machine to itself.
+QUIET := test/unit test/golden test/property test/fuzz test/system/test_extensions.py
+
 test: $(DONE)/compiled $(DONE)/tools
-	@.venv/bin/python -m pytest
+	@failed=0
+	.venv/bin/python -m pytest -n 2 --dist loadfile $(QUIET) || failed=1
+	.venv/bin/python -m pytest test/ros test/system --ignore=test/system/test_extensions.py || failed=1
+	exit $$failed
 
 bench: $(DONE)/compiled $(DONE)/tools
 	@.venv/bin/python -m sugiyama_ros.studies.speed
@@ -43,7 +49,7 @@ bench: $(DONE)/compiled $(DONE)/tools
 FUZZ_EXAMPLES ?= 2000
 
 fuzz: $(DONE)/compiled $(DONE)/tools
-	@FUZZ_EXAMPLES=$(FUZZ_EXAMPLES) .venv/bin/python -m pytest --timeout 7200 test/fuzz
+	@FUZZ_EXAMPLES=$(FUZZ_EXAMPLES) .venv/bin/python -m pytest --timeout 7200 test/fuzz test/property
 
 # SOAK_MINUTES: the first half is quiet, in the second half nodes are killed.
 SOAK_MINUTES ?= 60

@@ -7,13 +7,16 @@ from hypothesis import settings
 
 from sugiyama_ros.compile import compile_all
 
-# The fuzzer tries FUZZ_EXAMPLES damaged files of each kind; `make fuzz` sets it.
-settings.register_profile("suite", deadline=None, max_examples=int(os.environ.get("FUZZ_EXAMPLES", "25")))
+# The suite tries the same examples each time. `make fuzz` sets FUZZ_EXAMPLES, the number of damaged files of each kind,
+# and tries others each time.
+_EXAMPLES = os.environ.get("FUZZ_EXAMPLES")
+settings.register_profile("suite", deadline=None, max_examples=int(_EXAMPLES or 25), derandomize=_EXAMPLES is None)
 settings.load_profile("suite")
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
     """Compile now, so that no time limit of a test or of a node counts it. With compiled code at hand, it is loaded."""
     starts = any(item.get_closest_marker(name) for item in session.items for name in ("ros", "system"))
-    if starts and not session.config.option.collectonly:
+    shares = hasattr(session.config, "workerinput")  # one of several processes: those tests compile as they go
+    if starts and not shares and not session.config.option.collectonly:
         compile_all(tell=lambda line: None)
