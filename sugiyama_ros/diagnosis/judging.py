@@ -89,5 +89,6 @@ def _judged(search: Search, evidence: Evidence, work: ThreadPoolExecutor, runs: 
         evidence,
         simulated=simulated_failures(simulations, work),
         checks=check_laws(open_laws(search.data, search.errors, evidence.laws), own, work),
+        own=[errors for _, errors in own],
     )
-    return JudgedModel(judge(search.data, evidence), evidence, floor_of([errors for _, errors in own]))
+    return JudgedModel(judge(search.data, evidence), evidence, floor_of(evidence.own))

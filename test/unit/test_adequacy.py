@@ -106,9 +106,12 @@ def test_biases_speak_against_the_model_only_beyond_its_own_simulations(own):
 def test_a_filter_that_is_too_sure_of_itself_speaks_against_the_model(own):
     samples = own.after.samples.copy()
     samples.innovation_var[:] *= 0.5
-    found = judge(own.data, evidence_of(own, final=replace(own.after, samples=samples)))
+    surer = replace(own.after, samples=samples)
+    found = judge(own.data, evidence_of(own, final=surer, own=[own.after] * 2))
     assert found.outcome == "not_explained"
     assert "surer of itself" in found.reasons[0]
+    # with gross errors of measurement, the mean NIS is above 1 in the model's own simulations, too
+    assert judge(own.data, evidence_of(own, final=surer, own=[surer] * 2)).outcome == "adequate"
 
 
 def test_coarse_positions_speak_against_what_is_named(own):
