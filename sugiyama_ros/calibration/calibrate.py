@@ -153,7 +153,7 @@ def in_classes(trajectories: Trajectories, settings: Settings, count: int, work:
         settings=settings,
         rows=ROW.with_effects(rows),
         std=tuple(dict(zip(estimated, one.tolist(), strict=True)) for one in std[:, places]),
-        identified=tuple(dict.fromkeys(estimated, True) for _ in likeliest),
+        identified=tuple(dict(zip(estimated, one.tolist(), strict=True)) for one in np.isfinite(std[:, places])),
         interval=quadratic(rows, std),
         log_likelihood=found.log_likelihood,
         shared_std={},

@@ -1,5 +1,6 @@
 """The settings and the result of a calibration. The result becomes a document, a table or a model file."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +21,8 @@ from sugiyama_ros.trajectories.trajectories import Trajectories
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+_VAGUE = "(not identified)"
 
 
 @dataclass(frozen=True)
@@ -212,8 +215,8 @@ class Calibration(Result):
         for d in self._drivers():
             cells = []
             for n in names:
-                known = "{:.3f} to {:.3f}".format(*d["interval"][n]) if profiled else f"± {d['std'][n]:.3f}"
-                cells.append(f"{d[n]:.3f} {known if d['identified'][n] else '(not identified)'}")
+                known = "{:.3f} to {:.3f}".format(*d["interval"][n]) if profiled else _within(d["std"][n], ".3f")
+                cells.append(f"{d[n]:.3f} {known if d['identified'][n] else _VAGUE}")
             rows.append((str(d["vehicle"]), *cells, f"{d['log_likelihood']:.1f}"))
         means = self.rows[:, [index(name) for name in names]].mean(axis=0)
         rows.append(("mean", *(f"{m:.3f}" for m in means), f"{float(self.log_likelihood.sum()):.1f}"))
@@ -229,7 +232,7 @@ class Calibration(Result):
             return []
         names, lines = self.settings.estimated, []
         for number, one in enumerate(_classes_of(self.classes, names)):
-            values = ", ".join(f"{n} {one[n]:.3f} ± {one['std'][n]:.3f}" for n in names)
+            values = ", ".join(f"{n} {one[n]:.3f} {_within(one['std'][n], '.3f')}" for n in names)
             lines.append(f"class {number}: {one['share']:.0%} of the drivers, {values}")
         bic = f"Bayesian information criterion {self.classes.bic:.1f}"
         return [*lines, f"{bic}: the best number of classes has the smallest criterion"]
@@ -237,7 +240,7 @@ class Calibration(Result):
     def shared_sentences(self) -> list[str]:
         """Say the values of the parameters that all drivers share, one line for each effect."""
         return [
-            f"{name}: " + ", ".join(f"{p} {v['value']:.4g} ± {v['std']:.2g}" for p, v in values.items())
+            f"{name}: " + ", ".join(f"{p} {v['value']:.4g} {_within(v['std'], '.2g')}" for p, v in values.items())
             for name, values in self._shared().items()
         ]
 
@@ -269,6 +272,11 @@ class Calibration(Result):
             value = float(self.rows[0, ROW.entries.index(entry)])
             found.setdefault(effect or "constants", {})[parameter] = {"value": value, "std": std}
         return found
+
+
+def _within(std: float, form: str) -> str:
+    """How well a parameter is known, as text."""
+    return f"± {std:{form}}" if math.isfinite(std) else _VAGUE
 
 
 def _classes_of(classes: Classes, names: Sequence[str]) -> list[dict[str, Any]]:

@@ -67,6 +67,8 @@ def cautions(calibration: Calibration) -> list[str]:
             f"{_named(vehicles[large])}: mean NIS {np.median(nis[large]):.2f} instead of 1: the model does not fit, and"
             " the standard errors are too small; `sugiyama diagnose` looks for what is missing"
         )
+    if (unknown := np.isnan(nis)).any():
+        lines.append(f"{_named(vehicles[unknown])}: too few samples, so that no parameter is known")
     alone = np.mean(calibration.trajectories.leader < 0, axis=0) > _ALONE
     if alone.any():
         lines.append(

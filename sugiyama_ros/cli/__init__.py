@@ -6,6 +6,7 @@ commands are loaded ends the program in good order too.
 """
 
 import os
+import signal
 import sys
 from contextlib import suppress
 
@@ -16,10 +17,10 @@ _FAILED, _REFUSED, _INTERRUPTED = 1, 2, 130
 
 def main() -> None:
     """Entry point of the console script."""
-    # The work is shared out over drivers. Threads of the linear algebra would only take processor time from it.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    _open_standard_streams()
     try:
+        # The work is shared out over drivers. Threads of the linear algebra would only take processor time from it.
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+        _open_standard_streams()
         code = _run()
         sys.stdout.flush()
     except SugiyamaError as error:
@@ -28,12 +29,14 @@ def main() -> None:
         code = _INTERRUPTED
     except BrokenPipeError:  # the program that reads the output has closed it
         code = _FAILED
-    except OSError as error:
-        where = error.filename if error.filename is not None else "the output"
-        code = _refused(f"{where}: {error.strerror or error}; free some space, or choose another place")
-    except MemoryError:
-        code = _refused("not enough memory; give less data, or fewer vehicles")
+    except Exception as error:
+        reason = _cause_outside(error)
+        if reason is None:
+            raise
+        code = _refused(reason)
     _flush_or_drop()
+    # From here on nothing can be lost, and another Ctrl-C ends the program at once.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
     sys.exit(code)
 
 
@@ -48,6 +51,23 @@ def _run() -> int | str | None:
     except SystemExit as end:
         return end.code
     return 0
+
+
+def _cause_outside(error: Exception) -> str | None:
+    """What the user reads where the system refused something; None for an error of the program itself."""
+    from sugiyama_ros.cli.memory import limit_bytes
+
+    if isinstance(error, OSError) and error.errno is not None:
+        where = error.filename if error.filename is not None else "the output"
+        return f"{where}: {error.strerror or error}; free some space, or choose another place"
+    if isinstance(error, MemoryError):
+        return "not enough memory; give less data, or fewer vehicles"
+    limit = limit_bytes()
+    if limit is None:
+        return None
+    # Without memory, libraries fail in ways of their own.
+    said = (str(error).splitlines() or [""])[0]
+    return f"ulimit -v: {limit >> 20} MB of memory may be too little ({type(error).__name__}: {said}); allow more"
 
 
 def _refused(reason: str) -> int:

@@ -5,6 +5,7 @@ from typing import Annotated
 import typer
 
 from sugiyama_ros.cli import calibrate, catalogue, data, demo, diagnose, report, run, simulate, study, view
+from sugiyama_ros.cli.memory import check_limit
 
 # Without rich's markup, which would take a unit such as [m] for a style and leave it out.
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
@@ -45,3 +46,4 @@ def sugiyama(
     ] = False,
 ) -> None:
     """Estimate how people drive, live or from recordings, and find out what the driver model lacks."""
+    check_limit()

@@ -158,7 +158,11 @@ def print_run(result: "RunResult", as_json: bool) -> None:
     """Print what the estimators know at the end of a run."""
     from sugiyama_ros.page.truth import against_truth
 
-    against = against_truth(result.output)
+    try:
+        against = against_truth(result.output)
+    except InputError as error:  # another program has sent junk, which is in the recording too
+        against = None
+        print_note(f"no comparison with the truth: {error}")
     if as_json:
         truth = {} if against is None else {"truth": dataclasses.asdict(against)}
         print_json({**dataclasses.asdict(result), **truth})

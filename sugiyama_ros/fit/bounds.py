@@ -18,9 +18,9 @@ SMALLEST = 1e-3
 
 
 def fastest(trajectories: Trajectories) -> float:
-    """Return the speed [m/s] below which 99 % of the samples are."""
+    """Return the speed [m/s] below which 99 % of the samples are; 0 if there are too few samples for a speed."""
     speed = paper.smoothed_speed(trajectories.road.unwrap(trajectories.position_m), 2, trajectories.period_s)
-    return float(np.nanquantile(speed, 0.99))
+    return float(np.nanquantile(speed, 0.99)) if np.isfinite(speed).any() else 0.0
 
 
 def upper_bounds(speed: float) -> Array:

@@ -1,10 +1,12 @@
 """The critic: a bank of models follows all vehicles. The model that predicts best shows what the others lack."""
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
 from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.client import Client
 from rclpy.subscription import Subscription
 from sugiyama_msgs.msg import DriverArray, DriverParameters, Verdict
 from sugiyama_msgs.msg import Road as RoadMessage
@@ -210,14 +212,17 @@ class Critic(PacedNode):
         names = [self.shared(DRIVERS.lstrip("/"))] if is_one else estimators(namespaces(self._chains))
         clients = [self.create_client(AddEffect, f"{name}/add_effect") for name in names]
         ready = [client for client in clients if client.service_is_ready() or client.wait_for_service(1.0)]
-        for client in ready:
-            future = client.call_async(request)
-            future.add_done_callback(self._on_answer)
+        for client in clients:
+            if client in ready:
+                client.call_async(request).add_done_callback(partial(self._on_answer, client))
+            else:
+                self.destroy_client(client)
         response.success = bool(ready) and len(ready) == len(clients)
         response.message = "" if response.success else f"{len(ready)} of {len(clients)} estimators answer"
         return response
 
-    def _on_answer(self, done: Any) -> None:
+    def _on_answer(self, client: Client, done: Any) -> None:
+        self.destroy_client(client)
         answer = done.result() if done.exception() is None else None
         if answer is None or not answer.success:
             self.get_logger().error(answer.message if answer is not None else str(done.exception()))

@@ -75,13 +75,16 @@ def serve(
         stack.callback(spinner.close)
         if runner is not None:
             stack.callback(runner.stop, spinner)
-        turns = _turns(spinner, runner, asked_to_stop)
+        failures: list[Exception] = []
+        turns = _turns(spinner, runner, asked_to_stop, failures)
         server.start()
         stack.callback(server.stop)
         turns.start()
         stack.callback(turns.stop)
         on_ready(url)
         IOLoop.current().start()
+        for failure in failures:
+            raise failure
 
 
 def _plan(source: Path, output: Path, settings: RunSettings) -> Plan:
@@ -92,15 +95,20 @@ def _plan(source: Path, output: Path, settings: RunSettings) -> Plan:
     return plan
 
 
-def _turns(spinner: Spinner, runner: OneProcess | None, asked_to_stop: Callable[[], bool]) -> PeriodicCallback:
-    """Callback that lets the nodes run between the turns of the server, and stops the server after a signal."""
+def _turns(
+    spinner: Spinner, runner: OneProcess | None, asked_to_stop: Callable[[], bool], failures: list[Exception]
+) -> PeriodicCallback:
+    """Callback that lets the nodes run between the turns of the server, and stops it after a signal or a failure."""
     loop = IOLoop.current()
 
     def stretch() -> None:
-        spinner.until(lambda: False, _STRETCH_S)
-        if runner is not None:
-            runner.check()
-        if asked_to_stop():
+        try:
+            spinner.until(lambda: False, _STRETCH_S)
+            if runner is not None:
+                runner.check()
+        except Exception as failure:  # the loop would log it, and go on for ever
+            failures.append(failure)
+        if failures or asked_to_stop():
             loop.stop()
 
     return PeriodicCallback(stretch, 1000 * _EVERY_S)

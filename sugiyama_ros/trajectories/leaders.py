@@ -176,6 +176,9 @@ def _cure(tracks: Tracks, gap: Array, followed: int) -> str:
         # Centres that are front bumpers in truth lie half a length further back.
         if np.sum(gap + shift < 0.0) <= MOST_NEGATIVE * followed:
             return f"positions look like {reference} bumpers; give --reference {reference}"
+    overlaps = (gap < 0.0) & (gap >= -0.5 * (tracks.length_m[ahead] + tracks.length_m))
+    if tracks.about.ring_m == 0.0 and np.sum(overlaps) <= MOST_NEGATIVE * followed:
+        return "leaders are behind their followers, as on a ring; convert it with --ring METRES"
     if tracks.lane is None:
         return (
             "several lanes, or recordings that have nothing to do with each other, or clocks that differ, share one"

@@ -2,6 +2,7 @@
 
 import json
 import math
+import time
 from array import array
 from pathlib import Path
 from typing import Any
@@ -345,3 +346,18 @@ def test_a_keeper_with_what_nobody_can_have_learnt_is_refused(values: dict[str, 
     message = incoming.parameters(bytes(serialize_message(DriverParameters(**given))))
     with pytest.raises(ValueError, match=r"\w"):
         kept_in(message)
+
+
+def test_events_of_a_subscription_that_was_given_up_are_ignored(stage: Any) -> None:
+    """Publishers that offer less make a node subscribe anew, while the middleware still tells the old subscription."""
+    listener, talker = Node("listener"), Node("talker")
+    stage.add(listener)
+    given_up = [listener.create_subscription(RoadMessage, "road", lambda message: None, LATCHED) for _ in range(3)]
+    stage.for_a_while(0.1)
+    publisher = talker.create_publisher(RoadMessage, "road", STREAM)
+    time.sleep(0.3)
+    for subscription in given_up:
+        listener.destroy_subscription(subscription)
+    stage.for_a_while(0.2)
+    talker.destroy_publisher(publisher)
+    talker.destroy_node()

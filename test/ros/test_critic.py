@@ -107,6 +107,7 @@ def test_a_hidden_delay_is_named_added_and_the_error_falls(stage, delayed, tmp_p
     request = AddEffect.Request(effect="reaction_delay", name=["delay"], value=[DELAY_S])
     assert stage.call(AddEffect, "/critic/add_effect", request).success
     stage.until(lambda: all(active(e.filter.parameters) for e in estimators))
+    stage.until(lambda: not list(critic.clients))
     assert stage.call(Seek, "/replay/seek", Seek.Request(time_s=0.0)).success
     stage.until(lambda: ears.pass_done(samples), 100.0)
     after = ears.rmse()

@@ -1,6 +1,8 @@
 """Outputs and odd circumstances as a user meets them: one line and exit code 2, and no file is lost."""
 
+import errno
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -9,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from sugiyama_ros import cli
+from sugiyama_ros.cli import memory
 from sugiyama_ros.formats.mcap_reader import Bag
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
@@ -210,3 +214,55 @@ def test_a_pipe_as_a_document_is_refused(here, option):
     os.mkfifo(here / "pipe")
     command = ("run", "good.mcap", "-o", "out.mcap") if option == "--model" else ("report", "good.mcap")
     refused(sugiyama(*command, option, "pipe"), "not a regular file")
+
+
+def test_an_error_under_a_limit_of_memory_is_one_line(here):
+    """Libraries fail in ways of their own, or go on for ever, where the shell gives them too little."""
+
+    def within(megabytes):
+        return lambda: resource.setrlimit(resource.RLIMIT_AS, (megabytes << 20,) * 2)
+
+    refused(sugiyama("study", preexec_fn=within(350)), "ulimit -v", "350 MB", "1024 MB")
+    assert sugiyama("info", "good.mcap", preexec_fn=within(1030)).returncode == 0
+    assert b"calibrate" in sugiyama("--help", preexec_fn=within(500)).stdout
+
+
+@pytest.mark.parametrize("error", [ImportError("failed to map segment"), OSError("no library"), RuntimeError("thread")])
+def test_errors_of_libraries_are_those_of_the_memory_only_under_a_limit(monkeypatch, error):
+    assert cli._cause_outside(error) is None
+    monkeypatch.setattr(memory, "limit_bytes", lambda: 2 << 30)
+    said = cli._cause_outside(error)
+    assert "2048 MB" in said
+    assert str(error) in said
+    assert "No space" in cli._cause_outside(OSError(errno.ENOSPC, "No space", "a.csv"))
+
+
+def test_another_interruption_while_the_interpreter_ends_is_silent():
+    """A user presses Ctrl-C twice. From the end of the command on, the signal ends the program without a traceback."""
+    code = "import atexit, os, signal; atexit.register(os.kill, os.getpid(), signal.SIGINT)\n"
+    code += "import sys; sys.argv = ['sugiyama', '--version']\nfrom sugiyama_ros.cli import main; main()"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr) == (-signal.SIGINT, b"")
+
+
+def test_a_live_page_whose_source_fails_ends_with_one_line(here):
+    """Two replays in one domain: the page of the second ends, and the first goes on."""
+    env = os.environ | {"ROS_DOMAIN_ID": "47", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    first = subprocess.Popen(
+        [SUGIYAMA, "live", "good.mcap", "-o", "first.mcap", "--port", "5108", "--rate", "0.2"],
+        env=env,
+        stderr=subprocess.PIPE,
+    )
+    try:
+        assert b"starting" in first.stderr.readline()
+        assert b"5108" in first.stderr.readline()
+        time.sleep(3.5)  # a source looks for another one for so long
+        second = sugiyama("live", "good.mcap", "-o", "second.mcap", "--port", "5109", env=env)
+        assert second.returncode == 2
+        assert b"error: /measured: another node publishes it already" in second.stderr
+        assert b"Traceback" not in second.stderr
+        assert first.poll() is None
+    finally:
+        first.send_signal(signal.SIGINT)
+        assert first.wait(60) == 0
+        first.stderr.close()

@@ -97,6 +97,19 @@ def test_classes_and_csv(sugiyama: Run, two_lanes: Path) -> None:
     assert set(shift.round(9).tolist()) == {2.0, 6.0}
 
 
+def test_a_ring_in_csv_needs_its_circumference_again(sugiyama: Run, tmp_path: Path, monkeypatch) -> None:
+    """A table has no place for the circumference."""
+    monkeypatch.chdir(tmp_path)
+    rows = [f"{0.5 * i},{v},{20 * v + 2 * i}" for i in range(60) for v in range(2)]
+    Path("ring.csv").write_text("\n".join(["time_s,vehicle,position_m", *rows]) + "\n")
+    assert sugiyama("convert", "ring.csv", "out.csv", "--ring", "40")[0] == 0
+    code, _, said = sugiyama("info", "out.csv")
+    assert code == 2
+    assert "as on a ring; convert it with --ring METRES" in said
+    assert sugiyama("convert", "out.csv", "out.parquet", "--ring", "40")[0] == 0
+    assert "Ring:        40 m" in sugiyama("info", "out.parquet")[1]
+
+
 def test_a_map_of_columns_is_read(sugiyama: Run, two_lanes: Path) -> None:
     Path("map.yaml").write_text("vehicle: who\n")
     two_lanes.write_text(two_lanes.read_text().replace("vehicle", "who", 1))

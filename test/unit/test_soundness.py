@@ -43,3 +43,23 @@ def test_a_vehicle_that_the_filter_has_lost_is_an_error(calibrated):
 
 def test_the_papers_formulation_has_no_such_filter(calibrated):
     assert cautions(replace(calibrated, settings=replace(calibrated.settings, formulation="paper"))) == []
+
+
+def test_drivers_of_whom_nothing_is_known_are_told(calibrated, tmp_path):
+    path = tmp_path / "short.csv"
+    path.write_text(
+        "time_s,vehicle,position_m\n" + "".join(f"{0.3 * t},{v},{30 * v + t}\n" for t in range(3) for v in (0, 1))
+    )
+    short = sg.calibrate(sg.read(path))
+    assert cautions(short)[0] == "vehicles 0, 1: too few samples, so that no parameter is known"
+    assert "inf" not in str(short)
+
+
+def test_a_parameter_without_an_error_is_not_identified(calibrated):
+    """Its standard error is infinite."""
+    vague = replace(calibrated, std=tuple({**one, "kappa_v": np.inf} for one in calibrated.std))
+    cells = [cell for row in vague.table().rows for cell in row]
+    assert not any("inf" in cell for cell in cells)
+    assert sum("(not identified)" in cell for cell in cells) >= 4
+    (line,) = replace(calibrated, shared_std={"drag.c0": np.inf}).shared_sentences()
+    assert line == "drag: c0 0 (not identified)"

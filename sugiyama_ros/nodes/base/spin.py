@@ -5,12 +5,12 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import NoReturn
 
 import rclpy
-from rclpy.exceptions import ParameterException
+from rclpy.exceptions import InvalidHandle, ParameterException
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -74,13 +74,13 @@ class Spinner:
         # The executor's spin() hangs in the wheels of rclpy 7.1.6; spin_once() executes one callback.
         end = time.monotonic() + _SLICE_S
         while (left := end - time.monotonic()) > 0.0:
-            self._executor.spin_once(timeout_sec=left)
+            self._once(left)
 
     def until(self, done: Callable[[], bool], timeout_s: float) -> None:
         """Execute callbacks until ``done``, or for at most ``timeout_s``."""
         end = time.monotonic() + timeout_s
         while not done() and (left := end - time.monotonic()) > 0.0:
-            self._executor.spin_once(timeout_sec=min(left, _SLICE_S))
+            self._once(min(left, _SLICE_S))
 
     def until_quiet(self, count: Callable[[], int]) -> None:
         """Execute callbacks until ``count`` has not changed for a while, so that nothing is under way any more.
@@ -90,13 +90,18 @@ class Spinner:
         seen = count()
         began = since = time.monotonic()
         while time.monotonic() - since < _QUIET_S and since - began < _LONGEST_S:
-            self._executor.spin_once(timeout_sec=_SLICE_S)
+            self._once(_SLICE_S)
             if count() != seen:
                 seen, since = count(), time.monotonic()
 
     def close(self) -> None:
         """Release the nodes."""
         self._executor.shutdown()
+
+    def _once(self, timeout_s: float) -> None:
+        # rclpy fails on an event of a subscription that a node has given up since, such as for other publishers
+        with suppress(InvalidHandle):
+            self._executor.spin_once(timeout_sec=timeout_s)
 
 
 def run_node(make: Callable[[], PacedNode]) -> None:
