@@ -17,7 +17,7 @@ nogil         1.01        1.92
 Compiled code is kept where numba keeps it: in ``__pycache__`` beside the source, in NUMBA_CACHE_DIR if that is set, or
 in the user's cache folder. numba compiles a function anew when its own file changes, but not when a function that it
 calls changes in another file. So the stamp that numba compares is replaced by one of all files that the compiled code
-is made of, effects and laws of other packages among them.
+may be made of, effects and laws of other packages among them.
 """
 
 import contextlib
@@ -34,7 +34,8 @@ from sugiyama_ros.entry_points import entry_points
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 PACKAGE = Path(__file__).parent
-_ROOMS = ("driver", "laws", "effects", "simulation", "filters", "fit", "diagnosis")
+# Rooms with compiled code; none calls the compiled code of a room after it.
+_ROOMS = ("driver", "laws", "effects", "filters", "simulation", "fit")
 #: Files that compiled code is made of.
 MADE_OF = ("jit.py", "arrays.py", *(f"{room}/*.py" for room in _ROOMS))
 #: Groups of entry points whose functions are compiled into ours.
@@ -106,7 +107,8 @@ def _kept(compiled: Any, cached: bool) -> Any:
     if cached:
         with contextlib.suppress(AttributeError):  # a numba that keeps its code elsewhere: its own rules stay
             file = compiled._cache._cache_file
-            file._source_stamp, file._load_index = state(), partial(_index, file._load_index)
+            stamp = state(compiled.py_func.__module__.removeprefix("sugiyama_ros.").partition(".")[0])
+            file._source_stamp, file._load_index = stamp, partial(_index, file._load_index)
     return compiled
 
 
@@ -119,9 +121,23 @@ def _index(load: Callable[[], dict[Any, Any]]) -> dict[Any, Any]:
 
 
 @cache
-def state() -> str:
-    """Identify the files that compiled code is made of, by their times and sizes."""
-    stats = [(path, path.stat()) for pattern in MADE_OF for path in sorted(PACKAGE.glob(pattern))]
+def state(room: str = "") -> str:
+    """Identify the files that compiled code is made of, by their times and sizes.
+
+    Parameters
+    ----------
+    room : str
+        Folder of the code, which is made of files in this folder and in those before it. Code from elsewhere may be
+        made of all files.
+
+    Returns
+    -------
+    str
+        A checksum.
+    """
+    own = f"{room}/*.py"
+    patterns = MADE_OF[: MADE_OF.index(own) + 1] if own in MADE_OF else MADE_OF
+    stats = [(path, path.stat()) for pattern in patterns for path in sorted(PACKAGE.glob(pattern))]
     found: list[object] = [(str(path.relative_to(PACKAGE)), s.st_mtime_ns, s.st_size) for path, s in stats]
     for group in GROUPS:
         for point in entry_points(group):

@@ -2,6 +2,7 @@
 
 import importlib
 import os
+import re
 import subprocess
 import sys
 
@@ -38,6 +39,31 @@ def test_other_files_do_not_matter(package):
     first = state()
     (package / "cli.py").write_text("")
     assert state() == first
+
+
+def test_code_is_not_made_of_the_rooms_after_its_own(package):
+    (package / "fit").mkdir()
+    first, of_all = jit.state("driver"), state()
+    (package / "fit/slopes.py").write_text("a = 1\n")
+    assert state() != of_all
+    assert jit.state("driver") == first
+
+
+@pytest.mark.parametrize("name", jit.MADE_OF[2:])
+def test_no_room_uses_those_after_it(name):
+    later = [one.removesuffix("/*.py") for one in jit.MADE_OF[jit.MADE_OF.index(name) + 1 :]]
+    for path in jit.PACKAGE.glob(name):
+        used = set(re.findall(r"^from sugiyama_ros\.(\w+)", path.read_text(), re.MULTILINE))
+        assert used.isdisjoint({*later, "diagnosis"}), path
+
+
+def test_all_files_with_compiled_code_are_in_those_rooms():
+    rooms = {path for name in jit.MADE_OF for path in jit.PACKAGE.glob(name)}
+    kernels = {
+        p for p in jit.PACKAGE.rglob("*.py") if re.search(r"^@kernel($|\((?!cached=False))", p.read_text(), re.M)
+    }
+    assert kernels
+    assert kernels <= rooms
 
 
 @pytest.mark.parametrize("group", jit.GROUPS)
