@@ -156,12 +156,13 @@ def _fresh(d: Diagnosis, pair: Pair) -> tuple[float, float]:
 
 def _errors(d: Diagnosis, pair: Pair) -> dict[str, float]:
     """Errors of the parameters of the right additions, in standard errors."""
+    found: dict[str, float] = {}
     if not d.named:
-        return {}
-    stds, found = d.stds, {}
-    values = {f"{n.name}.{p}": v for n in d.named for p, v in n.parameters.items()}
-    for name, truth in pair.truth.items():
-        std = stds.get(name, 0.0)
-        if name in values and std > 0.0:
-            found[name] = (values[name] - truth) / std
+        return found
+    stds = d.stds
+    for one in d.named:
+        for parameter, value in one.parameters.items():
+            name, std = f"{one.name}.{parameter}", stds.get(f"{one.form}.{parameter}", 0.0)
+            if name in pair.truth and std > 0.0:
+                found[name] = (value - pair.truth[name]) / std
     return found
