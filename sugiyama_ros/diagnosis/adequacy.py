@@ -14,12 +14,12 @@ from typing import Literal
 
 import numpy as np
 
-from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.addition import Addition
 from sugiyama_ros.diagnosis.chance import p_value_of
 from sugiyama_ros.diagnosis.coarseness import rounding_says, sampling_says
 from sugiyama_ros.diagnosis.discover import Discovery
 from sugiyama_ros.diagnosis.errors import HeldOutErrors
+from sugiyama_ros.diagnosis.innovations import correlation_says, spread_says
 from sugiyama_ros.diagnosis.law_check import CLEARLY, FURTHER, LEVEL_OF_LAWS, LawCheck, log_ratio
 from sugiyama_ros.diagnosis.locate import Located, locate
 from sugiyama_ros.effects.registry import EFFECTS
@@ -34,8 +34,6 @@ _LEAST_GAIN = 5.0
 LEVEL_OF_BINS = 0.01
 # Common std of the logarithm of the biases' sum of squares.
 _SPREAD = 0.25
-# Mean NIS of held-out samples, over that of the model's own simulations, within which a filter knows its own errors.
-_NIS = (0.8, 1.25)
 # A sign is wrong if a parameter is on the wrong side by this many standard deviations.
 _SURELY = 2.0
 
@@ -134,7 +132,8 @@ def judge(data: Recorded, evidence: Evidence) -> Adequacy:
         *_laws_say(data, evidence, gains, bool(signs)),
         *_free_runs_say(evidence),
         *_bins_say(evidence),
-        *_spread_says(evidence),
+        *spread_says(evidence.final, evidence.own),
+        *(correlation_says(evidence.final, evidence.own, data.vicinity.period_s) if evidence.named else ()),
         *signs,
         *_few_say(data, evidence.named),
         *((*rounding_says(data, evidence.final), *sampling_says(data)) if evidence.named else ()),
@@ -276,28 +275,6 @@ def _log_squares(located: Located) -> float:
     """Logarithm of the mean square of the normalised biases; 0 on average without any bias."""
     squares = [b.samples * b.bias**2 for b in located.bins]
     return math.log(max(float(np.mean(squares)), 1e-3)) if squares else 0.0
-
-
-def _spread_says(evidence: Evidence) -> list[str]:
-    """Whether the innovations are spread otherwise than in the model's own simulations.
-
-    Gross errors of measurement make the mean NIS larger than 1 although the filter expects them.
-    """
-    if not evidence.own:
-        return []
-    nis, expected = _mean_nis(evidence.final), float(np.mean([_mean_nis(one) for one in evidence.own]))
-    if _NIS[0] <= nis / expected <= _NIS[1]:
-        return []
-    surer = "surer" if nis > expected else "less sure"
-    return [f"the filter is {surer} of itself than it should be: mean NIS {nis:.2f} instead of {expected:.2f}"]
-
-
-def _mean_nis(errors: HeldOutErrors) -> float:
-    """Mean squared innovation over its variance."""
-    samples = errors.samples
-    normal: Array = np.square(samples.innovation_m) / samples.innovation_var
-    known = normal[np.isfinite(normal) & np.isfinite(samples.log_likelihood)]
-    return float(known.mean()) if len(known) else 1.0
 
 
 def _signs_say(evidence: Evidence) -> list[str]:
