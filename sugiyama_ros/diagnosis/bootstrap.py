@@ -3,8 +3,10 @@
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
+from scipy.signal import savgol_filter
 
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import at_period
@@ -15,6 +17,10 @@ from sugiyama_ros.fit.stretched import driven_anew
 from sugiyama_ros.simulation.behind import RecordedTraffic, drive_behind
 from sugiyama_ros.simulation.simulator import Clock, Simulator
 from sugiyama_ros.trajectories.trajectories import Trajectories
+
+# Time [s] over which the track of a vehicle without a leader is smoothed (Savitzky and Golay, Anal. Chem. 36 (1964)
+# 1627).
+_SMOOTHED_S = 2.0
 
 
 def resample(data: Recorded, model: Model, states: Array, rng: np.random.Generator) -> Recorded:
@@ -44,7 +50,7 @@ def resample(data: Recorded, model: Model, states: Array, rng: np.random.Generat
     t = data.trajectories
     if t is None:
         return _behind_measured(data, model, states, rng)
-    position, speed = states[:, :, 0], states[:, :, 1]
+    position, speed = _led(t, states)
     samples, vehicles = position.shape
     measured, segment = np.full((samples, vehicles), np.nan), np.zeros(samples, dtype=np.int64)
     known = np.isfinite(position)
@@ -55,8 +61,8 @@ def resample(data: Recorded, model: Model, states: Array, rng: np.random.Generat
             simulator = None
         collided = False
         if simulator is not None:
-            collided = bool(simulator.step())
-            _lead(simulator, order, position[k], speed[k])
+            unled = np.flatnonzero(simulator.leader < 0)
+            collided = bool(simulator.step((unled, position[k, order[unled]], speed[k, order[unled]])))
         if simulator is None or collided:
             segment[k:] += 1
             simulator, order = _start(t, model, k, position[k], speed[k], known[k] & t.present[k], rng)
@@ -104,10 +110,19 @@ def resampled_fit(
     return simulated, maximise(simulated, start, work, iterations=steps, renewals=0)
 
 
-def _lead(simulator: Simulator, order: Ints, position: Array, speed: Array) -> None:
-    """Move vehicles without a leader to their recorded states."""
-    for place in np.flatnonzero(simulator.leader < 0):
-        simulator.position_m[place], simulator.speed[place] = position[order[place]], speed[order[place]]
+def _led(t: Trajectories, states: Array) -> tuple[Array, Array]:
+    """Positions [m] and speeds [m/s] (T, N) to start from, smoothed where vehicles without a leader move as recorded.
+
+    Who follows them would otherwise have to follow every jump of the filter.
+    """
+    position, speed = states[:, :, 0].copy(), states[:, :, 1].copy()
+    window = 2 * max(2, round(0.5 * _SMOOTHED_S / t.period_s)) + 1
+    for column in np.flatnonzero((t.leader < 0).any(axis=0)):
+        known = np.isfinite(position[:, column])
+        if known.sum() > window and not t.road.is_ring:
+            fit = partial(savgol_filter, position[known, column], window, 2, delta=t.period_s)
+            position[known, column], speed[known, column] = fit(), fit(deriv=1)
+    return position, speed
 
 
 def _start(

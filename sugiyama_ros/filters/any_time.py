@@ -7,7 +7,18 @@ what they add up to: the acceleration noise its stationary variance, the others 
 
 from sugiyama_ros.driver.parameters import RHO, SIGMA_V
 from sugiyama_ros.filters.linearisation import conclude
-from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Lanes, Linearised, Moment, Scene, State, Workspace
+from sugiyama_ros.filters.state import (
+    MOVING,
+    STATE,
+    Drivers,
+    Lanes,
+    Linearised,
+    Moment,
+    Scene,
+    State,
+    Workspace,
+    is_last,
+)
 from sugiyama_ros.jit import kernel
 
 #: Times between samples [s] that differ from whole periods by less than this count as whole periods.
@@ -65,7 +76,7 @@ def conclude_for(
         row = drivers.parameters[m]
         out.noise[x, x] *= periods
         out.noise[v, v] += (periods - 1.0) * row[SIGMA_V] ** 2
-        rho = scene.last_rho if m == vehicles - 1 else row[RHO]
+        rho = scene.last_rho if is_last(m, state.known) else row[RHO]
         over = rho**periods
         out.next_mean[n] = over * state.mean[n]
         out.jacobian[n, n] = over

@@ -7,11 +7,12 @@ alone. A driver is filtered together with a chain of vehicles ahead,
     own -> leader -> ... -> last.
 
 Each but the last drives by the paper's model (Eq. ssm_form) behind the next. The last moves with an AR(1) acceleration,
-because its leader is not known. For a driver the state is (position, speed, noise, held). The noise
-n_t = rho n_{t-1} + shock is the acceleration beyond what the driver means and the environment adds. The held
-acceleration is what the driver made the car do in the last period (the mean action, except for effects). For the last
-vehicle the noise is the whole acceleration. Parameters that are adapted online follow as logarithms that wander around
-their prior (Ornstein-Uhlenbeck), so that a parameter that the data do not determine stays near its prior.
+because its leader is not known; so does a leader behind whom the chain has nobody else. For a driver the state is
+(position, speed, noise, held). The noise n_t = rho n_{t-1} + shock is the acceleration beyond what the driver means and
+the environment adds. The held acceleration is what the driver made the car do in the last period (the mean action,
+except for effects). For the last vehicle the noise is the whole acceleration. Parameters that are adapted online follow
+as logarithms that wander around their prior (Ornstein-Uhlenbeck), so that a parameter that the data do not determine
+stays near its prior.
 
 ``linearisation`` states the model; this module filters recordings with it (``causal_kernel`` is its loop), and
 ``online`` filters sample by sample.

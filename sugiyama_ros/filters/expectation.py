@@ -85,7 +85,7 @@ def value_components(
     here = surroundings(m, state, drivers.parameters, moment, scene)
     for point in range(2 * size):
         look_around(work, size, point)
-        seen = seen_at(here, work, m, size, view, drivers.parameters, scene)
+        seen = seen_at(here, work, m, size, view, state.known, drivers.parameters, scene)
         perceived = perceive(seen, driver)
         preferences = prefer(perceived, driver)
         block, lane = lanes.blocks[(first + point) // LANES], UTILITIES + (first + point) % LANES
@@ -164,7 +164,7 @@ def _choose(
     here = surroundings(m, state, drivers.parameters, moment, scene)
     for point in range(2 * size):
         look_around(work, size, point)
-        seen = seen_at(here, work, m, size, view, drivers.parameters, scene)
+        seen = seen_at(here, work, m, size, view, state.known, drivers.parameters, scene)
         if by_law:
             perceived = perceive(seen, driver)
             action = law_acceleration(perceived.gap, perceived.speed, perceived.leader_speed, driver)

@@ -8,7 +8,18 @@ from sugiyama_ros.effects.control import has_components, noise_factor, remembers
 from sugiyama_ros.filters.expectation import consider, decide, expected_action, value_components
 from sugiyama_ros.filters.past import note_recalled, recalled_at, shift
 from sugiyama_ros.filters.points import ALONE, FEELING, RECALLING, aim, view_of
-from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Lanes, Linearised, Moment, Scene, State, Workspace
+from sugiyama_ros.filters.state import (
+    MOVING,
+    STATE,
+    Drivers,
+    Lanes,
+    Linearised,
+    Moment,
+    Scene,
+    State,
+    Workspace,
+    is_last,
+)
 from sugiyama_ros.jit import kernel
 
 # The noise of a driver is at least this part of their sigma_a: a filter that is too sure could not be corrected.
@@ -54,7 +65,7 @@ def aim_all(
 ) -> int:
     """Call ``aim`` for all drivers of a chain; returns the first lane that is free then."""
     for m in range(len(state.known) - 1):
-        if state.known[m] == MOVING:
+        if state.known[m] == MOVING and not is_last(m, state.known):
             free = aim(m, state, drivers, moment, scene, workspace, lanes, free)
     return free
 
@@ -66,7 +77,7 @@ def add_all_components(
     """Call ``value_components`` for the drivers of a chain who have such effects; returns whether there are any."""
     found = False
     for m in range(len(state.known) - 1):
-        if state.known[m] == MOVING and has_components(drivers.parameters[m]):
+        if state.known[m] == MOVING and not is_last(m, state.known) and has_components(drivers.parameters[m]):
             value_components(m, state, drivers, moment, scene, workspace, lanes)
             found = True
     return found
@@ -100,7 +111,7 @@ def conclude(
             continue
         jacobian[x, v] = jacobian[v, n] = period
         noise[x, x], noise[v, v] = parameters[m, SIGMA_X] ** 2, parameters[m, SIGMA_V] ** 2
-        if m == vehicles - 1:
+        if is_last(m, known):
             action, rho, shock_std = 0.0, scene.last_rho, scene.last_shock_std
             next_mean[b] = 0.0
         else:
@@ -134,7 +145,7 @@ def _note_columns(m: int, state: State, drivers: Drivers, out: Linearised) -> No
     columns[x, 0], columns[x, 1], counts[x] = x, v, 2
     columns[n, 0], counts[n] = n, 1
     columns[v, 0], columns[v, 1], columns[v, 2], counts[v], counts[b] = x, v, n, 3, 0
-    if m == len(known) - 1:
+    if is_last(m, known):
         return
     view = view_of(m, state, drivers)
     if view == RECALLING:

@@ -18,7 +18,7 @@ from sugiyama_ros.driver.parameters import RHO, UTILITY
 from sugiyama_ros.effects.control import feels_accelerations, looks_back, perceive, prefer, seeks
 from sugiyama_ros.effects.effect import Seen
 from sugiyama_ros.filters.past import recall, recalled_at
-from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Lanes, Moment, Scene, State, Workspace
+from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Lanes, Moment, Scene, State, Workspace, is_last
 from sugiyama_ros.jit import kernel
 
 #: Variance below which a direction of what the driver sees counts as known; keeps the Cholesky factor invertible.
@@ -138,7 +138,7 @@ def aim(
         for k in range(len(adapted)):
             driver[UTILITY[adapted[k]]] = math.exp(work[look, first_adapted + k])
         block, lane = lanes.blocks[(free + point) // LANES], (free + point) % LANES
-        perceived = perceive(seen_at(here, work, m, size, view, drivers.parameters, scene), driver)
+        perceived = perceive(seen_at(here, work, m, size, view, known, drivers.parameters, scene), driver)
         wanted = prefer(perceived, driver)
         put(block, lane, perceived.gap, perceived.speed, perceived.leader_speed, wanted)
     for k in range(len(adapted)):
@@ -171,7 +171,7 @@ def surroundings(m: int, state: State, parameters: Array, moment: Moment, scene:
     if m < last and known[m + 1] == MOVING:
         gap = mean[x + STATE] - mean[x] - 0.5 * (length[m] + length[m + 1])
         leader_speed = mean[x + STATE + 1]
-        rho = parameters[m + 1, RHO] if m + 1 < last else scene.last_rho
+        rho = scene.last_rho if is_last(m + 1, known) else parameters[m + 1, RHO]
         leader_acceleration = mean[x + STATE + 3] + rho * mean[x + STATE + 2]
         if m + 1 < last and known[m + 2] == MOVING:
             second_gap = mean[x + 2 * STATE] - mean[x + STATE] - 0.5 * (length[m + 1] + length[m + 2])
@@ -208,7 +208,9 @@ def surroundings(m: int, state: State, parameters: Array, moment: Moment, scene:
 
 
 @kernel(allocates=False)
-def seen_at(here: Seen, work: Array, m: int, size: int, view: int, parameters: Array, scene: Scene) -> Seen:
+def seen_at(
+    here: Seen, work: Array, m: int, size: int, view: int, known: Ints, parameters: Array, scene: Scene
+) -> Seen:
     """Return what driver m sees at the point of the cubature that ``look_around`` has filled in."""
     centre, look = size, size + 1
     acceleration, leader_acceleration = here.acceleration, here.leader_acceleration
@@ -224,7 +226,7 @@ def seen_at(here: Seen, work: Array, m: int, size: int, view: int, parameters: A
     if view == RECALLING:
         past_gap, past_leader_speed, past_speed = work[look, 0], work[look, 2], work[look, 3]
     if view == FEELING:
-        leader_rho = parameters[m + 1, RHO] if m + 2 < len(parameters) else scene.last_rho
+        leader_rho = scene.last_rho if is_last(m + 1, known) else parameters[m + 1, RHO]
         acceleration += parameters[m, RHO] * (work[look, 3] - work[centre, 3])
         leader_acceleration += leader_rho * (work[look, 4] - work[centre, 4])
     return Seen(

@@ -21,6 +21,15 @@ UNKNOWN, POSITION, MOVING = 0, 1, 2
 STATE = 4
 
 
+@kernel(allocates=False)
+def is_last(m: int, known: Ints) -> bool:
+    """Whether vehicle m ends the chain, so that its leader is not known: there is none in the chain, or none is seen.
+
+    The driver alone, whose chain it is, is on a free road then.
+    """
+    return bool(m == len(known) - 1 or (m > 0 and known[m + 1] == UNKNOWN))
+
+
 class Scene(NamedTuple):
     """What the filter of a chain needs besides the state and the drivers; ``scene_at`` makes it.
 

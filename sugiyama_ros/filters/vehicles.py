@@ -6,7 +6,7 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import RHO, SIGMA_A
 from sugiyama_ros.effects.control import remembers
 from sugiyama_ros.filters.measurement import measurement, noise_var_at
-from sugiyama_ros.filters.state import MOVING, POSITION, STATE, UNKNOWN, Scene, State
+from sugiyama_ros.filters.state import MOVING, POSITION, STATE, UNKNOWN, Scene, State, is_last
 from sugiyama_ros.jit import kernel
 
 # Acceleration [m/s^2] for which a speed from two positions allows.
@@ -68,7 +68,7 @@ def start_vehicle(m: int, measured: float, elapsed: float, state: State, paramet
     covariance[x, x] = noise_var
     covariance[x, v] = covariance[v, x] = noise_var / elapsed
     covariance[v, v] = 2.0 * noise_var / elapsed**2 + (elapsed * _START_ACCELERATION_STD) ** 2
-    if m < len(known) - 1:
+    if not is_last(m, known):
         covariance[n, n] = parameters[m, SIGMA_A] ** 2 / (1.0 - parameters[m, RHO] ** 2)
         covariance[b, b] = _START_ACCELERATION_STD**2 if remembers(parameters[m]) else 0.0
     else:

@@ -180,8 +180,22 @@ def follow(data: Recorded, model: Model, work: Executor) -> tuple[PointwiseDensi
         for m, column in enumerate(data.vicinity.columns(i, chain.position_m.shape[1])):
             known = np.isfinite(variance[i]) & _moves(chain, m)
             states[known, column] = predicted[3][known, STATE * m : STATE * (m + 1)]
+    if data.vicinity.is_whole_road:
+        _see_first(data, [o[3] for o in outputs], states)
     density[~data.scored] = np.nan
     return PointwiseDensity(y, variance, density), states
+
+
+def _see_first(data: Recorded, tracks: Sequence[Array], states: Array) -> None:
+    """Fill in the states of vehicles without a leader as those behind them see them.
+
+    Such a vehicle does what nobody knows: as a driver on a free road it would be seen too fast or too slow.
+    """
+    leader, samples = data.vicinity.leader, np.arange(data.samples)
+    for i, track in enumerate(tracks):
+        ahead = leader[:, i]
+        seen = (ahead >= 0) & (leader[samples, ahead] < 0) & np.isfinite(track[:, STATE]) & _moves(data.chains[i], 1)
+        states[seen, ahead[seen]] = track[seen, STATE : 2 * STATE]
 
 
 def _moves(chain: Chain, m: int) -> Mask:

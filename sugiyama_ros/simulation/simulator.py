@@ -160,8 +160,19 @@ class Simulator:
         off = displacements(self.position_m, self.road.circumference_m, self.parameters)
         return self.road.wrap(self.position_m + off + noise)
 
-    def step(self) -> tuple[Collision, ...]:
-        """Advance all drivers by one period, and return the collisions that began in this period."""
+    def step(self, recorded: tuple[Ints, Array, Array] | None = None) -> tuple[Collision, ...]:
+        """Advance all drivers by one period, and return the collisions that began in this period.
+
+        Parameters
+        ----------
+        recorded : (ndarray of int, ndarray, ndarray), optional
+            Numbers of vehicles that move as recorded, and their positions [m] and speeds [m/s] after the period.
+
+        Returns
+        -------
+        tuple of Collision
+            The collisions.
+        """
         shock = self._rng.standard_normal((3, len(self.position_m)))
         p = self.parameters
         factor = np.array([noise_factor(v, row) for v, row in zip(self.speed, p, strict=True)])
@@ -169,6 +180,9 @@ class Simulator:
         position, speed = advance(self.position_m, self.speed, self.acceleration, self.period_s)
         self.position_m, self.speed = position + p[:, SIGMA_X] * shock[0], speed + p[:, SIGMA_V] * shock[1]
         self.noise = p[:, RHO] * self.noise + p[:, SIGMA_A] * factor * shock[2]
+        if recorded is not None:
+            places, position, speed = recorded
+            self.position_m[places], self.speed[places] = position, speed
         self.step_number += 1
         self._accelerate()
         touching = self.gap_m <= 0.0
