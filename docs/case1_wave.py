@@ -4,7 +4,6 @@ python docs/case1_wave.py case1.data
 """
 
 import sys
-import warnings
 from pathlib import Path
 
 import numpy as np
@@ -12,27 +11,12 @@ import numpy as np
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.filters.extract import chain_behind, track
 from sugiyama_ros.formats.registry import read_trajectories
-from sugiyama_ros.simulation.collective import wave_speed
+from sugiyama_ros.simulation.collective import wave_speed, wave_speed_error
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
-_BLOCK_S, _FORMED_S, _LEVELS = 25.0, 155.0, (2.0, 3.0, 4.0)
+_FORMED_S, _LEVELS = 155.0, (2.0, 3.0, 4.0)
 # Speeds [m/s] that are tried for an edge, and distance [m] from the edge beyond which a crossing is another event.
 _TRIED, _NEAR_M = np.arange(-8.0, -4.0, 0.02), 20.0
-
-
-def jackknife(t: Trajectories, speed: Array, headway_m: Array) -> tuple[float, float]:
-    """The speed of waves over the whole recording, and its standard error: each block of time is left out once."""
-    blocks = np.array_split(np.arange(len(speed)), round(t.duration_s / _BLOCK_S))
-    left_out = []
-    for block in blocks:
-        rest = speed.copy()
-        rest[block] = np.nan
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # means of nothing
-            left_out.append(wave_speed(rest, headway_m, t.leader, t.period_s))
-    factor = (len(blocks) - 1) / len(blocks)
-    error = np.sqrt(factor * np.sum(np.square(left_out - np.mean(left_out))))
-    return wave_speed(speed, headway_m, t.leader, t.period_s), float(error)
 
 
 def along_edge(t: Trajectories, speed: Array, level: float, starts: bool) -> float:
@@ -56,7 +40,8 @@ def main(source: Path) -> None:
     tracks = [track(chain_behind(t, i, vehicles=1)) for i in range(len(t.vehicle))]
     position, speed = (np.stack([one[:, k] for one in tracks], axis=1) for k in range(2))
     headway_m = t.road.space_headway(np.take_along_axis(position, t.leader, axis=1), position)
-    print("whole recording: {:.2f} ± {:.2f} m/s".format(*jackknife(t, speed, headway_m)))
+    whole = (speed, headway_m, t.leader, t.period_s)
+    print(f"whole recording: {wave_speed(*whole):.2f} ± {wave_speed_error(*whole):.2f} m/s")
     for first, last in ((150.0, 200.0), (200.0, 250.0)):
         k = slice(round(first / t.period_s), round(last / t.period_s))
         print(f"{first:g} to {last:g} s: {wave_speed(speed[k], headway_m[k], t.leader[k], t.period_s):.2f} m/s")

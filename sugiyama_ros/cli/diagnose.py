@@ -159,5 +159,8 @@ def compare(
     print_table(tables.held_out_errors(compared.models), wide=wide)
     print_table(tables.details(compared.models), wide=wide)
     if compared.measured is not None:
-        print_table(tables.collective(compared.measured, compared.models), wide=wide)
+        print_table(tables.collective(compared.measured, compared.wave_speed_se, compared.models), wide=wide)
+        print_line(
+            "±: measured, the standard error over blocks of time; simulated, the standard deviation over simulations"
+        )
     print_line(f"white innovations have an autocorrelation within ± {compared.models[0].band:.3f}")

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 #: Exit code of a program that Ctrl-C has ended.
 INTERRUPTED = 130
+_VAGUE = "not identified"
 _LIVE = "sugiyama-live.mcap"
 
 
@@ -170,7 +171,13 @@ def print_run(result: "RunResult", as_json: bool) -> None:
         return
     headings = ("vehicle", "v* [m/s]", "kappa_v [s]", "one-step RMSE [m]", "mean NIS")
     rows = tuple(
-        (str(d.vehicle), f"{d.v_star:.2f}", f"{d.kappa_v:.3f}", f"{d.one_step_rmse_m:.3f}", f"{d.nis_mean:.2f}")
+        (
+            str(d.vehicle),
+            f"{d.v_star:.2f}" if "v_star" in d.identified else _VAGUE,
+            f"{d.kappa_v:.3f}" if "kappa_v" in d.identified else _VAGUE,
+            f"{d.one_step_rmse_m:.3f}",
+            f"{d.nis_mean:.2f}",
+        )
         for d in result.drivers
     )
     print_table(TextTable("What the estimators know at the end", headings, rows))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sugiyama_ros.arrays import Array
+from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.diagnosis.bootstrap import resample, seeds
 from sugiyama_ros.diagnosis.candidates import Candidate, named
 from sugiyama_ros.diagnosis.errors import HeldOutErrors, errors_of
@@ -29,7 +29,7 @@ from sugiyama_ros.laws.registry import RIVALS
 from sugiyama_ros.plots import bars
 from sugiyama_ros.progress import OnStage
 from sugiyama_ros.results import Result
-from sugiyama_ros.simulation.collective import Collective, collective
+from sugiyama_ros.simulation.collective import Collective, collective, wave_speed_error
 from sugiyama_ros.trajectories.tracks import Tracks
 from sugiyama_ros.trajectories.trajectories import Trajectories
 from sugiyama_ros.workers import here_or_there, send
@@ -87,6 +87,8 @@ class Comparison(Result):
         The drivers of the recording that the models were compared on.
     measured : Collective or None
         Collective measures of the recording; None for tracks.
+    wave_speed_se : float
+        Standard error [m/s] of the speed of waves in the recording, over blocks of time; NaN without waves.
     seed : int
         Seed of the simulations.
     """
@@ -94,6 +96,7 @@ class Comparison(Result):
     models: tuple[Compared, ...]
     vicinity: Vicinity
     measured: Collective | None
+    wave_speed_se: float
     seed: int
 
     def headline(self) -> str:
@@ -185,8 +188,7 @@ def compare(
         first = comparison.found[0]
         found = (first, *(_beside(data, one, first) for one in comparison.found[1:]), _floor(data, base, seed, work))
         on_progress("done", steps, steps)
-    measured = collective_of(data.trajectories) if data.trajectories is not None else None
-    return Comparison(found, data.vicinity, measured, seed)
+    return Comparison(found, data.vicinity, *_measured(data), seed)
 
 
 class _Models:
@@ -251,15 +253,27 @@ def _beside(data: Recorded, one: Compared, base: Compared) -> Compared:
     return replace(one, gain=gain(data, one.errors.samples, base.errors.samples))
 
 
+def _measured(data: Recorded) -> tuple[Collective | None, float]:
+    """Collective measures of the recording, and the standard error of the speed of waves; nothing for tracks."""
+    if data.trajectories is None:
+        return None, float("nan")
+    motion = _motion(data.trajectories)
+    return collective(*motion), wave_speed_error(*motion)
+
+
 def collective_of(trajectories: Trajectories) -> Collective:
     """Return collective measures of trajectories; the speeds come from a filter without a driver model."""
-    t = trajectories
+    return collective(*_motion(trajectories))
+
+
+def _motion(t: Trajectories) -> tuple[Array, Array, Ints, float]:
+    """Speeds, headways and leaders, each (T, N), and the period [s]."""
     tracks = [track(chain_behind(t, i, vehicles=1)) for i in range(len(t.vehicle))]
     position, speed = (np.stack([one[:, k] for one in tracks], axis=1) for k in range(2))
     led = t.leader >= 0
     ahead = np.take_along_axis(position, np.maximum(t.leader, 0), axis=1)
     headway = np.where(led, t.road.space_headway(ahead, position), np.nan)
-    return collective(speed, headway, np.where(led, t.leader, -1), t.period_s)
+    return speed, headway, np.where(led, t.leader, -1), t.period_s
 
 
 def _of_road(data: Recorded, model: Model, seed: int, work: Executor) -> dict[str, tuple[float, float]]:

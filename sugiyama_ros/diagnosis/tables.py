@@ -87,9 +87,13 @@ def details(compared: Sequence[Compared]) -> TextTable:
     return TextTable(title, ("model", *[*_DETAILS] * len(runs)), tuple(rows), left=1)
 
 
-def collective(measured: Collective, compared: Sequence[Compared]) -> TextTable:
-    """Return collective measures of the recording and of simulations of each model, with standard deviations."""
-    rows = [("measured", *(_with_std(v, math.nan) for v in asdict(measured).values()))]
+def collective(measured: Collective, wave_speed_se: float, compared: Sequence[Compared]) -> TextTable:
+    """Return collective measures of the recording and of simulations of each model, with standard deviations.
+
+    The measured speed of waves has its standard error, over blocks of time.
+    """
+    errors = {"wave_speed": wave_speed_se}
+    rows = [("measured", *(_with_std(v, errors.get(name, math.nan)) for name, v in asdict(measured).items()))]
     rows += [
         (one.name, *(_with_std(mean, std) for mean, std in one.collective.values()))
         for one in compared

@@ -184,7 +184,12 @@ def sentences(d: Diagnosis) -> list[str]:
     """Return the verdict in words, one line for each finding."""
     lines = [told(d.adequacy)]
     if not d.named:
-        lines.append("Nothing that is missing can be detected in these data.")
+        failed = d.adequacy.outcome == "not_explained"
+        lines.append(
+            "Nothing in the catalogue explains it."
+            if failed
+            else "Nothing that is missing can be detected in these data."
+        )
         shown = [
             f"{name} ({p.name} {_quantity(d.smallest[name], p.unit)})"
             for name in d.smallest

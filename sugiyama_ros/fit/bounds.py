@@ -8,11 +8,9 @@ from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import PARAMETERS, V_STAR
 from sugiyama_ros.filters import paper
 from sugiyama_ros.fit.smooth_positions import NOISES, Evenness
+from sugiyama_ros.trajectories.desired_speed import largest_v_star
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
-# Largest desired speed [m/s] of the search, unless the data show at least half of it. Below about half the desired
-# speed the reward phi1 turns convex, so data of slow driving do not determine v* (Sugiyama's vehicle 21).
-_FASTEST = 30.0
 #: Smallest size of a parameter in the search, in the parameter's own unit; noises have a bound of their own.
 SMALLEST = 1e-3
 
@@ -37,7 +35,7 @@ def upper_bounds(speed: float) -> Array:
         Upper bound of each parameter, in its own unit.
     """
     upper = np.array([p.upper for p in PARAMETERS])
-    upper[V_STAR] = min(upper[V_STAR], max(_FASTEST, 2.0 * speed))
+    upper[V_STAR] = min(upper[V_STAR], largest_v_star(speed))
     return upper
 
 

@@ -12,7 +12,7 @@ from sugiyama_ros.formats.tracks_parquet import write_tracks
 from sugiyama_ros.outputs import Target, output_of
 from sugiyama_ros.trajectories.one_lane import one_lane
 from sugiyama_ros.trajectories.selection import Selection, select
-from sugiyama_ros.trajectories.time_base import on_time_base
+from sugiyama_ros.trajectories.time_base import on_time_base, period_of
 from sugiyama_ros.trajectories.tracks import Tracks
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
@@ -111,5 +111,7 @@ def convert_tracks(source: Path, target: Target, part: Part) -> Tracks:
     if out.suffix.lower() == ".mcap":
         write_trajectories(one_lane(tracks, str(source)), target)
     else:
+        if tracks.runs < len(tracks):
+            period_of(tracks)  # refuses times of a wrong unit before anything is written
         write_tracks(tracks, target)
     return tracks

@@ -30,7 +30,7 @@ def elements(path: Path, *tags: str) -> Iterator[ElementTree.Element]:
     Raises
     ------
     InputError
-        With the line, for a file that is not XML or that declares entities.
+        With the line, for a file that is not XML, declares entities, or has an encoding that Python's parser lacks.
     """
     parser: Parser = ElementTree.XMLPullParser(events=("start", "end"))
     with open_input(path) as stream:
@@ -55,7 +55,10 @@ def _events(path: Path, stream: BinaryIO, parser: "Parser") -> Iterator[tuple[st
     while block := stream.read(_BLOCK):
         if b"<!ENTITY" in block or b"<!DOCTYPE" in block:
             raise InputError(f"{path}: declares a document type; remove it")
-        parser.feed(block)
+        try:
+            parser.feed(block)
+        except (LookupError, ValueError) as error:
+            raise InputError(f"{path}: its encoding cannot be read: {error}; save it as UTF-8") from None
         yield from parser.read_events()  # type: ignore[misc]
     parser.close()
     yield from parser.read_events()  # type: ignore[misc]

@@ -6,7 +6,7 @@ from rclpy.publisher import Publisher
 from sugiyama_msgs.msg import DriverParameters, DriverType, Innovation, StyleChange, VehicleState
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.driver.parameters import NAMES
+from sugiyama_ros.driver.parameters import NAMES, V_STAR
 from sugiyama_ros.effects.registry import ROW, active
 from sugiyama_ros.filters.online import Estimate, OnlineFilter
 from sugiyama_ros.filters.shown import ShownParameters, shown_of
@@ -14,6 +14,7 @@ from sugiyama_ros.fit.driver_types import DriverTypes
 from sugiyama_ros.nodes.base import cdr_messages
 from sugiyama_ros.nodes.base.driver_array_messages import KnownDriver, ParameterNames
 from sugiyama_ros.nodes.base.node import PacedNode
+from sugiyama_ros.trajectories.desired_speed import largest_v_star
 
 _PARAMETERS_EVERY_NS = cdr_messages.NS
 
@@ -68,6 +69,9 @@ class DriverTopics:
         self.not_identified: list[str] = []
         self._shown: ShownParameters | None = None
         self._stamp_ns: int | None = None
+        # the largest speed [m/s] so far, and the place of v* among the adapted parameters
+        self._fastest = 0.0
+        self._v_star: int | None = None
         self._array = array
         self._space = space
         self._topics: list[str] = []
@@ -97,6 +101,7 @@ class DriverTopics:
         shown = [*range(len(NAMES)), *of_effects]
         self._shown = shown_of(filter_, shown)
         names = [ROW.entries[k] for k in shown]
+        self._v_star = filter_.adapted.index("v_star") if "v_star" in filter_.adapted else None
         self._names = ParameterNames(tuple(names), filter_.adapted)
         self._message = cdr_messages.Parameters(self._vehicle, names, filter_.adapted)
 
@@ -110,6 +115,8 @@ class DriverTopics:
         The estimate is None for a sample that was left out.
         """
         send, vehicle = self._node.send, self._vehicle
+        if estimate is not None:
+            self._fastest = max(self._fastest, estimate.speed)
         if self._array is not None:
             self._array.put(self._node, stamp_ns, None if estimate is None else self._known(estimate))
         elif estimate is not None:
@@ -123,7 +130,7 @@ class DriverTopics:
         shown = self._shown
         if shown is None:
             return None
-        shown.read()
+        self._read(shown)
         return KnownDriver(
             self._vehicle,
             estimate,
@@ -133,6 +140,13 @@ class DriverTopics:
             shown.adapted_identified,
         )
 
+    def _read(self, shown: ShownParameters) -> None:
+        """Read what the filter knows. A desired speed beyond what these speeds can tell is not identified."""
+        shown.read()
+        is_far = self._v_star is not None and shown.value[V_STAR] > 2.0 * self._fastest
+        if is_far and shown.value[V_STAR] > largest_v_star(self._fastest):
+            shown.adapted_identified[self._v_star] = False
+
     def publish_parameters(self, stamp_ns: int, filter_: OnlineFilter, is_last: bool) -> bool:
         """Publish the parameters once a second of the recording's time, and with the last sample; whether it did."""
         is_due = self._stamp_ns is None or stamp_ns - self._stamp_ns >= _PARAMETERS_EVERY_NS
@@ -141,7 +155,7 @@ class DriverTopics:
             return False
         self._stamp_ns = stamp_ns
         if self._array is None:
-            shown.read()
+            self._read(shown)
             message = self._message.message(stamp_ns, shown.value, shown.covariance, shown.identified)
             self._node.send(self._to_parameters, message)
         self.not_identified = shown.not_identified

@@ -4,6 +4,7 @@ import math
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import compress
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,8 @@ class DriverResult:
         Desired speed [m/s], risk premium [s], measurement noise [m] and acceleration noise [m/s^2].
     one_step_rmse_m, nis_mean : float
         Root mean square of the innovations [m] and mean of their nis [1], over the scored samples; NaN without any.
+    identified : tuple of str
+        Parameters that the samples determine.
     """
 
     vehicle: int
@@ -39,6 +42,7 @@ class DriverResult:
     sigma_a: float
     one_step_rmse_m: float
     nis_mean: float
+    identified: tuple[str, ...]
 
 
 def read_run(path: Path) -> tuple[dict[str, int], tuple[DriverResult, ...]]:
@@ -109,13 +113,18 @@ class _Read:
             except RefusedError:
                 continue
             if set(one.name) >= _SHOWN:
-                yield _driver(one.vehicle, one.name, np.array(one.value), self._scores[one.vehicle])
+                known = tuple(compress(one.name, one.identified))
+                yield _driver(one.vehicle, one.name, np.array(one.value), self._scores[one.vehicle], known)
         for vehicle, array in self._last_array.items():
             values = np.reshape(array.value, (len(array.vehicle), len(array.name)))
-            yield _driver(vehicle, array.name, values[list(array.vehicle).index(vehicle)], self._scores[vehicle])
+            row, adapted = list(array.vehicle).index(vehicle), list(compress(array.name, array.estimated))
+            known = tuple(compress(adapted, array.identified[row * len(adapted) : (row + 1) * len(adapted)]))
+            yield _driver(vehicle, array.name, values[row], self._scores[vehicle], known)
 
 
-def _driver(vehicle: int, names: Sequence[str], values: Any, score: list[tuple[float, float]]) -> DriverResult:
+def _driver(
+    vehicle: int, names: Sequence[str], values: Any, score: list[tuple[float, float]], identified: tuple[str, ...]
+) -> DriverResult:
     parameters = dict(zip(names, values.tolist(), strict=True))
     squared, nis = np.array(score).mean(axis=0).tolist() if score else (math.nan, math.nan)
     return DriverResult(
@@ -126,4 +135,5 @@ def _driver(vehicle: int, names: Sequence[str], values: Any, score: list[tuple[f
         sigma_a=parameters["sigma_a"],
         one_step_rmse_m=math.sqrt(squared),
         nis_mean=nis,
+        identified=identified,
     )

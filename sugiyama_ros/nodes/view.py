@@ -42,6 +42,7 @@ _UNKNOWN = (math.nan,) * 4
 _EVENTS, _RATE_S = 8, 5.0
 # Samples that wait for the errors of all drivers, at most.
 _OPEN = 128
+_WORDS = {"v_star": "desired speed", "kappa_v": "risk premium"}
 
 
 def _milliseconds(time_s: float) -> int:
@@ -300,7 +301,8 @@ class View(Node):
         self._adapted[v] = (found[0], found[1], found[2], found[3])
 
     def _on_change(self, message: StyleChange) -> None:
-        self._happened(f"vehicle {message.vehicle} has changed style: {message.name} times {message.factor:.2f}")
+        what = _WORDS.get(message.name, message.name)
+        self._happened(f"vehicle {message.vehicle} has changed style: {what} times {message.factor:.2f}")
 
     def _on_innovation(self, found: cdr_messages.ReadInnovation) -> None:
         time_s, v, innovation, variance, _, scored = found

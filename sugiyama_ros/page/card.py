@@ -37,7 +37,7 @@ def card(r: Recording, diagnosis: Mapping[str, Any] | None) -> str:
     """The card as HTML."""
     t = r.trajectories
     road = f"a ring of {t.road.circumference_m:g} m" if t.road.is_ring else "an open road"
-    followers = int(np.sum(r.error_by_driver > 0.0))
+    followers = int(np.sum(r.followers))
     some = f" ({followers} of them followers)" if 0 < followers < len(t.vehicle) else ""
     facts = f"{len(t.vehicle)} vehicles{some}, {t.duration_s:.0f} s, a sample every {t.period_s:.3g} s, on {road}"
     name = escape(name_of(r))
@@ -81,7 +81,7 @@ def _verdict(d: Mapping[str, Any] | None) -> str:
     rows += _few("What gets worse", worse(d)) + _few("What is left", reasons(d))
     rows.append(("What to do", what_to_do(d)))
     if hidden := d.get("hidden"):
-        rows.append(("The truth", f"hidden in this simulation: {title_of(d, hidden['name'])}; {size_of(d, hidden)}."))
+        rows.append(("The truth", f"{title_of(d, hidden['name'])}; {size_of(d, hidden)}."))
     listed = "".join(f"<dt>{escape(what)}</dt><dd>{escape(text)}</dd>" for what, text in rows)
     return (
         f'<div class="verdict {escape(outcome)}"><p class="badge">{sign} {escape(words)}</p>'

@@ -16,7 +16,6 @@ from bokeh.models import (
     Div,
     GlobalInlineStyleSheet,
     HoverTool,
-    LinearColorMapper,
     Select,
     Span,
     TapTool,
@@ -38,16 +37,21 @@ from sugiyama_ros.page.panels.base import (
     legend_above,
     panel,
     speed_colours,
+    widen,
 )
 from sugiyama_ros.page.panels.chosen import INPUT
 from sugiyama_ros.page.status import status_line
 from sugiyama_ros.page.style import LIVE
 from sugiyama_ros.page.words import length
+from sugiyama_ros.trajectories.desired_speed import known_only
 
 #: Time [s] between two updates of the road, and between two updates of the curves.
 UPDATE_S, TELL_S = 0.1, 0.5
 # Models of the critic that are drawn.
 _MODELS = 5
+_V_STAR = ("Chosen: desired speed v*", "Chosen: v* is not known from these data")
+# Where the cars' numbers stand: radius over that of the ring, or offset [px] from a straight road.
+_OUTSIDE, _ABOVE_PX = 1.14, -14
 _COLUMNS = ("time", "speed", "std", "innovation", "spread", "v_star", "v_star_std", "kappa_v", "kappa_v_std", "place")
 _WIDE = {"sizing_mode": "stretch_width"}
 
@@ -64,7 +68,8 @@ class _Page:
         self._seen: dict[Log, int] = {}
         self._space = ColumnDataSource({"time": [], "place": [], "speed": []})
         self._error = ColumnDataSource({"time": [], "error": [], "base": []})
-        self._road = ColumnDataSource({"x": [], "y": [], "speed": [], "vehicle": []})
+        columns = ("x", "y", "speed", "vehicle", "number_x", "number_y", "above")
+        self._road = ColumnDataSource({name: [] for name in columns})
         self._lines, self._lines_drawn = ColumnDataSource({"xs": [], "ys": []}), (math.nan,)
         self._adapted = ColumnDataSource({"vehicle": [], "v_star": [], "kappa_v": []})
         derived = ("low", "high", "below", "above", "v_low", "v_high", "k_low", "k_high", "measured")
@@ -136,7 +141,8 @@ class _Page:
             "x", "y", source=self._road, size=14, line_color=GREY, fill_color=colour, nonselection_fill_alpha=1.0,
             nonselection_line_alpha=1.0, selection_line_color=VERMILION, selection_line_width=3,
         )  # fmt: skip
-        road.text("x", "y", text="vehicle", source=self._road, text_font_size="10px", text_color=GREY, x_offset=8,
+        road.text("number_x", "number_y", text="vehicle", source=self._road, text_font_size="10px", text_color=GREY,
+                  text_align="center", text_baseline="middle", y_offset="above",
                   nonselection_text_alpha=1.0)  # fmt: skip
         road.add_tools(TapTool())
         self._road.selected.on_change("indices", lambda _, __, new: self._click(self._road, new))
@@ -153,6 +159,7 @@ class _Page:
             plot.varea("time", low, high, source=self._driver, color=BLUE, alpha=0.3)
             plot.line("time", name, source=self._driver, color=BLUE, line_width=2)
             found.append(plot)
+            self._plots[name] = plot
         strip = panel("All drivers now: click one", "desired speed v* [m/s]", "risk premium κ_v [s]",
                       x_range=DataRange1d(default_span=1.0), y_range=DataRange1d(default_span=0.1))  # fmt: skip
         dots = strip.scatter("v_star", "kappa_v", source=self._adapted, size=9, color=BLUE, nonselection_alpha=0.8,
@@ -222,9 +229,14 @@ class _Page:
             lane = np.array([feed.lanes.get(v, 0) for v in feed.now], dtype=np.float64)
             x, y = from_above(feed.road, place, lane)
             self._draw_road(np.unique(lane))
-            self._road.data = {"x": x, "y": y, "speed": speed, "vehicle": [str(v) for v in feed.now]}
+            # numbers stand outside a ring, and above a road that is straight on: no car hides another one's number
+            away, above = (_OUTSIDE, 0) if feed.road.is_ring else (1.0, _ABOVE_PX)
+            self._road.data = {
+                "x": x, "y": y, "speed": speed, "vehicle": [str(v) for v in feed.now], "number_x": away * x,
+                "number_y": away * y, "above": np.full(len(x), above),
+            }  # fmt: skip
             if (fastest := float(np.nanmax(speed))) > self._colours.high:
-                _widen(self._colours, fastest)
+                widen(self._colours, fastest)
 
     def _draw_road(self, lanes: Array) -> None:
         """Draw the middle of each lane; on an open road, from the first vehicle to the last one."""
@@ -247,9 +259,10 @@ class _Page:
             self._error.stream(dict(zip(("time", "error", "base"), new, strict=True)), KEPT)
         if learnt := {v: found for v, found in feed.adapted.items() if v in feed.followers}:
             values = np.array(list(learnt.values()))
+            v_star, _ = known_only(values[:, 0], values[:, 1], self._colours.high)
             self._adapted.data = {
                 "vehicle": [str(v) for v in learnt],
-                "v_star": values[:, 0],
+                "v_star": v_star,
                 "kappa_v": values[:, 2],
             }
         self._tell_critic()
@@ -271,9 +284,12 @@ class _Page:
     def _of_driver(self, new: Array) -> dict[str, Array]:
         """Columns of the chosen driver with the ends of the bands, and speeds from two positions."""
         of = dict(zip(_COLUMNS, new, strict=True))
+        of["v_star"], of["v_star_std"] = known_only(of["v_star"], of["v_star_std"], self._colours.high)
+        is_beyond = np.isfinite(new[_COLUMNS.index("v_star"), -1]) and np.isnan(of["v_star"][-1])
+        self._plots["v_star"].title.text = _V_STAR[bool(is_beyond)]
         time = np.concatenate([[self._last[0]], of["time"]])
         place = np.concatenate([[self._last[1]], of["place"]])
-        self._last = (float(time[-1]), float(place[-1]))
+        self._last = float(time[-1]), float(place[-1])
         with np.errstate(invalid="ignore", divide="ignore"):
             measured = self._feed.road.difference(place[1:], place[:-1]) / np.diff(time)
         return {
@@ -307,13 +323,18 @@ class _Page:
             line.visible = line.name in (*order[:_MODELS], "base")
         settled = "settled among the models that this critic knows" if feed.is_settled else "not settled yet"
         names = ", ".join(
-            f'<b style="color:{self._colour(name)}">{escape(name.replace("_", " "))}</b> {feed.gains[name]:+.0f}'
+            f'<b style="color:{self._colour(name)}">{escape(self._title(name))}</b> {feed.gains[name]:+.0f}'
             for name in order[:_MODELS]
         )
         # the critic's own words: which model is best, and whether that has settled, is in its message
-        best = "the base model" if feed.best == "base" else escape(feed.best.replace("_", " "))
+        best = escape(self._title(feed.best))
         gains = f"Gains over the base model: {names} nats."
         self._settled.text = f"{settled}: {best} leads. {gains}{self._not_known()}"
+
+    def _title(self, name: str) -> str:
+        """Name for people of a model of the critic, as in the report."""
+        title = self._feed.effects.get(name, name.replace("_", " ")).partition(":")[0]
+        return "the base model" if name == "base" else title
 
     def _colour(self, name: str) -> str:
         """Colour of a model of the critic: the first one, grey, is that of the base model alone."""
@@ -323,13 +344,7 @@ class _Page:
     def _not_known(self) -> str:
         """Say which effects the critic does not follow: the lead of another effect proves nothing against them."""
         known = {*self._feed.gains, *self._feed.added}
-        missing = [name.replace("_", " ") for name in self._feed.effects if name not in known]
-        if not missing:
-            return ""
+        missing = [self._title(name) for name in self._feed.effects if name not in known]
         names = escape(", ".join(missing))
-        return f"<br>This is no verdict: the critic does not know {names}; <code>sugiyama diagnose</code> does."
-
-
-def _widen(colours: LinearColorMapper, fastest: float) -> None:
-    """Let the colours reach the fastest car that was seen; they move in steps, so that they rarely change."""
-    colours.high = float(2.0 * math.ceil(fastest / 2.0))
+        told = f"<br>This is no verdict: the critic does not know {names}; <code>sugiyama diagnose</code> does."
+        return told if missing else ""

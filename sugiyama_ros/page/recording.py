@@ -117,6 +117,11 @@ class Recording(Result):
         mean = np.square(np.where(known, y, 0.0)).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
         return np.asarray(np.sqrt(mean), dtype=np.float64)
 
+    @property
+    def followers(self) -> Mask:
+        """Whether (N,) something was learnt of a driver: there are errors, and there was a leader."""
+        return np.asarray((self.error_by_driver > 0.0) & (self.trajectories.leader >= 0).any(axis=0))
+
 
 def read_recording(path: Path) -> Recording:
     """Read a bag that `sugiyama run` recorded, or a file of trajectories in a bag. Raises InputError."""

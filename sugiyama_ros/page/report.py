@@ -23,7 +23,7 @@ from sugiyama_ros.page.words import title_of
 _ORANGE = "<p>Orange: added (▸), and what cannot be told apart from it in these data.</p>"
 _FLOOR = (
     '<p class="note">Floor: the final model on a few recordings that it simulates itself. What is left there is'
-    " noise. It differs from recording to recording, so that a model may lie a little below it. In the pictures, the"
+    " noise. It differs from recording to recording, so that a model may lie below it. In the pictures, the"
     " floor is dashed.</p>"
 )
 
@@ -71,7 +71,7 @@ def write_report(
 def report(r: Recording, diagnosis: Mapping[str, Any] | None, against: AgainstTruth | None = None) -> str:
     """The page as HTML, with all scripts in it."""
     # the first driver of whom something was learnt: the first car of a platoon follows nobody
-    chosen = Chosen(r.trajectories.vehicle, int(np.argmax(r.error_by_driver > 0.0)))
+    chosen = Chosen(r.trajectories.vehicle, int(np.argmax(r.followers)))
     sections = _measured(r, diagnosis, chosen)
     if diagnosis is not None:
         sections += _diagnosed(r, diagnosis, chosen)

@@ -13,6 +13,10 @@ _FEW = 2
 _WORSE = 1.2
 # A gain of fewer standard errors is not clear.
 _CLEAR = 2.0
+# A name of a parameter, an effect or a law.
+_IDENTIFIER = r"[a-z][a-z0-9]*(?:_[a-z0-9]+)*"
+# Symbols in the meanings of parameters.
+_SYMBOLS = {"v*": "the desired speed", "κ_v": "the risk premium", "sigma_a": "the acceleration noise"}
 # Outcomes of a verdict: sign and words.
 _OUTCOMES = {
     "adequate": ("✓", "The model is adequate"),
@@ -68,7 +72,7 @@ def would_have_shown(d: Document) -> list[tuple[str, str]]:
         if not one["value"]:
             continue
         declared = d.get("about", {}).get(one["name"], {}).get("parameters", {}).get(one["parameter"], {})
-        meaning = str(declared.get("meaning", one["parameter"].replace("_", " "))).split(";")[0]
+        meaning = meaning_of(declared, one["parameter"])
         value, unit = float(one["value"]), str(declared.get("unit", ""))
         # a smaller limit is a stronger effect
         end = "or less" if d.get("about", {}).get(one["name"], {}).get("is_limit") else "or more"
@@ -80,26 +84,40 @@ def would_have_shown(d: Document) -> list[tuple[str, str]]:
 def plain(d: Document, text: str) -> str:
     """A sentence of the command line, with names for people instead of identifiers."""
     about = d.get("about", {})
+    words = re.findall(_IDENTIFIER, text)
+    meanings = {
+        k: v
+        for word in words
+        for k, v in about.get(word, {}).get("parameters", {}).items()
+        if "_" in k or k[-1].isdigit()
+    }
 
     def shown(found: re.Match[str]) -> str:
         name = found[0]
-        if name not in about:
-            return name.replace("_", " ")
-        return model_name(name) if about[name].get("kind") == "law" else title_of(d, name)
+        if name in about:
+            return model_name(name) if about[name].get("kind") == "law" else title_of(d, name)
+        return meaning_of(meanings[name], name) if name in meanings else name.replace("_", " ")
 
-    return re.sub(r"[a-z][a-z0-9]*(?:_[a-z0-9]+)*", shown, text)
+    return re.sub(_IDENTIFIER, shown, text)
+
+
+def meaning_of(parameter: Document, name: str) -> str:
+    """Meaning of a parameter in a few words; what follows a semicolon is where the declaration comes from."""
+    words = str(parameter.get("meaning", name.replace("_", " "))).split(";")[0]
+    words = re.sub(r"\blog (\S+)", r"the logarithm of \1", words)
+    return re.sub("|".join(map(re.escape, _SYMBOLS)), lambda found: _SYMBOLS[found[0]], words)
 
 
 def size_of(d: Document, effect: Document) -> str:
     """The size of an addition: each parameter with its meaning, its standard deviation and its unit."""
     meanings = d.get("about", {}).get(effect["name"], {}).get("parameters", {})
     stds = effect.get("parameters_std", {})
-    parts = []
-    for name, value in effect.get("parameters", {}).items():
-        meaning = meanings.get(name, {})
-        # what follows a semicolon is where the declaration comes from
-        words = str(meaning.get("meaning", name.replace("_", " "))).split(";")[0]
-        parts.append(f"{words}: {quantity(float(value), str(meaning.get('unit', '')), stds.get(name))}")
+    parts, values = [], effect.get("parameters", {})
+    for name in sorted(values, key=[*meanings, *values].index):
+        value, meaning = values[name], meanings.get(name, {})
+        parts.append(
+            f"{meaning_of(meaning, name)}: {quantity(float(value), str(meaning.get('unit', '')), stds.get(name))}"
+        )
     return "; ".join(parts)
 
 

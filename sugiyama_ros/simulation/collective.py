@@ -4,6 +4,7 @@ The functions take the speeds and headways of all vehicles at all samples. So th
 alike.
 """
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,8 @@ QUEUE_SPEED = 2.0
 _LONGEST_LAG_S, _LEAST_VARIANCE = 6.0, 0.05
 # Smallest autocorrelation of speed at a period, and share of the largest maximum from which on a maximum counts.
 _RETURNS, _NEARLY = 0.1, 0.7
+# Blocks of time [s] that the standard error of the wave speed leaves out in turn, and the least number of them.
+_BLOCK_S, _FEWEST_BLOCKS = 25.0, 4
 
 
 @dataclass(frozen=True)
@@ -123,6 +126,38 @@ def wave_speed(speed: Array, headway_m: Array, leader: Ints, period_s: float) ->
     passed = driven - headway_m[: samples - best] / lag
     known = np.isfinite(weight) & np.isfinite(passed)
     return float(np.average(passed[known], weights=weight[known])) if weight[known].sum() > 0.0 else float("nan")
+
+
+def wave_speed_error(speed: Array, headway_m: Array, leader: Ints, period_s: float) -> float:
+    """Estimate the standard error of the speed of waves: each block of 25 s is left out in turn (jackknife).
+
+    Parameters
+    ----------
+    speed : ndarray, shape (T, N)
+        Speeds [m/s]; NaN where unknown.
+    headway_m : ndarray, shape (T, N)
+        Distance [m] from a vehicle's centre to its leader's centre; NaN without a leader.
+    leader : ndarray of int, shape (T, N)
+        Columns of the leaders; -1 without a leader.
+    period_s : float
+        Time [s] between two samples.
+
+    Returns
+    -------
+    float
+        Standard error [m/s]; NaN if there is no wave without some block, or if the recording is shorter than 100 s.
+    """
+    count = round(len(speed) * period_s / _BLOCK_S)
+    if count < _FEWEST_BLOCKS:
+        return float("nan")
+    left_out = []
+    for block in np.array_split(np.arange(len(speed)), count):
+        rest = speed.copy()
+        rest[block] = np.nan
+        with np.errstate(invalid="ignore"), warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # means of nothing, at lags at which all is left out
+            left_out.append(wave_speed(rest, headway_m, leader, period_s))
+    return float(np.sqrt((count - 1) * np.var(left_out)))
 
 
 def wave_period(speed: Array, period_s: float) -> float:

@@ -33,6 +33,10 @@ def period_of(tracks: Tracks) -> float:
             f"{tracks.about.source or 'tracks'}: no vehicle has two samples; give tracks, not single points"
         )
     usual = float(np.median(step[step <= 1.5 * np.quantile(step, 0.25)]))
+    if usual < TICK_S:
+        raise InputError(
+            f"{tracks.about.source or 'tracks'}: a sample every {usual:.3g} s; check the unit of the times (--columns)"
+        )
     near = step[np.abs(step - usual) <= _JITTER * usual]
     if len(near) == 0 or not _are_multiples(step, usual):
         return float(np.median(step))
@@ -64,7 +68,8 @@ def _steps(tracks: Tracks) -> Array:
 def _distinct(tracks: Tracks) -> int:
     """Number of distinct times, counted in each recording."""
     tick = ticks(tracks.time_s)
-    return len(np.unique(tracks.recording.code * (int(tick.max(initial=0)) + 1) + tick))
+    recording = tracks.recording.code.astype(np.int64)
+    return len(np.unique(recording * (int(tick.max(initial=0)) + 1) + tick))
 
 
 def _expected(tracks: Tracks, period_s: float) -> float:

@@ -19,7 +19,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from bokeh.document import Document
-from bokeh.models import Div, GlyphRenderer
+from bokeh.models import ColumnDataSource, Div, GlyphRenderer, Plot
 from bokeh.util.token import generate_jwt_token
 
 from sugiyama_ros.cli.view import view
@@ -35,9 +35,10 @@ from sugiyama_ros.page.panels.worth import growth
 from sugiyama_ros.page.recording import read_recording
 from sugiyama_ros.page.report import report, write_report
 from sugiyama_ros.page.status import status_line
-from sugiyama_ros.page.words import badge, certainty, headline, how_sure, what_to_do, worse
+from sugiyama_ros.page.words import badge, certainty, headline, how_sure, size_of, what_to_do, worse
 from sugiyama_ros.page.words import reasons as words_of_reasons
 from sugiyama_ros.road import Road
+from sugiyama_ros.trajectories.desired_speed import known_only
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
 ROOT = Path(__file__).parents[2]
@@ -182,12 +183,12 @@ def test_the_card_says_what_how_much_how_sure_and_what_to_do(page):
     for words in (
         "What was missing is explained",
         "The model lacks this: slower stretch of road. With it, nothing in these data speaks against the model.",
-        "share taken off v*: 0.20 ± 0.01; middle: 5 m; length: 30 m",
+        "share taken off the desired speed: 0.20 ± 0.01; middle: 5 m; length: 30 m",
         "50 ± 9 nats better on unseen data, 5.6 standard errors; chance gains as much on the fitted data with p &lt;",
         "cannot be told apart from hill",
         "To tell them apart, survey the road.",
         "3.00 → 1.50 m <span>(-50 %)</span>",
-        "hidden in this simulation: slower stretch of road",
+        "<dt>The truth</dt><dd>slower stretch of road; share",
         "90 %",
     ):
         assert words in card
@@ -231,6 +232,46 @@ def test_the_card_says_what_gets_worse_and_that_no_name_is_certain():
     assert "; shown by vehicles 3 and 4 only; chance gains" in certainty({**kept[0], "who": [3, 4]})
     expected = ["Gipps predicts better", "a force that depends on leader acceleration is missing"]
     assert words_of_reasons(document) == expected
+
+
+def test_reasons_have_the_meaning_of_a_parameter_instead_of_its_name():
+    about = {
+        "drag": {"title": "drag", "parameters": {"c0": {"meaning": "constant resistance; section 5"}}},
+        "speed_dependent_noise": {"title": "unsteadiness", "parameters": {"a": {"meaning": "growth of log sigma_a"}}},
+    }
+    reasons = ["drag has a sign that makes no physical sense: c0 is -0.34"]
+    document = {"verdict": {"effects": [], "adequacy": {"reasons": reasons}}, "about": about}
+    assert words_of_reasons(document) == ["drag has a sign that makes no physical sense: constant resistance is -0.34"]
+    effect = {"name": "speed_dependent_noise", "parameters": {"a": 0.5}}
+    assert size_of(document, effect) == "growth of the logarithm of the acceleration noise: 0.5"
+
+
+def test_a_desired_speed_that_the_data_do_not_tell_is_not_shown():
+    """The search of a calibration has the same bound: 30 m/s, or twice the largest speed."""
+    v_star, std = known_only(np.array([9.0, 31.0, 87.0, np.nan]), np.ones(4), 12.0)
+    assert v_star.tolist()[:1] == [9.0]
+    assert np.isnan(v_star[1:]).all()
+    assert np.isnan(std[1:3]).all()
+    assert known_only(np.array([50.0]), np.ones(1), 26.0)[0].tolist() == [50.0]
+
+
+def test_the_live_page_says_that_a_desired_speed_is_not_known():
+    feed = feed_of_a_critic({"base": 0.0})
+    log = Log(KEPT)
+    for k in range(3):
+        log.add(float(k), 9.0, 0.1, 0.0, 0.1, 10.0 if k < 2 else 90.0, 3.0, 0.2, 0.1, 9.0 * k)
+    feed.driver, feed.vehicles, feed.followers, feed.lanes = {1: log}, [1], {1}, {}
+    feed.now, feed.adapted = {1: (18.0, 9.0)}, {1: (90.0, 3.0, 0.2, 0.1)}
+    document = Document()
+    live.page(feed)(document)
+    for callback in document.session_callbacks:
+        callback.callback()
+    for callback in document.session_callbacks:
+        callback.callback()
+    (source,) = [s for s in document.select({"type": ColumnDataSource}) if "v_low" in s.data]
+    assert np.isnan(source.data["v_star"][-1])
+    titles = {plot.title.text for plot in document.select({"type": Plot})}
+    assert "Chosen: v* is not known from these data" in titles
 
 
 @pytest.mark.parametrize(
@@ -634,7 +675,7 @@ def test_a_page_shows_a_critic_whose_models_change():
     document = Document()
     live.page(feed)(document)
     told = " ".join(div.text for div in document.select({"type": Div}))
-    assert "settled among the models that this critic knows: second leader leads." in told
+    assert "settled among the models that this critic knows: Second leader leads." in told
     assert "does not know" not in told
     drawn = {line.name: line.data_source.data for line in document.select({"type": GlyphRenderer}) if line.name}
     assert {name: list(data["gain"]) for name, data in drawn.items()} == {

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sugiyama_ros.simulation.collective import collective
+from sugiyama_ros.simulation.collective import collective, wave_speed_error
 
 PERIOD_S, RING_M, DRIVERS = 1.0 / 3.0, 230.0, 22
 
@@ -61,3 +61,14 @@ def test_queue_counts_the_standing_drivers():
     assert found.queue_vehicles == 3.0
     assert np.isnan(found.wave_speed)
     assert np.isnan(found.period_s)
+
+
+def test_the_error_of_a_wave_follows_from_its_blocks_of_time():
+    steady, headway, leader = wave(-5.0)
+    assert wave_speed_error(steady, headway, leader, PERIOD_S) < 0.1
+    # the wave of the second half is faster
+    other, other_headway, _ = wave(-7.0)
+    both = np.vstack([steady, other]), np.vstack([headway, other_headway]), np.vstack([leader, leader])
+    assert 0.2 < wave_speed_error(*both, PERIOD_S) < 2.0
+    assert np.isnan(wave_speed_error(steady[:240], headway[:240], leader[:240], PERIOD_S))
+    assert np.isnan(wave_speed_error(np.full_like(steady, 8.0), headway, leader, PERIOD_S))

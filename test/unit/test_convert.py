@@ -5,7 +5,9 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import pyarrow.parquet as pq
 import pytest
+from pyarrow import compute
 
 from sugiyama_ros import cli
 from sugiyama_ros.formats.registry import read_tracks, read_trajectories
@@ -108,6 +110,18 @@ def test_a_ring_in_csv_needs_its_circumference_again(sugiyama: Run, tmp_path: Pa
     assert "as on a ring; convert it with --ring METRES" in said
     assert sugiyama("convert", "out.csv", "out.parquet", "--ring", "40")[0] == 0
     assert "Ring:        40 m" in sugiyama("info", "out.parquet")[1]
+
+
+def test_times_of_a_wrong_unit_are_refused(sugiyama: Run, two_lanes: Path) -> None:
+    """Steps below a millisecond are no times of vehicles in seconds. Tracks in Parquet are believed otherwise."""
+    assert sugiyama("convert", two_lanes, "two.parquet")[0] == 0
+    table = pq.read_table("two.parquet")
+    place = table.column_names.index("time_s")
+    pq.write_table(table.set_column(place, "time_s", compute.multiply(table["time_s"], 1e-9)), "wrong.parquet")
+    code, _, said = sugiyama("convert", "wrong.parquet", "out.csv")
+    assert code == 2
+    assert "a sample every 4e-11 s; check the unit of the times" in said
+    assert not Path("out.csv").exists()
 
 
 def test_a_map_of_columns_is_read(sugiyama: Run, two_lanes: Path) -> None:

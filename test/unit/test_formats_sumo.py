@@ -97,6 +97,7 @@ def test_parquet(tmp_path: Path) -> None:
         ('speed="10.0"', "", "fcd.xml: vehicle a at 0 s: no attribute speed; write the file with it"),
         ("</timestep>", "</step>", "fcd.xml:9: not XML"),
         ('lane="in_0"', 'lane="in"', "lane 'in': does not end in _ and a number"),
+        ("<?xml version='1.0'?>", '<?xml version="1.0" encoding="UTF-32"?>', "fcd.xml: its encoding cannot be read"),
         ("<fcd-export>", "<!DOCTYPE x [<!ENTITY a 'b'>]><fcd-export>", "fcd.xml: declares a document type"),
     ],
 )

@@ -78,6 +78,16 @@ def test_a_regular_time_base_stays_as_it_is() -> None:
         on_time_base(tracks, 0.0)
 
 
+def test_a_senseless_time_is_no_error_of_the_program() -> None:
+    """Labels have 32 bits; a recording and a time [ms] together need more."""
+    table = rows()
+    table["time_s"] = table["time_s"] + 1e9 * (np.arange(len(table["time_s"])) == 200)
+    table["recording"] = np.repeat(["a", "b"], len(table["time_s"]) // 2)
+    tracks = assemble(table)
+    assert period_of(tracks) == 0.1
+    assert is_regular(tracks)
+
+
 def test_clocks_that_are_apart_meet_on_a_common_time_base() -> None:
     table = rows()
     table["time_s"] = table["time_s"] + 0.03 * (table["vehicle"] - 1)

@@ -4,6 +4,7 @@ Text and lines of the axes are of a grey that can be read on white and on black.
 colours.
 """
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -69,6 +70,11 @@ def panel(title: str, x: str, y: str, **more: Any) -> Any:
 def speed_colours(fastest: float) -> LinearColorMapper:
     """Colours of speeds from 0 to ``fastest`` [m/s]."""
     return LinearColorMapper(Cividis256, low=0.0, high=max(fastest, 1.0), nan_color=EMPTY)
+
+
+def widen(colours: LinearColorMapper, fastest: float) -> None:
+    """Let the colours reach the fastest car that was seen; they move in steps, so that they rarely change."""
+    colours.high = float(2.0 * math.ceil(fastest / 2.0))
 
 
 def colour_bar(plot: Any, colours: LinearColorMapper, title: str) -> None:

@@ -13,6 +13,7 @@ from sugiyama_ros.page.panels.chosen import Chosen
 from sugiyama_ros.page.panels.measured import naive_speeds
 from sugiyama_ros.page.recording import Recording
 from sugiyama_ros.page.words import title_of
+from sugiyama_ros.trajectories.desired_speed import known_only
 
 _NAMES = {"v_star": "desired speed v* [m/s]", "kappa_v": "risk premium κ_v [s]"}
 # Time [s] between two points of the curves of all drivers.
@@ -32,7 +33,7 @@ def against_each_other(r: Recording, diagnosis: Mapping[str, Any] | None, chosen
     )  # fmt: skip
     plot = panel(f"The drivers, {where}", _NAMES["v_star"], _NAMES["kappa_v"])
     for ends in (("left", "y", "right", "y"), ("x", "low", "x", "high")):
-        plot.segment(*ends, source=source, color=GREY, line_width=1)
+        plot.segment(*ends, source=source, color=GREY, line_width=1, nonselection_alpha=0.6)
     dots = plot.scatter("x", "y", source=source, size=9, color=BLUE, nonselection_alpha=0.8, selection_color=CHOSEN,
                         legend_label="estimate, with one standard deviation")  # fmt: skip
     known = [r.truth[v] for v in vehicles if {"v_star", "kappa_v"} <= set(r.truth.get(v, {}))]
@@ -53,7 +54,9 @@ def _fitted(r: Recording, diagnosis: Mapping[str, Any] | None) -> tuple[dict[str
     if of:
         rows = [of.get(v, {}) for v in r.trajectories.vehicle.tolist()]
         return {n: [math.nan if row.get(n) is None else float(row[n]) for row in rows] for n in names}, "as fitted"
-    return {n: [_last(column) for column in r.series[n].T] for n in names}, "at the end of the run"
+    known = [*learnt(r, "v_star"), *learnt(r, "kappa_v")]
+    ends = {n: [_last(column) for column in of_all.T] for n, of_all in zip(names, known, strict=True)}
+    return ends, "at the end of the run"
 
 
 def _last(values: Array) -> float:
@@ -62,9 +65,16 @@ def _last(values: Array) -> float:
     return float(known[-1]) if len(known) else math.nan
 
 
+def learnt(r: Recording, name: str) -> tuple[Array, Array]:
+    """A parameter (T, N) as it was learnt, and its standard deviation; NaN where these data do not tell it."""
+    value, std = r.series[name], r.series[f"{name}_std"]
+    fastest = float(np.nanmax(r.series["speed"], initial=0.0))
+    return known_only(value, std, fastest) if name == "v_star" else (value, std)
+
+
 def over_time(r: Recording, name: str, chosen: Chosen) -> UIElement:
     """A parameter of all drivers over time as it was learnt, and of the driver who is chosen with one deviation."""
-    value, std = r.series[name], r.series[f"{name}_std"]
+    value, std = learnt(r, name)
     every = max(1, round(_EVERY_S / r.trajectories.period_s))
     time = r.time_s[::every].astype(SINGLE)
     plot = panel(f"Learnt while driving: {_NAMES[name].split(' [')[0]}", "time [s]", _NAMES[name])
@@ -84,6 +94,8 @@ def over_time(r: Recording, name: str, chosen: Chosen) -> UIElement:
                      legend_label="change of style")  # fmt: skip
     if r.truth:
         plot.line("time", "truth", source=shown, color=GREEN, line_dash="dashed", line_width=2, legend_label="truth")
+    if (np.isfinite(r.series[name]) & np.isnan(value)).any():
+        plot.title.text += "; gaps: these data do not tell it"
     legend_above(plot)
     return plot
 

@@ -73,7 +73,8 @@ def by_driver(diagnosis: Mapping[str, Any], chosen: Chosen, vehicles: list[int])
         x_range=FactorRange(factors=[str(v) for v in shown]),
         y_range=Range1d(0.0, 1.1 * max(finite, default=1.0)),
     )
-    plot.segment("vehicle", "before", "vehicle", "after", source=source, color=GREY, line_width=1.5)
+    plot.segment("vehicle", "before", "vehicle", "after", source=source, color=GREY, line_width=1.5,
+                 nonselection_alpha=0.6)  # fmt: skip
     added = diagnosis["verdict"]["effects"]
     if added:
         plot.scatter("vehicle", "before", source=source, size=9, line_color=GREY, fill_color=None,
