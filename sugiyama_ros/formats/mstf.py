@@ -44,7 +44,6 @@ def read_mstf(path: Path, ring_m: float | None = None) -> Trajectories:
     said_m = None
     block, in_block = -1, False
     with open_input(path) as stream:
-        checksum = sha256(stream)
         for count, line in enumerate(lines(path, stream), start=1):
             where = f"{path}:{count}"
             if line.startswith("#"):
@@ -60,6 +59,7 @@ def read_mstf(path: Path, ring_m: float | None = None) -> Trajectories:
             if not in_block:
                 block, in_block = block + 1, True
             samples.add(number(fields[1], "time", where), block, number(fields[0], "position", where), where)
+        checksum = sha256(stream)
     if said_m is None and ring_m is None:
         raise InputError(f"{path}: does not say the length of the circuit; give it with --ring (0 for an open road)")
     cars = len(samples.vehicles)

@@ -45,7 +45,6 @@ def read_csv(path: Path, ring_m: float | None = None) -> Trajectories:
     samples = Samples(path)
     lengths: dict[int, float] = {}
     with open_input(path) as stream:
-        checksum = sha256(stream)
         rows = csv.reader(lines(path, stream), strict=True)
         try:
             header = [name.strip() for name in next(rows, [])]
@@ -75,6 +74,7 @@ def read_csv(path: Path, ring_m: float | None = None) -> Trajectories:
                         )
         except csv.Error as error:
             raise InputError(f"{path}:{rows.line_num}: not CSV: {error}; correct the line") from None
+        checksum = sha256(stream)
     length_m = [lengths.get(vehicle, DEFAULT_LENGTH_M) for vehicle in samples.vehicles]
     trajectories = samples.trajectories(length_m, agreed_road(path, None, ring_m), checksum)
     check_order(trajectories, str(path))
