@@ -142,7 +142,7 @@ def _drivers(r: Recording, d: Mapping[str, Any] | None, chosen: Chosen) -> Secti
         classes = len(next(iter(r.types.values())))
         text += html.table(["vehicle", *(f"probability of class {k}" for k in range(classes))], rows)
     if r.changes:
-        text += f"<p>{len(r.changes)} changes of style were noticed (triangles).</p>"
+        text += f"<p>Changes of style that were noticed (triangles): {len(r.changes)}.</p>"
     if r.weights:
         panels += [drivers.error_over_time(r), drivers.weights(r, d or {})]
         best = title_of(d or {}, max(r.weights, key=lambda name: float(np.nan_to_num(r.weights[name][-1]))))
