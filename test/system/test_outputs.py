@@ -1,9 +1,11 @@
 """Outputs and odd circumstances as a user meets them: one line and exit code 2, and no file is lost."""
 
+import contextlib
 import errno
 import os
 import resource
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -14,6 +16,7 @@ import pytest
 from sugiyama_ros import cli
 from sugiyama_ros.cli import memory
 from sugiyama_ros.formats.mcap_reader import Bag
+from sugiyama_ros.nodes.base import environment
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
 SUGIYAMA = str(Path(sys.executable).with_name("sugiyama"))
@@ -39,6 +42,15 @@ def here(tmp_path, monkeypatch):
     (tmp_path / "good.csv").write_text(GOOD)
     assert sugiyama("convert", "good.csv", "good.mcap", "--ring", "80").returncode == 0
     return tmp_path
+
+
+def free_ports(count):
+    """Ports that nothing holds at the moment, as texts."""
+    with contextlib.ExitStack() as stack:
+        probes = [stack.enter_context(socket.socket()) for _ in range(count)]
+        for probe in probes:
+            probe.bind(("127.0.0.1", 0))
+        return [str(probe.getsockname()[1]) for probe in probes]
 
 
 #: Commands that write, with the name of their output.
@@ -124,8 +136,10 @@ def test_an_interrupted_run_ends_with_130_and_a_whole_file(here, mode):
 @pytest.mark.parametrize("after_s", [0.15, 0.4, 1.0])
 def test_ctrl_c_while_a_command_is_loaded_ends_it_with_130(here, after_s):
     # a shell that runs the tests in the background has them ignore Ctrl-C, which programs that they start inherit
-    command, heed = [SUGIYAMA, "diagnose", "good.mcap"], lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)
-    with subprocess.Popen(command, stderr=subprocess.PIPE, preexec_fn=heed) as running:
+    command = [SUGIYAMA, "simulate", "--duration", "1e5", "-o", "out.mcap"]
+    with subprocess.Popen(
+        command, stderr=subprocess.PIPE, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)
+    ) as running:
         time.sleep(after_s)
         running.send_signal(signal.SIGINT)
         _, said = running.communicate(timeout=60)
@@ -245,19 +259,22 @@ def test_another_interruption_while_the_interpreter_ends_is_silent():
     assert (done.returncode, done.stderr) == (-signal.SIGINT, b"")
 
 
-def test_a_live_page_whose_source_fails_ends_with_one_line(here):
+@pytest.mark.slow
+def test_a_live_page_whose_source_fails_ends_with_one_line(here, monkeypatch):
     """Two replays in one domain: the page of the second ends, and the first goes on."""
-    env = os.environ | {"ROS_DOMAIN_ID": "47", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    monkeypatch.setenv("ROS_DOMAIN_ID", "")
+    monkeypatch.delenv("ROS_DOMAIN_ID")
+    environment.isolate()
+    one, other = free_ports(2)
     first = subprocess.Popen(
-        [SUGIYAMA, "live", "good.mcap", "-o", "first.mcap", "--port", "5108", "--rate", "0.2"],
-        env=env,
+        [SUGIYAMA, "live", "good.mcap", "-o", "first.mcap", "--port", one, "--rate", "0.2"],
         stderr=subprocess.PIPE,
     )
     try:
         assert b"starting" in first.stderr.readline()
-        assert b"5108" in first.stderr.readline()
+        assert one.encode() in first.stderr.readline()
         time.sleep(3.5)  # a source looks for another one for so long
-        second = sugiyama("live", "good.mcap", "-o", "second.mcap", "--port", "5109", env=env)
+        second = sugiyama("live", "good.mcap", "-o", "second.mcap", "--port", other)
         assert second.returncode == 2
         assert b"error: /measured: another node publishes it already" in second.stderr
         assert b"Traceback" not in second.stderr
