@@ -70,9 +70,11 @@ def correlation_says(final: HeldOutErrors, own: Sequence[HeldOutErrors], period_
     ----------
     Box and Pierce, J. Am. Stat. Assoc. 65 (1970) 1509.
     """
-    (found, error), *others = (_correlations(one) for one in (final, *own))
-    expected = np.mean([means for means, _ in others], axis=0) if others else np.full_like(found, np.nan)
-    off = (found - expected) / (error * np.sqrt(1.0 + 1.0 / max(len(own), 1)))
+    if not own:
+        return []
+    found, error = _correlations(final)
+    expected = np.mean([_correlations(one)[0] for one in own], axis=0)
+    off = (found - expected) / (error * np.sqrt(1.0 + 1.0 / len(own)))
     off = off[np.isfinite(off)]
     if not len(off) or chi2.sf(float(np.sum(off**2)), len(off)) >= LEVEL_OF_CORRELATION:
         return []

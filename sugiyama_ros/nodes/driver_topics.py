@@ -143,8 +143,7 @@ class DriverTopics:
     def _read(self, shown: ShownParameters) -> None:
         """Read what the filter knows. A desired speed beyond what these speeds can tell is not identified."""
         shown.read()
-        is_far = self._v_star is not None and shown.value[V_STAR] > 2.0 * self._fastest
-        if is_far and shown.value[V_STAR] > largest_v_star(self._fastest):
+        if self._v_star is not None and shown.value[V_STAR] > largest_v_star(self._fastest):
             shown.adapted_identified[self._v_star] = False
 
     def publish_parameters(self, stamp_ns: int, filter_: OnlineFilter, is_last: bool) -> bool:

@@ -13,6 +13,7 @@ from sugiyama_ros.diagnosis.coarseness import rounding_says, sampling_says
 from sugiyama_ros.diagnosis.diagnosis import diagnose
 from sugiyama_ros.diagnosis.discover import Discovery
 from sugiyama_ros.diagnosis.errors import errors_of, held_out_errors
+from sugiyama_ros.diagnosis.innovations import correlation_says
 from sugiyama_ros.diagnosis.law_check import LawCheck, check_laws, open_laws
 from sugiyama_ros.diagnosis.rivals import start_of
 from sugiyama_ros.diagnosis.verdict import document, sentences
@@ -112,6 +113,25 @@ def test_a_filter_that_is_too_sure_of_itself_speaks_against_the_model(own):
     assert "surer of itself" in found.reasons[0]
     # with gross errors of measurement, the mean NIS is above 1 in the model's own simulations, too
     assert judge(own.data, evidence_of(own, final=surer, own=[surer] * 2)).outcome == "adequate"
+
+
+def test_innovations_that_are_correlated_in_time_speak_against_the_model(own):
+    def with_innovations(correlation, seed):
+        rng, samples = np.random.default_rng(seed), own.after.samples.copy()
+        shocks, z = rng.standard_normal(samples.innovation_m.shape), np.zeros(samples.innovation_m.shape)
+        for t in range(1, z.shape[1]):
+            z[:, t] = correlation * z[:, t - 1] + np.sqrt(1.0 - correlation**2) * shocks[:, t]
+        samples.innovation_m[:] = z * np.sqrt(samples.innovation_var)
+        return replace(own.after, samples=samples)
+
+    white = [with_innovations(0.0, seed) for seed in range(198)]
+    said = correlation_says(with_innovations(0.3, 1), white[:2], 0.5)
+    assert said[0].startswith("innovations 0.5 s apart are correlated by 0.")
+    # the same correlation in its own simulations is the filter's, and without simulations nothing is known
+    assert correlation_says(with_innovations(0.3, 1), [with_innovations(0.3, seed) for seed in (2, 3)], 0.5) == []
+    assert correlation_says(with_innovations(0.3, 1), [], 0.5) == []
+    # at a level of 1 %, more than 4 of 66 have a probability of 5e-4
+    assert sum(bool(correlation_says(white[k], white[k + 1 : k + 3], 0.5)) for k in range(0, 198, 3)) <= 4
 
 
 def test_coarse_positions_speak_against_what_is_named(own):
