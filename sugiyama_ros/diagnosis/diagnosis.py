@@ -221,18 +221,18 @@ def diagnose(
     with here_or_there(workers) as (work, cluster), ThreadPoolExecutor(_ASIDE) as aside:
         on_progress("fitting the base model", 0, 1)
         data = prepared(recording)
+        base = fit_base(data, data.even.individual(V_STAR, KAPPA_V), work)
         # runs beside the search, which cannot always use all workers
+        to_beat = base.log_likelihood if quick else None
         laws = () if verdict_only else RIVALS
         if cluster is None:
-            others = [aside.submit(_rival, data, work, quick, law) for law in laws]
+            others = [aside.submit(_rival, data, work, to_beat, law) for law in laws]
         else:
-            others = send(cluster, _rival_there, (data, quick), laws)
-        base = fit_base(data, data.even.individual(V_STAR, KAPPA_V), work)
+            others = send(cluster, _rival_there, (data, to_beat), laws)
         search = Search(data, base, quick, seed, work, goal=goal, on_progress=on_progress)
         forces = _grow(search, most, with_forces=not (quick or verdict_only), add_forces=goal.forces)
         on_progress("rival models", 0, 1)
         rivals = {name: errors for found in others for name, errors in found.result().items()}
-        on_progress("judging the model", 0, 1)
         on_progress("finding where the model fails", 0, 1)
         return _summed_up(search, forces, rivals, work, began)
 
@@ -291,16 +291,20 @@ def _grow(search: Search, most: int, *, with_forces: bool, add_forces: bool) -> 
     return [force for force, _ in forces]
 
 
-def _rival_there(common: tuple[Recorded, bool], law: str) -> dict[str, HeldOutErrors]:
-    """What ``_rival`` returns, on a worker of a cluster; common: the recording, and whether the diagnosis is quick."""
-    data, quick = common
+def _rival_there(common: tuple[Recorded, float | None], law: str) -> dict[str, HeldOutErrors]:
+    """What ``_rival`` returns, on a worker of a cluster; common: the recording, and what is to be beaten."""
+    data, to_beat = common
     with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as work:
-        return _rival(data, work, quick, law)
+        return _rival(data, work, to_beat, law)
 
 
-def _rival(data: Recorded, work: ThreadPoolExecutor, quick: bool, law: str) -> dict[str, HeldOutErrors]:
-    """Errors of a rival fitted in the filter and, unless ``quick``, of the rival fitted to gaps."""
-    fitted = in_filter(data, law, work)
+def _rival(data: Recorded, work: ThreadPoolExecutor, to_beat: float | None, law: str) -> dict[str, HeldOutErrors]:
+    """Errors of a rival fitted in the filter and, unless quick, of the rival fitted to gaps.
+
+    to_beat: log-likelihood of the base model in a quick diagnosis [nats].
+    """
+    quick = to_beat is not None
+    fitted = in_filter(data, law, work, to_beat)
     found = {law: held_out_errors(data, fitted, work, searched=not quick)}
     if not quick and has_parameters(law):
         found[f"{law}_least_squares"] = errors_of(data, by_gaps(data, law, fitted, work), work)

@@ -24,7 +24,7 @@ from sugiyama_ros.laws.registry import LAWS, number_of
 _FEWEST = 50
 
 
-def in_filter(data: Recorded, law: str, work: Executor) -> JointFit:
+def in_filter(data: Recorded, law: str, work: Executor, to_beat: float | None = None) -> JointFit:
     """Fit the parameters and the noises of a rival law for every driver in the causal filter.
 
     Parameters
@@ -35,6 +35,9 @@ def in_filter(data: Recorded, law: str, work: Executor) -> JointFit:
         Name of the law.
     work : Executor
         Runs the filters.
+    to_beat : float, optional
+        Log-likelihood of the driver model [nats]. A law that is so far behind that it could not catch up is fitted less
+        closely.
 
     Returns
     -------
@@ -46,7 +49,7 @@ def in_filter(data: Recorded, law: str, work: Executor) -> JointFit:
     for rows in (model.rows, model.ahead):
         rows[:, ROW.law] = number_of(law)
         rows[:, places] = start_of(law, data.speed)
-    return fit_base(data, model.individual, work, model)
+    return fit_base(data, model.individual, work, model, to_beat)
 
 
 def start_of(law: str, speed: float) -> Array:

@@ -29,6 +29,8 @@ _FAR_AWAY = 3.5
 # A fit has settled if the log-likelihood rises by less than this for each driver, or for all of them [nats], when the
 # drivers ahead get the parameters that were found for them. Maximum number of fits until it has.
 _AGREES, _AGREE, _PASSES = 0.1, 2.0, 5
+# Further fits do not bring more than this for each driver [nats].
+_OUT_OF_REACH = 20.0
 
 
 def start_model(data: Recorded, individual: Sequence[int]) -> Model:
@@ -51,7 +53,13 @@ def start_model(data: Recorded, individual: Sequence[int]) -> Model:
     return Model(rows, tuple(individual), (), (PRIOR_STD,) * len(individual), rows.copy())
 
 
-def fit_base(data: Recorded, individual: Sequence[int], work: Executor, start: Model | None = None) -> JointFit:
+def fit_base(
+    data: Recorded,
+    individual: Sequence[int],
+    work: Executor,
+    start: Model | None = None,
+    to_beat: float | None = None,
+) -> JointFit:
     """Fit every driver alone, then all drivers as draws from one population.
 
     The second fit uses the first fit's parameters for the drivers ahead. It is repeated, with its own parameters for
@@ -67,6 +75,9 @@ def fit_base(data: Recorded, individual: Sequence[int], work: Executor, start: M
         Runs the filters.
     start : Model, optional
         Where the search starts. By default it starts at the maximum of the paper's likelihood, which is cheap.
+    to_beat : float, optional
+        Log-likelihood of another model [nats]. The second fit is not repeated if it is so far behind that it could not
+        catch up.
 
     Returns
     -------
@@ -77,7 +88,10 @@ def fit_base(data: Recorded, individual: Sequence[int], work: Executor, start: M
     near = _by_paper(data, first, work) if start is None else None
     start_at = start_fit(data, near or first, work)
     found = maximise(data, start_at, work, iterations=10 if near is None else 3, enough=_NEARLY)
-    return _settled(data, _as_one_population(data, found, work), work)
+    found = _as_one_population(data, found, work)
+    if to_beat is not None and found.log_likelihood < to_beat - _OUT_OF_REACH * data.drivers:
+        return found
+    return _settled(data, found, work)
 
 
 def _as_one_population(data: Recorded, near: JointFit, work: Executor) -> JointFit:
