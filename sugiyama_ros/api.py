@@ -272,6 +272,7 @@ def diagnose(
     *,
     quick: bool = False,
     add: str | None = None,
+    refit: int = 0,
     seed: int = 0,
 ) -> Diagnosis:
     """Find out which physical effect the model lacks.
@@ -284,6 +285,8 @@ def diagnose(
         Whether to simulate fewer recordings: sooner, with rougher p-values.
     add : {None, "auto"}
         ``"auto"`` adds effects until nothing more is supported; else at most three are added.
+    refit : int
+        Number of simulated recordings to which the final model is fitted, for standard errors that hold.
     seed : int
         Seed of all random numbers.
 
@@ -313,6 +316,7 @@ def diagnose(
             quick=quick,
             most=8 if add else 3,
             goal=Goal(forces=add is not None),
+            refit=refit,
             workers=os.cpu_count() or 1,
             on_progress=advance,
         )

@@ -51,6 +51,14 @@ class DiagnoseOptions:
     purpose: Annotated[
         str, typer.Option("--for", help="prediction, simulation or online: what an addition must not make worse.")
     ] = "prediction"
+    refit: Annotated[
+        int,
+        typer.Option(
+            "--refit",
+            min=0,
+            help="Fit the final model to this many recordings that it simulates, for standard errors that hold.",
+        ),
+    ] = 0
     overwrite: Overwrite = False
     ring: Ring = None
     seed: Seed = 0
@@ -85,6 +93,7 @@ def diagnose(options: DiagnoseOptions) -> None:
             quick=options.quick,
             most=8 if options.add else 3,
             goal=goal,
+            refit=options.refit,
             workers=workers,
             on_progress=advance,
         )

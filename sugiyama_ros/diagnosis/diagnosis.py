@@ -3,7 +3,7 @@
 import os
 import time
 from collections.abc import Mapping
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +16,7 @@ from sugiyama_ros.diagnosis.errors import HeldOutErrors, errors_of, held_out_err
 from sugiyama_ros.diagnosis.free_runs import HORIZONS_S
 from sugiyama_ros.diagnosis.judging import judged
 from sugiyama_ros.diagnosis.locate import Located, locate
+from sugiyama_ros.diagnosis.refits import added_to_all, refits
 from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter
 from sugiyama_ros.diagnosis.screen import Screened
 from sugiyama_ros.diagnosis.search import LEVEL, Search
@@ -38,8 +39,8 @@ from sugiyama_ros.workers import here_or_there, send
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Number of other laws that are fitted at the same time beside the search: more would only take memory.
-_ASIDE = 2
+# Number of other laws that are fitted at the same time beside the search, which has work of its own: more take memory.
+_ASIDE = 1
 #: Number of effects that a diagnosis adds at most, unless more are asked for.
 FEW_ADDITIONS = 3
 
@@ -82,6 +83,8 @@ class Diagnosis(Result):
         Names of the candidates that were searched for.
     bootstrap_runs : int
         Number of simulated recordings in each round.
+    refitted : int
+        Number of simulated recordings to which the final model was fitted from nothing.
     quick : bool
         Whether the diagnosis took shortcuts.
     seed : int
@@ -109,6 +112,7 @@ class Diagnosis(Result):
     stds: Mapping[str, float]
     searched: tuple[str, ...]
     bootstrap_runs: int
+    refitted: int
     quick: bool
     seed: int
     wall_s: float
@@ -183,6 +187,7 @@ def diagnose(
     most: int = FEW_ADDITIONS,
     verdict_only: bool = False,
     goal: Goal = ANYTHING,
+    refit: int = 0,
     workers: int | Executor = 4,
     on_progress: OnStage = lambda what, done, total: None,
 ) -> Diagnosis:
@@ -202,6 +207,8 @@ def diagnose(
         Whether to leave out the rivals and the forces without a name.
     goal : Goal
         What may be added, and what the model is for.
+    refit : int
+        Number of simulated recordings to which the final model is fitted from nothing, for its standard errors.
     workers : int or Executor
         Number of threads; or the executor of a Dask cluster, whose workers then fit the other laws.
     on_progress : callable
@@ -224,23 +231,21 @@ def diagnose(
         base = fit_base(data, data.even.individual(V_STAR, KAPPA_V), work)
         # runs beside the search, which cannot always use all workers
         to_beat = base.log_likelihood if quick else None
-        laws = () if verdict_only else RIVALS
-        if cluster is None:
-            others = [aside.submit(_rival, data, work, to_beat, law) for law in laws]
-        else:
-            others = send(cluster, _rival_there, (data, to_beat), laws)
+        others = [] if verdict_only else _rivals(data, to_beat, work, cluster or aside)
         search = Search(data, base, quick, seed, work, goal=goal, on_progress=on_progress)
         forces = _grow(search, most, with_forces=not (quick or verdict_only), add_forces=goal.forces)
         on_progress("rival models", 0, 1)
         rivals = {name: errors for found in others for name, errors in found.result().items()}
+        refitted = refits(data, search.current, added_to_all(data, search.named), seed, refit, work, on_progress)
         on_progress("finding where the model fails", 0, 1)
-        return _summed_up(search, forces, rivals, work, began)
+        return _summed_up(search, forces, rivals, refitted, work, began)
 
 
 def _summed_up(
     search: Search,
     forces: list[Discovery],
     rivals: dict[str, HeldOutErrors],
+    refitted: list[JointFit],
     work: ThreadPoolExecutor,
     began: float,
 ) -> Diagnosis:
@@ -249,7 +254,7 @@ def _summed_up(
     compared = ((search.base, search.before), (search.current, search.errors))
     where_before, where_after = (locate(search.data, one.model, e.samples, work) for one, e in compared)
     laws = {name: errors for name, errors in rivals.items() if name in LAWS}
-    found = judged(search, where_after, forces, laws, work)
+    found = judged(search, where_after, forces, laws, refitted, work)
     return Diagnosis(
         data=search.data,
         base=search.base,
@@ -270,6 +275,7 @@ def _summed_up(
         stds=found.evidence.stds,
         searched=search.searched,
         bootstrap_runs=search.effort.runs,
+        refitted=len(refitted),
         quick=search.quick,
         seed=search.seed,
         wall_s=time.monotonic() - began,
@@ -289,6 +295,15 @@ def _grow(search: Search, most: int, *, with_forces: bool, add_forces: bool) -> 
         # a new force may make other candidates supported
         is_growing = add_forces and search.add_force(forces)
     return [force for force, _ in forces]
+
+
+def _rivals(
+    data: Recorded, to_beat: float | None, work: ThreadPoolExecutor, where: Executor
+) -> list[Future[dict[str, HeldOutErrors]]]:
+    """Start the fits of all rivals: on threads of this machine beside the search, or on a cluster."""
+    if isinstance(where, ThreadPoolExecutor):
+        return [where.submit(_rival, data, work, to_beat, law) for law in RIVALS]
+    return send(where, _rival_there, (data, to_beat), RIVALS)
 
 
 def _rival_there(common: tuple[Recorded, float | None], law: str) -> dict[str, HeldOutErrors]:

@@ -5,6 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 from sugiyama_ros.diagnosis.adequacy import Adequacy, Evidence, judge, simulated_failures
+from sugiyama_ros.diagnosis.bootstrap import widened
 from sugiyama_ros.diagnosis.discover import Discovery
 from sugiyama_ros.diagnosis.errors import HeldOutErrors, held_out_errors
 from sugiyama_ros.diagnosis.floor import floor_of
@@ -12,6 +13,7 @@ from sugiyama_ros.diagnosis.law_check import check_laws, open_laws
 from sugiyama_ros.diagnosis.locate import Located
 from sugiyama_ros.diagnosis.screen import FULL
 from sugiyama_ros.diagnosis.search import LEVEL, Search
+from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.sandwich import shared_stds
 
 # Probability below which a force that is left speaks by itself against a model; by chance it may gain 20 nats.
@@ -42,6 +44,7 @@ def judged(
     located: Located,
     forces: Sequence[Discovery],
     laws: Mapping[str, HeldOutErrors],
+    refitted: Sequence[JointFit],
     work: ThreadPoolExecutor,
 ) -> JudgedModel:
     """Judge the final model of a search.
@@ -59,6 +62,8 @@ def judged(
         Forces without a name that are left, as far as they are known.
     laws : mapping of str to HeldOutErrors
         Held-out errors of other laws.
+    refitted : sequence of JointFit
+        Fits from nothing to recordings that the final model simulates, as far as there are any.
     work : ThreadPoolExecutor
         Runs the filters.
 
@@ -67,7 +72,7 @@ def judged(
     JudgedModel
         The judgement.
     """
-    stds = shared_stds(search.data, search.current, work)
+    stds = widened(shared_stds(search.data, search.current, work), search.current, refitted)
     before = Evidence(search.before, search.errors, search.named, located, laws, forces, simulated=(), stds=stds)
     found = _judged(search, before, work, 0)
     is_unexplained = found.adequacy.outcome == "not_explained"
@@ -87,6 +92,7 @@ def _judged(search: Search, evidence: Evidence, work: ThreadPoolExecutor, runs: 
     own = [(simulated, held_out_errors(simulated, fitted, work, searched=False)) for simulated, fitted in simulations]
     evidence = replace(
         evidence,
+        stds=widened(evidence.stds, search.current, [fitted for _, fitted in simulations]),
         simulated=simulated_failures(simulations, work),
         checks=check_laws(open_laws(search.data, search.errors, evidence.laws), own, work),
         own=[errors for _, errors in own],

@@ -1,5 +1,6 @@
-"""Where and when something acts: the likelihood has several maxima along a place or a time; a search ends in one."""
+"""Where, when and how strongly something acts: the likelihood has several maxima, and a search ends in one of them."""
 
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 
@@ -14,14 +15,16 @@ from sugiyama_ros.fit.joint import JointFit, rise, warm_start
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.score import evaluate
 
-# Number of values on each side, up to the distance between two starts of the search.
+# Number of places or times on each side, up to the distance between two starts of the search.
 _TRIES = 12
+# Factors of the other parameters.
+_FACTORS = (0.8, 0.9, 0.95, 1.05, 1.1, 1.25)
 # A value elsewhere is followed if it promises at least this gain [nats].
 _WORTH = 1.0
 
 
 def best_placed(data: Recorded, fitted: JointFit, candidate: Candidate, work: Executor) -> JointFit:
-    """Search again from the best place and time around those of a fit, and keep the better of both fits.
+    """Search again from the best place, time and strength around those of a fit, and keep the better of both fits.
 
     Parameters
     ----------
@@ -30,7 +33,7 @@ def best_placed(data: Recorded, fitted: JointFit, candidate: Candidate, work: Ex
     fitted : JointFit
         The fitted model with a candidate.
     candidate : Candidate
-        The candidate; only a place or a time that drivers share is searched for.
+        The candidate; only what drivers share is searched for.
     work : Executor
         Runs the filters.
 
@@ -42,27 +45,30 @@ def best_placed(data: Recorded, fitted: JointFit, candidate: Candidate, work: Ex
     if candidate.individual:
         return fitted
     for place in candidate.places:
-        if not ROW.declared[place].axis:
-            continue
-        starts = np.unique([start[place] for start in candidate.starts])
-        if len(starts) > 1:
-            fitted = _best_along(data, fitted, place, float(np.diff(starts).min()), work)
+        here = fitted.model.rows[:, place]
+        if ROW.declared[place].axis:
+            starts = np.unique([start[place] for start in candidate.starts])
+            spacing = float(np.diff(starts).min(initial=np.inf))
+            shares = np.delete(np.arange(-_TRIES, _TRIES + 1), _TRIES) / _TRIES
+            values = [here + share * spacing for share in shares] if len(starts) > 1 else []
+        else:
+            values = [factor * here for factor in _FACTORS]
+        fitted = _best_of(data, fitted, place, values, work)
     return fitted
 
 
-def _best_along(data: Recorded, fitted: JointFit, place: int, spacing: float, work: Executor) -> JointFit:
-    """The best fit with one parameter within the distance between two starts."""
-    here = fitted.model.rows[:, place]
-    shares = np.delete(np.arange(-_TRIES, _TRIES + 1), _TRIES) / _TRIES
+def _best_of(data: Recorded, fitted: JointFit, place: int, values: Sequence[Array], work: Executor) -> JointFit:
+    """The best fit from one of the ``values`` (N,) of one parameter, or the fit itself if none promises more."""
+    declared = ROW.declared[place]
 
-    def promised(share: float) -> tuple[float, Array]:
+    def promised(value: Array) -> tuple[float, Array]:
         rows = fitted.model.rows.copy()
-        rows[:, place] = here + share * spacing
+        rows[:, place] = value if declared.axis else np.clip(value, declared.lower, declared.upper)
         model = replace(fitted.model, rows=rows)
         return predicted(fitted, model, evaluate(data, model, work)), rows
 
-    tried = [promised(float(share)) for share in shares]
-    best, rows = max(tried, key=lambda one: one[0])
+    tried = [promised(value) for value in values]
+    best, rows = max(tried, key=lambda one: one[0], default=(-np.inf, fitted.model.rows))
     if best < predicted(fitted, fitted.model, fitted.samples) + _WORTH:
         return fitted
     again = warm_start(data, fitted, replace(fitted.model, rows=rows), work, renewals=FULL.renewals)

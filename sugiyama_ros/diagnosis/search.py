@@ -48,8 +48,8 @@ _SHARE = 0.3
 _RIVAL = 0.5
 # Number of candidates that are screened again after the first round.
 _LATER_LOOKS = 8
-# Number of steps of a search that starts at the truth.
-_FEW_STEPS = 4
+#: Number of steps of a search that starts at the truth.
+FEW_STEPS = 4
 
 
 class Search:
@@ -342,7 +342,7 @@ class Search:
             states = filtered_states(self.data, self.current.model, self._work)
 
             def one_run(rng: np.random.Generator) -> tuple[Recorded, JointFit]:
-                return resampled_fit(self.data, self.current, states, rng, self._work, _FEW_STEPS)
+                return resampled_fit(self.data, self.current, states, rng, self._work, FEW_STEPS)
 
             rngs = seeds(self.seed + len(self.named), wanted)[len(self._simulated) :]
             self._simulated += at_once(one_run, rngs, "simulating the current model", self._on_progress)

@@ -74,6 +74,7 @@ def document(d: Diagnosis) -> dict[str, Any]:
         "vehicles": d.data.drivers,
         "samples": d.data.measured_samples if d.data.vicinity.is_whole_road else int(d.data.scored.sum()),
         "bootstrap_runs": d.bootstrap_runs,
+        "refitted": d.refitted,
         "quick": d.quick,
         "seed": d.seed,
         "wall_s": d.wall_s,

@@ -17,6 +17,7 @@ STUDIES: Mapping[str, Study] = plugins.registered(
     (
         "recovery",
         "lanes",
+        "effects",
         "spectrum",
         "measured_drivers",
         "driver_types",

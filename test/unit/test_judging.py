@@ -1,7 +1,6 @@
 """The judgement of a search: simulations are added where they alone speak against the model."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +13,8 @@ from sugiyama_ros.diagnosis.discover import Discovery, against_simulations
 from sugiyama_ros.diagnosis.screen import FULL, QUICK
 from sugiyama_ros.driver.parameters import defaults
 from sugiyama_ros.effects.registry import ROW
+from sugiyama_ros.fit.joint import JointFit
+from sugiyama_ros.fit.model import Model
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, evenly, simulate
 
@@ -35,7 +36,8 @@ def with_biases(located, bias):
 class SearchEnd:
     """A search at its end, whose simulations are numbers."""
 
-    quick, named, current = True, (), None
+    quick, named = True, ()
+    current = JointFit(Model(np.zeros((CARS, ROW.width)), (), (), (), np.zeros((CARS, ROW.width))), None, ())
 
     def __init__(self, d, left=()):
         self.data, self.before, self.errors = d.data, d.before, d.after
@@ -43,7 +45,7 @@ class SearchEnd:
 
     def simulations(self, runs=0):
         self.asked.append(runs)
-        return [(k, SimpleNamespace(samples=None)) for k in range(max(runs, QUICK.runs))]
+        return [(k, self.current) for k in range(max(runs, QUICK.runs))]
 
     def forces(self, level):
         return [(force, None) for force in self._left if force.p_value < level]
@@ -59,7 +61,7 @@ def judged(monkeypatch, own, biases_of_simulations, left=(), laws=()):
     monkeypatch.setattr(judging, "held_out_errors", lambda *arguments, **options: own.after)
     monkeypatch.setattr(judging, "shared_stds", lambda *arguments: {})
     search = SearchEnd(own, left)
-    found = judging.judged(search, with_biases(own.where_after, 0.3), (), dict(laws), None)
+    found = judging.judged(search, with_biases(own.where_after, 0.3), (), dict(laws), (), None)
     return found, search.asked
 
 

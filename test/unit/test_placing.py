@@ -1,4 +1,4 @@
-"""The search along a time: the likelihood of a switch has several maxima."""
+"""The search along a time and a strength: the likelihood of a switch has several maxima."""
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -20,7 +20,7 @@ from sugiyama_ros.simulation.simulator import Simulator, evenly, simulate
 CARS, RING_M, SWITCH_S = 6, 90.0, 47.0
 # Three standard errors of the time here.
 NEAR_S = 2.0
-TIME = index_of("preference_switch", "time")
+TIME, STRENGTH = (index_of("preference_switch", name) for name in ("time", "v_star_change"))
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +53,16 @@ def test_a_fit_that_ended_at_another_time_goes_back(found, by_s):
     again = best_placed(data, wrong, candidate, work)
     assert rise(wrong, again) > 2.0
     assert abs(again.model.rows[0, TIME] - SWITCH_S) < NEAR_S
+
+
+def test_a_fit_that_ended_at_another_strength_goes_back(found):
+    data, candidate, fitted, work = found
+    rows = fitted.model.rows.copy()
+    rows[:, STRENGTH] *= 0.8
+    weak = at_model(data, fitted, replace(fitted.model, rows=rows), work, np.ones(data.drivers, np.bool_))
+    again = best_placed(data, weak, candidate, work)
+    assert rise(weak, again) > 2.0
+    assert abs(again.model.rows[0, STRENGTH] / fitted.model.rows[0, STRENGTH] - 1.0) < 0.1
 
 
 def test_the_best_time_stays(found):

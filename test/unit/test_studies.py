@@ -10,7 +10,7 @@ from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, defaults
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, platoon, simulate
-from sugiyama_ros.studies import filters, followers, lanes, online, recovery
+from sugiyama_ros.studies import effects, filters, followers, hiding, lanes, online, recovery
 from sugiyama_ros.studies.driver_types import adjusted_rand, silhouette
 from sugiyama_ros.studies.hiding import DURATION_S, RING_M, STRENGTHS, hide, hide_all
 from sugiyama_ros.studies.judgement import FORM, FORMS, NONE, PAIR, PAIRS, Judgement
@@ -37,6 +37,9 @@ def test_every_study_answers(name, jam, tmp_path, monkeypatch):
     monkeypatch.setattr(online, "DURATION_S", 60.0)
     monkeypatch.setattr(filters, "DURATION_S", 20.0)
     monkeypatch.setattr(followers, "PARTICLES", 5)
+    monkeypatch.setattr(effects, "STRENGTHS", {"drag": effects.STRENGTHS["drag"]})
+    monkeypatch.setattr(effects, "REFITS", 1)
+    monkeypatch.setattr(hiding, "DURATION_S", 60.0)
     with ThreadPoolExecutor(2) as work:
         answer = study(name).answer(Asked(jam, 1, 0, work))
     assert answer.rows
