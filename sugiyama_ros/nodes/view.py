@@ -35,6 +35,7 @@ from sugiyama_ros.nodes.plan import DRIVERS, REPLAY, estimators
 from sugiyama_ros.nodes.told import each_driver
 from sugiyama_ros.page.feed import KEPT, Log, Status
 from sugiyama_ros.page.panels.base import MOVING_S
+from sugiyama_ros.page.words import name_in_words
 from sugiyama_ros.road import Road
 
 _UNKNOWN = (math.nan,) * 4
@@ -182,7 +183,7 @@ class View(Node):
         for estimator in self._estimators():
             self._call(AddEffect, f"{estimator}/add_effect", request)
         self.added = tuple(dict.fromkeys([*self.added, name]))
-        self._happened(f"{name} added ({values})")
+        self._happened(f"{name_in_words(name)} added ({values})")
         self._changed_s.append(self._latest_s)
 
     def remove(self, name: str) -> None:
@@ -190,7 +191,7 @@ class View(Node):
         for estimator in self._estimators():
             self._call(RemoveEffect, f"{estimator}/remove_effect", RemoveEffect.Request(effect=name))
         if name in self.added:
-            self._happened(f"{name} removed")
+            self._happened(f"{name_in_words(name)} removed")
             self._changed_s.append(self._latest_s)
         self.added = tuple(one for one in self.added if one != name)
 

@@ -1,5 +1,6 @@
 """The card at the top of the report: what was measured, the verdict, and the fall of the errors, on one screen."""
 
+import re
 from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
@@ -40,6 +41,7 @@ def card(r: Recording, diagnosis: Mapping[str, Any] | None) -> str:
     followers = int(np.sum(r.followers))
     some = f" ({followers} of them followers)" if 0 < followers < len(t.vehicle) else ""
     facts = f"{len(t.vehicle)} vehicles{some}, {t.duration_s:.0f} s, a sample every {t.period_s:.3g} s, on {road}"
+    facts = re.sub(r"(\d) (m|s)\b", "\\1\u00a0\\2", facts)  # no unit begins a line
     name = escape(name_of(r))
     about = (
         f'<div class="what"><h1>{name}</h1><p>{escape(facts)}</p>'
@@ -81,8 +83,8 @@ def _verdict(d: Mapping[str, Any] | None) -> str:
     rows += _few("What gets worse", worse(d)) + _few("What is left", reasons(d))
     rows.append(("What to do", what_to_do(d)))
     if hidden := d.get("hidden"):
-        rows.append(("The truth", f"{title_of(d, hidden['name'])}; {size_of(d, hidden)}."))
-    listed = "".join(f"<dt>{escape(what)}</dt><dd>{escape(text)}</dd>" for what, text in rows)
+        rows.append(("What was hidden", f"{title_of(d, hidden['name'])}; {size_of(d, hidden)}."))
+    listed = "".join(f"<dt>{escape(what)}</dt><dd>{escape(text[:1].upper() + text[1:])}</dd>" for what, text in rows)
     return (
         f'<div class="verdict {escape(outcome)}"><p class="badge">{sign} {escape(words)}</p>'
         f'<p class="headline">{escape(headline(d))}</p><dl>{listed}</dl></div>'
@@ -116,7 +118,7 @@ def _explained(d: Mapping[str, Any]) -> str:
     if share is not None:
         text = f"{100.0 * float(share):.0f} %"
         bar = f'<div class="bar"><i style="width:{100.0 * min(max(float(share), 0.0), 1.0):.1f}%"></i></div>'
-        note = "of what the additions and the best other law or force gain on unseen data"
+        note = "of what additions, other laws and forces gain on unseen data"
     else:
         text, bar, note = "–", "", "nothing that was tried gains anything beyond chance"
     rows, effects = "", d["verdict"]["effects"]
@@ -126,9 +128,9 @@ def _explained(d: Mapping[str, Any]) -> str:
             biased = f"{len(where['flagged'])} of {len(where['bins'])}"
             rows += f'<tr class="{when}"><td>{_NAMES[when] if effects else model_name(when)}</td><td>{biased}</td></tr>'
     if rows and of_chance is not None:
-        rows += f"<tr><td>by chance</td><td>{float(of_chance):.1f}</td></tr>"
+        rows += f"<tr><td>by chance</td><td>{float(of_chance):.2g}</td></tr>"
     if rows:
-        note += ". The model is biased in so many parts of the data:"
+        note += ". Parts of the data in which the model is biased:"
     return (
         f'<div class="tile"><h3>Share explained</h3><p class="number">{text}</p>{bar}<p class="note">{note}</p>'
         f"<table>{rows}</table></div>"

@@ -115,7 +115,7 @@ def failing(d: Document) -> str:
         flagged = where[when]["flagged"]
         worst = "; ".join(_bin(b) for b in flagged[:3])
         text = f"{says[when]} in {len(flagged)} of {len(where[when]['bins'])} bins"
-        lines.append(text + (f", most of all at {worst}." if worst else "."))
+        lines.append(text + (f", most of all: {worst}." if worst else "."))
     headings = ["regime", "before", "with what was added"] if len(whens) > 1 else ["regime", "bias"]
     return "".join(f"<p>{escape(line)}</p>" for line in lines) + table(headings, rows, left=True)
 
@@ -131,7 +131,7 @@ def _bias(b: Mapping[str, Any] | None) -> str:
 
 
 def _bin(b: Mapping[str, Any]) -> str:
-    name = str(b["covariate"]).replace("_", " ")
+    name = "while" if b["covariate"] == "regime" else str(b["covariate"]).replace("_", " ")
     value = b["label"] or f"{b['low']:.3g} to {b['high']:.3g} {_UNITS.get(b['covariate'], '')}".strip()
     return f"{name} {value} ({b['bias']:+.2f} std)"
 
@@ -163,7 +163,11 @@ def how(r: Recording, d: Document | None) -> str:
         quick = " --quick" if d.get("quick") else ""
         rows += [
             ["", f"sugiyama diagnose FILE{quick} --seed {d.get('seed', 0)} --json > d.json; report --diagnosis d.json"],
-            ["p-values", f"from {d.get('bootstrap_runs', '?')} simulated recordings, seed {d.get('seed', '?')}"],
+            [
+                "p-values",
+                f"Student's t of the gain over the gains in {d.get('bootstrap_runs', '?')} recordings that the model"
+                f" simulates without it (seed {d.get('seed', '?')}), corrected for the number of candidates",
+            ],
             ["held out", "five interleaved folds of 25-s blocks; no sample is predicted by a model that has seen it"],
         ]
     rows += [

@@ -24,6 +24,7 @@ from bokeh.models import (
 )
 
 from sugiyama_ros.arrays import Array
+from sugiyama_ros.page.critic import WHY
 from sugiyama_ros.page.feed import KEPT, Feed, Log
 from sugiyama_ros.page.panels.base import (
     BLUE,
@@ -42,7 +43,7 @@ from sugiyama_ros.page.panels.base import (
 from sugiyama_ros.page.panels.chosen import INPUT
 from sugiyama_ros.page.status import status_line
 from sugiyama_ros.page.style import LIVE
-from sugiyama_ros.page.words import length
+from sugiyama_ros.page.words import length, name_in_words
 from sugiyama_ros.trajectories.desired_speed import known_only
 
 #: Time [s] between two updates of the road, and between two updates of the curves.
@@ -79,8 +80,9 @@ class _Page:
         self._colours = speed_colours(1.0)
         self._select = Select(title="driver", options=[], width=110, stylesheets=[INPUT])
         self._effect = Select(
-            title="effect", options=list(feed.effects), value=next(iter(feed.effects)), width=170, stylesheets=[INPUT]
-        )
+            title="effect", options=[(name, name_in_words(name)) for name in feed.effects],
+            value=next(iter(feed.effects)), width=200, stylesheets=[INPUT],
+        )  # fmt: skip
         self._values = TextInput(title="strength", width=150, stylesheets=[INPUT])
         self._status = Div(text="", stylesheets=[GlobalInlineStyleSheet(css=LIVE)])
         self._said, self._about = Div(text=""), Div(text="")
@@ -133,7 +135,7 @@ class _Page:
         colour = {"field": "speed", "transform": self._colours}
         space = panel("Where everybody is, and how fast", "time [s]", "position [m]")
         space.scatter("time", "place", source=self._space, size=2, color=colour)
-        colour_bar(space, self._colours, "m/s")
+        colour_bar(space, self._colours, "speed [m/s]")
         road = panel("The road from above: click a car", "x [m]", "y [m]", match_aspect=True,
                      x_range=DataRange1d(range_padding=0.2))  # fmt: skip
         road.multi_line("xs", "ys", source=self._lines, color=GREY, line_alpha=0.5)
@@ -199,7 +201,7 @@ class _Page:
     def _choose_effect(self) -> None:
         name = self._effect.value
         self._values.value = self._feed.values(name)
-        self._about.text = escape(f"{name.replace('_', ' ')} – {self._feed.effects[name]}")
+        self._about.text = escape(self._feed.effects[name])
 
     def _click(self, source: ColumnDataSource, chosen: list[int]) -> None:
         if chosen and chosen[0] < len(source.data["vehicle"]):
@@ -277,7 +279,7 @@ class _Page:
             if len(error):
                 shown = f"{time[-1]:.0f} s: one-step error over {MOVING_S:g} s {length(error[-1])} m"
                 shown += f", base model {length(base[-1])} m; " if math.isfinite(base[-1]) else "; "
-            added = ", ".join(feed.added) or "none"
+            added = ", ".join(map(name_in_words, feed.added)) or "none"
             self._said.text = f"{shown}effects added: {added}. {escape(feed.said)}"
         self._events.text = "<b>Events</b><br>" + ("<br>".join(map(escape, feed.events)) or "none yet")
 
@@ -323,18 +325,13 @@ class _Page:
             line.visible = line.name in (*order[:_MODELS], "base")
         settled = "settled among the models that this critic knows" if feed.is_settled else "not settled yet"
         names = ", ".join(
-            f'<b style="color:{self._colour(name)}">{escape(self._title(name))}</b> {feed.gains[name]:+.0f}'
+            f'<b style="color:{self._colour(name)}">{escape(name_in_words(name))}</b> {feed.gains[name]:+.0f}'
             for name in order[:_MODELS]
         )
         # the critic's own words: which model is best, and whether that has settled, is in its message
-        best = escape(self._title(feed.best))
+        best = escape(name_in_words(feed.best))
         gains = f"Gains over the base model: {names} nats."
-        self._settled.text = f"{settled}: {best} leads. {gains}{self._not_known()}"
-
-    def _title(self, name: str) -> str:
-        """Name for people of a model of the critic, as in the report."""
-        title = self._feed.effects.get(name, name.replace("_", " ")).partition(":")[0]
-        return "the base model" if name == "base" else title
+        self._settled.text = f"The critic is {settled}: {best} leads. {gains}{self._not_known()}"
 
     def _colour(self, name: str) -> str:
         """Colour of a model of the critic: the first one, grey, is that of the base model alone."""
@@ -342,9 +339,8 @@ class _Page:
         return COLOURS[0] if name == "base" else COLOURS[1 + others.index(name) % (len(COLOURS) - 1)]
 
     def _not_known(self) -> str:
-        """Say which effects the critic does not follow: the lead of another effect proves nothing against them."""
+        """Say why a diagnosis may find something else, and which effects the critic does not follow."""
         known = {*self._feed.gains, *self._feed.added}
-        missing = [self._title(name) for name in self._feed.effects if name not in known]
-        names = escape(", ".join(missing))
-        told = f"<br>This is no verdict: the critic does not know {names}; <code>sugiyama diagnose</code> does."
-        return told if missing else ""
+        missing = [name_in_words(name) for name in self._feed.effects if name not in known]
+        names = f" It does not know {', '.join(missing)}." if missing else ""
+        return f"<br>This is no verdict: {WHY} (<code>sugiyama diagnose</code>).{escape(names)}"

@@ -62,6 +62,8 @@ class Recording(Result):
         Time of each verdict [s].
     weights : dict of arrays (K,)
         Posterior probability of each model; NaN while the critic has no such model, as after its effect was added.
+    added : tuple of str
+        Effects that the estimators had at the end, as the critic heard; empty without a critic.
     changes : tuple of StyleChanged
         Changes of style, in the order in which they were published.
     types : dict of arrays (C,)
@@ -78,6 +80,7 @@ class Recording(Result):
     changes: tuple[StyleChanged, ...] = ()
     types: dict[int, Array] = field(default_factory=dict)
     truth: dict[int, dict[str, float]] = field(default_factory=dict)
+    added: tuple[str, ...] = ()
 
     def headline(self) -> str:
         """Say what was recorded, and how large the one-step errors are."""
@@ -143,6 +146,7 @@ def read_recording(path: Path) -> Recording:
         tuple(reading.changes),
         {v: np.array(p) for v, p in sorted(reading.types.items())},
         dict(sorted(reading.truth.items())),
+        reading.added,
     )
 
 
@@ -160,6 +164,7 @@ class _Reading:
         self.changes: list[StyleChanged] = []
         self.types: dict[int, list[float]] = {}
         self.truth: dict[int, dict[str, float]] = {}
+        self.added: tuple[str, ...] = ()
 
     def take(self, kind: str, message: Any) -> None:
         """Enter one message."""
@@ -167,6 +172,7 @@ class _Reading:
         if kind == "verdict":
             if len(message.model) == len(message.weight):
                 self.verdict_s.append(time_s)
+                self.added = tuple(map(str, message.added))
                 self._verdicts.append(dict(zip(message.model, map(float, message.weight), strict=True)))
         elif kind == "drivers":
             self._take_all(self._step(time_s), message)

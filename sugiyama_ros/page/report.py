@@ -12,13 +12,13 @@ from bokeh.resources import Resources
 from sugiyama_ros.outputs import Target, writing
 from sugiyama_ros.page import html
 from sugiyama_ros.page.card import card, name_of
+from sugiyama_ros.page.critic import beside_the_verdict
 from sugiyama_ros.page.panels import drivers, measured, missing, space_time, truth, worth
 from sugiyama_ros.page.panels.bias import bias_maps
 from sugiyama_ros.page.panels.chosen import Chosen
 from sugiyama_ros.page.recording import Recording
 from sugiyama_ros.page.style import STYLE
 from sugiyama_ros.page.truth import SHOWN, AgainstTruth
-from sugiyama_ros.page.words import title_of
 
 _ORANGE = "<p>Orange: added (▸), and what cannot be told apart from it in these data.</p>"
 _FLOOR = (
@@ -97,7 +97,8 @@ def _measured(r: Recording, d: Mapping[str, Any] | None, chosen: Chosen) -> list
     found = [Section("seen", "Measured and simulated" if driven else "What was measured",
                      about if driven else "", [first, *driven], columns)]  # fmt: skip
     more = [measured.speed_profile(r), measured.ring(r, chosen)]
-    found.append(Section("road", "The road", "", more, "side"))
+    # a ring needs a square, a road that is straight on the whole width
+    found.append(Section("road", "The road", "", more, "road" if r.trajectories.road.is_ring else "side"))
     return found
 
 
@@ -123,7 +124,7 @@ def _diagnosed(r: Recording, d: Mapping[str, Any], chosen: Chosen) -> list[Secti
             html.additions(d) + (_ORANGE if d["verdict"]["effects"] else ""),
             [missing.candidates(d)], "side", html.detectable(d),
         ),
-        Section("worth", "What it is worth", html.errors(d) + _FLOOR, worths, "three" if len(worths) == 3 else ""),
+        Section("worth", "What it is worth", "", worths, "side", html.errors(d) + _FLOOR),
     ]  # fmt: skip
 
 
@@ -145,11 +146,8 @@ def _drivers(r: Recording, d: Mapping[str, Any] | None, chosen: Chosen) -> Secti
         text += f"<p>Changes of style that were noticed (triangles): {len(r.changes)}.</p>"
     if r.weights:
         panels += [drivers.error_over_time(r), drivers.weights(r, d or {})]
-        best = title_of(d or {}, max(r.weights, key=lambda name: float(np.nan_to_num(r.weights[name][-1]))))
-        text += (
-            f"<p>At the end, the critic of this run prefers: {escape(best)}. The critic compares a few effects, whose"
-            " strengths and places it fits as it goes; where it differs from the verdict above, the verdict counts.</p>"
-        )
+        best = max(r.weights, key=lambda name: float(np.nan_to_num(r.weights[name][-1])))
+        text += f"<p>{escape(beside_the_verdict(d, best, r.added))}</p>"
     else:
         panels.append(drivers.error_over_time(r))
     return Section("drivers", "The drivers", text, panels, "side four" if len(panels) % 4 == 0 else "side")

@@ -1,6 +1,15 @@
 """The style sheets of the pages; that of the report: light and dark, 800 to 1920 pixels wide, and on paper."""
 
-STYLE = """
+# Colours of the text in the pictures: Bokeh reads them from the page.
+_PICTURES = """
+:root { --picture: #4d4d4d; --bk-text-color: var(--picture); --bk-title-text-color: var(--picture);
+  --bk-axis-label-text-color: var(--picture); --bk-major-label-text-color: var(--picture);
+  --bk-label-text-color: var(--picture); }
+@media (prefers-color-scheme: dark) { :root { --picture: #a3a3a3; } }
+"""
+STYLE = (
+    _PICTURES
+    + """
 :root { color-scheme: light dark; --back: #fff; --text: #1b1b1b; --soft: #f3f4f6; --line: #8884; --note: #5c5c5c;
   --good: #00704f; --bad: #b34700; --blue: #0072B2; }
 @media (prefers-color-scheme: dark) { :root { --back: #141414; --text: #e4e4e4; --soft: #202124; --note: #a5a5a5;
@@ -36,8 +45,11 @@ nav { position: sticky; top: 0; z-index: 5; display: flex; flex-wrap: wrap; alig
 nav a { color: inherit; } nav .choose { margin-left: auto; display: flex; align-items: center; gap: .5rem; }
 .panels { display: grid; grid-template-columns: repeat(2, minmax(0, 1fr)); gap: .6rem 1rem; }
 .panel { min-width: 0; } .wide { grid-column: 1 / -1; } section { scroll-margin-top: 5rem; }
-.three { grid-template-columns: repeat(3, minmax(0, 1fr)); } .one { grid-template-columns: minmax(0, 1fr); }
-.text { align-self: start; font-size: .9rem; } .scroll { overflow-x: auto; }
+.three { grid-template-columns: repeat(3, minmax(0, 1fr)); }
+.road { grid-template-columns: minmax(0, 2fr) minmax(0, 1fr); } .one { grid-template-columns: minmax(0, 1fr); }
+.text { align-self: start; font-size: .9rem; min-width: 0; } #worth .text { order: -1; }
+#worth td:first-child { white-space: nowrap; } #worth td, #worth th { padding-right: .6rem; }
+.scroll { overflow-x: auto; }
 .swatch { display: inline-block; width: .8rem; height: .8rem; border-radius: 2px; margin-right: .4rem; }
 summary { cursor: pointer; } details { margin: .4rem 0; }
 table { border-collapse: collapse; } section tr { border-bottom: 1px solid var(--line); }
@@ -46,7 +58,8 @@ section td:first-child, section th:first-child, section .left td, section .left 
   { text-align: left; }
 .panels.side:not(.four) > .panel:last-child:nth-child(odd), .panels.four > .panel:last-child:nth-child(2n+1)
   { grid-column: 1 / -1; }
-@media (max-width: 1099px) { .three { grid-template-columns: minmax(0, 1fr); }
+#worth .panel:nth-child(even):nth-last-child(2) { grid-column: 1 / -1; }
+@media (max-width: 1099px) { .three, .road { grid-template-columns: minmax(0, 1fr); }
   .panels.side { grid-template-columns: minmax(0, 1fr); } .tile .number { font-size: 1.05rem; }
   .tile { padding: .5rem .6rem; } .bar { min-width: 3rem; } .card { grid-template-columns: minmax(0, 1fr); gap: .7rem; }
   .card > * { padding: .5rem .8rem; } .card .tiles { gap: .7rem; }
@@ -58,9 +71,13 @@ section td:first-child, section th:first-child, section .left td, section .left 
   .panel, .card > * { break-inside: avoid; }
   h2 { break-after: avoid; } }
 """
+)
 #: The style sheet of the live page: light and dark.
-LIVE = """
+LIVE = (
+    _PICTURES
+    + """
 :root { color-scheme: light dark; }
 body { font: 14px/1.4 system-ui, sans-serif; background: #fff; color: #1b1b1b; }
 @media (prefers-color-scheme: dark) { body { background: #141414; color: #e4e4e4; } }
 """
+)

@@ -5,6 +5,8 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
+from sugiyama_ros.effects.registry import EFFECTS
+
 Document = Mapping[str, Any]
 _LAWS = {"idm": "IDM", "fvdm": "FVDM", "ovm": "OVM", "gipps": "Gipps", "newell": "Newell", "helly": "Helly"}
 # Additions that the card and its headline name one by one; of more, they say the number.
@@ -28,7 +30,14 @@ _OUTCOMES = {
 def title_of(d: Document, name: str) -> str:
     """Name for people of an effect, a group of constants or a law."""
     explained = d.get("about", {}).get(name)
-    return str(explained["title"]) if explained else name.replace("_", " ")
+    return str(explained["title"]) if explained else name_in_words(name)
+
+
+def name_in_words(name: str) -> str:
+    """Name for people of a model of the critic: an effect that is added to the base model, or the base model."""
+    if name == "base":
+        return "the base model"
+    return EFFECTS[name].title if name in EFFECTS else name.replace("_", " ")
 
 
 def summary_of(d: Document, name: str) -> str:
@@ -50,13 +59,13 @@ def models(d: Document) -> dict[str, Document]:
     return {name: one for name, one in d["errors"].items() if name != "after" or d["verdict"]["effects"]}
 
 
-def quantity(value: float, unit: str = "", std: float | None = None) -> str:
-    """A value with its standard deviation and its unit."""
+def quantity(value: float, unit: str = "", std: float | None = None, digits: int = 3) -> str:
+    """A value with its standard deviation and its unit; without a standard deviation, with so many digits."""
     if std is None or not (math.isfinite(std) and std > 0.0):
-        text = f"{value:.3g}"
+        text = f"{value:.{digits}g}" if abs(value) < 10.0**digits else f"{value:.0f}"
     else:
-        digits = min(max(-math.floor(math.log10(std)), 0), 5)
-        text = f"{value:.{digits}f} ± {std:.{digits}f}"
+        places = min(max(-math.floor(math.log10(std)), 0), 5)
+        text = f"{value:.{places}f} ± {std:.{places}f}"
     return f"{text} {unit.replace('^2', '²').replace('^3', '³')}".strip()
 
 
@@ -76,7 +85,7 @@ def would_have_shown(d: Document) -> list[tuple[str, str]]:
         value, unit = float(one["value"]), str(declared.get("unit", ""))
         # a smaller limit is a stronger effect
         end = "or less" if d.get("about", {}).get(one["name"], {}).get("is_limit") else "or more"
-        size = f"{quantity(value, unit)} {end if value > 0.0 else 'or beyond'}"
+        size = f"{quantity(value, unit, digits=2)} {end if value > 0.0 else 'or beyond'}"
         found.append((title_of(d, one["name"]), f"{meaning}: {size}"))
     return found
 
@@ -91,6 +100,9 @@ def plain(d: Document, text: str) -> str:
         for k, v in about.get(word, {}).get("parameters", {}).items()
         if "_" in k or k[-1].isdigit()
     }
+    for name, meaning in meanings.items():
+        unit = quantity(0.0, str(meaning.get("unit", "")))[1:]
+        text = re.sub(rf"\b({name} is -?\d+(?:\.\d+)?(?:e[+-]?\d+)?)\b", rf"\1{unit}", text)
 
     def shown(found: re.Match[str]) -> str:
         name = found[0]
@@ -161,23 +173,28 @@ def is_confirmed(n: Document) -> bool:
     return float(n["heldout_gain_nats"]) > float(n["heldout_gain_se"])
 
 
+def is_clear(n: Document) -> bool:
+    """Whether the gain of an addition on unseen data is above two standard errors."""
+    return float(n["heldout_gain_nats"]) >= _CLEAR * float(n["heldout_gain_se"])
+
+
 def certainty(n: Document) -> str:
     """How certain an addition is: its gain on data that no fit has seen, and its p-value on the fitted data."""
-    text = on_unseen(n)
+    confirm = ("hardly confirm" if not is_clear(n) else "confirm") if is_confirmed(n) else "do not confirm"
+    text = f"unseen data {confirm} it: {on_unseen(n)}"
     if p := chance(n.get("p_value")):
-        text += f"; chance gains as much on the fitted data with {p}"
+        text += f"; on the fitted data, chance gains as much with {p}"
     return text
 
 
 def on_unseen(n: Document) -> str:
     """What an addition gains on data that no fit has seen, and for whom."""
     gain, se = float(n["heldout_gain_nats"]), float(n["heldout_gain_se"])
-    if is_confirmed(n):
-        text = f"{gain:.0f} ± {se:.0f} nats better on unseen data"
-        if se > 0.0:
-            text += f", {'only ' if gain < _CLEAR * se else ''}{gain / se:.1f} standard errors"
-    else:
-        text = f"unseen data do not confirm it ({gain:.0f} ± {se:.0f} nats: not above the standard error)"
+    text = f"{gain:.0f} ± {se:.0f} nats"
+    if not is_confirmed(n):
+        text += ", not above the standard error"
+    elif se > 0.0:
+        text += f" better ({'' if is_clear(n) else 'only '}{gain / se:.1f} standard errors)"
     if isinstance(who := n.get("who"), list):
         text += f"; shown by {_vehicles([str(v) for v in who])} only"
     return text
@@ -233,14 +250,14 @@ def worse(d: Document) -> list[str]:
     ends = [(one, *(one[f"single_car_10s_{when}_m"] for when in ("before", "after"))) for one in d["drivers"]]
     names = [_number(one) for one, b, a in ends if None not in (a, b) and a > _WORSE * b]
     if names:
-        found.append(f"free runs of one car end more than a fifth further off for {_vehicles(names)}, of {len(ends)}")
+        drivers = f"{len(names)} of {len(ends)} drivers ({_vehicles(names)})"
+        found.append(f"for {drivers}, one-car free runs get more than a fifth worse")
     return found + worse_in_use(effects[-1])
 
 
 def worse_in_use(n: Document) -> list[str]:
     """Where the model with an addition does worse than the base model beyond what both were fitted to."""
-    part = "the last 40 % (fitted without it)"
-    return [str(line).replace("the last part", part) for line in n.get("worse_where", ())]
+    return [str(line).replace("the last part", "the unseen last 40 %") for line in n.get("worse_where", ())]
 
 
 def _number(driver: Document) -> str:
@@ -256,7 +273,11 @@ def _vehicles(names: list[str]) -> str:
 def reasons(d: Document) -> list[str]:
     """What speaks against the final model."""
     said = d["verdict"].get("adequacy", {}).get("reasons", [])
-    return [plain(d, str(reason)).replace("held-out samples", "unseen data") for reason in said]
+    words = {"held-out samples": "unseen data", "the model without the additions": "the base model"}
+    lines = [plain(d, str(reason)) for reason in said]
+    for old, new in words.items():
+        lines = [line.replace(old, new) for line in lines]
+    return lines
 
 
 def what_to_do(d: Document) -> str:
@@ -266,12 +287,8 @@ def what_to_do(d: Document) -> str:
     if advice:
         return f"To tell them apart, {'; '.join(advice)}."
     if adequacy.get("outcome") == "not_explained":
-        better = adequacy.get("better_law")
-        use = (
-            f" {model_name(str(better))} predicts these data better; use it where prediction counts." if better else ""
-        )
         names = "Do not take the names for causes. " if effects else ""
-        return f"{names}Look below where the model{' still' if effects else ''} fails.{use}"
+        return f"{names}Look below where the model{' still' if effects else ''} fails.{_best_predictor(d)}"
     if not effects:
         return (
             "Use the model as it is. The table of what these data would have shown says how small a missing effect may"
@@ -283,6 +300,20 @@ def what_to_do(d: Document) -> str:
     if effects[-1].get("worse_where"):
         text += " If you simulate, diagnose with --for simulation: it adds nothing that makes free runs worse."
     return text
+
+
+def _best_predictor(d: Document) -> str:
+    """Which model to use where prediction counts, if another law predicts better than the base or the final model."""
+    better = d["verdict"].get("adequacy", {}).get("better_law")
+    if not better:
+        return ""
+    law, final = (d["errors"].get(name, {}).get("loglik_per_sample") for name in (better, "after"))
+    if d["verdict"]["effects"] and None not in (law, final) and final > law:
+        return (
+            f" Where only prediction counts, the model with the additions is the best one ({final:.3f} nats per sample;"
+            f" {model_name(str(better))} {law:.3f})."
+        )
+    return f" {model_name(str(better))} predicts these data better; use it where only prediction counts."
 
 
 def _and(names: list[str], word: str = "and") -> str:

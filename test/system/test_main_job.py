@@ -191,7 +191,7 @@ def test_demo_finds_the_hidden_effect_and_the_published_error_falls(tmp_path):
     # the hidden effect hurts visibly
     assert said["errors"]["after"]["free_run_10s_m"] < 0.67 * said["errors"]["before"]["free_run_10s_m"]
     page = (tmp_path / "sugiyama-demo.html").read_text()
-    assert "<dt>The truth</dt><dd>slower stretch of road" in page
+    assert "<dt>What was hidden</dt><dd>Slower stretch of road" in page
     tell_alike(said, page)
     assert said["messages_lost"] == 0
     assert (tmp_path / "sugiyama-demo.mcap").exists()

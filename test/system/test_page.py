@@ -26,6 +26,7 @@ from sugiyama_ros.cli.view import view
 from sugiyama_ros.errors import InputError, OutputError
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.page import live
+from sugiyama_ros.page.critic import WHY, beside_the_verdict
 from sugiyama_ros.page.diagnosis import read_diagnosis
 from sugiyama_ros.page.feed import KEPT, Log, Status
 from sugiyama_ros.page.html import detectable
@@ -183,12 +184,12 @@ def test_the_card_says_what_how_much_how_sure_and_what_to_do(page):
     for words in (
         "What was missing is explained",
         "The model lacks this: slower stretch of road. With it, nothing in these data speaks against the model.",
-        "share taken off the desired speed: 0.20 ± 0.01; middle: 5 m; length: 30 m",
-        "50 ± 9 nats better on unseen data, 5.6 standard errors; chance gains as much on the fitted data with p &lt;",
+        "Share taken off the desired speed: 0.20 ± 0.01; middle: 5 m; length: 30 m",
+        "Unseen data confirm it: 50 ± 9 nats better (5.6 standard errors); on the fitted data, chance gains as",
         "cannot be told apart from hill",
         "To tell them apart, survey the road.",
         "3.00 → 1.50 m <span>(-50 %)</span>",
-        "<dt>The truth</dt><dd>slower stretch of road; share",
+        "<dt>What was hidden</dt><dd>Slower stretch of road; share",
         "90 %",
     ):
         assert words in card
@@ -226,22 +227,22 @@ def test_the_card_says_what_gets_worse_and_that_no_name_is_certain():
     document = {**DIAGNOSIS, "verdict": {"effects": kept, "adequacy": adequacy}, "about": about}
     assert headline(document).endswith("3 additions help, but do not explain these data.")
     assert how_sure(document) == "No name is certain: these data cannot tell any of them apart from other effects."
-    assert worse(document)[0] == "free runs of one car end more than a fifth further off for vehicle 0, of 6"
-    told = [line.replace("last part", "last 40 % (fitted without it)") for line in kept[-1]["worse_where"]]
+    assert worse(document)[0] == "for 1 of 6 drivers (vehicle 0), one-car free runs get more than a fifth worse"
+    told = [line.replace("last part", "unseen last 40 %") for line in kept[-1]["worse_where"]]
     assert worse(document)[1:] == told
-    assert "; shown by vehicles 3 and 4 only; chance gains" in certainty({**kept[0], "who": [3, 4]})
+    assert "; shown by vehicles 3 and 4 only; on the fitted data, chance gains" in certainty({**kept[0], "who": [3, 4]})
     expected = ["Gipps predicts better", "a force that depends on leader acceleration is missing"]
     assert words_of_reasons(document) == expected
 
 
 def test_reasons_have_the_meaning_of_a_parameter_instead_of_its_name():
     about = {
-        "drag": {"title": "drag", "parameters": {"c0": {"meaning": "constant resistance; section 5"}}},
+        "drag": {"title": "drag", "parameters": {"c0": {"unit": "m/s^2", "meaning": "constant resistance; section 5"}}},
         "speed_dependent_noise": {"title": "unsteadiness", "parameters": {"a": {"meaning": "growth of log sigma_a"}}},
     }
     reasons = ["drag has a sign that makes no physical sense: c0 is -0.34"]
     document = {"verdict": {"effects": [], "adequacy": {"reasons": reasons}}, "about": about}
-    assert words_of_reasons(document) == ["drag has a sign that makes no physical sense: constant resistance is -0.34"]
+    assert words_of_reasons(document) == [reasons[0].replace("c0 is -0.34", "constant resistance is -0.34 m/s²")]
     effect = {"name": "speed_dependent_noise", "parameters": {"a": 0.5}}
     assert size_of(document, effect) == "growth of the logarithm of the acceleration noise: 0.5"
 
@@ -277,9 +278,9 @@ def test_the_live_page_says_that_a_desired_speed_is_not_known():
 @pytest.mark.parametrize(
     ("gain", "words"),
     [
-        (3.0, "unseen data do not confirm it (3 ± 8 nats: not above the standard error); chance gains as much"),
-        (-30.0, "unseen data do not confirm it (-30 ± 8 nats: not above the standard error); chance gains as much"),
-        (12.0, "12 ± 8 nats better on unseen data, only 1.5 standard errors; chance gains as much"),
+        (3.0, "unseen data do not confirm it: 3 ± 8 nats, not above the standard error; on the fitted data"),
+        (-30.0, "unseen data do not confirm it: -30 ± 8 nats, not above the standard error; on the fitted data"),
+        (12.0, "unseen data hardly confirm it: 12 ± 8 nats better (only 1.5 standard errors); on the fitted data"),
     ],
 )
 def test_a_gain_below_its_standard_error_does_not_read_as_certain(gain, words):
@@ -575,7 +576,7 @@ def test_the_live_page_streams_and_its_buttons_call_the_services(browser, record
     with live_page(browser, recorded.parent / "sim.mcap", 2, tmp_path / "live.mcap") as page:
         page.get_by_text("vehicle 5").wait_for(state="attached", timeout=60_000)
         page.get_by_role("button", name="add").click()
-        page.get_by_text("effects added: reaction_delay").wait_for(timeout=60_000)
+        page.get_by_text("effects added: reaction time").wait_for(timeout=60_000)
         page.set_viewport_size({"width": 800, "height": 800})
         page.emulate_media(color_scheme="dark")
         page.wait_for_timeout(1500)
@@ -629,7 +630,7 @@ def test_adding_the_true_effect_lowers_the_error_on_the_page(browser, tmp_path):
         before = shown(page, 60)
         page.get_by_label("effect", exact=True).select_option("limited_power")
         page.get_by_role("button", name="add").click()
-        page.get_by_text("effects added: limited_power").wait_for(timeout=60_000)
+        page.get_by_text("effects added: limited engine power").wait_for(timeout=60_000)
         after = shown(page, 150)
     parts = ((before, 25), (after, 95))
     (first, base), (last, still) = (np.mean([e for t, e in part.items() if t > since], axis=0) for part, since in parts)
@@ -675,7 +676,9 @@ def test_a_page_shows_a_critic_whose_models_change():
     document = Document()
     live.page(feed)(document)
     told = " ".join(div.text for div in document.select({"type": Div}))
-    assert "settled among the models that this critic knows: Second leader leads." in told
+    assert "settled among the models that this critic knows: look past the leader leads." in told
+    # why a diagnosis may find something else; all effects that can be added are known to this critic
+    assert WHY in told
     assert "does not know" not in told
     drawn = {line.name: line.data_source.data for line in document.select({"type": GlyphRenderer}) if line.name}
     assert {name: list(data["gain"]) for name, data in drawn.items()} == {
@@ -683,6 +686,21 @@ def test_a_page_shows_a_critic_whose_models_change():
         "drag": [7.0],
         "second_leader": [2.0, 3.0],
     }
+
+
+@pytest.mark.parametrize(
+    ("best", "added", "words"),
+    [
+        ("slow_patch", (), "finds slower stretch of road missing. The verdict above says the same."),
+        ("road_grade", (), "finds hill missing. The verdict above cannot tell it apart from slower stretch of road."),
+        ("drag", (), f"finds drag missing. The verdict above is another one, and it counts: {WHY}."),
+        ("base", (), f"finds nothing missing. The verdict above is another one, and it counts: {WHY}."),
+        ("base", ("slow_patch",), "nothing missing, beyond what the estimators had already (slower stretch of road)."),
+    ],
+)
+def test_critic_and_verdict_say_the_same_or_why_not(best, added, words):
+    assert words in beside_the_verdict(DIAGNOSIS, best, added)
+    assert beside_the_verdict(None, best, added).endswith(f"This is no verdict: {WHY}.")
 
 
 def test_lanes_lie_beside_each_other():

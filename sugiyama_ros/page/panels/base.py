@@ -1,7 +1,6 @@
 """What all panels share: colours that colour-blind readers can tell apart, an empty figure, a legend, a colour bar.
 
-Text and lines of the axes are of a grey that can be read on white and on black. So a page needs no second set of
-colours.
+Lines of the axes are of a grey that can be seen on white and on black. The style sheets give the colours of the text.
 """
 
 import math

@@ -68,7 +68,7 @@ def _bias_map(one: Mapping[str, Any], when: str, beside: Any = None) -> Any:
     colours = LinearColorMapper(PuOr11, low=-_END, high=_END)
     quads = plot.quad("left", "right", "bottom", "top", source=source, line_color="line", line_width=1.5,
                       fill_color={"field": "bias", "transform": colours})  # fmt: skip
-    colour_bar(plot, colours, "std")
+    colour_bar(plot, colours, "bias [std]")
     # at the mouse: the middle of a bin that is cut off lies outside the picture
     tooltips = [("bias", "@bias{0.00} std"), ("", "@says")]
     plot.add_tools(HoverTool(renderers=[quads], tooltips=tooltips, point_policy="follow_mouse"))

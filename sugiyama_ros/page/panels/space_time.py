@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from bokeh.models import ColumnDataSource, LinearColorMapper, Span, UIElement
 
-from sugiyama_ros.arrays import Array
+from sugiyama_ros.arrays import Array, Mask
 from sugiyama_ros.page.panels.base import CHOSEN, GREY, SINGLE, colour_bar, panel, speed_colours
 from sugiyama_ros.page.panels.chosen import Chosen
 from sugiyama_ros.page.panels.measured import fastest, places, speeds
@@ -22,12 +22,12 @@ def measured(r: Recording, chosen: Chosen) -> UIElement:
     every = max(1, -(-r.trajectories.position_m.size // _MOST))
     place, speed = places(r)[::every], speeds(r)[::every]
     time = np.broadcast_to(r.time_s[::every, None], place.shape)
-    plot, source, known = _diagram("Measured", time, place, speed, speed_colours(fastest(r)))
-    chosen.points(plot, source, np.broadcast_to(np.arange(place.shape[1]), place.shape)[known].tolist())
-    jump = np.zeros(place.shape, dtype=np.bool_)
-    if r.trajectories.road.is_ring:
-        jump[1:] = np.abs(np.diff(place, axis=0)) > 0.5 * r.trajectories.road.circumference_m
-    line = chosen.series(time=time, position=np.where(jump, np.nan, place))
+    drawn = np.isfinite(np.diff(place, axis=0)) & ~_jumps(place, r.trajectories.road)
+    plot, source = _diagram("Measured", time, place, speed, drawn, speed_colours(fastest(r)))
+    chosen.points(plot, source, np.broadcast_to(np.arange(place.shape[1]), drawn.shape)[drawn].tolist())
+    line = place.copy()
+    line[1:][_jumps(place, r.trajectories.road)] = np.nan
+    line = chosen.series(time=time, position=line)
     plot.line("time", "position", source=line, color=CHOSEN, line_width=2)
     return plot
 
@@ -46,9 +46,10 @@ def simulated(r: Recording, diagnosis: Mapping[str, Any], measured_plot: Any) ->
         place = np.array(run[name], dtype=np.float64)
         speed = speeds_of_run(r.trajectories.road, time_s, block, place)
         time = np.broadcast_to(time_s[:, None], place.shape)
-        plot, *_ = _diagram(
-            title, time, place, speed, colours, x_range=measured_plot.x_range, y_range=measured_plot.y_range
-        )
+        drawn = np.isfinite(np.diff(place, axis=0)) & ~_jumps(place, r.trajectories.road)
+        drawn &= (np.diff(block) == 0)[:, None]
+        ranges = {"x_range": measured_plot.x_range, "y_range": measured_plot.y_range}
+        plot, _ = _diagram(title, time, place, speed, drawn, colours, **ranges)
         for start in starts.tolist():
             plot.add_layout(Span(location=start, dimension="height", line_color=GREY, line_dash="dotted"))
         found.append(plot)
@@ -65,16 +66,20 @@ def speeds_of_run(road: Road, time_s: Array, block: Array, place: Array) -> Arra
     return speed
 
 
+def _jumps(place: Array, road: Road) -> Mask:
+    """Whether (T - 1, N) a vehicle comes to the end of a ring between two samples, and begins at 0 m anew."""
+    return np.asarray(np.abs(np.diff(place, axis=0)) > (0.5 * road.circumference_m if road.is_ring else np.inf))
+
+
 def _diagram(
-    title: str, time: Array, place: Array, speed: Array, colours: LinearColorMapper, **ranges: Any
-) -> tuple[Any, ColumnDataSource, Array]:
-    known = np.isfinite(place)
-    source = ColumnDataSource(
-        {name: values[known].astype(SINGLE) for name, values in (("time", time), ("position", place), ("speed", speed))}
-    )
+    title: str, time: Array, place: Array, speed: Array, drawn: Mask, colours: LinearColorMapper, **ranges: Any
+) -> tuple[Any, ColumnDataSource]:
+    """A line from each sample (T, N) to the next one, where ``drawn`` (T - 1, N) says so."""
+    ends = {"time": time[:-1], "position": place[:-1], "speed": speed[:-1], "later": time[1:], "further": place[1:]}
+    source = ColumnDataSource({name: values[drawn].astype(SINGLE) for name, values in ends.items()})
     plot = panel(title, "time [s]", "position [m]", **ranges)
     colour = {"field": "speed", "transform": colours}
-    plot.scatter("time", "position", source=source, size=3, line_color=None, fill_color=colour,
-                 nonselection_fill_alpha=1.0)  # fmt: skip
-    colour_bar(plot, colours, "m/s")
-    return plot, source, known
+    plot.segment("time", "position", "later", "further", source=source, line_width=2.5, line_color=colour,
+                 nonselection_line_alpha=1.0)  # fmt: skip
+    colour_bar(plot, colours, "speed [m/s]")
+    return plot, source

@@ -1,0 +1,37 @@
+"""What the critic of a run says, beside the verdict of a diagnosis; and why the two may differ."""
+
+from collections.abc import Collection
+
+from sugiyama_ros.page.words import Document, name_in_words
+
+#: Why a critic may say something else than a diagnosis.
+WHY = (
+    "the critic hears each sample once, adds one effect at a time out of those that it knows, and holds no data out;"
+    " a diagnosis compares all effects on data that no fit has seen"
+)
+
+
+def beside_the_verdict(d: Document | None, best: str, added: Collection[str]) -> str:
+    """Say what a critic prefers at the end, and whether the verdict of a diagnosis says the same.
+
+    Parameters
+    ----------
+    d
+        Document of the diagnosis, if there is one.
+    best
+        The model that the critic prefers; ``base`` is the model that the estimators had.
+    added
+        Effects that the estimators had.
+    """
+    had = f", beyond what the estimators had already ({', '.join(map(name_in_words, added))})" if added else ""
+    text = f"The critic of this run finds {'nothing' if best == 'base' else name_in_words(best)} missing{had}."
+    if d is None:
+        return f"{text} This is no verdict: {WHY}."
+    effects = {str(n["name"]): n["indistinguishable"] for n in d["verdict"]["effects"]}
+    missing = [name for name in effects if name not in added]
+    if best in missing or (best == "base" and not missing):
+        return f"{text} The verdict above says the same."
+    alike = [name for name in missing if best in effects[name]]
+    if alike:
+        return f"{text} The verdict above cannot tell it apart from {name_in_words(alike[0])}."
+    return f"{text} The verdict above is another one, and it counts: {WHY}."
