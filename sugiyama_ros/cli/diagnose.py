@@ -172,4 +172,8 @@ def compare(
         print_line(
             "±: measured, the standard error over blocks of time; simulated, the standard deviation over simulations"
         )
+    print_line(
+        "floor: the base model on a recording that it simulates itself; where that recording is harder than yours, a"
+        " model may lie below"
+    )
     print_line(f"white innovations have an autocorrelation within ± {compared.models[0].band:.3f}")

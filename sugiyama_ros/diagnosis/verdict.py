@@ -211,7 +211,10 @@ def sentences(d: Diagnosis) -> list[str]:
         )
         which = who(n, d.data.vicinity.numbers)
         if which != "all":
-            lines.append(f"  Only vehicles {', '.join(map(str, which))} show it.")
+            names = ", ".join(map(str, which))
+            lines.append(
+                f"  Only vehicle {names} shows it." if len(which) == 1 else f"  Only vehicles {names} show it."
+            )
     lines += _not_certain(d)
     lines += [f"In use it is worse than the base model: {one}." for n in d.named[-1:] for one in n.worse[:_WORST]]
     left_out = not_searched(d.data)

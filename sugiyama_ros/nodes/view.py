@@ -98,11 +98,10 @@ class View(Node):
         self.events: Sequence[str] = self._events
         self.said = ""
         self._road: RoadMessage | None = None
-        self.effects: Mapping[str, str] = {
-            name: f"{e.title}: {e.summary}"
-            for name, e in EFFECTS.items()
-            if e.function is not None and e.starts(self._recording())
-        }
+        extent = self._recording()
+        self.effects: Sequence[str] = tuple(
+            name for name, e in EFFECTS.items() if e.function is not None and e.starts(extent)
+        )
         # the critic's values of all parameters of effects
         self._fitted: dict[str, float] = {}
         self._state: dict[int, tuple[float, float]] = {}

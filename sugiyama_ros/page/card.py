@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from sugiyama_ros.page.panels.measured import frame_mps
 from sugiyama_ros.page.recording import Recording
 from sugiyama_ros.page.thumbnail import thumbnail
 from sugiyama_ros.page.words import (
@@ -30,6 +31,8 @@ _SHOWN = ("before", "after", "idm", "fvdm", "floor")
 _LINES = 3
 # Names that are short enough for the tiles.
 _NAMES = {"before": "before", "after": "after", "floor": "floor"}
+# A floor above an error by more than this factor needs a word.
+_ABOVE = 1.05
 #: Errors [m] below this are told in millimetres.
 SMALL_M = 0.01
 
@@ -43,10 +46,11 @@ def card(r: Recording, diagnosis: Mapping[str, Any] | None) -> str:
     facts = f"{len(t.vehicle)} vehicles{some}, {t.duration_s:.0f} s, a sample every {t.period_s:.3g} s, on {road}"
     facts = re.sub(r"(\d) (m|s)\b", "\\1\u00a0\\2", facts)  # no unit begins a line
     name = escape(name_of(r))
+    moving = f"; from a car at {frame_mps(r)}\u00a0m/s" if frame_mps(r) else ""
     about = (
         f'<div class="what"><h1>{name}</h1><p>{escape(facts)}</p>'
         f'<img alt="speeds over time and place" src="{thumbnail(r)}"><p class="note">Speeds over time (to the right)'
-        " and place (upward): yellow is fast, dark blue stands.</p></div>"
+        f" and place (upward{moving}): yellow is fast, dark blue {'slow' if moving else 'stands'}.</p></div>"
     )
     return f'<header class="card">{about}{_verdict(diagnosis)}{_tiles(diagnosis)}</header>'
 
@@ -132,7 +136,7 @@ def _explained(d: Mapping[str, Any]) -> str:
     if rows:
         note += ". Parts of the data in which the model is biased:"
     return (
-        f'<div class="tile"><h3>Share explained</h3><p class="number">{text}</p>{bar}<p class="note">{note}</p>'
+        f'<div class="tile"><h3>Share of the gain</h3><p class="number">{text}</p>{bar}<p class="note">{note}</p>'
         f"<table>{rows}</table></div>"
     )
 
@@ -152,6 +156,8 @@ def _tile(title: str, about: str, key: str, errors: Mapping[str, Any]) -> str:
     names = _NAMES
     if before is not None and before == after:
         shown, names = [(model, value) for model, value in shown if model != "after"], {"floor": "floor"}
+    if known and (_value(errors, "floor", key) or 0.0) > _ABOVE * known[-1]:
+        about += ". The floor, of recordings that the model simulates itself, lies above: those happen to be harder"
     # a law that goes astray may leave the picture
     full = 1.5 * max([*known, 1e-9])
     bars = "".join(

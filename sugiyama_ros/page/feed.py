@@ -86,8 +86,8 @@ class Feed(Protocol):
         Vehicles of whose drivers something is learnt; who follows nobody is not among them.
     adapted : mapping
         v*, its std [m/s], kappa_v and its std [s] of each driver, as last published.
-    effects : mapping of str to str
-        Effects that can be added, each with its explanation.
+    effects : sequence of str
+        Effects that can be added.
     added : sequence of str
         Effects that were added.
     changed_s : sequence of float
@@ -118,7 +118,7 @@ class Feed(Protocol):
     lanes: Mapping[int, int]
     followers: Collection[int]
     adapted: Mapping[int, tuple[float, float, float, float]]
-    effects: Mapping[str, str]
+    effects: Sequence[str]
     added: Sequence[str]
     changed_s: Sequence[float]
     events: Sequence[str]

@@ -224,7 +224,7 @@ def _bias(axes: Any, one: Mapping[str, Any], d: Mapping[str, Any], ring_m: float
     for a, b in np.argwhere(outlined).tolist():
         corner, size = (first[a], second[b]), (first[a + 1] - first[a], second[b + 1] - second[b])
         axes.add_patch(Rectangle(corner, *size, fill=False, edgecolor="black", linewidth=0.8))
-    for covariate, low, high in found_in((one["first"], one["second"]), d, ring_m):
+    for _, covariate, low, high in found_in((one["first"], one["second"]), d, ring_m):
         for end in {low, high}:
             line = axes.axvline if covariate == one["first"] else axes.axhline
             line(end, color=VERMILION, linewidth=1.0, linestyle="--")

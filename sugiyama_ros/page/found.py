@@ -5,10 +5,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from sugiyama_ros.page.words import title_of
+
 
 class Found(NamedTuple):
-    """A range of a covariate; a time at which something happens has no width."""
+    """A range of a covariate in which something acts, with its name; a time at which it happens has no width."""
 
+    title: str
     covariate: str
     low: float
     high: float
@@ -28,19 +31,22 @@ def found_in(axes: tuple[str, str], diagnosis: Mapping[str, Any], ring_m: float)
     """
     found = []
     for effect in diagnosis["verdict"]["effects"]:
+        title = title_of(diagnosis, effect["name"])
         declared = diagnosis.get("about", {}).get(effect["name"], {}).get("parameters", {})
         values = effect.get("parameters", {})
         for name, value in values.items():
             axis = declared.get(name, {}).get("axis")
             if axis == "time" and "time" in axes:
-                found.append(Found("time", float(value), float(value)))
+                found.append(Found(title, "time", float(value), float(value)))
             elif axis == "place" and "place" in axes:
                 half = 0.5 * float(values.get("width", 0.0))
                 for shift in (-ring_m, 0.0, ring_m) if ring_m else (0.0,):
-                    found.append(Found("place", value + shift - half, value + shift + half))
+                    found.append(Found(title, "place", value + shift - half, value + shift + half))
     for force in diagnosis["verdict"].get("discovered", []):
         if force["covariate"] in axes:
             knots, size = np.array(force["knots"]), np.abs(np.array(force["force"]))
-            strong = knots[size >= 0.5 * size.max()]
-            found.append(Found(force["covariate"], float(strong.min()), float(strong.max())))
+            if size.any():
+                strong = knots[size >= 0.5 * size.max()]
+                title = title_of(diagnosis, "discovered_force")
+                found.append(Found(title, force["covariate"], float(strong.min()), float(strong.max())))
     return found

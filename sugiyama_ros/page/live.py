@@ -9,9 +9,9 @@ import numpy as np
 from bokeh.document import Document
 from bokeh.layouts import column, row
 from bokeh.models import (
-    BasicTickFormatter,
     Button,
     ColumnDataSource,
+    CustomJS,
     DataRange1d,
     Div,
     GlobalInlineStyleSheet,
@@ -42,8 +42,8 @@ from sugiyama_ros.page.panels.base import (
 )
 from sugiyama_ros.page.panels.chosen import INPUT
 from sugiyama_ros.page.status import status_line
-from sugiyama_ros.page.style import LIVE
-from sugiyama_ros.page.words import length, name_in_words
+from sugiyama_ros.page.style import LIVE, REPAINT
+from sugiyama_ros.page.words import explained, length, name_in_words
 from sugiyama_ros.trajectories.desired_speed import known_only
 
 #: Time [s] between two updates of the road, and between two updates of the curves.
@@ -81,7 +81,7 @@ class _Page:
         self._select = Select(title="driver", options=[], width=110, stylesheets=[INPUT])
         self._effect = Select(
             title="effect", options=[(name, name_in_words(name)) for name in feed.effects],
-            value=next(iter(feed.effects)), width=200, stylesheets=[INPUT],
+            value=feed.effects[0], width=200, stylesheets=[INPUT],
         )  # fmt: skip
         self._values = TextInput(title="strength", width=150, stylesheets=[INPUT])
         self._status = Div(text="", stylesheets=[GlobalInlineStyleSheet(css=LIVE)])
@@ -94,6 +94,7 @@ class _Page:
     def fill(self, document: Document) -> None:
         document.title = "sugiyama live"
         document.add_root(self._layout())
+        document.js_on_event("document_ready", CustomJS(code=REPAINT))
         self._choose_effect()
         self._tell()
         document.add_periodic_callback(self._update, round(1000 * UPDATE_S))
@@ -110,7 +111,6 @@ class _Page:
         error.line("time", "base", source=self._error, color=GREY, line_width=2, legend_label="base model")
         error.line("time", "error", source=self._error, color=VERMILION, line_width=2, legend_label="the estimators")
         legend_above(error)
-        error.yaxis.formatter = BasicTickFormatter(use_scientific=False)
         self._plots["critic"] = critic = panel(
             "The critic: gain over the base model", "time [s]", "gain [nats]",
             y_range=DataRange1d(only_visible=True), visible=False,
@@ -171,12 +171,12 @@ class _Page:
         return [*found, strip]
 
     def _one_driver(self) -> tuple[Any, Any]:
-        speed = panel("Chosen: speed, one sigma", "time [s]", "speed [m/s]")
+        speed = panel("Chosen: speed, ± one deviation", "time [s]", "speed [m/s]")
         speed.scatter("time", "measured", source=self._driver, color=GREY, size=3, legend_label="from two positions")
         speed.varea("time", "low", "high", source=self._driver, color=BLUE, alpha=0.3)
         speed.line("time", "speed", source=self._driver, color=BLUE, line_width=2, legend_label="filtered")
         legend_above(speed)
-        innovation = panel("Chosen: error, two sigma", "time [s]", "error [m]")
+        innovation = panel("Chosen: error, ± two deviations", "time [s]", "error [m]")
         innovation.varea("time", "below", "above", source=self._driver, color=ORANGE, alpha=0.3)
         innovation.line("time", "innovation", source=self._driver, color=VERMILION)
         return speed, innovation
@@ -201,7 +201,7 @@ class _Page:
     def _choose_effect(self) -> None:
         name = self._effect.value
         self._values.value = self._feed.values(name)
-        self._about.text = escape(self._feed.effects[name])
+        self._about.text = escape(explained(name))
 
     def _click(self, source: ColumnDataSource, chosen: list[int]) -> None:
         if chosen and chosen[0] < len(source.data["vehicle"]):

@@ -17,7 +17,7 @@ from sugiyama_ros.page.panels import drivers, measured, missing, space_time, tru
 from sugiyama_ros.page.panels.bias import bias_maps
 from sugiyama_ros.page.panels.chosen import Chosen
 from sugiyama_ros.page.recording import Recording
-from sugiyama_ros.page.style import STYLE
+from sugiyama_ros.page.style import REPAINT, STYLE
 from sugiyama_ros.page.truth import SHOWN, AgainstTruth
 
 _ORANGE = "<p>Orange: added (▸), and what cannot be told apart from it in these data.</p>"
@@ -104,11 +104,12 @@ def _measured(r: Recording, d: Mapping[str, Any] | None, chosen: Chosen) -> list
 
 def _diagnosed(r: Recording, d: Mapping[str, Any], chosen: Chosen) -> list[Section]:
     vehicles = r.trajectories.vehicle.tolist()
-    maps = bias_maps(d, r.trajectories.road.circumference_m)
+    maps, drawn = bias_maps(d, r.trajectories.road.circumference_m)
     legend = (
         "<p>Mean one-step error in predicted standard deviations: violet where cars are behind the prediction, orange"
-        " where they are ahead. Black outline: more than chance makes. Grey: too few samples. Dashed: what was"
-        " found.</p>"
+        " where they are ahead. Black outline: more than chance makes. Grey: too few samples."
+        + (f" Dashed: {escape(', '.join(drawn))}." if drawn else "")
+        + "</p>"
     )
     text = html.failing(d)
     runs = {
@@ -165,7 +166,7 @@ def _page(r: Recording, d: Mapping[str, Any] | None, sections: Sequence[Section]
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f"<title>{title}</title><link rel=icon href='data:,'><style>{STYLE}</style></head><body>"
         f'{card(r, d)}<nav>{links}<div class="choose">driver {divs["choose"]}</div></nav>{body}{scripts}{script}'
-        "</body></html>"
+        f"<script>{REPAINT}</script></body></html>"
     )
 
 

@@ -1,4 +1,4 @@
-"""The style sheets of the pages; that of the report: light and dark, 800 to 1920 pixels wide, and on paper."""
+"""The style sheets of the pages: light and dark; the report is 800 to 1920 pixels wide, or on paper."""
 
 # Colours of the text in the pictures: Bokeh reads them from the page.
 _PICTURES = """
@@ -7,6 +7,13 @@ _PICTURES = """
   --bk-label-text-color: var(--picture); }
 @media (prefers-color-scheme: dark) { :root { --picture: #a3a3a3; } }
 """
+#: JavaScript that draws all pictures anew when the reader changes between light and dark.
+REPAINT = """
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+  for (const plot of Bokeh.index.query(view => view.model.type == "Figure")) plot.request_repaint()
+})
+"""
+#: The style sheet of the report.
 STYLE = (
     _PICTURES
     + """

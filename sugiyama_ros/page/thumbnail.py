@@ -7,7 +7,7 @@ import numpy as np
 from bokeh.palettes import Cividis256
 from PIL import Image
 
-from sugiyama_ros.page.panels.measured import fastest, places, speeds
+from sugiyama_ros.page.panels.measured import fastest, frame_mps, places, speeds
 from sugiyama_ros.page.recording import Recording
 
 _WIDTH, _HEIGHT = 150, 50
@@ -17,6 +17,7 @@ def thumbnail(r: Recording) -> str:
     """The picture as an address for HTML; time runs to the right, the road upward, fast is yellow."""
     place, speed = places(r), speeds(r)
     time = np.broadcast_to(r.time_s[:, None], place.shape)
+    place = place - frame_mps(r) * time
     known = np.isfinite(place) & np.isfinite(speed)
     bins = (_WIDTH, _HEIGHT)
     count, *edges = np.histogram2d(time[known], place[known], bins=bins)

@@ -15,6 +15,8 @@ _FEW = 2
 _WORSE = 1.2
 # A gain of fewer standard errors is not clear.
 _CLEAR = 2.0
+# Lengths [m] and speeds [m/s] below this are told in millimetres.
+_SMALL = 1e-3
 # A name of a parameter, an effect or a law.
 _IDENTIFIER = r"[a-z][a-z0-9]*(?:_[a-z0-9]+)*"
 # Symbols in the meanings of parameters.
@@ -40,6 +42,17 @@ def name_in_words(name: str) -> str:
     return EFFECTS[name].title if name in EFFECTS else name.replace("_", " ")
 
 
+def explained(name: str) -> str:
+    """What an effect is, and what its parameters mean, in their units."""
+    effect = EFFECTS[name]
+    means = [
+        f"{p.name}{f' [{p.unit}]' if p.unit not in ('', '1') else ''}: {p.description.split(';')[0]}"
+        for p in effect.parameters
+    ]
+    text = f"{effect.title}: {effect.summary}. Strength: {'; '.join(means)}."
+    return text.replace("^2", "²").replace("^3", "³")
+
+
 def summary_of(d: Document, name: str) -> str:
     """Explanation of a name in one line; empty where the document has none."""
     return str(d.get("about", {}).get(name, {}).get("summary", ""))
@@ -62,6 +75,8 @@ def models(d: Document) -> dict[str, Document]:
 def quantity(value: float, unit: str = "", std: float | None = None, digits: int = 3) -> str:
     """A value with its standard deviation and its unit; without a standard deviation, with so many digits."""
     if std is None or not (math.isfinite(std) and std > 0.0):
+        if 0.0 < abs(value) < _SMALL and unit in ("m", "m/s"):
+            value, unit = 1e3 * value, f"m{unit}"
         text = f"{value:.{digits}g}" if abs(value) < 10.0**digits else f"{value:.0f}"
     else:
         places = min(max(-math.floor(math.log10(std)), 0), 5)
@@ -248,9 +263,10 @@ def worse(d: Document) -> list[str]:
         return []
     found = []
     ends = [(one, *(one[f"single_car_10s_{when}_m"] for when in ("before", "after"))) for one in d["drivers"]]
-    names = [_number(one) for one, b, a in ends if None not in (a, b) and a > _WORSE * b]
+    known = [(one, b, a) for one, b, a in ends if None not in (b, a)]
+    names = [_number(one) for one, b, a in known if a > _WORSE * b]
     if names:
-        drivers = f"{len(names)} of {len(ends)} drivers ({_vehicles(names)})"
+        drivers = f"{len(names)} of {len(known)} drivers ({_vehicles(names)})"
         found.append(f"for {drivers}, one-car free runs get more than a fifth worse")
     return found + worse_in_use(effects[-1])
 
@@ -273,7 +289,7 @@ def _vehicles(names: list[str]) -> str:
 def reasons(d: Document) -> list[str]:
     """What speaks against the final model."""
     said = d["verdict"].get("adequacy", {}).get("reasons", [])
-    words = {"held-out samples": "unseen data", "the model without the additions": "the base model"}
+    words = {"held-out samples": "unseen data", "the model without the additions": "the base model", ", by 0 m/s²": ""}
     lines = [plain(d, str(reason)) for reason in said]
     for old, new in words.items():
         lines = [line.replace(old, new) for line in lines]

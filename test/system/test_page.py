@@ -658,7 +658,7 @@ def feed_of_a_critic(gains):
     status = Status("", 0.0, 0.0, math.nan, math.nan, False, "7", "")
     logs = {name: Log(KEPT) for name in gains}
     return SimpleNamespace(
-        road=Road(60.0), rate=1.0, effects={"drag": "Drag", "second_leader": "Second leader"}, said="", space=Log(1),
+        road=Road(60.0), rate=1.0, effects=("drag", "second_leader"), said="", space=Log(1),
         error=Log(1), gains=gains, critic=logs, is_settled=False, status=lambda: status, values=lambda name: "",
         best="second_leader", followers=(),
         **nobody, **nothing,

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from bokeh.models import BasicTicker, ColorBar, LinearColorMapper
+from bokeh.models import BasicTicker, BasicTickFormatter, ColorBar, LinearColorMapper
 from bokeh.palettes import Cividis256
 from bokeh.plotting import figure
 
@@ -61,6 +61,8 @@ def panel(title: str, x: str, y: str, **more: Any) -> Any:
     for name in ("axis_label_text_color", "major_label_text_color", "axis_line_color", "major_tick_line_color",
                  "minor_tick_line_color"):  # fmt: skip
         setattr(plot.axis, name, GREY)
+    if isinstance(plot.yaxis.formatter, BasicTickFormatter):
+        plot.yaxis.formatter.use_scientific = False
     plot.axis.axis_label_text_font_style = "normal"
     plot.axis.axis_label_text_font_size = plot.axis.major_label_text_font_size = "12px"
     return plot

@@ -1,6 +1,6 @@
 """Maps of the bias, before and after the additions, with what was found drawn in."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -8,7 +8,7 @@ from bokeh.models import BoxAnnotation, ColumnDataSource, HoverTool, LinearColor
 from bokeh.palettes import PuOr11
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.page.found import found_in
+from sugiyama_ros.page.found import Found, found_in
 from sugiyama_ros.page.panels.base import EMPTY, VERMILION, colour_bar, panel
 
 _UNITS = {"speed": "m/s", "gap": "m", "place": "m", "time": "s"}
@@ -17,22 +17,25 @@ _NAMES = {"place": "position"}
 _END = 0.5
 
 
-def bias_maps(diagnosis: Mapping[str, Any], ring_m: float) -> list[UIElement]:
-    """For each pair of covariates, the map before and, if something was added, the map after."""
+def bias_maps(diagnosis: Mapping[str, Any], ring_m: float) -> tuple[list[UIElement], list[str]]:
+    """For each pair of covariates, the map before and, if something was added, after; and what is drawn into them."""
     where = diagnosis.get("where", {})
     added = bool(diagnosis["verdict"]["effects"])
-    found = []
+    found: list[UIElement] = []
+    drawn: dict[str, None] = {}
     for k, before in enumerate(where.get("before", {}).get("maps", [])):
         if not np.size(before["bias"]):  # recordings have no places in common
             continue
         plot = _bias_map(before, "before" if added else "")
-        _draw_found(plot, before, diagnosis, ring_m)
+        here = found_in(_axes(before), diagnosis, ring_m)
+        drawn |= dict.fromkeys(one.title for one in here)
+        _draw_found(plot, before, here)
         found.append(plot)
         if added:
             after = _bias_map(where["after"]["maps"][k], "after", plot)
-            _draw_found(after, before, diagnosis, ring_m)
+            _draw_found(after, before, here)
             found.append(after)
-    return found
+    return found, list(drawn)
 
 
 def _axes(one: Mapping[str, Any]) -> tuple[str, str]:
@@ -82,14 +85,15 @@ def _range(edges: Array) -> Range1d:
     return Range1d(float(edges[0]), float(min(edges[-1], edges[-2] + 0.3 * (edges[-2] - edges[0]))))
 
 
-def _draw_found(plot: Any, one: Mapping[str, Any], diagnosis: Mapping[str, Any], ring_m: float) -> None:
+def _draw_found(plot: Any, one: Mapping[str, Any], found: Sequence[Found]) -> None:
     """Draw places, times and ranges of what was found into a map."""
     axes = _axes(one)
-    for covariate, low, high in found_in(axes, diagnosis, ring_m):
+    for _, covariate, low, high in found:
         across = covariate == axes[0]
         if low == high:
             dimension = "height" if across else "width"
-            plot.add_layout(Span(location=low, dimension=dimension, line_color=VERMILION, line_width=2))
+            plot.add_layout(Span(location=low, dimension=dimension, line_color=VERMILION, line_width=2.5,
+                                 line_dash="dashed"))  # fmt: skip
         else:
             ends = {"left": low, "right": high} if across else {"bottom": low, "top": high}
             band = BoxAnnotation(**ends, fill_color=None, line_color=VERMILION, line_alpha=1.0, line_width=2.5,

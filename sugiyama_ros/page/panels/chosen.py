@@ -27,7 +27,7 @@ class Chosen:
         self._options = [f"vehicle {v}" for v in vehicles.tolist()]
         self.select = Select(value=self._options[first], options=self._options, width=180, stylesheets=[INPUT])
         self._series: list[dict[str, Any]] = []
-        self._points: list[ColumnDataSource] = []
+        self._points: list[dict[str, Any]] = []
 
     def series(self, **columns: Array) -> ColumnDataSource:
         """A source that holds the columns (T, N) of the driver who is chosen."""
@@ -38,11 +38,14 @@ class Chosen:
         return shown
 
     def points(self, plot: Any, source: ColumnDataSource, drivers: list[int]) -> None:
-        """Let a click on a point of the source choose the driver; ``drivers``: place of each point's driver."""
+        """Let a click on a point of the source choose the driver; ``drivers``: place of each point's driver.
+
+        Where each driver has one point, the point of the driver who is chosen is marked.
+        """
         self._listen(plot, source, drivers)
-        if drivers == list(range(len(self._options))):
-            self._points.append(source)
-            source.selected.indices = [self._first]
+        if len(set(drivers)) == len(drivers):
+            self._points.append({"source": source, "drivers": drivers})
+            source.selected.indices = [k for k, driver in enumerate(drivers) if driver == self._first]
 
     def _listen(self, plot: Any, source: ColumnDataSource, drivers: list[int]) -> None:
         plot.add_tools(TapTool())
@@ -67,7 +70,8 @@ class Chosen:
                     for (const name of one.names) data[name] = one.all.data[name].slice(k * one.n, (k + 1) * one.n)
                     one.shown.data = data
                 }
-                for (const source of points) source.selected.indices = [k]
+                for (const {source, drivers} of points)
+                    source.selected.indices = drivers.includes(k) ? [drivers.indexOf(k)] : []
                 """,
             ),
         )

@@ -52,7 +52,9 @@ def _fitted(r: Recording, diagnosis: Mapping[str, Any] | None) -> tuple[dict[str
     names = ("v_star", "v_star_std", "kappa_v", "kappa_v_std")
     of = {int(d["vehicle"]): d for d in (diagnosis or {}).get("drivers", []) if "v_star" in d}
     if of:
-        rows = [of.get(v, {}) for v in r.trajectories.vehicle.tolist()]
+        learnt_of = r.followers | ~r.followers.any()
+        vehicles = zip(r.trajectories.vehicle.tolist(), learnt_of.tolist(), strict=True)
+        rows = [of.get(v, {}) if is_learnt else {} for v, is_learnt in vehicles]
         return {n: [math.nan if row.get(n) is None else float(row[n]) for row in rows] for n in names}, "as fitted"
     known = [*learnt(r, "v_star"), *learnt(r, "kappa_v")]
     ends = {n: [_last(column) for column in of_all.T] for n, of_all in zip(names, known, strict=True)}

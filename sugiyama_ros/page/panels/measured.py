@@ -20,6 +20,9 @@ from sugiyama_ros.page.panels.base import (
 from sugiyama_ros.page.panels.chosen import Chosen
 from sugiyama_ros.page.recording import Recording
 
+# Vehicles on a shorter part of the road than this share of it, at any time, are a platoon that drives along.
+_PLATOON = 0.25
+
 
 def speed_profile(r: Recording) -> UIElement:
     """Mean, least and largest speed of all vehicles."""
@@ -54,7 +57,9 @@ def ring(r: Recording, chosen: Chosen) -> UIElement:
     # the first speeds are not known yet; in the middle, there is something to see
     first = last // 2
     shown = ColumnDataSource({**{n: v[first] for n, v in frames.items()}, "vehicle": [str(v) for v in t.vehicle]})
-    plot = panel("The road from above", "x [m]", "y [m]", match_aspect=t.road.is_ring)
+    labels = ("x [m]", "y [m]") if t.road.is_ring else ("position [m]", "")
+    plot = panel("The road from above", *labels, match_aspect=t.road.is_ring)
+    plot.yaxis.visible = plot.ygrid.visible = t.road.is_ring
     if t.road.is_ring:
         plot.line(
             *from_above(t.road, np.asarray(np.linspace(0.0, t.road.circumference_m, 181), dtype=np.float64)),
@@ -100,6 +105,21 @@ def places(r: Recording) -> Array:
     """Measured positions (T, N) [m], wrapped on a ring."""
     t = r.trajectories
     return t.road.wrap(t.position_m) if t.road.is_ring else t.position_m
+
+
+def frame_mps(r: Recording) -> int:
+    """Speed [m/s] of the observer in whose eyes a platoon is shown; 0 on a ring, and where vehicles come and go.
+
+    A platoon that drives along a road is a thin line over time and place. An observer who drives along sees its waves.
+    """
+    place = r.trajectories.position_m
+    known = np.isfinite(place).any(axis=1)
+    if r.trajectories.road.is_ring or known.sum() < 2:
+        return 0
+    first, last = np.nanmin(place[known], axis=1), np.nanmax(place[known], axis=1)
+    if np.median(last - first) > _PLATOON * (last.max() - first.min()):
+        return 0
+    return round(float(np.polyfit(r.time_s[known], 0.5 * (first + last), 1)[0]))
 
 
 def fastest(r: Recording) -> float:

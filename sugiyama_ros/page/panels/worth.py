@@ -57,7 +57,8 @@ def error_growth(errors: Mapping[str, Any], run: str) -> tuple[list[float], list
 def by_driver(diagnosis: Mapping[str, Any], chosen: Chosen, vehicles: list[int]) -> UIElement:
     """Error of every driver, before and after the effects that were found are added; who gets worse is marked."""
     of = {int(d["vehicle"]): d for d in diagnosis["drivers"]}
-    shown = [v for v in vehicles if v in of]
+    # who follows nobody has no error
+    shown = [v for v in vehicles if of.get(v, {}).get("single_car_10s_before_m") is not None]
     values = {
         label: [math.nan if of[v][f"single_car_10s_{label}_m"] is None else float(of[v][f"single_car_10s_{label}_m"])
                 for v in shown]
