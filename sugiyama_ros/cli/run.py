@@ -244,5 +244,5 @@ def live(options: LiveOptions) -> None:
     output = own_output(options.output, _LIVE, options.overwrite, options.source, options.model)
     settings = RunSettings(rate_of(options.rate), options.ring, options.model, critic=True, overwrite=output.overwrite)
     domain = environment.isolate() if options.source is not None else os.environ.get("ROS_DOMAIN_ID", "0")
-    print_note(f"starting the nodes in ROS domain {domain}")
+    print_note(f"{'starting the nodes' if options.source is not None else 'listening'} in ROS domain {domain}")
     serve(options.source, output.path, settings, host=options.host, port=options.port, on_ready=ready)

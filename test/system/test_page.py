@@ -12,6 +12,7 @@ import sys
 from collections import Counter
 from contextlib import contextmanager
 from http.client import HTTPConnection
+from io import BytesIO
 from pathlib import Path
 from types import SimpleNamespace
 from xml.etree import ElementTree
@@ -21,10 +22,12 @@ import pytest
 from bokeh.document import Document
 from bokeh.models import ColumnDataSource, Div, GlyphRenderer, Plot
 from bokeh.util.token import generate_jwt_token
+from PIL import Image
 
 from sugiyama_ros.cli.view import view
 from sugiyama_ros.errors import InputError, OutputError
 from sugiyama_ros.formats.mcap_reader import Bag
+from sugiyama_ros.nodes.base import environment
 from sugiyama_ros.page import live
 from sugiyama_ros.page.critic import WHY, beside_the_verdict
 from sugiyama_ros.page.diagnosis import read_diagnosis
@@ -346,7 +349,7 @@ def test_figures_for_a_paper(recorded, page, tmp_path):
 
 
 # Boxes of all cells of the report, by the top: left, top, right, bottom [pixels].
-CELLS = """[...document.querySelectorAll(".card > *, .tile, .panel, .text, section > p, section > .scroll, .tile td")]
+CELLS = """[...document.querySelectorAll(".card > *, .tile, .panel, .text, section > p, section > .scroll > table, .tile td")]
     .filter(e => !e.matches(".tiles")).map(e => { const r = e.getBoundingClientRect();
         return [r.left, r.top + scrollY, r.right, r.bottom + scrollY, e.matches("td, .tile") ? 1 : 0] })
     .filter(b => b[2] > b[0] && b[3] > b[1])"""
@@ -370,6 +373,18 @@ LEGEND = """title => {
 }"""
 DRAWN = """[...Bokeh.index.query(v => v.model.type == "Figure" && v.model.title.text == TITLE)][0]
     .model.renderers.filter(r => r.visible).length"""
+# Width [pixels] of the narrowest panel, and the height of a panel.
+NARROWEST = (
+    """Math.floor(Math.min(...[...document.querySelectorAll(".panel")].map(e => e.getBoundingClientRect().width)))"""
+)
+PANEL_PX = 320
+# Place of the left axis of a plot in the window: left, top, width, height [pixels].
+AXIS = """title => {
+    const [plot] = [...Bokeh.index.query(v => v.model.type == "Figure" && v.model.title.text == title)]
+    plot.el.scrollIntoView({block: "center"})
+    const box = plot.canvas_view.el.getBoundingClientRect()
+    return [box.left, box.top + plot.frame.bbox.top, plot.frame.bbox.left, plot.frame.bbox.height]
+}"""
 # Fastest opening of a page that anybody waits for [s], in CPU time of the browser's main thread.
 OPENS_S = 2.0
 
@@ -403,8 +418,11 @@ def test_the_report_in_a_browser(browser, page):
         assert shown.evaluate("document.documentElement.scrollWidth") <= width
         back = shown.evaluate("getComputedStyle(document.body).backgroundColor")
         assert back == {"light": "rgb(255, 255, 255)", "dark": "rgb(20, 20, 20)"}[scheme]
-        check_layout(np.array(shown.evaluate(CELLS)), width)
-    choose_drivers(shown)
+        check_layout(np.array(shown.evaluate(CELLS)), width, shown.evaluate(NARROWEST))
+        # the numbers at the axes can be read: darker than the page, or brighter
+        grey = brightness_of_axis(shown, "Speeds of all vehicles")
+        assert grey.min() < 100 if scheme == "light" else grey.max() > 150
+    choose_drivers(shown, page.with_suffix(".mcap"))
     hover(shown)
     click_legends(shown)
     # the road from above plays, and stops
@@ -413,11 +431,23 @@ def test_the_report_in_a_browser(browser, page):
     shown.get_by_role("button", name="play").click()
     shown.wait_for_function(f"{slider} > {start}")
     shown.get_by_role("button", name="pause").click()
+    # by the keyboard, too
+    shown.get_by_role("button", name="play").focus()
+    shown.keyboard.press("Enter")
+    shown.get_by_role("button", name="pause").focus()
+    shown.keyboard.press("Enter")
+    assert shown.get_by_role("button", name="play").is_visible()
+    start = shown.evaluate(slider)
+    shown.get_by_role("slider").first.focus()
+    shown.keyboard.press("ArrowLeft")
+    shown.wait_for_function(f"{slider} < {start}")
     # what is folded opens by the keyboard; the links of the top lead to their sections
     shown.locator("summary").first.focus()
     shown.keyboard.press("Enter")
     assert shown.get_by_text("One sentence.").is_visible()
-    shown.get_by_role("link", name="What it is worth").click()
+    shown.get_by_role("link", name="What it is worth").focus()
+    shown.keyboard.press("Enter")
+    shown.wait_for_function("document.querySelector('#worth').getBoundingClientRect().top < 400")
     assert 0 <= shown.evaluate("document.querySelector('#worth').getBoundingClientRect().top") < 400
     assert shown.pdf(format="A4").startswith(b"%PDF")
     context.close()
@@ -457,7 +487,15 @@ def test_the_card_fits_one_screen(browser, recorded, tmp_path):
         shown.close()
 
 
-def choose_drivers(shown):
+def brightness_of_axis(shown, title):
+    """Brightness of the pixels of the left axis of a plot, 0 to 255."""
+    left, top, width, height = shown.evaluate(AXIS, title)
+    shown.wait_for_timeout(300)  # until the picture is drawn
+    picture = shown.screenshot(clip={"x": left, "y": top, "width": width, "height": height})
+    return np.asarray(Image.open(BytesIO(picture)).convert("L"))
+
+
+def choose_drivers(shown, recorded):
     """Choose drivers by the keyboard and by clicks; everything follows each time."""
     selected = """[...Bokeh.documents[0]._all_models.values()].filter(m => m.type == "ColumnDataSource")
         .map(m => m.selected.indices).filter(i => i.length == 1).map(i => i[0])"""
@@ -486,6 +524,13 @@ def choose_drivers(shown):
     place = shown.evaluate(f"(d => [d.x[1], d.y[1]])({car})")
     shown.mouse.click(*shown.evaluate(POINT, ["The road from above", *place]))
     follows(1)
+    # the middle of a driver's line between two samples
+    r = read_recording(recorded)
+    place = r.trajectories.road.wrap(r.trajectories.position_m)
+    k = next(k for k in range(60, 120) if abs(place[k + 1, 3] - place[k, 3]) < 10.0)
+    middle = [float(a[k : k + 2].mean()) for a in (r.time_s, place[:, 3])]
+    shown.mouse.click(*shown.evaluate(POINT, ["Measured", *middle]))
+    follows(3)
 
 
 def hover(shown):
@@ -521,8 +566,11 @@ def click_legends(page):
     return titles
 
 
-def check_layout(cells, width):
-    """No two cells overlap but those inside a tile, no text leaves its tile, and no void is larger than a panel."""
+def check_layout(cells, width, narrowest):
+    """No two cells overlap but those inside a tile, no text leaves its tile, and no void is larger than a panel.
+
+    narrowest: width [pixels] of the narrowest panel.
+    """
     inside, cells = cells[cells[:, 4] > 0, :4], cells[:, :4]
     tiles = inside[inside[:, 3] - inside[:, 1] > 100]
     for left, top, right, bottom in inside:
@@ -534,54 +582,153 @@ def check_layout(cells, width):
         across = np.minimum(right, others[:, 2]) - np.maximum(left, others[:, 0])
         along = np.minimum(bottom, others[:, 3]) - np.maximum(top, others[:, 1])
         assert not np.any((across > 1.0) & (along > 1.0)), (width, outer[k])
-    covered = np.zeros((int(outer[:, 3].max()) + 1, width), dtype=bool)
+    covered = np.zeros((int(outer[:, 3].max()) + 1, width), dtype=int)
     for left, top, right, bottom in outer.astype(int):
-        covered[top:bottom, left:right] = True
-    empty = 0
-    for row in covered:
-        empty = 0 if row.any() else empty + 1
-        assert empty < 320
+        covered[top:bottom, left:right] = 1
+    assert not has_void(covered, PANEL_PX, narrowest)
+
+
+def has_void(covered, height, width):
+    """Whether a rectangle of so many pixels is nowhere covered."""
+    summed = np.pad(covered.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+    inside = summed[height:, width:] - summed[:-height, width:] - summed[height:, :-width] + summed[:-height, :-width]
+    return bool((inside == 0).any())
+
+
+def test_a_void_beside_a_panel_is_seen():
+    covered = np.zeros((1000, 800), dtype=int)
+    covered[:, :350] = 1
+    assert has_void(covered, PANEL_PX, 400)
+    covered[600:, 400:] = 1
+    covered[:300, 400:] = 1
+    assert not has_void(covered, PANEL_PX, 400)
+
+
+def free_port():
+    """A port that nothing holds at the moment."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
 
 
 @contextmanager
-def live_page(browser, source, rate, recording):
+def live_page(browser, *arguments):
     """A live page in Chromium. At the end, its console has no error, and it has asked no other machine for anything."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    command = [SUGIYAMA, "live", source, "--rate", rate, "--port", port, "-o", recording]
+    port = free_port()
+    command = [SUGIYAMA, "live", *arguments, "--port", port]
     served = subprocess.Popen(list(map(str, command)), stderr=subprocess.PIPE, text=True)
     problems, asked = [], set()
     try:
-        assert "starting" in served.stderr.readline()
-        assert f"http://localhost:{port}" in served.stderr.readline()
+        address = f"http://localhost:{port}"
+        assert any(address in line for line in iter(served.stderr.readline, ""))
         context = browser.new_context()
         page = context.new_page()
         page.on("console", lambda message: problems.append(message.text) if message.type == "error" else None)
         page.on("request", lambda request: asked.add(request.url.split("/")[2]))
-        page.goto(f"http://localhost:{port}")
-        page.get_by_text("effects added: none").wait_for(timeout=60_000)
+        page.goto(address)
         yield page
         context.close()
     finally:
         served.send_signal(signal.SIGINT)
-        code = served.wait(30)
+        code = served.wait(60)
         served.stderr.close()
     assert code == 0
     assert problems == []
     assert asked == {f"localhost:{port}"}
 
 
+# Boxes of what stands on a live page: left, top, right, bottom [pixels].
+SHOWN_LIVE = """[...Bokeh.index.query(v => !v.model.children && v.model.visible && v.el?.getBoundingClientRect)]
+    .filter(v => ["Figure", "Button", "Toggle", "Select", "TextInput", "Div"].includes(v.model.type))
+    .map(v => v.el.getBoundingClientRect()).filter(b => b.width * b.height > 0)
+    .map(b => [b.left, b.top, b.right, b.bottom])"""
+
+
+def check_live_layout(page):
+    """At each width, dark and light, nothing overlaps, and nothing is cut off."""
+    for width, scheme in ((800, "dark"), (1280, "light"), (1920, "dark")):
+        page.emulate_media(color_scheme=scheme)
+        page.set_viewport_size({"width": width, "height": 800})
+        page.wait_for_timeout(1000)
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        back = page.evaluate("getComputedStyle(document.body).backgroundColor")
+        assert back == {"light": "rgb(255, 255, 255)", "dark": "rgb(20, 20, 20)"}[scheme]
+        boxes = np.array(page.evaluate(SHOWN_LIVE))
+        assert len(boxes) > 15
+        for k, (left, top, right, bottom) in enumerate(boxes):
+            across = np.minimum(right, boxes[k + 1 :, 2]) - np.maximum(left, boxes[k + 1 :, 0])
+            along = np.minimum(bottom, boxes[k + 1 :, 3]) - np.maximum(top, boxes[k + 1 :, 1])
+            assert not np.any((across > 1.0) & (along > 1.0)), (width, boxes[k])
+
+
+def test_every_control_of_the_live_page(browser, recorded, tmp_path):
+    arguments = (recorded.parent / "sim.mcap", "--rate", 1, "-o", tmp_path / "live.mcap")
+    with live_page(browser, *arguments) as page:
+        page.get_by_text("one-step error over").wait_for(timeout=60_000)
+        page.get_by_role("button", name="pause").click()
+        # under a heavy load, the recording may have ended before
+        page.get_by_text(re.compile(r", (silent for \d+ s|ended)")).wait_for(timeout=60_000)
+        check_live_layout(page)
+        # the driver: by the list, by a car, by a point
+        driver = page.get_by_label("driver", exact=True)
+        speeds = "[...Bokeh.documents[0]._all_models.values()].map(m => m.data).filter(d => d?.v_low)[0].speed.join()"
+        first = page.evaluate(speeds)
+        driver.select_option("vehicle 3")
+        page.wait_for_function(f"{speeds} != {json.dumps(first)} && {speeds}.length > 0")
+        found = "[...Bokeh.documents[0]._all_models.values()].map(m => m.data).filter(d => d?.vehicle && d.{0})[0]"
+        for title, x, y in (
+            ("The road from above: click a car", "x", "y"),
+            ("All drivers now: click one", "v_star", "kappa_v"),
+        ):
+            data = found.replace("{0}", x)
+            k = 1 if x == "x" else 4
+            vehicle, *point = page.evaluate(f"(d => [d.vehicle[{k}], d.{x}[{k}], d.{y}[{k}]])({data})")
+            page.mouse.click(*page.evaluate(POINT, [title, *point]))
+            chosen = "[...Bokeh.index.query(v => v.model.type == 'Select' && v.model.title == 'driver')][0].model.value"
+            page.wait_for_function(f"{chosen} == 'vehicle {vehicle}'")
+        # an effect: what it is, its strength, and an answer to a strength that is none
+        page.get_by_label("effect", exact=True).select_option("drag")
+        page.get_by_text("c0 [m/s²]: constant resistance").wait_for()
+        strength = page.get_by_label("strength", exact=True)
+        strength.fill("much")
+        strength.press("Enter")
+        page.get_by_role("button", name="add").click()
+        page.get_by_text("much: give name=value").wait_for()
+        strength.fill("c0=0.1, c2=0.001")
+        strength.press("Enter")
+        page.get_by_role("button", name="add").click()
+        page.get_by_text("drag added (c0=0.1, c2=0.001)").wait_for()
+        # on to the end, faster; then the page says how to make a report
+        page.get_by_label("rate", exact=True).select_option("8")
+        page.get_by_role("button", name="pause").click()
+        page.get_by_text(re.compile("of 40 s, ended")).wait_for(timeout=90_000)
+        assert page.get_by_text(re.compile("sugiyama report .* --open")).is_visible()
+
+
+def test_a_live_page_shows_any_graph_that_runs_in_its_domain(browser, recorded, tmp_path, monkeypatch):
+    for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_DOMAIN_ID"):
+        monkeypatch.setenv(name, "")
+        monkeypatch.delenv(name)
+    domain = environment.isolate()
+    with live_page(browser) as page:
+        page.get_by_text(f"Waiting for a road on /road and positions on /measured, in ROS domain {domain}").wait_for()
+        command = [SUGIYAMA, "run", recorded.parent / "sim.mcap", "-o", tmp_path / "run.mcap", "--rate", "4"]
+        run = subprocess.Popen(list(map(str, command)), stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+        try:
+            page.get_by_text(f"6 vehicles on the road; ROS domain {domain}").wait_for(timeout=60_000)
+            page.get_by_text("one-step error over").wait_for(timeout=60_000)
+        finally:
+            said, _ = run.communicate(timeout=120)
+        assert run.returncode == 0, said
+
+
 def test_the_live_page_streams_and_its_buttons_call_the_services(browser, recorded, tmp_path):
-    with live_page(browser, recorded.parent / "sim.mcap", 2, tmp_path / "live.mcap") as page:
+    arguments = (recorded.parent / "sim.mcap", "--rate", 2, "-o", tmp_path / "live.mcap")
+    with live_page(browser, *arguments) as page:
+        page.get_by_text("effects added: none").wait_for(timeout=60_000)
         page.get_by_text("vehicle 5").wait_for(state="attached", timeout=60_000)
         page.get_by_role("button", name="add").click()
         page.get_by_text("effects added: reaction time").wait_for(timeout=60_000)
-        page.set_viewport_size({"width": 800, "height": 800})
-        page.emulate_media(color_scheme="dark")
-        page.wait_for_timeout(1500)
-        assert page.evaluate("document.documentElement.scrollWidth") <= 800
-        assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(20, 20, 20)"
         # a page that is loaded again, or in a second window, shows the samples before
         shown = page.evaluate(LONGEST_SOURCE)
         again = page.context.new_page()
@@ -626,7 +773,8 @@ def test_adding_the_true_effect_lowers_the_error_on_the_page(browser, tmp_path):
             page.wait_for_timeout(250)
         return read
 
-    with live_page(browser, tmp_path / "sim.mcap", 10, tmp_path / "live.mcap") as page:
+    with live_page(browser, tmp_path / "sim.mcap", "--rate", 10, "-o", tmp_path / "live.mcap") as page:
+        page.get_by_text("effects added: none").wait_for(timeout=60_000)
         before = shown(page, 60)
         page.get_by_label("effect", exact=True).select_option("limited_power")
         page.get_by_role("button", name="add").click()
@@ -720,12 +868,13 @@ def junk(host, port, content):
 
 
 def test_beyond_this_machine_the_page_asks_for_a_token(recorded, tmp_path):
-    command = [SUGIYAMA, "live", recorded.parent / "sim.mcap", "--host", "127.0.0.2", "--port", "5107"]
+    port = free_port()
+    command = [SUGIYAMA, "live", recorded.parent / "sim.mcap", "--host", "127.0.0.2", "--port", port]
     command += ["-o", tmp_path / "live.mcap"]
     served = subprocess.Popen(list(map(str, command)), stderr=subprocess.PIPE, text=True)
 
     def ask(path, **headers):
-        connection = HTTPConnection("127.0.0.2", 5107, timeout=10)
+        connection = HTTPConnection("127.0.0.2", port, timeout=10)
         connection.request("GET", path, headers=headers)
         answer = connection.getresponse()
         body = answer.fp.read() if answer.status == 101 else answer.read()
@@ -733,7 +882,7 @@ def test_beyond_this_machine_the_page_asks_for_a_token(recorded, tmp_path):
         return answer.status, body
 
     def headers_of(path):
-        connection = HTTPConnection("127.0.0.2", 5107, timeout=10)
+        connection = HTTPConnection("127.0.0.2", port, timeout=10)
         connection.request("GET", path)
         answer = connection.getresponse()
         answer.read()
@@ -742,7 +891,7 @@ def test_beyond_this_machine_the_page_asks_for_a_token(recorded, tmp_path):
 
     try:
         served.stderr.readline()
-        path = re.search(r"127.0.0.2:5107(\S+)", served.stderr.readline()).group(1)
+        path = re.search(rf"127.0.0.2:{port}(\S+)", served.stderr.readline()).group(1)
         socket_headers = {"Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13"}
         for refused in ("/", "/?token=x", "/metadata", "/autoload.js?bokeh-autoload-element=1"):
             assert ask(refused)[0] == 403
@@ -752,24 +901,28 @@ def test_beyond_this_machine_the_page_asks_for_a_token(recorded, tmp_path):
         assert b"ACK" not in ask("/ws", **socket_headers, **key)[1]
         assert ask(path)[0] == 200
         # with the token, only under the server's own names, and from its own page
-        here = "127.0.0.2:5107"
-        for headers in ({"Host": "evil.example:5107"}, {"Host": "127.0.0.2:80"}, {"Origin": "http://127.0.0.2:8000"}):
+        here = f"127.0.0.2:{port}"
+        for headers in (
+            {"Host": f"evil.example:{port}"},
+            {"Host": "127.0.0.2:80"},
+            {"Origin": "http://127.0.0.2:8000"},
+        ):
             assert ask(path, **headers)[0] == 403
         assert ask(path, Origin="http://[")[0] == 403
         assert ask(path, Host=here, Origin=f"http://{here}")[0] == 200
         headers = headers_of(path)
         assert headers["Content-Security-Policy"] == "frame-ancestors 'none'"
         cookie = headers["Set-Cookie"]
-        assert cookie.startswith("sugiyama_token_5107=")
+        assert cookie.startswith(f"sugiyama_token_{port}=")
         assert {"HttpOnly", "SameSite=Strict"} <= set(cookie.split("; "))
         # junk is refused, and not repeated in the log
         for _ in range(50):
             ask("/" + "x" * 5000)
-        junk("127.0.0.2", 5107, b"\xff" * 100_000)
+        junk("127.0.0.2", port, b"\xff" * 100_000)
         assert ask(path)[0] == 200
     finally:
         served.send_signal(signal.SIGINT)
-        assert served.wait(30) == 0
+        assert served.wait(60) == 0
         logged = served.stderr.read()
         served.stderr.close()
     assert len(logged) < 10 * 300
