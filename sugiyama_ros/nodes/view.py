@@ -31,11 +31,11 @@ from sugiyama_ros.nodes.base.any_publisher import AnyPublisher
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.base_model import BaseModel
 from sugiyama_ros.nodes.driver_array import TOPIC
+from sugiyama_ros.nodes.effect_words import TITLES, can_be_added
 from sugiyama_ros.nodes.plan import DRIVERS, REPLAY, estimators
 from sugiyama_ros.nodes.told import each_driver
 from sugiyama_ros.page.feed import KEPT, Log, Status
 from sugiyama_ros.page.panels.base import MOVING_S
-from sugiyama_ros.page.words import name_in_words
 from sugiyama_ros.road import Road
 
 _UNKNOWN = (math.nan,) * 4
@@ -98,10 +98,8 @@ class View(Node):
         self.events: Sequence[str] = self._events
         self.said = ""
         self._road: RoadMessage | None = None
-        extent = self._recording()
-        self.effects: Sequence[str] = tuple(
-            name for name, e in EFFECTS.items() if e.function is not None and e.starts(extent)
-        )
+        self.effects: Mapping[str, str] = can_be_added(self._recording())
+        self.titles = TITLES
         # the critic's values of all parameters of effects
         self._fitted: dict[str, float] = {}
         self._state: dict[int, tuple[float, float]] = {}
@@ -182,7 +180,7 @@ class View(Node):
         for estimator in self._estimators():
             self._call(AddEffect, f"{estimator}/add_effect", request)
         self.added = tuple(dict.fromkeys([*self.added, name]))
-        self._happened(f"{name_in_words(name)} added ({values})")
+        self._happened(f"{TITLES.get(name, name)} added ({values})")
         self._changed_s.append(self._latest_s)
 
     def remove(self, name: str) -> None:
@@ -190,7 +188,7 @@ class View(Node):
         for estimator in self._estimators():
             self._call(RemoveEffect, f"{estimator}/remove_effect", RemoveEffect.Request(effect=name))
         if name in self.added:
-            self._happened(f"{name_in_words(name)} removed")
+            self._happened(f"{TITLES.get(name, name)} removed")
             self._changed_s.append(self._latest_s)
         self.added = tuple(one for one in self.added if one != name)
 

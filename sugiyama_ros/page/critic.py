@@ -1,8 +1,9 @@
 """What the critic of a run says, beside the verdict of a diagnosis; and why the two may differ."""
 
 from collections.abc import Collection
+from functools import partial
 
-from sugiyama_ros.page.words import Document, name_in_words
+from sugiyama_ros.page.words import Document, title_of
 
 #: Why a critic may say something else than a diagnosis.
 WHY = (
@@ -23,8 +24,9 @@ def beside_the_verdict(d: Document | None, best: str, added: Collection[str]) ->
     added
         Effects that the estimators had.
     """
-    had = f", beyond what the estimators had already ({', '.join(map(name_in_words, added))})" if added else ""
-    text = f"The critic of this run finds {'nothing' if best == 'base' else name_in_words(best)} missing{had}."
+    words = partial(title_of, d or {})
+    had = f", beyond what the estimators had already ({', '.join(map(words, added))})" if added else ""
+    text = f"The critic of this run finds {'nothing' if best == 'base' else words(best)} missing{had}."
     if d is None:
         return f"{text} This is no verdict: {WHY}."
     effects = {str(n["name"]): n["indistinguishable"] for n in d["verdict"]["effects"]}
@@ -33,5 +35,5 @@ def beside_the_verdict(d: Document | None, best: str, added: Collection[str]) ->
         return f"{text} The verdict above says the same."
     alike = [name for name in missing if best in effects[name]]
     if alike:
-        return f"{text} The verdict above cannot tell it apart from {name_in_words(alike[0])}."
+        return f"{text} The verdict above cannot tell it apart from {words(alike[0])}."
     return f"{text} The verdict above is another one, and it counts: {WHY}."

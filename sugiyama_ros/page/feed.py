@@ -86,8 +86,10 @@ class Feed(Protocol):
         Vehicles of whose drivers something is learnt; who follows nobody is not among them.
     adapted : mapping
         v*, its std [m/s], kappa_v and its std [s] of each driver, as last published.
-    effects : sequence of str
-        Effects that can be added.
+    effects : mapping of str to str
+        Effects that can be added, each with its explanation.
+    titles : mapping of str to str
+        Names for people of all effects.
     added : sequence of str
         Effects that were added.
     changed_s : sequence of float
@@ -118,7 +120,8 @@ class Feed(Protocol):
     lanes: Mapping[int, int]
     followers: Collection[int]
     adapted: Mapping[int, tuple[float, float, float, float]]
-    effects: Sequence[str]
+    effects: Mapping[str, str]
+    titles: Mapping[str, str]
     added: Sequence[str]
     changed_s: Sequence[float]
     events: Sequence[str]

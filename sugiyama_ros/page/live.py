@@ -43,7 +43,7 @@ from sugiyama_ros.page.panels.base import (
 from sugiyama_ros.page.panels.chosen import INPUT
 from sugiyama_ros.page.status import status_line
 from sugiyama_ros.page.style import LIVE, REPAINT
-from sugiyama_ros.page.words import explained, length, name_in_words
+from sugiyama_ros.page.words import length
 from sugiyama_ros.trajectories.desired_speed import known_only
 
 #: Time [s] between two updates of the road, and between two updates of the curves.
@@ -80,8 +80,8 @@ class _Page:
         self._colours = speed_colours(1.0)
         self._select = Select(title="driver", options=[], width=110, stylesheets=[INPUT])
         self._effect = Select(
-            title="effect", options=[(name, name_in_words(name)) for name in feed.effects],
-            value=feed.effects[0], width=200, stylesheets=[INPUT],
+            title="effect", options=[(name, self._title(name)) for name in feed.effects],
+            value=next(iter(feed.effects)), width=200, stylesheets=[INPUT],
         )  # fmt: skip
         self._values = TextInput(title="strength", width=150, stylesheets=[INPUT])
         self._status = Div(text="", stylesheets=[GlobalInlineStyleSheet(css=LIVE)])
@@ -201,7 +201,7 @@ class _Page:
     def _choose_effect(self) -> None:
         name = self._effect.value
         self._values.value = self._feed.values(name)
-        self._about.text = escape(explained(name))
+        self._about.text = escape(self._feed.effects[name])
 
     def _click(self, source: ColumnDataSource, chosen: list[int]) -> None:
         if chosen and chosen[0] < len(source.data["vehicle"]):
@@ -279,7 +279,7 @@ class _Page:
             if len(error):
                 shown = f"{time[-1]:.0f} s: one-step error over {MOVING_S:g} s {length(error[-1])} m"
                 shown += f", base model {length(base[-1])} m; " if math.isfinite(base[-1]) else "; "
-            added = ", ".join(map(name_in_words, feed.added)) or "none"
+            added = ", ".join(map(self._title, feed.added)) or "none"
             self._said.text = f"{shown}effects added: {added}. {escape(feed.said)}"
         self._events.text = "<b>Events</b><br>" + ("<br>".join(map(escape, feed.events)) or "none yet")
 
@@ -325,13 +325,17 @@ class _Page:
             line.visible = line.name in (*order[:_MODELS], "base")
         settled = "settled among the models that this critic knows" if feed.is_settled else "not settled yet"
         names = ", ".join(
-            f'<b style="color:{self._colour(name)}">{escape(name_in_words(name))}</b> {feed.gains[name]:+.0f}'
+            f'<b style="color:{self._colour(name)}">{escape(self._title(name))}</b> {feed.gains[name]:+.0f}'
             for name in order[:_MODELS]
         )
         # the critic's own words: which model is best, and whether that has settled, is in its message
-        best = escape(name_in_words(feed.best))
+        best = escape(self._title(feed.best))
         gains = f"Gains over the base model: {names} nats."
         self._settled.text = f"The critic is {settled}: {best} leads. {gains}{self._not_known()}"
+
+    def _title(self, name: str) -> str:
+        """Name for people of a model of the critic, as in the report."""
+        return "the base model" if name == "base" else self._feed.titles.get(name, name.replace("_", " "))
 
     def _colour(self, name: str) -> str:
         """Colour of a model of the critic: the first one, grey, is that of the base model alone."""
@@ -341,6 +345,6 @@ class _Page:
     def _not_known(self) -> str:
         """Say why a diagnosis may find something else, and which effects the critic does not follow."""
         known = {*self._feed.gains, *self._feed.added}
-        missing = [name_in_words(name) for name in self._feed.effects if name not in known]
+        missing = [self._title(name) for name in self._feed.effects if name not in known]
         names = f" It does not know {', '.join(missing)}." if missing else ""
         return f"<br>This is no verdict: {WHY} (<code>sugiyama diagnose</code>).{escape(names)}"

@@ -5,8 +5,6 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from sugiyama_ros.effects.registry import EFFECTS
-
 Document = Mapping[str, Any]
 _LAWS = {"idm": "IDM", "fvdm": "FVDM", "ovm": "OVM", "gipps": "Gipps", "newell": "Newell", "helly": "Helly"}
 # Additions that the card and its headline name one by one; of more, they say the number.
@@ -30,27 +28,9 @@ _OUTCOMES = {
 
 
 def title_of(d: Document, name: str) -> str:
-    """Name for people of an effect, a group of constants or a law."""
+    """Name for people of an effect, a group of constants or a law, or of the base model of a critic."""
     explained = d.get("about", {}).get(name)
-    return str(explained["title"]) if explained else name_in_words(name)
-
-
-def name_in_words(name: str) -> str:
-    """Name for people of a model of the critic: an effect that is added to the base model, or the base model."""
-    if name == "base":
-        return "the base model"
-    return EFFECTS[name].title if name in EFFECTS else name.replace("_", " ")
-
-
-def explained(name: str) -> str:
-    """What an effect is, and what its parameters mean, in their units."""
-    effect = EFFECTS[name]
-    means = [
-        f"{p.name}{f' [{p.unit}]' if p.unit not in ('', '1') else ''}: {p.description.split(';')[0]}"
-        for p in effect.parameters
-    ]
-    text = f"{effect.title}: {effect.summary}. Strength: {'; '.join(means)}."
-    return text.replace("^2", "²").replace("^3", "³")
+    return str(explained["title"]) if explained else "the base model" if name == "base" else name.replace("_", " ")
 
 
 def summary_of(d: Document, name: str) -> str:

@@ -349,7 +349,8 @@ def test_figures_for_a_paper(recorded, page, tmp_path):
 
 
 # Boxes of all cells of the report, by the top: left, top, right, bottom [pixels].
-CELLS = """[...document.querySelectorAll(".card > *, .tile, .panel, .text, section > p, section > .scroll > table, .tile td")]
+CELLS = """[...document.querySelectorAll(
+        ".card > *, .tile, .panel, .text, section > p, section > .scroll > table, .tile td")]
     .filter(e => !e.matches(".tiles")).map(e => { const r = e.getBoundingClientRect();
         return [r.left, r.top + scrollY, r.right, r.bottom + scrollY, e.matches("td, .tile") ? 1 : 0] })
     .filter(b => b[2] > b[0] && b[3] > b[1])"""
@@ -776,7 +777,7 @@ def test_adding_the_true_effect_lowers_the_error_on_the_page(browser, tmp_path):
     with live_page(browser, tmp_path / "sim.mcap", "--rate", 10, "-o", tmp_path / "live.mcap") as page:
         page.get_by_text("effects added: none").wait_for(timeout=60_000)
         before = shown(page, 60)
-        page.get_by_label("effect", exact=True).select_option("limited_power")
+        page.get_by_label("effect", exact=True).select_option("limited engine power")
         page.get_by_role("button", name="add").click()
         page.get_by_text("effects added: limited engine power").wait_for(timeout=60_000)
         after = shown(page, 150)
@@ -804,9 +805,9 @@ def feed_of_a_critic(gains):
     nobody = dict.fromkeys(("vehicles", "changed_s", "events", "added"), ())
     nothing = {name: {} for name in ("now", "lanes", "driver", "adapted")}
     status = Status("", 0.0, 0.0, math.nan, math.nan, False, "7", "")
-    logs = {name: Log(KEPT) for name in gains}
+    logs, titles = {name: Log(KEPT) for name in gains}, {"second_leader": "look past the leader"}
     return SimpleNamespace(
-        road=Road(60.0), rate=1.0, effects=("drag", "second_leader"), said="", space=Log(1),
+        road=Road(60.0), rate=1.0, effects={"drag": "", "second_leader": ""}, titles=titles, said="", space=Log(1),
         error=Log(1), gains=gains, critic=logs, is_settled=False, status=lambda: status, values=lambda name: "",
         best="second_leader", followers=(),
         **nobody, **nothing,
