@@ -139,8 +139,7 @@ def judge(data: Recorded, evidence: Evidence) -> Adequacy:
         *((*rounding_says(data, evidence.final), *sampling_says(data)) if evidence.named else ()),
     ]
     reasons += [
-        f"a force that depends on {force.covariate} is missing, by {force.strength:.2g} m/s²"
-        f" ({force.gain_nats:.0f} nats)"
+        f"a force that depends on {force.shown} is missing, by {force.strength:.2g} m/s² ({force.gain_nats:.0f} nats)"
         for force in evidence.forces[:1]
     ]
     outcome: Outcome = "not_explained" if reasons else "explained" if evidence.named else "adequate"

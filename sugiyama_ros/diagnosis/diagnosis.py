@@ -18,7 +18,6 @@ from sugiyama_ros.diagnosis.judging import judged
 from sugiyama_ros.diagnosis.locate import Located, locate
 from sugiyama_ros.diagnosis.refits import added_to_all, refits
 from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter
-from sugiyama_ros.diagnosis.screen import Screened
 from sugiyama_ros.diagnosis.search import LEVEL, Search
 from sugiyama_ros.diagnosis.use import ANYTHING, Goal
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
@@ -200,7 +199,7 @@ def diagnose(
     seed : int
         Seed of the simulated recordings.
     quick : bool
-        Whether to take shortcuts: fewer simulations, no search for each fold, no forces without a name.
+        Whether to take shortcuts: fewer simulations, no search for each fold.
     most : int
         Maximum number of effects to add.
     verdict_only : bool
@@ -233,17 +232,16 @@ def diagnose(
         to_beat = base.log_likelihood if quick else None
         others = [] if verdict_only else _rivals(data, to_beat, work, cluster or aside)
         search = Search(data, base, quick, seed, work, goal=goal, on_progress=on_progress)
-        forces = _grow(search, most, with_forces=not (quick or verdict_only), add_forces=goal.forces)
+        _grow(search, most, add_forces=goal.forces and not (quick or verdict_only))
         on_progress("rival models", 0, 1)
         rivals = {name: errors for found in others for name, errors in found.result().items()}
         refitted = refits(data, search.current, added_to_all(data, search.named), seed, refit, work, on_progress)
         on_progress("finding where the model fails", 0, 1)
-        return _summed_up(search, forces, rivals, refitted, work, began)
+        return _summed_up(search, rivals, refitted, work, began)
 
 
 def _summed_up(
     search: Search,
-    forces: list[Discovery],
     rivals: dict[str, HeldOutErrors],
     refitted: list[JointFit],
     work: ThreadPoolExecutor,
@@ -254,7 +252,7 @@ def _summed_up(
     compared = ((search.base, search.before), (search.current, search.errors))
     where_before, where_after = (locate(search.data, one.model, e.samples, work) for one, e in compared)
     laws = {name: errors for name, errors in rivals.items() if name in LAWS}
-    found = judged(search, where_after, forces, laws, refitted, work)
+    found = judged(search, where_after, laws, refitted, work)
     return Diagnosis(
         data=search.data,
         base=search.base,
@@ -282,19 +280,15 @@ def _summed_up(
     )
 
 
-def _grow(search: Search, most: int, *, with_forces: bool, add_forces: bool) -> list[Discovery]:
-    """Add supported candidates to the model; return the remaining forces without a name, if asked for."""
-    forces: list[tuple[Discovery, Screened]] = []
+def _grow(search: Search, most: int, *, add_forces: bool) -> None:
+    """Add supported candidates to the model, and one force without a name, if asked for."""
     is_growing = True
     while is_growing:
         while len(search.named) < most and search.add_effect():
             pass
-        if forces or not with_forces:
-            break
-        forces = search.forces(LEVEL)
         # a new force may make other candidates supported
-        is_growing = add_forces and search.add_force(forces)
-    return [force for force, _ in forces]
+        is_growing = add_forces and search.add_force(search.forces(LEVEL))
+        add_forces = False
 
 
 def _rivals(

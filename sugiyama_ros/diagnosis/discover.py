@@ -9,6 +9,7 @@ from scipy.stats import ncx2
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.candidates import Candidate
+from sugiyama_ros.diagnosis.covariates import covariates_of
 from sugiyama_ros.diagnosis.screen import FULL, Effort, Screened, screen
 from sugiyama_ros.effects.discovered_force import COVARIATES, KNOTS
 from sugiyama_ros.effects.registry import index_of
@@ -21,9 +22,8 @@ _FORCES = tuple(range(_FIRST + 3, _FIRST + 3 + KNOTS))
 # Gains by chance are larger than half a chi-squared variable, because the filter is an approximation. This is the
 # largest factor in simulations without effects.
 _INFLATION = 2.0
-# The knots lie between these quantiles of a covariate.
-_INNER = (0.02, 0.98)
-_FROM_DATA = {"gap": 0, "speed": 1, "approach_rate": 2, "rear_gap": 3, "second_gap": 4}
+#: The knots lie between these quantiles of a covariate.
+INNER = (0.02, 0.98)
 
 
 @dataclass(frozen=True)
@@ -44,6 +44,12 @@ class Discovery:
         Values of the covariate, SI units.
     force : tuple of float
         Force at each knot [m/s^2].
+    alike : tuple of str
+        Other covariates along which a force predicts about as well.
+    ago_s : float
+        How long ago the covariate had these values [s].
+    tests : int
+        Number of curves that were tried.
     """
 
     covariate: str
@@ -52,6 +58,15 @@ class Discovery:
     gain_nats: float
     knots: tuple[float, ...]
     force: tuple[float, ...]
+    alike: tuple[str, ...] = ()
+    ago_s: float = 0.0
+    tests: int = len(COVARIATES)
+
+    @property
+    def shown(self) -> str:
+        """What the force depends on, in words."""
+        when = f" ({self.ago_s:g} s ago)" if self.ago_s else ""
+        return " or ".join((f"{self.covariate}{when}", *self.alike))
 
 
 def discover(
@@ -87,17 +102,17 @@ def discover(
         if covariate == "place":
             low, high = 0.0, road.circumference_m
             if not road.is_ring:
-                low, high = (float(q) for q in np.nanquantile(around.position_m, _INNER))
+                low, high = (float(q) for q in np.nanquantile(around.position_m, INNER))
         elif covariate == "time":
             low, high = around.first_last_s
         elif covariate == "leader_acceleration":
             low, high = -3.0, 3.0
         else:
-            values = seen[_FROM_DATA[covariate]]
+            values = seen[covariate]
             values = values[np.isfinite(values)]
             if len(values) < 100:
                 continue
-            low, high = (float(q) for q in np.quantile(values, _INNER))
+            low, high = (float(q) for q in np.quantile(values, INNER))
         start: dict[int, float | Array] = {_FIRST: float(number), _FIRST + 1: low, _FIRST + 2: high}
         look = screen(data, fitted, Candidate("discovered_force", "effect", _FORCES, (start,)), work, effort)
         force = look.fit.model.rows[0, list(_FORCES)]
@@ -106,7 +121,7 @@ def discover(
         discovery = Discovery(
             covariate=covariate,
             strength=float(np.ptp(force)),
-            p_value=_p_value(look.gain),
+            p_value=p_value_of_force(look.gain, KNOTS - 1, len(COVARIATES)),
             gain_nats=look.gain,
             knots=tuple(knots.tolist()),
             force=tuple(force.tolist()),
@@ -146,40 +161,34 @@ def against_simulations(
     for simulated, fitted in simulations:
         for force, _ in discover(simulated, fitted, work, effort, names):
             gains[force.covariate].append(force.gain_nats)
-    return [(replace(force, p_value=_p_value(force.gain_nats, gains[force.covariate])), look) for force, look in found]
+    return [(against(force, gains[force.covariate]), look) for force, look in found]
 
 
-def _p_value(gain: float, simulated: Sequence[float] = ()) -> float:
-    """Probability of a gain [nats] without a force, with regard to the number of covariates; simulated: such gains."""
-    free = KNOTS - 1
-    beyond = max(2.0 * float(np.mean(simulated)) / _INFLATION - free, 0.0) if simulated else 0.0
-    return min(1.0, len(COVARIATES) * float(ncx2.sf(2.0 * max(gain, 0.0) / _INFLATION, free, beyond)))
+def against(force: Discovery, simulated: Sequence[float]) -> Discovery:
+    """Return a force with its probability by chance, given its gains [nats] in recordings that the model simulates."""
+    free = len(force.knots) - 1
+    return replace(force, p_value=p_value_of_force(force.gain_nats, free, force.tests, simulated))
 
 
-def covariates_of(data: Recorded, state: Array) -> tuple[Array, ...]:
-    """Return the covariates of filtered states.
+def p_value_of_force(gain: float, free: int, tests: int, simulated: Sequence[float] = ()) -> float:
+    """Return the probability of a gain without a force.
 
     Parameters
     ----------
-    data : Recorded
-        The recording.
-    state : ndarray, shape (T, V, 4)
-        Filtered states.
+    gain : float
+        Gain [nats].
+    free : int
+        Number of free parameters.
+    tests : int
+        Number of forces that were tried.
+    simulated : sequence of float
+        Gains [nats] in recordings that the model simulates.
 
     Returns
     -------
-    tuple of ndarray, shape (T, N)
-        Gap [m], speed [m/s], approach rate [m/s], gap behind [m] and gap of the leader [m]; NaN where unknown.
+    float
+        Probability from a chi-squared distribution, which is non-central if the simulated gains are larger than by
+        chance.
     """
-    around, drivers = data.vicinity, data.drivers
-    x, v = around.road.wrap(state[:, :, 0]), state[:, :, 1]
-    leader, length = around.leader, around.length_m
-    led = leader >= 0
-    ahead_x, ahead_v = np.take_along_axis(x, leader, axis=1), np.take_along_axis(v, leader, axis=1)
-    gap = around.road.space_headway(ahead_x, x) - 0.5 * (np.take_along_axis(length, leader, axis=1) + length)
-    gap = np.where(led, gap, np.nan)
-    second = np.where(led, np.take_along_axis(gap, leader, axis=1), np.nan)
-    rear = np.full_like(gap, np.nan)
-    samples, columns = np.nonzero(led)
-    rear[samples, leader[samples, columns]] = gap[samples, columns]
-    return tuple(one[:, :drivers] for one in (gap, v, np.where(led, v - ahead_v, np.nan), rear, second))
+    beyond = max(2.0 * float(np.mean(simulated)) / _INFLATION - free, 0.0) if len(simulated) else 0.0
+    return min(1.0, tests * float(ncx2.sf(2.0 * max(gain, 0.0) / _INFLATION, free, beyond)))

@@ -1,16 +1,16 @@
 """The evidence about the final model of a search, and the judgement that rests on it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 from sugiyama_ros.diagnosis.adequacy import Adequacy, Evidence, judge, simulated_failures
 from sugiyama_ros.diagnosis.bootstrap import widened
-from sugiyama_ros.diagnosis.discover import Discovery
 from sugiyama_ros.diagnosis.errors import HeldOutErrors, held_out_errors
 from sugiyama_ros.diagnosis.floor import floor_of
 from sugiyama_ros.diagnosis.law_check import check_laws, open_laws
 from sugiyama_ros.diagnosis.locate import Located
+from sugiyama_ros.diagnosis.scan import forces_left
 from sugiyama_ros.diagnosis.screen import FULL
 from sugiyama_ros.diagnosis.search import LEVEL, Search
 from sugiyama_ros.fit.joint import JointFit
@@ -42,7 +42,6 @@ class JudgedModel:
 def judged(
     search: Search,
     located: Located,
-    forces: Sequence[Discovery],
     laws: Mapping[str, HeldOutErrors],
     refitted: Sequence[JointFit],
     work: ThreadPoolExecutor,
@@ -50,7 +49,7 @@ def judged(
     """Judge the final model of a search.
 
     A quick search simulates few recordings. Where they alone speak against the model, there are as many as in a full
-    search. What is missing gets a covariate and a shape, if not a name, and a flexible force challenges the names.
+    search. A scan for forces challenges the model: what is missing gets a covariate and a shape, if not a name.
 
     Parameters
     ----------
@@ -58,10 +57,8 @@ def judged(
         The search at its end.
     located : Located
         Where the final model fails.
-    forces : sequence of Discovery
-        Forces without a name that are left, as far as they are known.
     laws : mapping of str to HeldOutErrors
-        Held-out errors of other laws.
+        Held-out errors of other laws; without them there is no scan for forces.
     refitted : sequence of JointFit
         Fits from nothing to recordings that the final model simulates, as far as there are any.
     work : ThreadPoolExecutor
@@ -73,14 +70,15 @@ def judged(
         The judgement.
     """
     stds = widened(shared_stds(search.data, search.current, work), search.current, refitted)
-    before = Evidence(search.before, search.errors, search.named, located, laws, forces, simulated=(), stds=stds)
+    before = Evidence(search.before, search.errors, search.named, located, laws, forces=(), simulated=(), stds=stds)
     found = _judged(search, before, work, 0)
     is_unexplained = found.adequacy.outcome == "not_explained"
     if search.quick and is_unexplained and judge(search.data, before).outcome != "not_explained":
         found = _judged(search, before, work, FULL.runs)
         is_unexplained = found.adequacy.outcome == "not_explained"
-    if search.quick and laws and (search.named or is_unexplained):
-        left = [force for force, _ in search.forces(LEVEL if is_unexplained else _SURELY)]
+    if laws:
+        level = LEVEL if is_unexplained else _SURELY
+        left = forces_left(search.data, search.current, search.simulations(), level, work)
         evidence = replace(found.evidence, forces=left)
         found = replace(found, adequacy=judge(search.data, evidence), evidence=evidence)
     return found

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.stats import norm
 
 from sugiyama_ros.arrays import Array, Mask
-from sugiyama_ros.diagnosis.discover import covariates_of
+from sugiyama_ros.diagnosis.covariates import covariates_of
 from sugiyama_ros.driver.parameters import RHO
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import Recorded
@@ -28,6 +28,7 @@ _BINS, _FEWEST = 10, 30
 _CHANGING, _STANDING = 0.3, 0.5
 #: Units of the covariates; a driver and a regime have none.
 UNITS = {"speed": "m/s", "approach_rate": "m/s", "gap": "m", "rear_gap": "m", "place": "m", "time": "s"}
+_COVARIATES = ("gap", "speed", "approach_rate", "rear_gap", "place", "time")
 _REGIMES = ("standing", "braking", "accelerating", "following")
 
 
@@ -139,8 +140,8 @@ def locate(data: Recorded, model: Model, samples: PointwiseDensity, work: Execut
     states = filtered_states(data, model, work)
     normal = samples.innovation_m / np.sqrt(samples.innovation_var)
     after = np.where(np.isfinite(samples.log_likelihood), normal, np.nan)[:, 1:]
-    covariates = _covariates(data, states)
-    before = {name: values.T[:, :-1] for name, values in covariates.items()}
+    covariates = covariates_of(data, states)
+    before = {name: covariates[name].T[:, :-1] for name in _COVARIATES}
     bins: list[Bin] = []
     for name, values in before.items():
         edges = _edges(name, values)
@@ -153,17 +154,6 @@ def locate(data: Recorded, model: Model, samples: PointwiseDensity, work: Execut
         bins += [b for b in (_bin("regime", label, float(k), k + 1.0, regime, after),) if b]
     maps = (_map("speed", "gap", before, after), _map("place", "time", before, after))
     return Located(tuple(_with_flags(bins)), maps)
-
-
-def _covariates(data: Recorded, states: Array) -> dict[str, Array]:
-    """Covariates by name, (T, N) each, of filtered states (T, V, 4)."""
-    around = data.vicinity
-    gap, speed, approach, rear_gap, _ = covariates_of(data, states)
-    place = around.road.wrap(states[:, : data.drivers, 0])
-    found = {"gap": gap, "speed": speed, "approach_rate": approach, "rear_gap": rear_gap, "place": place}
-    if not around.has_places:
-        found["place"] = np.full_like(place, np.nan)
-    return {**found, "time": around.time_s}
 
 
 def _regime(model: Model, states: Array) -> Array:

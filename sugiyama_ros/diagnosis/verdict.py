@@ -38,6 +38,8 @@ def document(d: Diagnosis) -> dict[str, Any]:
             "discovered": [
                 {
                     "covariate": one.covariate,
+                    "ago_s": one.ago_s,
+                    "indistinguishable": list(one.alike),
                     "strength": one.strength,
                     "p_value": one.p_value,
                     "gain_nats": one.gain_nats,
@@ -232,7 +234,7 @@ def sentences(d: Diagnosis) -> list[str]:
         count = f"{len(located.flagged)} of {len(located.bins)} bins"
         lines.append(f"{of} is biased in {count}" + (f", most of all at {worst}." if worst else "."))
     lines += [
-        f"A force without a name depends on {one.covariate}: by {one.strength:.2f} m/s² (p {one.p_value:.1g})."
+        f"A force without a name depends on {one.shown}: by {one.strength:.2f} m/s² (p {one.p_value:.1g})."
         for one in d.discovered
     ]
     return [line for line in lines if line]

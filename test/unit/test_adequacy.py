@@ -157,6 +157,9 @@ def test_a_force_that_is_left_speaks_against_the_model(own):
     force = Discovery("gap", 0.7, 1e-6, 40.0, (), ())
     found = judge(own.data, evidence_of(own, forces=[force]))
     assert found.reasons == ("a force that depends on gap is missing, by 0.7 m/s² (40 nats)",)
+    earlier = replace(force, covariate="past_speed", ago_s=4.0, alike=("gap",))
+    found = judge(own.data, evidence_of(own, forces=[earlier]))
+    assert found.reasons[0].startswith("a force that depends on past_speed (4 s ago) or gap is missing")
 
 
 def test_drivers_of_another_law_are_not_explained():

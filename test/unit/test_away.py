@@ -129,6 +129,8 @@ def test_what_counts_as_right():
     assert not row(outcome="explained").is_right
     assert row(outcome="explained").is_misleading
     assert row(named=("second_leader",), outcome="explained").is_right
+    assert row(covariates=("gap",), reasons=("a force that depends on gap or speed is missing",)).is_right
+    assert not row(covariates=("gap",), reasons=("a force that depends on rear_gap is missing",)).is_right
     assert row(part="laws", law="idm", better_law="idm").is_right
     assert not row(part="laws", law="idm", better_law="fvdm").is_right
     assert row(part="conditions", named=(), outcome="adequate").is_right

@@ -39,16 +39,13 @@ class SearchEnd:
     quick, named = True, ()
     current = JointFit(Model(np.zeros((CARS, ROW.width)), (), (), (), np.zeros((CARS, ROW.width))), None, ())
 
-    def __init__(self, d, left=()):
+    def __init__(self, d):
         self.data, self.before, self.errors = d.data, d.before, d.after
-        self.asked, self._left = [], left
+        self.asked = []
 
     def simulations(self, runs=0):
         self.asked.append(runs)
         return [(k, self.current) for k in range(max(runs, QUICK.runs))]
-
-    def forces(self, level):
-        return [(force, None) for force in self._left if force.p_value < level]
 
 
 def judged(monkeypatch, own, biases_of_simulations, left=(), laws=()):
@@ -60,8 +57,13 @@ def judged(monkeypatch, own, biases_of_simulations, left=(), laws=()):
     monkeypatch.setattr(judging, "simulated_failures", located_in)
     monkeypatch.setattr(judging, "held_out_errors", lambda *arguments, **options: own.after)
     monkeypatch.setattr(judging, "shared_stds", lambda *arguments: {})
-    search = SearchEnd(own, left)
-    found = judging.judged(search, with_biases(own.where_after, 0.3), (), dict(laws), (), None)
+    search = SearchEnd(own)
+
+    def forces_left(data, current, simulations, level, work):
+        return [force for force in left if force.p_value < level]
+
+    monkeypatch.setattr(judging, "forces_left", forces_left)
+    found = judging.judged(search, with_biases(own.where_after, 0.3), dict(laws), (), None)
     return found, search.asked
 
 
@@ -86,12 +88,23 @@ def test_no_further_simulations_where_a_law_speaks_against_the_model(monkeypatch
     monkeypatch.setattr(judging, "check_laws", lambda *arguments: {})
     laws = {"law": replace(own.after, samples=better)}
     found, asked = judged(monkeypatch, own, [0.05, 0.05], [force], laws)
-    assert (found.adequacy.better_law, asked) == ("law", [0])
+    assert (found.adequacy.better_law, asked) == ("law", [0, 0])
     assert found.evidence.forces == [force]
 
 
+def test_a_force_speaks_against_a_model_to_which_nothing_was_added(monkeypatch, own):
+    monkeypatch.setattr(judging, "check_laws", lambda *arguments: {})
+    laws = {"law": own.after}
+    surely, perhaps = (Discovery("rear_approach_rate", 0.7, p, 40.0, (), ()) for p in (1e-6, 0.01))
+    found, _ = judged(monkeypatch, own, [0.3, 0.3], [surely], laws)
+    assert found.adequacy.outcome == "not_explained"
+    assert "rear_approach_rate" in found.adequacy.reasons[0]
+    found, _ = judged(monkeypatch, own, [0.3, 0.3], [perhaps], laws)
+    assert found.adequacy.outcome == "adequate"
+
+
 def test_a_force_counts_by_what_it_gains_beyond_simulations(monkeypatch):
-    force = Discovery("gap", 0.7, 1e-6, 40.0, (), ())
+    force = Discovery("gap", 0.7, 1e-6, 40.0, (0.0,) * 8, (0.0,) * 8)
 
     def p_value(simulated):
         def discover(data, fitted, work, effort, only):

@@ -1,5 +1,6 @@
 """What a diagnosis says of one recording of the benchmark, and whether it is right."""
 
+import re
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -92,7 +93,8 @@ class Judged:
         if self.part == "few":
             return self.is_in_set and bool(self.who) and set(self.vehicles) <= set(self.who)
         if self.part == "forms":
-            told = any(c in reason for c in self.covariates for reason in self.reasons)
+            # whole words: "gap" is not "rear_gap"
+            told = any(re.search(rf"\b{c}\b", reason) for c in self.covariates for reason in self.reasons)
             return (bool(self.named) and self.is_in_set) or (self.is_warned and told)
         if self.part == "faults":
             return self.is_in_set or (not self.named and self.is_warned)
