@@ -233,8 +233,4 @@ def sentences(d: Diagnosis) -> list[str]:
         worst = "; ".join(_told(b) for b in located.flagged[:_WORST])
         count = f"{len(located.flagged)} of {len(located.bins)} bins"
         lines.append(f"{of} is biased in {count}" + (f", most of all at {worst}." if worst else "."))
-    lines += [
-        f"A force without a name depends on {one.shown}: by {one.strength:.2f} m/s² (p {one.p_value:.1g})."
-        for one in d.discovered
-    ]
     return [line for line in lines if line]
