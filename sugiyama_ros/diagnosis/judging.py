@@ -1,6 +1,6 @@
 """The evidence about the final model of a search, and the judgement that rests on it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
