@@ -272,7 +272,7 @@ def diagnose(
     *,
     quick: bool = False,
     add: str | None = None,
-    refit: int = 0,
+    refit: int | None = None,
     seed: int = 0,
 ) -> Diagnosis:
     """Find out which physical effect the model lacks.
@@ -286,7 +286,7 @@ def diagnose(
     add : {None, "auto"}
         ``"auto"`` adds effects until nothing more is supported; else at most three are added.
     refit : int
-        Number of simulated recordings to which the final model is fitted, for standard errors that hold.
+        Number of simulated recordings to which the final model is fitted, for its standard errors; 6 or, if quick, 0.
     seed : int
         Seed of all random numbers.
 

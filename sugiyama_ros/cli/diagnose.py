@@ -52,13 +52,14 @@ class DiagnoseOptions:
         str, typer.Option("--for", help="prediction, simulation or online: what an addition must not make worse.")
     ] = "prediction"
     refit: Annotated[
-        int,
+        int | None,
         typer.Option(
             "--refit",
             min=0,
-            help="Fit the final model to this many recordings that it simulates, for standard errors that hold.",
+            help="Fit the final model to this many recordings that it simulates, for standard errors that hold; 6 by"
+            " default, none with --quick.",
         ),
-    ] = 0
+    ] = None
     overwrite: Overwrite = False
     ring: Ring = None
     seed: Seed = 0

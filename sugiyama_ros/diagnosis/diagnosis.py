@@ -186,7 +186,7 @@ def diagnose(
     most: int = FEW_ADDITIONS,
     verdict_only: bool = False,
     goal: Goal = ANYTHING,
-    refit: int = 0,
+    refit: int | None = None,
     workers: int | Executor = 4,
     on_progress: OnStage = lambda what, done, total: None,
 ) -> Diagnosis:
@@ -207,7 +207,7 @@ def diagnose(
     goal : Goal
         What may be added, and what the model is for.
     refit : int
-        Number of simulated recordings to which the final model is fitted from nothing, for its standard errors.
+        Number of fits from nothing to simulated recordings, for the standard errors; 6 or, if ``quick``, 0 by default.
     workers : int or Executor
         Number of threads; or the executor of a Dask cluster, whose workers then fit the other laws.
     on_progress : callable
@@ -229,13 +229,13 @@ def diagnose(
         data = prepared(recording)
         base = fit_base(data, data.even.individual(V_STAR, KAPPA_V), work)
         # runs beside the search, which cannot always use all workers
-        to_beat = base.log_likelihood if quick else None
-        others = [] if verdict_only else _rivals(data, to_beat, work, cluster or aside)
+        others = [] if verdict_only else _rivals(data, base.log_likelihood if quick else None, work, cluster or aside)
         search = Search(data, base, quick, seed, work, goal=goal, on_progress=on_progress)
         _grow(search, most, add_forces=goal.forces and not (quick or verdict_only))
         on_progress("rival models", 0, 1)
         rivals = {name: errors for found in others for name, errors in found.result().items()}
-        refitted = refits(data, search.current, added_to_all(data, search.named), seed, refit, work, on_progress)
+        runs = search.effort.refits if refit is None else refit
+        refitted = refits(data, search.current, added_to_all(data, search.named), seed, runs, work, on_progress)
         on_progress("finding where the model fails", 0, 1)
         return _summed_up(search, rivals, refitted, work, began)
 

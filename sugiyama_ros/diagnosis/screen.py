@@ -41,6 +41,8 @@ class Effort:
         Number of candidates that get a full fit, in the first round and in later rounds.
     steps, renewals : int
         Steps of a full fit, and how often it computes derivatives again.
+    refits : int
+        Number of simulated recordings to which the final model is fitted from nothing.
     drivers : int
         Starts of a search are compared on this many drivers, or up to twice as many.
     """
@@ -51,13 +53,14 @@ class Effort:
     later: int
     steps: int
     renewals: int
+    refits: int
     drivers: int = 11
 
 
 #: Effort of a diagnosis. Constants that compensate for a missing effect need many steps.
-FULL = Effort(runs=6, looks=6, shortlist=8, later=8, steps=20, renewals=6)
+FULL = Effort(runs=6, looks=6, shortlist=8, later=8, steps=20, renewals=6, refits=6)
 #: Effort of a quick diagnosis.
-QUICK = Effort(runs=2, looks=2, shortlist=4, later=2, steps=8, renewals=1)
+QUICK = Effort(runs=2, looks=2, shortlist=4, later=2, steps=8, renewals=1, refits=0)
 
 
 @dataclass(frozen=True, eq=False)

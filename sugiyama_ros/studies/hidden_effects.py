@@ -50,6 +50,7 @@ def judge(hidden: str, strength: str, measured: Trajectories, seed: int, quick: 
         quick=quick,
         most=2 if strength in (PAIR, FORM) else 1,
         verdict_only=strength != FORM,
+        refit=0,
         workers=1,
     )
     first = d.named[0] if d.named else None
