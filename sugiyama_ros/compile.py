@@ -17,6 +17,7 @@ from sugiyama_ros.calibration.calibrate import each_driver
 from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.diagnosis.compare import compare
 from sugiyama_ros.diagnosis.diagnosis import diagnose
+from sugiyama_ros.diagnosis.use import Goal
 from sugiyama_ros.driver.parameters import NAMES, defaults
 from sugiyama_ros.effects.registry import ROW, switch_on
 from sugiyama_ros.filters.online import OnlineFilter, warm_up
@@ -42,7 +43,7 @@ def compile_all(tell: Callable[[str], None] = print) -> None:
         "the causal calibration": lambda: each_driver(recording, Settings("causal")),
         "the online filter": lambda: _follow(recording),
         "the comparison with other laws": lambda: compare(recording, [_EFFECT]),
-        "the diagnosis": lambda: diagnose(recording, quick=True, most=1),
+        "the diagnosis": lambda: diagnose(recording, quick=True, goal=Goal(most=1)),
     }
     for number, (what, carry_out) in enumerate(work.items()):
         began = time.monotonic()

@@ -150,6 +150,7 @@ def _before_and_after(
 ) -> tuple["RunResult", "Diagnosis", "RunResult"]:
     """Replay with the base model, find what is missing, and replay with it."""
     from sugiyama_ros.diagnosis.diagnosis import diagnose as find
+    from sugiyama_ros.diagnosis.use import Goal
     from sugiyama_ros.fit.model_file import write_model
     from sugiyama_ros.formats.convert import write_trajectories
 
@@ -162,7 +163,7 @@ def _before_and_after(
                 trajectories,
                 seed=seed,
                 quick=True,
-                most=most,
+                goal=Goal(most=most),
                 workers=os.cpu_count() or 1,
                 on_progress=advance,
             )

@@ -40,8 +40,6 @@ if TYPE_CHECKING:
 
 # Number of other laws that are fitted at the same time beside the search, which has work of its own: more take memory.
 _ASIDE = 1
-#: Number of effects that a diagnosis adds at most, unless more are asked for.
-FEW_ADDITIONS = 3
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -183,7 +181,6 @@ def diagnose(
     *,
     seed: int = 0,
     quick: bool = False,
-    most: int = FEW_ADDITIONS,
     verdict_only: bool = False,
     goal: Goal = ANYTHING,
     refit: int | None = None,
@@ -200,8 +197,6 @@ def diagnose(
         Seed of the simulated recordings.
     quick : bool
         Whether to take shortcuts: fewer simulations, no search for each fold.
-    most : int
-        Maximum number of effects to add.
     verdict_only : bool
         Whether to leave out the rivals and the forces without a name.
     goal : Goal
@@ -231,7 +226,7 @@ def diagnose(
         # runs beside the search, which cannot always use all workers
         others = [] if verdict_only else _rivals(data, base.log_likelihood if quick else None, work, cluster or aside)
         search = Search(data, base, quick, seed, work, goal=goal, on_progress=on_progress)
-        _grow(search, most, add_forces=goal.forces and not (quick or verdict_only))
+        _grow(search, goal.most, add_forces=goal.forces and not (quick or verdict_only))
         on_progress("rival models", 0, 1)
         rivals = {name: errors for found in others for name, errors in found.result().items()}
         runs = search.effort.refits if refit is None else refit

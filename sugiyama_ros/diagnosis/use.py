@@ -34,6 +34,9 @@ _STANDING, _SLOW = 0.5, 0.5
 _FEWEST = 20
 _STEPS = 6
 
+#: Number of effects that a diagnosis adds at most, unless more are asked for.
+FEW_ADDITIONS = 3
+
 
 @dataclass(frozen=True)
 class Goal:
@@ -48,11 +51,14 @@ class Goal:
     purpose : {"prediction", "simulation", "online"}
         Nothing is added that makes the last part worse: one step for ``"online"``, free runs too for ``"simulation"``.
         For ``"prediction"`` it is only told.
+    most : int
+        Maximum number of effects to add.
     """
 
     only: tuple[str, ...] = ()
     forces: bool = False
     purpose: Purpose = "prediction"
+    most: int = FEW_ADDITIONS
 
 
 #: Any candidate may be added, but no force without a name.

@@ -16,6 +16,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from sugiyama_ros.diagnosis.diagnosis import diagnose
+from sugiyama_ros.diagnosis.use import Goal
 from sugiyama_ros.effects.discovered_force import COVARIATES
 from sugiyama_ros.effects.effect import Values
 from sugiyama_ros.outputs import writing
@@ -48,7 +49,7 @@ def judge(hidden: str, strength: str, measured: Trajectories, seed: int, quick: 
         measured,
         seed=seed,
         quick=quick,
-        most=2 if strength in (PAIR, FORM) else 1,
+        goal=Goal(most=2 if strength in (PAIR, FORM) else 1),
         verdict_only=strength != FORM,
         refit=0,
         workers=1,

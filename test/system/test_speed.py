@@ -13,6 +13,7 @@ import pytest
 from sugiyama_ros.calibration.calibrate import each_driver
 from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.diagnosis.diagnosis import diagnose
+from sugiyama_ros.diagnosis.use import Goal
 from sugiyama_ros.studies.speed.__main__ import main
 from sugiyama_ros.studies.speed.commands import HELP_AT_MOST
 from sugiyama_ros.studies.speed.figure import cpu_of_commands
@@ -45,7 +46,7 @@ def test_calibration_and_diagnosis_filter_no_more_often_than_they_did():
     t = jam(6, 100.0)
     passes = {
         "calibration": counted(lambda: each_driver(t, Settings()))[0],
-        "diagnosis": counted(lambda: diagnose(t, quick=True, most=1, workers=2))[0],
+        "diagnosis": counted(lambda: diagnose(t, quick=True, goal=Goal(most=1), workers=2))[0],
     }
     for name, known in KNOWN_PASSES.items():
         assert 0 < passes[name] < SLOWER * known, passes

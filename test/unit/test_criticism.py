@@ -159,7 +159,7 @@ def test_runs_of_all_folds_are_the_runs_of_the_whole_recording(fitted, work):
 @pytest.fixture(scope="module")
 def hidden():
     run = recording("slow_patch", reduction=0.2, centre=20.0, width=25.0)
-    return run, diagnose(run.measured, quick=True, most=1, workers=2, seed=3)
+    return run, diagnose(run.measured, quick=True, goal=Goal(most=1), workers=2, seed=3)
 
 
 def test_a_hidden_effect_is_named(hidden):
@@ -240,7 +240,7 @@ def test_only_the_candidates_that_were_asked_for_are_added(hidden):
 
 def test_the_same_seed_gives_the_same_verdict(hidden):
     run, d = hidden
-    again = diagnose(run.measured, quick=True, most=1, workers=1, seed=3, verdict_only=True)
+    again = diagnose(run.measured, quick=True, goal=Goal(most=1), workers=1, seed=3, verdict_only=True)
     assert [(n.name, n.p_value, n.parameters) for n in again.named] == [
         (n.name, n.p_value, n.parameters) for n in d.named
     ]

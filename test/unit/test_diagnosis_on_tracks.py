@@ -14,6 +14,7 @@ from sugiyama_ros.diagnosis.candidates import candidates, not_searched
 from sugiyama_ros.diagnosis.compare import compare
 from sugiyama_ros.diagnosis.diagnosis import diagnose
 from sugiyama_ros.diagnosis.errors import errors_of
+from sugiyama_ros.diagnosis.use import Goal
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.model import Model
@@ -167,8 +168,8 @@ def test_a_cluster_gives_the_same_numbers(ring, monkeypatch):
         distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster,
         workers(2, cluster.scheduler_address) as there,
     ):
-        spread = diagnose(tracks, quick=True, most=0, workers=there)
-    alone = diagnose(tracks, quick=True, most=0, workers=2)
+        spread = diagnose(tracks, quick=True, goal=Goal(most=0), workers=there)
+    alone = diagnose(tracks, quick=True, goal=Goal(most=0), workers=2)
     assert plain(spread.rivals) == plain(alone.rivals)
     assert spread.before.summary()["single_car_10s_m"] == alone.before.summary()["single_car_10s_m"]
 
