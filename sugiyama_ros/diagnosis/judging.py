@@ -10,6 +10,7 @@ from sugiyama_ros.diagnosis.errors import HeldOutErrors, held_out_errors
 from sugiyama_ros.diagnosis.floor import floor_of
 from sugiyama_ros.diagnosis.law_check import check_laws, open_laws
 from sugiyama_ros.diagnosis.locate import Located
+from sugiyama_ros.diagnosis.refits import factor_of
 from sugiyama_ros.diagnosis.scan import forces_left
 from sugiyama_ros.diagnosis.screen import FULL
 from sugiyama_ros.diagnosis.search import LEVEL, Search
@@ -69,7 +70,8 @@ def judged(
     JudgedModel
         The judgement.
     """
-    stds = widened(shared_stds(search.data, search.current, work), search.current, refitted)
+    stds = shared_stds(search.data, search.current, work)
+    stds = widened(stds, search.current, refitted, factor_of(len(refitted)))
     before = Evidence(search.before, search.errors, search.named, located, laws, forces=(), simulated=(), stds=stds)
     found = _judged(search, before, work, 0)
     is_unexplained = found.adequacy.outcome == "not_explained"

@@ -8,7 +8,7 @@ import numpy as np
 
 from sugiyama_ros.diagnosis.bootstrap import widened
 from sugiyama_ros.diagnosis.candidates import named
-from sugiyama_ros.diagnosis.refits import fit_from_nothing, refits
+from sugiyama_ros.diagnosis.refits import factor_of, fit_from_nothing, refits
 from sugiyama_ros.effects.registry import index_of
 from sugiyama_ros.fit.recording import prepare
 from sugiyama_ros.fit.sandwich import shared_stds
@@ -52,7 +52,8 @@ def found_again(job: tuple[str, int]) -> list[FoundAgain]:
         data = prepare(run.measured)
         hidden = named(data, [effect])
         fitted = fit_from_nothing(data, hidden, work)
-        stds = widened(shared_stds(data, fitted, work), fitted, refits(data, fitted, hidden, seed, REFITS, work))
+        again = refits(data, fitted, hidden, seed, REFITS, work)
+        stds = widened(shared_stds(data, fitted, work), fitted, again, factor_of(REFITS))
     return [
         FoundAgain(
             f"{effect}.{name}", value, float(fitted.model.rows[0, index_of(effect, name)]), stds[f"{effect}.{name}"]
