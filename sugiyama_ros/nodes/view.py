@@ -89,6 +89,7 @@ class View(Node):
         self._lanes: dict[int, int] = {}
         self.lanes: Mapping[int, int] = self._lanes
         self.followers: Collection[int] = frozenset()
+        self._led: set[int] = set()  # who has had a leader
         self._adapted: dict[int, tuple[float, float, float, float]] = {}
         self.adapted: Mapping[int, tuple[float, float, float, float]] = self._adapted
         self.added: Sequence[str] = ()
@@ -244,6 +245,7 @@ class View(Node):
             self._happened(f"vehicle {vehicle} has left")
         if new := sorted(set(sample.place) - set(self.vehicles)):
             self._meet(new)
+        self._led.update(v for v, p in sample.place.items() if sample.leader[p] >= 0)
         if sample.lane:
             self._lanes.update({v: sample.lane[p] for v, p in sample.place.items() if sample.lane[p] >= 0})
         errors = self._base.follow(sample) if self._base is not None else []
@@ -306,7 +308,8 @@ class View(Node):
         time_s, v, innovation, variance, _, scored = found
         if v not in self.driver:
             return
-        self.followers = {*self.followers, v} if scored else self.followers
+        if scored and (v in self._led or not self._led):
+            self.followers = {*self.followers, v}
         if _milliseconds(time_s) > _milliseconds(self._latest_s):
             self._take_error(time_s, innovation**2 if scored else math.nan)
         place = self._at(time_s)[0].get(v, math.nan)

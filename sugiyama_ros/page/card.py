@@ -11,6 +11,7 @@ from sugiyama_ros.page.panels.measured import frame_mps
 from sugiyama_ros.page.recording import Recording
 from sugiyama_ros.page.thumbnail import thumbnail
 from sugiyama_ros.page.words import (
+    SMALL_M,
     badge,
     gain_in_words,
     headline,
@@ -33,8 +34,6 @@ _LINES = 3
 _NAMES = {"before": "before", "after": "after", "floor": "floor"}
 # A floor above an error by more than this factor needs a word.
 _ABOVE = 1.05
-#: Errors [m] below this are told in millimetres.
-SMALL_M = 0.01
 
 
 def card(r: Recording, diagnosis: Mapping[str, Any] | None) -> str:

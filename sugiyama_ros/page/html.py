@@ -6,10 +6,11 @@ from html import escape
 from importlib import metadata
 from typing import Any
 
-from sugiyama_ros.page.card import SMALL_M, name_of
+from sugiyama_ros.page.card import name_of
 from sugiyama_ros.page.panels.base import colour_of
 from sugiyama_ros.page.recording import Recording
 from sugiyama_ros.page.words import (
+    SMALL_M,
     Document,
     chance,
     model_name,

@@ -24,11 +24,9 @@ from bokeh.models import (
 )
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.page.critic import WHY
 from sugiyama_ros.page.feed import KEPT, Feed, Log
 from sugiyama_ros.page.panels.base import (
     BLUE,
-    COLOURS,
     GREY,
     MOVING_S,
     ORANGE,
@@ -41,15 +39,14 @@ from sugiyama_ros.page.panels.base import (
     widen,
 )
 from sugiyama_ros.page.panels.chosen import INPUT
+from sugiyama_ros.page.panels.critic_live import CriticPanel, title
 from sugiyama_ros.page.status import status_line
 from sugiyama_ros.page.style import LIVE, REPAINT
-from sugiyama_ros.page.words import length
+from sugiyama_ros.page.words import distances
 from sugiyama_ros.trajectories.desired_speed import known_only
 
 #: Time [s] between two updates of the road, and between two updates of the curves.
 UPDATE_S, TELL_S = 0.1, 0.5
-# Models of the critic that are drawn.
-_MODELS = 5
 _V_STAR = ("Chosen: desired speed v*", "Chosen: v* is not known from these data")
 # Where the cars' numbers stand: radius over that of the ring, or offset [px] from a straight road.
 _OUTSIDE, _ABOVE_PX = 1.14, -14
@@ -66,6 +63,7 @@ class _Page:
     def __init__(self, feed: Feed) -> None:
         self._feed = feed
         self._watched = -1
+        self._own_choice: int | None = None  # the page's, until the reader chooses
         self._seen: dict[Log, int] = {}
         self._space = ColumnDataSource({"time": [], "place": [], "speed": []})
         self._error = ColumnDataSource({"time": [], "error": [], "base": []})
@@ -76,18 +74,17 @@ class _Page:
         derived = ("low", "high", "below", "above", "v_low", "v_high", "k_low", "k_high", "measured")
         self._driver = ColumnDataSource({name: [] for name in (*_COLUMNS, *derived)})
         self._last = (math.nan, math.nan)
-        self._critic: dict[str, ColumnDataSource] = {}
+        self._critic = CriticPanel(feed, self._new)
         self._colours = speed_colours(1.0)
         self._select = Select(title="driver", options=[], width=110, stylesheets=[INPUT])
         self._effect = Select(
-            title="effect", options=[(name, self._title(name)) for name in feed.effects],
+            title="effect", options=[(name, title(feed, name)) for name in feed.effects],
             value=next(iter(feed.effects)), width=200, stylesheets=[INPUT],
         )  # fmt: skip
         self._values = TextInput(title="strength", width=150, stylesheets=[INPUT])
         self._status = Div(text="", stylesheets=[GlobalInlineStyleSheet(css=LIVE)])
         self._said, self._about = Div(text=""), Div(text="")
         self._events = Div(text="")
-        self._settled = Div(text="")
         self._plots: dict[str, Any] = {}
         self._drawn = 0
 
@@ -111,19 +108,14 @@ class _Page:
         error.line("time", "base", source=self._error, color=GREY, line_width=2, legend_label="base model")
         error.line("time", "error", source=self._error, color=VERMILION, line_width=2, legend_label="the estimators")
         legend_above(error)
-        self._plots["critic"] = critic = panel(
-            "The critic: gain over the base model", "time [s]", "gain [nats]",
-            y_range=DataRange1d(only_visible=True), visible=False,
-        )  # fmt: skip
-        critic.line([0.0], [math.nan])  # Bokeh warns of a plot that has nothing to draw
         return column(
             self._status,
             self._buttons(),
             self._about,
             self._said,
             row(space, error, **_WIDE),
-            row(road, critic, **_WIDE),
-            self._settled,
+            row(road, self._critic.plot, **_WIDE),
+            self._critic.text,
             row(*self._adaptation(), **_WIDE),
             row(*self._one_driver(), **_WIDE),
             self._events,
@@ -138,6 +130,7 @@ class _Page:
         colour_bar(space, self._colours, "speed [m/s]")
         road = panel("The road from above: click a car", "x [m]", "y [m]", match_aspect=True,
                      x_range=DataRange1d(range_padding=0.2))  # fmt: skip
+        self._plots["road"] = road
         road.multi_line("xs", "ys", source=self._lines, color=GREY, line_alpha=0.5)
         road.scatter(
             "x", "y", source=self._road, size=14, line_color=GREY, fill_color=colour, nonselection_fill_alpha=1.0,
@@ -153,11 +146,11 @@ class _Page:
     def _adaptation(self) -> list[Any]:
         """What the estimators have learnt: of the chosen driver over time, and of all drivers now."""
         found = []
-        for name, title, low, high in (
+        for name, label, low, high in (
             ("v_star", "desired speed v* [m/s]", "v_low", "v_high"),
             ("kappa_v", "risk premium κ_v [s]", "k_low", "k_high"),
         ):
-            plot = panel(f"Chosen: {title.split(' [')[0]}", "time [s]", title)
+            plot = panel(f"Chosen: {label.split(' [')[0]}", "time [s]", label)
             plot.varea("time", low, high, source=self._driver, color=BLUE, alpha=0.3)
             plot.line("time", name, source=self._driver, color=BLUE, line_width=2)
             found.append(plot)
@@ -224,8 +217,10 @@ class _Page:
         if len(self._select.options) != len(feed.vehicles):
             self._select.options = [f"vehicle {v}" for v in feed.vehicles]
         # the first driver of whom something was learnt: the first car of a platoon follows nobody
-        if feed.followers and not self._select.value:
-            self._select.value = f"vehicle {min(feed.followers)}"
+        here = [v for v in feed.followers if v in feed.now]
+        if here and self._own_choice in (None, self._watched) and self._watched not in feed.now:
+            self._own_choice = min(here)
+            self._select.value = f"vehicle {self._own_choice}"
         if feed.now:
             place, speed = np.array(list(feed.now.values())).T
             lane = np.array([feed.lanes.get(v, 0) for v in feed.now], dtype=np.float64)
@@ -247,6 +242,7 @@ class _Page:
         if (drawn := (*ends, *lanes.tolist())) == self._lines_drawn:
             return
         self._lines_drawn = drawn
+        self._plots["road"].yaxis.visible = road.is_ring  # aside, there are the lanes
         lines = [from_above(road, np.asarray(np.linspace(*ends, num=121)), lane) for lane in lanes.tolist()]
         self._lines.data = {"xs": [x for x, _ in lines], "ys": [y for _, y in lines]}
 
@@ -259,7 +255,7 @@ class _Page:
             self._space.stream(dict(zip(("time", "place", "speed"), new, strict=True)), KEPT * len(feed.vehicles))
         if len(new := self._new(feed.error)):
             self._error.stream(dict(zip(("time", "error", "base"), new, strict=True)), KEPT)
-        if learnt := {v: found for v, found in feed.adapted.items() if v in feed.followers}:
+        if learnt := {v: found for v, found in feed.adapted.items() if v in feed.followers and v in feed.now}:
             values = np.array(list(learnt.values()))
             v_star, _ = known_only(values[:, 0], values[:, 1], self._colours.high)
             self._adapted.data = {
@@ -267,7 +263,7 @@ class _Page:
                 "v_star": v_star,
                 "kappa_v": values[:, 2],
             }
-        self._tell_critic()
+        self._critic.update()
         for time_s in feed.changed_s[self._drawn :]:
             self._plots["error"].add_layout(
                 Span(location=time_s, dimension="height", line_color=GREY, line_dash="dashed")
@@ -277,9 +273,10 @@ class _Page:
             time, error, base = (self._error.data[name] for name in ("time", "error", "base"))
             shown = ""
             if len(error):
-                shown = f"{time[-1]:.0f} s: one-step error over {MOVING_S:g} s {length(error[-1])} m"
-                shown += f", base model {length(base[-1])} m; " if math.isfinite(base[-1]) else "; "
-            added = ", ".join(map(self._title, feed.added)) or "none"
+                errors = distances(error[-1], base[-1])
+                shown = f"{time[-1]:.0f} s: one-step error over {MOVING_S:g} s {errors[0]}"
+                shown += f", base model {errors[1]}; " if math.isfinite(base[-1]) else "; "
+            added = ", ".join(title(feed, name) for name in feed.added) or "none"
             self._said.text = f"{shown}effects added: {added}. {escape(feed.said)}"
         self._events.text = "<b>Events</b><br>" + ("<br>".join(map(escape, feed.events)) or "none yet")
 
@@ -306,45 +303,3 @@ class _Page:
             "k_high": of["kappa_v"] + of["kappa_v_std"],
             "measured": measured,
         }
-
-    def _tell_critic(self) -> None:
-        feed, plot = self._feed, self._plots["critic"]
-        if not feed.gains:
-            self._settled.text = "No critic has spoken yet. There is none where too many vehicles are in view."
-            return
-        plot.visible = True
-        # what is added to the estimators is a model of the critic no longer
-        for name, log in feed.critic.items():
-            if name not in self._critic:
-                self._critic[name] = ColumnDataSource({"time": [], "gain": []})
-                plot.line("time", "gain", source=self._critic[name], color=self._colour(name), line_width=2, name=name)
-            if len(new := self._new(log)):
-                self._critic[name].stream(dict(zip(("time", "gain"), new, strict=True)), KEPT)
-        order = sorted(feed.gains, key=lambda name: -feed.gains[name])
-        for line in plot.renderers:
-            line.visible = line.name in (*order[:_MODELS], "base")
-        settled = "settled among the models that this critic knows" if feed.is_settled else "not settled yet"
-        names = ", ".join(
-            f'<b style="color:{self._colour(name)}">{escape(self._title(name))}</b> {feed.gains[name]:+.0f}'
-            for name in order[:_MODELS]
-        )
-        # the critic's own words: which model is best, and whether that has settled, is in its message
-        best = escape(self._title(feed.best))
-        gains = f"Gains over the base model: {names} nats."
-        self._settled.text = f"The critic is {settled}: {best} leads. {gains}{self._not_known()}"
-
-    def _title(self, name: str) -> str:
-        """Name for people of a model of the critic, as in the report."""
-        return "the base model" if name == "base" else self._feed.titles.get(name, name.replace("_", " "))
-
-    def _colour(self, name: str) -> str:
-        """Colour of a model of the critic: the first one, grey, is that of the base model alone."""
-        others = [one for one in self._critic if one != "base"]
-        return COLOURS[0] if name == "base" else COLOURS[1 + others.index(name) % (len(COLOURS) - 1)]
-
-    def _not_known(self) -> str:
-        """Say why a diagnosis may find something else, and which effects the critic does not follow."""
-        known = {*self._feed.gains, *self._feed.added}
-        missing = [self._title(name) for name in self._feed.effects if name not in known]
-        names = f" It does not know {', '.join(missing)}." if missing else ""
-        return f"<br>This is no verdict: {WHY} (<code>sugiyama diagnose</code>).{escape(names)}"

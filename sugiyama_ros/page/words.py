@@ -13,6 +13,8 @@ _FEW = 2
 _WORSE = 1.2
 # A gain of fewer standard errors is not clear.
 _CLEAR = 2.0
+#: Errors [m] below this are told in millimetres.
+SMALL_M = 0.01
 # Lengths [m] and speeds [m/s] below this are told in millimetres.
 _SMALL = 1e-3
 # A name of a parameter, an effect or a law.
@@ -67,6 +69,13 @@ def quantity(value: float, unit: str = "", std: float | None = None, digits: int
 def length(value_m: float) -> str:
     """A length [m] with three digits, so that lengths beside each other end alike."""
     return f"{value_m:#.3g}".rstrip(".") if value_m < 1e3 else f"{value_m:.0f}"
+
+
+def distances(*values_m: float) -> list[str]:
+    """Lengths [m] with their unit: millimetres where all are small, as where somebody has smoothed the positions."""
+    if any(abs(value) >= SMALL_M for value in values_m):
+        return [f"{length(value)} m" for value in values_m]
+    return [f"{length(1e3 * value)} mm" for value in values_m]
 
 
 def would_have_shown(d: Document) -> list[tuple[str, str]]:

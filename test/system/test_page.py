@@ -1,6 +1,7 @@
 """The page, in a real browser where there is one: all panels, no error in its console, nothing from the network."""
 
 import contextlib
+import dataclasses
 import json
 import math
 import re
@@ -20,7 +21,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from bokeh.document import Document
-from bokeh.models import ColumnDataSource, Div, GlyphRenderer, Plot
+from bokeh.models import ColumnDataSource, Div, GlyphRenderer, Plot, Select
 from bokeh.util.token import generate_jwt_token
 from PIL import Image
 
@@ -32,14 +33,26 @@ from sugiyama_ros.page import live
 from sugiyama_ros.page.critic import WHY, beside_the_verdict
 from sugiyama_ros.page.diagnosis import read_diagnosis
 from sugiyama_ros.page.feed import KEPT, Log, Status
+from sugiyama_ros.page.found import Found, found_in
 from sugiyama_ros.page.html import detectable
 from sugiyama_ros.page.layouts import lichtblick, plotjuggler
 from sugiyama_ros.page.panels.base import from_above
+from sugiyama_ros.page.panels.measured import frame_mps
 from sugiyama_ros.page.panels.worth import growth
 from sugiyama_ros.page.recording import read_recording
 from sugiyama_ros.page.report import report, write_report
 from sugiyama_ros.page.status import status_line
-from sugiyama_ros.page.words import badge, certainty, headline, how_sure, size_of, what_to_do, worse
+from sugiyama_ros.page.words import (
+    badge,
+    certainty,
+    distances,
+    headline,
+    how_sure,
+    quantity,
+    size_of,
+    what_to_do,
+    worse,
+)
 from sugiyama_ros.page.words import reasons as words_of_reasons
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.desired_speed import known_only
@@ -211,6 +224,49 @@ def test_the_headline_does_not_say_more_than_the_verdict(effects, outcome, words
     found = [{"name": name, "heldout_gain_nats": 9.0, "heldout_gain_se": 3.0} for name in effects]
     verdict = {"effects": found, "adequacy": {"outcome": outcome} if outcome else {}}
     assert words in headline({"verdict": verdict, "about": DIAGNOSIS["about"]})
+
+
+def test_the_advice_on_prediction_is_the_model_that_predicts_best():
+    adequacy = {"outcome": "not_explained", "better_law": "gipps", "reasons": []}
+    verdict = {**DIAGNOSIS["verdict"], "adequacy": adequacy}
+    verdict["effects"] = [{**verdict["effects"][0], "advice": []}]
+
+    def advice(law, final):
+        errors = {"before": {}, "after": {"loglik_per_sample": final}, "gipps": {"loglik_per_sample": law}}
+        return what_to_do({**DIAGNOSIS, "verdict": verdict, "errors": errors})
+
+    best = "the model with the additions is the best one (0.450 nats per sample; Gipps 0.420)."
+    assert advice(0.42, 0.45).endswith(best)
+    assert advice(0.46, 0.45).endswith("Gipps predicts these data better; use it where only prediction counts.")
+
+
+def test_small_lengths_are_told_in_millimetres():
+    assert distances(0.00805, 0.00277) == ["8.05 mm", "2.77 mm"]
+    assert distances(0.00805, 0.0277) == ["0.00805 m", "0.0277 m"]
+    assert quantity(8.1e-6, "m") == "0.0081 mm"
+    assert quantity(0.3691, "m") == "0.369 m"
+    assert quantity(0.0531, "", digits=2) == "0.053"
+
+
+def test_a_platoon_is_seen_by_an_observer_who_drives_along(recorded):
+    r = read_recording(recorded)
+    t = r.trajectories
+    place = 9.0 * r.time_s[:, None] - 15.0 * np.arange(6.0)
+    platoon = dataclasses.replace(r, trajectories=dataclasses.replace(t, position_m=place, road=Road()))
+    assert frame_mps(platoon) == 9
+    stretch = np.where((place > 0.0) & (place < 60.0), place, np.nan)  # who comes and goes is seen from the road
+    assert frame_mps(dataclasses.replace(r, trajectories=dataclasses.replace(t, position_m=stretch, road=Road()))) == 0
+    assert frame_mps(r) == 0
+
+
+def test_what_is_drawn_into_the_maps_has_a_name():
+    force = {"covariate": "gap", "knots": [0.0, 10.0, 20.0], "force": [0.0, 1.0, 0.2]}
+    document = {**DIAGNOSIS, "verdict": {**DIAGNOSIS["verdict"], "discovered": [force]}}
+    assert found_in(("speed", "gap"), document, 0.0) == [Found("discovered force", "gap", 10.0, 10.0)]
+    # a force of no size is nowhere
+    force["force"] = [0.0, 0.0, 0.0]
+    assert found_in(("speed", "gap"), document, 0.0) == []
+    assert [one.title for one in found_in(("place", "time"), document, 0.0)] == ["slower stretch of road"]
 
 
 def test_no_model_is_left_out_of_the_growth_of_errors():
@@ -850,6 +906,29 @@ def test_a_page_shows_a_critic_whose_models_change():
 def test_critic_and_verdict_say_the_same_or_why_not(best, added, words):
     assert words in beside_the_verdict(DIAGNOSIS, best, added)
     assert beside_the_verdict(None, best, added).endswith(f"This is no verdict: {WHY}.")
+
+
+def test_the_live_page_follows_another_driver_when_its_own_choice_has_left():
+    feed = feed_of_a_critic({"base": 0.0})
+    feed.driver = {v: Log(KEPT) for v in (1, 2, 3)}
+    feed.vehicles, feed.followers, feed.lanes = [1, 2, 3], {2, 3}, {}
+    feed.now, feed.adapted = {1: (30.0, 9.0), 2: (20.0, 9.0), 3: (10.0, 9.0)}, {}
+    document = Document()
+    live.page(feed)(document)
+    (driver,) = [s for s in document.select({"type": Select}) if s.title == "driver"]
+
+    def after(vehicles):
+        feed.now = {v: (10.0 * v, 9.0) for v in vehicles}
+        for callback in document.session_callbacks:
+            callback.callback()
+        return driver.value
+
+    # who follows nobody is not chosen
+    assert after([1, 2, 3]) == "vehicle 2"
+    assert after([1, 3]) == "vehicle 3"
+    # what the reader has chosen stays
+    driver.value = "vehicle 1"
+    assert after([3]) == "vehicle 1"
 
 
 def test_lanes_lie_beside_each_other():
