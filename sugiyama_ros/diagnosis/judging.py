@@ -78,7 +78,8 @@ def judged(
     if search.quick and is_unexplained and judge(search.data, before).outcome != "not_explained":
         found = _judged(search, before, work, FULL.runs)
         is_unexplained = found.adequacy.outcome == "not_explained"
-    if laws:
+    # with empty samples in between, filters approximate more than two simulations tell: no force speaks there alone
+    if laws and (is_unexplained or search.data.every == 1):
         level = LEVEL if is_unexplained else _SURELY
         left = forces_left(search.data, search.current, search.simulations(), level, work)
         evidence = replace(found.evidence, forces=left)
