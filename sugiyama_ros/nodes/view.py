@@ -89,7 +89,7 @@ class View(Node):
         self._lanes: dict[int, int] = {}
         self.lanes: Mapping[int, int] = self._lanes
         self.followers: Collection[int] = frozenset()
-        self._led: set[int] = set()  # who has had a leader
+        self._led, self._here = set[int](), set[int]()  # who has had a leader; who is in the latest sample
         self._adapted: dict[int, tuple[float, float, float, float]] = {}
         self.adapted: Mapping[int, tuple[float, float, float, float]] = self._adapted
         self.added: Sequence[str] = ()
@@ -110,8 +110,7 @@ class View(Node):
         self._base: BaseModel | None = None
         # squared errors of the drivers who have been heard, by the stamp, of samples that are not complete
         self._errors: dict[int, list[float]] = {}
-        self._latest_s = -math.inf
-        self._first_s, self._step = math.nan, -1
+        self._latest_s, self._first_s, self._step = -math.inf, math.nan, -1
         self._arrived: deque[tuple[float, float]] = deque(maxlen=2000)
         self._listen(RoadMessage, "/road", incoming.road, self._on_road, LATCHED)
         self._listen(MeasuredPositions, "/measured", incoming.sample, self._on_measured)
@@ -232,8 +231,7 @@ class View(Node):
             self._base_moving.clear()
             self._moving.clear()
             self._errors.clear()
-            self._latest_s = -math.inf
-            self._first_s = math.nan
+            self._latest_s, self._first_s = -math.inf, math.nan
             self._base = BaseModel(self._road) if self._road is not None else None
         self._step = sample.step
         self._first_s = time_s if math.isnan(self._first_s) else self._first_s
@@ -245,6 +243,7 @@ class View(Node):
             self._happened(f"vehicle {vehicle} has left")
         if new := sorted(set(sample.place) - set(self.vehicles)):
             self._meet(new)
+        self._here = set(sample.place)
         self._led.update(v for v, p in sample.place.items() if sample.leader[p] >= 0)
         if sample.lane:
             self._lanes.update({v: sample.lane[p] for v, p in sample.place.items() if sample.lane[p] >= 0})
@@ -257,7 +256,7 @@ class View(Node):
     def _meet(self, new: Sequence[int]) -> None:
         """Subscribe to the topics of vehicles that are seen for the first time."""
         if self.vehicles:
-            self._happened(f"vehicle {', '.join(map(str, new))} has come")
+            self._happened(f"vehicle{'s' * (len(new) > 1)} {', '.join(map(str, new))} on the road")
         else:
             self.space = Log(KEPT * len(new))
         everybody = sorted([*self.vehicles, *new])
@@ -287,7 +286,8 @@ class View(Node):
         if v not in self.driver:
             return
         self._state[v] = speed, math.sqrt(max(variance, 0.0))
-        self._now[v] = (position, speed)
+        if v in self._here:  # estimates of who has left may come late
+            self._now[v] = (position, speed)
         self.space.add(time_s, position, speed)
 
     def _on_parameters(self, message: DriverParameters) -> None:
