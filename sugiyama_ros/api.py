@@ -286,7 +286,7 @@ def diagnose(
     add : {None, "auto"}
         ``"auto"`` adds effects until nothing more is supported; else at most three are added.
     refit : int
-        Number of simulated recordings to which the final model is fitted, for its standard errors; 6 or, if quick, 0.
+        Number of simulated recordings to which the final model is fitted, for its standard errors.
     seed : int
         Seed of all random numbers.
 

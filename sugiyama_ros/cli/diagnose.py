@@ -56,8 +56,8 @@ class DiagnoseOptions:
         typer.Option(
             "--refit",
             min=0,
-            help="Fit the final model to this many recordings that it simulates, for standard errors that hold; 6 by"
-            " default, none with --quick.",
+            help="Fit the final model to this many recordings that it simulates, for standard errors that hold; by"
+            " default 6, 2 with --quick, and none unless names explain the data.",
         ),
     ] = None
     overwrite: Overwrite = False

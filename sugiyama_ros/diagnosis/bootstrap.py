@@ -111,9 +111,7 @@ def resampled_fit(
     return simulated, maximise(simulated, start, work, iterations=steps, renewals=0)
 
 
-def widened(
-    stds: Mapping[str, float], fitted: JointFit, refitted: Sequence[JointFit], factor: float = 1.0
-) -> dict[str, float]:
+def widened(stds: Mapping[str, float], fitted: JointFit, refitted: Sequence[JointFit]) -> dict[str, float]:
     """Widen standard errors by what fits to simulated recordings are off.
 
     The filter approximates what drivers see, so that the fit of a parameter may be biased, and its likelihood is rough.
@@ -127,13 +125,11 @@ def widened(
         The fit from which the recordings were simulated.
     refitted : sequence of JointFit
         The fits to these recordings.
-    factor : float
-        Factor of what they are off, because there are few of them.
 
     Returns
     -------
     dict of str to float
-        The root mean square of the errors there, times ``factor``, where it is larger.
+        The root mean square of the errors there, where it is larger.
     """
     model, found = fitted.model, dict(stds)
     for k, has in zip(model.shared, model.has.T, strict=True):
@@ -141,7 +137,7 @@ def widened(
         off = [one.model.rows[driver, k] - model.rows[driver, k] for one in refitted]
         if off:
             name = ROW.entries[k]
-            found[name] = max(found[name], factor * float(np.sqrt(np.mean(np.square(off)))))
+            found[name] = max(found[name], float(np.sqrt(np.mean(np.square(off)))))
     return found
 
 

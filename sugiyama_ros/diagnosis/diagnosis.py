@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from sugiyama_ros.diagnosis.addition import Addition
 from sugiyama_ros.diagnosis.adequacy import Adequacy, told
+from sugiyama_ros.diagnosis.bootstrap import widened
 from sugiyama_ros.diagnosis.candidacy import Candidacy
 from sugiyama_ros.diagnosis.discover import Discovery
 from sugiyama_ros.diagnosis.errors import HeldOutErrors, errors_of, held_out_errors
@@ -202,7 +203,8 @@ def diagnose(
     goal : Goal
         What may be added, and what the model is for.
     refit : int
-        Number of fits from nothing to simulated recordings, for the standard errors; 6 or, if ``quick``, 0 by default.
+        Number of fits from nothing to simulated recordings, for the standard errors; 6 or, if ``quick``, 2 by default,
+        but none unless names explain the data.
     workers : int or Executor
         Number of threads; or the executor of a Dask cluster, whose workers then fit the other laws.
     on_progress : callable
@@ -229,25 +231,25 @@ def diagnose(
         _grow(search, goal.most, add_forces=goal.forces and not (quick or verdict_only))
         on_progress("rival models", 0, 1)
         rivals = {name: errors for found in others for name, errors in found.result().items()}
-        runs = search.effort.refits if refit is None else refit
-        refitted = refits(data, search.current, added_to_all(data, search.named), seed, runs, work, on_progress)
         on_progress("finding where the model fails", 0, 1)
-        return _summed_up(search, rivals, refitted, work, began)
+        return _summed_up(search, rivals, refit, work, began, on_progress)
 
 
 def _summed_up(
     search: Search,
     rivals: dict[str, HeldOutErrors],
-    refitted: list[JointFit],
+    refit: int | None,
     work: ThreadPoolExecutor,
     began: float,
+    on_progress: OnStage,
 ) -> Diagnosis:
     """The diagnosis at the end of a search; ``began``: start on the monotonic clock [s]."""
     search.forget()
     compared = ((search.base, search.before), (search.current, search.errors))
     where_before, where_after = (locate(search.data, one.model, e.samples, work) for one, e in compared)
     laws = {name: errors for name, errors in rivals.items() if name in LAWS}
-    found = judged(search, where_after, laws, refitted, work)
+    found = judged(search, where_after, laws, work)
+    refitted = _refitted(search, found.adequacy, refit, work, on_progress)
     return Diagnosis(
         data=search.data,
         base=search.base,
@@ -265,7 +267,7 @@ def _summed_up(
         rivals={name: errors.summary() for name, errors in rivals.items()},
         floor={"floor": found.floor},
         adequacy=found.adequacy,
-        stds=found.evidence.stds,
+        stds=widened(found.evidence.stds, search.current, refitted),
         searched=search.searched,
         bootstrap_runs=search.effort.runs,
         refitted=len(refitted),
@@ -273,6 +275,15 @@ def _summed_up(
         seed=search.seed,
         wall_s=time.monotonic() - began,
     )
+
+
+def _refitted(
+    search: Search, adequacy: Adequacy, refit: int | None, work: ThreadPoolExecutor, on_progress: OnStage
+) -> list[JointFit]:
+    """Fits from nothing to simulated recordings: as many as asked for, else only if the names explain the data."""
+    runs = (search.effort.refits if adequacy.outcome == "explained" else 0) if refit is None else refit
+    effects = added_to_all(search.data, search.named)
+    return refits(search.data, search.current, effects, search.seed, runs, work, on_progress)
 
 
 def _grow(search: Search, most: int, *, add_forces: bool) -> None:

@@ -1,6 +1,6 @@
 """The evidence about the final model of a search, and the judgement that rests on it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -10,11 +10,9 @@ from sugiyama_ros.diagnosis.errors import HeldOutErrors, held_out_errors
 from sugiyama_ros.diagnosis.floor import floor_of
 from sugiyama_ros.diagnosis.law_check import check_laws, open_laws
 from sugiyama_ros.diagnosis.locate import Located
-from sugiyama_ros.diagnosis.refits import factor_of
 from sugiyama_ros.diagnosis.scan import forces_left
 from sugiyama_ros.diagnosis.screen import FULL
 from sugiyama_ros.diagnosis.search import LEVEL, Search
-from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.sandwich import shared_stds
 
 # Probability below which a force that is left speaks by itself against a model; by chance it may gain 20 nats.
@@ -44,7 +42,6 @@ def judged(
     search: Search,
     located: Located,
     laws: Mapping[str, HeldOutErrors],
-    refitted: Sequence[JointFit],
     work: ThreadPoolExecutor,
 ) -> JudgedModel:
     """Judge the final model of a search.
@@ -60,8 +57,6 @@ def judged(
         Where the final model fails.
     laws : mapping of str to HeldOutErrors
         Held-out errors of other laws; without them there is no scan for forces.
-    refitted : sequence of JointFit
-        Fits from nothing to recordings that the final model simulates, as far as there are any.
     work : ThreadPoolExecutor
         Runs the filters.
 
@@ -71,7 +66,6 @@ def judged(
         The judgement.
     """
     stds = shared_stds(search.data, search.current, work)
-    stds = widened(stds, search.current, refitted, factor_of(len(refitted)))
     before = Evidence(search.before, search.errors, search.named, located, laws, forces=(), simulated=(), stds=stds)
     found = _judged(search, before, work, 0)
     is_unexplained = found.adequacy.outcome == "not_explained"

@@ -9,7 +9,6 @@ from concurrent.futures import Executor
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import norm, t
 
 from sugiyama_ros.diagnosis.addition import Addition
 from sugiyama_ros.diagnosis.bootstrap import resample, seeds
@@ -23,9 +22,6 @@ from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.score import filtered_states
 from sugiyama_ros.progress import OnStage
 from sugiyama_ros.workers import at_once
-
-# Upper end of an interval of 95 %.
-_LEVEL = 0.975
 
 
 def fit_from_nothing(data: Recorded, effects: Sequence[Candidate], work: Executor) -> JointFit:
@@ -94,14 +90,6 @@ def refits(
         return fit_from_nothing(resample(data, fitted.model, states, rng), effects, work)
 
     return at_once(one, seeds(seed, runs), "fitting simulated recordings", on_progress)
-
-
-def factor_of(runs: int) -> float:
-    """Return by how much an error from so few runs is multiplied, so that 1.96 of it are an interval of 95 %.
-
-    The square of an error that follows from n runs has n degrees of freedom (Student's t).
-    """
-    return float(t.ppf(_LEVEL, runs) / norm.ppf(_LEVEL)) if runs else 1.0
 
 
 def added_to_all(data: Recorded, additions: Sequence[Addition]) -> list[Candidate]:

@@ -60,7 +60,7 @@ class Effort:
 #: Effort of a diagnosis. Constants that compensate for a missing effect need many steps.
 FULL = Effort(runs=6, looks=6, shortlist=8, later=8, steps=20, renewals=6, refits=6)
 #: Effort of a quick diagnosis.
-QUICK = Effort(runs=2, looks=2, shortlist=4, later=2, steps=8, renewals=1, refits=0)
+QUICK = Effort(runs=2, looks=2, shortlist=4, later=2, steps=8, renewals=1, refits=2)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,15 +8,16 @@ import numpy as np
 
 from sugiyama_ros.diagnosis.bootstrap import widened
 from sugiyama_ros.diagnosis.candidates import named
-from sugiyama_ros.diagnosis.refits import factor_of, fit_from_nothing, refits
+from sugiyama_ros.diagnosis.refits import fit_from_nothing, refits
+from sugiyama_ros.diagnosis.screen import QUICK
 from sugiyama_ros.effects.registry import index_of
 from sugiyama_ros.fit.recording import prepare
 from sugiyama_ros.fit.sandwich import shared_stds
 from sugiyama_ros.studies.hiding import RING_M, STRENGTHS, hide
 from sugiyama_ros.studies.study import Answer, Asked, Row, Study
 
-#: Number of simulated recordings from which standard errors follow.
-REFITS = 4
+#: Number of simulated recordings from which standard errors follow, as in a quick diagnosis.
+REFITS = QUICK.refits
 # A normal error is within this many standard errors in 95 of 100 cases.
 _SURE = 1.96
 
@@ -52,8 +53,7 @@ def found_again(job: tuple[str, int]) -> list[FoundAgain]:
         data = prepare(run.measured)
         hidden = named(data, [effect])
         fitted = fit_from_nothing(data, hidden, work)
-        again = refits(data, fitted, hidden, seed, REFITS, work)
-        stds = widened(shared_stds(data, fitted, work), fitted, again, factor_of(REFITS))
+        stds = widened(shared_stds(data, fitted, work), fitted, refits(data, fitted, hidden, seed, REFITS, work))
     return [
         FoundAgain(
             f"{effect}.{name}", value, float(fitted.model.rows[0, index_of(effect, name)]), stds[f"{effect}.{name}"]

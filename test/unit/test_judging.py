@@ -63,7 +63,7 @@ def judged(monkeypatch, own, biases_of_simulations, left=(), laws=()):
         return [force for force in left if force.p_value < level]
 
     monkeypatch.setattr(judging, "forces_left", forces_left)
-    found = judging.judged(search, with_biases(own.where_after, 0.3), dict(laws), (), None)
+    found = judging.judged(search, with_biases(own.where_after, 0.3), dict(laws), None)
     return found, search.asked
 
 

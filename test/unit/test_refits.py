@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sugiyama_ros.diagnosis.candidates import named
-from sugiyama_ros.diagnosis.refits import added_to_all, factor_of, fit_from_nothing, refits
+from sugiyama_ros.diagnosis.refits import added_to_all, fit_from_nothing, refits
 from sugiyama_ros.driver.parameters import defaults
 from sugiyama_ros.effects.registry import ROW, index_of, switch_on
 from sugiyama_ros.fit.recording import prepare
@@ -37,13 +37,6 @@ def test_the_time_of_a_switch_is_found_again(recording):
     assert fitted.model.rows[0, time] == pytest.approx(SWITCH_S, abs=NEAR_S)
     assert times == pytest.approx([fitted.model.rows[0, time]] * 2, abs=NEAR_S)
     assert times[0] != times[1]
-
-
-def test_errors_from_few_runs_are_larger():
-    """Quantiles of Student's t: 2.447 with 6 degrees of freedom, 1.960 with many."""
-    assert factor_of(6) == pytest.approx(2.447 / 1.960, abs=1e-3)
-    assert factor_of(10_000) == pytest.approx(1.0, abs=1e-3)
-    assert factor_of(0) == 1.0
 
 
 def test_only_what_all_drivers_have_is_fitted_from_nothing(recording):
