@@ -16,6 +16,7 @@ from sugiyama_ros.diagnosis.discover import Discovery
 from sugiyama_ros.diagnosis.errors import HeldOutErrors, errors_of, held_out_errors
 from sugiyama_ros.diagnosis.free_runs import HORIZONS_S
 from sugiyama_ros.diagnosis.judging import judged
+from sugiyama_ros.diagnosis.law_check import closer_laws
 from sugiyama_ros.diagnosis.locate import Located, locate
 from sugiyama_ros.diagnosis.refits import added_to_all, refits
 from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter
@@ -71,6 +72,9 @@ class Diagnosis(Result):
         Candidates that were not added because of what the model is for, and why.
     rivals : dict of str to dict
         Held-out errors of other laws, by name.
+    closer : dict of str to float
+        Errors after 10 s [m] of the laws whose free runs end clearly closer than those of ``final``, the smallest
+        first.
     floor : dict of str to dict
         Errors of ``final`` on recordings that it simulates, under the name ``floor``: no model can do better.
     adequacy : Adequacy
@@ -105,6 +109,7 @@ class Diagnosis(Result):
     smallest: dict[str, float]
     refused: tuple[tuple[str, tuple[str, ...]], ...]
     rivals: dict[str, dict[str, float]]
+    closer: dict[str, float]
     floor: dict[str, dict[str, float]]
     adequacy: Adequacy
     stds: Mapping[str, float]
@@ -265,6 +270,7 @@ def _summed_up(
         smallest=search.smallest,
         refused=tuple(search.refused),
         rivals={name: errors.summary() for name, errors in rivals.items()},
+        closer=closer_laws(search.errors, laws),
         floor={"floor": found.floor},
         adequacy=found.adequacy,
         stds=widened(found.evidence.stds, search.current, refitted),

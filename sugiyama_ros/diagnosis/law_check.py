@@ -85,6 +85,29 @@ def open_laws(data: Recorded, model: HeldOutErrors, laws: Mapping[str, HeldOutEr
     return tuple(dict.fromkeys(found))
 
 
+def closer_laws(model: HeldOutErrors, laws: Mapping[str, HeldOutErrors]) -> dict[str, float]:
+    """Return the laws whose free runs end clearly closer than those of the model, whatever the reason.
+
+    Parameters
+    ----------
+    model : HeldOutErrors
+        Held-out errors of the model.
+    laws : mapping of str to HeldOutErrors
+        Held-out errors of the laws, by name.
+
+    Returns
+    -------
+    dict of str to float
+        Error after 10 s [m] by name, the smallest first.
+    """
+    found = {
+        name: errors.free_run_10s_m
+        for name, errors in laws.items()
+        if log_ratio(model, errors) > math.log(FURTHER) and not model.no_worse_than(errors)
+    }
+    return dict(sorted(found.items(), key=lambda one: one[1]))
+
+
 def check_laws(
     names: Sequence[str], simulations: Sequence[tuple[Recorded, HeldOutErrors]], work: ThreadPoolExecutor
 ) -> dict[str, LawCheck]:

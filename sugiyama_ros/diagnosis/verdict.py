@@ -35,6 +35,7 @@ def document(d: Diagnosis) -> dict[str, Any]:
             "not_searched": [{"name": name, "reason": reason} for name, reason in not_searched(d.data).items()],
             "refused": [{"name": name, "reasons": list(why)} for name, why in d.refused],
             "none_detectable": not d.named,
+            "closer_laws": d.closer,
             "discovered": [
                 {
                     "covariate": one.covariate,
@@ -218,6 +219,9 @@ def sentences(d: Diagnosis) -> list[str]:
                 f"  Only vehicle {names} shows it." if len(which) == 1 else f"  Only vehicles {names} show it."
             )
     lines += _not_certain(d)
+    if d.closer:
+        laws = ", ".join(f"those of {name} {error:.3g} m" for name, error in list(d.closer.items())[:_WORST])
+        lines.append(f"After 10 s, free runs of the model are {d.after.free_run_10s_m:.3g} m off, {laws}.")
     lines += [f"In use it is worse than the base model: {one}." for n in d.named[-1:] for one in n.worse[:_WORST]]
     left_out = not_searched(d.data)
     if left_out and not d.data.vicinity.is_whole_road:

@@ -14,7 +14,7 @@ from sugiyama_ros.diagnosis.diagnosis import diagnose
 from sugiyama_ros.diagnosis.discover import Discovery
 from sugiyama_ros.diagnosis.errors import errors_of, held_out_errors
 from sugiyama_ros.diagnosis.innovations import correlation_says
-from sugiyama_ros.diagnosis.law_check import LawCheck, check_laws, open_laws
+from sugiyama_ros.diagnosis.law_check import LawCheck, check_laws, closer_laws, open_laws
 from sugiyama_ros.diagnosis.rivals import start_of
 from sugiyama_ros.diagnosis.verdict import document, sentences
 from sugiyama_ros.driver.parameters import defaults
@@ -192,6 +192,23 @@ def test_a_law_whose_free_runs_end_closer_speaks_against_the_model_unless_simula
     assert found.reasons[0].startswith("free runs of closer end closer: ")
     checks = {"closer": LawCheck((0.0, 0.0), (1.0, 1.2))}
     assert judge(own.data, evidence_of(own, laws={"closer": closer}, checks=checks)).outcome == "adequate"
+
+
+def test_laws_whose_free_runs_end_clearly_closer_are_told_whatever_the_reason(own):
+    runs = own.after.runs
+
+    def law(factor):
+        return replace(own.after, runs=replace(runs, coupled=runs.coupled * factor, single=runs.single * factor))
+
+    found = closer_laws(own.after, {"near": law(0.95), "second": law(0.6), "first": law(0.3), "far": law(2.0)})
+    assert list(found) == ["first", "second"]
+    assert found["first"] == pytest.approx(0.3 * own.after.free_run_10s_m)
+    told_of = "\n".join(sentences(replace(own, closer=found)))
+    assert (
+        f"free runs of the model are {own.after.free_run_10s_m:.3g} m off, those of first {found['first']:.3g} m"
+        in told_of
+    )
+    assert "free runs of the model" not in "\n".join(sentences(replace(own, closer={})))
 
 
 def test_a_law_that_predicts_as_well_speaks_against_the_model_where_simulations_know_better(own):
