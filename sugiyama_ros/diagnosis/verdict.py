@@ -220,7 +220,7 @@ def sentences(d: Diagnosis) -> list[str]:
             )
     lines += _not_certain(d)
     if d.closer:
-        laws = ", ".join(f"those of {name} {error:.3g} m" for name, error in list(d.closer.items())[:_WORST])
+        laws = ", ".join(f"those of {name} {error:.3g} m" for name, error in d.closer.items())
         lines.append(f"After 10 s, free runs of the model are {d.after.free_run_10s_m:.3g} m off, {laws}.")
     lines += [f"In use it is worse than the base model: {one}." for n in d.named[-1:] for one in n.worse[:_WORST]]
     left_out = not_searched(d.data)
