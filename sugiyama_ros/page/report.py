@@ -12,7 +12,7 @@ from bokeh.resources import Resources
 from sugiyama_ros.outputs import Target, writing
 from sugiyama_ros.page import html
 from sugiyama_ros.page.card import card, name_of
-from sugiyama_ros.page.critic import beside_the_verdict
+from sugiyama_ros.page.critic import beside_the_verdict, preferred
 from sugiyama_ros.page.panels import drivers, measured, missing, space_time, truth, worth
 from sugiyama_ros.page.panels.bias import bias_maps
 from sugiyama_ros.page.panels.chosen import Chosen
@@ -147,8 +147,8 @@ def _drivers(r: Recording, d: Mapping[str, Any] | None, chosen: Chosen) -> Secti
         text += f"<p>Changes of style that were noticed (triangles): {len(r.changes)}.</p>"
     if r.weights:
         panels += [drivers.error_over_time(r), drivers.weights(r, d or {})]
-        best = max(r.weights, key=lambda name: float(np.nan_to_num(r.weights[name][-1])))
-        text += f"<p>{escape(beside_the_verdict(d, best, r.added))}</p>"
+        best, lead = preferred(r.weights)
+        text += f"<p>{escape(beside_the_verdict(d, best, r.added, lead))}</p>"
     else:
         panels.append(drivers.error_over_time(r))
     return Section("drivers", "The drivers", text, panels, "side four" if len(panels) % 4 == 0 else "side")

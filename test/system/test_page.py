@@ -30,7 +30,7 @@ from sugiyama_ros.errors import InputError, OutputError
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.nodes.base import environment
 from sugiyama_ros.page import live
-from sugiyama_ros.page.critic import WHY, beside_the_verdict
+from sugiyama_ros.page.critic import WHY, beside_the_verdict, preferred
 from sugiyama_ros.page.diagnosis import read_diagnosis
 from sugiyama_ros.page.feed import KEPT, Log, Status
 from sugiyama_ros.page.found import Found, found_in
@@ -881,7 +881,10 @@ def test_a_page_shows_a_critic_whose_models_change():
     document = Document()
     live.page(feed)(document)
     told = " ".join(div.text for div in document.select({"type": Div}))
-    assert "settled among the models that this critic knows: look past the leader leads." in told
+    assert (
+        "settled among the models that this critic knows: look past the leader leads by 3 nats only, which may be"
+        in told
+    )
     # why a diagnosis may find something else; all effects that can be added are known to this critic
     assert WHY in told
     assert "does not know" not in told
@@ -891,6 +894,15 @@ def test_a_page_shows_a_critic_whose_models_change():
         "drag": [7.0],
         "second_leader": [2.0, 3.0],
     }
+
+
+def test_a_small_lead_of_the_critic_may_be_chance():
+    best, lead = preferred({"base": np.array([1.0, 0.03]), "drag": np.array([0.0, 0.97])})
+    assert (best, lead) == ("drag", pytest.approx(3.476, abs=1e-3))
+    assert "finds nothing clearly missing: drag leads by 3 nats, which may be chance." in beside_the_verdict(
+        None, best, (), lead
+    )
+    assert preferred({"base": np.array([0.0]), "drag": np.array([1.0])}) == ("drag", np.inf)
 
 
 @pytest.mark.parametrize(

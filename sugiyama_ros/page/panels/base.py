@@ -32,6 +32,8 @@ SINGLE = np.float32
 _LANE_M = 3.5
 #: Height of a panel [pixels].
 HEIGHT = 320
+# Number of characters that a row of a legend has room for above a narrow picture.
+_WIDEST = 54
 _TOOLS = "pan,wheel_zoom,box_zoom,reset,save"
 
 
@@ -118,9 +120,11 @@ def legend_above(plot: Any) -> None:
     legend = plot.legend[0]
     legend.click_policy = "hide"
     legend.orientation = "horizontal"
-    legend.ncols = 3 if len(legend.items) > 3 else "auto"
+    longest = max(len(item.label.value) for item in legend.items)
+    legend.ncols = max(1, _WIDEST // longest) if len(legend.items) > 3 else "auto"
     legend.label_text_font_size = "12px"
     legend.label_text_color = GREY
     legend.background_fill_color = legend.border_line_color = None
-    legend.padding, legend.spacing, legend.margin = 2, 6, 0
+    legend.padding, legend.spacing, legend.margin = 2, 6 if legend.ncols == "auto" else 1, 0
+    legend.glyph_height = legend.label_height = 14
     plot.add_layout(legend, "above")
