@@ -230,12 +230,12 @@ def test_the_document_has_what_a_page_needs(hidden):
 
 def test_only_the_candidates_that_were_asked_for_are_added(hidden):
     run, _ = hidden
-    asked = {"quick": True, "most": 1, "workers": 1, "seed": 3, "verdict_only": True}
-    d = diagnose(run.measured, goal=Goal(("gap_offset",)), **asked)
+    asked = {"quick": True, "workers": 1, "seed": 3, "verdict_only": True}
+    d = diagnose(run.measured, goal=Goal(("gap_offset",), most=1), **asked)
     assert d.searched == ("gap_offset",)
     assert {one.name for one in d.named} <= {"gap_offset"}
     with pytest.raises(InputError, match="magic"):
-        diagnose(run.measured, goal=Goal(("magic",)), **asked)
+        diagnose(run.measured, goal=Goal(("magic",), most=1), **asked)
 
 
 def test_the_same_seed_gives_the_same_verdict(hidden):
