@@ -718,6 +718,7 @@ def check_live_layout(page):
             assert not np.any((across > 1.0) & (along > 1.0)), (width, boxes[k])
 
 
+@pytest.mark.slow
 def test_every_control_of_the_live_page(browser, recorded, tmp_path):
     arguments = (recorded.parent / "sim.mcap", "--rate", 1, "-o", tmp_path / "live.mcap")
     with live_page(browser, *arguments) as page:
@@ -762,6 +763,7 @@ def test_every_control_of_the_live_page(browser, recorded, tmp_path):
         assert page.get_by_text(re.compile("sugiyama report .* --open")).is_visible()
 
 
+@pytest.mark.slow
 def test_a_live_page_shows_any_graph_that_runs_in_its_domain(browser, recorded, tmp_path, monkeypatch):
     for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_DOMAIN_ID"):
         monkeypatch.setenv(name, "")
@@ -812,6 +814,7 @@ def test_the_live_page_streams_and_its_buttons_call_the_services(browser, record
     assert "reaction_delay.delay" not in names[0]
 
 
+@pytest.mark.slow
 def test_adding_the_true_effect_lowers_the_error_on_the_page(browser, tmp_path):
     # cars of limited power, measured so well that the model causes the one-step error: 0.110 m, 0.100 m with the effect
     settings = ("--effect", "limited_power:power=10", "--set", "sigma_nu=0.03", "--set", "sigma_a=0.15")
