@@ -53,6 +53,7 @@ def test_nothing_of_the_measured_experiment_is_lost(recorded):
     assert [d["vehicle"] for d in result["drivers"]] == list(range(22))
 
 
+@pytest.mark.slow
 @measured
 def test_nothing_is_lost_between_processes(recorded, tmp_path):
     _, alone = recorded
