@@ -14,7 +14,7 @@ from sugiyama_ros.diagnosis import compare as comparison
 from sugiyama_ros.diagnosis import diagnosis
 from sugiyama_ros.diagnosis.compare import Comparison
 from sugiyama_ros.diagnosis.diagnosis import Diagnosis
-from sugiyama_ros.diagnosis.use import FEW_ADDITIONS, Goal
+from sugiyama_ros.diagnosis.use import FEW_ADDITIONS, MANY_ADDITIONS, Goal
 from sugiyama_ros.driver.parameters import defaults
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
@@ -314,7 +314,7 @@ def diagnose(
             trajectories,
             seed=seed,
             quick=quick,
-            goal=Goal(forces=add is not None, most=8 if add else FEW_ADDITIONS),
+            goal=Goal(forces=add is not None, most=MANY_ADDITIONS if add else FEW_ADDITIONS),
             refit=refit,
             workers=os.cpu_count() or 1,
             on_progress=advance,

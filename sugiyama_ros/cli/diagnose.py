@@ -78,13 +78,13 @@ def diagnose(options: DiagnoseOptions) -> None:
     to_write = model_output(options.output, options.overwrite, options.sources)
     from sugiyama_ros.diagnosis import tables
     from sugiyama_ros.diagnosis.diagnosis import diagnose as find
-    from sugiyama_ros.diagnosis.use import FEW_ADDITIONS, Goal, purpose_of
+    from sugiyama_ros.diagnosis.use import FEW_ADDITIONS, MANY_ADDITIONS, Goal, purpose_of
     from sugiyama_ros.diagnosis.verdict import document, sentences
     from sugiyama_ros.fit.model_file import write_model
     from sugiyama_ros.formats.registry import read_recordings
     from sugiyama_ros.workers import helpers
 
-    most = 8 if options.add else FEW_ADDITIONS
+    most = MANY_ADDITIONS if options.add else FEW_ADDITIONS
     goal = Goal(only=chosen or (), forces=chosen == (), purpose=purpose_of(options.purpose), most=most)
     recording = read_recordings(options.sources, options.ring)
     print_warnings(recording)

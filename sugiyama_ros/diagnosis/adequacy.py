@@ -20,7 +20,7 @@ from sugiyama_ros.diagnosis.coarseness import rounding_says, sampling_says
 from sugiyama_ros.diagnosis.discover import Discovery
 from sugiyama_ros.diagnosis.errors import HeldOutErrors
 from sugiyama_ros.diagnosis.innovations import correlation_says, spread_says
-from sugiyama_ros.diagnosis.law_check import CLEARLY, FURTHER, LEVEL_OF_LAWS, LawCheck, log_ratio
+from sugiyama_ros.diagnosis.law_check import CLEARLY, LEVEL_OF_LAWS, LawCheck, closer_laws, log_ratio
 from sugiyama_ros.diagnosis.locate import Located, locate
 from sugiyama_ros.effects.registry import EFFECTS
 from sugiyama_ros.fit.cross_validation import Gain, gain, sum_error
@@ -231,18 +231,13 @@ def _free_runs_say(evidence: Evidence) -> list[str]:
 
     Free runs of a law that damps waves may end closer than free runs of the right model.
     """
-    own = evidence.final.free_run_10s_m
-    errors = {}
-    for law, check in evidence.checks.items():
-        other = evidence.laws[law]
-        ratio = log_ratio(evidence.final, other)
-        is_closer = ratio > math.log(FURTHER) and not evidence.final.no_worse_than(other)
-        if is_closer and check.p_of_ratio(ratio) < LEVEL_OF_LAWS:
-            errors[law] = other.free_run_10s_m
-    best = min(errors, key=lambda name: errors[name], default=None)
-    return (
-        [f"free runs of {best} end closer: {errors[best]:.2g} m off after 10 s instead of {own:.2g} m"] if best else []
-    )
+    model = evidence.final
+    closer = closer_laws(model, {law: evidence.laws[law] for law in evidence.checks})
+    return [
+        f"free runs of {law} end closer: {error:.2g} m off after 10 s instead of {model.free_run_10s_m:.2g} m"
+        for law, error in closer.items()
+        if evidence.checks[law].p_of_ratio(log_ratio(model, evidence.laws[law])) < LEVEL_OF_LAWS
+    ][:1]
 
 
 def _bins_p_value(evidence: Evidence) -> float | None:

@@ -1,5 +1,7 @@
 """What a missing force may depend on: what a driver has around them now, and what they did some seconds ago."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
@@ -45,7 +47,7 @@ def covariates_of(data: Recorded, state: Array) -> dict[str, Array]:
     return {**{name: values[:, :drivers] for name, values in found.items()}, "time": around.time_s}
 
 
-def further_covariates(data: Recorded, state: Array) -> dict[str, Array]:
+def further_covariates(data: Recorded, state: Array, seen: Mapping[str, Array]) -> dict[str, Array]:
     """Return what else a force may depend on.
 
     Parameters
@@ -54,6 +56,8 @@ def further_covariates(data: Recorded, state: Array) -> dict[str, Array]:
         The recording.
     state : ndarray, shape (T, V, 4)
         Filtered states.
+    seen : mapping of str to ndarray, shape (T, N)
+        What ``covariates_of`` returns.
 
     Returns
     -------
@@ -62,14 +66,14 @@ def further_covariates(data: Recorded, state: Array) -> dict[str, Array]:
         ahead and of the driver's own car in the last period. NaN where unknown.
     """
     around, drivers = data.vicinity, data.drivers
-    leader, own = around.leader, covariates_of(data, state)
+    leader = around.leader
     v, acceleration = state[:, :, 1], state[:, :, 2] + state[:, :, 3]
     ahead, speeds = v, []
     for _ in range(_FLOW):
         ahead = _ahead(ahead, leader)
         speeds.append(ahead)
     return {
-        "time_gap": np.minimum(own["gap"] / np.maximum(own["speed"], _MOVING), _LONGEST_S),
+        "time_gap": np.minimum(seen["gap"] / np.maximum(seen["speed"], _MOVING), _LONGEST_S),
         "flow_approach_rate": (v - np.mean(speeds, axis=0))[:, :drivers],
         "leader_acceleration": _ahead(acceleration, leader)[:, :drivers],
         "acceleration": acceleration[:, :drivers],

@@ -23,6 +23,15 @@ _FACTORS = (0.8, 0.9, 0.95, 1.05, 1.1, 1.25)
 _WORTH = 1.0
 
 
+def converged(data: Recorded, near: JointFit, candidate: Candidate, work: Executor) -> JointFit:
+    """Fit a model with a candidate to the end, with its own parameters for the drivers ahead, from a nearby fit.
+
+    Arguments as for ``best_placed``, which follows.
+    """
+    model = replace(near.model, ahead=near.model.rows)
+    return best_placed(data, warm_start(data, near, model, work, renewals=FULL.renewals), candidate, work)
+
+
 def best_placed(data: Recorded, fitted: JointFit, candidate: Candidate, work: Executor) -> JointFit:
     """Search again from the best place, time and strength around those of a fit, and keep the better of both fits.
 

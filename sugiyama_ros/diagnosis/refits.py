@@ -6,17 +6,16 @@ be biased, and its error larger than the width of the likelihood says.
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
-from dataclasses import replace
 
 import numpy as np
 
 from sugiyama_ros.diagnosis.addition import Addition
 from sugiyama_ros.diagnosis.bootstrap import resample, seeds
 from sugiyama_ros.diagnosis.candidates import Candidate, candidates
-from sugiyama_ros.diagnosis.placing import best_placed
-from sugiyama_ros.diagnosis.screen import FULL, with_candidate
+from sugiyama_ros.diagnosis.placing import converged
+from sugiyama_ros.diagnosis.screen import with_candidate
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
-from sugiyama_ros.fit.joint import JointFit, warm_start
+from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.population import fit_base
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.score import filtered_states
@@ -43,9 +42,7 @@ def fit_from_nothing(data: Recorded, effects: Sequence[Candidate], work: Executo
     """
     fitted = fit_base(data, data.even.individual(V_STAR, KAPPA_V), work)
     for effect in effects:
-        near = with_candidate(data, fitted, effect, work)
-        near = warm_start(data, near, replace(near.model, ahead=near.model.rows), work, renewals=FULL.renewals)
-        fitted = best_placed(data, near, effect, work)
+        fitted = converged(data, with_candidate(data, fitted, effect, work), effect, work)
     return fitted
 
 

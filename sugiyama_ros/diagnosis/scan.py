@@ -179,7 +179,8 @@ def scan(data: Recorded, fitted: JointFit, work: Executor, only: Sequence[str] =
 def _bases(data: Recorded, states: Array) -> Iterator[_Basis]:
     """All curves that are tried."""
     around = data.vicinity
-    seen = covariates_of(data, states) | further_covariates(data, states)
+    seen = covariates_of(data, states)
+    seen |= further_covariates(data, states, seen)
     if not around.is_whole_road:
         del seen["time"]
     tried = [(name, values, 0.0) for name, values in seen.items()]

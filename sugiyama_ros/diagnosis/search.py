@@ -28,13 +28,13 @@ from sugiyama_ros.diagnosis.errors import HeldOutErrors, held_out_errors
 from sugiyama_ros.diagnosis.few import who_shows
 from sugiyama_ros.diagnosis.few_screen import ShownByFew, fits_of_few, shown_by_few
 from sugiyama_ros.diagnosis.glance import best_forms, worth_screening
-from sugiyama_ros.diagnosis.placing import best_placed
+from sugiyama_ros.diagnosis.placing import converged
 from sugiyama_ros.diagnosis.push import push_candidate
 from sugiyama_ros.diagnosis.screen import FULL, QUICK, Screened, closer, forecast, refine, screen, screen_again
 from sugiyama_ros.diagnosis.telling_apart import indistinguishable
 from sugiyama_ros.diagnosis.use import ANYTHING, Goal, LastPart, last_part, worse_where
 from sugiyama_ros.fit.cross_validation import Gain, gain, held_out_nearly
-from sugiyama_ros.fit.joint import JointFit, rise, warm_start
+from sugiyama_ros.fit.joint import JointFit, rise
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.score import filtered_states
 from sugiyama_ros.progress import OnStage
@@ -48,8 +48,8 @@ _SHARE = 0.3
 _RIVAL = 0.5
 # Number of candidates that are screened again after the first round.
 _LATER_LOOKS = 8
-#: Number of steps of a search that starts at the truth.
-FEW_STEPS = 4
+# Number of steps of a search that starts at the truth.
+_FEW_STEPS = 4
 
 
 class Search:
@@ -257,8 +257,7 @@ class Search:
         """The model with a candidate, fitted in full; None if its held-out gain is below ``least_gain``."""
         data, work, before = self.data, self._work, self.errors
         # what is named has converged, also in a quick search
-        grown = warm_start(data, fitted, replace(fitted.model, ahead=fitted.model.rows), work, renewals=FULL.renewals)
-        grown = best_placed(data, grown, candidate, work)
+        grown = converged(data, fitted, candidate, work)
         after = held_out_errors(data, grown, work, searched=not self.quick)
         won = gain(data, after.samples, before.samples)
         if won.nats < least_gain(won, candidate):
@@ -342,7 +341,7 @@ class Search:
             states = filtered_states(self.data, self.current.model, self._work)
 
             def one_run(rng: np.random.Generator) -> tuple[Recorded, JointFit]:
-                return resampled_fit(self.data, self.current, states, rng, self._work, FEW_STEPS)
+                return resampled_fit(self.data, self.current, states, rng, self._work, _FEW_STEPS)
 
             rngs = seeds(self.seed + len(self.named), wanted)[len(self._simulated) :]
             self._simulated += at_once(one_run, rngs, "simulating the current model", self._on_progress)

@@ -34,8 +34,8 @@ _STANDING, _SLOW = 0.5, 0.5
 _FEWEST = 20
 _STEPS = 6
 
-#: Number of effects that a diagnosis adds at most, unless more are asked for.
-FEW_ADDITIONS = 3
+#: Number of effects that a diagnosis adds at most: by default, and if additions are asked for.
+FEW_ADDITIONS, MANY_ADDITIONS = 3, 8
 
 
 @dataclass(frozen=True)

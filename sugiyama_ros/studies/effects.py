@@ -10,7 +10,7 @@ from sugiyama_ros.diagnosis.bootstrap import widened
 from sugiyama_ros.diagnosis.candidates import named
 from sugiyama_ros.diagnosis.refits import fit_from_nothing, refits
 from sugiyama_ros.diagnosis.screen import QUICK
-from sugiyama_ros.effects.registry import index_of
+from sugiyama_ros.effects.registry import ROW, index_of
 from sugiyama_ros.fit.recording import prepare
 from sugiyama_ros.fit.sandwich import shared_stds
 from sugiyama_ros.studies.hiding import RING_M, STRENGTHS, hide
@@ -63,10 +63,10 @@ def found_again(job: tuple[str, int]) -> list[FoundAgain]:
     ]
 
 
-def _errors(found: FoundAgain) -> float:
+def _standardised(found: FoundAgain) -> float:
     """The error of a fit over its standard error; a place counts around the ring."""
     error = found.value - found.truth
-    if found.name.endswith(".centre"):
+    if ROW.declared[ROW.entries.index(found.name)].axis == "place":
         error -= RING_M * round(error / RING_M)
     return error / found.std
 
@@ -81,7 +81,7 @@ def _answer(asked: Asked) -> Answer:
     found: dict[str, list[FoundAgain]] = defaultdict(list)
     for one in (one for several in asked.work.map(found_again, jobs) for one in several):
         found[one.name].append(one)
-    z = {name: np.array([_errors(one) for one in several]) for name, several in found.items()}
+    z = {name: np.array([_standardised(one) for one in several]) for name, several in found.items()}
     rows: list[Row] = [
         {
             "parameter": name,

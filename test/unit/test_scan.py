@@ -90,7 +90,8 @@ def test_what_simulations_show_as_well_is_not_missing(work):
 def test_what_is_around_a_driver(plain, work):
     data, fit = plain
     state = filtered_states(data, fit.model, work)
-    seen = covariates_of(data, state) | further_covariates(data, state)
+    seen = covariates_of(data, state)
+    seen |= further_covariates(data, state, seen)
     assert {values.shape for values in seen.values()} == {(data.samples, CARS)}
     # on a ring, column i follows column i + 1
     for name, of_next in (("rear_gap", "gap"), ("rear_approach_rate", "approach_rate")):
