@@ -15,8 +15,13 @@ WHY = (
     " a diagnosis compares all effects on data that no fit has seen"
 )
 
-#: A lead over the base model [nats] that chance and the filter's approximations may bring.
-CHANCE_NATS = 10.0
+# A lead over the base model [nats] that chance and the filter's approximations may bring.
+_CHANCE_NATS = 10.0
+
+
+def may_be_chance(best: str, lead: float) -> bool:
+    """Return whether chance may bring the lead [nats] of a model over the base model."""
+    return best != "base" and lead < _CHANCE_NATS
 
 
 def preferred(weights: Mapping[str, Array]) -> tuple[str, float]:
@@ -50,7 +55,7 @@ def beside_the_verdict(d: Document | None, best: str, added: Collection[str], le
     words = partial(title_of, d or {})
     had = f", beyond what the estimators had already ({', '.join(map(words, added))})" if added else ""
     text = f"The critic of this run finds {'nothing' if best == 'base' else words(best)} missing{had}."
-    if best != "base" and lead < CHANCE_NATS:
+    if may_be_chance(best, lead):
         by_chance = f"{words(best)} leads by {lead:.0f} nats, which may be chance"
         text = f"The critic of this run finds nothing clearly missing{had}: {by_chance}."
         best = "base"

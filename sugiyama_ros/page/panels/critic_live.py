@@ -7,7 +7,7 @@ import numpy as np
 from bokeh.models import ColumnDataSource, DataRange1d, Div
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.page.critic import CHANCE_NATS, WHY
+from sugiyama_ros.page.critic import WHY, may_be_chance
 from sugiyama_ros.page.feed import KEPT, Feed, Log
 from sugiyama_ros.page.panels.base import COLOURS, panel
 
@@ -60,8 +60,7 @@ class CriticPanel:
         )
         # the critic's own words: which model is best, and whether that has settled, is in its message
         best, lead = escape(title(feed, feed.best)), feed.gains.get(feed.best, 0.0)
-        by_chance = feed.best != "base" and lead < CHANCE_NATS
-        only = f" by {lead:.0f} nats only, which may be chance" if by_chance else ""
+        only = f" by {lead:.0f} nats only, which may be chance" if may_be_chance(feed.best, lead) else ""
         gains = f"Gains over the base model: {names} nats."
         self.text.text = f"The critic is {settled}: {best} leads{only}. {gains}{self._not_known()}"
 
