@@ -9,7 +9,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from sugiyama_ros.diagnosis.candidates import Candidate
-from sugiyama_ros.diagnosis.chance import COMMON, spread_of_next
+from sugiyama_ros.diagnosis.chance import COMMON, of_best, spread_of_next
 from sugiyama_ros.diagnosis.screen import Effort, Screened, closer, screen
 from sugiyama_ros.effects.registry import effect
 from sugiyama_ros.fit.joint import JointFit
@@ -103,7 +103,7 @@ class NullGains:
         look : Screened
             The rough fit of the candidate.
         rivals : int
-            Number of candidates, for Bonferroni's correction.
+            Number of candidates, for the correction of the p-value.
 
         Returns
         -------
@@ -132,7 +132,7 @@ class NullGains:
             gain=look.gain,
             expected=expected,
             spread=spread,
-            p_value=min(1.0, rivals * p_alone),
+            p_value=of_best(p_alone, rivals),
             p_alone=p_alone,
             refined=False,
         )

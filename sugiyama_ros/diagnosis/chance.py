@@ -35,6 +35,24 @@ def spread_of_next(by_chance: Array, common: float) -> tuple[float, int]:
     return math.sqrt((squares + COMMON * common**2) / freedom * (1.0 + 1.0 / runs)), freedom
 
 
+def of_best(p_alone: float, tests: float) -> float:
+    """Return the probability that the smallest of independent p-values is as small (Šidák's correction).
+
+    Parameters
+    ----------
+    p_alone : float
+        The smallest p-value.
+    tests : float
+        Number of p-values.
+
+    Returns
+    -------
+    float
+        The probability; uniform by chance, and at most ``tests * p_alone``, Bonferroni's correction.
+    """
+    return -math.expm1(tests * math.log1p(-p_alone)) if p_alone < 1.0 else 1.0
+
+
 def p_value_of(value: float, by_chance: Sequence[float], common: float) -> float:
     """Return the probability of a value as large by chance; parameters as for ``spread_of_next``."""
     known = np.array(by_chance)

@@ -9,6 +9,7 @@ from scipy.stats import ncx2
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.candidates import Candidate
+from sugiyama_ros.diagnosis.chance import of_best
 from sugiyama_ros.diagnosis.covariates import covariates_of
 from sugiyama_ros.diagnosis.screen import FULL, Effort, Screened, screen
 from sugiyama_ros.effects.discovered_force import COVARIATES, KNOTS
@@ -90,7 +91,7 @@ def discover(
     Yields
     ------
     (Discovery, Screened)
-        A force with its rough fit. Bonferroni's correction applies to the p-value.
+        A force with its rough fit. The p-value is corrected for the number of forces.
     """
     seen = covariates_of(data, filtered_states(data, fitted.model, work))
     around = data.vicinity
@@ -191,4 +192,4 @@ def p_value_of_force(gain: float, free: int, tests: int, simulated: Sequence[flo
         chance.
     """
     beyond = max(2.0 * float(np.mean(simulated)) / _INFLATION - free, 0.0) if len(simulated) else 0.0
-    return min(1.0, tests * float(ncx2.sf(2.0 * max(gain, 0.0) / _INFLATION, free, beyond)))
+    return of_best(float(ncx2.sf(2.0 * max(gain, 0.0) / _INFLATION, free, beyond)), tests)

@@ -18,6 +18,7 @@ from scipy.stats import chi2
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.candidacy import LEAST_GAIN
 from sugiyama_ros.diagnosis.candidates import Candidate, added
+from sugiyama_ros.diagnosis.chance import of_best
 from sugiyama_ros.diagnosis.response import predicted, predicted_by_driver
 from sugiyama_ros.diagnosis.screen import joined
 from sugiyama_ros.effects.registry import EFFECTS, index_of
@@ -60,7 +61,7 @@ class Few:
     def p_value(self, rise: float, parameters: int, candidates: int) -> float:
         """Return the probability of a gain [nats] by chance, corrected for the choice among drivers and candidates."""
         alone = float(chi2.sf(2.0 * max(rise, 0.0) / _INFLATION, parameters))
-        return min(1.0, candidates * math.exp(self.cost / _INFLATION) * alone)
+        return of_best(alone, candidates * math.exp(self.cost / _INFLATION))
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +156,7 @@ def fit_few(
     few : Few
         The drivers.
     candidates : int
-        Number of candidates, for Bonferroni's correction.
+        Number of candidates, for the correction of the p-value.
     work : Executor
         Runs the filters.
 

@@ -103,7 +103,7 @@ def fits_of_few(
     shown : sequence of ShownByFew
         The effects, each with its drivers.
     candidates : int
-        Number of effects among which these were chosen, for Bonferroni's correction.
+        Number of effects among which these were chosen, for the correction of the p-value.
     work : Executor
         Runs the filters.
     on_progress : callable

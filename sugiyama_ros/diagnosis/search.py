@@ -40,7 +40,7 @@ from sugiyama_ros.fit.score import filtered_states
 from sugiyama_ros.progress import OnStage
 from sugiyama_ros.workers import at_once
 
-#: Level of significance, after Bonferroni's correction.
+#: Level of significance, after the correction for the number of candidates.
 LEVEL = 0.05
 # A candidate with more than this share of the best gain is fitted in full.
 _SHARE = 0.3
