@@ -95,6 +95,8 @@ class Evidence:
         What other laws do in recordings that the final model simulates, by name.
     own : sequence of HeldOutErrors
         Held-out errors of the final model in recordings that it simulates.
+    refused : sequence of str
+        Names of what predicts better, and was not added because of what the model is for.
     """
 
     base: HeldOutErrors
@@ -107,6 +109,7 @@ class Evidence:
     stds: Mapping[str, float] = field(default_factory=dict)
     checks: Mapping[str, LawCheck] = field(default_factory=dict)
     own: Sequence[HeldOutErrors] = ()
+    refused: Sequence[str] = ()
 
 
 def judge(data: Recorded, evidence: Evidence) -> Adequacy:
@@ -142,6 +145,7 @@ def judge(data: Recorded, evidence: Evidence) -> Adequacy:
         f"a force that depends on {force.shown} is missing, by {force.strength:.2g} m/s² ({force.gain_nats:.0f} nats)"
         for force in evidence.forces[:1]
     ]
+    reasons += [f"{name} predicts better, but makes worse what the model is for" for name in evidence.refused]
     outcome: Outcome = "not_explained" if reasons else "explained" if evidence.named else "adequate"
     return Adequacy(
         outcome=outcome,

@@ -66,7 +66,8 @@ def judged(
         The judgement.
     """
     stds = shared_stds(search.data, search.current, work)
-    before = Evidence(search.before, search.errors, search.named, located, laws, forces=(), simulated=(), stds=stds)
+    refused = [name for name, _ in search.refused]
+    before = Evidence(search.before, search.errors, search.named, located, laws, (), (), stds, refused=refused)
     found = _judged(search, before, work, 0)
     is_unexplained = found.adequacy.outcome == "not_explained"
     if search.quick and is_unexplained and judge(search.data, before).outcome != "not_explained":

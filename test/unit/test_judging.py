@@ -36,7 +36,7 @@ def with_biases(located, bias):
 class SearchEnd:
     """A search at its end, whose simulations are numbers."""
 
-    quick, named = True, ()
+    quick, named, refused = True, (), ()
     current = JointFit(Model(np.zeros((CARS, ROW.width)), (), (), (), np.zeros((CARS, ROW.width))), None, ())
 
     def __init__(self, d):
@@ -90,6 +90,13 @@ def test_no_further_simulations_where_a_law_speaks_against_the_model(monkeypatch
     found, asked = judged(monkeypatch, own, [0.05, 0.05], [force], laws)
     assert (found.adequacy.better_law, asked) == ("law", [0, 0])
     assert found.evidence.forces == [force]
+
+
+def test_a_model_is_not_adequate_where_something_was_refused(monkeypatch, own):
+    monkeypatch.setattr(SearchEnd, "refused", (("drag", ("free runs of 2 s into the last part end further off",)),))
+    found, _ = judged(monkeypatch, own, [0.3, 0.3])
+    assert found.adequacy.outcome == "not_explained"
+    assert found.adequacy.reasons == ("drag predicts better, but makes worse what the model is for",)
 
 
 def test_a_force_speaks_against_a_model_to_which_nothing_was_added(monkeypatch, own):

@@ -1,6 +1,6 @@
 """All recordings of the benchmark: scene, drivers, what is hidden, and which answers are right."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -40,6 +40,7 @@ SCENES = {
     "missing samples": _RING,
     "smoothed 10 Hz": Setup(drivers=8, ring_m=0.0, duration_s=100.0, period_s=0.1),
 }
+_CAMERAS: dict[str, tuple[Builder, ...]] = {"missing samples": (MISSING,), "smoothed 10 Hz": (SMOOTHED,)}
 _TOGETHER = {
     "drag, slow patch, outliers": ("drag", "slow patch", "outliers"),
     "grade, drift, second leader": ("grade", "drift", "second leader in the utility"),
@@ -102,8 +103,9 @@ class Pair:
 def cases(part: str) -> list[Case]:
     """Return the cases of a part of the benchmark."""
     if part == "conditions":
-        faults = {"missing samples": (MISSING,), "smoothed 10 Hz": (SMOOTHED,)}
-        return [Case(part, name, scene, faults.get(name, ())) for name, scene in SCENES.items()]
+        return [Case(part, name, scene, _CAMERAS.get(name, ())) for name, scene in SCENES.items()]
+    if part == "elsewhere":
+        return list(_elsewhere())
     if part == "mechanisms":
         return [
             Case(part, name, _WIDE if name == "delay of 0.5 s" else _RING, (build,), right)
@@ -125,8 +127,17 @@ def cases(part: str) -> list[Case]:
     return [Case(part, name, _RING, (build,), right) for name, (build, right) in FAULTS.items()]
 
 
+def _elsewhere() -> Iterator[Case]:
+    """Each mechanism in each other scene; the first ones have all mechanisms and all scenes."""
+    away = [name for name in SCENES if name != "home"]
+    for shift in range(len(away)):
+        for k, (name, (build, right)) in enumerate(MECHANISMS.items()):
+            where = away[(k + shift) % len(away)]
+            yield Case("elsewhere", f"{name}, {where}", SCENES[where], (build, *_CAMERAS.get(where, ())), right)
+
+
 #: Parts of the benchmark.
-PARTS = ("conditions", "mechanisms", "forms", "laws", "few", "three", "faults")
+PARTS = ("conditions", "mechanisms", "elsewhere", "forms", "laws", "few", "three", "faults")
 
 
 def recorded(case: Case, strength: str, seed: int) -> Pair:

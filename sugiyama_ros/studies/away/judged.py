@@ -131,7 +131,7 @@ def judge(case: Case, strength: str, seed: int, quick: bool) -> Judged:
         also=d.named[0].indistinguishable if d.named else (),
         who=tuple(first) if isinstance(first, list) else (),
         p_value=min((one.p_value for one in d.scored), default=1.0),
-        oracle=max((one.gain for one in d.scored if one.candidate.name in case.right), default=0.0),
+        oracle=max((one.gain for one in d.scored if one.candidate.mechanism in case.right), default=0.0),
         heldout=heldout.nats if d.named else 0.0,
         heldout_se=heldout.se if d.named else 0.0,
         fresh=fresh[0],
