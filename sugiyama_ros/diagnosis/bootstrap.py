@@ -1,7 +1,7 @@
 """Parametric bootstrap: recordings simulated from the fitted model, which show what chance alone gives."""
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Executor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 
@@ -14,14 +14,19 @@ from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.joint import JointFit, maximise, start_fit
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import Recorded, prepare
+from sugiyama_ros.fit.score import filtered_states
 from sugiyama_ros.fit.stretched import driven_anew
+from sugiyama_ros.progress import OnStage
 from sugiyama_ros.simulation.behind import RecordedTraffic, drive_behind
 from sugiyama_ros.simulation.simulator import Clock, Simulator
 from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.workers import at_once
 
 # Time [s] over which the track of a vehicle without a leader is smoothed (Savitzky and Golay, Anal. Chem. 36 (1964)
 # 1627).
 _SMOOTHED_S = 2.0
+# Number of steps of a search that starts at the truth.
+_FEW_STEPS = 4
 
 
 def resample(data: Recorded, model: Model, states: Array, rng: np.random.Generator) -> Recorded:
@@ -83,32 +88,41 @@ def _behind_measured(data: Recorded, model: Model, states: Array, rng: np.random
     return driven_anew(data, *drive_behind(recorded, at_period(model.rows, around.period_s), rng))
 
 
-def resampled_fit(
-    data: Recorded, fitted: JointFit, states: Array, rng: np.random.Generator, work: Executor, steps: int
-) -> tuple[Recorded, JointFit]:
-    """Simulate a recording from a fit, and fit the model to it by a few steps from the truth.
+def resampled_fits(
+    data: Recorded,
+    fitted: JointFit,
+    rngs: Sequence[np.random.Generator],
+    work: ThreadPoolExecutor,
+    on_progress: OnStage,
+) -> list[tuple[Recorded, JointFit]]:
+    """Simulate recordings from a fit, and fit the model to each by a few steps from the truth.
 
     Parameters
     ----------
-    data, states, rng
-        As for ``resample``.
+    data : Recorded
+        The recording.
     fitted : JointFit
         The fit to the recording.
-    work : Executor
+    rngs : sequence of numpy.random.Generator
+        Generators of all noises, one for each simulated recording.
+    work : ThreadPoolExecutor
         Runs the filters.
-    steps : int
-        Maximum number of steps.
+    on_progress : callable
+        Called with the name of the stage, the number of steps done, and the number of all steps.
 
     Returns
     -------
-    simulated : Recorded
-        The simulated recording.
-    fit : JointFit
-        The fit to it.
+    list of (Recorded, JointFit)
+        The simulated recordings with the fits to them.
     """
-    simulated = resample(data, fitted.model, states, rng)
-    start = start_fit(simulated, fitted.model, work)
-    return simulated, maximise(simulated, start, work, iterations=steps, renewals=0)
+    states = filtered_states(data, fitted.model, work)
+
+    def one_run(rng: np.random.Generator) -> tuple[Recorded, JointFit]:
+        simulated = resample(data, fitted.model, states, rng)
+        start = start_fit(simulated, fitted.model, work)
+        return simulated, maximise(simulated, start, work, iterations=_FEW_STEPS, renewals=0)
+
+    return at_once(one_run, rngs, "simulating the current model", on_progress)
 
 
 def widened(stds: Mapping[str, float], fitted: JointFit, refitted: Sequence[JointFit]) -> dict[str, float]:

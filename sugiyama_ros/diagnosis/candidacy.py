@@ -19,6 +19,8 @@ from sugiyama_ros.workers import at_once
 
 #: A smaller gain [nats] does not count as support, whatever its p-value.
 LEAST_GAIN = 5.0
+#: A candidate with more than this share of the best gain is fitted in full.
+FULL_SHARE = 0.3
 # A gain above this [nats] is not checked against simulations.
 _OBVIOUS = 60.0
 # Smallest spread of simulated gains [nats].
@@ -227,6 +229,17 @@ def smallest_detectable(looks: Sequence[Screened], null: NullGains) -> dict[str,
             scaled = start * start / scaled
         found[look.candidate.name] = scaled
     return found
+
+
+def shortlist(looks: Sequence[Screened], effort: Effort) -> list[int]:
+    """Return the numbers of the looks to follow: the largest gains, and noises, whose best values may be far away."""
+    order = sorted(range(len(looks)), key=lambda k: -looks[k].gain)
+    best = max(looks[order[0]].gain, 1.0)
+    chosen = [k for k in order[: effort.shortlist] if looks[k].gain > FULL_SHARE * best or k in order[:2]]
+    if best > 50.0:
+        freed = [k for k, look in enumerate(looks) if look.candidate.kind == "constants"]
+        chosen += [k for k in freed if looks[k].candidate.is_noise and k not in chosen]
+    return chosen
 
 
 def is_obvious(look: Screened) -> bool:

@@ -18,9 +18,10 @@ from sugiyama_ros.diagnosis.free_runs import HORIZONS_S
 from sugiyama_ros.diagnosis.judging import judged
 from sugiyama_ros.diagnosis.law_check import closer_laws
 from sugiyama_ros.diagnosis.locate import Located, locate
+from sugiyama_ros.diagnosis.orders import grown
 from sugiyama_ros.diagnosis.refits import added_to_all, refits
 from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter
-from sugiyama_ros.diagnosis.search import LEVEL, Search
+from sugiyama_ros.diagnosis.search import Search
 from sugiyama_ros.diagnosis.use import ANYTHING, Goal
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
 from sugiyama_ros.fit.cross_validation import Gain
@@ -232,8 +233,8 @@ def diagnose(
         base = fit_base(data, data.even.individual(V_STAR, KAPPA_V), work)
         # runs beside the search, which cannot always use all workers
         others = [] if verdict_only else _rivals(data, base.log_likelihood if quick else None, work, cluster or aside)
-        search = Search(data, base, quick, seed, work, goal=goal, on_progress=on_progress)
-        _grow(search, goal.most, add_forces=goal.forces and not (quick or verdict_only))
+        begun = Search(data, base, quick, seed, work, goal=goal, on_progress=on_progress)
+        search = grown(begun, goal.most, add_forces=goal.forces and not (quick or verdict_only))
         on_progress("rival models", 0, 1)
         rivals = {name: errors for found in others for name, errors in found.result().items()}
         on_progress("finding where the model fails", 0, 1)
@@ -290,17 +291,6 @@ def _refitted(
     runs = (search.effort.refits if adequacy.outcome == "explained" else 0) if refit is None else refit
     effects = added_to_all(search.data, search.named)
     return refits(search.data, search.current, effects, search.seed, runs, work, on_progress)
-
-
-def _grow(search: Search, most: int, *, add_forces: bool) -> None:
-    """Add supported candidates to the model, and one force without a name, if asked for."""
-    is_growing = True
-    while is_growing:
-        while len(search.named) < most and search.add_effect():
-            pass
-        # a new force may make other candidates supported
-        is_growing = add_forces and search.add_force(search.forces(LEVEL))
-        add_forces = False
 
 
 def _rivals(

@@ -6,20 +6,21 @@ p-value therefore says how often chance, the fit and the approximations of the f
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from copy import copy
 from dataclasses import replace
 from functools import partial
 
-import numpy as np
-
 from sugiyama_ros.diagnosis.addition import FLEXIBLE, Addition, advice_for, least_gain, parameters_of
-from sugiyama_ros.diagnosis.bootstrap import resampled_fit, seeds
+from sugiyama_ros.diagnosis.bootstrap import resampled_fits, seeds
 from sugiyama_ros.diagnosis.candidacy import (
+    FULL_SHARE,
     LEAST_GAIN,
     UNKNOWN,
     Candidacy,
     NullGains,
     is_obvious,
     null_gains,
+    shortlist,
     smallest_detectable,
 )
 from sugiyama_ros.diagnosis.candidates import Candidate, candidates, only_those
@@ -32,24 +33,19 @@ from sugiyama_ros.diagnosis.placing import converged
 from sugiyama_ros.diagnosis.push import push_candidate
 from sugiyama_ros.diagnosis.screen import FULL, QUICK, Screened, closer, forecast, refine, screen, screen_again
 from sugiyama_ros.diagnosis.telling_apart import indistinguishable
-from sugiyama_ros.diagnosis.use import ANYTHING, Goal, LastPart, last_part, worse_where
+from sugiyama_ros.diagnosis.use import ANYTHING, Goal, Use
 from sugiyama_ros.fit.cross_validation import Gain, gain, held_out_nearly
 from sugiyama_ros.fit.joint import JointFit, rise
 from sugiyama_ros.fit.recording import Recorded
-from sugiyama_ros.fit.score import filtered_states
 from sugiyama_ros.progress import OnStage
 from sugiyama_ros.workers import at_once
 
 #: Level of significance, after the correction for the number of candidates.
 LEVEL = 0.05
-# A candidate with more than this share of the best gain is fitted in full.
-_SHARE = 0.3
 # A candidate with more than this share of the best gain may be indistinguishable from the best one.
 _RIVAL = 0.5
 # Number of candidates that are screened again after the first round.
 _LATER_LOOKS = 8
-# Number of steps of a search that starts at the truth.
-_FEW_STEPS = 4
 
 
 class Search:
@@ -92,6 +88,9 @@ class Search:
         Limits of the search.
     searched : tuple of str
         Names of the candidates.
+    other_order : Search or None
+        The search that begins with freed constants where this one began with an effect that competes with them, or the
+        other way around; None for a quick search.
     """
 
     def __init__(
@@ -105,7 +104,6 @@ class Search:
         goal: Goal = ANYTHING,
         on_progress: OnStage,
     ) -> None:
-        self._purpose = goal.purpose
         self.data, self.base, self.quick, self.seed = data, base, quick, seed
         self._work, self._on_progress = work, on_progress
         push = push_candidate(data, base.samples)
@@ -121,8 +119,9 @@ class Search:
         self.smallest: dict[str, float] = {}
         self.refused: list[tuple[str, tuple[str, ...]]] = []
         self._few_gained: dict[str, float] = {}
+        self.other_order: Search | None = None
         self._simulated: list[tuple[Recorded, JointFit]] = []
-        self._last_part: LastPart | None = None
+        self._use = Use(data, base, goal.purpose, work)
 
     def add_effect(self) -> bool:
         """Carry out one round: add the best supported candidate, if any is supported.
@@ -149,6 +148,7 @@ class Search:
                 grown += [named] if named is not None else []
         if grown:
             best = max(grown, key=lambda one: one.heldout.nats)
+            self.other_order = self.other_order or self._beginning_otherwise(best, supported, now)
             few = who_shows(self.current, best.fit)
             grown = [best if few is None else replace(best, drivers=few.drivers)]
         # what is supported but does not predict better must not hide what a few drivers show
@@ -156,13 +156,30 @@ class Search:
         grown += self._of_few(self._shown_by_few(gained))
         return self._take(max(grown, key=lambda one: one.heldout.nats, default=None))
 
+    def _beginning_otherwise(
+        self, best: Addition, supported: Sequence[Candidacy], now: HeldOutErrors
+    ) -> "Search | None":
+        """A search after its first round, in which it has added the best candidate of the other kind."""
+        if self.quick or self.named:
+            return None
+        least = _RIVAL * max(one.score for one in supported)
+        strong = [one for one in supported if one.score > least]
+        others = [one for one in strong if (one.candidate.kind == "constants") != (best.kind == "constants")]
+        for one in sorted(others, key=lambda one: -one.score):
+            grown = self._grow(one.candidate, one.fit, one.p_value) if self._predicts_more(one, now) else None
+            if grown is not None:
+                other = copy(self)
+                other.named, other.refused, other._seen, other._few_gained = [], [], dict(self._seen), {}
+                return other if other._take(grown) and other.named else None
+        return None
+
     def _shown_by_few(self, gained: float) -> list[ShownByFew]:
         """Effects by which a few drivers may gain more than all drivers by what was found (gained) [nats]."""
         known = {*self.current.model.individual, *self.current.model.shared}
         possible = [c for c in self._possible if known.isdisjoint(c.places) and self._few_gained.get(c.name, 1.0) > 0.0]
         shown = shown_by_few(self.data, self.current, possible, self._work, self._on_progress)
         self._few_gained |= {one.candidate.name: one.gain for one in shown}
-        return [one for one in shown if one.gain > max(_RIVAL * gained, _SHARE * shown[0].gain, LEAST_GAIN)]
+        return [one for one in shown if one.gain > max(_RIVAL * gained, FULL_SHARE * shown[0].gain, LEAST_GAIN)]
 
     def _of_few(self, shown: Sequence[ShownByFew]) -> list[Addition]:
         """Effects that only a few drivers have, and that predict better."""
@@ -281,7 +298,8 @@ class Search:
         """Make an extended model the current one; return False if there is none."""
         if one is None:
             return False
-        if (worse := self._worse(one)) and self._purpose != "prediction":
+        worse = self._use.worse(one.fit, self.current)
+        if worse and self._use.refuses:
             self.refused.append((one.name, worse))
             self._possible = tuple(c for c in self._possible if c.mechanism != one.name)
             return bool(self._possible)
@@ -290,30 +308,14 @@ class Search:
         self._possible = tuple(c for c in self._possible if c.mechanism != one.name)
         return True
 
-    def _worse(self, one: Addition) -> tuple[str, ...]:
-        """Where an addition does worse in the last part than the base model; tracks have no last part."""
-        if not self.data.vicinity.is_whole_road:
-            return ()
-        self._last_part = self._last_part or last_part(self.data, self.base, self._work)
-        return worse_where(last_part(self.data, one.fit, self._work), self._last_part, self._purpose)
-
     def _judge(self, look: Screened, null: NullGains | None = None) -> Candidacy:
         return (null or UNKNOWN).judge(look, len(self._possible))
 
     def _shortlist(self, looks: Sequence[Screened]) -> list[int]:
-        """Numbers of the looks to follow: the largest gains, and noises, whose best values may be far from the start.
-
-        In later rounds: the looks with the largest gains above chance.
-        """
+        """Numbers of the looks to follow; in later rounds: those with the largest gains above chance."""
         if self._seen:
             return sorted(range(len(looks)), key=lambda k: -self._judge(looks[k]).score)[: self.effort.later]
-        order = sorted(range(len(looks)), key=lambda k: -looks[k].gain)
-        best = max(looks[order[0]].gain, 1.0)
-        chosen = [k for k in order[: self.effort.shortlist] if looks[k].gain > _SHARE * best or k in order[:2]]
-        if best > 50.0:
-            freed = [k for k, look in enumerate(looks) if look.candidate.kind == "constants"]
-            chosen += [k for k in freed if looks[k].candidate.is_noise and k not in chosen]
-        return chosen
+        return shortlist(looks, self.effort)
 
     def _worth_a_look(self) -> list[Candidate]:
         """The candidates with the largest predicted gains over the current model, from earlier looks."""
@@ -338,11 +340,6 @@ class Search:
         """Recordings that the current model simulates, with the fits to them; ``runs``: number, if more than usual."""
         wanted = max(runs, self.effort.runs)
         if len(self._simulated) < wanted:
-            states = filtered_states(self.data, self.current.model, self._work)
-
-            def one_run(rng: np.random.Generator) -> tuple[Recorded, JointFit]:
-                return resampled_fit(self.data, self.current, states, rng, self._work, _FEW_STEPS)
-
             rngs = seeds(self.seed + len(self.named), wanted)[len(self._simulated) :]
-            self._simulated += at_once(one_run, rngs, "simulating the current model", self._on_progress)
+            self._simulated += resampled_fits(self.data, self.current, rngs, self._work, self._on_progress)
         return self._simulated

@@ -8,6 +8,7 @@ drives into that part by itself.
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal, get_args
 
 import numpy as np
@@ -88,6 +89,48 @@ class LastPart:
         """Number of cars that are inside their leaders at a horizon of a coupled run."""
         gap = self.runs.gap + self.runs.coupled_gap
         return int(((self.runs.gap > 0.0) & (gap <= 0.0)).sum())
+
+
+class Use:
+    """What a model is for, and whether extended models do worse there than the base model.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    base : JointFit
+        The model without additions, fitted to the whole recording.
+    purpose : {"prediction", "simulation", "online"}
+        What the model is for.
+    work : Executor
+        Runs the filters.
+
+    Attributes
+    ----------
+    refuses : bool
+        Whether what is worse there is not to be added.
+    """
+
+    def __init__(self, data: Recorded, base: JointFit, purpose: Purpose, work: Executor) -> None:
+        self._data, self._base, self._purpose, self._work = data, base, purpose, work
+        self.refuses = purpose != "prediction"
+
+    def worse(self, fitted: JointFit, before: JointFit) -> tuple[str, ...]:
+        """Say where a model does worse in the last part, than the base model or, for simulations, than one before it.
+
+        Tracks have no last part.
+        """
+        if not self._data.vicinity.is_whole_road:
+            return ()
+        ours = last_part(self._data, fitted, self._work)
+        found = worse_where(ours, self._of_base, self._purpose)
+        if self._purpose == "simulation" and not found and before is not self._base:
+            return worse_where(ours, last_part(self._data, before, self._work), self._purpose)
+        return found
+
+    @cached_property
+    def _of_base(self) -> LastPart:
+        return last_part(self._data, self._base, self._work)
 
 
 def purpose_of(name: str) -> Purpose:

@@ -1,0 +1,66 @@
+"""Searches in both orders, where an effect and freed constants compete for the first place."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from sugiyama_ros.diagnosis import orders
+from sugiyama_ros.diagnosis.addition import Addition
+from sugiyama_ros.fit.cross_validation import Gain
+
+KINDS = {"response_constants": "constants", "drag": "effect", "outlier_noise": "measurement", "road_grade": "effect"}
+
+
+class Begun:
+    """A search that adds what it is told to, one after the other."""
+
+    def __init__(self, *names, other=None):
+        self.data, self.errors = None, SimpleNamespace(samples=names)
+        self.left, self.named, self.other_order = list(names), [], other
+
+    def add_effect(self):
+        if self.left:
+            name = self.left.pop(0)
+            self.named.append(Addition(name, KINDS[name], {}, (), (), 0.0, None, None, None, None, name))
+        return bool(self.left)
+
+    def forces(self, level):
+        return []
+
+    def add_force(self, forces):
+        return False
+
+
+@pytest.mark.parametrize(
+    ("nats", "first", "also"),
+    [
+        (25.0, "response_constants", ()),
+        (15.0, "drag", ("response_constants",)),
+        (-5.0, "drag", ("response_constants",)),
+        (-15.0, "drag", ()),
+    ],
+)
+def test_the_order_that_predicts_better_wins_and_an_equal_one_is_told(monkeypatch, nats, first, also):
+    asked = []
+
+    def gain(data, ours, theirs):
+        asked.append((ours, theirs))
+        return Gain(nats, 10.0, (), ())
+
+    monkeypatch.setattr(orders, "gain", gain)
+    other = Begun("response_constants", "drag")
+    best = orders.grown(Begun("drag", "outlier_noise", other=other), 3, add_forces=True)
+    assert asked == [(("response_constants", "drag"), ("drag", "outlier_noise"))]
+    assert (best.named[0].name, best.named[0].indistinguishable) == (first, also)
+    assert len(best.named) == 2
+
+
+def test_an_effect_before_constants_takes_one_standard_error(monkeypatch):
+    monkeypatch.setattr(orders, "gain", lambda data, ours, theirs: Gain(15.0, 10.0, (), ()))
+    best = orders.grown(Begun("response_constants", other=Begun("drag")), 3, add_forces=False)
+    assert [one.name for one in best.named] == ["drag"]
+
+
+def test_without_another_order_a_search_goes_on_to_its_limit():
+    best = orders.grown(Begun("drag", "outlier_noise", "road_grade"), 2, add_forces=False)
+    assert [one.name for one in best.named] == ["drag", "outlier_noise"]
