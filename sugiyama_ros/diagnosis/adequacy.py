@@ -145,7 +145,8 @@ def judge(data: Recorded, evidence: Evidence) -> Adequacy:
         f"a force that depends on {force.shown} is missing, by {force.strength:.2g} m/s² ({force.gain_nats:.0f} nats)"
         for force in evidence.forces[:1]
     ]
-    reasons += [f"{name} predicts better, but makes worse what the model is for" for name in evidence.refused]
+    if evidence.refused:
+        reasons.append(f"what predicts better makes worse what the model is for: {', '.join(evidence.refused)}")
     outcome: Outcome = "not_explained" if reasons else "explained" if evidence.named else "adequate"
     return Adequacy(
         outcome=outcome,

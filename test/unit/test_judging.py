@@ -96,7 +96,7 @@ def test_a_model_is_not_adequate_where_something_was_refused(monkeypatch, own):
     monkeypatch.setattr(SearchEnd, "refused", (("drag", ("free runs of 2 s into the last part end further off",)),))
     found, _ = judged(monkeypatch, own, [0.3, 0.3])
     assert found.adequacy.outcome == "not_explained"
-    assert found.adequacy.reasons == ("drag predicts better, but makes worse what the model is for",)
+    assert found.adequacy.reasons == ("what predicts better makes worse what the model is for: drag",)
 
 
 def test_a_force_speaks_against_a_model_to_which_nothing_was_added(monkeypatch, own):
