@@ -9,6 +9,7 @@ from sugiyama_ros.studies import run_speed
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(180)]
 
 
+@pytest.mark.slow
 def test_a_run_and_its_floors_are_measured() -> None:
     found = run_speed.measure(run_speed.recording(60.0), rounds=1)
     assert set(found) == set(run_speed.KINDS)
