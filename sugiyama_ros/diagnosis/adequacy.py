@@ -17,11 +17,12 @@ import numpy as np
 from sugiyama_ros.diagnosis.addition import Addition
 from sugiyama_ros.diagnosis.chance import p_value_of
 from sugiyama_ros.diagnosis.coarseness import rounding_says, sampling_says
-from sugiyama_ros.diagnosis.discover import Discovery
+from sugiyama_ros.diagnosis.discover import FORCE, Discovery
 from sugiyama_ros.diagnosis.errors import HeldOutErrors
 from sugiyama_ros.diagnosis.innovations import correlation_says, spread_says
 from sugiyama_ros.diagnosis.law_check import CLEARLY, LEVEL_OF_LAWS, LawCheck, closer_laws, log_ratio
 from sugiyama_ros.diagnosis.locate import Located, locate
+from sugiyama_ros.effects.discovered_force import COVARIATES
 from sugiyama_ros.effects.registry import EFFECTS
 from sugiyama_ros.fit.cross_validation import Gain, gain, sum_error
 from sugiyama_ros.fit.joint import JointFit
@@ -139,6 +140,7 @@ def judge(data: Recorded, evidence: Evidence) -> Adequacy:
         *(correlation_says(evidence.final, evidence.own, data.vicinity.period_s) if evidence.named else ()),
         *signs,
         *_few_say(data, evidence.named),
+        *_use_says(evidence.named),
         *((*rounding_says(data, evidence.final), *sampling_says(data)) if evidence.named else ()),
     ]
     reasons += [
@@ -286,6 +288,21 @@ def _signs_say(evidence: Evidence) -> list[str]:
             if value < least - _SURELY * shared.get(f"{one.form}.{name}", shared.get(name, 0.0)):
                 found.append(f"{one.name} has a sign that makes no physical sense: {name} is {value:.3g}")
     return found
+
+
+def _use_says(named: Sequence[Addition]) -> list[str]:
+    """Whether a force without a name was added, and whether the additions do worse beyond what they were fitted to.
+
+    What drivers really do brings all errors closer there.
+    """
+    reasons = []
+    for one in named:
+        if one.name == FORCE:
+            covariate = COVARIATES[round(one.parameters["covariate"]) - 1]
+            reasons.append(f"a force that depends on {covariate} was added, and has no name")
+    if named and named[-1].worse:
+        reasons.append("in the last part it is worse than the base model, if both are fitted without this part")
+    return reasons
 
 
 def _few_say(data: Recorded, named: Sequence[Addition]) -> list[str]:

@@ -18,7 +18,9 @@ from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.score import filtered_states
 
-_FIRST = index_of("discovered_force", "covariate")
+#: Name of a force without a name among the additions.
+FORCE = "discovered_force"
+_FIRST = index_of(FORCE, "covariate")
 _FORCES = tuple(range(_FIRST + 3, _FIRST + 3 + KNOTS))
 # Gains by chance are larger than half a chi-squared variable, because the filter is an approximation. This is the
 # largest factor in simulations without effects.
@@ -115,7 +117,7 @@ def discover(
                 continue
             low, high = (float(q) for q in np.quantile(values, INNER))
         start: dict[int, float | Array] = {_FIRST: float(number), _FIRST + 1: low, _FIRST + 2: high}
-        look = screen(data, fitted, Candidate("discovered_force", "effect", _FORCES, (start,)), work, effort)
+        look = screen(data, fitted, Candidate(FORCE, "effect", _FORCES, (start,)), work, effort)
         force = look.fit.model.rows[0, list(_FORCES)]
         ring = covariate == "place" and road.is_ring
         knots = low + (high - low) * np.arange(KNOTS) / (KNOTS if ring else KNOTS - 1)

@@ -15,7 +15,7 @@ from scipy.signal import lfilter
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.covariates import covariates_of, further_covariates, some_time_ago
-from sugiyama_ros.diagnosis.discover import INNER, Discovery, against, p_value_of_force
+from sugiyama_ros.diagnosis.discover import FORCE, INNER, Discovery, against, p_value_of_force
 from sugiyama_ros.effects.registry import index_of
 from sugiyama_ros.fit.cross_validation import sum_error
 from sugiyama_ros.fit.joint import JointFit
@@ -23,7 +23,7 @@ from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.score import evaluate, filtered_states
 from sugiyama_ros.fit.slopes import no_density, sums
 
-_FIRST = index_of("discovered_force", "covariate")
+_FIRST = index_of(FORCE, "covariate")
 # Size [m/s^2] and knot of a push, the drivers who are pushed at most, and how often.
 _PUSH, _KNOT, _PUSHED, _PUSHES = 0.3, 3, 22, 4
 # A push shows in the innovations for so long [s].

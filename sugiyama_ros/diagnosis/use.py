@@ -209,7 +209,9 @@ def worse_where(ours: LastPart, base: LastPart, purpose: Purpose) -> tuple[str, 
             if beside := _beside(ends, base_ends, np.floor(start_s / horizon)):
                 compared.append((f"free runs of {horizon:g} s into the last part{regime}", *beside))
     found += [f"{runs} end {told}" for runs, p, told in compared if p < _CHANCE / len(compared)]
-    if ours.collisions > base.collisions:
+    more = ours.collisions - base.collisions
+    by_chance = 0.0 if purpose == "simulation" else _CLEARLY * np.sqrt(ours.collisions + base.collisions)
+    if more > by_chance:
         found.append(f"{ours.collisions} cars collide in free runs into the last part instead of {base.collisions}")
     return tuple(found)
 

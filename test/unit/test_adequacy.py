@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sugiyama_ros.diagnosis.addition import least_gain
+from sugiyama_ros.diagnosis.addition import Addition, least_gain
 from sugiyama_ros.diagnosis.adequacy import Evidence, judge, told
 from sugiyama_ros.diagnosis.candidates import named
 from sugiyama_ros.diagnosis.coarseness import rounding_says, sampling_says
@@ -160,6 +160,30 @@ def test_a_force_that_is_left_speaks_against_the_model(own):
     earlier = replace(force, covariate="past_speed", ago_s=4.0, alike=("gap",))
     found = judge(own.data, evidence_of(own, forces=[earlier]))
     assert found.reasons[0].startswith("a force that depends on past_speed (4 s ago) or gap is missing")
+
+
+def added(own, name, parameters, worse=()):
+    gained = Gain(40.0, 10.0, (), ())
+    return Addition(
+        name, "effect", parameters, (), (), 1e-6, gained, own.before, own.after, own.final, name, worse=worse
+    )
+
+
+def test_a_force_without_a_name_explains_nothing(own):
+    force = added(own, "discovered_force", {"covariate": 6.0})
+    found = judge(own.data, evidence_of(own, named=[force]))
+    assert found.outcome == "not_explained"
+    assert found.reasons == ("a force that depends on leader_acceleration was added, and has no name",)
+    assert judge(own.data, evidence_of(own, named=[added(own, "drag", {"c0": 0.3})])).outcome == "explained"
+
+
+def test_additions_that_do_worse_where_they_were_not_fitted_explain_nothing(own):
+    lost = added(own, "drag", {"c0": 0.3}, worse=("one step ahead into the last part it loses 34 nats",))
+    found = judge(own.data, evidence_of(own, named=[lost]))
+    assert (found.outcome, len(found.reasons)) == ("not_explained", 1)
+    assert "worse than the base model" in found.reasons[0]
+    # a further addition may cure it
+    assert judge(own.data, evidence_of(own, named=[lost, replace(lost, worse=())])).outcome == "explained"
 
 
 def test_drivers_of_another_law_are_not_explained():

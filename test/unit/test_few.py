@@ -218,6 +218,13 @@ def test_a_car_inside_its_leader_is_a_collision():
     inside = LastPart(replace(runs(1.0), coupled_gap=np.full((10, 3, 4), -6.0)), np.zeros(4), 10.0)
     assert (base.collisions, inside.collisions) == (0, 120)
     assert worse_where(inside, base, "simulation")[-1].startswith("120 cars collide")
+    assert worse_where(inside, base, "prediction")[-1].startswith("120 cars collide")
+    # one car may collide by chance
+    gap = runs(1.0).coupled_gap.copy()
+    gap[0, 0, 0] = -6.0
+    once = LastPart(replace(runs(1.0), coupled_gap=gap), np.zeros(4), 10.0)
+    assert worse_where(once, base, "prediction") == ()
+    assert worse_where(once, base, "simulation") == ("1 cars collide in free runs into the last part instead of 0",)
 
 
 def test_a_model_drives_into_the_part_that_it_was_not_fitted_to(fitted, work):
