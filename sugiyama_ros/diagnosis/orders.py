@@ -1,4 +1,4 @@
-"""A search to its end, in both orders where an effect and freed constants compete for the first place."""
+"""A search to its end, in both orders where an effect and freed constants cannot be told apart at first."""
 
 from dataclasses import replace
 

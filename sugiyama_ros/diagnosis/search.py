@@ -89,8 +89,8 @@ class Search:
     searched : tuple of str
         Names of the candidates.
     other_order : Search or None
-        The search that begins with freed constants where this one began with an effect that competes with them, or the
-        other way around; None for a quick search.
+        The search that begins with freed constants where this one began with an effect that cannot be told apart from
+        them, or the other way around; None for a quick search.
     """
 
     def __init__(
@@ -148,7 +148,7 @@ class Search:
                 grown += [named] if named is not None else []
         if grown:
             best = max(grown, key=lambda one: one.heldout.nats)
-            self.other_order = self.other_order or self._beginning_otherwise(best, supported, now)
+            self.other_order = self.other_order or self._with_constants_elsewhere(best, grown)
             few = who_shows(self.current, best.fit)
             grown = [best if few is None else replace(best, drivers=few.drivers)]
         # what is supported but does not predict better must not hide what a few drivers show
@@ -156,22 +156,15 @@ class Search:
         grown += self._of_few(self._shown_by_few(gained))
         return self._take(max(grown, key=lambda one: one.heldout.nats, default=None))
 
-    def _beginning_otherwise(
-        self, best: Addition, supported: Sequence[Candidacy], now: HeldOutErrors
-    ) -> "Search | None":
-        """A search after its first round, in which it has added the best candidate of the other kind."""
-        if self.quick or self.named:
+    def _with_constants_elsewhere(self, best: Addition, grown: Sequence[Addition]) -> "Search | None":
+        """A search that has begun with constants where this one begins with an effect, or the other way around."""
+        others = [one for one in grown if (one.kind == "constants") != (best.kind == "constants")]
+        if self.named or not others:
             return None
-        least = _RIVAL * max(one.score for one in supported)
-        strong = [one for one in supported if one.score > least]
-        others = [one for one in strong if (one.candidate.kind == "constants") != (best.kind == "constants")]
-        for one in sorted(others, key=lambda one: -one.score):
-            grown = self._grow(one.candidate, one.fit, one.p_value) if self._predicts_more(one, now) else None
-            if grown is not None:
-                other = copy(self)
-                other.named, other.refused, other._seen, other._few_gained = [], [], dict(self._seen), {}
-                return other if other._take(grown) and other.named else None
-        return None
+        other = copy(self)
+        other.named, other.refused, other._seen, other._few_gained = [], [], dict(self._seen), {}
+        other._take(max(others, key=lambda one: one.heldout.nats))
+        return other if other.named else None
 
     def _shown_by_few(self, gained: float) -> list[ShownByFew]:
         """Effects by which a few drivers may gain more than all drivers by what was found (gained) [nats]."""

@@ -6,6 +6,7 @@ import pytest
 
 from sugiyama_ros.diagnosis import orders
 from sugiyama_ros.diagnosis.addition import Addition
+from sugiyama_ros.diagnosis.search import Search
 from sugiyama_ros.fit.cross_validation import Gain
 
 KINDS = {"response_constants": "constants", "drag": "effect", "outlier_noise": "measurement", "road_grade": "effect"}
@@ -64,3 +65,24 @@ def test_an_effect_before_constants_takes_one_standard_error(monkeypatch):
 def test_without_another_order_a_search_goes_on_to_its_limit():
     best = orders.grown(Begun("drag", "outlier_noise", "road_grade"), 2, add_forces=False)
     assert [one.name for one in best.named] == ["drag", "outlier_noise"]
+
+
+def addition(name, nats):
+    won = Gain(nats, 1.0, (), ())
+    return Addition(name, KINDS[name], {}, (), (), 0.0, won, None, None, name, name)
+
+
+def test_both_orders_begin_with_a_memory_of_their_own():
+    search = Search.__new__(Search)
+    search.named, search.refused, search._seen, search._few_gained = [], [], {"drag": None}, {"drag": 1.0}
+    search._use = SimpleNamespace(worse=lambda fitted, before: (), refuses=False)
+    search.current, search._possible = "base", ()
+    drag, more, less = addition("drag", 9.0), addition("response_constants", 8.0), addition("outlier_noise", 7.0)
+    other = search._with_constants_elsewhere(drag, [drag, less, more])
+    assert ([one.name for one in other.named], other.current) == (["response_constants"], "response_constants")
+    assert (search.named, search.current) == ([], "base")
+    other._seen["road_grade"] = other._few_gained["road_grade"] = None
+    assert "road_grade" not in {*search._seen, *search._few_gained}
+    # what begins with constants is compared with what begins with an effect
+    assert search._with_constants_elsewhere(more, [more, drag]).named[0].name == "drag"
+    assert search._with_constants_elsewhere(drag, [drag, less]) is None
