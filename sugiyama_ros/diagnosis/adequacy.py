@@ -316,12 +316,15 @@ def _few_say(data: Recorded, named: Sequence[Addition]) -> list[str]:
 
 
 def _share(data: Recorded, evidence: Evidence, better: tuple[str, Gain] | None) -> float | None:
-    """Gain of the additions over this gain and what is left; None if nothing was gained and nothing is left."""
-    won = gain(data, evidence.final.samples, evidence.base.samples)
-    left = max([better[1].nats if better else 0.0, *(force.gain_nats for force in evidence.forces[:1])])
+    """Gain of what has a name over this gain and what is left; None if nothing was gained and nothing is left."""
+    explained = next((one.before for one in evidence.named if one.name == FORCE), evidence.final).samples
+    won = max(gain(data, explained, evidence.base.samples).nats, 0.0)
+    by_force = gain(data, evidence.final.samples, explained).nats
+    by_law = gain(data, evidence.laws[better[0]].samples, explained).nats if better else 0.0
+    left = max(0.0, by_law, by_force + sum(force.gain_nats for force in evidence.forces[:1]))
     if not evidence.named and left <= 0.0:
         return None
-    return max(won.nats, 0.0) / max(max(won.nats, 0.0) + left, 1e-9)
+    return won / max(won + left, 1e-9)
 
 
 def told(adequacy: Adequacy) -> str:

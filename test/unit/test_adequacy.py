@@ -177,6 +177,26 @@ def test_a_force_without_a_name_explains_nothing(own):
     assert judge(own.data, evidence_of(own, named=[added(own, "drag", {"c0": 0.3})])).outcome == "explained"
 
 
+def test_what_is_explained_is_what_has_a_name(own):
+    def ahead_by(nats):
+        samples = own.before.samples.copy()
+        samples.log_likelihood[:] += nats / np.isfinite(samples.log_likelihood).sum()
+        return replace(own.before, samples=samples)
+
+    drag = replace(added(own, "drag", {"c0": 0.3}), after=ahead_by(60.0))
+    force = replace(added(own, "discovered_force", {"covariate": 1.0}), before=ahead_by(60.0), after=ahead_by(80.0))
+    found = judge(own.data, evidence_of(own, final=ahead_by(80.0), named=[drag, force]))
+    assert found.explained_share == pytest.approx(60.0 / 80.0)
+    # a law that leads by 120 nats over the base model is 60 ahead of what has a name
+    laws = {"law": ahead_by(120.0)}
+    found = judge(own.data, evidence_of(own, final=ahead_by(60.0), named=[drag], laws=laws))
+    assert (found.better_law, found.explained_share) == ("law", pytest.approx(0.5))
+    # the sign of the drag makes no sense: the law is compared with the base model, and the share is still the same
+    wrong = replace(drag, parameters={"c0": -0.3})
+    found = judge(own.data, evidence_of(own, final=ahead_by(60.0), named=[wrong], laws=laws))
+    assert found.explained_share == pytest.approx(0.5)
+
+
 def test_additions_that_do_worse_where_they_were_not_fitted_explain_nothing(own):
     lost = added(own, "drag", {"c0": 0.3}, worse=("one step ahead into the last part it loses 34 nats",))
     found = judge(own.data, evidence_of(own, named=[lost]))
