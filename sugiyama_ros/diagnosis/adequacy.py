@@ -18,12 +18,11 @@ from sugiyama_ros.diagnosis.addition import Addition
 from sugiyama_ros.diagnosis.chance import p_value_of
 from sugiyama_ros.diagnosis.coarseness import rounding_says, sampling_says
 from sugiyama_ros.diagnosis.discover import FORCE, Discovery
+from sugiyama_ros.diagnosis.doubts import doubts, signs_say
 from sugiyama_ros.diagnosis.errors import HeldOutErrors
 from sugiyama_ros.diagnosis.innovations import correlation_says, spread_says
 from sugiyama_ros.diagnosis.law_check import CLEARLY, LEVEL_OF_LAWS, LawCheck, closer_laws, log_ratio
 from sugiyama_ros.diagnosis.locate import Located, locate
-from sugiyama_ros.effects.discovered_force import COVARIATES
-from sugiyama_ros.effects.registry import EFFECTS
 from sugiyama_ros.fit.cross_validation import Gain, gain, sum_error
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.recording import Recorded
@@ -35,8 +34,6 @@ _LEAST_GAIN = 5.0
 LEVEL_OF_BINS = 0.01
 # Common std of the logarithm of the biases' sum of squares.
 _SPREAD = 0.25
-# A sign is wrong if a parameter is on the wrong side by this many standard deviations.
-_SURELY = 2.0
 
 
 @dataclass(frozen=True)
@@ -128,7 +125,7 @@ def judge(data: Recorded, evidence: Evidence) -> Adequacy:
     Adequacy
         The outcome with its reasons.
     """
-    signs = _signs_say(evidence)
+    signs = signs_say(evidence.named, evidence.stds)
     than = evidence.base if signs else evidence.final
     gains = {law: gain(data, errors.samples, than.samples) for law, errors in evidence.laws.items()}
     better = _better_law(evidence, gains)
@@ -139,8 +136,7 @@ def judge(data: Recorded, evidence: Evidence) -> Adequacy:
         *spread_says(evidence.final, evidence.own),
         *(correlation_says(evidence.final, evidence.own, data.vicinity.period_s) if evidence.named else ()),
         *signs,
-        *_few_say(data, evidence.named),
-        *_use_says(evidence.named),
+        *doubts(data, evidence.named),
         *((*rounding_says(data, evidence.final), *sampling_says(data)) if evidence.named else ()),
     ]
     reasons += [
@@ -276,43 +272,6 @@ def _log_squares(located: Located) -> float:
     """Logarithm of the mean square of the normalised biases; 0 on average without any bias."""
     squares = [b.samples * b.bias**2 for b in located.bins]
     return math.log(max(float(np.mean(squares)), 1e-3)) if squares else 0.0
-
-
-def _signs_say(evidence: Evidence) -> list[str]:
-    """Which parameters of the additions are on the wrong side of what is physically possible."""
-    shared, found = evidence.stds, []
-    for one in evidence.named:
-        limits = EFFECTS[one.form].least if one.form in EFFECTS else {}
-        for name, least in limits.items():
-            value = one.parameters.get(name, least)
-            if value < least - _SURELY * shared.get(f"{one.form}.{name}", shared.get(name, 0.0)):
-                found.append(f"{one.name} has a sign that makes no physical sense: {name} is {value:.3g}")
-    return found
-
-
-def _use_says(named: Sequence[Addition]) -> list[str]:
-    """Whether a force without a name was added, and whether the additions do worse beyond what they were fitted to.
-
-    What drivers really do brings all errors closer there.
-    """
-    reasons = []
-    for one in named:
-        if one.name == FORCE:
-            covariate = COVARIATES[round(one.parameters["covariate"]) - 1]
-            reasons.append(f"a force that depends on {covariate} was added, and has no name")
-    if named and named[-1].worse:
-        reasons.append("in the last part it is worse than the base model, if both are fitted without this part")
-    return reasons
-
-
-def _few_say(data: Recorded, named: Sequence[Addition]) -> list[str]:
-    """Which additions stand for something that a few drivers do."""
-    return [
-        f"{len(one.drivers)} of {data.drivers} drivers bring nearly all of what {one.name} gains: they may do something"
-        f" that is not listed"
-        for one in named
-        if one.is_of_others_too
-    ]
 
 
 def _share(data: Recorded, evidence: Evidence, better: tuple[str, Gain] | None) -> float | None:

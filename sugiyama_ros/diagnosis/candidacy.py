@@ -139,6 +139,10 @@ class NullGains:
             refined=False,
         )
 
+    def joined(self, further: "NullGains") -> "NullGains":
+        """Return these gains with those of some of the candidates on further recordings."""
+        return replace(self, gains={name: g + further.gains.get(name, []) for name, g in self.gains.items()})
+
     @property
     def needed(self) -> float:
         """A gain [nats] that usually counts as support."""

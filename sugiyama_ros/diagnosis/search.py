@@ -230,6 +230,11 @@ class Search:
         if doubtful:
             chosen = [looks[k].candidate for k in doubtful]
             null = null_gains(self.simulations(), chosen, self.effort, self._work, self._on_progress)
+            # two simulations may gain little by chance: six before anything is named
+            if self.quick and (named := [k for k in doubtful if self._judge(looks[k], null).p_value <= LEVEL]):
+                further = self.simulations(FULL.runs)[self.effort.runs :]
+                chosen = [looks[k].candidate for k in named]
+                null = null.joined(null_gains(further, chosen, self.effort, self._work, self._on_progress))
         scored = [self._judge(look, null) for look in looks]
         best = max(scored[k].gain for k in promising)
         hopeful = [

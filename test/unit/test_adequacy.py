@@ -177,6 +177,15 @@ def test_a_force_without_a_name_explains_nothing(own):
     assert judge(own.data, evidence_of(own, named=[added(own, "drag", {"c0": 0.3})])).outcome == "explained"
 
 
+def test_three_names_that_explain_the_data_as_well_are_none(own):
+    drag = added(own, "drag", {"c0": 0.3})
+    two, three = (replace(drag, indistinguishable=names) for names in (("rationality",), ("rationality", "harshness")))
+    assert judge(own.data, evidence_of(own, named=[two])).outcome == "explained"
+    found = judge(own.data, evidence_of(own, named=[three]))
+    said = "drag, rationality and harshness explain the data as well: the cause may be none of them"
+    assert (found.outcome, found.reasons) == ("not_explained", (said,))
+
+
 def test_what_is_explained_is_what_has_a_name(own):
     def ahead_by(nats):
         samples = own.before.samples.copy()

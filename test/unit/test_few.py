@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 
 from sugiyama_ros.diagnosis import few_screen
-from sugiyama_ros.diagnosis.candidacy import LEAST_GAIN, Candidacy
+from sugiyama_ros.diagnosis import search as searching
+from sugiyama_ros.diagnosis.candidacy import LEAST_GAIN, Candidacy, NullGains
 from sugiyama_ros.diagnosis.candidates import candidates
 from sugiyama_ros.diagnosis.few import Few, cost_of, fit_few, rises, who_shows
 from sugiyama_ros.diagnosis.few_screen import chosen, fits_of_few, shown_by_few
 from sugiyama_ros.diagnosis.free_runs import FreeRuns
-from sugiyama_ros.diagnosis.screen import Screened, with_candidate
-from sugiyama_ros.diagnosis.search import Search
-from sugiyama_ros.diagnosis.use import LastPart, drivers_worse, last_part, purpose_of, worse_where
+from sugiyama_ros.diagnosis.screen import FULL, QUICK, Screened, with_candidate
+from sugiyama_ros.diagnosis.search import LEVEL, Search
+from sugiyama_ros.diagnosis.use import Goal, LastPart, drivers_worse, last_part, purpose_of, worse_where
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, defaults
 from sugiyama_ros.effects.registry import ROW, index_of, switch_on
 from sugiyama_ros.errors import InputError
@@ -108,7 +109,7 @@ def test_only_what_predicts_better_hides_a_few_drivers(fitted, patch, grown, wor
     search = Search(data, base, True, 0, work, on_progress=lambda *_: None)
     look = Screened(patch, grown, gain=1000.0, predicted_gain=1000.0, loss=0.0, loss_at={})
     supported = Candidacy(look, grown, 1000.0, 0.0, 1.0, p_value=0.0, p_alone=0.0, refined=True)
-    added = SimpleNamespace(form=patch.name, fit=grown, heldout=Gain(50.0, 1.0, ()), drivers=())
+    added = SimpleNamespace(kind="effect", form=patch.name, fit=grown, heldout=Gain(50.0, 1.0, ()), drivers=())
     asked = []
     monkeypatch.setattr(search, "_look_at_all", lambda: [supported])
     monkeypatch.setattr(search, "_predicts_more", lambda *_: True)
@@ -117,6 +118,31 @@ def test_only_what_predicts_better_hides_a_few_drivers(fitted, patch, grown, wor
     monkeypatch.setattr(search, "_take", lambda one: one is not None)
     assert search.add_effect() is predicts
     assert asked == [hides]
+
+
+@pytest.mark.parametrize(("further_gain", "is_supported"), [(3.0, True), (16.0, False)])
+def test_a_quick_search_simulates_more_before_it_names(
+    fitted, patch, grown, work, monkeypatch, further_gain, is_supported
+):
+    # 20 nats against two simulations that gain nothing; four more may gain more
+    data, base = fitted
+    search = Search(data, base, True, 0, work, goal=Goal(only=(patch.name,)), on_progress=lambda *_: None)
+    look = Screened(patch, grown, gain=20.0, predicted_gain=0.0, loss=0.0, loss_at={})
+    asked = []
+
+    def null_gains(simulations, candidates, effort, work, on_progress):
+        asked.append(len(simulations))
+        gains = [0.5] * 2 if len(simulations) == 2 else [further_gain] * len(simulations)
+        return NullGains({patch.name: gains}, {patch.name: 1.0})
+
+    monkeypatch.setattr(searching, "null_gains", null_gains)
+    monkeypatch.setattr(searching, "closer", lambda data, look, work: look)
+    monkeypatch.setattr(search, "_look", lambda candidate: look)
+    monkeypatch.setattr(search, "_in_full", lambda one: replace(one, refined=True))
+    monkeypatch.setattr(search, "simulations", lambda runs=0: [None] * max(runs, QUICK.runs))
+    (one,) = search._look_at_all()
+    assert asked == [QUICK.runs, FULL.runs - QUICK.runs]
+    assert (one.p_value <= LEVEL) is is_supported
 
 
 def test_a_driver_who_gains_nothing_is_left_out(fitted, patch, work):

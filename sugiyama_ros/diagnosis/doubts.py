@@ -1,0 +1,88 @@
+"""What speaks against additions to a model, however much they gain."""
+
+from collections.abc import Mapping, Sequence
+
+from sugiyama_ros.diagnosis.addition import Addition
+from sugiyama_ros.diagnosis.discover import FORCE
+from sugiyama_ros.effects.discovered_force import COVARIATES
+from sugiyama_ros.effects.registry import EFFECTS
+from sugiyama_ros.fit.recording import Recorded
+
+# A sign is wrong if a parameter is on the wrong side by this many standard deviations.
+_SURELY = 2.0
+# With more other effects that explain the data as well, the cause may not be listed.
+_MOST_ALIKE = 1
+
+
+def doubts(data: Recorded, named: Sequence[Addition]) -> list[str]:
+    """Say what speaks against additions.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    named : sequence of Addition
+        The additions.
+
+    Returns
+    -------
+    list of str
+        Sentences; empty if nothing speaks against them.
+    """
+    return [*_few_say(data, named), *_unnamed_say(named), *_use_says(named), *_many_say(named)]
+
+
+def signs_say(named: Sequence[Addition], stds: Mapping[str, float]) -> list[str]:
+    """Say which parameters of the additions are on the wrong side of what is physically possible.
+
+    Parameters
+    ----------
+    named : sequence of Addition
+        The additions.
+    stds : mapping of str to float
+        Standard errors of the shared parameters, by name.
+
+    Returns
+    -------
+    list of str
+        Sentences; empty if all signs make sense.
+    """
+    found = []
+    for one in named:
+        limits = EFFECTS[one.form].least if one.form in EFFECTS else {}
+        for name, least in limits.items():
+            value = one.parameters.get(name, least)
+            if value < least - _SURELY * stds.get(f"{one.form}.{name}", stds.get(name, 0.0)):
+                found.append(f"{one.name} has a sign that makes no physical sense: {name} is {value:.3g}")
+    return found
+
+
+def _few_say(data: Recorded, named: Sequence[Addition]) -> list[str]:
+    """Which additions stand for something that a few drivers do."""
+    return [
+        f"{len(one.drivers)} of {data.drivers} drivers bring nearly all of what {one.name} gains: they may do something"
+        f" that is not listed"
+        for one in named
+        if one.is_of_others_too
+    ]
+
+
+def _unnamed_say(named: Sequence[Addition]) -> list[str]:
+    """Whether a force without a name was added."""
+    covariates = [COVARIATES[round(one.parameters["covariate"]) - 1] for one in named if one.name == FORCE]
+    return [f"a force that depends on {covariate} was added, and has no name" for covariate in covariates]
+
+
+def _use_says(named: Sequence[Addition]) -> list[str]:
+    """Whether the additions do worse beyond what they were fitted to; what drivers really do brings errors closer."""
+    told = "in the last part it is worse than the base model, if both are fitted without this part"
+    return [told for one in named[-1:] if one.worse]
+
+
+def _many_say(named: Sequence[Addition]) -> list[str]:
+    """Whether so many effects explain the data as well as the first addition that the cause may be none of them."""
+    return [
+        f"{one.name}, {' and '.join(one.indistinguishable)} explain the data as well: the cause may be none of them"
+        for one in named[:1]
+        if len(one.indistinguishable) > _MOST_ALIKE
+    ]
