@@ -75,7 +75,7 @@ def _unnamed_say(named: Sequence[Addition]) -> list[str]:
 
 def _use_says(named: Sequence[Addition]) -> list[str]:
     """Whether the additions do worse beyond what they were fitted to; what drivers really do brings errors closer."""
-    told = "in the last part it is worse than the base model, if both are fitted without this part"
+    told = "if the last 40 % are not fitted, it is worse there than the base model"
     return [told for one in named[-1:] if one.worse]
 
 

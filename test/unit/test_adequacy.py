@@ -210,7 +210,7 @@ def test_additions_that_do_worse_where_they_were_not_fitted_explain_nothing(own)
     lost = added(own, "drag", {"c0": 0.3}, worse=("one step ahead into the last part it loses 34 nats",))
     found = judge(own.data, evidence_of(own, named=[lost]))
     assert (found.outcome, len(found.reasons)) == ("not_explained", 1)
-    assert "worse than the base model" in found.reasons[0]
+    assert "worse there than the base model" in found.reasons[0]
     # a further addition may cure it
     assert judge(own.data, evidence_of(own, named=[lost, replace(lost, worse=())])).outcome == "explained"
 
