@@ -16,8 +16,9 @@ from sugiyama_ros.progress import OnStage
 _AT_ONCE = 3
 # Number of tasks that are under way at the same time: more than a large cluster has workers.
 _TASKS = 512
-# Number of items that a process gets at a time: each message takes as long as the making of an item.
-_CHUNK = 8
+# Number of items that a process gets at a time, at first and with many items: each message takes as long as the making
+# of an item. A process gets no more than this part of what was handed out before it, so that all have work at the end.
+_CHUNK, _LARGE_CHUNK, _PART = 8, 32, 32
 _Common = TypeVar("_Common")
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
@@ -169,11 +170,14 @@ def in_turn(
         for item in items:
             yield from map(function, unpacked((item,)))
         return
-    left, size = iter(items), _CHUNK if isinstance(work, ProcessPoolExecutor) else 1
+    least, most = (_CHUNK, _LARGE_CHUNK) if isinstance(work, ProcessPoolExecutor) else (1, 1)
+    left, size, handed_out = iter(items), least, 0
     under_way: deque[Future[list[_Result]]] = deque()
     while part := tuple(islice(left, size)):
         under_way.append(work.submit(_each, function, unpacked(part)))
-        if len(under_way) >= _TASKS:
+        handed_out += len(part)
+        size = min(max(least, handed_out // _PART), most)
+        while len(under_way) * size >= _TASKS * least:
             yield from under_way.popleft().result()
     while under_way:
         yield from under_way.popleft().result()

@@ -26,12 +26,33 @@ def test_only_some_of_many_items_are_under_way(monkeypatch):
     assert len(made) == 50
 
 
-@pytest.mark.parametrize("items", [0, 1, 7])
+@pytest.mark.parametrize("items", [0, 1, 7, 1500])
 def test_results_come_in_the_order_of_the_items(items):
     expected = [math.sqrt(number) for number in range(items)]
     assert list(in_turn(math.sqrt, range(items), None)) == expected
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as work:
         assert list(in_turn(math.sqrt, range(items), work)) == expected
+
+
+def test_a_process_gets_more_at_a_time_where_there_are_many_items(monkeypatch):
+    monkeypatch.setattr(workers, "_TASKS", 8)
+    sizes, made = [], []
+
+    def unpacked(numbers):
+        sizes.append(len(numbers))
+        return numbers
+
+    def items():
+        for number in range(2000):
+            made.append(number)
+            yield number
+
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as work:
+        for done, _ in enumerate(in_turn(math.sqrt, items(), work, unpacked)):
+            # as many items as eight tasks of the smallest size, and what is made next
+            assert len(made) <= done + 8 * 8 + 32
+    assert (sizes[0], max(sizes)) == (8, 32)
+    assert all(size <= max(8, sum(sizes[:k]) // 32) for k, size in enumerate(sizes))
 
 
 def test_what_goes_wrong_in_a_task_is_told():
