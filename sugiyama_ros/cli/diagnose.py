@@ -108,7 +108,7 @@ def diagnose(options: DiagnoseOptions) -> None:
     print_table(tables.steps(found), wide=options.wide)
     print_table(tables.by_driver(document(found)["drivers"]), wide=options.wide)
     _print_next(found, options.sources, options.output, options.add)
-    runs = f"{found.bootstrap_runs} simulated recordings" + (" (quick)" if found.quick else "")
+    runs = f"up to {found.bootstrap_runs} simulated recordings" + (" (quick)" if found.quick else "")
     print_note(f"p-values from {runs}; {found.wall_s:.0f} s")
 
 

@@ -85,7 +85,7 @@ class Diagnosis(Result):
     searched : tuple of str
         Names of the candidates that were searched for.
     bootstrap_runs : int
-        Number of simulated recordings in each round.
+        Largest number of simulated recordings on which a p-value rests.
     refitted : int
         Number of simulated recordings to which the final model was fitted from nothing.
     quick : bool
@@ -276,7 +276,7 @@ def _summed_up(
         adequacy=found.adequacy,
         stds=widened(found.evidence.stds, search.current, refitted),
         searched=search.searched,
-        bootstrap_runs=search.effort.runs,
+        bootstrap_runs=search.runs,
         refitted=len(refitted),
         quick=search.quick,
         seed=search.seed,

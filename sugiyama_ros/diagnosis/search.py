@@ -88,6 +88,8 @@ class Search:
         Limits of the search.
     searched : tuple of str
         Names of the candidates.
+    runs : int
+        Largest number of simulated recordings on which a p-value rests.
     other_order : Search or None
         The search that begins with freed constants where this one began with an effect that cannot be told apart from
         them, or the other way around; None for a quick search.
@@ -120,6 +122,7 @@ class Search:
         self.refused: list[tuple[str, tuple[str, ...]]] = []
         self._few_gained: dict[str, float] = {}
         self.other_order: Search | None = None
+        self.runs = self.effort.runs
         self._simulated: list[tuple[Recorded, JointFit]] = []
         self._use = Use(data, base, goal.purpose, work)
 
@@ -232,7 +235,8 @@ class Search:
             null = null_gains(self.simulations(), chosen, self.effort, self._work, self._on_progress)
             # two simulations may gain little by chance: six before anything is named
             if self.quick and (named := [k for k in doubtful if self._judge(looks[k], null).p_value <= LEVEL]):
-                further = self.simulations(FULL.runs)[self.effort.runs :]
+                self.runs = FULL.runs
+                further = self.simulations(self.runs)[self.effort.runs :]
                 chosen = [looks[k].candidate for k in named]
                 null = null.joined(null_gains(further, chosen, self.effort, self._work, self._on_progress))
         scored = [self._judge(look, null) for look in looks]

@@ -142,6 +142,7 @@ def test_a_quick_search_simulates_more_before_it_names(
     monkeypatch.setattr(search, "simulations", lambda runs=0: [None] * max(runs, QUICK.runs))
     (one,) = search._look_at_all()
     assert asked == [QUICK.runs, FULL.runs - QUICK.runs]
+    assert search.runs == FULL.runs
     assert (one.p_value <= LEVEL) is is_supported
 
 
