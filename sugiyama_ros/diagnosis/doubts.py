@@ -81,8 +81,8 @@ def _use_says(named: Sequence[Addition]) -> list[str]:
 
 def _many_say(named: Sequence[Addition]) -> list[str]:
     """Whether so many effects explain the data as well as the first addition that the cause may be none of them."""
+    alike = [(one.name, *one.indistinguishable) for one in named[:1] if len(one.indistinguishable) > _MOST_ALIKE]
     return [
-        f"{one.name}, {' and '.join(one.indistinguishable)} explain the data as well: the cause may be none of them"
-        for one in named[:1]
-        if len(one.indistinguishable) > _MOST_ALIKE
+        f"{', '.join(names[:-1])} and {names[-1]} explain the data as well: the cause may be none of them"
+        for names in alike
     ]

@@ -184,6 +184,9 @@ def test_three_names_that_explain_the_data_as_well_are_none(own):
     found = judge(own.data, evidence_of(own, named=[three]))
     said = "drag, rationality and harshness explain the data as well: the cause may be none of them"
     assert (found.outcome, found.reasons) == ("not_explained", (said,))
+    four = replace(drag, indistinguishable=("rationality", "harshness", "road_grade"))
+    (reason,) = judge(own.data, evidence_of(own, named=[four])).reasons
+    assert reason.startswith("drag, rationality, harshness and road_grade explain")
 
 
 def test_what_is_explained_is_what_has_a_name(own):
