@@ -301,13 +301,12 @@ class Search:
         if one is None:
             return False
         worse = self._use.worse(one.fit, self.current)
+        self._possible = tuple(c for c in self._possible if c.mechanism != one.name)
         if worse and self._use.refuses:
             self.refused.append((one.name, worse))
-            self._possible = tuple(c for c in self._possible if c.mechanism != one.name)
             return bool(self._possible)
         self.current, self.errors, self._simulated = one.fit, one.after, []
         self.named.append(replace(one, worse=worse))
-        self._possible = tuple(c for c in self._possible if c.mechanism != one.name)
         return True
 
     def _judge(self, look: Screened, null: NullGains | None = None) -> Candidacy:

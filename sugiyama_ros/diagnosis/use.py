@@ -8,14 +8,14 @@ drives into that part by itself.
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import lru_cache
 from typing import Literal, get_args
 
 import numpy as np
 from scipy.stats import t as student
 
 from sugiyama_ros.arrays import Array, Mask
-from sugiyama_ros.diagnosis.free_runs import HORIZONS_S, FreeRuns, free_runs
+from sugiyama_ros.diagnosis.free_runs import HORIZONS_S, FreeRuns, free_runs, rmse
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.joint import JointFit, maximise
 from sugiyama_ros.fit.recording import FOLDS, Recorded
@@ -112,25 +112,28 @@ class Use:
     """
 
     def __init__(self, data: Recorded, base: JointFit, purpose: Purpose, work: Executor) -> None:
-        self._data, self._base, self._purpose, self._work = data, base, purpose, work
+        self._base, self._purpose, self._has_last_part = base, purpose, data.vicinity.is_whole_road
         self.refuses = purpose != "prediction"
+
+        # the base model and the model before are asked for again with each candidate
+        @lru_cache(maxsize=3)
+        def of(fitted: JointFit) -> LastPart:
+            return last_part(data, fitted, work)
+
+        self._last_part = of
 
     def worse(self, fitted: JointFit, before: JointFit) -> tuple[str, ...]:
         """Say where a model does worse in the last part, than the base model or, for simulations, than one before it.
 
         Tracks have no last part.
         """
-        if not self._data.vicinity.is_whole_road:
+        if not self._has_last_part:
             return ()
-        ours = last_part(self._data, fitted, self._work)
-        found = worse_where(ours, self._of_base, self._purpose)
-        if self._purpose == "simulation" and not found and before is not self._base:
-            return worse_where(ours, last_part(self._data, before, self._work), self._purpose)
+        ours = self._last_part(fitted)
+        found = worse_where(ours, self._last_part(self._base), self._purpose)
+        if self._purpose == "simulation" and not found:
+            return worse_where(ours, self._last_part(before), self._purpose)
         return found
-
-    @cached_property
-    def _of_base(self) -> LastPart:
-        return last_part(self._data, self._base, self._work)
 
 
 def purpose_of(name: str) -> Purpose:
@@ -236,16 +239,13 @@ def _regimes(runs: FreeRuns) -> Iterator[tuple[str, Mask]]:
 
 def _larger(ours: FreeRuns, base: FreeRuns) -> Iterator[str]:
     """Say at which horizons free runs end further off than the base model's, over all starts."""
-    for kind, all_ends, all_base_ends in (
+    for kind, ends, base_ends in (
         ("free runs", ours.coupled, base.coupled),
         ("free runs of a single car", ours.single, base.single),
     ):
+        both = np.isfinite(ends + base_ends)
         for k, horizon in enumerate(HORIZONS_S):
-            ends, base_ends = all_ends[:, k], all_base_ends[:, k]
-            both = np.isfinite(ends) & np.isfinite(base_ends)
-            off, base_off = (
-                float(np.sqrt(np.square(one[both]).mean())) if both.any() else 0.0 for one in (ends, base_ends)
-            )
+            off, base_off = (rmse(one[:, k][both[:, k]]) for one in (ends, base_ends))
             if off > base_off:
                 yield f"{kind} of {horizon:g} s into the last part end {off:.3g} m off instead of {base_off:.3g} m"
 
