@@ -134,7 +134,7 @@ def judge(data: Recorded, evidence: Evidence) -> Adequacy:
         *_free_runs_say(evidence),
         *_bins_say(evidence),
         *spread_says(evidence.final, evidence.own),
-        *(correlation_says(evidence.final, evidence.own, data.vicinity.period_s) if evidence.named else ()),
+        *(correlation_says(evidence.final, evidence.own, data) if evidence.named else ()),
         *signs,
         *doubts(data, evidence.named),
         *((*rounding_says(data, evidence.final), *sampling_says(data)) if evidence.named else ()),
@@ -255,12 +255,12 @@ def _bins_say(evidence: Evidence) -> list[str]:
     p_value = _bins_p_value(evidence)
     if p_value is None or p_value >= LEVEL_OF_BINS:
         return []
-    expected = _mean_flagged(evidence.simulated)
-    worst = evidence.located.flagged[:1]
-    where = f", most of all at {worst[0].shown}" if worst else ""
+    if not evidence.located.flagged:
+        return ["the biases of all bins together are larger than in its own simulations, although no bin stands out"]
+    expected, worst = _mean_flagged(evidence.simulated), evidence.located.flagged[0]
     return [
         f"it is biased in {len(evidence.located.flagged)} of {len(evidence.located.bins)} bins"
-        f" ({expected:.1f} in its own simulations){where}"
+        f" ({expected:.1f} in its own simulations), most of all at {worst.shown}"
     ]
 
 

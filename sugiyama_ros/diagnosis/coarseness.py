@@ -62,10 +62,9 @@ def sampling_says(data: Recorded) -> list[str]:
     list of str
         One reason, or none.
     """
-    if data.every == 1:
+    if not data.is_sparse:
         return []
-    apart_s = data.every * data.vicinity.period_s
     return [
-        f"samples are {apart_s:.2g} s apart, and drivers decide {data.every} times from one to the next: what is named"
-        " may only make up for what the filter cannot know in between"
+        f"samples are {data.apart_s:.2g} s apart, and drivers decide {data.every} times from one to the next: what is"
+        " named may only make up for what the filter cannot know in between"
     ]

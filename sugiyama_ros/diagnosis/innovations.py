@@ -11,12 +11,13 @@ from scipy.stats import chi2
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.errors import HeldOutErrors
+from sugiyama_ros.fit.recording import Recorded
 
 #: Probability below which innovations are correlated by more than chance.
 LEVEL_OF_CORRELATION = 0.01
 # Mean NIS of held-out samples, over that of the model's own simulations, within which a filter knows its own errors.
 _NIS = (0.8, 1.25)
-# Lags, in samples, whose correlations count.
+# Lags, in samples in which somebody is measured, whose correlations count.
 _LAGS = (1, 2, 4, 8, 16, 32)
 # A correlation is known from more pairs than this.
 _FEWEST = 64
@@ -49,7 +50,7 @@ def spread_says(final: HeldOutErrors, own: Sequence[HeldOutErrors]) -> list[str]
     return [f"the filter is {surer} of itself than it should be: mean NIS {nis:.2f} instead of {expected:.2f}"]
 
 
-def correlation_says(final: HeldOutErrors, own: Sequence[HeldOutErrors], period_s: float) -> list[str]:
+def correlation_says(final: HeldOutErrors, own: Sequence[HeldOutErrors], data: Recorded) -> list[str]:
     """Say whether the innovations are correlated in time otherwise than in the model's own simulations.
 
     Parameters
@@ -58,8 +59,8 @@ def correlation_says(final: HeldOutErrors, own: Sequence[HeldOutErrors], period_
         Held-out errors of the model.
     own : sequence of HeldOutErrors
         Held-out errors of the model in recordings that it simulates.
-    period_s : float
-        Time between two samples [s].
+    data : Recorded
+        The recording.
 
     Returns
     -------
@@ -72,15 +73,16 @@ def correlation_says(final: HeldOutErrors, own: Sequence[HeldOutErrors], period_
     """
     if not own:
         return []
-    found, error = _correlations(final)
-    expected = np.mean([_correlations(one)[0] for one in own], axis=0)
+    found, error = _correlations(final, data.every)
+    expected = np.mean([_correlations(one, data.every)[0] for one in own], axis=0)
     off = (found - expected) / (error * np.sqrt(1.0 + 1.0 / len(own)))
     off = off[np.isfinite(off)]
     if not len(off) or chi2.sf(float(np.sum(off**2)), len(off)) >= LEVEL_OF_CORRELATION:
         return []
     worst = int(np.nanargmax(np.abs(found - expected) / error))
+    apart_s = _LAGS[worst] * data.apart_s
     return [
-        f"innovations {_LAGS[worst] * period_s:.2g} s apart are correlated by {found[worst]:.2f} ± {error[worst]:.2f}"
+        f"innovations {apart_s:.2g} s apart are correlated by {found[worst]:.2f} ± {error[worst]:.2f}"
         f" ({expected[worst]:.2f} in its own simulations)"
     ]
 
@@ -98,12 +100,13 @@ def _mean_square(errors: HeldOutErrors) -> float:
     return float(np.nanmean(normal**2)) if np.isfinite(normal).any() else 1.0
 
 
-def _correlations(errors: HeldOutErrors) -> tuple[Array, Array]:
+def _correlations(errors: HeldOutErrors, every: int) -> tuple[Array, Array]:
     """Correlation of innovations at each lag, over all drivers, and its standard error, (L,) each; NaN with few pairs.
 
-    The error is that of white noise, or that over the drivers where it is larger.
+    every: vehicles are measured in one sample of so many. The error is that of white noise, or that over the
+    drivers where it is larger.
     """
-    normal = _normal(errors)
+    normal = _normal(errors)[:, ::every]
     means, stds = np.full((2, len(_LAGS)), np.nan)
     for k, lag in enumerate(_LAGS):
         pairs = normal[:, lag:] * normal[:, :-lag]

@@ -74,7 +74,7 @@ def judged(
         found = _judged(search, before, work, FULL.runs)
         is_unexplained = found.adequacy.outcome == "not_explained"
     # with empty samples in between, filters approximate more than two simulations tell: no force speaks there alone
-    if laws and (is_unexplained or search.data.every == 1):
+    if laws and (is_unexplained or not search.data.is_sparse):
         level = LEVEL if is_unexplained else _SURELY
         left = forces_left(search.data, search.current, search.simulations(), level, work)
         evidence = replace(found.evidence, forces=left)

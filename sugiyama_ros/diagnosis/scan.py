@@ -199,11 +199,13 @@ def _bases(data: Recorded, states: Array) -> Iterator[_Basis]:
 def _response(data: Recorded, fitted: JointFit, work: Executor) -> Array:
     """Change of the innovation [m] by a push of 1 m/s^2 in one period, after 0, 1, 2, ... samples."""
     samples, period = data.samples, data.vicinity.period_s
-    length = min(round(_SHOWS_S / period) + 1, samples)
+    length = min(round(_SHOWS_S / period) + 1, samples - data.every + 1)
     who = range(0, data.drivers, -(-data.drivers // _PUSHED))
     changes = []
-    for share in np.linspace(0.1, 0.8, _PUSHES):
+    # where vehicles are measured in one sample of so many, pushes before each of the samples in between
+    for n, share in enumerate(np.linspace(0.1, 0.8, max(_PUSHES, data.every))):
         at = int(share * (samples - length))
+        at += (n - at) % data.every
         rows = fitted.model.rows.copy()
         # the force depends on the time, and its knots are one sample apart
         rows[:, _FIRST], rows[:, _FIRST + 3 + _KNOT] = 5.0, _PUSH
@@ -213,7 +215,9 @@ def _response(data: Recorded, fitted: JointFit, work: Executor) -> Array:
         change = (pushed.innovation_m - fitted.samples.innovation_m)[:, at : at + length] / _PUSH
         changes.append(change[np.any(np.nan_to_num(change) != 0.0, axis=1)])
     known = np.concatenate(changes)
-    return np.nan_to_num(np.nanmedian(known, axis=0)) if len(known) else np.zeros(length)
+    seen, response = np.isfinite(known).any(axis=0), np.zeros(length)
+    response[seen] = np.nanmedian(known[:, seen], axis=0)
+    return response
 
 
 def _scored(data: Recorded, fitted: JointFit, basis: _Basis, response: Array, tests: int) -> ScoredForce:

@@ -15,6 +15,7 @@ from sugiyama_ros.diagnosis.use import drivers_worse
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
 from sugiyama_ros.effects.registry import EFFECTS, ROW, effect
 from sugiyama_ros.fit.model_file import own_stds
+from sugiyama_ros.fit.recording import Recorded
 
 #: Member of the set of what cannot be told apart, where the named effect leaves biases that it should not leave.
 UNLISTED = "something that is not listed"
@@ -184,6 +185,16 @@ def _not_certain(d: Diagnosis) -> list[str]:
     return lines + ([f"To tell them apart: {'; '.join(advice)}."] if advice else [])
 
 
+def _smoothing(data: Recorded) -> str:
+    """Return one sentence on which samples count of smoothed positions; an empty string for others."""
+    if not data.smoothed_s:
+        return ""
+    counts = "the ends of each record do not count"
+    if data.every > 1:
+        counts = f"only samples that are {data.apart_s:.2g} s apart count, because errors in between are correlated"
+    return f"Somebody has smoothed the positions, over about {data.smoothed_s:.2g} s: {counts}."
+
+
 def sentences(d: Diagnosis) -> list[str]:
     """Return the verdict in words, one line for each finding."""
     lines = [told(d.adequacy)]
@@ -223,6 +234,7 @@ def sentences(d: Diagnosis) -> list[str]:
         laws = ", ".join(f"those of {name} {error:.3g} m" for name, error in d.closer.items())
         lines.append(f"After 10 s, free runs of the model are {d.after.free_run_10s_m:.3g} m off, {laws}.")
     lines += [f"In use it is worse than the base model: {one}." for n in d.named[-1:] for one in n.worse[:_WORST]]
+    lines.append(_smoothing(d.data))
     left_out = not_searched(d.data)
     if left_out and not d.data.vicinity.is_whole_road:
         lines.append("Not searched: " + ", ".join(f"{name} ({reason})" for name, reason in left_out.items()) + ".")

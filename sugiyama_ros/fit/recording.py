@@ -1,7 +1,7 @@
 """A recording prepared for a fit: the chain of vehicles ahead of each driver, and blocks of time to hold out."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,7 +12,15 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.chain import CHAIN, Chain
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.fit.bounds import SMALLEST, fastest, lower_bounds, upper_bounds
-from sugiyama_ros.fit.sampling import measured, measured_every, with_short_periods
+from sugiyama_ros.fit.sampling import (
+    LONGEST_S,
+    apart_if_smoothed,
+    measured,
+    measured_every,
+    smoothed_alike,
+    thinned,
+    with_short_periods,
+)
 from sugiyama_ros.fit.smooth_positions import Evenness, evenness, smoothing_window
 from sugiyama_ros.fit.vicinity import DriverName, Vicinity
 from sugiyama_ros.trajectories.trajectories import Trajectories
@@ -53,6 +61,8 @@ class Recorded:
         The recording, where it is one road on which everybody is recorded; None for tracks.
     every : int
         Vehicles are measured in one sample of so many.
+    smoothed_s : float
+        Time [s] over which somebody has smoothed the positions; 0 if nobody has.
     """
 
     vicinity: Vicinity
@@ -68,6 +78,7 @@ class Recorded:
     upper: Array
     trajectories: Trajectories | None = None
     every: int = 1
+    smoothed_s: float = 0.0
 
     @property
     def drivers(self) -> int:
@@ -78,6 +89,16 @@ class Recorded:
     def samples(self) -> int:
         """Number T of samples."""
         return self.fold.shape[1]
+
+    @property
+    def apart_s(self) -> float:
+        """Time [s] from one sample in which vehicles are measured to the next."""
+        return self.every * self.vicinity.period_s
+
+    @property
+    def is_sparse(self) -> bool:
+        """Whether samples are further apart than one step of the model may be."""
+        return self.every > 1 and self.apart_s > LONGEST_S * (1.0 + 1e-6)
 
     @property
     def measured_samples(self) -> int:
@@ -91,7 +112,8 @@ def prepare(trajectories: Trajectories, segment: Ints | None = None) -> Recorded
     Parameters
     ----------
     trajectories : Trajectories
-        N vehicles at T samples. Where these are more than 0.5 s apart, empty samples come in between.
+        N vehicles at T samples. Where these are more than 0.5 s apart, empty samples come in between. Of smoothed
+        positions, only samples count that are about half a window apart.
     segment : ndarray of int, shape (T,), optional
         Number of the unbroken part of the recording. Every filter restarts where the number changes.
 
@@ -106,6 +128,12 @@ def prepare(trajectories: Trajectories, segment: Ints | None = None) -> Recorded
         If the recording is too short to hold out samples.
     """
     trajectories = with_short_periods(trajectories)
+    seen, present = measured(trajectories), trajectories.present
+    window = smoothing_window(seen.road.unwrap(seen.position_m).T, seen.period_s)
+    alike = smoothed_alike(present.T, window * measured_every(trajectories))
+    if measured_every(trajectories) == 1:
+        every = apart_if_smoothed(window, trajectories.period_s)
+        trajectories = replace(trajectories, position_m=thinned(trajectories.position_m, every))
     samples, drivers = trajectories.position_m.shape
     duration = trajectories.period_s * samples
     if duration < 8.0:
@@ -125,13 +153,14 @@ def prepare(trajectories: Trajectories, segment: Ints | None = None) -> Recorded
         block=np.tile(block, (drivers, 1)),
         fold=np.tile(block % FOLDS, (drivers, 1)),
         segment=np.tile(unbroken, (drivers, 1)),
-        scored=_who_follows(chains)[:, None] & _smoothed_alike(trajectories),
+        scored=_who_follows(chains)[:, None] & alike,
         even=even,
         speed=speed,
         lower=lower,
         upper=upper,
         trajectories=trajectories,
         every=measured_every(trajectories),
+        smoothed_s=window * seen.period_s,
     )
 
 
@@ -196,15 +225,6 @@ def _who_follows(chains: Sequence[Chain]) -> Mask:
     led = np.array([((chain.identity[:, 0] >= 0) & (chain.identity[:, 1] >= 0)).sum() for chain in chains])
     follows = led > _LEAST_LED * there
     return follows if follows.any() else np.ones_like(follows)
-
-
-def _smoothed_alike(trajectories: Trajectories) -> Mask:
-    """Whether samples are as smooth as all others, (N, T): at the ends of a record, smoothers have half a window."""
-    seen, present = measured(trajectories), trajectories.present.T
-    window = smoothing_window(seen.road.unwrap(seen.position_m).T, seen.period_s)
-    ends = window * measured_every(trajectories)
-    since, until = np.cumsum(present, axis=1), np.cumsum(present[:, ::-1], axis=1)[:, ::-1]
-    return np.asarray((since > ends) & (until > ends) | (ends == 0))
 
 
 def _columns(trajectories: Trajectories, driver: int, m: int) -> Ints:

@@ -3,17 +3,22 @@
 The driver of the model decides anew at every sample, three times a second in the paper. A camera that keeps one picture
 a second does not make drivers decide less often. Between its pictures the model therefore goes on in shorter periods,
 in which nobody is measured.
+
+The errors of positions that somebody has smoothed are correlated over the smoother's window. The filter takes errors
+for independent, so of such positions only samples count that are about half a window apart.
 """
 
+import math
 from dataclasses import replace
 
 import numpy as np
 
+from sugiyama_ros.arrays import Array, Mask
 from sugiyama_ros.driver.parameters import REFERENCE_PERIOD_S
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
-# Longest period [s] that one step of the model covers.
-_LONGEST_S = 0.5
+#: Longest period [s] that one step of the model covers, and longest time between samples of smoothed positions.
+LONGEST_S = 0.5
 # Periods that differ by less than this part are equal.
 _ROUNDING = 1e-6
 
@@ -40,13 +45,58 @@ def with_short_periods(trajectories: Trajectories) -> Trajectories:
     >>> with_short_periods(slow).position_m.ravel().tolist()
     [0.0, nan, nan, 9.0]
     """
-    if trajectories.period_s <= _LONGEST_S * (1.0 + _ROUNDING):
+    if trajectories.period_s <= LONGEST_S * (1.0 + _ROUNDING):
         return trajectories
     parts = round(trajectories.period_s / REFERENCE_PERIOD_S)
     samples, vehicles = trajectories.position_m.shape
     position = np.full((parts * (samples - 1) + 1, vehicles), np.nan)
     position[::parts] = trajectories.position_m
     return replace(trajectories, position_m=position, period_s=trajectories.period_s / parts)
+
+
+def apart_if_smoothed(window: int, period_s: float) -> int:
+    """Return the number of periods from one sample that counts to the next, if somebody has smoothed the positions.
+
+    Parameters
+    ----------
+    window : int
+        Samples over which positions were smoothed, as ``smoothing_window`` returns them; 0 if they were not.
+    period_s : float
+        Time between two samples [s].
+
+    Returns
+    -------
+    int
+        Half a window, but at most 0.5 s; at least 1.
+    """
+    longest = math.floor(LONGEST_S * (1.0 + _ROUNDING) / period_s)
+    return max(1, min(math.ceil(window / 2), longest))
+
+
+def thinned(position_m: Array, every: int) -> Array:
+    """Return positions (T, ...) of which only one sample in so many is known."""
+    known = np.full_like(position_m, np.nan)
+    known[::every] = position_m[::every]
+    return known
+
+
+def smoothed_alike(present: Mask, ends: int) -> Mask:
+    """Return whether samples are as smooth as all others: at the ends of a record, smoothers have half a window.
+
+    Parameters
+    ----------
+    present : ndarray of bool, shape (N, T)
+        Whether a vehicle is recorded.
+    ends : int
+        Number of samples at the start and at the end of a record that are not.
+
+    Returns
+    -------
+    ndarray of bool, shape (N, T)
+        False at the ends, and where the vehicle is not recorded unless ``ends`` is 0.
+    """
+    since, until = np.cumsum(present, axis=1), np.cumsum(present[:, ::-1], axis=1)[:, ::-1]
+    return np.asarray((since > ends) & (until > ends) | (ends == 0))
 
 
 def measured_every(trajectories: Trajectories) -> int:
@@ -67,7 +117,7 @@ def measured_every(trajectories: Trajectories) -> int:
 
 
 def measured(trajectories: Trajectories) -> Trajectories:
-    """Return a recording without the samples that ``with_short_periods`` has added."""
+    """Return a recording without its empty samples in between."""
     every = measured_every(trajectories)
     if every == 1:
         return trajectories

@@ -7,6 +7,7 @@ them. A filter with the fixed noises then believes neither its measurements nor 
 The third differences of positions show it: they are large where noise is, and small where a vehicle moves by itself.
 """
 
+import math
 from collections.abc import Iterable
 from typing import NamedTuple
 
@@ -45,6 +46,9 @@ _FEWEST = 8
 # Third differences of noise are correlated over three samples. Beyond these, smoothing shows as an autocorrelation
 # above this one; over so much time [s] it is looked for.
 _OF_NOISE, _CORRELATED, _LONGEST_S = 3, 0.2, 3.0
+# It ends where autocorrelations are no longer above this number, or above so many standard errors. Those of an average
+# over W samples are 1/3 at W + 1 samples, 1/12 at W + 2 samples, and then 0.
+_ENDS, _STDS = 1.0 / 6.0, 3.0
 # Third differences beyond so many stds count as this much: spikes tell nothing about smoothing.
 _SPIKE = 3.0
 # Bound of the noises in a search, as a part of the noise that the positions show.
@@ -148,8 +152,8 @@ def evenness_of(positions: Iterable[Array], period_s: float) -> Evenness:
 def smoothing_window(positions: Iterable[Array], period_s: float) -> int:
     """Return over how many samples somebody has smoothed positions.
 
-    Third differences of unsmoothed positions are correlated over three samples at most. A smoother adds correlation at
-    the width of its window.
+    Third differences of unsmoothed positions are correlated over three samples at most. A smoother adds correlation up
+    to the width of its window and a little more.
 
     Parameters
     ----------
@@ -161,11 +165,11 @@ def smoothing_window(positions: Iterable[Array], period_s: float) -> int:
     Returns
     -------
     int
-        Distance in samples at which the third differences of all vehicles are correlated most, by more than 0.2; 0 if
-        there is none within 3 s.
+        Width of the window, as far as correlations show it; 0 if none beyond three samples is above 0.2. Correlations
+        over more than 3 s are not looked for.
     """
     products = np.zeros(max(0, round(_LONGEST_S / period_s) - _OF_NOISE))
-    square = 0.0
+    square, count = 0.0, 0
     for one in positions:
         third = np.diff(one, n=3)
         known = np.isfinite(third)
@@ -173,10 +177,12 @@ def smoothing_window(positions: Iterable[Array], period_s: float) -> int:
             continue
         most = _SPIKE * roughness(np.abs(third[known]))
         third = np.where(known, np.clip(third, -most, most), 0.0)
-        square += float(third @ third)
+        square, count = square + float(third @ third), count + int(known.sum())
         products += [third[k:] @ third[:-k] for k in range(_OF_NOISE + 1, _OF_NOISE + 1 + len(products))]
-    correlated = np.abs(products) > _CORRELATED * square
-    return _OF_NOISE + 1 + int(np.argmax(np.abs(products))) if correlated.any() else 0
+    if not (np.abs(products) > _CORRELATED * square).any():
+        return 0
+    ends = max(_ENDS, _STDS / math.sqrt(count))
+    return _OF_NOISE + int(np.flatnonzero(np.abs(products) > ends * square)[-1])
 
 
 def evenness(trajectories: Trajectories) -> Evenness:

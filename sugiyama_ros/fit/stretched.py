@@ -8,12 +8,13 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.arrays import Array, Ints, Mask
 from sugiyama_ros.drives import Drive, drives
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.chain import CHAIN, Chain
 from sugiyama_ros.fit.recording import BLOCK_S, FOLDS, Recorded, bounds_of, prepare
-from sugiyama_ros.fit.smooth_positions import Evenness, evenness_of
+from sugiyama_ros.fit.sampling import apart_if_smoothed, smoothed_alike, thinned
+from sugiyama_ros.fit.smooth_positions import Evenness, evenness_of, smoothing_window
 from sugiyama_ros.fit.vicinity import DriverName, Vicinity
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.one_lane import numbers_of
@@ -87,9 +88,9 @@ def following_s(own: Sequence[Drive]) -> float:
     return sum(float((d.scored & (d.chain.identity[:, 1] >= 0)).sum()) * d.chain.period_s for d in own)
 
 
-def evenness_on(every: Sequence[Drive]) -> Evenness:
-    """Return how evenly drivers move on their stretches."""
-    return evenness_of([d.chain.position_m[:, 0] for d in every], every[0].chain.period_s)
+def evenness_on(every: Sequence[Drive], apart: int = 1) -> Evenness:
+    """Return how evenly drivers move on their stretches, from one sample in ``apart``."""
+    return evenness_of([d.chain.position_m[::apart, 0] for d in every], apart * every[0].chain.period_s)
 
 
 def fastest_on(every: Sequence[Drive]) -> float:
@@ -111,7 +112,8 @@ def prepare_tracks(tracks: Tracks) -> Recorded:
     -------
     Recorded
         The drivers who follow for at least ``LEAST_FOLLOWING_S``, each on all their stretches. Blocks of time are parts
-        of a driver's own record. A segment ends where the leader changes.
+        of a driver's own record. A segment ends where the leader changes. Of smoothed positions, only samples count
+        that are about half a window apart.
 
     Raises
     ------
@@ -121,8 +123,11 @@ def prepare_tracks(tracks: Tracks) -> Recorded:
     tracks = on_time_base(tracks)
     drivers = followers(tracks).enough
     every = [drive for own in drivers for drive in own]
-    even, speed = evenness_on(every), fastest_on(every)
-    chains = _chains(drivers)
+    period_s = every[0].chain.period_s
+    window = smoothing_window([d.chain.position_m[:, 0] for d in every], period_s)
+    apart = apart_if_smoothed(window, period_s)
+    even, speed = evenness_on(every, apart), fastest_on(every)
+    chains = tuple(replace(one, position_m=thinned(one.position_m, apart)) for one in _chains(drivers))
     samples = len(chains[0].position_m)
     block = np.array([_blocks(chain) for chain in chains])
     fold = block % FOLDS
@@ -135,11 +140,13 @@ def prepare_tracks(tracks: Tracks) -> Recorded:
         block=block,
         fold=fold,
         segment=np.array([_segments(chain) for chain in chains]),
-        scored=np.array([_joined([d.scored for d in own], samples, False) for own in drivers]),
+        scored=np.array([_joined([_alike(d, window) for d in own], samples, False) for own in drivers]),
         even=even,
         speed=speed,
         lower=lower,
         upper=upper,
+        every=apart,
+        smoothed_s=window * period_s,
     )
 
 
@@ -169,7 +176,8 @@ def driven_anew(data: Recorded, position_m: Array, segment: Ints) -> Recorded:
     largest = max(int(chain.identity.max()) for chain in data.chains) + 1
     for i, chain in enumerate(data.chains):
         position, identity = chain.position_m.copy(), chain.identity.copy()
-        position[:, 0] = position_m[:, i]
+        # what the recording misses is missed again
+        position[:, 0] = np.where(np.isnan(position[:, 0]), np.nan, position_m[:, i])
         identity[:, 0] = np.where(identity[:, 0] >= 0, identity[:, 0] + largest * (1 + segment[i]), -1)
         chains.append(replace(chain, position_m=position, identity=identity))
     positions = np.concatenate([position_m, around.position_m[:, around.drivers :]], axis=1)
@@ -210,6 +218,11 @@ def _joined(parts: Sequence[NDArray[_Kind]], samples: int, empty: float | bool) 
         joined[at : at + len(part)] = part
         at += len(part) + _BETWEEN
     return joined
+
+
+def _alike(drive: Drive, window: int) -> Mask:
+    """Samples of a stretch that count and are as smooth as all others, (T,)."""
+    return np.asarray(drive.scored & smoothed_alike(np.ones((1, len(drive.scored)), np.bool_), window)[0])
 
 
 def _blocks(chain: Chain) -> Ints:

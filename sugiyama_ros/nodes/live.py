@@ -122,7 +122,9 @@ def _server(view: View, host: str, port: int) -> tuple[Server, str]:
     url = f"http://{shown}:{port}" + (f"/?token={guard.token}" if guard.token else "")
     log_quietly()
     # Bokeh would check the origin of a web socket by a list of names; the guard compares it with the host.
-    logging.getLogger("bokeh.server.util").setLevel(logging.ERROR)
+    # A browser that closes the page is nothing to warn of.
+    for name in ("bokeh.server.util", "bokeh.server.views.ws"):
+        logging.getLogger(name).setLevel(logging.ERROR)
     try:
         server = Server(
             {"/": page(view)},

@@ -125,13 +125,13 @@ def test_innovations_that_are_correlated_in_time_speak_against_the_model(own):
         return replace(own.after, samples=samples)
 
     white = [with_innovations(0.0, seed) for seed in range(198)]
-    said = correlation_says(with_innovations(0.3, 1), white[:2], 0.5)
-    assert said[0].startswith("innovations 0.5 s apart are correlated by 0.")
+    said = correlation_says(with_innovations(0.3, 1), white[:2], own.data)
+    assert said[0].startswith("innovations 0.33 s apart are correlated by 0.")
     # the same correlation in its own simulations is the filter's, and without simulations nothing is known
-    assert correlation_says(with_innovations(0.3, 1), [with_innovations(0.3, seed) for seed in (2, 3)], 0.5) == []
-    assert correlation_says(with_innovations(0.3, 1), [], 0.5) == []
+    assert correlation_says(with_innovations(0.3, 1), [with_innovations(0.3, seed) for seed in (2, 3)], own.data) == []
+    assert correlation_says(with_innovations(0.3, 1), [], own.data) == []
     # at a level of 1 %, more than 4 of 66 have a probability of 5e-4
-    assert sum(bool(correlation_says(white[k], white[k + 1 : k + 3], 0.5)) for k in range(0, 198, 3)) <= 4
+    assert sum(bool(correlation_says(white[k], white[k + 1 : k + 3], own.data)) for k in range(0, 198, 3)) <= 4
 
 
 def test_coarse_positions_speak_against_what_is_named(own):

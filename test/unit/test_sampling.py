@@ -12,7 +12,7 @@ from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, d
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.population import fit_base, start_model
 from sugiyama_ros.fit.recording import prepare
-from sugiyama_ros.fit.sampling import measured, measured_every, with_short_periods
+from sugiyama_ros.fit.sampling import apart_if_smoothed, measured, measured_every, with_short_periods
 from sugiyama_ros.fit.score import evaluate, filtered_states
 from sugiyama_ros.fit.smooth_positions import smoothing_window
 from sugiyama_ros.road import Road
@@ -101,6 +101,24 @@ def test_the_window_of_a_smoother_is_found(window):
     assert smoothing_window(smoothed(way + noise, window).T, 0.1) == window
 
 
+def test_smoothed_positions_count_half_a_window_apart():
+    assert [apart_if_smoothed(window, 0.1) for window in (0, 1, 4, 7, 11, 30)] == [1, 1, 2, 4, 5, 5]
+    assert apart_if_smoothed(21, 0.04) == 11
+    assert apart_if_smoothed(9, 1.0 / 3.0) == apart_if_smoothed(9, 1.0) == 1
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_errors_of_smoothed_positions_correlate_only_with_the_next_ones_that_count(seed):
+    noise = np.random.default_rng(seed).standard_normal((20_000, 1))
+    for window in (5, 11):
+        apart = apart_if_smoothed(window, 0.1)
+        one = smoothed(noise, window)[:, 0][window::apart]
+        # an average over W samples shares W - k of them with that k samples later; 4 standard errors of 4,000 samples
+        expected = 1.0 - apart / window
+        assert np.corrcoef(one[1:], one[:-1])[0, 1] == pytest.approx(expected, abs=4.0 / np.sqrt(len(one)))
+        assert np.corrcoef(one[3:], one[:-3])[0, 1] == pytest.approx(0.0, abs=8.0 / np.sqrt(len(one)))
+
+
 def test_the_ends_of_a_smoothed_record_do_not_count(slow):
     rng = np.random.default_rng(9)
     way = 5.0 * 0.1 * np.arange(400)[:, None] + np.array([0.0, 20.0, 40.0])
@@ -113,6 +131,11 @@ def test_the_ends_of_a_smoothed_record_do_not_count(slow):
         road=Road(0.0),
     )
     data = prepare(t)
+    # half a window is 0.6 s, but samples are at most 0.5 s apart
+    assert (data.every, data.apart_s, data.smoothed_s) == (5, pytest.approx(0.5), pytest.approx(1.1))
+    assert np.isfinite(data.trajectories.position_m[::5]).all()
+    assert np.isnan(np.delete(data.trajectories.position_m, np.s_[::5], axis=0)).all()
+    assert not data.is_sparse
     # nobody is ahead of the last vehicle, which does not count at all
     assert (data.scored[:2, 11:-11]).all()
     assert not data.scored[:, :11].any()
