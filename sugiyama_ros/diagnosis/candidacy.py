@@ -12,6 +12,7 @@ from sugiyama_ros.diagnosis.candidates import Candidate
 from sugiyama_ros.diagnosis.chance import COMMON, of_best, spread_of_next
 from sugiyama_ros.diagnosis.screen import Effort, Screened, closer, screen
 from sugiyama_ros.effects.registry import effect
+from sugiyama_ros.fit.cross_validation import Gain, gain, held_out_nearly
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.progress import OnStage
@@ -189,6 +190,12 @@ def null_gains(
     drivers = len(simulations[0][1].model.rows)
     by_candidate = {c.name: list(one) for c, one in zip(chosen, zip(*gains, strict=True), strict=True)}
     return NullGains(by_candidate, {c.name: chance_scale(c, drivers) for c in chosen})
+
+
+def heldout_gains(data: Recorded, current: JointFit, scored: Sequence[Candidacy]) -> dict[str, Gain]:
+    """Return the held-out gains of candidates over the current model, by name, without running the filter."""
+    now = held_out_nearly(data, current)
+    return {one.candidate.name: gain(data, held_out_nearly(data, one.fit), now) for one in scored}
 
 
 #: Gains by chance before any simulation.

@@ -157,8 +157,8 @@ def held_out_errors(data: Recorded, fitted: JointFit, work: Executor, *, searche
     """Return the held-out errors of a fitted model.
 
     One step away from the fit (``searched=False``) the held-out models are good where the fit is at a maximum that the
-    data determine. Where they predict far worse than the fit itself, they are searched after all: a number that rests
-    on a step along a ridge of the likelihood cannot be trusted.
+    data determine. Where they predict far worse than the fit itself, in all or for one driver, they are searched after
+    all: a number that rests on a step along a ridge of the likelihood cannot be trusted.
 
     Parameters
     ----------
@@ -177,9 +177,16 @@ def held_out_errors(data: Recorded, fitted: JointFit, work: Executor, *, searche
         Errors over all folds.
     """
     found = errors_of(data, without_folds(data, fitted, work, searched=searched), work)
-    free = data.drivers * len(fitted.model.individual) + len(fitted.model.shared)
-    if fitted.log_likelihood - found.samples.total <= _PER_PARAMETER * free:
+    own, shared = len(fitted.model.individual), len(fitted.model.shared)
+    lost = np.nansum(fitted.samples.log_likelihood - found.samples.log_likelihood, axis=1)
+    # a driver whose own step failed would make up for nothing, or for everything that an addition gains
+    if lost.sum() <= _PER_PARAMETER * (data.drivers * own + shared) and lost.max() <= _PER_PARAMETER * (own + 1):
         return found
+    return searched_errors(data, fitted, found, work)
+
+
+def searched_errors(data: Recorded, fitted: JointFit, found: HeldOutErrors, work: Executor) -> HeldOutErrors:
+    """Return the held-out errors after a search for each fold from the fit, or those ``found`` if they are better."""
     again = errors_of(data, searched_without_folds(data, fitted, work), work)
     return again if again.samples.total > found.samples.total else found
 

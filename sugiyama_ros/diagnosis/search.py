@@ -18,6 +18,7 @@ from sugiyama_ros.diagnosis.candidacy import (
     UNKNOWN,
     Candidacy,
     NullGains,
+    heldout_gains,
     is_obvious,
     null_gains,
     shortlist,
@@ -25,7 +26,7 @@ from sugiyama_ros.diagnosis.candidacy import (
 )
 from sugiyama_ros.diagnosis.candidates import Candidate, candidates, only_those
 from sugiyama_ros.diagnosis.discover import Discovery, against_simulations, discover
-from sugiyama_ros.diagnosis.errors import HeldOutErrors, held_out_errors
+from sugiyama_ros.diagnosis.errors import HeldOutErrors, held_out_errors, searched_errors
 from sugiyama_ros.diagnosis.few import who_shows
 from sugiyama_ros.diagnosis.few_screen import ShownByFew, fits_of_few, shown_by_few
 from sugiyama_ros.diagnosis.glance import best_forms, worth_screening
@@ -34,7 +35,7 @@ from sugiyama_ros.diagnosis.push import push_candidate
 from sugiyama_ros.diagnosis.screen import FULL, QUICK, Screened, closer, forecast, refine, screen, screen_again
 from sugiyama_ros.diagnosis.telling_apart import indistinguishable
 from sugiyama_ros.diagnosis.use import ANYTHING, Goal, Use
-from sugiyama_ros.fit.cross_validation import Gain, gain, held_out_nearly
+from sugiyama_ros.fit.cross_validation import Gain, gain
 from sugiyama_ros.fit.joint import JointFit, rise
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.progress import OnStage
@@ -141,7 +142,7 @@ class Search:
         supported = [one for one in scored if one.refined and one.p_value <= LEVEL and one.gain >= one.needed]
         now = self._nearly(self.current) if supported and not self.quick else self.errors
         grown: list[Addition] = []
-        predicted = self._gains(supported)
+        predicted = heldout_gains(self.data, self.current, supported)
         for one in sorted(supported, key=lambda one: -predicted[one.candidate.name].nats):
             is_rival = not grown or (one.candidate.mechanism in grown[0].indistinguishable and not self.quick)
             if is_rival and self._predicts_more(one, now):
@@ -249,14 +250,10 @@ class Search:
         fitted = at_once(self._in_full, hopeful, f"{title}: fitting", self._on_progress)
         scored = sorted([*fitted, *(one for one in scored if one not in hopeful)], key=lambda one: -one.score)
         if is_first:
-            self.heldout, self.smallest = self._gains(scored), smallest_detectable(looks, null)
+            self.heldout = heldout_gains(self.data, self.current, scored)
+            self.smallest = smallest_detectable(looks, null)
             self.scored = [one.without_fits(self.base) for one in scored]
         return scored
-
-    def _gains(self, scored: Sequence[Candidacy]) -> dict[str, Gain]:
-        """Held-out gains of candidates over the current model, without running the filter."""
-        now = held_out_nearly(self.data, self.current)
-        return {one.candidate.name: gain(self.data, held_out_nearly(self.data, one.fit), now) for one in scored}
 
     def _predicts_more(self, one: Candidacy, now: HeldOutErrors) -> bool:
         """Whether held-out samples support a candidate, too; ``now``: errors of the current model."""
@@ -274,11 +271,17 @@ class Search:
         self, candidate: Candidate, fitted: JointFit, p_value: float, rivals: tuple[str, ...] = ()
     ) -> Addition | None:
         """The model with a candidate, fitted in full; None if its held-out gain is below ``least_gain``."""
-        data, work, before = self.data, self._work, self.errors
+        data, work = self.data, self._work
         # what is named has converged, also in a quick search
         grown = converged(data, fitted, candidate, work)
         after = held_out_errors(data, grown, work, searched=not self.quick)
-        won = gain(data, after.samples, before.samples)
+        won = gain(data, after.samples, self.errors.samples)
+        if won.nats > rise(self.current, grown) + LEAST_GAIN:
+            # nothing predicts more than it fits: a step to a held-out model has failed
+            self.errors = searched_errors(data, self.current, self.errors, work)
+            self.before = self.before if self.named else self.errors
+            after = searched_errors(data, grown, after, work)
+            won = gain(data, after.samples, self.errors.samples)
         if won.nats < least_gain(won, candidate):
             return None
         return Addition(
@@ -290,7 +293,7 @@ class Search:
             advice=advice_for(candidate.mechanism, rivals),
             p_value=p_value,
             heldout=won,
-            before=before,
+            before=self.errors,
             after=after,
             fit=grown,
             drivers=candidate.drivers,

@@ -187,12 +187,12 @@ def _not_certain(d: Diagnosis) -> list[str]:
 
 def _smoothing(data: Recorded) -> str:
     """Return one sentence on which samples count of smoothed positions; an empty string for others."""
-    if not data.smoothed_s:
-        return ""
-    counts = "the ends of each record do not count"
-    if data.every > 1:
-        counts = f"only samples that are {data.apart_s:.2g} s apart count, because errors in between are correlated"
-    return f"Somebody has smoothed the positions, over about {data.smoothed_s:.2g} s: {counts}."
+    why = "Positions move more evenly than the model's noises let them"
+    if data.smoothed_s:
+        why = f"Somebody has smoothed the positions, over about {data.smoothed_s:.2g} s"
+    if data.every > 1 and not data.is_sparse:
+        return f"{why}: only samples that are {data.apart_s:.2g} s apart count."
+    return f"{why}: the ends of each record do not count." if data.smoothed_s else ""
 
 
 def sentences(d: Diagnosis) -> list[str]:

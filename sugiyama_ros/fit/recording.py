@@ -132,7 +132,7 @@ def prepare(trajectories: Trajectories, segment: Ints | None = None) -> Recorded
     window = smoothing_window(seen.road.unwrap(seen.position_m).T, seen.period_s)
     alike = smoothed_alike(present.T, window * measured_every(trajectories))
     if measured_every(trajectories) == 1:
-        every = apart_if_smoothed(window, trajectories.period_s)
+        every = apart_if_smoothed(window, evenness(trajectories))
         trajectories = replace(trajectories, position_m=thinned(trajectories.position_m, every))
     samples, drivers = trajectories.position_m.shape
     duration = trajectories.period_s * samples

@@ -15,6 +15,7 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array, Mask
 from sugiyama_ros.driver.parameters import REFERENCE_PERIOD_S
+from sugiyama_ros.fit.smooth_positions import Evenness
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 #: Longest period [s] that one step of the model covers, and longest time between samples of smoothed positions.
@@ -54,23 +55,28 @@ def with_short_periods(trajectories: Trajectories) -> Trajectories:
     return replace(trajectories, position_m=position, period_s=trajectories.period_s / parts)
 
 
-def apart_if_smoothed(window: int, period_s: float) -> int:
+def apart_if_smoothed(window: int, even: Evenness) -> int:
     """Return the number of periods from one sample that counts to the next, if somebody has smoothed the positions.
+
+    Rounding hides a smoother from ``smoothing_window``, but such positions still move more evenly than the noises of
+    the model let them.
 
     Parameters
     ----------
     window : int
         Samples over which positions were smoothed, as ``smoothing_window`` returns them; 0 if they were not.
-    period_s : float
-        Time between two samples [s].
+    even : Evenness
+        How evenly the vehicles move.
 
     Returns
     -------
     int
-        Half a window, but at most 0.5 s; at least 1.
+        Half a window, but at most 0.5 s, and 0.5 s where no window is seen; at least 1.
     """
-    longest = math.floor(LONGEST_S * (1.0 + _ROUNDING) / period_s)
-    return max(1, min(math.ceil(window / 2), longest))
+    longest = max(1, math.floor(LONGEST_S * (1.0 + _ROUNDING) / even.period_s))
+    if window:
+        return min(math.ceil(window / 2), longest)
+    return longest if even.is_smooth else 1
 
 
 def thinned(position_m: Array, every: int) -> Array:

@@ -125,7 +125,7 @@ def prepare_tracks(tracks: Tracks) -> Recorded:
     every = [drive for own in drivers for drive in own]
     period_s = every[0].chain.period_s
     window = smoothing_window([d.chain.position_m[:, 0] for d in every], period_s)
-    apart = apart_if_smoothed(window, period_s)
+    apart = apart_if_smoothed(window, evenness_on(every))
     even, speed = evenness_on(every, apart), fastest_on(every)
     chains = tuple(replace(one, position_m=thinned(one.position_m, apart)) for one in _chains(drivers))
     samples = len(chains[0].position_m)

@@ -239,6 +239,18 @@ def test_a_held_out_step_that_fails_is_searched_after_all(own):
     assert guarded.samples.total > stepped.samples.total
 
 
+def test_a_held_out_step_that_fails_for_one_driver_is_searched_after_all(own):
+    off = np.where(np.arange(5)[:, None] == 0, 20.0, -5.0)
+    first = replace(own.base.slopes[0], information=0.3 * own.base.slopes[0].information)
+    broken = replace(own.base, slopes=(replace(first, score=first.score + off), *own.base.slopes[1:]))
+    with ThreadPoolExecutor(2) as work:
+        stepped = errors_of(own.data, without_folds(own.data, broken, work, searched=False), work)
+        guarded = held_out_errors(own.data, broken, work, searched=False)
+    # little of all that the drivers may lose, and far too much for one of them
+    assert 4.0 * (4 + 1) < own.base.log_likelihood - stepped.samples.total < 4.0 * 4 * CARS
+    assert guarded.samples.total > stepped.samples.total + 4.0
+
+
 def test_a_law_whose_free_runs_end_closer_speaks_against_the_model_unless_simulations_show_the_same(own):
     runs = own.after.runs
     closer = replace(own.after, runs=replace(runs, coupled=runs.coupled / 3.0, single=runs.single / 3.0))

@@ -14,7 +14,7 @@ from sugiyama_ros.fit.population import fit_base, start_model
 from sugiyama_ros.fit.recording import prepare
 from sugiyama_ros.fit.sampling import apart_if_smoothed, measured, measured_every, with_short_periods
 from sugiyama_ros.fit.score import evaluate, filtered_states
-from sugiyama_ros.fit.smooth_positions import smoothing_window
+from sugiyama_ros.fit.smooth_positions import Evenness, smoothing_window
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, platoon, simulate
 
@@ -102,16 +102,21 @@ def test_the_window_of_a_smoother_is_found(window):
 
 
 def test_smoothed_positions_count_half_a_window_apart():
-    assert [apart_if_smoothed(window, 0.1) for window in (0, 1, 4, 7, 11, 30)] == [1, 1, 2, 4, 5, 5]
-    assert apart_if_smoothed(21, 0.04) == 11
-    assert apart_if_smoothed(9, 1.0 / 3.0) == apart_if_smoothed(9, 1.0) == 1
+    def apart(window, period_s, roughness_m=1.0):
+        return apart_if_smoothed(window, Evenness(roughness_m, period_s))
+
+    assert [apart(window, 0.1) for window in (0, 1, 4, 7, 11, 30)] == [1, 1, 2, 4, 5, 5]
+    assert apart(21, 0.04) == 11
+    assert apart(9, 1.0 / 3.0) == apart(9, 1.0) == 1
+    # no window is seen, but positions are smoother than the model lets them be
+    assert [apart(0, period_s, 1e-3) for period_s in (0.04, 0.1, 1.0 / 3.0, 1.0)] == [12, 5, 1, 1]
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_errors_of_smoothed_positions_correlate_only_with_the_next_ones_that_count(seed):
     noise = np.random.default_rng(seed).standard_normal((20_000, 1))
     for window in (5, 11):
-        apart = apart_if_smoothed(window, 0.1)
+        apart = apart_if_smoothed(window, Evenness(1.0, 0.1))
         one = smoothed(noise, window)[:, 0][window::apart]
         # an average over W samples shares W - k of them with that k samples later; 4 standard errors of 4,000 samples
         expected = 1.0 - apart / window
