@@ -13,7 +13,7 @@ from sugiyama_ros.filters.chain import CHAIN, Chain
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.fit.bounds import SMALLEST, fastest, lower_bounds, upper_bounds
 from sugiyama_ros.fit.sampling import (
-    LONGEST_S,
+    LONGEST_APART_S,
     apart_if_smoothed,
     measured,
     measured_every,
@@ -97,8 +97,8 @@ class Recorded:
 
     @property
     def is_sparse(self) -> bool:
-        """Whether samples are further apart than one step of the model may be."""
-        return self.every > 1 and self.apart_s > LONGEST_S * (1.0 + 1e-6)
+        """Whether samples are so far apart that the filter knows too little of what drivers saw in between."""
+        return self.every > 1 and self.apart_s > LONGEST_APART_S * (1.0 + 1e-6)
 
     @property
     def measured_samples(self) -> int:
@@ -113,7 +113,7 @@ def prepare(trajectories: Trajectories, segment: Ints | None = None) -> Recorded
     ----------
     trajectories : Trajectories
         N vehicles at T samples. Where these are more than 0.5 s apart, empty samples come in between. Of smoothed
-        positions, only samples count that are about half a window apart.
+        positions, only samples count that are most of the window apart.
     segment : ndarray of int, shape (T,), optional
         Number of the unbroken part of the recording. Every filter restarts where the number changes.
 

@@ -5,7 +5,8 @@ a second does not make drivers decide less often. Between its pictures the model
 in which nobody is measured.
 
 The errors of positions that somebody has smoothed are correlated over the smoother's window. The filter takes errors
-for independent, so of such positions only samples count that are about half a window apart.
+for independent, so of such positions only samples count that are some way apart: three quarters of the window, but at
+most 0.8 s. The errors of an average over a window then share a quarter.
 """
 
 import math
@@ -18,8 +19,13 @@ from sugiyama_ros.driver.parameters import REFERENCE_PERIOD_S
 from sugiyama_ros.fit.smooth_positions import Evenness
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
-#: Longest period [s] that one step of the model covers, and longest time between samples of smoothed positions.
-LONGEST_S = 0.5
+#: Longest time [s] between samples of smoothed positions. Where samples are further apart, the filter knows too little
+#: of what drivers saw in between to tell what moved them.
+LONGEST_APART_S = 0.8
+# Longest period [s] that one step of the model covers.
+_LONGEST_S = 0.5
+# Distance between samples of smoothed positions, over the window.
+_OF_WINDOW = 0.75
 # Periods that differ by less than this part are equal.
 _ROUNDING = 1e-6
 
@@ -46,7 +52,7 @@ def with_short_periods(trajectories: Trajectories) -> Trajectories:
     >>> with_short_periods(slow).position_m.ravel().tolist()
     [0.0, nan, nan, 9.0]
     """
-    if trajectories.period_s <= LONGEST_S * (1.0 + _ROUNDING):
+    if trajectories.period_s <= _LONGEST_S * (1.0 + _ROUNDING):
         return trajectories
     parts = round(trajectories.period_s / REFERENCE_PERIOD_S)
     samples, vehicles = trajectories.position_m.shape
@@ -71,11 +77,12 @@ def apart_if_smoothed(window: int, even: Evenness) -> int:
     Returns
     -------
     int
-        Half a window, but at most 0.5 s, and 0.5 s where no window is seen; at least 1.
+        Three quarters of the window, but at most 0.8 s, and 0.5 s where no window is seen; at least 1.
     """
-    longest = max(1, math.floor(LONGEST_S * (1.0 + _ROUNDING) / even.period_s))
+    longest_s = LONGEST_APART_S if window else _LONGEST_S
+    longest = max(1, math.floor(longest_s * (1.0 + _ROUNDING) / even.period_s))
     if window:
-        return min(math.ceil(window / 2), longest)
+        return min(math.ceil(_OF_WINDOW * window), longest)
     return longest if even.is_smooth else 1
 
 

@@ -113,7 +113,7 @@ def prepare_tracks(tracks: Tracks) -> Recorded:
     Recorded
         The drivers who follow for at least ``LEAST_FOLLOWING_S``, each on all their stretches. Blocks of time are parts
         of a driver's own record. A segment ends where the leader changes. Of smoothed positions, only samples count
-        that are about half a window apart.
+        that are most of the window apart.
 
     Raises
     ------
