@@ -21,6 +21,8 @@ _OF_FEW = 2.5
 _RING = Setup()
 # A long delay lets cars collide where they are close together.
 _WIDE = Setup(ring_m=260.0, is_moving=True)
+# Desired speed [m/s], in town and on a highway.
+_DESIRED = (10.26, 34.0)
 #: Where nothing is hidden.
 SCENES = {
     "home": _RING,
@@ -37,6 +39,7 @@ SCENES = {
     "noise x0.3": Setup(noise=0.3),
     "noise x3": Setup(noise=3.0, ring_m=300.0, is_moving=True),
     "open platoon": Setup(drivers=8, ring_m=0.0),
+    "highway": Setup(drivers=10, ring_m=0.0, duration_s=200.0, period_s=0.2, is_moving=True, is_highway=True),
     "missing samples": _RING,
     "smoothed 10 Hz": Setup(drivers=8, ring_m=0.0, duration_s=100.0, period_s=0.1),
 }
@@ -154,7 +157,7 @@ def recorded(case: Case, strength: str, seed: int) -> Pair:
         people: People = (
             followers(case.law, scene.drivers, rng, scene.noise)
             if case.law
-            else drawn(scene.drivers, rng, scene.noise, scene.spread)
+            else drawn(scene.drivers, rng, scene.noise, scene.spread, _DESIRED[scene.is_highway])
         )
         who = np.sort(rng.choice(scene.drivers, case.few, replace=False)) if case.few else np.arange(0)
         for build in case.builders:

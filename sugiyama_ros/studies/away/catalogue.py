@@ -111,7 +111,7 @@ def _near(view: Sight, middle: float, width: float, scene: Setup) -> Array:
 
 
 def _place(scene: Setup, rng: np.random.Generator) -> float:
-    return float(rng.uniform(0.0, 1.0)) * (scene.ring_m or 5.5 * scene.duration_s)
+    return float(rng.uniform(0.0, 1.0)) * (scene.ring_m or scene.speed_ahead * scene.duration_s)
 
 
 def grade(strength: float, scene: Setup, rng: np.random.Generator) -> Built:

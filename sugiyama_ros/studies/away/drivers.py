@@ -76,10 +76,12 @@ class Sight:
     rear_speed: Array
 
 
-def drawn(count: int, rng: np.random.Generator, noise: float = 1.0, spread: float = 0.1) -> People:
+def drawn(
+    count: int, rng: np.random.Generator, noise: float = 1.0, spread: float = 0.1, desired_speed: float = 10.26
+) -> People:
     """Draw drivers whose desired speeds and risk premiums differ by 10 %."""
     return People(
-        desired_speed=10.26 * np.exp(spread * rng.standard_normal(count)),
+        desired_speed=desired_speed * np.exp(spread * rng.standard_normal(count)),
         risk_premium=0.215 * np.exp(spread * rng.standard_normal(count)),
         measurement_std=np.full(count, 0.263 * noise),
         acceleration_std=np.full(count, 0.273 * noise),

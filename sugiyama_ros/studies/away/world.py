@@ -13,7 +13,11 @@ from sugiyama_ros.studies.away.drivers import People, Sight, mean_action, noises
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 _LENGTH_M = 4.33
-_SPEED_AHEAD = ((3.0, 60.0), (1.5, 23.0), (0.8, 9.0))
+# Mean speed [m/s] of the first car on an open road, and amplitudes [m/s] and periods [s] of its waves.
+_IN_TOWN = 5.5, ((3.0, 60.0), (1.5, 23.0), (0.8, 9.0))
+_ON_HIGHWAY = 24.0, ((6.0, 80.0), (3.0, 31.0), (1.0, 13.0))
+# Gap [m] and speed [m/s] at the start from uniform flow on an open road; in town, on a highway.
+_STARTS = ((6.0, 5.0), (28.0, 19.0))
 
 
 @dataclass(frozen=True)
@@ -36,6 +40,8 @@ class Setup:
         The camera keeps one sample of so many.
     is_moving : bool
         Whether the cars start from uniform flow; otherwise from rest, with gaps of 2 m.
+    is_highway : bool
+        Whether the open road is a highway, on which the first car drives at 14 to 34 m/s.
     """
 
     drivers: int = 22
@@ -46,6 +52,12 @@ class Setup:
     spread: float = 0.1
     every: int = 1
     is_moving: bool = False
+    is_highway: bool = False
+
+    @property
+    def speed_ahead(self) -> float:
+        """Mean speed [m/s] of the first car on an open road."""
+        return (_ON_HIGHWAY if self.is_highway else _IN_TOWN)[0]
 
 
 class History:
@@ -172,15 +184,15 @@ def _look(time_s: float, state: tuple[Array, Array, Array, Array], ring_m: float
 
 def _start(scene: Setup, is_moving: bool) -> tuple[Array, Array]:
     """Positions [m] and speeds [m/s] at the start."""
-    apart = scene.ring_m / scene.drivers if scene.ring_m else _LENGTH_M + 6.0
-    if not is_moving:
-        apart = _LENGTH_M + 2.0
-    return apart * np.arange(scene.drivers, dtype=np.float64), np.full(scene.drivers, 5.0 if is_moving else 0.0)
+    gap, speed = _STARTS[scene.is_highway] if is_moving else (2.0, 0.0)
+    apart = scene.ring_m / scene.drivers if scene.ring_m and is_moving else _LENGTH_M + gap
+    return apart * np.arange(scene.drivers, dtype=np.float64), np.full(scene.drivers, speed)
 
 
-def _speed_ahead(time_s: float) -> float:
+def _speed_ahead(time_s: float, scene: Setup) -> float:
     """Speed [m/s] of the first car on an open road."""
-    return 5.5 + sum(size * float(np.sin(2.0 * np.pi * time_s / period - 1.0)) for size, period in _SPEED_AHEAD)
+    mean, waves = _ON_HIGHWAY if scene.is_highway else _IN_TOWN
+    return mean + sum(size * float(np.sin(2.0 * np.pi * time_s / period - 1.0)) for size, period in waves)
 
 
 def drive(scene: Setup, people: People, hidden: Sequence[Hidden], rng: np.random.Generator, is_moving: bool) -> Array:
@@ -203,7 +215,7 @@ def drive(scene: Setup, people: People, hidden: Sequence[Hidden], rng: np.random
         v = v + scene.period_s * a + std_v * rng.standard_normal(len(x))
         if not scene.ring_m:
             x[-1] = view.position[-1] + scene.period_s * view.speed[-1]
-            v[-1] = max(_speed_ahead((k + 1) * scene.period_s), 0.0)
+            v[-1] = max(_speed_ahead((k + 1) * scene.period_s, scene), 0.0)
     return np.array([view.position for view in seen])
 
 
