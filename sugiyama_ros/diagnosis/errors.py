@@ -10,7 +10,7 @@ import numpy as np
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.block_runs import run_blocks
 from sugiyama_ros.diagnosis.free_runs import HORIZONS_S, FreeRuns, first_known, free_runs, rmse
-from sugiyama_ros.fit.cross_validation import of_folds, searched_without_folds, without_folds
+from sugiyama_ros.fit.cross_validation import of_folds, searched_by_some, searched_without_folds, without_folds
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import Recorded
@@ -179,15 +179,21 @@ def held_out_errors(data: Recorded, fitted: JointFit, work: Executor, *, searche
     found = errors_of(data, without_folds(data, fitted, work, searched=searched), work)
     own, shared = len(fitted.model.individual), len(fitted.model.shared)
     lost = np.nansum(fitted.samples.log_likelihood - found.samples.log_likelihood, axis=1)
-    # a driver whose own step failed would make up for nothing, or for everything that an addition gains
-    if lost.sum() <= _PER_PARAMETER * (data.drivers * own + shared) and lost.max() <= _PER_PARAMETER * (own + 1):
-        return found
-    return searched_errors(data, fitted, found, work)
+    if lost.sum() > _PER_PARAMETER * (data.drivers * own + shared):
+        return searched_errors(data, fitted, found, work)
+    # one driver whose step failed may hide all that an addition gains, or feign it
+    failed = lost > _PER_PARAMETER * (own + 1)
+    return _better(found, data, searched_by_some(data, fitted, failed, work), work) if failed.any() else found
 
 
 def searched_errors(data: Recorded, fitted: JointFit, found: HeldOutErrors, work: Executor) -> HeldOutErrors:
     """Return the held-out errors after a search for each fold from the fit, or those ``found`` if they are better."""
-    again = errors_of(data, searched_without_folds(data, fitted, work), work)
+    return _better(found, data, searched_without_folds(data, fitted, work), work)
+
+
+def _better(found: HeldOutErrors, data: Recorded, models: Sequence[Model], work: Executor) -> HeldOutErrors:
+    """The held-out errors of models, or those ``found`` if they are better."""
+    again = errors_of(data, models, work)
     return again if again.samples.total > found.samples.total else found
 
 

@@ -3,13 +3,14 @@
 import math
 from collections.abc import Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sugiyama_ros.arrays import Mask
 from sugiyama_ros.filters.measurement import weigh_samples
-from sugiyama_ros.fit.joint import JointFit, maximise, solve, start_fit
+from sugiyama_ros.fit.joint import JointFit, at_model, maximise, solve, start_fit
 from sugiyama_ros.fit.model import Model, coordinate, moved
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import PointwiseDensity, evaluate, unknown
@@ -57,6 +58,42 @@ def searched_without_folds(data: Recorded, fitted: JointFit, work: Executor) -> 
         maximise(data, fitted, work, folds=[k for k in range(FOLDS) if k != f], iterations=2 * _STEPS_WITHOUT).model
         for f in range(FOLDS)
     )
+
+
+def searched_by_some(data: Recorded, fitted: JointFit, who: Mask, work: Executor) -> tuple[Model, ...]:
+    """Return models as ``without_folds`` does by a step, in which some drivers search for their individual parameters.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    fitted : JointFit
+        The model fitted to all folds.
+    who : ndarray of bool, shape (N,)
+        The drivers who search, from the fit to all folds.
+    work : Executor
+        Runs the filters.
+
+    Returns
+    -------
+    tuple of Model
+        One model for each fold.
+    """
+    own, mine = list(fitted.model.individual), slice(len(fitted.model.individual))
+    slopes = tuple(
+        replace(s, score=s.score[:, mine], information=s.information[:, mine, mine], columns=s.columns[mine])
+        for s in fitted.slopes
+    )
+    models = []
+    for f in range(FOLDS):
+        model, others = _without(data, fitted, f), [k for k in range(FOLDS) if k != f]
+        rows = model.rows.copy()
+        rows[:, own] = np.where(who[:, None], fitted.model.rows[:, own], rows[:, own])
+        alone = replace(model, rows=rows, shared=(), few=())
+        start = at_model(data, JointFit(alone, fitted.samples, slopes), alone, work, who)
+        found = maximise(data, start, work, folds=others, iterations=2 * _STEPS_WITHOUT, who=who)
+        models.append(replace(model, rows=np.where(who[:, None], found.model.rows, model.rows)))
+    return tuple(models)
 
 
 def _without(data: Recorded, fitted: JointFit, fold: int) -> Model:
