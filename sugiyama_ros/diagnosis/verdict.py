@@ -189,7 +189,7 @@ def _smoothing(data: Recorded) -> str:
     """Return one sentence on which samples count of smoothed positions; an empty string for others."""
     why = "Positions move more evenly than the model's noises let them"
     if data.smoothed_s:
-        why = f"Somebody has smoothed the positions, over about {data.smoothed_s:.2g} s"
+        why = f"Third differences of the positions are correlated over about {data.smoothed_s:.2g} s, as by a smoother"
     if data.every > 1 and not data.is_sparse:
         return f"{why}: only samples that are {data.apart_s:.2g} s apart count."
     return f"{why}: the ends of each record do not count." if data.smoothed_s else ""
