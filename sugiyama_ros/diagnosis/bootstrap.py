@@ -125,7 +125,9 @@ def resampled_fits(
     return at_once(one_run, rngs, "simulating the current model", on_progress)
 
 
-def widened(stds: Mapping[str, float], fitted: JointFit, refitted: Sequence[JointFit]) -> dict[str, float]:
+def widened(
+    stds: Mapping[str, float], fitted: JointFit, refitted: Sequence[JointFit], factor: float = 1.0
+) -> dict[str, float]:
     """Widen standard errors by what fits to simulated recordings are off.
 
     The filter approximates what drivers see, so that the fit of a parameter may be biased, and its likelihood is rough.
@@ -139,11 +141,13 @@ def widened(stds: Mapping[str, float], fitted: JointFit, refitted: Sequence[Join
         The fit from which the recordings were simulated.
     refitted : sequence of JointFit
         The fits to these recordings.
+    factor : float
+        Factor of the errors there.
 
     Returns
     -------
     dict of str to float
-        The root mean square of the errors there, where it is larger.
+        The root mean square of the errors there times ``factor``, where it is larger.
     """
     model, found = fitted.model, dict(stds)
     for k, has in zip(model.shared, model.has.T, strict=True):
@@ -151,7 +155,7 @@ def widened(stds: Mapping[str, float], fitted: JointFit, refitted: Sequence[Join
         off = [one.model.rows[driver, k] - model.rows[driver, k] for one in refitted]
         if off:
             name = ROW.entries[k]
-            found[name] = max(found[name], float(np.sqrt(np.mean(np.square(off)))))
+            found[name] = max(found[name], factor * float(np.sqrt(np.mean(np.square(off)))))
     return found
 
 

@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.stats import norm
 from scipy.stats import t as student
 
 from sugiyama_ros.arrays import Array
@@ -33,6 +34,22 @@ def spread_of_next(by_chance: Array, common: float) -> tuple[float, int]:
     freedom = runs - 1 + COMMON
     squares = float(np.square(by_chance - by_chance.mean()).sum())
     return math.sqrt((squares + COMMON * common**2) / freedom * (1.0 + 1.0 / runs)), freedom
+
+
+def widening(runs: int) -> float:
+    """Return how much wider a std must be, if it is known from so many values, for 95 % intervals of 1.96 stds to hold.
+
+    Parameters
+    ----------
+    runs : int
+        Number of values, whose mean is known.
+
+    Returns
+    -------
+    float
+        Student's t over the normal distribution; 1 without values.
+    """
+    return float(student.ppf(0.975, runs) / norm.ppf(0.975)) if runs else 1.0
 
 
 def of_best(p_alone: float, tests: float) -> float:

@@ -12,6 +12,7 @@ from sugiyama_ros.diagnosis.addition import Addition
 from sugiyama_ros.diagnosis.adequacy import Adequacy, told
 from sugiyama_ros.diagnosis.bootstrap import widened
 from sugiyama_ros.diagnosis.candidacy import Candidacy
+from sugiyama_ros.diagnosis.chance import widening
 from sugiyama_ros.diagnosis.discover import Discovery
 from sugiyama_ros.diagnosis.errors import HeldOutErrors, errors_of, held_out_errors
 from sugiyama_ros.diagnosis.free_runs import HORIZONS_S
@@ -274,7 +275,7 @@ def _summed_up(
         closer=closer_laws(search.errors, laws),
         floor={"floor": found.floor},
         adequacy=found.adequacy,
-        stds=widened(found.evidence.stds, search.current, refitted),
+        stds=widened(found.evidence.stds, search.current, refitted, widening(len(refitted))),
         searched=search.searched,
         bootstrap_runs=search.runs,
         refitted=len(refitted),

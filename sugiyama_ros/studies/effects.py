@@ -8,6 +8,7 @@ import numpy as np
 
 from sugiyama_ros.diagnosis.bootstrap import widened
 from sugiyama_ros.diagnosis.candidates import named
+from sugiyama_ros.diagnosis.chance import widening
 from sugiyama_ros.diagnosis.refits import fit_from_nothing, refits
 from sugiyama_ros.diagnosis.screen import QUICK
 from sugiyama_ros.effects.registry import ROW, index_of
@@ -53,7 +54,8 @@ def found_again(job: tuple[str, int]) -> list[FoundAgain]:
         data = prepare(run.measured)
         hidden = named(data, [effect])
         fitted = fit_from_nothing(data, hidden, work)
-        stds = widened(shared_stds(data, fitted, work), fitted, refits(data, fitted, hidden, seed, REFITS, work))
+        again = refits(data, fitted, hidden, seed, REFITS, work)
+        stds = widened(shared_stds(data, fitted, work), fitted, again, widening(len(again)))
     return [
         FoundAgain(
             f"{effect}.{name}", value, float(fitted.model.rows[0, index_of(effect, name)]), stds[f"{effect}.{name}"]

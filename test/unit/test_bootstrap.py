@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from sugiyama_ros.diagnosis.bootstrap import resample, widened
+from sugiyama_ros.diagnosis.chance import widening
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, defaults
 from sugiyama_ros.effects.registry import ROW, index_of
 from sugiyama_ros.filters.causal import filter_chain
@@ -90,4 +91,14 @@ def test_errors_are_as_wide_as_fits_to_simulated_recordings_are_off():
     stds = {"drag.c0": 0.05, "drag.c2": 0.001}
     wide = widened(stds, fitted, refitted)
     assert wide == {"drag.c0": pytest.approx(math.sqrt((0.1**2 + 0.3**2) / 2)), "drag.c2": 0.001}
+    assert widened(stds, fitted, refitted, 3.0)["drag.c0"] == pytest.approx(3.0 * wide["drag.c0"])
     assert widened(stds, fitted, []) == stds
+
+
+@pytest.mark.parametrize("runs", [2, 4, 6])
+def test_intervals_from_a_few_fits_hold(runs):
+    rng, trials = np.random.default_rng(runs), 20_000
+    known, one = rng.standard_normal((trials, runs)), rng.standard_normal(trials)
+    hold = np.abs(one) < 1.96 * widening(runs) * np.sqrt(np.mean(known**2, axis=1))
+    assert np.mean(hold) == pytest.approx(0.95, abs=4.0 * math.sqrt(0.95 * 0.05 / trials))
+    assert widening(0) == 1.0
