@@ -29,9 +29,8 @@ def run_blocks(data: Recorded, model: Model, states: Array, fold: int) -> Array:
         Positions [m], wrapped on a ring; NaN in other folds, while the filter settles, and for vehicles that were not
         there at the start of the block, and on tracks, where nobody says who drives before and after a stretch.
     """
-    around = data.vicinity
     position = np.full((data.samples, data.drivers), np.nan)
-    if not around.is_whole_road:
+    if data.trajectories is None:
         return position
     # On one road, all drivers have the same blocks, folds and segments.
     block, fold_at, segment = data.block[0], data.fold[0], data.segment[0]
@@ -42,5 +41,5 @@ def run_blocks(data: Recorded, model: Model, states: Array, fold: int) -> Array:
             continue
         position[k] = states[k, :, 0]
         position[k + 1 : end] = drive_all(data, model, states, k, end - k - 1)
-    wrapped: Array = around.road.wrap(position)
-    return np.where(np.isfinite(around.position_m), wrapped, np.nan)
+    wrapped: Array = data.trajectories.road.wrap(position)
+    return np.where(data.trajectories.present, wrapped, np.nan)

@@ -17,6 +17,8 @@ from sugiyama_ros.fit.score import PointwiseDensity, evaluate, unknown
 
 # Steps of the search from the fit to all folds to the fit without one fold.
 _STEPS_WITHOUT = 4
+# Factor of the information of drivers who are not to move.
+_SURE = 1e15
 # Limits of the change from fitted to held-out samples where the filter does not run again: innovations change by at
 # most this many of their standard deviations, variances by at most this factor. Derivatives alone set no limit.
 _MOST_OFF, _MOST_WIDER = 1.0, 2.0
@@ -81,8 +83,8 @@ def searched_by_some(data: Recorded, fitted: JointFit, who: Mask, work: Executor
     """
     own, mine = list(fitted.model.individual), slice(len(fitted.model.individual))
     slopes = tuple(
-        replace(s, score=s.score[:, mine], information=s.information[:, mine, mine], columns=s.columns[mine])
-        for s in fitted.slopes
+        replace(s, score=s.score[:, mine], information=sure * s.information[:, mine, mine], columns=s.columns[mine])
+        for s, sure in zip(fitted.slopes, np.where(who, 1.0, _SURE), strict=True)
     )
     models = []
     for f in range(FOLDS):
@@ -91,7 +93,7 @@ def searched_by_some(data: Recorded, fitted: JointFit, who: Mask, work: Executor
         rows[:, own] = np.where(who[:, None], fitted.model.rows[:, own], rows[:, own])
         alone = replace(model, rows=rows, shared=(), few=())
         start = at_model(data, JointFit(alone, fitted.samples, slopes), alone, work, who)
-        found = maximise(data, start, work, folds=others, iterations=2 * _STEPS_WITHOUT, who=who)
+        found = maximise(data, start, work, folds=others, iterations=2 * _STEPS_WITHOUT)
         models.append(replace(model, rows=np.where(who[:, None], found.model.rows, model.rows)))
     return tuple(models)
 

@@ -24,8 +24,6 @@ from sugiyama_ros.fit.slopes import Slopes, informed_steps, slopes, slopes_of, s
 # it varies irregularly by about 1 over one step of the difference quotients.
 _ENOUGH = 0.5
 _DAMPING = Damping(least=1e-6, least_after_failure=0.1, most=1e4)
-# Damping of drivers who are not to move.
-_STILL = 1e15
 # Maximum number of steps of a search, and maximum number of times that it computes the derivatives again.
 _STEPS, _RENEWALS = 12, 5
 
@@ -100,7 +98,6 @@ def maximise(
     enough: float = _ENOUGH,
     renewals: int = _RENEWALS,
     fresh: bool = True,
-    who: NDArray[np.bool_] | None = None,
 ) -> JointFit:
     """Maximise the log posterior from a fit whose slopes are known, and return the best fit found.
 
@@ -122,11 +119,9 @@ def maximise(
         Maximum number of times that derivatives are computed again.
     fresh : bool
         Whether the derivatives of ``start`` belong to its own model, and not to a nearby model.
-    who : ndarray of bool, shape (N,), optional
-        Drivers who may move, without shared parameters; all by default.
     """
     here = start
-    damping: Array = np.where(True if who is None else who, np.full(data.drivers, _DAMPING.start), _STILL)
+    damping: Array = np.full(data.drivers, _DAMPING.start)
     is_fresh = np.full(data.drivers, fresh)
     for _ in range(iterations):
         step, moves = _next_step(here, folds, damping, enough)
