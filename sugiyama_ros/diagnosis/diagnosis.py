@@ -2,7 +2,7 @@
 
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +12,7 @@ from sugiyama_ros.diagnosis.addition import Addition
 from sugiyama_ros.diagnosis.adequacy import Adequacy, told
 from sugiyama_ros.diagnosis.bootstrap import widened
 from sugiyama_ros.diagnosis.candidacy import Candidacy
+from sugiyama_ros.diagnosis.candidates import Candidate
 from sugiyama_ros.diagnosis.chance import widening
 from sugiyama_ros.diagnosis.discover import Discovery
 from sugiyama_ros.diagnosis.errors import HeldOutErrors, errors_of, held_out_errors
@@ -20,6 +21,7 @@ from sugiyama_ros.diagnosis.judging import judged
 from sugiyama_ros.diagnosis.law_check import closer_laws
 from sugiyama_ros.diagnosis.locate import Located, locate
 from sugiyama_ros.diagnosis.orders import grown
+from sugiyama_ros.diagnosis.placing import profiled
 from sugiyama_ros.diagnosis.refits import added_to_all, refits
 from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter
 from sugiyama_ros.diagnosis.search import Search
@@ -256,7 +258,9 @@ def _summed_up(
     where_before, where_after = (locate(search.data, one.model, e.samples, work) for one, e in compared)
     laws = {name: errors for name, errors in rivals.items() if name in LAWS}
     found = judged(search, where_after, laws, work)
-    refitted = _refitted(search, found.adequacy, refit, work, on_progress)
+    effects = added_to_all(search.data, search.named)
+    refitted = _refitted(search, effects, found.adequacy, refit, work, on_progress)
+    stds = widened(found.evidence.stds, search.current, refitted, widening(len(refitted)))
     return Diagnosis(
         data=search.data,
         base=search.base,
@@ -275,7 +279,7 @@ def _summed_up(
         closer=closer_laws(search.errors, laws),
         floor={"floor": found.floor},
         adequacy=found.adequacy,
-        stds=widened(found.evidence.stds, search.current, refitted, widening(len(refitted))),
+        stds=profiled(search.data, search.current, effects, stds, work),
         searched=search.searched,
         bootstrap_runs=search.runs,
         refitted=len(refitted),
@@ -286,11 +290,15 @@ def _summed_up(
 
 
 def _refitted(
-    search: Search, adequacy: Adequacy, refit: int | None, work: ThreadPoolExecutor, on_progress: OnStage
+    search: Search,
+    effects: Sequence[Candidate],
+    adequacy: Adequacy,
+    refit: int | None,
+    work: ThreadPoolExecutor,
+    on_progress: OnStage,
 ) -> list[JointFit]:
     """Fits from nothing to simulated recordings: as many as asked for, else only if the names explain the data."""
     runs = (search.effort.refits if adequacy.outcome == "explained" else 0) if refit is None else refit
-    effects = added_to_all(search.data, search.named)
     return refits(search.data, search.current, effects, search.seed, runs, work, on_progress)
 
 

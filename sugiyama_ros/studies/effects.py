@@ -9,6 +9,7 @@ import numpy as np
 from sugiyama_ros.diagnosis.bootstrap import widened
 from sugiyama_ros.diagnosis.candidates import named
 from sugiyama_ros.diagnosis.chance import widening
+from sugiyama_ros.diagnosis.placing import profiled
 from sugiyama_ros.diagnosis.refits import fit_from_nothing, refits
 from sugiyama_ros.diagnosis.screen import QUICK
 from sugiyama_ros.effects.registry import ROW, index_of
@@ -56,6 +57,7 @@ def found_again(job: tuple[str, int]) -> list[FoundAgain]:
         fitted = fit_from_nothing(data, hidden, work)
         again = refits(data, fitted, hidden, seed, REFITS, work)
         stds = widened(shared_stds(data, fitted, work), fitted, again, widening(len(again)))
+        stds = profiled(data, fitted, hidden, stds, work)
     return [
         FoundAgain(
             f"{effect}.{name}", value, float(fitted.model.rows[0, index_of(effect, name)]), stds[f"{effect}.{name}"]

@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sugiyama_ros.diagnosis import placing
 from sugiyama_ros.diagnosis.candidates import candidates
-from sugiyama_ros.diagnosis.placing import best_placed
+from sugiyama_ros.diagnosis.placing import best_placed, profiled
 from sugiyama_ros.diagnosis.screen import with_candidate
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, defaults
 from sugiyama_ros.effects.registry import ROW, index_of, switch_on
@@ -63,6 +64,20 @@ def test_a_fit_that_ended_at_another_strength_goes_back(found):
     again = best_placed(data, weak, candidate, work)
     assert rise(weak, again) > 2.0
     assert abs(again.model.rows[0, STRENGTH] / fitted.model.rows[0, STRENGTH] - 1.0) < 0.1
+
+
+def test_the_error_of_a_time_reaches_to_where_the_likelihood_falls(found, monkeypatch):
+    data, candidate, fitted, work = found
+    names = ("preference_switch.time", "preference_switch.v_star_change")
+    known = dict.fromkeys(names, 0.01)
+    wide = profiled(data, fitted, [candidate], known, work)
+    assert known[names[0]] <= wide[names[0]] < NEAR_S
+    assert wide[names[1]] == known[names[1]]
+    # where the time does not matter at all, the error reaches as far as times are tried
+    monkeypatch.setattr(placing, "predicted", lambda *arguments: 0.0)
+    starts = np.unique([start[TIME] for start in candidate.starts])
+    wide = profiled(data, fitted, [candidate], known, work)
+    assert wide[names[0]] == pytest.approx(np.diff(starts).min() / 1.96)
 
 
 def test_the_best_time_stays(found):
