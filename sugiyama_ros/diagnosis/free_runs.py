@@ -100,9 +100,8 @@ def free_runs(data: Recorded, model: Model, states: Array, work: Executor, fold:
         Errors at the horizons. Its starts do not depend on ``fold``.
     """
     around = data.vicinity
-    tick_s = data.every * around.period_s
-    steps = data.every * np.array([max(1, round(h / tick_s)) for h in HORIZONS_S])
-    apart = data.every * max(1, round(_EVERY_S / tick_s))
+    steps = data.every * np.array([max(1, round(h / data.apart_s)) for h in HORIZONS_S])
+    apart = data.every * max(1, round(_EVERY_S / data.apart_s))
     starts = np.arange(data.every * math.ceil((SETTLING + 4) / data.every), data.samples - steps[-1], apart)
     unbroken = data.segment[:, starts - SETTLING] == data.segment[:, starts + steps[-1]]
     if not around.is_whole_road:

@@ -14,6 +14,7 @@ from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.fit.bounds import SMALLEST, fastest, lower_bounds, upper_bounds
 from sugiyama_ros.fit.sampling import (
     LONGEST_APART_S,
+    ROUNDING,
     apart_if_smoothed,
     measured,
     measured_every,
@@ -98,7 +99,7 @@ class Recorded:
     @property
     def is_sparse(self) -> bool:
         """Whether samples are so far apart that the filter knows too little of what drivers saw in between."""
-        return self.every > 1 and self.apart_s > LONGEST_APART_S * (1.0 + 1e-6)
+        return self.every > 1 and self.apart_s > LONGEST_APART_S * (1.0 + ROUNDING)
 
     @property
     def measured_samples(self) -> int:
@@ -128,10 +129,10 @@ def prepare(trajectories: Trajectories, segment: Ints | None = None) -> Recorded
         If the recording is too short to hold out samples.
     """
     trajectories = with_short_periods(trajectories)
-    seen, present = measured(trajectories), trajectories.present
+    seen, every = measured(trajectories), measured_every(trajectories)
     window = smoothing_window(seen.road.unwrap(seen.position_m).T, seen.period_s)
-    alike = smoothed_alike(present.T, window * measured_every(trajectories))
-    if measured_every(trajectories) == 1:
+    alike = smoothed_alike(trajectories.present.T, window * every)
+    if every == 1:
         every = apart_if_smoothed(window, evenness(trajectories))
         trajectories = replace(trajectories, position_m=thinned(trajectories.position_m, every))
     samples, drivers = trajectories.position_m.shape

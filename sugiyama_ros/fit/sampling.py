@@ -26,8 +26,8 @@ LONGEST_APART_S = 0.8
 _LONGEST_S = 0.5
 # Distance between samples of smoothed positions, over the window.
 _OF_WINDOW = 0.75
-# Periods that differ by less than this part are equal.
-_ROUNDING = 1e-6
+#: Periods that differ by less than this part are equal.
+ROUNDING = 1e-6
 
 
 def with_short_periods(trajectories: Trajectories) -> Trajectories:
@@ -52,7 +52,7 @@ def with_short_periods(trajectories: Trajectories) -> Trajectories:
     >>> with_short_periods(slow).position_m.ravel().tolist()
     [0.0, nan, nan, 9.0]
     """
-    if trajectories.period_s <= _LONGEST_S * (1.0 + _ROUNDING):
+    if trajectories.period_s <= _LONGEST_S * (1.0 + ROUNDING):
         return trajectories
     parts = round(trajectories.period_s / REFERENCE_PERIOD_S)
     samples, vehicles = trajectories.position_m.shape
@@ -80,7 +80,7 @@ def apart_if_smoothed(window: int, even: Evenness) -> int:
         Three quarters of the window, but at most 0.8 s, and 0.5 s where no window is seen; at least 1.
     """
     longest_s = LONGEST_APART_S if window else _LONGEST_S
-    longest = max(1, math.floor(longest_s * (1.0 + _ROUNDING) / even.period_s))
+    longest = max(1, math.floor(longest_s * (1.0 + ROUNDING) / even.period_s))
     if window:
         return min(math.ceil(_OF_WINDOW * window), longest)
     return longest if even.is_smooth else 1
