@@ -1,9 +1,9 @@
 """Errors of a model on held-out samples."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,6 +20,10 @@ from sugiyama_ros.fit.score import PointwiseDensity, follow
 _TOLERANCE = 0.05
 # A fitted parameter costs about one held-out nat (Akaike); a loss of more than this [nats] is a failure of the fits.
 _PER_PARAMETER = 4.0
+# The same for one driver and one fold.
+_PER_FOLD = 2.0
+# A model, its predictions, and the filtered states (T, V, 4).
+_Followed = tuple[Model, PointwiseDensity, Array]
 #: From this number of drivers on tracks, errors are paired over drivers alone.
 MANY_DRIVERS = 5
 # Smallest speed [m/s] at which a time gap is meaningful.
@@ -38,11 +42,14 @@ class HeldOutErrors:
         Free runs.
     block_position_m : ndarray, shape (T, N)
         Positions [m] in free runs through each block of time, as ``run_blocks`` returns them.
+    is_searched : bool
+        Whether the models of all folds were searched for, from the fit to all folds.
     """
 
     samples: PointwiseDensity
     runs: FreeRuns
     block_position_m: Array
+    is_searched: bool = False
 
     @property
     def loglik_per_sample(self) -> float:
@@ -176,25 +183,37 @@ def held_out_errors(data: Recorded, fitted: JointFit, work: Executor, *, searche
     HeldOutErrors
         Errors over all folds.
     """
-    found = errors_of(data, without_folds(data, fitted, work, searched=searched), work)
+    models = without_folds(data, fitted, work, searched=searched)
+    found = _summed_up(data, _mended(data, fitted, models, work), work)
     own, shared = len(fitted.model.individual), len(fitted.model.shared)
-    lost = np.nansum(fitted.samples.log_likelihood - found.samples.log_likelihood, axis=1)
-    if lost.sum() > _PER_PARAMETER * (data.drivers * own + shared):
+    lost = fitted.samples.total - found.samples.total
+    if lost > _PER_PARAMETER * (data.drivers * own + shared):
         return searched_errors(data, fitted, found, work)
-    # one driver whose step failed may hide all that an addition gains, or feign it
-    failed = lost > _PER_PARAMETER * (own + 1)
-    return _better(found, data, searched_by_some(data, fitted, failed, work), work) if failed.any() else found
+    return found
+
+
+def _mended(data: Recorded, fitted: JointFit, models: Sequence[Model], work: Executor) -> Iterator[_Followed]:
+    """Follow the model of each fold; drivers for whom the step to it has failed search for their parameters.
+
+    A single driver whose step failed may hide all that an addition gains, or feign it.
+    """
+    most = _PER_FOLD * (len(fitted.model.individual) + 1)
+    for fold, model in enumerate(models):
+        samples, states = follow(data, model, work)
+        lost = np.where(data.fold == fold, fitted.samples.log_likelihood - samples.log_likelihood, 0.0)
+        failed = np.flatnonzero(np.nansum(lost, axis=1) > most)
+        if len(failed):
+            model = searched_by_some(data, fitted, model, fold, failed.tolist(), work)
+            samples, states = follow(data, model, work)
+        yield model, samples, states
 
 
 def searched_errors(data: Recorded, fitted: JointFit, found: HeldOutErrors, work: Executor) -> HeldOutErrors:
     """Return the held-out errors after a search for each fold from the fit, or those ``found`` if they are better."""
-    return _better(found, data, searched_without_folds(data, fitted, work), work)
-
-
-def _better(found: HeldOutErrors, data: Recorded, models: Sequence[Model], work: Executor) -> HeldOutErrors:
-    """The held-out errors of models, or those ``found`` if they are better."""
-    again = errors_of(data, models, work)
-    return again if again.samples.total > found.samples.total else found
+    if found.is_searched:
+        return found
+    again = errors_of(data, searched_without_folds(data, fitted, work), work)
+    return replace(again if again.samples.total > found.samples.total else found, is_searched=True)
 
 
 def errors_of(data: Recorded, models: Sequence[Model], work: Executor) -> HeldOutErrors:
@@ -214,10 +233,14 @@ def errors_of(data: Recorded, models: Sequence[Model], work: Executor) -> HeldOu
     HeldOutErrors
         Errors over all folds.
     """
+    return _summed_up(data, ((model, *follow(data, model, work)) for model in models), work)
+
+
+def _summed_up(data: Recorded, models: Iterable[_Followed], work: Executor) -> HeldOutErrors:
+    """The held-out errors of the models of all folds."""
     by_fold, runs, position = [], [], []
-    for fold, model in enumerate(models):
-        # the states take most of the memory, so there are only those of one model at a time
-        samples, states = follow(data, model, work)
+    # the states take most of the memory, so there are only those of one model at a time
+    for fold, (model, samples, states) in enumerate(models):
         by_fold.append(samples)
         runs.append(free_runs(data, model, states, work, fold))
         position.append(run_blocks(data, model, states, fold))

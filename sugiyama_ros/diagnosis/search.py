@@ -45,6 +45,8 @@ from sugiyama_ros.workers import at_once
 LEVEL = 0.05
 # A candidate with more than this share of the best gain may be indistinguishable from the best one.
 _RIVAL = 0.5
+# Nothing predicts more than it fits: beyond so many times the gain of the fit, a step to a held-out model failed.
+_FEIGNED = 1.1
 # Number of candidates that are screened again after the first round.
 _LATER_LOOKS = 8
 
@@ -276,8 +278,7 @@ class Search:
         grown = converged(data, fitted, candidate, work)
         after = held_out_errors(data, grown, work, searched=not self.quick)
         won = gain(data, after.samples, self.errors.samples)
-        if won.nats > rise(self.current, grown) + LEAST_GAIN:
-            # nothing predicts more than it fits: a step to a held-out model has failed
+        if won.nats > _FEIGNED * rise(self.current, grown) + LEAST_GAIN:
             self.errors = searched_errors(data, self.current, self.errors, work)
             self.before = self.before if self.named else self.errors
             after = searched_errors(data, grown, after, work)

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sugiyama_ros.arrays import Mask
 from sugiyama_ros.filters.measurement import weigh_samples
 from sugiyama_ros.fit.joint import JointFit, at_model, maximise, solve, start_fit
 from sugiyama_ros.fit.model import Model, coordinate, moved
@@ -62,40 +61,43 @@ def searched_without_folds(data: Recorded, fitted: JointFit, work: Executor) -> 
     )
 
 
-def searched_by_some(data: Recorded, fitted: JointFit, who: Mask, work: Executor) -> tuple[Model, ...]:
-    """Return models as ``without_folds`` does by a step, in which some drivers search for their individual parameters.
+def searched_by_some(
+    data: Recorded, fitted: JointFit, model: Model, fold: int, who: Sequence[int], work: Executor
+) -> Model:
+    """Return a model without a fold, in which some drivers search for their individual parameters.
 
     Parameters
     ----------
     data : Recorded
         The recording.
     fitted : JointFit
-        The model fitted to all folds.
-    who : ndarray of bool, shape (N,)
-        The drivers who search, from the fit to all folds.
+        The model fitted to all folds; the search starts from it.
+    model : Model
+        The model without the fold.
+    fold : int
+        Number of the fold.
+    who : sequence of int
+        Numbers of the drivers who search; the others stay as they are in ``model``.
     work : Executor
         Runs the filters.
 
     Returns
     -------
-    tuple of Model
-        One model for each fold.
+    Model
+        The model without the fold.
     """
-    own, mine = list(fitted.model.individual), slice(len(fitted.model.individual))
+    own, searches = len(fitted.model.individual), np.isin(np.arange(data.drivers), who)[:, None]
     slopes = tuple(
-        replace(s, score=s.score[:, mine], information=sure * s.information[:, mine, mine], columns=s.columns[mine])
-        for s, sure in zip(fitted.slopes, np.where(who, 1.0, _SURE), strict=True)
+        replace(s, score=s.score[:, :own], information=sure * s.information[:, :own, :own], columns=s.columns[:own])
+        for s, sure in zip(fitted.slopes, np.where(searches[:, 0], 1.0, _SURE), strict=True)
     )
-    models = []
-    for f in range(FOLDS):
-        model, others = _without(data, fitted, f), [k for k in range(FOLDS) if k != f]
-        rows = model.rows.copy()
-        rows[:, own] = np.where(who[:, None], fitted.model.rows[:, own], rows[:, own])
-        alone = replace(model, rows=rows, shared=(), few=())
-        start = at_model(data, JointFit(alone, fitted.samples, slopes), alone, work, who)
-        found = maximise(data, start, work, folds=others, iterations=2 * _STEPS_WITHOUT)
-        models.append(replace(model, rows=np.where(who[:, None], found.model.rows, model.rows)))
-    return tuple(models)
+    rows, places = model.rows.copy(), list(fitted.model.individual)
+    rows[:, places] = np.where(searches, fitted.model.rows[:, places], rows[:, places])
+    alone = replace(model, rows=rows, shared=(), few=())
+    start = at_model(data, JointFit(alone, fitted.samples, slopes), alone, work, searches[:, 0])
+    others = [k for k in range(FOLDS) if k != fold]
+    found = maximise(data, start, work, folds=others, iterations=2 * _STEPS_WITHOUT)
+    return replace(model, rows=np.where(searches, found.model.rows, model.rows))
 
 
 def _without(data: Recorded, fitted: JointFit, fold: int) -> Model:
