@@ -14,6 +14,7 @@ from sugiyama_ros.diagnosis.bootstrap import widened
 from sugiyama_ros.diagnosis.candidacy import Candidacy
 from sugiyama_ros.diagnosis.candidates import Candidate
 from sugiyama_ros.diagnosis.chance import widening
+from sugiyama_ros.diagnosis.decisions import Searched, searched_with_decisions
 from sugiyama_ros.diagnosis.discover import Discovery
 from sugiyama_ros.diagnosis.errors import HeldOutErrors, errors_of, held_out_errors
 from sugiyama_ros.diagnosis.free_runs import HORIZONS_S
@@ -232,12 +233,16 @@ def diagnose(
     began = time.monotonic()
     with here_or_there(workers) as (work, cluster), ThreadPoolExecutor(_ASIDE) as aside:
         on_progress("fitting the base model", 0, 1)
-        data = prepared(recording)
-        base = fit_base(data, data.even.individual(V_STAR, KAPPA_V), work)
-        # runs beside the search, which cannot always use all workers
-        others = [] if verdict_only else _rivals(data, base.log_likelihood if quick else None, work, cluster or aside)
-        begun = Search(data, base, quick, seed, work, goal=goal, on_progress=on_progress)
-        search = grown(begun, goal.most, add_forces=goal.forces and not (quick or verdict_only))
+
+        def searched(data: Recorded) -> Searched:
+            base = fit_base(data, data.even.individual(V_STAR, KAPPA_V), work)
+            # runs beside the search, which cannot always use all workers
+            to_beat = base.log_likelihood if quick else None
+            others = [] if verdict_only else _rivals(data, to_beat, work, cluster or aside)
+            begun = Search(data, base, quick, seed, work, goal=goal, on_progress=on_progress)
+            return grown(begun, goal.most, add_forces=goal.forces and not (quick or verdict_only)), others
+
+        search, others = searched_with_decisions(searched, prepared(recording), work, on_progress)
         on_progress("rival models", 0, 1)
         rivals = {name: errors for found in others for name, errors in found.result().items()}
         on_progress("finding where the model fails", 0, 1)

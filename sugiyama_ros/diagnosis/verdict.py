@@ -76,6 +76,7 @@ def document(d: Diagnosis) -> dict[str, Any]:
         "free_run": drives(d),
         "about": about(),
         "vehicles": d.data.drivers,
+        "decision_period_s": d.data.vicinity.period_s,
         "samples": d.data.measured_samples if d.data.vicinity.is_whole_road else int(d.data.scored.sum()),
         "bootstrap_runs": d.bootstrap_runs,
         "refitted": d.refitted,
@@ -190,9 +191,19 @@ def _smoothing(data: Recorded) -> str:
     why = "Positions move more evenly than the model's noises let them"
     if data.smoothed_s:
         why = f"Third differences of the positions are correlated over about {data.smoothed_s:.2g} s, as by a smoother"
-    if data.every > 1 and not data.is_sparse:
+    if data.every > data.decisions:
         return f"{why}: only samples that are {data.apart_s:.2g} s apart count."
     return f"{why}: the ends of each record do not count." if data.smoothed_s else ""
+
+
+def _decisions(data: Recorded) -> str:
+    """Return one sentence on how often the model's drivers decide; an empty string if they do at each sample."""
+    if data.decisions == 1:
+        return ""
+    return (
+        f"Samples are {data.apart_s:.2g} s apart; the model's drivers decide {data.decisions} times from one to the"
+        f" next, every {data.vicinity.period_s:.2g} s."
+    )
 
 
 def sentences(d: Diagnosis) -> list[str]:
@@ -234,7 +245,7 @@ def sentences(d: Diagnosis) -> list[str]:
         laws = ", ".join(f"those of {name} {error:.3g} m" for name, error in d.closer.items())
         lines.append(f"After 10 s, free runs of the model are {d.after.free_run_10s_m:.3g} m off, {laws}.")
     lines += [f"In use it is worse than the base model: {one}." for n in d.named[-1:] for one in n.worse[:_WORST]]
-    lines.append(_smoothing(d.data))
+    lines += [_smoothing(d.data), _decisions(d.data)]
     left_out = not_searched(d.data)
     if left_out and not d.data.vicinity.is_whole_road:
         lines.append("Not searched: " + ", ".join(f"{name} ({reason})" for name, reason in left_out.items()) + ".")

@@ -62,6 +62,8 @@ class Recorded:
         The recording, where it is one road on which everybody is recorded; None for tracks.
     every : int
         Vehicles are measured in one sample of so many.
+    decisions : int
+        Number of decisions of the model's drivers from one sample of the recording to the next.
     smoothed_s : float
         Time [s] over which somebody has smoothed the positions; 0 if nobody has.
     """
@@ -79,6 +81,7 @@ class Recorded:
     upper: Array
     trajectories: Trajectories | None = None
     every: int = 1
+    decisions: int = 1
     smoothed_s: float = 0.0
 
     @property
@@ -129,10 +132,10 @@ def prepare(trajectories: Trajectories, segment: Ints | None = None) -> Recorded
         If the recording is too short to hold out samples.
     """
     trajectories = with_short_periods(trajectories)
-    seen, every = measured(trajectories), measured_every(trajectories)
+    seen, decisions = measured(trajectories), measured_every(trajectories)
     window = smoothing_window(seen.road.unwrap(seen.position_m).T, seen.period_s)
-    alike = smoothed_alike(trajectories.present.T, window * every)
-    if every == 1:
+    alike = smoothed_alike(trajectories.present.T, window * decisions)
+    if decisions == 1:
         every = apart_if_smoothed(window, evenness(trajectories))
         trajectories = replace(trajectories, position_m=thinned(trajectories.position_m, every))
     samples, drivers = trajectories.position_m.shape
@@ -161,6 +164,7 @@ def prepare(trajectories: Trajectories, segment: Ints | None = None) -> Recorded
         upper=upper,
         trajectories=trajectories,
         every=measured_every(trajectories),
+        decisions=decisions,
         smoothed_s=window * seen.period_s,
     )
 

@@ -54,7 +54,24 @@ def with_short_periods(trajectories: Trajectories) -> Trajectories:
     """
     if trajectories.period_s <= _LONGEST_S * (1.0 + ROUNDING):
         return trajectories
-    parts = round(trajectories.period_s / REFERENCE_PERIOD_S)
+    return divided(trajectories, round(trajectories.period_s / REFERENCE_PERIOD_S))
+
+
+def divided(trajectories: Trajectories, parts: int) -> Trajectories:
+    """Return a recording with empty samples that divide its period.
+
+    Parameters
+    ----------
+    trajectories : Trajectories
+        The recording.
+    parts : int
+        Number of parts of each period.
+
+    Returns
+    -------
+    Trajectories
+        The recording at a part of its period.
+    """
     samples, vehicles = trajectories.position_m.shape
     position = np.full((parts * (samples - 1) + 1, vehicles), np.nan)
     position[::parts] = trajectories.position_m

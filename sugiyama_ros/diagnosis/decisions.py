@@ -1,0 +1,114 @@
+"""How often drivers decide: a recording does not say it, and the model takes its samples for their decisions.
+
+A camera with two or three pictures a second may see drivers who go on deciding between its pictures. A model that
+decides only once for each picture lags behind them, and a drag or other effects that pull the other way then seem to be
+missing.
+"""
+
+from collections.abc import Callable
+from concurrent.futures import Executor, Future
+
+from sugiyama_ros.diagnosis.errors import HeldOutErrors
+from sugiyama_ros.diagnosis.search import Search
+from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
+from sugiyama_ros.fit.cross_validation import Gain, gain
+from sugiyama_ros.fit.joint import JointFit
+from sugiyama_ros.fit.population import fit_base
+from sugiyama_ros.fit.recording import Recorded, prepare
+from sugiyama_ros.fit.sampling import ROUNDING, divided, measured
+from sugiyama_ros.fit.score import PointwiseDensity, unknown
+from sugiyama_ros.progress import OnStage
+
+#: A search at its end, and the fits of other laws that run beside it.
+Searched = tuple[Search, list[Future[dict[str, HeldOutErrors]]]]
+# Shortest time [s] between two decisions that is tried.
+_SHORTEST_S = 0.1
+# Standard errors by which more decisions must improve the base model. Where an effect is missing they gain a little.
+_CLEAR = 5.0
+
+
+def searched_with_decisions(
+    searched: Callable[[Recorded], Searched], data: Recorded, work: Executor, on_progress: OnStage
+) -> Searched:
+    """Search for what is missing, and again with more decisions if they may explain what was named.
+
+    Parameters
+    ----------
+    searched : callable
+        Carries out a search to its end, and returns it with the fits of other laws that run beside it.
+    data : Recorded
+        The recording.
+    work : Executor
+        Runs the filters.
+    on_progress : callable
+        Called with the name of the stage, the number of steps done, and the number of all steps.
+
+    Returns
+    -------
+    Searched
+        The search whose model predicts held-out samples better; the other's laws are given up.
+    """
+    usual = searched(data)
+    finer = with_more_decisions(data, usual[0].base, work, on_progress) if usual[0].named else None
+    if finer is None:
+        return usual
+    again = searched(finer)
+    new, old = again[0], usual[0]
+    won = _gain((new.data, new.errors.samples), (old.data, old.errors.samples)).nats > 0.0
+    better, other = (again, usual) if won else (usual, again)
+    for one in other[1]:
+        one.cancel()
+    return better
+
+
+def with_more_decisions(
+    data: Recorded, base: JointFit, work: Executor, on_progress: OnStage = lambda what, done, total: None
+) -> Recorded | None:
+    """Return the recording at the period from which the base model predicts its samples best, if that is clear.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    base : JointFit
+        The fitted model without effects.
+    work : Executor
+        Runs the filters.
+    on_progress : callable
+        Called with the name of the stage, the number of steps done, and the number of all steps.
+
+    Returns
+    -------
+    Recorded or None
+        The recording with (more) empty samples in between; None if no shorter period is clearly better, on tracks, and
+        where only some of the samples count because somebody has smoothed the positions.
+    """
+    if data.trajectories is None or data.every > data.decisions:
+        return None
+    seen, found, best = measured(data.trajectories), None, base.samples.total
+    most = int(seen.period_s / _SHORTEST_S * (1.0 + ROUNDING))
+    for parts in range(data.decisions + 1, most + 1):
+        on_progress("more decisions between samples", parts - data.decisions - 1, most - data.decisions)
+        finer = prepare(divided(seen, parts))
+        again = fit_base(finer, finer.even.individual(V_STAR, KAPPA_V), work)
+        if again.samples.total <= best:
+            break
+        found, best = (finer, again), again.samples.total
+    if found is None:
+        return None
+    finer, again = found
+    won = _gain((finer, again.samples), (data, base.samples))
+    return finer if won.nats > _CLEAR * won.se else None
+
+
+def _gain(finer: tuple[Recorded, PointwiseDensity], usual: tuple[Recorded, PointwiseDensity]) -> Gain:
+    """Gain of the predictions of a recording with more decisions, on the samples in which vehicles are measured."""
+    data = usual[0]
+    return gain(data, *(_where_measured(data, samples, one.every) for one, samples in (finer, usual)))
+
+
+def _where_measured(data: Recorded, samples: PointwiseDensity, every: int) -> PointwiseDensity:
+    """The predictions of one sample of so many, at the places of measured samples in ``data``."""
+    known = unknown(data.drivers, data.samples)
+    known.log_likelihood[:, :: data.every] = samples.log_likelihood[:, ::every]
+    return known
