@@ -42,6 +42,7 @@ SCENES = {
     "highway": Setup(drivers=10, ring_m=0.0, duration_s=200.0, period_s=0.2, is_moving=True, is_highway=True),
     "missing samples": _RING,
     "smoothed 10 Hz": Setup(drivers=8, ring_m=0.0, duration_s=100.0, period_s=0.1),
+    "0.1 s, seen every 0.3 s": Setup(period_s=0.1, every=3),
 }
 _CAMERAS: dict[str, tuple[Builder, ...]] = {"missing samples": (MISSING,), "smoothed 10 Hz": (SMOOTHED,)}
 _TOGETHER = {
