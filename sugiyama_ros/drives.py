@@ -1,7 +1,7 @@
 """Chains for the filter out of tracks: one for each driver and stretch."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -47,6 +47,42 @@ def drives(tracks: Tracks) -> Iterator[Drive]:
     """
     for stretch in stretches(tracks):
         yield Drive(stretch, chain_of(stretch), stretch.scored)
+
+
+def divided(drive: Drive, parts: int) -> Drive:
+    """Return a stretch with empty samples that divide its period.
+
+    Parameters
+    ----------
+    drive : Drive
+        T samples.
+    parts : int
+        Number of parts of each period.
+
+    Returns
+    -------
+    Drive
+        ``parts`` times as many samples. Nobody is there any more after the last measurement.
+    """
+    if parts == 1:
+        return drive
+    chain, there = drive.chain, parts * (len(drive.scored) - 1) + 1
+    position, rear = (np.full((parts * len(one), one.shape[1]), np.nan) for one in (chain.position_m, chain.rear))
+    position[::parts], identity = chain.position_m, np.repeat(chain.identity, parts, axis=0)
+    identity[there:] = -1
+    samples, times = np.arange(len(identity)), np.arange(0, len(identity), parts)
+    for k, column in enumerate(chain.rear.T):
+        # the vehicle behind goes on evenly between two samples
+        rear[:there, k] = np.interp(samples[:there], times, column)
+    finer = replace(
+        chain,
+        position_m=position,
+        identity=identity,
+        length_m=np.repeat(chain.length_m, parts, axis=0),
+        rear=rear,
+        period_s=chain.period_s / parts,
+    )
+    return Drive(drive.stretch, finer, np.repeat(drive.scored, parts))
 
 
 def chain_of(stretch: Stretch) -> Chain:

@@ -262,8 +262,7 @@ def calibrate_tracks(
     """
     tracks = on_time_base(tracks)
     found = followers(tracks)
-    every = [drive for own in found.enough for drive in own]
-    even, speed = evenness_on(every), fastest_on(every)
+    even, speed = evenness_on(found.every, found.decisions), fastest_on(found.every, found.decisions)
     names = tuple(estimated) or even.estimated()
     places = np.array([index(name) for name in names])
     options = SearchOptions(profiled=profiled)

@@ -11,16 +11,16 @@ import numpy as np
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.diagnosis.bootstrap import resample, seeds
 from sugiyama_ros.diagnosis.candidates import Candidate, named
+from sugiyama_ros.diagnosis.decisions import with_more_decisions
 from sugiyama_ros.diagnosis.errors import HeldOutErrors, errors_of
+from sugiyama_ros.diagnosis.noises import base_model
 from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter
 from sugiyama_ros.diagnosis.screen import with_candidate
-from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
 from sugiyama_ros.filters.extract import chain_behind, track
 from sugiyama_ros.fit.cross_validation import Gain, gain, without_folds
 from sugiyama_ros.fit.joint import JointFit, fit
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.model_file import ModelFile
-from sugiyama_ros.fit.population import fit_base
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import filtered_states
 from sugiyama_ros.fit.stretched import prepared
@@ -171,12 +171,14 @@ def compare(
     """
     with here_or_there(workers) as (work, cluster):
         data = prepared(recording)
-        sent = send(cluster, _rival_there, (data, seed), RIVALS) if cluster is not None else []
         chosen = named(data, effects)
-        steps = 2 + len(RIVALS) + len(effects) + (model is not None)
+        steps = 3 + len(RIVALS) + len(effects) + (model is not None)
+        on_progress("fitting the base model", 0, steps)
+        data, base = base_model(data, work)
+        data, base = with_more_decisions(recording, data, base, work) or (data, base)
+        sent = send(cluster, _rival_there, (data, seed), RIVALS) if cluster is not None else []
         comparison = _Models(data, seed, steps, work, on_progress)
         comparison.begin("base")
-        base = fit_base(data, data.even.individual(V_STAR, KAPPA_V), work)
         comparison.add_fitted("base", base)
         comparison.add_effects(base, chosen)
         if model is not None:
@@ -196,7 +198,7 @@ class _Models:
 
     def __init__(self, data: Recorded, seed: int, steps: int, work: ThreadPoolExecutor, on_progress: OnStage) -> None:
         self._data, self._seed, self._steps, self._work, self._on_progress = data, seed, steps, work, on_progress
-        self._done = 0
+        self._done = 1
         self.found: list[Compared] = []
 
     def begin(self, what: str) -> None:

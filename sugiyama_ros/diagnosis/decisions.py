@@ -9,34 +9,38 @@ from collections.abc import Callable
 from concurrent.futures import Executor, Future
 
 from sugiyama_ros.diagnosis.errors import HeldOutErrors
+from sugiyama_ros.diagnosis.noises import base_model, is_clear
 from sugiyama_ros.diagnosis.search import Search
-from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
 from sugiyama_ros.fit.cross_validation import Gain, gain
 from sugiyama_ros.fit.joint import JointFit
-from sugiyama_ros.fit.population import fit_base
-from sugiyama_ros.fit.recording import Recorded, prepare
-from sugiyama_ros.fit.sampling import ROUNDING, divided, measured
+from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.fit.sampling import ROUNDING
 from sugiyama_ros.fit.score import PointwiseDensity, unknown
+from sugiyama_ros.fit.stretched import prepared
 from sugiyama_ros.progress import OnStage
+from sugiyama_ros.trajectories.tracks import Tracks
+from sugiyama_ros.trajectories.trajectories import Trajectories
 
 #: A search at its end, and the fits of other laws that run beside it.
 Searched = tuple[Search, list[Future[dict[str, HeldOutErrors]]]]
 # Shortest time [s] between two decisions that is tried.
 _SHORTEST_S = 0.1
-# Standard errors by which more decisions must improve the base model. Where an effect is missing they gain a little.
-_CLEAR = 5.0
 
 
 def searched_with_decisions(
-    searched: Callable[[Recorded], Searched], data: Recorded, work: Executor, on_progress: OnStage
+    searched: Callable[[Recorded, JointFit], Searched],
+    recording: Trajectories | Tracks,
+    work: Executor,
+    on_progress: OnStage,
 ) -> Searched:
     """Search for what is missing, and again with more decisions if they may explain what was named.
 
     Parameters
     ----------
     searched : callable
-        Carries out a search to its end, and returns it with the fits of other laws that run beside it.
-    data : Recorded
+        Carries out a search from a base model to its end, and returns it with the fits of other laws that run beside
+        it.
+    recording : Trajectories or Tracks
         The recording.
     work : Executor
         Runs the filters.
@@ -48,11 +52,12 @@ def searched_with_decisions(
     Searched
         The search whose model predicts held-out samples better; the other's laws are given up.
     """
-    usual = searched(data)
-    finer = with_more_decisions(data, usual[0].base, work, on_progress) if usual[0].named else None
+    data, base = base_model(prepared(recording), work)
+    usual = searched(data, base)
+    finer = with_more_decisions(recording, data, base, work, on_progress) if usual[0].named else None
     if finer is None:
         return usual
-    again = searched(finer)
+    again = searched(*finer)
     new, old = again[0], usual[0]
     won = _gain((new.data, new.errors.samples), (old.data, old.errors.samples)).nats > 0.0
     better, other = (again, usual) if won else (usual, again)
@@ -62,14 +67,20 @@ def searched_with_decisions(
 
 
 def with_more_decisions(
-    data: Recorded, base: JointFit, work: Executor, on_progress: OnStage = lambda what, done, total: None
-) -> Recorded | None:
+    recording: Trajectories | Tracks,
+    data: Recorded,
+    base: JointFit,
+    work: Executor,
+    on_progress: OnStage = lambda what, done, total: None,
+) -> tuple[Recorded, JointFit] | None:
     """Return the recording at the period from which the base model predicts its samples best, if that is clear.
 
     Parameters
     ----------
-    data : Recorded
+    recording : Trajectories or Tracks
         The recording.
+    data : Recorded
+        The same, prepared.
     base : JointFit
         The fitted model without effects.
     work : Executor
@@ -79,18 +90,17 @@ def with_more_decisions(
 
     Returns
     -------
-    Recorded or None
-        The recording with (more) empty samples in between; None if no shorter period is clearly better, on tracks, and
-        where only some of the samples count because somebody has smoothed the positions.
+    (Recorded, JointFit) or None
+        The recording with (more) empty samples in between, and the base model there; None if no shorter period is
+        clearly better, and where only some of the samples count because somebody has smoothed the positions.
     """
-    if data.trajectories is None or data.every > data.decisions:
+    if data.every > data.decisions:
         return None
-    seen, found, best = measured(data.trajectories), None, base.samples.total
-    most = int(seen.period_s / _SHORTEST_S * (1.0 + ROUNDING))
+    found, best = None, base.samples.total
+    most = int(data.apart_s / _SHORTEST_S * (1.0 + ROUNDING))
     for parts in range(data.decisions + 1, most + 1):
         on_progress("more decisions between samples", parts - data.decisions - 1, most - data.decisions)
-        finer = prepare(divided(seen, parts))
-        again = fit_base(finer, finer.even.individual(V_STAR, KAPPA_V), work)
+        finer, again = base_model(prepared(recording, parts), work)
         if again.samples.total <= best:
             break
         found, best = (finer, again), again.samples.total
@@ -98,7 +108,7 @@ def with_more_decisions(
         return None
     finer, again = found
     won = _gain((finer, again.samples), (data, base.samples))
-    return finer if won.nats > _CLEAR * won.se else None
+    return found if is_clear(won) else None
 
 
 def _gain(finer: tuple[Recorded, PointwiseDensity], usual: tuple[Recorded, PointwiseDensity]) -> Gain:

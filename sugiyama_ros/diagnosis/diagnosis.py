@@ -27,13 +27,10 @@ from sugiyama_ros.diagnosis.refits import added_to_all, refits
 from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter
 from sugiyama_ros.diagnosis.search import Search
 from sugiyama_ros.diagnosis.use import ANYTHING, Goal
-from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
 from sugiyama_ros.fit.cross_validation import Gain
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.model_file import write_model
-from sugiyama_ros.fit.population import fit_base
 from sugiyama_ros.fit.recording import Recorded
-from sugiyama_ros.fit.stretched import prepared
 from sugiyama_ros.laws.registry import LAWS, RIVALS
 from sugiyama_ros.plots import bars
 from sugiyama_ros.progress import OnStage
@@ -234,15 +231,14 @@ def diagnose(
     with here_or_there(workers) as (work, cluster), ThreadPoolExecutor(_ASIDE) as aside:
         on_progress("fitting the base model", 0, 1)
 
-        def searched(data: Recorded) -> Searched:
-            base = fit_base(data, data.even.individual(V_STAR, KAPPA_V), work)
+        def searched(data: Recorded, base: JointFit) -> Searched:
             # runs beside the search, which cannot always use all workers
             to_beat = base.log_likelihood if quick else None
             others = [] if verdict_only else _rivals(data, to_beat, work, cluster or aside)
             begun = Search(data, base, quick, seed, work, goal=goal, on_progress=on_progress)
             return grown(begun, goal.most, add_forces=goal.forces and not (quick or verdict_only)), others
 
-        search, others = searched_with_decisions(searched, prepared(recording), work, on_progress)
+        search, others = searched_with_decisions(searched, recording, work, on_progress)
         on_progress("rival models", 0, 1)
         rivals = {name: errors for found in others for name, errors in found.result().items()}
         on_progress("finding where the model fails", 0, 1)

@@ -6,6 +6,7 @@ be biased, and its error larger than the width of the likelihood says.
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
+from dataclasses import replace
 
 import numpy as np
 
@@ -84,7 +85,8 @@ def refits(
     states = filtered_states(data, fitted.model, work)
 
     def one(rng: np.random.Generator) -> JointFit:
-        return fit_from_nothing(resample(data, fitted.model, states, rng), effects, work)
+        simulated = resample(data, fitted.model, states, rng)
+        return fit_from_nothing(replace(simulated, even=data.even), effects, work)
 
     return at_once(one, seeds(seed, runs), "fitting simulated recordings", on_progress)
 

@@ -196,6 +196,13 @@ def _smoothing(data: Recorded) -> str:
     return f"{why}: the ends of each record do not count." if data.smoothed_s else ""
 
 
+def _noises(data: Recorded) -> str:
+    """Return one sentence on noises that do not suit the recording; an empty string if they do."""
+    if not data.even.has_other_noises:
+        return ""
+    return "The paper's noises of position and speed do not suit these vehicles: they are fitted for each driver."
+
+
 def _decisions(data: Recorded) -> str:
     """Return one sentence on how often the model's drivers decide; an empty string if they do at each sample."""
     if data.decisions == 1:
@@ -245,7 +252,7 @@ def sentences(d: Diagnosis) -> list[str]:
         laws = ", ".join(f"those of {name} {error:.3g} m" for name, error in d.closer.items())
         lines.append(f"After 10 s, free runs of the model are {d.after.free_run_10s_m:.3g} m off, {laws}.")
     lines += [f"In use it is worse than the base model: {one}." for n in d.named[-1:] for one in n.worse[:_WORST]]
-    lines += [_smoothing(d.data), _decisions(d.data)]
+    lines += [_smoothing(d.data), _noises(d.data), _decisions(d.data)]
     left_out = not_searched(d.data)
     if left_out and not d.data.vicinity.is_whole_road:
         lines.append("Not searched: " + ", ".join(f"{name} ({reason})" for name, reason in left_out.items()) + ".")

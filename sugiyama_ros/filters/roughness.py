@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.driver.parameters import REFERENCE_PERIOD_S, SIGMA_NU, SIGMA_V, SIGMA_X, at_period
+from sugiyama_ros.driver.parameters import REFERENCE_PERIOD_S, SIGMA_A, SIGMA_NU, SIGMA_V, SIGMA_X, at_period
 
 #: Variance of a third difference, in variances of white noise, of the position noise and of the speed noise (times the
 #: squared period): sums of squares of the coefficients of the third, the second and the first difference.
@@ -68,6 +68,28 @@ def with_smooth_noises(row: Array, white_m: float, rest_m: float, period_s: floa
     start[SIGMA_NU] = white_m / math.sqrt(WHITE)
     start[SIGMA_X] = rest_m / math.sqrt(OF_POSITION) / scale
     start[SIGMA_V] = min(rest_m / math.sqrt(OF_SPEED) / period_s / scale, row[SIGMA_V])
+    return start
+
+
+def in_proportion(row: Array, roughness_m: float, period_s: float) -> Array:
+    """Return a row whose noises are smaller or larger in proportion, so that they make third differences of a size.
+
+    Parameters
+    ----------
+    row : ndarray, shape (P,) or longer
+        The driver's parameters at the reference period.
+    roughness_m : float
+        Std [m] of the third differences.
+    period_s : float
+        Time between two samples [s].
+
+    Returns
+    -------
+    ndarray
+        A copy of the row.
+    """
+    start, noises = row.copy(), [SIGMA_NU, SIGMA_A, SIGMA_X, SIGMA_V]
+    start[noises] *= roughness_m / math.hypot(math.sqrt(WHITE) * row[SIGMA_NU], roughness_of_noises(row, period_s))
     return start
 
 

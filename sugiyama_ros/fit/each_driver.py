@@ -19,6 +19,7 @@ from sugiyama_ros.filters.chain import CHAIN
 from sugiyama_ros.fit.bounds import fastest, lower_bounds, upper_bounds
 from sugiyama_ros.fit.driver import PLAIN, START_SIGMA_A, Fit, Formulation, Job, SearchOptions, carry_out
 from sugiyama_ros.fit.driver_score import DriverChains
+from sugiyama_ros.fit.sampling import measured, with_short_periods
 from sugiyama_ros.fit.smooth_positions import ESTIMATED, evenness
 from sugiyama_ros.trajectories.trajectories import Trajectories
 from sugiyama_ros.workers import in_turn
@@ -89,10 +90,12 @@ class JobMaker:
         estimated: Sequence[str],
         known: Mapping[int, Array],
     ) -> None:
-        self._trajectories, self._formulation, self._known = trajectories, formulation, known
+        is_causal = formulation == "causal"
+        self._trajectories = with_short_periods(trajectories) if is_causal else trajectories
+        self._formulation, self._known = formulation, known
         self._places = np.array([index(name) for name in estimated])
-        even = evenness(trajectories)
-        speed = fastest(trajectories)
+        seen = measured(trajectories)
+        even, speed = evenness(seen), fastest(seen)
         self._bounds, self._typical = (lower_bounds(even), upper_bounds(speed)), even.typical(speed)
 
     @property

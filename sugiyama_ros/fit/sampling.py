@@ -52,9 +52,24 @@ def with_short_periods(trajectories: Trajectories) -> Trajectories:
     >>> with_short_periods(slow).position_m.ravel().tolist()
     [0.0, nan, nan, 9.0]
     """
-    if trajectories.period_s <= _LONGEST_S * (1.0 + ROUNDING):
-        return trajectories
-    return divided(trajectories, round(trajectories.period_s / REFERENCE_PERIOD_S))
+    parts = usual_decisions(trajectories.period_s)
+    return trajectories if parts == 1 else divided(trajectories, parts)
+
+
+def usual_decisions(period_s: float) -> int:
+    """Return how often the model's drivers decide from one sample to the next, if the samples do not say it.
+
+    Parameters
+    ----------
+    period_s : float
+        Time [s] between two samples.
+
+    Returns
+    -------
+    int
+        1 up to 0.5 s; beyond, the number of parts that are nearest to the paper's 1/3 s.
+    """
+    return 1 if period_s <= _LONGEST_S * (1.0 + ROUNDING) else round(period_s / REFERENCE_PERIOD_S)
 
 
 def divided(trajectories: Trajectories, parts: int) -> Trajectories:

@@ -29,6 +29,7 @@ from sugiyama_ros.filters.roughness import (
     LEAST,
     WHITE,
     desired_speed_above,
+    in_proportion,
     roughness,
     roughness_of_noises,
     with_smooth_noises,
@@ -64,15 +65,23 @@ class Evenness(NamedTuple):
         Std of the third differences of the positions [m]; NaN if it is not known.
     period_s : float
         Time [s] between two samples.
+    has_other_noises : bool
+        Whether the model's fixed noises do not suit the vehicles, although their positions are not smooth.
     """
 
     roughness_m: float
     period_s: float
+    has_other_noises: bool = False
 
     @property
     def is_smooth(self) -> bool:
         """Whether the positions move more evenly than the model's fixed noises alone would let them."""
         return self.roughness_m < roughness_of_noises(defaults(), self.period_s)
+
+    @property
+    def frees_noises(self) -> bool:
+        """Whether the model's fixed noises are estimated for each driver."""
+        return self.is_smooth or self.has_other_noises
 
     @property
     def smallest_noise(self) -> float:
@@ -83,8 +92,9 @@ class Evenness(NamedTuple):
     def typical(self, speed: float) -> Array:
         """Return a driver of the population, with noises and a desired speed that suit the recording.
 
-        Where positions are smooth, each of three noises makes a third of the third differences' variance. A driver far
-        above the desired speed hardly says how much too small it is, so it starts above the speeds in the data.
+        Where positions are smooth, each of three noises makes a third of the third differences' variance. Where the
+        fixed noises do not suit the vehicles for another reason, all noises are in proportion. A driver far above the
+        desired speed hardly says how much too small it is, so it starts above the speeds in the data.
 
         Parameters
         ----------
@@ -99,7 +109,7 @@ class Evenness(NamedTuple):
         driver = population()
         driver[V_STAR] = desired_speed_above(speed, float(driver[V_STAR]))
         if not self.is_smooth:
-            return driver
+            return in_proportion(driver, self.roughness_m, self.period_s) if self.has_other_noises else driver
         third = max(self.roughness_m, LEAST) / float(np.sqrt(3.0))
         return with_smooth_noises(driver, third, third, self.period_s)
 
@@ -116,7 +126,7 @@ class Evenness(NamedTuple):
         tuple of str
             Names.
         """
-        return ESTIMATED + FREED if formulation == "causal" and self.is_smooth else ESTIMATED
+        return ESTIMATED + FREED if formulation == "causal" and self.frees_noises else ESTIMATED
 
     def individual(self, *others: int) -> tuple[int, ...]:
         """Return the places of the noises that each driver has, then ``others``."""

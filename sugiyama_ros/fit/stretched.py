@@ -9,16 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sugiyama_ros.arrays import Array, Ints, Mask
-from sugiyama_ros.drives import Drive, drives
+from sugiyama_ros.drives import Drive, divided, drives
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.chain import CHAIN, Chain
 from sugiyama_ros.fit.recording import BLOCK_S, FOLDS, Recorded, bounds_of, prepare
-from sugiyama_ros.fit.sampling import apart_if_smoothed, smoothed_alike, thinned
+from sugiyama_ros.fit.sampling import apart_if_smoothed, measured, smoothed_alike, thinned, usual_decisions
+from sugiyama_ros.fit.sampling import divided as divided_recording
 from sugiyama_ros.fit.smooth_positions import Evenness, evenness_of, smoothing_window
 from sugiyama_ros.fit.vicinity import DriverName, Vicinity
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.one_lane import numbers_of
-from sugiyama_ros.trajectories.time_base import on_time_base
+from sugiyama_ros.trajectories.time_base import on_time_base, period_of
 from sugiyama_ros.trajectories.tracks import Tracks
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
@@ -43,19 +44,30 @@ class Followers:
         The stretches of each driver who follows for at least ``LEAST_FOLLOWING_S``.
     few : tuple of tuple of Drive
         The stretches of each of the other drivers.
+    decisions : int
+        Number of decisions of the model's drivers from one measurement to the next; the samples in between are empty.
     """
 
     enough: tuple[tuple[Drive, ...], ...]
     few: tuple[tuple[Drive, ...], ...]
+    decisions: int
+
+    @property
+    def every(self) -> tuple[Drive, ...]:
+        """All stretches of the drivers who follow for long enough."""
+        return tuple(drive for own in self.enough for drive in own)
 
 
-def followers(tracks: Tracks) -> Followers:
+def followers(tracks: Tracks, decisions: int | None = None) -> Followers:
     """Find the drivers who follow a known vehicle.
 
     Parameters
     ----------
     tracks : Tracks
-        Tracks with leaders.
+        Tracks with leaders, on the time base of their stretches.
+    decisions : int, optional
+        Number of decisions of the model's drivers from one sample to the next; by default as
+        ``sampling.usual_decisions``.
 
     Returns
     -------
@@ -68,12 +80,14 @@ def followers(tracks: Tracks) -> Followers:
         If nobody follows a known vehicle for ``LEAST_FOLLOWING_S``.
     """
     by_driver: dict[tuple[str, str], list[Drive]] = defaultdict(list)
+    parts = decisions or usual_decisions(period_of(tracks))
     for drive in drives(tracks):
-        by_driver[drive.stretch.recording, drive.stretch.vehicle].append(drive)
+        by_driver[drive.stretch.recording, drive.stretch.vehicle].append(divided(drive, parts))
     own = [tuple(one) for one in by_driver.values()]
     found = Followers(
         tuple(one for one in own if following_s(one) >= LEAST_FOLLOWING_S),
         tuple(one for one in own if following_s(one) < LEAST_FOLLOWING_S),
+        parts,
     )
     if not found.enough:
         raise InputError(
@@ -93,27 +107,31 @@ def evenness_on(every: Sequence[Drive], apart: int = 1) -> Evenness:
     return evenness_of([d.chain.position_m[::apart, 0] for d in every], apart * every[0].chain.period_s)
 
 
-def fastest_on(every: Sequence[Drive]) -> float:
-    """Return the speed [m/s] below which 99 % of the samples of stretches are."""
-    steps = max(1, round(_SPEED_OVER_S / every[0].chain.period_s))
-    ways = [d.chain.position_m[steps:, 0] - d.chain.position_m[:-steps, 0] for d in every]
-    return float(np.nanquantile(np.concatenate(ways), 0.99)) / (steps * every[0].chain.period_s)
+def fastest_on(every: Sequence[Drive], apart: int = 1) -> float:
+    """Return the speed [m/s] below which 99 % of the samples of stretches are, from one sample in ``apart``."""
+    period_s = apart * every[0].chain.period_s
+    steps = max(1, round(_SPEED_OVER_S / period_s))
+    seen = [d.chain.position_m[::apart, 0] for d in every]
+    ways = [position[steps:] - position[:-steps] for position in seen]
+    return float(np.nanquantile(np.concatenate(ways), 0.99)) / (steps * period_s)
 
 
-def prepare_tracks(tracks: Tracks) -> Recorded:
+def prepare_tracks(tracks: Tracks, decisions: int | None = None) -> Recorded:
     """Prepare tracks for a fit.
 
     Parameters
     ----------
     tracks : Tracks
         Tracks with leaders.
+    decisions : int, optional
+        Number of decisions of the model's drivers from one sample to the next, as for ``followers``.
 
     Returns
     -------
     Recorded
         The drivers who follow for at least ``LEAST_FOLLOWING_S``, each on all their stretches. Blocks of time are parts
-        of a driver's own record. A segment ends where the leader changes. Of smoothed positions, only samples count
-        that are most of the window apart.
+        of a driver's own record. A segment ends where the leader changes. Where samples are more than 0.5 s apart,
+        empty samples come in between. Of smoothed positions, only samples count that are most of the window apart.
 
     Raises
     ------
@@ -121,38 +139,60 @@ def prepare_tracks(tracks: Tracks) -> Recorded:
         If nobody follows for long enough.
     """
     tracks = on_time_base(tracks)
-    drivers = followers(tracks).enough
-    every = [drive for own in drivers for drive in own]
-    period_s = every[0].chain.period_s
-    window = smoothing_window([d.chain.position_m[:, 0] for d in every], period_s)
-    apart = apart_if_smoothed(window, evenness_on(every))
-    even, speed = evenness_on(every, apart), fastest_on(every)
-    chains = tuple(replace(one, position_m=thinned(one.position_m, apart)) for one in _chains(drivers))
+    found = followers(tracks, decisions)
+    drivers, every, parts = found.enough, found.every, found.decisions
+    seen_s = parts * every[0].chain.period_s
+    window = smoothing_window([d.chain.position_m[::parts, 0] for d in every], seen_s)
+    apart = parts if parts > 1 else apart_if_smoothed(window, evenness_on(every))
+    even, speed = evenness_on(every, apart), fastest_on(every, parts)
+    chains = tuple(replace(one, position_m=thinned(one.position_m, apart)) for one in _chains(drivers, parts))
     samples = len(chains[0].position_m)
     block = np.array([_blocks(chain) for chain in chains])
     fold = block % FOLDS
     block[1:] += np.cumsum(block.max(axis=1) + 1)[:-1, None]
     lower, upper = bounds_of(even, speed)
     return Recorded(
-        vicinity=_vicinity(tracks, drivers, chains),
+        vicinity=_vicinity(tracks, drivers, chains, parts),
         chains=chains,
         ahead=_ahead(drivers),
         block=block,
         fold=fold,
         segment=np.array([_segments(chain) for chain in chains]),
-        scored=np.array([_joined([_alike(d, window) for d in own], samples, False) for own in drivers]),
+        scored=np.array([_joined([_alike(d, window * parts) for d in own], samples, False, parts) for own in drivers]),
         even=even,
         speed=speed,
         lower=lower,
         upper=upper,
         every=apart,
-        smoothed_s=window * period_s,
+        decisions=parts,
+        smoothed_s=window * seen_s,
     )
 
 
-def prepared(recording: Trajectories | Tracks) -> Recorded:
-    """Prepare a whole road or tracks for a fit, as ``prepare`` and ``prepare_tracks`` do."""
-    return prepare_tracks(recording) if isinstance(recording, Tracks) else prepare(recording)
+def prepared(recording: Trajectories | Tracks, decisions: int | None = None) -> Recorded:
+    """Prepare a whole road or tracks for a fit, as ``prepare`` and ``prepare_tracks`` do.
+
+    Parameters
+    ----------
+    recording : Trajectories or Tracks
+        The recording.
+    decisions : int, optional
+        Number of decisions of the model's drivers from one sample to the next; by default as
+        ``sampling.usual_decisions``.
+
+    Returns
+    -------
+    Recorded
+        The prepared recording.
+
+    Raises
+    ------
+    InputError
+        If the recording is too short, or if nobody follows for long enough.
+    """
+    if isinstance(recording, Tracks):
+        return prepare_tracks(recording, decisions)
+    return prepare(recording if decisions is None else divided_recording(measured(recording), decisions))
 
 
 def driven_anew(data: Recorded, position_m: Array, segment: Ints) -> Recorded:
@@ -185,24 +225,26 @@ def driven_anew(data: Recorded, position_m: Array, segment: Ints) -> Recorded:
     return replace(data, vicinity=new, chains=tuple(chains), segment=segment)
 
 
-def _chains(drivers: Sequence[Sequence[Drive]]) -> tuple[Chain, ...]:
+def _chains(drivers: Sequence[Sequence[Drive]], parts: int) -> tuple[Chain, ...]:
     """One chain for each driver: the stretches one after the other, all chains of the same length.
 
-    The leader's leader is in a chain where it is known on all stretches.
+    The leader's leader is in a chain where it is known on all stretches. Each measurement is at a multiple of
+    ``parts``.
     """
-    samples = max(sum(len(d.scored) + _BETWEEN for d in own) for own in drivers) - _BETWEEN
-    return tuple(_chain(own, samples) for own in drivers)
+    between = parts * _BETWEEN
+    samples = max(sum(len(d.scored) + between for d in own) for own in drivers) - between
+    return tuple(_chain(own, samples, parts) for own in drivers)
 
 
-def _chain(own: Sequence[Drive], samples: int) -> Chain:
+def _chain(own: Sequence[Drive], samples: int, parts: int) -> Chain:
     vehicles = min(CHAIN, *(d.chain.position_m.shape[1] for d in own))
     # every stretch is another vehicle for the filter, even if it is the same driver behind the same leader
     step = 1 + max(int(d.chain.identity.max()) for d in own)
     identity = [np.where(d.chain.identity >= 0, d.chain.identity + k * step, -1) for k, d in enumerate(own)]
     return Chain(
-        position_m=_joined([d.chain.position_m[:, :vehicles] for d in own], samples, np.nan),
-        identity=_joined([one[:, :vehicles] for one in identity], samples, -1),
-        length_m=_joined([d.chain.length_m[:, :vehicles] for d in own], samples, 0.0),
+        position_m=_joined([d.chain.position_m[:, :vehicles] for d in own], samples, np.nan, parts),
+        identity=_joined([one[:, :vehicles] for one in identity], samples, -1, parts),
+        length_m=_joined([d.chain.length_m[:, :vehicles] for d in own], samples, 0.0, parts),
         rear=np.full((samples, 3), np.nan),
         period_s=own[0].chain.period_s,
         start_s=own[0].chain.start_s,
@@ -210,13 +252,16 @@ def _chain(own: Sequence[Drive], samples: int) -> Chain:
     )
 
 
-def _joined(parts: Sequence[NDArray[_Kind]], samples: int, empty: float | bool) -> NDArray[_Kind]:
-    """Parts (n, ...) one after the other, with `_BETWEEN` empty samples between them, filled up to ``samples``."""
-    joined = np.full((samples, *parts[0].shape[1:]), empty, dtype=parts[0].dtype)
+def _joined(pieces: Sequence[NDArray[_Kind]], samples: int, empty: float | bool, parts: int) -> NDArray[_Kind]:
+    """Pieces (n, ...) one after the other, with empty samples between them, filled up to ``samples``.
+
+    parts: number of parts of a period; each takes `_BETWEEN` empty samples.
+    """
+    joined = np.full((samples, *pieces[0].shape[1:]), empty, dtype=pieces[0].dtype)
     at = 0
-    for part in parts:
-        joined[at : at + len(part)] = part
-        at += len(part) + _BETWEEN
+    for piece in pieces:
+        joined[at : at + len(piece)] = piece
+        at += len(piece) + parts * _BETWEEN
     return joined
 
 
@@ -258,7 +303,7 @@ def _run(own: Sequence[Drive]) -> int:
     return int(own[0].chain.identity[:, 0].max())
 
 
-def _vicinity(tracks: Tracks, drivers: Sequence[Sequence[Drive]], chains: Sequence[Chain]) -> Vicinity:
+def _vicinity(tracks: Tracks, drivers: Sequence[Sequence[Drive]], chains: Sequence[Chain], parts: int) -> Vicinity:
     count, samples = len(chains), len(chains[0].position_m)
     columns = CHAIN * count
     position, length = np.full((samples, columns), np.nan), np.zeros((samples, columns))
@@ -278,7 +323,7 @@ def _vicinity(tracks: Tracks, drivers: Sequence[Sequence[Drive]], chains: Sequen
         position_m=position,
         length_m=length,
         leader=leader,
-        time_s=np.stack([_times(own, samples) for own in drivers], axis=1),
+        time_s=np.stack([_times(own, samples, parts) for own in drivers], axis=1),
         road=Road(tracks.about.ring_m),
         period_s=chains[0].period_s,
         is_whole_road=False,
@@ -294,7 +339,7 @@ def _short(names: Sequence[DriverName]) -> tuple[DriverName, ...]:
     return tuple(one if several else replace(one, recording="") for one in names)
 
 
-def _times(own: Sequence[Drive], samples: int) -> Array:
+def _times(own: Sequence[Drive], samples: int, parts: int) -> Array:
     """Times [s] of a driver's samples, (T,); NaN between stretches."""
-    parts: list[Array] = [d.chain.start_s + d.chain.period_s * np.arange(len(d.scored), dtype=np.float64) for d in own]
-    return _joined(parts, samples, np.nan)
+    times: list[Array] = [d.chain.start_s + d.chain.period_s * np.arange(len(d.scored), dtype=np.float64) for d in own]
+    return _joined(times, samples, np.nan, parts)

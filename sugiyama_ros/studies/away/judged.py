@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from sugiyama_ros.diagnosis.adequacy import who
 from sugiyama_ros.diagnosis.diagnosis import Diagnosis, diagnose
 from sugiyama_ros.fit.cross_validation import gain
-from sugiyama_ros.fit.recording import prepare
-from sugiyama_ros.fit.sampling import divided
 from sugiyama_ros.fit.score import evaluate
+from sugiyama_ros.fit.stretched import prepared
 from sugiyama_ros.studies.away.cases import Case, Pair, cases, recorded
 
 NONE = "none"
@@ -150,7 +149,7 @@ def judge_named(part: str, name: str, strength: str, seed: int, quick: bool) -> 
 
 def _fresh(d: Diagnosis, pair: Pair) -> tuple[float, float]:
     """Gain of the additions on a fresh recording of the same drivers, without a new fit, and its standard error."""
-    data = prepare(divided(pair.second, d.data.decisions))
+    data = prepared(pair.second, d.data.decisions)
     with ThreadPoolExecutor(1) as work:
         after, before = (evaluate(data, one.model, work) for one in (d.final, d.base))
     found = gain(data, after, before)

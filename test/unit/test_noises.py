@@ -1,0 +1,31 @@
+"""Noises of position and speed that differ from the paper's constants."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from sugiyama_ros.diagnosis.noises import base_model
+from sugiyama_ros.driver.parameters import SIGMA_A, SIGMA_V, SIGMA_X
+from sugiyama_ros.fit.stretched import prepared
+from sugiyama_ros.studies.away.drivers import drawn
+from sugiyama_ros.studies.away.world import Setup, record
+
+
+def _driven(noise: float):
+    """A jam of drivers with so many times the usual noises."""
+    scene, rng = Setup(noise=noise, duration_s=120.0), np.random.default_rng(11)
+    recording = record(scene, drawn(scene.drivers, rng, noise=noise), (), rng)
+    assert recording is not None
+    return prepared(recording)
+
+
+@pytest.mark.parametrize(("noise", "is_other"), [(0.3, True), (1.0, False)])
+def test_noises_are_fitted_where_the_constants_of_the_paper_do_not_suit(noise, is_other):
+    with ThreadPoolExecutor(2) as work:
+        data, base = base_model(_driven(noise), work)
+    own = base.model.individual
+    assert data.even.has_other_noises == is_other
+    assert (SIGMA_X in own and SIGMA_V in own) == is_other
+    # 0.28 m/s^2 as usual; the fixed noises leave less than a tenth of a third of it
+    assert np.median(base.model.rows[:, SIGMA_A]) == pytest.approx(0.28 * noise, rel=0.25)
