@@ -18,6 +18,8 @@ from sugiyama_ros.fit.smooth_positions import FREED
 
 # Standard errors by which another base model must be better: a missing effect makes it a little better, too.
 _CLEAR = 5.0
+# A first look at other noises, the same for all drivers, that gains less than this [nats] promises nothing.
+_PROMISE = 20.0
 _OTHER_NOISES = Candidate(
     name="noises",
     kind="constants",
@@ -29,9 +31,17 @@ _OTHER_NOISES = Candidate(
 )
 
 
-def is_clear(won: Gain) -> bool:
-    """Return whether a base model is so much better than another one that no missing effect is the reason."""
-    return won.nats > _CLEAR * won.se
+def is_clear(won: Gain, parameters: int = 0) -> bool:
+    """Return whether a base model is so much better than another one that no missing effect is the reason.
+
+    Parameters
+    ----------
+    won : Gain
+        Gain of its fit over the fit of the other one.
+    parameters : int
+        Number of parameters that it has more. Each gains about one nat that held-out samples do not confirm.
+    """
+    return won.nats - parameters > _CLEAR * won.se
 
 
 def base_model(data: Recorded, work: Executor) -> tuple[Recorded, JointFit]:
@@ -55,9 +65,10 @@ def base_model(data: Recorded, work: Executor) -> tuple[Recorded, JointFit]:
     if data.even.frees_noises:
         return data, base
     look = screen(data, base, _OTHER_NOISES, work, QUICK)
-    if not is_clear(gain(data, look.fit.samples, base.samples)):
+    if look.gain < _PROMISE:
         return data, base
     freed = replace(data, even=data.even._replace(has_other_noises=True))
     own = freed.even.individual(V_STAR, KAPPA_V)
     again = fit_base(freed, own, work, start_model(freed, own))
-    return (freed, again) if is_clear(gain(data, again.samples, base.samples)) else (data, base)
+    won, more = gain(data, again.samples, base.samples), len(FREED) * data.drivers
+    return (freed, again) if is_clear(won, more) else (data, base)
