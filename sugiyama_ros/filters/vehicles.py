@@ -54,9 +54,12 @@ def start_vehicle(m: int, measured: float, elapsed: float, state: State, paramet
     if known[m] == UNKNOWN:
         known[m] = POSITION
         mean[x] = measured
-        if m > 0 and known[m - 1] != UNKNOWN and circumference > 0.0:
-            headway = measured - mean[x - STATE]
-            mean[x] = mean[x - STATE] + headway - circumference * math.floor(headway / circumference)
+        if circumference > 0.0:
+            # as many turns of the ring as its neighbours in the chain have made
+            if m > 0 and known[m - 1] != UNKNOWN:
+                mean[x] -= circumference * math.floor((measured - mean[x - STATE]) / circumference)
+            elif m + 1 < len(known) and known[m + 1] != UNKNOWN:
+                mean[x] += circumference * math.floor((mean[x + STATE] - measured) / circumference)
         return
     known[m] = MOVING
     way = measured - mean[x]
