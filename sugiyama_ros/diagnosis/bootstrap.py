@@ -14,7 +14,7 @@ from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.joint import JointFit, maximise, start_fit
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import Recorded, prepare
-from sugiyama_ros.fit.score import filtered_states
+from sugiyama_ros.fit.score import between_measurements, filtered_states
 from sugiyama_ros.fit.stretched import driven_anew
 from sugiyama_ros.progress import OnStage
 from sugiyama_ros.simulation.behind import RecordedTraffic, drive_behind
@@ -83,8 +83,8 @@ def resample(data: Recorded, model: Model, states: Array, rng: np.random.Generat
 
 def _behind_measured(data: Recorded, model: Model, states: Array, rng: np.random.Generator) -> Recorded:
     """Tracks on which each driver drives anew behind the measured vehicles ahead."""
-    around = data.vicinity
-    recorded = RecordedTraffic(states, around.leader, around.length_m, data.segment, around.road, around.period_s)
+    around, moved = data.vicinity, between_measurements(data, states)
+    recorded = RecordedTraffic(moved, around.leader, around.length_m, data.segment, around.road, around.period_s)
     return driven_anew(data, *drive_behind(recorded, at_period(model.rows, around.period_s), rng))
 
 

@@ -20,6 +20,7 @@ from sugiyama_ros.effects.sensing import displacements
 from sugiyama_ros.filters.causal_kernel import SETTLING
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.fit.score import between_measurements
 from sugiyama_ros.simulation.drive import Order, Setting
 from sugiyama_ros.simulation.free_run import run_coupled, run_single
 
@@ -108,8 +109,8 @@ def free_runs(data: Recorded, model: Model, states: Array, work: Executor, fold:
         unbroken &= data.scored[:, starts]
     starts, unbroken = starts[unbroken.any(axis=0)], unbroken[:, unbroken.any(axis=0)]
     who = unbroken if fold is None else unbroken & (data.fold[:, starts] == fold)
-    rows = at_period(model.rows, around.period_s)
-    jobs = [_Start(data, rows, states, int(k), steps, some) for k, some in zip(starts, who.T, strict=True)]
+    rows, moved = at_period(model.rows, around.period_s), between_measurements(data, states)
+    jobs = [_Start(data, rows, moved, int(k), steps, some) for k, some in zip(starts, who.T, strict=True)]
     errors = list(work.map(_from_start, jobs))
     empty = np.empty((0, len(steps), data.drivers))
     names = [field.name for field in fields(FreeRuns)][:-1]

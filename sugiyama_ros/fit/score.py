@@ -175,15 +175,53 @@ def follow(data: Recorded, model: Model, work: Executor) -> tuple[PointwiseDensi
     jobs = [job_of(data, model, i) for i in range(data.drivers)]
     outputs = [one for part in work.map(causal.predict_states, together(jobs)) for one in part]
     y, variance, density = (np.array([o[k] for o in outputs]) for k in range(3))
+    tracks = [o[3] for o in outputs]
     states = np.full((*data.vicinity.leader.shape, STATE), np.nan)
-    for i, (chain, predicted) in enumerate(zip(data.chains, outputs, strict=True)):
+    for i, (chain, track) in enumerate(zip(data.chains, tracks, strict=True)):
         for m, column in enumerate(data.vicinity.columns(i, chain.position_m.shape[1])):
             known = np.isfinite(variance[i]) & _moves(chain, m)
-            states[known, column] = predicted[3][known, STATE * m : STATE * (m + 1)]
+            states[known, column] = track[known, STATE * m : STATE * (m + 1)]
     if data.vicinity.is_whole_road:
-        _see_first(data, [o[3] for o in outputs], states)
+        _see_first(data, tracks, states)
     density[~data.scored] = np.nan
     return PointwiseDensity(y, variance, density), states
+
+
+def between_measurements(data: Recorded, states: Array) -> Array:
+    """Return how vehicles have moved, also in the samples between two measurements.
+
+    What a filter expects between measurements that are far apart jumps at the next measurement. A vehicle that is to
+    drive as it was recorded must not.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    states : ndarray, shape (T, V, 4)
+        Filtered states, as ``filtered_states`` returns them.
+
+    Returns
+    -------
+    ndarray, shape (T, V, 4)
+        The states at the measurements, and interpolated states in between. The position is a cubic curve with the
+        speeds at both ends as slopes. These states know the next measurement, so they predict nothing.
+    """
+    if data.every == 1:
+        return states
+    moved, ends = states.copy(), np.arange(0, len(states), data.every)
+    for i, chain in enumerate(data.chains):
+        for m, column in enumerate(data.vicinity.columns(i, chain.position_m.shape[1])):
+            identity = chain.identity[ends, m]
+            same = np.flatnonzero((identity[1:] == identity[:-1]) & (identity[1:] >= 0))
+            start, end = states[ends[same], column], states[ends[same + 1], column]
+            way = (end[:, 0] - start[:, 0]) / data.apart_s
+            for j in range(1, data.every):
+                w = j / data.every
+                between = (1.0 - w) * start + w * end
+                bend = (1.0 - w) * (start[:, 1] - way) - w * (end[:, 1] - way)
+                between[:, 0] += w * (1.0 - w) * data.apart_s * bend
+                moved[ends[same] + j, column] = between
+    return moved
 
 
 def _see_first(data: Recorded, tracks: Sequence[Array], states: Array) -> None:

@@ -1,7 +1,7 @@
 """Compiled free runs: from a given state on, the model drives on its own.
 
 In a coupled run, all vehicles drive by the model. In a single run, one vehicle drives by the model, and its neighbours
-drive as they were recorded.
+drive as they were recorded. Nobody drives through the vehicle ahead: who touches it stays behind it.
 """
 
 import numpy as np
@@ -54,8 +54,20 @@ def run_coupled(
             if is_platoon and order.leader[i] < 0 and np.isfinite(recorded[k + 1, i, 0]):
                 x[i], v[i], n[i], b[i] = recorded[k + 1, i]
                 acceleration[i] = b[i] + rows[i, RHO] * n[i]
+        for i in range(vehicles):
+            ahead = order.leader[i]
+            if ahead >= 0:
+                x[i], v[i] = _behind(x[i], v[i], x[ahead], v[ahead], i, order)
         time += setting.period
         out[k, :, 0], out[k, :, 1] = x, v
+
+
+@kernel
+def _behind(x: float, v: float, leader_x: float, leader_v: float, i: int, order: Order) -> tuple[float, float]:
+    """Position [m] and speed [m/s] of vehicle i, which is at most at contact with the leader."""
+    contact = leader_x - order.turn[i] - 0.5 * (order.length[i] + order.length[order.leader[i]])
+    # a leader who is not known stops nobody
+    return (contact, min(v, leader_v)) if x > contact else (x, v)
 
 
 @kernel
@@ -91,7 +103,7 @@ def run_single(
     ----------
     i : int
         Number of the vehicle.
-    recorded : ndarray, shape (at least steps, N, 4)
+    recorded : ndarray, shape (at least steps + 1, N, 4)
         Filtered position [m], speed [m/s], acceleration noise and held acceleration [m/s^2].
     order : Order
         Who follows whom.
@@ -121,6 +133,9 @@ def run_single(
         remember(traffic)
         a = held[0] + pushed[0] + n
         x, v = advance(x, v, a, setting.period)
+        ahead = order_near.leader[0]
+        if ahead >= 0:
+            x, v = _behind(x, v, recorded[k + 1, near[ahead], 0], recorded[k + 1, near[ahead], 1], 0, order_near)
         n *= rows[i, RHO]
         b = held[0]
         time += setting.period

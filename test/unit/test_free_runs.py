@@ -1,0 +1,52 @@
+"""Free runs: vehicles that drive by the model from a given state on."""
+
+import numpy as np
+import pytest
+
+from sugiyama_ros.driver.parameters import at_period, defaults, horizon_at
+from sugiyama_ros.driver.utility import ACTIONS
+from sugiyama_ros.effects.registry import ROW
+from sugiyama_ros.fit.score import between_measurements
+from sugiyama_ros.fit.stretched import prepared
+from sugiyama_ros.road import Road
+from sugiyama_ros.simulation.drive import Order, Setting
+from sugiyama_ros.simulation.free_run import run_coupled, run_single
+from sugiyama_ros.trajectories.one_lane import tracks_of
+from sugiyama_ros.trajectories.trajectories import Trajectories
+
+_PERIOD_S, _STEPS, _LENGTH_M = 1.0 / 3.0, 30, 4.0
+
+
+@pytest.mark.parametrize("run", ["single", "coupled"])
+def test_nobody_drives_through_the_vehicle_ahead(run):
+    """A driver at 20 m/s, 12 m behind a vehicle that stands: nobody can brake so hard."""
+    recorded = np.zeros((_STEPS + 1, 2, 4))
+    recorded[:, 0, :2], recorded[:, 1, 0] = (0.0, 20.0), 16.0
+    order = Order(np.array([1, -1]), np.zeros(2), np.full(2, _LENGTH_M))
+    rows = at_period(np.tile(ROW.with_effects(defaults()), (2, 1)), _PERIOD_S)
+    setting = Setting(_PERIOD_S, horizon_at(_PERIOD_S), 0.0)
+    out = np.full((_STEPS, 2, 2), np.nan)
+    if run == "single":
+        run_single(0, recorded, order, rows, ACTIONS, 0.0, setting, out)
+    else:
+        run_coupled(recorded, order, rows, ACTIONS, 0.0, setting, out)
+    gap = 16.0 - out[:, 0, 0] - _LENGTH_M
+    assert gap.min() == pytest.approx(0.0, abs=1e-9)
+    assert out[np.argmin(gap), 0, 1] <= 0.0
+
+
+def test_motion_between_measurements_is_the_smooth_curve_through_them():
+    time = np.arange(40.0)
+    position = np.column_stack((5.0 * time + 0.05 * time**2, 30.0 + 5.0 * time + 0.05 * time**2))
+    recording = Trajectories(position, np.full(2, _LENGTH_M), np.array([1, 2]), Road(0.0), period_s=1.0)
+    for data in (prepared(recording), prepared(tracks_of(recording))):
+        assert data.every == 3
+        states = np.full((data.samples, data.vicinity.leader.shape[1], 4), np.nan)
+        there = np.arange(0.0, data.samples) / 3.0
+        x, v = 5.0 * there + 0.05 * there**2, 5.0 + 0.1 * there
+        states[:, 0] = np.column_stack((x, v, 0.0 * x, 0.0 * x))
+        jumping = states.copy()
+        jumping[np.arange(data.samples) % 3 > 0, 0, :2] += 2.0
+        last = 3 * (len(time) - 1)
+        moved = between_measurements(data, jumping)[: last + 1, 0]
+        np.testing.assert_allclose(moved, states[: last + 1, 0], atol=1e-9)
