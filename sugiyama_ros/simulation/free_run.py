@@ -1,7 +1,8 @@
 """Compiled free runs: from a given state on, the model drives on its own.
 
 In a coupled run, all vehicles drive by the model. In a single run, one vehicle drives by the model, and its neighbours
-drive as they were recorded. Nobody drives through the vehicle ahead: who touches it stays behind it.
+drive as they were recorded. Nobody drives backward, and nobody drives through the vehicle ahead: who touches it stays
+behind it.
 """
 
 import numpy as np
@@ -56,8 +57,9 @@ def run_coupled(
                 acceleration[i] = b[i] + rows[i, RHO] * n[i]
         for i in range(vehicles):
             ahead = order.leader[i]
+            v[i] = max(v[i], 0.0)
             if ahead >= 0:
-                x[i], v[i] = _behind(x[i], v[i], x[ahead], v[ahead], i, order)
+                x[i], v[i] = _behind(x[i], v[i], x[ahead], max(v[ahead], 0.0), i, order)
         time += setting.period
         out[k, :, 0], out[k, :, 1] = x, v
 
@@ -133,9 +135,10 @@ def run_single(
         remember(traffic)
         a = held[0] + pushed[0] + n
         x, v = advance(x, v, a, setting.period)
-        ahead = order_near.leader[0]
+        ahead, v = order_near.leader[0], max(v, 0.0)
         if ahead >= 0:
-            x, v = _behind(x, v, recorded[k + 1, near[ahead], 0], recorded[k + 1, near[ahead], 1], 0, order_near)
+            there = recorded[k + 1, near[ahead]]
+            x, v = _behind(x, v, there[0], max(there[1], 0.0), 0, order_near)
         n *= rows[i, RHO]
         b = held[0]
         time += setting.period
