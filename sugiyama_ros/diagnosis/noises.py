@@ -12,7 +12,7 @@ from sugiyama_ros.diagnosis.screen import QUICK, screen
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, index
 from sugiyama_ros.fit.cross_validation import Gain, gain
 from sugiyama_ros.fit.joint import JointFit
-from sugiyama_ros.fit.population import fit_base, start_model
+from sugiyama_ros.fit.population import fit_base
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.smooth_positions import FREED
 
@@ -68,7 +68,6 @@ def base_model(data: Recorded, work: Executor) -> tuple[Recorded, JointFit]:
     if look.gain < _PROMISE:
         return data, base
     freed = replace(data, even=data.even._replace(has_other_noises=True))
-    own = freed.even.individual(V_STAR, KAPPA_V)
-    again = fit_base(freed, own, work, start_model(freed, own))
+    again = fit_base(freed, freed.even.individual(V_STAR, KAPPA_V), work)
     won, more = gain(data, again.samples, base.samples), len(FREED) * data.drivers
     return (freed, again) if is_clear(won, more) else (data, base)

@@ -139,12 +139,13 @@ def _second_chance(data: Recorded, found: JointFit, work: Executor) -> JointFit:
 def _by_paper(data: Recorded, model: Model, work: Executor) -> Model | None:
     """The model fitted with the paper's formulation; None if the formulation cannot use the recording.
 
-    In the paper, drivers decide once for each sample. So the formulation says little of samples that are far apart.
+    In the paper, drivers decide once for each sample. So the formulation says little of samples that are far apart, and
+    nothing of noises that it does not have.
 
     A parameter that the data of a driver do not determine becomes the median over the drivers whose data determine it,
     if there are any.
     """
-    if data.trajectories is None or measured_every(data.trajectories) > 1:
+    if data.trajectories is None or measured_every(data.trajectories) > 1 or data.even.has_other_noises:
         return None
     names = [NAMES[k] for k in model.individual]
     try:

@@ -14,6 +14,9 @@ from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.drive import Order, Setting, begin, drive
 from sugiyama_ros.simulation.wandering import Wandering
 
+# A driver who is faster than this [m/s] in reverse drives backward; noise moves those who stand a little.
+_BACKWARD = 2.0
+
 
 class RecordedTraffic(NamedTuple):
     """Recorded vehicles in V columns; the first N of them are drivers who drive anew.
@@ -45,7 +48,8 @@ class RecordedTraffic(NamedTuple):
 def drive_behind(recorded: RecordedTraffic, rows: Array, rng: np.random.Generator) -> tuple[Array, Ints]:
     """Simulate drivers, each alone behind the recorded vehicles ahead.
 
-    A driver starts from the recorded state, and again after a collision and wherever a segment begins.
+    A driver starts from the recorded state, and again after a collision, when the model drives backward, and wherever a
+    segment begins.
 
     Parameters
     ----------
@@ -75,8 +79,8 @@ def drive_behind(recorded: RecordedTraffic, rows: Array, rng: np.random.Generato
     for k in range(samples):
         if k > 0:
             _advance(own, rows, recorded.period_s, rng)
-        crashed = there & (_gaps(own[0], recorded, k) <= 0.0)
-        again = (can_drive[k] & ~there) | crashed
+        lost = there & ((_gaps(own[0], recorded, k) <= 0.0) | (own[1] < -_BACKWARD))
+        again = (can_drive[k] & ~there) | lost
         if k > 0:
             again |= recorded.segment[:, k] != recorded.segment[:, k - 1]
             again &= can_drive[k]
