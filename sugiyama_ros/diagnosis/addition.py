@@ -69,6 +69,52 @@ class Addition:
         return bool(self.drivers) and all(who != self.drivers for _, who in self.fit.model.few)
 
 
+def addition_of(
+    candidate: Candidate,
+    fitted: JointFit,
+    errors: tuple[HeldOutErrors, HeldOutErrors],
+    won: Gain,
+    p_value: float,
+    rivals: tuple[str, ...],
+) -> Addition:
+    """Return a candidate as an addition to the model.
+
+    Parameters
+    ----------
+    candidate : Candidate
+        The candidate.
+    fitted : JointFit
+        The model with the candidate.
+    errors : tuple of HeldOutErrors
+        Held-out errors without and with the candidate.
+    won : Gain
+        Held-out gain over the model without the candidate.
+    p_value : float
+        Probability that chance alone gives such a gain.
+    rivals : tuple of str
+        Names of candidates that explain the data as well.
+
+    Returns
+    -------
+    Addition
+        The addition.
+    """
+    return Addition(
+        name=candidate.mechanism,
+        form=candidate.name,
+        kind=candidate.kind,
+        parameters=parameters_of(fitted, candidate),
+        indistinguishable=rivals,
+        advice=advice_for(candidate.mechanism, rivals),
+        p_value=p_value,
+        heldout=won,
+        before=errors[0],
+        after=errors[1],
+        fit=fitted,
+        drivers=candidate.drivers,
+    )
+
+
 def advice_for(name: str, others: Iterable[str]) -> tuple[str, ...]:
     """Return what to record to tell an effect from others that explain the data as well.
 

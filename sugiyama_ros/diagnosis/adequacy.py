@@ -95,6 +95,8 @@ class Evidence:
         Held-out errors of the final model in recordings that it simulates.
     refused : sequence of str
         Names of what predicts better, and was not added because of what the model is for.
+    senseless : sequence of (str, tuple of str)
+        Names of what predicts better only with values that make no physical sense, and which.
     """
 
     base: HeldOutErrors
@@ -108,6 +110,7 @@ class Evidence:
     checks: Mapping[str, LawCheck] = field(default_factory=dict)
     own: Sequence[HeldOutErrors] = ()
     refused: Sequence[str] = ()
+    senseless: Sequence[tuple[str, tuple[str, ...]]] = ()
 
 
 def judge(data: Recorded, evidence: Evidence) -> Adequacy:
@@ -136,6 +139,10 @@ def judge(data: Recorded, evidence: Evidence) -> Adequacy:
         *spread_says(evidence.final, evidence.own),
         *(correlation_says(evidence.final, evidence.own, data) if evidence.named else ()),
         *signs,
+        *(
+            f"{name} would predict better, but makes no physical sense: {', '.join(why)}"
+            for name, why in evidence.senseless
+        ),
         *doubts(data, evidence.named),
         *((*rounding_says(data, evidence.final), *sampling_says(data)) if evidence.named else ()),
     ]
@@ -241,6 +248,11 @@ def _free_runs_say(evidence: Evidence) -> list[str]:
         for law, error in closer.items()
         if evidence.checks[law].p_of_ratio(log_ratio(model, evidence.laws[law])) < LEVEL_OF_LAWS
     ][:1]
+
+
+def _senseless_say(senseless: Sequence[tuple[str, tuple[str, ...]]]) -> list[str]:
+    """What would predict better, but makes no physical sense: the form of something else that is missing."""
+    return [f"{name} would predict better, but makes no physical sense: {', '.join(why)}" for name, why in senseless]
 
 
 def _bins_p_value(evidence: Evidence) -> float | None:

@@ -71,7 +71,7 @@ class Diagnosis(Result):
     smallest : dict of str to float
         Strength from which each effect would usually have shown, by name.
     refused : tuple of (str, tuple of str)
-        Candidates that were not added because of what the model is for, and why.
+        Candidates that were not added because of what the model is for, or because their values make no sense, and why.
     rivals : dict of str to dict
         Held-out errors of other laws, by name.
     closer : dict of str to float
@@ -275,7 +275,7 @@ def _summed_up(
         where_before=where_before,
         where_after=where_after,
         smallest=search.smallest,
-        refused=tuple(search.refused),
+        refused=(*search.refused, *((name, _senseless(why)) for name, why in search.senseless)),
         rivals={name: errors.summary() for name, errors in rivals.items()},
         closer=closer_laws(search.errors, laws),
         floor={"floor": found.floor},
@@ -288,6 +288,10 @@ def _summed_up(
         seed=search.seed,
         wall_s=time.monotonic() - began,
     )
+
+
+def _senseless(why: Sequence[str]) -> tuple[str]:
+    return (f"its best values make no physical sense: {', '.join(why)}",)
 
 
 def _refitted(

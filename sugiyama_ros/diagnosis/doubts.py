@@ -1,6 +1,6 @@
 """What speaks against additions to a model, however much they gain."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from sugiyama_ros.diagnosis.addition import Addition
 from sugiyama_ros.diagnosis.discover import FORCE
@@ -47,14 +47,37 @@ def signs_say(named: Sequence[Addition], stds: Mapping[str, float]) -> list[str]
     list of str
         Sentences; empty if all signs make sense.
     """
-    found = []
-    for one in named:
-        limits = EFFECTS[one.form].least if one.form in EFFECTS else {}
-        for name, least in limits.items():
-            value = one.parameters.get(name, least)
-            if value < least - _SURELY * stds.get(f"{one.form}.{name}", stds.get(name, 0.0)):
-                found.append(f"{one.name} has a sign that makes no physical sense: {name} is {value:.3g}")
-    return found
+    return [
+        f"{one.name} has a sign that makes no physical sense: {wrong}"
+        for one in named
+        for wrong in wrong_signs(one, lambda: stds)
+    ]
+
+
+def wrong_signs(one: Addition, stds: Callable[[], Mapping[str, float]]) -> tuple[str, ...]:
+    """Return the parameters of an addition that are on the wrong side of what is physically possible.
+
+    Parameters
+    ----------
+    one : Addition
+        The addition.
+    stds : callable
+        Returns standard errors of its parameters, by name. It is called only if a value is on the wrong side.
+
+    Returns
+    -------
+    tuple of str
+        Each parameter with its value, in words.
+    """
+    limits = EFFECTS[one.form].least if one.form in EFFECTS else {}
+    below = {name: one.parameters[name] - least for name, least in limits.items() if name in one.parameters}
+    below = {name: off for name, off in below.items() if off < 0.0}
+    errors = stds() if below else {}
+    return tuple(
+        f"{name} is {one.parameters[name]:.3g}"
+        for name, off in below.items()
+        if off < -_SURELY * errors.get(f"{one.form}.{name}", errors.get(name, 0.0))
+    )
 
 
 def _few_say(data: Recorded, named: Sequence[Addition]) -> list[str]:

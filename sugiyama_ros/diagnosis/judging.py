@@ -67,7 +67,8 @@ def judged(
     """
     stds = shared_stds(search.data, search.current, work)
     refused = [name for name, _ in search.refused]
-    before = Evidence(search.before, search.errors, search.named, located, laws, (), (), stds, refused=refused)
+    compared = (search.before, search.errors, search.named, located, laws)
+    before = Evidence(*compared, (), (), stds, refused=refused, senseless=search.senseless)
     found = _judged(search, before, work, 0)
     is_unexplained = found.adequacy.outcome == "not_explained"
     if search.quick and is_unexplained and judge(search.data, before).outcome != "not_explained":

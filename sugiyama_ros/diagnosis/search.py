@@ -10,7 +10,7 @@ from copy import copy
 from dataclasses import replace
 from functools import partial
 
-from sugiyama_ros.diagnosis.addition import FLEXIBLE, Addition, advice_for, least_gain, parameters_of
+from sugiyama_ros.diagnosis.addition import FLEXIBLE, Addition, addition_of, least_gain
 from sugiyama_ros.diagnosis.bootstrap import resampled_fits, seeds
 from sugiyama_ros.diagnosis.candidacy import (
     FULL_SHARE,
@@ -26,6 +26,7 @@ from sugiyama_ros.diagnosis.candidacy import (
 )
 from sugiyama_ros.diagnosis.candidates import Candidate, candidates, only_those
 from sugiyama_ros.diagnosis.discover import Discovery, against_simulations, discover
+from sugiyama_ros.diagnosis.doubts import wrong_signs
 from sugiyama_ros.diagnosis.errors import HeldOutErrors, held_out_errors, searched_errors
 from sugiyama_ros.diagnosis.few import who_shows
 from sugiyama_ros.diagnosis.few_screen import ShownByFew, fits_of_few, shown_by_few
@@ -38,6 +39,7 @@ from sugiyama_ros.diagnosis.use import ANYTHING, Goal, Use
 from sugiyama_ros.fit.cross_validation import Gain, gain
 from sugiyama_ros.fit.joint import JointFit, rise
 from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.fit.sandwich import shared_stds
 from sugiyama_ros.progress import OnStage
 from sugiyama_ros.workers import at_once
 
@@ -87,6 +89,8 @@ class Search:
         Strength from which each effect would usually have shown, by name.
     refused : list of (str, tuple of str)
         Candidates that were not added because of what the model is for, and why.
+    senseless : list of (str, tuple of str)
+        Candidates of the last round that predict better only with values that make no physical sense, and which.
     effort : Effort
         Limits of the search.
     searched : tuple of str
@@ -123,6 +127,7 @@ class Search:
         self.heldout: dict[str, Gain] = {}
         self.smallest: dict[str, float] = {}
         self.refused: list[tuple[str, tuple[str, ...]]] = []
+        self.senseless: list[tuple[str, tuple[str, ...]]] = []
         self._few_gained: dict[str, float] = {}
         self.other_order: Search | None = None
         self.runs = self.effort.runs
@@ -140,6 +145,7 @@ class Search:
         bool
             Whether a candidate was added.
         """
+        self.senseless = []
         scored = self._look_at_all()
         supported = [one for one in scored if one.refined and one.p_value <= LEVEL and one.gain >= one.needed]
         now = self._nearly(self.current) if supported and not self.quick else self.errors
@@ -168,7 +174,7 @@ class Search:
         if self.named or not others:
             return None
         other = copy(self)
-        other.named, other.refused, other._seen, other._few_gained = [], [], dict(self._seen), {}
+        other.named, other.refused, other.senseless, other._seen, other._few_gained = [], [], [], dict(self._seen), {}
         other._take(max(others, key=lambda one: one.heldout.nats))
         return other if other.named else None
 
@@ -229,7 +235,9 @@ class Search:
             looks[k] = look
         self._seen |= {look.candidate.name: (self.current, look) for look in looks}
         # simulate only where the result is open: not for hopeless gains, and not for obvious ones
-        doubtful = [k for k in promising if self._judge(looks[k]).p_value <= LEVEL and not is_obvious(looks[k])]
+        doubtful = [
+            k for k in promising if self._judge(looks[k]).p_value <= LEVEL and not is_obvious(self.data, looks[k])
+        ]
         if is_first and not doubtful:
             doubtful = promising[:1]
         null = UNKNOWN
@@ -272,7 +280,7 @@ class Search:
     def _grow(
         self, candidate: Candidate, fitted: JointFit, p_value: float, rivals: tuple[str, ...] = ()
     ) -> Addition | None:
-        """The model with a candidate, fitted in full; None if its held-out gain is below ``least_gain``."""
+        """The model with a candidate, fitted in full; None if it gains too little held out, or makes no sense."""
         data, work = self.data, self._work
         # what is named has converged, also in a quick search
         grown = converged(data, fitted, candidate, work)
@@ -285,20 +293,11 @@ class Search:
             won = gain(data, after.samples, self.errors.samples)
         if won.nats < least_gain(won, candidate):
             return None
-        return Addition(
-            name=candidate.mechanism,
-            form=candidate.name,
-            kind=candidate.kind,
-            parameters=parameters_of(grown, candidate),
-            indistinguishable=rivals,
-            advice=advice_for(candidate.mechanism, rivals),
-            p_value=p_value,
-            heldout=won,
-            before=self.errors,
-            after=after,
-            fit=grown,
-            drivers=candidate.drivers,
-        )
+        one = addition_of(candidate, grown, (self.errors, after), won, p_value, rivals)
+        if wrong := wrong_signs(one, partial(shared_stds, data, grown, work)):
+            self.senseless.append((one.name, wrong))
+            return None
+        return one
 
     def _take(self, one: Addition | None) -> bool:
         """Make an extended model the current one; return False if there is none."""

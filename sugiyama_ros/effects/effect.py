@@ -216,8 +216,8 @@ class Effect:
     ascending : tuple of (str, str)
         Pairs of names of parameters of which the second must be larger than the first while the effect acts.
     least : mapping of str to float
-        Values of parameters below which the effect makes no physical sense. A search may go below, and the verdict then
-        doubts the name.
+        Values of parameters below which the effect makes no physical sense. A search may go below, but the effect is
+        then not named.
     advice : mapping of str to str
         What to record to tell the effect from another effect, by the name of the other effect.
     knows_preferences : bool

@@ -12,6 +12,7 @@ from sugiyama_ros.diagnosis.candidates import named
 from sugiyama_ros.diagnosis.coarseness import rounding_says, sampling_says
 from sugiyama_ros.diagnosis.diagnosis import diagnose
 from sugiyama_ros.diagnosis.discover import Discovery
+from sugiyama_ros.diagnosis.doubts import wrong_signs
 from sugiyama_ros.diagnosis.errors import errors_of, held_out_errors
 from sugiyama_ros.diagnosis.innovations import correlation_says
 from sugiyama_ros.diagnosis.law_check import LawCheck, check_laws, closer_laws, open_laws
@@ -207,6 +208,16 @@ def test_what_is_explained_is_what_has_a_name(own):
     wrong = replace(drag, parameters={"c0": -0.3})
     found = judge(own.data, evidence_of(own, final=ahead_by(60.0), named=[wrong], laws=laws))
     assert found.explained_share == pytest.approx(0.5)
+
+
+def test_what_makes_no_physical_sense_is_no_name(own):
+    pull = added(own, "drag", {"c0": 0.1, "c2": -0.3})
+    assert wrong_signs(pull, lambda: {"drag.c2": 0.1}) == ("c2 is -0.3",)
+    # a value below its bound by 1.5 standard errors may be above it
+    assert wrong_signs(pull, lambda: {"drag.c2": 0.2}) == ()
+    found = judge(own.data, evidence_of(own, senseless=[("drag", ("c2 is -0.3",))]))
+    assert found.outcome == "not_explained"
+    assert found.reasons == ("drag would predict better, but makes no physical sense: c2 is -0.3",)
 
 
 def test_additions_that_do_worse_where_they_were_not_fitted_explain_nothing(own):

@@ -209,7 +209,7 @@ def test_what_makes_the_last_part_worse_is_told():
     base = LastPart(runs(1.0), np.zeros(4), 10.0)
     assert worse_where(base, base, "simulation") == ()
     worse = worse_where(LastPart(runs(2.0), np.zeros(4), 10.0), base, "simulation")
-    assert worse[0] == "free runs of 2 s into the last part end 2.02 m off instead of 1.01 m"
+    assert worse[0] == "free runs of 2 s into the first half of the last part end 2.02 m off instead of 1.01 m"
     assert any("in free flow" in one for one in worse)
     assert worse_where(LastPart(runs(2.0), np.zeros(4), 10.0), base, "online") == ()
     lost = LastPart(runs(1.0), np.full(4, -10.0) + np.arange(4), 10.0)
@@ -236,8 +236,15 @@ def test_a_model_for_simulations_is_at_no_horizon_worse():
     ours = LastPart(replace(base.runs, single=1.03 * base.runs.single), np.zeros(4), 10.0)
     assert worse_where(ours, base, "prediction") == ()
     refused = worse_where(ours, base, "simulation")
-    assert len(refused) == 3
-    assert refused[0] == "free runs of a single car of 2 s into the last part end 1.03 m off instead of 1 m"
+    assert len(refused) == 6
+    assert (
+        refused[0]
+        == "free runs of a single car of 2 s into the first half of the last part end 1.03 m off instead of 1 m"
+    )
+    # better over all starts, but worse in the second half
+    factor = np.where(np.arange(10) < 5, 0.9, 1.01)[:, None, None]
+    ours = LastPart(replace(base.runs, single=factor * base.runs.single), np.zeros(4), 10.0)
+    assert ["second half" in one for one in worse_where(ours, base, "simulation")] == [True, True, True]
 
 
 def test_a_car_inside_its_leader_is_a_collision():
