@@ -9,7 +9,7 @@ import numpy as np
 from scipy.signal import savgol_filter
 
 from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.diagnosis.smoothed import before_smoothing, smoothed_alike
+from sugiyama_ros.diagnosis.smoothed import as_smoothed, before_smoothing
 from sugiyama_ros.driver.parameters import at_period
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.joint import JointFit, maximise, start_fit
@@ -78,7 +78,7 @@ def resample(data: Recorded, model: Model, states: Array, rng: np.random.Generat
             measured[k, order] = simulator.measure()
     # keep the recorded positions of samples that could not be simulated, and miss what the recording misses
     empty = np.all(np.isnan(measured), axis=1)
-    anew = smoothed_alike(data, measured, np.broadcast_to(segment, (vehicles, samples)))
+    anew = as_smoothed(data, measured, np.broadcast_to(segment, (vehicles, samples)))
     anew[empty] = t.position_m[empty]
     anew[np.isnan(t.position_m)] = np.nan
     return prepare(replace(t, position_m=anew, source="simulated from the fitted model"), segment)
@@ -89,7 +89,7 @@ def _behind_measured(data: Recorded, model: Model, states: Array, rng: np.random
     around, moved = data.vicinity, between_measurements(data, states)
     recorded = RecordedTraffic(moved, around.leader, around.length_m, data.segment, around.road, around.period_s)
     measured, segment = drive_behind(recorded, at_period(model.rows, around.period_s), rng)
-    return driven_anew(data, smoothed_alike(data, measured, segment), segment)
+    return driven_anew(data, as_smoothed(data, measured, segment), segment)
 
 
 def resampled_fits(

@@ -34,7 +34,7 @@ def before_smoothing(data: Recorded, model: Model) -> Model:
     return replace(model, rows=rows)
 
 
-def smoothed_alike(data: Recorded, position_m: Array, segment: Ints) -> Array:
+def as_smoothed(data: Recorded, position_m: Array, segment: Ints) -> Array:
     """Return positions averaged over the smoother's window of a recording.
 
     Parameters

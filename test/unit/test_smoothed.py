@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sugiyama_ros.diagnosis.smoothed import before_smoothing, smoothed_alike
+from sugiyama_ros.diagnosis.smoothed import as_smoothed, before_smoothing
 from sugiyama_ros.driver.parameters import SIGMA_NU
 from sugiyama_ros.fit.population import start_model
 from sugiyama_ros.fit.recording import Recorded, prepare
@@ -28,7 +28,7 @@ def test_an_average_over_the_window_has_the_noise_of_the_model(smoothed: Recorde
     rough = before_smoothing(smoothed, model).rows[0, SIGMA_NU]
     noise = rough * np.random.default_rng(0).standard_normal((_SAMPLES, 2))
     way = np.asarray(10.0 * _PERIOD_S * np.arange(_SAMPLES))[:, None]
-    found = smoothed_alike(smoothed, way + noise, np.zeros((2, _SAMPLES), dtype=np.int64)) - way
+    found = as_smoothed(smoothed, way + noise, np.zeros((2, _SAMPLES), dtype=np.int64)) - way
     known = found[np.isfinite(found).all(axis=1)]
     assert len(known) == _SAMPLES - _WINDOW + 1
     # 8,000 samples, of which one in nine is independent: five standard errors are 12 %
@@ -42,7 +42,7 @@ def test_an_average_over_the_window_has_the_noise_of_the_model(smoothed: Recorde
 def test_no_average_reaches_over_a_break(smoothed: Recorded) -> None:
     way = np.repeat([[0.0], [1000.0]], _SAMPLES // 2, axis=0) * np.ones((1, 2))
     segment = np.tile(np.repeat([0, 1], _SAMPLES // 2), (2, 1))
-    found = smoothed_alike(smoothed, way, segment)
+    found = as_smoothed(smoothed, way, segment)
     assert np.unique(np.round(found[np.isfinite(found)], 6)).tolist() == [0.0, 1000.0]
     assert np.isnan(found[_SAMPLES // 2]).all()
 
@@ -52,4 +52,4 @@ def test_positions_that_nobody_has_smoothed_stay(smoothed: Recorded) -> None:
     model = start_model(rough, (SIGMA_NU,))
     position = np.random.default_rng(0).standard_normal((_SAMPLES, 2))
     np.testing.assert_array_equal(before_smoothing(rough, model).rows, model.rows)
-    assert smoothed_alike(rough, position, np.zeros((2, _SAMPLES), dtype=np.int64)) is position
+    assert as_smoothed(rough, position, np.zeros((2, _SAMPLES), dtype=np.int64)) is position
