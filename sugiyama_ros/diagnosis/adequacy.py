@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
+from scipy.stats import binom, norm
 
 from sugiyama_ros.diagnosis.addition import Addition
 from sugiyama_ros.diagnosis.chance import p_value_of
@@ -32,6 +33,8 @@ Outcome = Literal["adequate", "explained", "not_explained"]
 _LEAST_GAIN = 5.0
 #: Probability below which the biases of a model are larger than chance makes them.
 LEVEL_OF_BINS = 0.01
+# So many names are told.
+_TOLD = 3
 # Common std of the logarithm of the biases' sum of squares.
 _SPREAD = 0.25
 
@@ -151,7 +154,7 @@ def judge(data: Recorded, evidence: Evidence) -> Adequacy:
         for force in evidence.forces[:1]
     ]
     if evidence.refused:
-        reasons.append(f"what predicts better makes worse what the model is for: {', '.join(evidence.refused)}")
+        reasons.append(f"what predicts better makes worse what the model is for: {_first_of(evidence.refused)}")
     outcome: Outcome = "not_explained" if reasons else "explained" if evidence.named else "adequate"
     return Adequacy(
         outcome=outcome,
@@ -202,13 +205,23 @@ def _as_good_as(data: Recorded, law: str, laws: Mapping[str, HeldOutErrors]) -> 
 
 
 def _is_clear(won: Gain) -> bool:
-    """Whether a gain is beyond doubt, with or without the block of time that gains most.
+    """Whether a gain is beyond doubt, with or without the block of time that gains most, or by its signs.
 
-    One such block, as when all start out of a jam, widens the standard error although it is not against the gain.
+    One such block, as when all start out of a jam, widens the standard error although it is not against the gain. So
+    does one driver who gains most. If nearly all drivers and nearly all blocks gain, that is not by chance (Clarke's
+    test, Political Analysis 15 (2007) 347).
     """
     others = sorted(won.blocks)[:-1]
     error = max(sum_error(others), sum_error(won.drivers))
-    return any(nats > max(CLEARLY * se, _LEAST_GAIN) for nats, se in ((won.nats, won.se), (sum(others), error)))
+    if any(nats > max(CLEARLY * se, _LEAST_GAIN) for nats, se in ((won.nats, won.se), (sum(others), error))):
+        return True
+    return won.nats > _LEAST_GAIN and all(_mostly_gain(parts) for parts in (won.drivers, won.blocks))
+
+
+def _mostly_gain(nats: Sequence[float]) -> bool:
+    """Whether so many gains are positive that it is as unlikely by chance as a gain of two standard errors."""
+    positive = sum(one > 0.0 for one in nats)
+    return bool(binom.sf(positive - 1, len(nats), 0.5) < norm.sf(CLEARLY))
 
 
 def _is_unlikely(evidence: Evidence, law: str, won: Gain) -> bool:
@@ -248,6 +261,12 @@ def _free_runs_say(evidence: Evidence) -> list[str]:
         for law, error in closer.items()
         if evidence.checks[law].p_of_ratio(log_ratio(model, evidence.laws[law])) < LEVEL_OF_LAWS
     ][:1]
+
+
+def _first_of(names: Sequence[str]) -> str:
+    """The first names, and the number of the others."""
+    more = len(names) - _TOLD
+    return ", ".join(names[:_TOLD]) + (f" and {more} more" if more > 0 else "")
 
 
 def _senseless_say(senseless: Sequence[tuple[str, tuple[str, ...]]]) -> list[str]:

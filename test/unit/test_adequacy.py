@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sugiyama_ros.diagnosis.addition import Addition, least_gain
-from sugiyama_ros.diagnosis.adequacy import Evidence, judge, told
+from sugiyama_ros.diagnosis.adequacy import Evidence, _is_clear, judge, told
 from sugiyama_ros.diagnosis.candidates import named
 from sugiyama_ros.diagnosis.coarseness import rounding_says, sampling_says
 from sugiyama_ros.diagnosis.diagnosis import diagnose
@@ -208,6 +208,18 @@ def test_what_is_explained_is_what_has_a_name(own):
     wrong = replace(drag, parameters={"c0": -0.3})
     found = judge(own.data, evidence_of(own, final=ahead_by(60.0), named=[wrong], laws=laws))
     assert found.explained_share == pytest.approx(0.5)
+
+
+def test_a_law_that_nearly_all_drivers_follow_better_is_better_although_one_driver_gains_most():
+    scattered = np.r_[800.0, np.full(21, 20.0)]
+    blocks = np.r_[800.0, np.full(9, 40.0), 60.0]
+    # one driver in one block gains most: the standard error is larger than half of the gain
+    won = Gain(1220.0, 800.0, tuple(scattered), tuple(blocks))
+    assert _is_clear(replace(won, blocks=tuple(blocks)))
+    # 15 of 22 drivers gain: 7 % by chance
+    few = tuple(np.r_[800.0, np.full(14, 20.0), np.full(7, -20.0)])
+    assert not _is_clear(replace(won, drivers=few, blocks=tuple(np.r_[1500.0, np.full(10, -40.0)])))
+    assert not _is_clear(replace(won, drivers=few, blocks=tuple(np.r_[810.0, 1.0, 1.0, np.full(7, -0.1)])))
 
 
 def test_what_makes_no_physical_sense_is_no_name(own):
