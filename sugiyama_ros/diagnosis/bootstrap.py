@@ -9,7 +9,6 @@ import numpy as np
 from scipy.signal import savgol_filter
 
 from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.diagnosis.smoothed import as_smoothed, before_smoothing
 from sugiyama_ros.driver.parameters import at_period
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.joint import JointFit, maximise, start_fit
@@ -36,7 +35,7 @@ def resample(data: Recorded, model: Model, states: Array, rng: np.random.Generat
     On tracks, each driver drives anew behind the measured vehicles ahead. On a whole road, the simulation starts from
     the first state of the recording. Vehicles without a leader move as recorded. After a collision, or where vehicles
     enter, leave or change their order, the simulation restarts from the recorded state, and the new recording has a
-    break there. If somebody has smoothed the positions of the recording, those of the new one are smoothed alike.
+    break there.
 
     Parameters
     ----------
@@ -55,7 +54,6 @@ def resample(data: Recorded, model: Model, states: Array, rng: np.random.Generat
         The simulated recording.
     """
     t = data.trajectories
-    model = before_smoothing(data, model)
     if t is None:
         return _behind_measured(data, model, states, rng)
     position, speed = _led(t, states)
@@ -78,18 +76,16 @@ def resample(data: Recorded, model: Model, states: Array, rng: np.random.Generat
             measured[k, order] = simulator.measure()
     # keep the recorded positions of samples that could not be simulated, and miss what the recording misses
     empty = np.all(np.isnan(measured), axis=1)
-    anew = as_smoothed(data, measured, np.broadcast_to(segment, (vehicles, samples)))
-    anew[empty] = t.position_m[empty]
-    anew[np.isnan(t.position_m)] = np.nan
-    return prepare(replace(t, position_m=anew, source="simulated from the fitted model"), segment)
+    measured[empty] = t.position_m[empty]
+    measured[np.isnan(t.position_m)] = np.nan
+    return prepare(replace(t, position_m=measured, source="simulated from the fitted model"), segment)
 
 
 def _behind_measured(data: Recorded, model: Model, states: Array, rng: np.random.Generator) -> Recorded:
     """Tracks on which each driver drives anew behind the measured vehicles ahead."""
     around, moved = data.vicinity, between_measurements(data, states)
     recorded = RecordedTraffic(moved, around.leader, around.length_m, data.segment, around.road, around.period_s)
-    measured, segment = drive_behind(recorded, at_period(model.rows, around.period_s), rng)
-    return driven_anew(data, as_smoothed(data, measured, segment), segment)
+    return driven_anew(data, *drive_behind(recorded, at_period(model.rows, around.period_s), rng))
 
 
 def resampled_fits(

@@ -253,9 +253,6 @@ def shortlist(looks: Sequence[Screened], effort: Effort) -> list[int]:
     return chosen
 
 
-def is_obvious(data: Recorded, look: Screened) -> bool:
-    """Whether no simulation could gain as much.
-
-    Never for individual parameters, or where somebody has smoothed the positions: both may gain much by chance.
-    """
-    return look.gain >= _OBVIOUS and not look.candidate.individual and not data.smoothed_s
+def is_obvious(look: Screened) -> bool:
+    """Whether no simulation could gain as much; never for individual parameters, which may gain much by chance."""
+    return look.gain >= _OBVIOUS and not look.candidate.individual

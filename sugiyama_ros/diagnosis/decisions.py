@@ -5,8 +5,10 @@ decides only once for each picture lags behind them, and a drag or other effects
 missing.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sized
 from concurrent.futures import Executor, Future
+
+import numpy as np
 
 from sugiyama_ros.diagnosis.errors import HeldOutErrors
 from sugiyama_ros.diagnosis.noises import base_model, is_clear
@@ -25,6 +27,8 @@ from sugiyama_ros.trajectories.trajectories import Trajectories
 Searched = tuple[Search, list[Future[dict[str, HeldOutErrors]]]]
 # Shortest time [s] between two decisions that is tried.
 _SHORTEST_S = 0.1
+# A search that names more than the other is better by so many standard errors.
+_CLEARLY = 2.0
 
 
 def searched_with_decisions(
@@ -50,7 +54,8 @@ def searched_with_decisions(
     Returns
     -------
     Searched
-        The search whose model predicts held-out samples better; the other's laws are given up.
+        The search whose model predicts held-out samples better; the other's laws are given up. A search that names more
+        must be better by two standard errors.
     """
     data, base = base_model(prepared(recording), work)
     usual = searched(data, base)
@@ -59,11 +64,29 @@ def searched_with_decisions(
         return usual
     again = searched(*finer)
     new, old = again[0], usual[0]
-    won = _gain((new.data, new.errors.samples), (old.data, old.errors.samples)).nats > 0.0
-    better, other = (again, usual) if won else (usual, again)
+    won = _gain((new.data, new.errors.samples), (old.data, old.errors.samples))
+    better, other = (again, usual) if won.nats > lead_needed(won, new.named, old.named) else (usual, again)
     for one in other[1]:
         one.cancel()
     return better
+
+
+def lead_needed(won: Gain, new: Sized, old: Sized) -> float:
+    """Return the held-out gain [nats] from which a search is better than another one, by what both have named.
+
+    Parameters
+    ----------
+    won : Gain
+        Held-out gain of the new search over the old one.
+    new, old : sequence
+        The additions of both.
+
+    Returns
+    -------
+    float
+        0 if they name as much; otherwise the one that names more must lead by two standard errors.
+    """
+    return _CLEARLY * won.se * float(np.sign(len(new) - len(old)))
 
 
 def with_more_decisions(
