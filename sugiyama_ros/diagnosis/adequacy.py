@@ -142,10 +142,7 @@ def judge(data: Recorded, evidence: Evidence) -> Adequacy:
         *spread_says(evidence.final, evidence.own),
         *(correlation_says(evidence.final, evidence.own, data) if evidence.named else ()),
         *signs,
-        *(
-            f"{name} would predict better, but makes no physical sense: {', '.join(why)}"
-            for name, why in evidence.senseless
-        ),
+        *_senseless_say(evidence.senseless),
         *doubts(data, evidence.named),
         *((*rounding_says(data, evidence.final), *sampling_says(data)) if evidence.named else ()),
     ]

@@ -11,6 +11,7 @@ from concurrent.futures import Executor, Future
 import numpy as np
 
 from sugiyama_ros.diagnosis.errors import HeldOutErrors
+from sugiyama_ros.diagnosis.law_check import CLEARLY
 from sugiyama_ros.diagnosis.noises import base_model, is_clear
 from sugiyama_ros.diagnosis.search import Search
 from sugiyama_ros.fit.cross_validation import Gain, gain
@@ -27,8 +28,6 @@ from sugiyama_ros.trajectories.trajectories import Trajectories
 Searched = tuple[Search, list[Future[dict[str, HeldOutErrors]]]]
 # Shortest time [s] between two decisions that is tried.
 _SHORTEST_S = 0.1
-# A search that names more than the other is better by so many standard errors.
-_CLEARLY = 2.0
 
 
 def searched_with_decisions(
@@ -86,7 +85,7 @@ def lead_needed(won: Gain, new: Sized, old: Sized) -> float:
     float
         0 if they name as much; otherwise the one that names more must lead by two standard errors.
     """
-    return _CLEARLY * won.se * float(np.sign(len(new) - len(old)))
+    return CLEARLY * won.se * float(np.sign(len(new) - len(old)))
 
 
 def with_more_decisions(

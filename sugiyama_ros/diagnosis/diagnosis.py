@@ -291,6 +291,7 @@ def _summed_up(
 
 
 def _senseless(why: Sequence[str]) -> tuple[str]:
+    """Why a candidate was not added whose best values make no sense."""
     return (f"its best values make no physical sense: {', '.join(why)}",)
 
 
