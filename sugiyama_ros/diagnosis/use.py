@@ -218,7 +218,8 @@ def worse_where(ours: LastPart, base: LastPart, purpose: Purpose) -> tuple[str, 
     more = ours.collisions - base.collisions
     by_chance = 0.0 if purpose == "simulation" else _CLEARLY * np.sqrt(ours.collisions + base.collisions)
     if more > by_chance:
-        found.append(f"{ours.collisions} cars collide in free runs into the last part instead of {base.collisions}")
+        cars = "1 car collides" if ours.collisions == 1 else f"{ours.collisions} cars collide"
+        found.append(f"{cars} in free runs into the last part instead of {base.collisions}")
     return tuple(found)
 
 

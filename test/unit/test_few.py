@@ -258,7 +258,7 @@ def test_a_car_inside_its_leader_is_a_collision():
     gap[0, 0, 0] = -6.0
     once = LastPart(replace(runs(1.0), coupled_gap=gap), np.zeros(4), 10.0)
     assert worse_where(once, base, "prediction") == ()
-    assert worse_where(once, base, "simulation") == ("1 cars collide in free runs into the last part instead of 0",)
+    assert worse_where(once, base, "simulation") == ("1 car collides in free runs into the last part instead of 0",)
 
 
 def test_a_model_drives_into_the_part_that_it_was_not_fitted_to(fitted, work):
