@@ -15,6 +15,9 @@ from sugiyama_ros.fit.joint import JointFit
 #: An effect of some drivers only, freed constants and forces without a name take so many standard errors of their
 #: held-out gain.
 FLEXIBLE = 2.0
+# One of very many candidates may gain this much [nats] by chance: gains that the filter's approximations give have
+# long tails, which six simulations do not show.
+_BY_CHANCE = 20.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,11 +155,14 @@ def least_gain(won: Gain, candidate: Candidate) -> float:
 
     It is the standard error of the gain over drivers, or over blocks of time where drivers are few.
     An effect of some drivers only is chosen among very many, so it takes two standard errors. So do freed constants,
-    which take in part of whatever is missing. What happens once cannot be held out.
+    which take in part of whatever is missing. A gain that chance may give, although few simulations show it, must be
+    two standard errors over drivers as well as over blocks. What happens once cannot be held out.
     """
     if candidate.happens_once:
         return -math.inf
     if candidate.drivers:
         return FLEXIBLE * sum_error(won.blocks)
+    if won.nats < _BY_CHANCE:
+        return FLEXIBLE * won.se
     error = sum_error(won.drivers) if len(won.drivers) >= MANY_DRIVERS else won.se
     return FLEXIBLE * error if candidate.kind == "constants" else error
