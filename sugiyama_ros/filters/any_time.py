@@ -6,7 +6,7 @@ what they add up to: the acceleration noise its stationary variance, the others 
 """
 
 from sugiyama_ros.driver.parameters import RHO, SIGMA_V
-from sugiyama_ros.filters.linearisation import conclude
+from sugiyama_ros.filters.linearisation import clear, conclude
 from sugiyama_ros.filters.state import (
     MOVING,
     STATE,
@@ -67,6 +67,7 @@ def conclude_for(
     """
     length_s, memory = periods * scene.period_s, scene.memory**periods
     step = Scene(length_s, scene.horizon, scene.circumference_m, scene.last_rho, scene.last_shock_std, memory)
+    clear(out)
     conclude(state, drivers, moment, step, workspace, lanes, out)
     vehicles = len(state.known)
     for m in range(vehicles):

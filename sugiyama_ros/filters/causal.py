@@ -27,14 +27,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.driver.parameters import at_period
 from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.filters.causal_kernel import Observed, Predicted, Trace, run
 from sugiyama_ros.filters.chain import NOT_ADAPTED, Adaptation, Chain, adaptation_of, chain_parameters
 from sugiyama_ros.filters.past import periods_back
 from sugiyama_ros.filters.state import STATE, drivers_at, scene_at
+from sugiyama_ros.filters.vectors import ABREAST
 
-# Filters that run side by side: the points of four drivers who adapt nothing fill three blocks of lanes.
-_ABREAST = 4
 # Arrays of a chain, in the order of ``Observed``.
 _MEASURED = ("position_m", "identity", "length_m", "rear")
 
@@ -145,19 +145,13 @@ def _filtered(jobs: Sequence[ChainJob], *, with_states: bool) -> list[tuple[Pred
         samples, vehicles = max(len(c.position_m) for c in chains), chains[0].position_m.shape[1]
         kept = len(numbers) if with_states else 0
         means = np.zeros((kept, samples, STATE * vehicles + len(adaptation.names)))
-        ends = np.array([_end(chain) for chain in chains])
+        ends = np.array([chain.end for chain in chains])
         predicted = _run(some, adaptation, _no_trace()._replace(means=means), ends)
         for k, (i, chain) in enumerate(zip(numbers, chains, strict=True)):
             last = len(chain.position_m)
             moving = means[k, :last, : STATE * vehicles].copy() if with_states else np.empty((0, 0))
             found[i] = Predicted(*(values[k, :last] for values in predicted)), moving
     return [found[i] for i in range(len(jobs))]
-
-
-def _end(chain: Chain) -> int:
-    """Return the number of samples up to the last one in which the driver is there."""
-    there = np.flatnonzero(chain.identity[:, 0] >= 0)
-    return int(there[-1]) + 1 if len(there) else 0
 
 
 def log_likelihood(chain: Chain, parameters: Array, ahead: Array | None = None) -> float:
@@ -179,8 +173,8 @@ def _side_by_side(jobs: Sequence[ChainJob]) -> Iterator[tuple[list[int], Adaptat
         groups[same].append(i)
     for (*_, adaptation), numbers in groups.items():
         numbers.sort(key=lambda i: len(jobs[i].chain.position_m))
-        for first in range(0, len(numbers), _ABREAST):
-            yield numbers[first : first + _ABREAST], adaptation
+        for first in range(0, len(numbers), ABREAST):
+            yield numbers[first : first + ABREAST], adaptation
 
 
 def _first(predicted: Predicted) -> Predicted:
@@ -195,14 +189,14 @@ def _run(jobs: Sequence[ChainJob], adaptation: Adaptation, trace: Trace, ends: I
     """Run the compiled filter with fresh arrays, up to ``ends`` (C,) samples; returns the predictions, (C, T) each."""
     chains, one = [job.chain for job in jobs], jobs[0].chain
     vehicles = one.position_m.shape[1]
-    rows = [chain_parameters(job.parameters, job.ahead, vehicles, one.period_s) for job in jobs]
+    rows = at_period(np.array([chain_parameters(j.parameters, j.ahead, vehicles) for j in jobs]), one.period_s)
     samples = max(len(chain.position_m) for chain in chains)
     predicted = Predicted(*(np.full((len(jobs), samples), np.nan) for _ in range(3)))
     start_s = np.array([chain.start_s for chain in chains])
     position, identity, length, rear = (_stacked([getattr(chain, name) for chain in chains]) for name in _MEASURED)
     run(
         Observed(position, identity, length, rear, start_s, ends),
-        drivers_at(np.array(rows), *adaptation.arrays),
+        drivers_at(rows, *adaptation.arrays),
         ACTIONS,
         scene_at(one.period_s, one.circumference_m, adaptation.relaxation_s),
         max(periods_back(some, one.period_s) for some in rows),

@@ -11,6 +11,20 @@ import numpy as np
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import UTILITY
 from sugiyama_ros.effects.control import feels_accelerations, remembers
+from sugiyama_ros.filters.abreast import (
+    OFF,
+    SHRINK,
+    SLOPE,
+    STEP,
+    Abreast,
+    abreast_for,
+    begin_period,
+    linearised_of,
+    predict,
+    share_columns,
+    state_of,
+    take_in,
+)
 from sugiyama_ros.filters.expectation import consider, decide
 from sugiyama_ros.filters.linearisation import add_all_components, aim_all, conclude
 from sugiyama_ros.filters.measurement import log_density, measurement, noise_var_at, weights
@@ -20,17 +34,14 @@ from sugiyama_ros.filters.state import (
     STATE,
     Drivers,
     Lanes,
-    Linearised,
     Moment,
     Scene,
     State,
     Workspace,
     lanes_for,
-    linearised_for,
     points_of,
     workspace_for,
 )
-from sugiyama_ros.filters.transform import add_noise, transform
 from sugiyama_ros.filters.vehicles import forget_vehicle, start_vehicle
 from sugiyama_ros.jit import kernel
 
@@ -73,13 +84,14 @@ class Trace(NamedTuple):
 
 
 class _Filters(NamedTuple):
-    """What C filters keep from step to step: the parts of State, Workspace and Drivers, each with an axis of C before.
+    """What C filters keep from step to step.
 
-    waited: (C, M) periods since a vehicle's first position; settled: (C,) samples since the driver's record began.
+    abreast: their states; known: (C, M) of ``State``; places, root, points: of ``Workspace``, with an axis of C before;
+    parameters, prior_mean: of ``Drivers``, with an axis of C before; waited: (C, M) periods since a vehicle's first
+    position; settled: (C,) samples since the driver's record began.
     """
 
-    mean: Array
-    covariance: Array
+    abreast: Abreast
     known: Ints
     places: Ints
     root: Array
@@ -94,19 +106,17 @@ class _Shared(NamedTuple):
     """What C filters share: arrays that every step overwrites, and the adapted parameters with their prior variance."""
 
     lanes: Lanes
-    linearised: Linearised
     chosen: Array
     slope: Array
     held_slope: Array
-    half: Array
-    gain: Array
     adapted: Ints
     prior_var: Array
 
 
 @kernel(allocates=False)
-def _state(c: int, filters: _Filters) -> State:
-    return State(filters.mean[c], filters.covariance[c], filters.known[c])
+def _drivers(c: int, filters: _Filters, shared: _Shared) -> Drivers:
+    """Return the drivers of chain c."""
+    return Drivers(filters.parameters[c], shared.adapted, filters.prior_mean[c], shared.prior_var)
 
 
 @kernel(allocates=False)
@@ -114,79 +124,72 @@ def _parts(
     c: int, t: int, period_s: float, observed: Observed, filters: _Filters, shared: _Shared
 ) -> tuple[State, Drivers, Moment, Workspace]:
     """Return what the functions of ``linearisation`` take, of chain c at sample t."""
-    drivers = Drivers(filters.parameters[c], shared.adapted, filters.prior_mean[c], shared.prior_var)
     moment = Moment(observed.length[c, t], observed.rear[c, t], observed.start_s[c] + t * period_s)
     own = filters.places[c], filters.root[c], filters.points[c]
-    return _state(c, filters), drivers, moment, Workspace(*own, shared.chosen, shared.slope, shared.held_slope)
+    workspace = Workspace(*own, shared.chosen, shared.slope, shared.held_slope)
+    return state_of(c, filters.abreast, filters.known), _drivers(c, filters, shared), moment, workspace
 
 
 @kernel(allocates=False)
-def _update(state: State, gain: Array, y: float, step: float, shrink: float, live: Ints) -> None:
-    """Take in an innovation; gain: (4 M + A,), P H'; step, shrink: as ``weights`` returns them."""
-    mean, covariance = state.mean, state.covariance
-    for i in live:
-        mean[i] += gain[i] * step * y
-        for j in range(len(gain)):
-            covariance[i, j] -= gain[i] * gain[j] * shrink
-
-
-@kernel(allocates=False)
-def _take_in(
-    c: int, t: int, observed: Observed, filters: _Filters, shared: _Shared, scene: Scene, predicted: Predicted
-) -> None:
-    """Update one filter with the samples of its vehicles."""
-    state, parameters, waited = _state(c, filters), filters.parameters[c], filters.waited[c]
-    mean, covariance, known = state.mean, state.covariance, state.known
-    position, identity, gain = observed.position[c], observed.identity[c], shared.gain
-    circumference = scene.circumference_m
-    drivers = Drivers(parameters, shared.adapted, filters.prior_mean[c], shared.prior_var)
-    predicted.innovation[c, t], predicted.innovation_var[c, t] = np.nan, np.nan
-    predicted.log_likelihood[c, t] = np.nan
-    filters.settled[c] += 1
-    for m in range(len(known)):
-        waited[m] += 1
-        if identity[t, m] < 0 or (t > 0 and identity[t, m] != identity[t - 1, m]):
-            forget_vehicle(m, state)
-            forget_past(m, state, drivers)
-            if m == 0:
-                filters.settled[c] = 0
-        if identity[t, m] < 0:
-            continue
-        x = STATE * m
-        off, factor = measurement(mean[x], parameters[m], circumference)
-        variance = factor * factor * covariance[x, x] + noise_var_at(mean[x], parameters[m], circumference)
-        if m == 0 and known[0] == MOVING:
-            predicted.innovation_var[c, t] = variance
-        if math.isnan(position[t, m]):
-            continue
-        if known[m] != MOVING:
-            start_vehicle(m, position[t, m], waited[m] * scene.period_s, state, parameters, scene)
-            waited[m] = 0
-            if known[m] == MOVING:
-                begin_past(m, state, drivers, scene.period_s)
-            continue
-        y = position[t, m] - mean[x] - off
-        if circumference > 0.0:
-            y -= circumference * round(y / circumference)
-        step, shrink = weights(y, variance, parameters[m])
+def _begin_sample(c: int, t: int, m: int, observed: Observed, filters: _Filters, shared: _Shared, scene: Scene) -> bool:
+    """Forget vehicle m of chain c if it has gone; returns whether a vehicle is there at sample t."""
+    state, identity = state_of(c, filters.abreast, filters.known), observed.identity[c]
+    if m == 0:
+        filters.settled[c] += 1
+    filters.waited[c, m] += 1
+    if identity[t, m] < 0 or (t > 0 and identity[t, m] != identity[t - 1, m]):
+        forget_vehicle(m, state)
+        forget_past(m, state, _drivers(c, filters, shared))
         if m == 0:
-            predicted.innovation[c, t] = y
-            if filters.settled[c] > SETTLING:
-                predicted.log_likelihood[c, t] = log_density(y, variance, parameters[m])
-        for i in range(len(gain)):
-            gain[i] = factor * covariance[x, i]
-        _update(state, gain, y, step, shrink, shared.linearised.live)
-    for k in range(len(shared.adapted)):
-        parameters[0, UTILITY[shared.adapted[k]]] = math.exp(mean[STATE * len(known) + k])
+            filters.settled[c] = 0
+    return bool(identity[t, m] >= 0)
 
 
 @kernel(allocates=False)
-def _predict(state: State, shared: _Shared) -> None:
-    """Go on by one period, which is linearised."""
-    transform(state.covariance, shared.linearised, shared.half)
-    add_noise(state.covariance, shared.linearised)
-    for i in range(len(state.mean)):
-        state.mean[i] = shared.linearised.next_mean[i]
+def _meet(
+    c: int, t: int, m: int, observed: Observed, filters: _Filters, shared: _Shared, scene: Scene, predicted: Predicted
+) -> None:
+    """Put the sample of vehicle m into ``Abreast.sample`` of chain c, if it is to be taken in."""
+    sample = filters.abreast.sample
+    for row in range(len(sample)):
+        sample[row, c] = 0.0
+    if m == 0:
+        predicted.innovation[c, t], predicted.innovation_var[c, t] = np.nan, np.nan
+        predicted.log_likelihood[c, t] = np.nan
+    if not _begin_sample(c, t, m, observed, filters, shared, scene):
+        return
+    state, parameters, waited = state_of(c, filters.abreast, filters.known), filters.parameters[c], filters.waited[c]
+    mean, known, position, circumference = state.mean, state.known, observed.position[c, t, m], scene.circumference_m
+    x = STATE * m
+    off, factor = measurement(mean[x], parameters[m], circumference)
+    variance = factor * factor * state.covariance[x, x] + noise_var_at(mean[x], parameters[m], circumference)
+    if m == 0 and known[0] == MOVING:
+        predicted.innovation_var[c, t] = variance
+    if math.isnan(position):
+        return
+    if known[m] != MOVING:
+        start_vehicle(m, position, waited[m] * scene.period_s, state, parameters, scene)
+        waited[m] = 0
+        if known[m] == MOVING:
+            begin_past(m, state, _drivers(c, filters, shared), scene.period_s)
+        return
+    y = position - mean[x] - off
+    if circumference > 0.0:
+        y -= circumference * round(y / circumference)
+    step, shrink = weights(y, variance, parameters[m])
+    if m == 0:
+        predicted.innovation[c, t] = y
+        if filters.settled[c] > SETTLING:
+            predicted.log_likelihood[c, t] = log_density(y, variance, parameters[m])
+    sample[SLOPE, c], sample[OFF, c], sample[STEP, c], sample[SHRINK, c] = factor, -y, step, shrink
+
+
+@kernel(allocates=False)
+def _put_adapted(c: int, filters: _Filters, shared: _Shared) -> None:
+    """Put the present values of the adapted parameters into the own driver's row."""
+    first = STATE * filters.known.shape[1]
+    for k in range(len(shared.adapted)):
+        filters.parameters[c, 0, UTILITY[shared.adapted[k]]] = math.exp(filters.abreast.mean[first + k, c])
 
 
 @kernel(allocates=False)
@@ -213,11 +216,17 @@ def _filter(
 ) -> None:
     """Run all filters over all samples; arguments as for ``run``."""
     count, lanes, period_s, ends = len(observed.samples), shared.lanes, scene.period_s, observed.samples
+    abreast = filters.abreast
     for t in range(observed.position.shape[1]):
+        for m in range(observed.position.shape[2]):
+            for c in range(count):
+                if t < ends[c]:
+                    _meet(c, t, m, observed, filters, shared, scene, predicted)
+            take_in(STATE * m, abreast)
         used = 0
         for c in range(count):
             if t < ends[c]:
-                _take_in(c, t, observed, filters, shared, scene, predicted)
+                _put_adapted(c, filters, shared)
                 state, drivers, moment, workspace = _parts(c, t, period_s, observed, filters, shared)
                 used = aim_all(state, drivers, moment, scene, workspace, lanes, used)
         consider(used, scene, lanes)
@@ -227,12 +236,14 @@ def _filter(
                 state, drivers, moment, workspace = _parts(c, t, period_s, observed, filters, shared)
                 changed = add_all_components(state, drivers, moment, scene, workspace, lanes) or changed
         decide(used, lanes, changed)
+        begin_period(abreast)
         for c in range(count):
             if t < ends[c]:
                 state, drivers, moment, workspace = _parts(c, t, period_s, observed, filters, shared)
-                action = conclude(state, drivers, moment, scene, workspace, lanes, shared.linearised)
-                _record(c, t, state, action, shared.linearised.next_mean[1], period_s, trace)
-                _predict(state, shared)
+                action = conclude(state, drivers, moment, scene, workspace, lanes, linearised_of(c, abreast))
+                share_columns(c, abreast)
+                _record(c, t, state, action, abreast.next_mean[1, c], period_s, trace)
+        predict(abreast)
 
 
 @kernel
@@ -246,6 +257,8 @@ def run(
     trace: Trace,
 ) -> None:
     """Filter C chains over up to T samples, side by side: their drivers consider their actions in the same lanes.
+
+    C is at most ABREAST.
 
     Parameters
     ----------
@@ -269,8 +282,7 @@ def run(
     past = entries_of_past(vehicles, periods_back)
     size, one = STATE * vehicles + a + past, workspace_for(vehicles, a, past)
     filters = _Filters(
-        np.zeros((count, size)),
-        np.zeros((count, size, size)),
+        abreast_for(_live(drivers.parameters, size, len(trace.means) > 0), size),
         np.zeros((count, vehicles), np.int64),
         np.zeros((count, *one.places.shape), np.int64),
         np.zeros((count, *one.root.shape)),
@@ -282,19 +294,11 @@ def run(
     )
     for c in range(count):
         for k in range(a):
-            filters.mean[c, STATE * vehicles + k] = drivers.prior_mean[c, k]
-            filters.covariance[c, STATE * vehicles + k, STATE * vehicles + k] = drivers.prior_var[k]
-    shared = _Shared(
-        lanes_for(count * points_of(vehicles, a), actions, scene.period_s),
-        linearised_for(_live(drivers.parameters, size, len(trace.means) > 0), size),
-        one.chosen,
-        one.slope,
-        one.held_slope,
-        np.zeros((size, size)),
-        np.zeros(size),
-        adapted,
-        drivers.prior_var,
-    )
+            entry = STATE * vehicles + k
+            filters.abreast.mean[entry, c] = drivers.prior_mean[c, k]
+            filters.abreast.covariance[entry, entry, c] = drivers.prior_var[k]
+    lanes = lanes_for(count * points_of(vehicles, a), actions, scene.period_s)
+    shared = _Shared(lanes, one.chosen, one.slope, one.held_slope, adapted, drivers.prior_var)
     _filter(observed, filters, shared, scene, predicted, trace)
 
 

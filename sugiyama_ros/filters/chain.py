@@ -2,11 +2,12 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.driver.parameters import NAMES, OMEGA_2, UTILITY, at_period, population
+from sugiyama_ros.driver.parameters import NAMES, OMEGA_2, UTILITY, population
 from sugiyama_ros.effects.registry import EFFECTS, ROW
 from sugiyama_ros.errors import InputError
 
@@ -31,6 +32,12 @@ class Chain:
     period_s: float
     start_s: float
     circumference_m: float
+
+    @cached_property
+    def end(self) -> int:
+        """Number of samples up to the last one in which the driver is there."""
+        there = np.flatnonzero(self.identity[:, 0] >= 0)
+        return int(there[-1]) + 1 if len(there) else 0
 
 
 @dataclass(frozen=True)
@@ -88,27 +95,25 @@ def adaptation_of(parameters: Array, given: Adaptation = NOT_ADAPTED) -> Adaptat
     return given
 
 
-def chain_parameters(own: Array, ahead: Array | None, vehicles: int, period_s: float) -> Array:
+def chain_parameters(own: Array, ahead: Array | None, vehicles: int) -> Array:
     """Return the rows of all drivers of a chain.
 
     Parameters
     ----------
     own
-        Parameters of the driver at the reference period, (P,) or (WIDTH,).
+        Parameters of the driver, (P,) or (WIDTH,).
     ahead
         Parameters of the drivers ahead, the same for all of them or one row each, (M - 1, P) or (M - 1, WIDTH); the
         mean of the population if left out.
     vehicles
         Number M of vehicles.
-    period_s
-        Time between two samples [s].
 
     Returns
     -------
     Array
-        Rows at ``period_s``, (M, WIDTH).
+        Rows at the reference period, (M, WIDTH), as all parameters here.
     """
     rows = np.empty((vehicles, ROW.width))
     rows[1:] = ROW.with_effects(population() if ahead is None else ahead)
     rows[0] = ROW.with_effects(own)
-    return at_period(rows, period_s)
+    return rows

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.driver.parameters import NAMES, UTILITY, population
+from sugiyama_ros.driver.parameters import NAMES, UTILITY, at_period, population
 from sugiyama_ros.effects.effect import MEASUREMENT
 from sugiyama_ros.effects.registry import ROW, active, effect, index_of
 from sugiyama_ros.filters.chain import Adaptation, adaptation_of, chain_parameters
@@ -83,7 +83,7 @@ def chain_model(
     for name in names:
         if effect(name).individual:
             others[[index_of(name, p.name) for p in effect(name).parameters]] = 0.0
-    rows = chain_parameters(row, others, vehicles, period_s)
+    rows = at_period(chain_parameters(row, others, vehicles), period_s)
     return ChainModel(
         row=row,
         rows=rows,

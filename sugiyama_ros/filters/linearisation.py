@@ -56,6 +56,7 @@ def linearise(
     consider(used, scene, lanes)
     changed = add_all_components(state, drivers, moment, scene, workspace, lanes)
     decide(used, lanes, changed)
+    clear(out)
     return conclude(state, drivers, moment, scene, workspace, lanes, out)
 
 
@@ -84,17 +85,25 @@ def add_all_components(
 
 
 @kernel(allocates=False)
+def clear(out: Linearised) -> None:
+    """Make the Jacobian and the process noise 0."""
+    out.jacobian[:] = 0.0
+    out.noise[:] = 0.0
+
+
+@kernel(allocates=False)
 def conclude(
     state: State, drivers: Drivers, moment: Moment, scene: Scene, workspace: Workspace, lanes: Lanes, out: Linearised
 ) -> float:
-    """Linearise the period, after all drivers of the chain have decided; arguments and result as of ``linearise``."""
+    """Linearise the period, after all drivers of the chain have decided; arguments and result as of ``linearise``.
+
+    The Jacobian and the process noise in ``out`` are 0 before.
+    """
     mean, known, parameters = state.mean, state.known, drivers.parameters
     next_mean, jacobian, noise = out.next_mean, out.jacobian, out.noise
     vehicles, adapted = len(known), len(drivers.adapted)
     period = scene.period_s
     own_action = 0.0
-    jacobian[:] = 0.0
-    noise[:] = 0.0
     for k in range(adapted):
         p = STATE * vehicles + k
         next_mean[p] = drivers.prior_mean[k] + scene.memory * (mean[p] - drivers.prior_mean[k])
@@ -111,6 +120,7 @@ def conclude(
             continue
         jacobian[x, v] = jacobian[v, n] = period
         noise[x, x], noise[v, v] = parameters[m, SIGMA_X] ** 2, parameters[m, SIGMA_V] ** 2
+        _note_columns(m, state, drivers, out)
         if is_last(m, known):
             action, rho, shock_std = 0.0, scene.last_rho, scene.last_shock_std
             next_mean[b] = 0.0
@@ -121,7 +131,8 @@ def conclude(
             noise[b, b] = expected.held_var
             noise[v, b] = noise[b, v] = period * math.sqrt(expected.action_var * expected.held_var)
             next_mean[b] = expected.held
-            for k in range(len(mean)):
+            for c in range(out.counts[v]):
+                k = out.columns[v, c]
                 jacobian[v, k] += period * workspace.slope[k]
                 jacobian[b, k] = workspace.held_slope[k]
             if m == 0:
@@ -132,7 +143,6 @@ def conclude(
         next_mean[n] = rho * mean[n]
         jacobian[n, n] = rho
         noise[n, n] = shock_std**2
-        _note_columns(m, state, drivers, out)
     shift(state, drivers, out)
     return own_action
 

@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -11,11 +12,10 @@ from sugiyama_ros.arrays import Array, Mask
 from sugiyama_ros.filters import causal
 from sugiyama_ros.filters.chain import Chain
 from sugiyama_ros.filters.state import STATE
+from sugiyama_ros.filters.vectors import ABREAST
 from sugiyama_ros.fit.model import Model, leaders
 from sugiyama_ros.fit.recording import Recorded
 
-# Drivers that one task predicts, side by side.
-_TOGETHER = 4
 _Any = TypeVar("_Any")
 
 
@@ -118,8 +118,10 @@ def predict_drivers(data: Recorded, model: Model, who: Iterable[int], work: Exec
 
 
 def together(drivers: Sequence[_Any]) -> list[Sequence[_Any]]:
-    """Divide drivers into the parts that one task works on, because their filters run side by side."""
-    return [drivers[first : first + _TOGETHER] for first in range(0, len(drivers), _TOGETHER)]
+    """Divide drivers into equal parts, whose filters run side by side: an even number of parts, as of cores."""
+    parts = 2 * -(-len(drivers) // (2 * ABREAST))
+    ends = [k * len(drivers) // parts for k in range(1, parts + 1)]
+    return [drivers[first:last] for first, last in pairwise([0, *ends]) if last > first]
 
 
 def predict_jobs(jobs: Sequence[causal.ChainJob]) -> list[DriverDensity]:

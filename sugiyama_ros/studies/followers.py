@@ -7,7 +7,7 @@ import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
 from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.driver.parameters import KAPPA_V, NAMES, SIGMA_NU, UTILITY, V_STAR
+from sugiyama_ros.driver.parameters import KAPPA_V, NAMES, SIGMA_NU, UTILITY, V_STAR, at_period
 from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.filters.chain import CHAIN, Adaptation, chain_parameters
 from sugiyama_ros.filters.learnt import Learnt
@@ -100,7 +100,7 @@ class Unscented:
 
     def __init__(self, row: Array, road: Road, period_s: float, _: np.random.Generator) -> None:
         self._road, self._scene = road, scene_at(period_s, road.circumference_m, ADAPT.relaxation_s)
-        self._rows = chain_parameters(row, None, CHAIN, period_s)
+        self._rows = at_period(chain_parameters(row, None, CHAIN), period_s)
         self._places, self._prior_var = ADAPT.arrays
         self._prior_mean = np.log(self._rows[0, [UTILITY[k] for k in self._places]])
         self._arrays = arrays_for(CHAIN, len(self._places), ACTIONS, period_s)

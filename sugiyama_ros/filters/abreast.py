@@ -1,0 +1,150 @@
+"""The Kalman algebra of filters that run side by side, one vector instruction for all of them.
+
+``transform`` has the same algebra for one filter. All filters have states of the same size, so they differ only in
+their numbers, and in the entries of F that are 0: what may differ from 0 in one filter is multiplied in all of them.
+A filter's results do not depend on the others, because a product with 0 changes no sum.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array, Ints, Mask
+from sugiyama_ros.filters.state import STATE, Linearised, State
+from sugiyama_ros.filters.vectors import ABREAST, add_product, put_product, subtract_product
+from sugiyama_ros.jit import kernel
+
+#: Rows of ``Abreast.sample``: slope of the measurement, predicted less measured position [m], and the weights of the
+#: innovation in the mean and in the covariance, as of ``measurement.weights``. All are 0 where no sample is taken in.
+SLOPE, OFF, STEP, SHRINK = range(4)
+
+
+class Abreast(NamedTuple):
+    """States of ABREAST filters with N entries each, and one linearised period of each; the last axis is the filter.
+
+    mean: (N, ABREAST); covariance: (N, N, ABREAST); sample: (4, ABREAST), what is taken in next; next_mean, jacobian,
+    noise: as in ``Linearised``; columns, counts: (ABREAST, N, N) and (ABREAST, N), of each filter; may_differ: (N, N),
+    whether an entry of F may differ from 0 in any filter, with the columns of each row in ``shared_columns`` (N, N), in
+    ascending order, and their numbers in ``shared_counts`` (N,); live: the entries whose covariances matter; gain,
+    half: (N, ABREAST) and (N, N, ABREAST), overwritten.
+    """
+
+    mean: Array
+    covariance: Array
+    sample: Array
+    next_mean: Array
+    jacobian: Array
+    noise: Array
+    columns: Ints
+    counts: Ints
+    may_differ: Mask
+    shared_columns: Ints
+    shared_counts: Ints
+    live: Ints
+    gain: Array
+    half: Array
+
+
+@kernel
+def abreast_for(live: Ints, size: int) -> Abreast:
+    """Return filters of which nothing is known, with states of ``size`` entries, of which those in ``live`` matter."""
+    square = (size, size, ABREAST)
+    return Abreast(
+        np.zeros((size, ABREAST)),
+        np.zeros(square),
+        np.zeros((4, ABREAST)),
+        np.zeros((size, ABREAST)),
+        np.zeros(square),
+        np.zeros(square),
+        np.zeros((ABREAST, size, size), np.int64),
+        np.zeros((ABREAST, size), np.int64),
+        np.zeros((size, size), np.bool_),
+        np.zeros((size, size), np.int64),
+        np.zeros(size, np.int64),
+        live,
+        np.zeros((size, ABREAST)),
+        np.zeros(square),
+    )
+
+
+@kernel(allocates=False)
+def state_of(c: int, abreast: Abreast, known: Ints) -> State:
+    """Return the state of filter c; known: (C, M)."""
+    return State(abreast.mean[:, c], abreast.covariance[:, :, c], known[c])
+
+
+@kernel(allocates=False)
+def linearised_of(c: int, abreast: Abreast) -> Linearised:
+    """Return the linearised period of filter c."""
+    period = abreast.next_mean[:, c], abreast.jacobian[:, :, c], abreast.noise[:, :, c]
+    return Linearised(*period, abreast.columns[c], abreast.counts[c], abreast.live)
+
+
+@kernel(allocates=False)
+def take_in(x: int, abreast: Abreast) -> None:
+    """Update all filters with their samples of the position in entry x of the state."""
+    mean, covariance, gain, sample, live = abreast.mean, abreast.covariance, abreast.gain, abreast.sample, abreast.live
+    size = len(mean)
+    for i in live:
+        put_product(gain, i, sample, SLOPE, covariance, x * size + i)
+        subtract_product(mean, i, gain, i, sample, STEP, sample, OFF)
+    for a in range(len(live)):
+        i = live[a]
+        for b in range(a):
+            j = live[b]
+            subtract_product(covariance, i * size + j, gain, i, gain, j, sample, SHRINK)
+            put_product(covariance, j * size + i, covariance, i * size + j)
+        subtract_product(covariance, i * size + i, gain, i, gain, i, sample, SHRINK)
+
+
+@kernel(allocates=False)
+def begin_period(abreast: Abreast) -> None:
+    """Clear F and Q, before ``conclude`` fills them in for each filter."""
+    abreast.jacobian[:] = 0.0
+    abreast.noise[:] = 0.0
+
+
+@kernel(allocates=False)
+def share_columns(c: int, abreast: Abreast) -> None:
+    """Note the entries of F that may differ from 0 in filter c."""
+    may_differ, columns, counts = abreast.may_differ, abreast.shared_columns, abreast.shared_counts
+    for i in abreast.live:
+        for k in range(abreast.counts[c, i]):
+            column = abreast.columns[c, i, k]
+            if may_differ[i, column]:
+                continue
+            may_differ[i, column] = True
+            place = counts[i]
+            while place > 0 and columns[i, place - 1] > column:
+                columns[i, place] = columns[i, place - 1]
+                place -= 1
+            columns[i, place] = column
+            counts[i] += 1
+
+
+@kernel(allocates=False)
+def predict(abreast: Abreast) -> None:
+    """Go on by one period in all filters: F P F' + Q, for the live entries, and exactly symmetric."""
+    covariance, jacobian, half, live = abreast.covariance, abreast.jacobian, abreast.half, abreast.live
+    columns, counts, size = abreast.shared_columns, abreast.shared_counts, len(abreast.mean)
+    for i in live:
+        k = columns[i, 0]
+        for j in live:
+            put_product(half, i * size + j, jacobian, i * size + k, covariance, k * size + j)
+        for c in range(1, counts[i]):
+            k = columns[i, c]
+            for j in live:
+                add_product(half, i * size + j, jacobian, i * size + k, covariance, k * size + j)
+    for a in range(len(live)):
+        j = live[a]
+        for d in range(a, len(live)):
+            i = live[d]
+            entry = i * size + j
+            put_product(covariance, entry, half, i * size + columns[j, 0], jacobian, j * size + columns[j, 0])
+            for c in range(1, counts[j]):
+                add_product(covariance, entry, half, i * size + columns[j, c], jacobian, j * size + columns[j, c])
+            if i // STATE == j // STATE:
+                add_product(covariance, entry, abreast.noise, entry)
+            put_product(covariance, j * size + i, covariance, entry)
+    for i in range(size):
+        put_product(abreast.mean, i, abreast.next_mean, i)
