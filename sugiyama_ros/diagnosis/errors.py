@@ -76,7 +76,7 @@ class HeldOutErrors:
         """Whether the free runs are at most 5 % worse, or worse by at most two paired standard errors over starts.
 
         All horizons count together, coupled and single, each relative to the mean square error of the other model. A
-        single horizon may be luck: a free run has no noise, and a jam without noise depends on small details.
+        single horizon may be luck: a jam depends on small details.
         """
         pairs = ((self.runs.coupled, other.runs.coupled), (self.runs.single, other.runs.single))
         by_horizon: list[Array] = []

@@ -35,8 +35,6 @@ _CLEARLY, _CHANCE, _TOLERANCE = 2.0, 0.05, 1.1
 _STANDING, _SLOW = 0.5, 0.5
 _FEWEST = 20
 _STEPS = 6
-# Gap [m] that counts as contact: positions are rounded.
-_CONTACT_M = 1e-6
 
 #: Number of effects that a diagnosis adds at most: by default, and if additions are asked for.
 FEW_ADDITIONS, MANY_ADDITIONS = 3, 8
@@ -89,9 +87,8 @@ class LastPart:
 
     @property
     def collisions(self) -> int:
-        """Number of cars that touch their leaders at a horizon of a coupled run."""
-        gap = self.runs.gap + self.runs.coupled_gap
-        return int(((self.runs.gap > 0.0) & (gap <= _CONTACT_M)).sum())
+        """Number of cars that touch their leaders at a horizon of a coupled run without noise."""
+        return int((self.runs.touches[self.runs.gap > 0.0] > 0.0).sum())
 
 
 class Use:

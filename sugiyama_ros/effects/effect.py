@@ -195,7 +195,7 @@ class Effect:
     individual : bool
         Whether each driver has their own values.
     is_noise : bool
-        Whether the effect leaves the mean motion as it is. A free run has no noise, so it cannot judge such an effect.
+        Whether the effect changes noises alone. It hardly changes the mean of free runs, which cannot judge it.
     is_limit : bool
         Whether a smaller first parameter makes the effect stronger.
     reach : int

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sugiyama_ros.driver.parameters import at_period, defaults, horizon_at
+from sugiyama_ros.driver.parameters import SIGMA_A, at_period, defaults, horizon_at
 from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.score import between_measurements
@@ -27,12 +27,48 @@ def test_nobody_drives_through_the_vehicle_ahead(run):
     setting = Setting(_PERIOD_S, horizon_at(_PERIOD_S), 0.0)
     out = np.full((_STEPS, 2, 2), np.nan)
     if run == "single":
-        run_single(0, recorded, order, rows, ACTIONS, 0.0, setting, out)
+        run_single(0, recorded, order, rows, ACTIONS, 0.0, setting, np.zeros((_STEPS, 2)), out)
     else:
-        run_coupled(recorded, order, rows, ACTIONS, 0.0, setting, out)
+        run_coupled(recorded, order, rows, ACTIONS, 0.0, setting, np.zeros((_STEPS, 2)), out)
     gap = 16.0 - out[:, 0, 0] - _LENGTH_M
     assert gap.min() == pytest.approx(0.0, abs=1e-9)
     assert out[np.argmin(gap), 0, 1] <= 0.0
+
+
+_CARS, _RING_M = 10, 105.0
+
+
+def ends_in_a_jam(shock, sigma_a=None):
+    """Positions after 10 s of cars that start 2 m apart and nearly stand, (CARS,) [m]."""
+    recorded = np.zeros((_STEPS + 1, _CARS, 4))
+    recorded[0, :, 0], recorded[0, :, 1] = 6.0 * np.arange(_CARS), 0.5
+    turn = np.where(np.arange(_CARS) == _CARS - 1, -_RING_M, 0.0)
+    order = Order(np.roll(np.arange(_CARS), -1), turn, np.full(_CARS, _LENGTH_M))
+    parameters = defaults(_CARS)
+    if sigma_a is not None:
+        parameters[:, SIGMA_A] = sigma_a
+    rows = at_period(ROW.with_effects(parameters), _PERIOD_S)
+    out = np.full((_STEPS, _CARS, 2), np.nan)
+    run_coupled(recorded, order, rows, ACTIONS, 0.0, Setting(_PERIOD_S, horizon_at(_PERIOD_S), _RING_M), shock, out)
+    return out[-1, :, 0]
+
+
+def test_without_acceleration_noise_shocks_change_nothing():
+    shock = np.random.default_rng(3).standard_normal((_STEPS, _CARS))
+    np.testing.assert_array_equal(ends_in_a_jam(shock, 0.0), ends_in_a_jam(np.zeros_like(shock), 0.0))
+
+
+def test_a_pair_of_opposite_shocks_has_the_mean_of_many_runs_and_a_run_without_noise_ends_ahead_of_it():
+    rng, shape = np.random.default_rng(4), (_STEPS, _CARS)
+    many = np.array([ends_in_a_jam(rng.standard_normal(shape)) for _ in range(400)])
+    shocks = rng.standard_normal((100, *shape))
+    pairs = np.array([0.5 * (ends_in_a_jam(shock) + ends_in_a_jam(-shock)) for shock in shocks])
+    mean, mean_of_pairs = many.mean(), pairs.mean()
+    se, se_of_pairs = (one.mean(axis=1).std(ddof=1) / np.sqrt(len(one)) for one in (many, pairs))
+    assert abs(mean_of_pairs - mean) < 4.0 * np.hypot(se, se_of_pairs)
+    assert ends_in_a_jam(np.zeros(shape)).mean() - mean_of_pairs > 4.0 * se_of_pairs
+    # what is linear in the shocks, most of the spread, is gone
+    assert (pairs.std(axis=0) < 0.5 * many.std(axis=0)).all()
 
 
 def test_motion_between_measurements_is_the_smooth_curve_through_them():
