@@ -253,6 +253,10 @@ def shortlist(looks: Sequence[Screened], effort: Effort) -> list[int]:
     return chosen
 
 
-def is_obvious(look: Screened) -> bool:
-    """Whether no simulation could gain as much; never for individual parameters, which may gain much by chance."""
-    return look.gain >= _OBVIOUS and not look.candidate.individual
+def is_obvious(data: Recorded, look: Screened) -> bool:
+    """Whether no simulation could gain as much.
+
+    Never for individual parameters, which may gain much by chance, and never where samples are far apart: there, a
+    shared parameter may make up for what the filter cannot know in between.
+    """
+    return look.gain >= _OBVIOUS and not look.candidate.individual and not data.is_sparse

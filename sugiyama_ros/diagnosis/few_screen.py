@@ -70,9 +70,10 @@ def shown_by_few(
     Returns
     -------
     list of ShownByFew
-        One for each effect, the largest gain first; empty with too few drivers.
+        One for each effect, the largest gain first; empty with too few drivers, and where samples are far apart: there,
+        effects gain by chance what only simulations can say, and the choice of drivers is not simulated.
     """
-    if not at_most(data.drivers):
+    if not at_most(data.drivers) or data.is_sparse:
         return []
 
     def look(candidate: Candidate) -> ShownByFew:

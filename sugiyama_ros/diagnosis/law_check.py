@@ -60,6 +60,8 @@ def log_ratio(model: HeldOutErrors, law: HeldOutErrors) -> float:
 def open_laws(data: Recorded, model: HeldOutErrors, laws: Mapping[str, HeldOutErrors]) -> tuple[str, ...]:
     """Return the laws that only simulations can judge: they predict as well, or their free runs end closer.
 
+    Where samples are far apart, simulations also judge a law that predicts better.
+
     Parameters
     ----------
     data : Recorded
@@ -78,8 +80,10 @@ def open_laws(data: Recorded, model: HeldOutErrors, laws: Mapping[str, HeldOutEr
     best = max(gains, key=lambda name: gains[name].nats, default=None)
     closest = min(laws, key=lambda name: laws[name].free_run_10s_m, default=None)
     found = []
-    if best is not None and abs(gains[best].nats) <= CLEARLY * gains[best].se:
-        found.append(best)
+    if best is not None:
+        clearly = CLEARLY * gains[best].se
+        if -clearly <= gains[best].nats and (data.is_sparse or gains[best].nats <= clearly):
+            found.append(best)
     if closest is not None and log_ratio(model, laws[closest]) > math.log(FURTHER):
         found.append(closest)
     return tuple(dict.fromkeys(found))

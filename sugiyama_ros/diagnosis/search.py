@@ -235,7 +235,8 @@ class Search:
             looks[k] = look
         self._seen |= {look.candidate.name: (self.current, look) for look in looks}
         # simulate only where the result is open: not for hopeless gains, and not for obvious ones
-        doubtful = [k for k in promising if self._judge(looks[k]).p_value <= LEVEL and not is_obvious(looks[k])]
+        open_ = [k for k in promising if not is_obvious(self.data, looks[k])]
+        doubtful = [k for k in open_ if self._judge(looks[k]).p_value <= LEVEL]
         if is_first and not doubtful:
             doubtful = promising[:1]
         null = UNKNOWN

@@ -321,6 +321,20 @@ def test_a_law_that_predicts_as_well_speaks_against_the_model_where_simulations_
     assert judge(own.data, evidence_of(own, laws=laws, checks=checks)).outcome == "adequate"
 
 
+def test_a_law_that_predicts_better_is_judged_by_simulations_where_samples_are_far_apart(own):
+    better = own.after.samples.copy()
+    better.log_likelihood[:] += 0.05
+    laws, sparse = {"better": replace(own.after, samples=better)}, replace(own.data, every=3)
+    assert open_laws(own.data, own.after, laws) == ()
+    assert open_laws(sparse, own.after, laws) == ("better",)
+    gained = float(np.nansum(better.log_likelihood - own.after.samples.log_likelihood))
+    # in recordings that the model simulates, it gains as much; then it is far behind in them
+    for gains, law in (((0.9 * gained, gained), None), ((-900.0, -800.0), "better")):
+        found = judge(sparse, evidence_of(own, laws=laws, checks={"better": LawCheck(gains, (0.0, 0.0))}))
+        assert (found.outcome, found.better_law) == ("not_explained" if law else "adequate", law)
+    assert "better predicts held-out samples better (+" in told(found)
+
+
 def test_a_law_is_far_behind_in_recordings_that_the_model_simulates(own):
     with ThreadPoolExecutor(2) as work:
         found = check_laws(

@@ -146,6 +146,32 @@ def test_a_quick_search_simulates_more_before_it_names(
     assert (one.p_value <= LEVEL) is is_supported
 
 
+@pytest.mark.parametrize(("every", "asked"), [(1, 0), (3, 1)])
+def test_a_large_gain_is_obvious_unless_samples_are_far_apart(fitted, patch, grown, work, monkeypatch, every, asked):
+    data, base = fitted
+    sparse = replace(data, every=every)
+    search = Search(data, base, True, 0, work, goal=Goal(only=(patch.name,)), on_progress=lambda *_: None)
+    look, simulated = Screened(patch, grown, gain=119.0, predicted_gain=0.0, loss=0.0, loss_at={}), []
+
+    def null_gains(simulations, candidates, effort, work, on_progress):
+        simulated.append(candidates)
+        return NullGains({patch.name: [75.0, 140.0]}, {patch.name: 1.0})
+
+    search.data = sparse
+    monkeypatch.setattr(searching, "null_gains", null_gains)
+    monkeypatch.setattr(searching, "closer", lambda data, look, work: look)
+    monkeypatch.setattr(search, "_seen", {"another": None})
+    monkeypatch.setattr(search, "_worth_a_look", lambda: [patch])
+    monkeypatch.setattr(search, "_look", lambda candidate: look)
+    monkeypatch.setattr(search, "_in_full", lambda one: replace(one, refined=True))
+    monkeypatch.setattr(search, "simulations", lambda runs=0: [None] * max(runs, QUICK.runs))
+    (one,) = search._look_at_all()
+    assert len(simulated) == asked
+    assert (one.p_value <= LEVEL) is (every == 1)
+    if every > 1:
+        assert shown_by_few(sparse, base, [patch], work, lambda *_: None) == []
+
+
 def test_a_driver_who_gains_nothing_is_left_out(fitted, patch, work):
     data, base = fitted
     found = fit_few(data, base, patch, Few((SLOW[0], 6), cost_of(2, CARS)), 1, work)
@@ -201,7 +227,15 @@ def runs(error, gap=5.0, speed=6.0):
     full = np.full((10, 3, 4), 1.0)
     wave = 1.0 + 0.05 * np.sin(np.arange(10))[:, None, None]
     return FreeRuns(
-        error * full * wave, error * full, full, full, 0.0 * full - error, gap * full, speed * full, np.arange(10)
+        coupled=error * full * wave,
+        single=error * full,
+        coupled_speed=full,
+        single_speed=full,
+        coupled_gap=0.0 * full - error,
+        gap=gap * full,
+        touches=0.0 * full,
+        speed=speed * full,
+        start=np.arange(10),
     )
 
 
@@ -249,14 +283,14 @@ def test_a_model_for_simulations_is_at_no_horizon_worse():
 
 def test_a_car_inside_its_leader_is_a_collision():
     base = LastPart(runs(1.0), np.zeros(4), 10.0)
-    inside = LastPart(replace(runs(1.0), coupled_gap=np.full((10, 3, 4), -6.0)), np.zeros(4), 10.0)
+    inside = LastPart(replace(runs(1.0), touches=np.ones((10, 3, 4))), np.zeros(4), 10.0)
     assert (base.collisions, inside.collisions) == (0, 120)
     assert worse_where(inside, base, "simulation")[-1].startswith("120 cars collide")
     assert worse_where(inside, base, "prediction")[-1].startswith("120 cars collide")
     # one car may collide by chance
-    gap = runs(1.0).coupled_gap.copy()
-    gap[0, 0, 0] = -6.0
-    once = LastPart(replace(runs(1.0), coupled_gap=gap), np.zeros(4), 10.0)
+    touches = np.zeros((10, 3, 4))
+    touches[0, 0, 0] = 1.0
+    once = LastPart(replace(runs(1.0), touches=touches), np.zeros(4), 10.0)
     assert worse_where(once, base, "prediction") == ()
     assert worse_where(once, base, "simulation") == ("1 car collides in free runs into the last part instead of 0",)
 
