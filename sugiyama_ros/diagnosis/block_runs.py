@@ -18,8 +18,8 @@ def run_blocks(data: Recorded, model: Model, states: Array, fold: int) -> Array:
         The recording.
     model : Model
         The model, which has not seen the blocks of the fold.
-    states : ndarray, shape (T, N, 4)
-        States filtered with this model, as ``filtered_states`` returns them.
+    states : ndarray, shape (T, N, 4 + A)
+        States filtered with this model, as ``follow`` returns them.
     fold : int
         Number of the fold.
 

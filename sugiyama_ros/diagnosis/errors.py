@@ -22,7 +22,7 @@ _TOLERANCE = 0.05
 _PER_PARAMETER = 4.0
 # The same for one driver and one fold.
 _PER_FOLD = 2.0
-# A model, its predictions, and the filtered states (T, V, 4).
+# A model, its predictions, and the filtered states (T, V, 4 + A), as of ``follow``.
 _Followed = tuple[Model, PointwiseDensity, Array]
 #: From this number of drivers on tracks, errors are paired over drivers alone.
 MANY_DRIVERS = 5

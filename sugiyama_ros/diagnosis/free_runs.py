@@ -21,10 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sugiyama_ros.arrays import Array, Ints, Mask
-from sugiyama_ros.driver.parameters import at_period, horizon_at
+from sugiyama_ros.driver.parameters import at_period, horizon_at, index
 from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.effects.sensing import displacements
 from sugiyama_ros.filters.causal_kernel import SETTLING
+from sugiyama_ros.filters.chain import adaptation_of
+from sugiyama_ros.filters.state import STATE
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.score import between_measurements
@@ -101,8 +103,8 @@ def free_runs(data: Recorded, model: Model, states: Array, work: Executor, fold:
         The recording.
     model : Model
         The model that drives.
-    states : ndarray, shape (T, V, 4)
-        States filtered with this model, as ``filtered_states`` returns them.
+    states : ndarray, shape (T, V, 4 + A)
+        States filtered with this model, as ``follow`` returns them.
     work : Executor
         Carries out the runs.
     fold : int, optional
@@ -158,6 +160,7 @@ def _from_start(job: _Start) -> tuple[Array, ...]:
 def _errors(job: _Start) -> tuple[Array, ...]:
     """Fields of FreeRuns for the vehicles in all columns, (H, V) each; they hold for the drivers who start."""
     data, rows, state, k, steps, who = job
+    rows, state = _rows_at(rows, state[k]), np.ascontiguousarray(state[:, :, :STATE])
     around, ring = data.vicinity, data.vicinity.road.circumference_m
     leader = np.where(np.isfinite(state[k, around.leader[k], 0]), around.leader[k], -1)
     silent, coupled, single = _drive_on(data, rows, state[k : k + steps[-1] + 1], k, leader, who)
@@ -219,8 +222,8 @@ def drive_all(data: Recorded, model: Model, state: Array, k: int, steps: int) ->
         The recording.
     model : Model
         The model.
-    state : ndarray, shape (T, N, 4)
-        Filtered states.
+    state : ndarray, shape (T, N, 4 + A)
+        Filtered states, as ``follow`` returns them.
     k : int
         Sample of the start.
     steps : int
@@ -232,14 +235,31 @@ def drive_all(data: Recorded, model: Model, state: Array, k: int, steps: int) ->
         Positions [m] as they would be measured, not wrapped.
     """
     around, ring = data.vicinity, data.vicinity.road.circumference_m
-    recorded = state[k : k + steps + 1]
+    recorded = np.ascontiguousarray(state[k : k + steps + 1, :, :STATE])
     leader = np.where(np.isfinite(recorded[0, around.leader[k], 0]), around.leader[k], -1)
     setting = Setting(around.period_s, horizon_at(around.period_s), ring)
-    rows = at_period(model.rows, around.period_s)
+    rows = _rows_at(at_period(model.rows, around.period_s), state[k])
     out = np.empty((steps, data.drivers, 2))
     order = _order(data, recorded[0], k, leader)
     run_coupled(recorded, order, rows, ACTIONS, float(around.time_s[k, 0]), setting, np.zeros(out.shape[:2]), out)
     return _as_measured(out[:, :, 0], rows, ring)
+
+
+def _rows_at(rows: Array, state: Array) -> Array:
+    """Rows (N, WIDTH) with the preferences that the filter expects halfway through the longest run; state: (V, 4 + A).
+
+    Preferences that wander return to the driver's usual ones in their time constant.
+    """
+    if state.shape[1] == STATE:
+        return rows
+    now = rows.copy()
+    for row, preferences in zip(now, state[: len(rows), STATE:], strict=True):
+        wandering = adaptation_of(row)
+        places, mood = [index(name) for name in wandering.names], preferences[: len(wandering.names)]
+        if np.isfinite(mood).all():
+            left = math.exp(-0.5 * HORIZONS_S[-1] / wandering.relaxation_s)
+            row[places] *= np.exp(left * (mood - np.log(row[places])))
+    return now
 
 
 def _order(data: Recorded, start: Array, k: int, leader: Ints) -> Order:

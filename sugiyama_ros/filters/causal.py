@@ -130,14 +130,14 @@ def predict_states(jobs: Sequence[ChainJob]) -> list[tuple[Array, Array, Array, 
     Returns
     -------
     list of (innovation_m, innovation_var, sample_log_likelihood, state)
-        For each job the first three as in ``Filtered``, (T,) each, and the four entries of the state of each of the M
-        vehicles after the update with each sample, own first, (T, STATE M).
+        For each job the first three as in ``Filtered``, (T,) each, and the state after the update with each sample,
+        (T, STATE M + A): four entries for each of the M vehicles, own first, and the A adapted log parameters.
     """
     return [(*predicted, states) for predicted, states in _filtered(jobs, with_states=True)]
 
 
 def _filtered(jobs: Sequence[ChainJob], *, with_states: bool) -> list[tuple[Predicted, Array]]:
-    """Filter drivers, side by side where they can; the predictions and the states (T, STATE M), or nothing."""
+    """Filter drivers, side by side where they can; the predictions and the states (T, STATE M + A), or nothing."""
     found: dict[int, tuple[Predicted, Array]] = {}
     for numbers, adaptation in _side_by_side(jobs):
         some = [jobs[i] for i in numbers]
@@ -149,8 +149,8 @@ def _filtered(jobs: Sequence[ChainJob], *, with_states: bool) -> list[tuple[Pred
         predicted = _run(some, adaptation, _no_trace()._replace(means=means), ends)
         for k, (i, chain) in enumerate(zip(numbers, chains, strict=True)):
             last = len(chain.position_m)
-            moving = means[k, :last, : STATE * vehicles].copy() if with_states else np.empty((0, 0))
-            found[i] = Predicted(*(values[k, :last] for values in predicted)), moving
+            states = means[k, :last].copy() if with_states else np.empty((0, 0))
+            found[i] = Predicted(*(values[k, :last] for values in predicted)), states
     return [found[i] for i in range(len(jobs))]
 
 

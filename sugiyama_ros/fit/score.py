@@ -152,7 +152,7 @@ def filtered_states(data: Recorded, model: Model, work: Executor) -> Array:
         Position [m], speed [m/s], noise [m/s^2] and held acceleration [m/s^2] of the vehicles in the columns of the
         recording's vicinity; NaN where unknown.
     """
-    return follow(data, model, work)[1]
+    return np.ascontiguousarray(follow(data, model, work)[1][:, :, :STATE])
 
 
 def follow(data: Recorded, model: Model, work: Executor) -> tuple[PointwiseDensity, Array]:
@@ -171,18 +171,22 @@ def follow(data: Recorded, model: Model, work: Executor) -> tuple[PointwiseDensi
     -------
     samples : PointwiseDensity
         Predictions of all samples.
-    states : ndarray, shape (T, V, 4)
-        Filtered states, as ``filtered_states`` returns them.
+    states : ndarray, shape (T, V, 4 + A)
+        Filtered states, as ``filtered_states`` returns them, and the logarithms of the driver's preferences if A of
+        them wander in the model, in the order of their ``Adaptation``; NaN for vehicles that are no drivers.
     """
     jobs = [job_of(data, model, i) for i in range(data.drivers)]
     outputs = [one for part in work.map(causal.predict_states, together(jobs)) for one in part]
     y, variance, density = (np.array([o[k] for o in outputs]) for k in range(3))
     tracks = [o[3] for o in outputs]
-    states = np.full((*data.vicinity.leader.shape, STATE), np.nan)
+    preferences = [track[:, STATE * c.position_m.shape[1] :] for c, track in zip(data.chains, tracks, strict=True)]
+    wandering = max(one.shape[1] for one in preferences)
+    states = np.full((*data.vicinity.leader.shape, STATE + wandering), np.nan)
     for i, (chain, track) in enumerate(zip(data.chains, tracks, strict=True)):
+        states[:, i, STATE : STATE + preferences[i].shape[1]] = preferences[i]
         for m, column in enumerate(data.vicinity.columns(i, chain.position_m.shape[1])):
             known = np.isfinite(variance[i]) & _moves(chain, m)
-            states[known, column] = track[known, STATE * m : STATE * (m + 1)]
+            states[known, column, :STATE] = track[known, STATE * m : STATE * (m + 1)]
     if data.vicinity.is_whole_road:
         _see_first(data, tracks, states)
     density[~data.scored] = np.nan
@@ -200,11 +204,11 @@ def between_measurements(data: Recorded, states: Array) -> Array:
     data : Recorded
         The recording.
     states : ndarray, shape (T, V, 4)
-        Filtered states, as ``filtered_states`` returns them.
+        Filtered states, as ``follow`` returns them.
 
     Returns
     -------
-    ndarray, shape (T, V, 4)
+    ndarray, shape of ``states``
         The states at the measurements, and interpolated states in between. The position is a cubic curve with the
         speeds at both ends as slopes. These states know the next measurement, so they predict nothing.
     """
@@ -235,7 +239,7 @@ def _see_first(data: Recorded, tracks: Sequence[Array], states: Array) -> None:
     for i, track in enumerate(tracks):
         ahead = leader[:, i]
         seen = (ahead >= 0) & (leader[samples, ahead] < 0) & np.isfinite(track[:, STATE]) & _moves(data.chains[i], 1)
-        states[seen, ahead[seen]] = track[seen, STATE : 2 * STATE]
+        states[seen, ahead[seen], :STATE] = track[seen, STATE : 2 * STATE]
 
 
 def _moves(chain: Chain, m: int) -> Mask:

@@ -21,12 +21,14 @@ from sugiyama_ros.diagnosis.verdict import document, sentences
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, defaults
 from sugiyama_ros.effects.registry import ROW, switch_on
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.filters.causal import filter_chain
+from sugiyama_ros.filters.state import STATE
 from sugiyama_ros.fit.cross_validation import held_out, held_out_nearly, without_folds
 from sugiyama_ros.fit.joint import fit, objective
 from sugiyama_ros.fit.model_file import read_model, write_model
 from sugiyama_ros.fit.population import fit_base, start_model
 from sugiyama_ros.fit.recording import FOLDS, prepare
-from sugiyama_ros.fit.score import evaluate, filtered_states
+from sugiyama_ros.fit.score import evaluate, filtered_states, follow
 from sugiyama_ros.fit.slopes import slopes
 from sugiyama_ros.laws.registry import RIVALS
 from sugiyama_ros.road import Road
@@ -154,6 +156,26 @@ def test_runs_of_all_folds_are_the_runs_of_the_whole_recording(fitted, work):
         assert np.array_equal(getattr(found.runs, name), values, equal_nan=True), name
     # the blocks of every fold are driven, but for the samples in which the filter settles
     assert np.isfinite(found.block_position_m[20:]).mean() > 0.95
+
+
+def test_free_runs_start_with_the_preferences_that_the_filter_knows(fitted, work):
+    _, data, base = fitted
+    time_constant, left = 30.0, np.exp(-5.0 / 30.0)
+    rows = switch_on(base.model.rows, "preference_drift", {"std": 0.1, "time_constant": time_constant})
+    wandering = replace(base.model, rows=rows, ahead=rows)
+    states = follow(data, wandering, work)[1]
+    assert states.shape[-1] == STATE + 2
+    adapted = filter_chain(data.chains[3], rows[3], ahead=rows[[4, 5]]).mean[:, -2:]
+    np.testing.assert_allclose(states[:, 3, STATE:], adapted, rtol=1e-12)
+    # halfway through the longest run, the mood has returned to what is left of it: here, a fifth faster than usual
+    states[:, :, STATE:] = np.log(rows[:, [V_STAR, KAPPA_V]])
+    states[:, :, STATE] += np.log(1.2) / left
+    faster = base.model.rows.copy()
+    faster[:, V_STAR] *= 1.2
+    found = free_runs(data, wandering, states, work)
+    expected = free_runs(data, replace(base.model, rows=faster), states[:, :, :STATE].copy(), work)
+    np.testing.assert_allclose(found.single, expected.single, atol=1e-9)
+    np.testing.assert_allclose(found.coupled, expected.coupled, atol=1e-9)
 
 
 @pytest.fixture(scope="module")
