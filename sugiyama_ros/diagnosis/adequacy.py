@@ -253,8 +253,9 @@ def _laws_say(data: Recorded, evidence: Evidence, gains: Mapping[str, Gain], is_
             ours = f"predicts held-out samples {how} ({won.nats:+.0f} ± {won.se:.0f} nats)"
             if won.nats < -CLEARLY * won.se:
                 ours = f"is {-won.nats:.0f} ± {won.se:.0f} nats behind on held-out samples"
-            own = -np.mean(check.gains)
-            reasons.append(f"{law} {ours}, but it is {own:.0f} nats behind in recordings that the model simulates")
+            own = float(np.mean(check.gains))
+            simulated = f"is {-own:.0f} nats behind" if own < 0.0 else f"gains {own:.0f} nats"
+            reasons.append(f"{law} {ours}, but it {simulated} in recordings that the model simulates")
     return reasons[:1]
 
 

@@ -69,9 +69,11 @@ def judged(
     refused = [name for name, _ in search.refused]
     compared = (search.before, search.errors, search.named, located, laws)
     before = Evidence(*compared, (), (), stds, refused=refused, senseless=search.senseless)
-    found = _judged(search, before, work, 0)
+    # where samples are far apart, all evidence rests on simulations, and two of them say little
+    few = search.quick and not search.data.is_sparse
+    found = _judged(search, before, work, 0 if few else FULL.runs)
     is_unexplained = found.adequacy.outcome == "not_explained"
-    if search.quick and is_unexplained and judge(search.data, before).outcome != "not_explained":
+    if few and is_unexplained and judge(search.data, before).outcome != "not_explained":
         found = _judged(search, before, work, FULL.runs)
         is_unexplained = found.adequacy.outcome == "not_explained"
     # with empty samples in between, filters approximate more than two simulations tell: no force speaks there alone

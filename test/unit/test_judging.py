@@ -109,8 +109,8 @@ def test_a_force_speaks_against_a_model_to_which_nothing_was_added(monkeypatch, 
     found, _ = judged(monkeypatch, own, [0.3, 0.3], [perhaps], laws)
     assert found.adequacy.outcome == "adequate"
     far_apart = replace(own, data=replace(own.data, every=3))
-    found, _ = judged(monkeypatch, far_apart, [0.3, 0.3], [surely], laws)
-    assert found.adequacy.outcome == "adequate"
+    found, asked = judged(monkeypatch, far_apart, [0.3] * FULL.runs, [surely], laws)
+    assert (found.adequacy.outcome, asked) == ("adequate", [FULL.runs])
 
 
 def test_a_force_counts_by_what_it_gains_beyond_simulations(monkeypatch):
