@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 from sugiyama_ros.diagnosis.addition import Addition
 from sugiyama_ros.diagnosis.discover import FORCE
+from sugiyama_ros.diagnosis.law_check import FURTHER
 from sugiyama_ros.effects.discovered_force import COVARIATES
 from sugiyama_ros.effects.registry import EFFECTS
 from sugiyama_ros.fit.recording import Recorded
@@ -29,7 +30,7 @@ def doubts(data: Recorded, named: Sequence[Addition]) -> list[str]:
     list of str
         Sentences; empty if nothing speaks against them.
     """
-    return [*_few_say(data, named), *_unnamed_say(named), *_use_says(named), *_many_say(named)]
+    return [*_few_say(data, named), *_unnamed_say(named), *_use_says(named), *_runs_say(named), *_many_say(named)]
 
 
 def signs_say(named: Sequence[Addition], stds: Mapping[str, float]) -> list[str]:
@@ -100,6 +101,20 @@ def _use_says(named: Sequence[Addition]) -> list[str]:
     """Whether the additions do worse beyond what they were fitted to; what drivers really do brings errors closer."""
     told = "if the last 40 % are not fitted, it is worse there than the base model"
     return [told for one in named[-1:] if one.worse]
+
+
+def _runs_say(named: Sequence[Addition]) -> list[str]:
+    """Whether free runs end clearly further off with the additions, or as much further as a law would be told for.
+
+    Noises may be added although runs get worse, and a few runs do not say surely that they do.
+    """
+    if not named:
+        return []
+    after, before = named[-1].after, named[0].before
+    off, base = after.free_run_10s_m, before.free_run_10s_m
+    if after.no_worse_than(before) and not off > FURTHER * base:
+        return []
+    return [f"its free runs get worse: after 10 s they end {off:.2g} m off instead of {base:.2g} m for the base model"]
 
 
 def _many_say(named: Sequence[Addition]) -> list[str]:

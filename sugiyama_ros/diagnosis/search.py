@@ -302,7 +302,7 @@ class Search:
         """Make an extended model the current one; return False if there is none."""
         if one is None:
             return False
-        worse = self._use.worse(one.fit, self.current)
+        worse = self._use.worse([*self.named, one], one.fit, self.current)
         self._possible = tuple(c for c in self._possible if c.mechanism != one.name)
         if worse and self._use.refuses:
             self.refused.append((one.name, worse))

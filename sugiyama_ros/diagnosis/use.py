@@ -5,7 +5,7 @@ data end, and it lives in one regime for long. So the model is also fitted witho
 drives into that part by itself.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -16,10 +16,14 @@ import numpy as np
 from scipy.stats import t as student
 
 from sugiyama_ros.arrays import Array, Mask
+from sugiyama_ros.diagnosis.addition import Addition
+from sugiyama_ros.diagnosis.candidates import Candidate
 from sugiyama_ros.diagnosis.free_runs import HORIZONS_S, FreeRuns, free_runs, rmse
+from sugiyama_ros.diagnosis.refits import added_to_all, fit_from_nothing
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.joint import JointFit, maximise
-from sugiyama_ros.fit.recording import FOLDS, Recorded
+from sugiyama_ros.fit.model import Model
+from sugiyama_ros.fit.recording import FOLDS, Recorded, prepare
 from sugiyama_ros.fit.score import follow
 from sugiyama_ros.fit.slopes import sums
 
@@ -112,8 +116,9 @@ class Use:
     """
 
     def __init__(self, data: Recorded, base: JointFit, purpose: Purpose, work: Executor) -> None:
-        self._base, self._purpose, self._has_last_part = base, purpose, data.vicinity.is_whole_road
+        self._data, self._base, self._purpose, self._work = data, base, purpose, work
         self.refuses = purpose != "prediction"
+        self._from_nothing: dict[tuple[str, ...], LastPart] = {}
 
         # the base model and the model before are asked for again with each candidate
         @lru_cache(maxsize=3)
@@ -122,18 +127,42 @@ class Use:
 
         self._last_part = of
 
-    def worse(self, fitted: JointFit, before: JointFit) -> tuple[str, ...]:
+    def worse(self, additions: Sequence[Addition], fitted: JointFit, before: JointFit) -> tuple[str, ...]:
         """Say where a model does worse in the last part, than the base model or, for simulations, than one before it.
 
-        Tracks have no last part.
+        For simulations, the models are fitted from nothing to what comes before the last part, where they can be: a
+        fit to the whole recording knows the last part, and a search that begins there may never forget it.
+
+        Parameters
+        ----------
+        additions : sequence of Addition
+            What the model has beyond the base model, the newest one last.
+        fitted, before : JointFit
+            The model, and the model without the newest addition.
+
+        Returns
+        -------
+        tuple of str
+            In words; empty if the model is nowhere worse. Tracks have no last part.
         """
-        if not self._has_last_part:
+        if not self._data.vicinity.is_whole_road:
             return ()
-        ours = self._last_part(fitted)
-        found = worse_where(ours, self._last_part(self._base), self._purpose)
+        effects = added_to_all(self._data, additions) if self._purpose == "simulation" else []
+        if effects:
+            ours, last, base = (self._of_effects(effects[:n]) for n in (len(effects), len(effects) - 1, 0))
+        else:
+            ours, last, base = (self._last_part(one) for one in (fitted, before, self._base))
+        found = worse_where(ours, base, self._purpose)
         if self._purpose == "simulation" and not found:
-            return worse_where(ours, self._last_part(before), self._purpose)
+            return worse_where(ours, last, self._purpose)
         return found
+
+    def _of_effects(self, effects: Sequence[Candidate]) -> LastPart:
+        """Errors in the last part of a model that was fitted from nothing."""
+        names = tuple(one.name for one in effects)
+        if names not in self._from_nothing:
+            self._from_nothing[names] = last_part_from_nothing(self._data, effects, self._work)
+        return self._from_nothing[names]
 
 
 def purpose_of(name: str) -> Purpose:
@@ -161,7 +190,7 @@ def last_part(data: Recorded, fitted: JointFit, work: Executor) -> LastPart:
     LastPart
         Errors in the last part.
     """
-    begin = int(_FITTED * data.samples)
+    begin = _last_part_begins(data)
     fold = np.minimum(data.block % (FOLDS - 1), FOLDS - 2)
     fold[:, begin:] = FOLDS - 1
     split = replace(data, fold=fold)
@@ -169,8 +198,42 @@ def last_part(data: Recorded, fitted: JointFit, work: Executor) -> LastPart:
     slopes = [sums(samples.of(i), s.columns, rows[i], fold[i]) for i, s in enumerate(fitted.slopes)]
     known = range(FOLDS - 1)
     first = maximise(split, replace(fitted, slopes=tuple(slopes)), work, folds=known, iterations=_STEPS, renewals=1)
-    predicted, states = follow(data, first.model, work)
-    runs = free_runs(data, first.model, states, work)
+    return _driven_on(data, first.model, work)
+
+
+def last_part_from_nothing(data: Recorded, effects: Sequence[Candidate], work: Executor) -> LastPart:
+    """Fit a model to the first part of a recording alone, from nothing, and let it drive into the last part.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording of a whole road.
+    effects : sequence of Candidate
+        What the model has beyond the base model, for all drivers.
+    work : Executor
+        Runs the filters.
+
+    Returns
+    -------
+    LastPart
+        Errors in the last part.
+    """
+    whole = data.trajectories
+    assert whole is not None
+    first = prepare(replace(whole, position_m=whole.position_m[: _last_part_begins(data)]))
+    return _driven_on(data, fit_from_nothing(replace(first, even=data.even), effects, work).model, work)
+
+
+def _last_part_begins(data: Recorded) -> int:
+    """First sample of the last part."""
+    return int(_FITTED * data.samples)
+
+
+def _driven_on(data: Recorded, model: Model, work: Executor) -> LastPart:
+    """Errors in the last part of a model."""
+    begin = _last_part_begins(data)
+    predicted, states = follow(data, model, work)
+    runs = free_runs(data, model, states, work)
     chosen = runs.start >= begin
     cut = {name: values[chosen] for name, values in vars(runs).items()}
     return LastPart(FreeRuns(**cut), np.nansum(predicted.log_likelihood[:, begin:], axis=1), data.vicinity.period_s)

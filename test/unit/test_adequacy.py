@@ -241,6 +241,20 @@ def test_additions_that_do_worse_where_they_were_not_fitted_explain_nothing(own)
     assert judge(own.data, evidence_of(own, named=[lost, replace(lost, worse=())])).outcome == "explained"
 
 
+def test_additions_whose_free_runs_get_worse_explain_nothing(own):
+    runs = own.before.runs
+    worse = replace(own.before, runs=replace(runs, coupled=1.5 * runs.coupled, single=1.5 * runs.single))
+    found = judge(own.data, evidence_of(own, named=[replace(added(own, "drag", {"c0": 0.3}), after=worse)]))
+    base_m, off_m = own.before.free_run_10s_m, worse.free_run_10s_m
+    told_of = f"its free runs get worse: after 10 s they end {off_m:.2g} m off instead of {base_m:.2g} m"
+    assert found.outcome == "not_explained"
+    assert found.reasons[0].startswith(told_of)
+    # a little worse, within what counts as the same
+    little = replace(own.before, runs=replace(runs, coupled=1.02 * runs.coupled, single=1.02 * runs.single))
+    named = [replace(added(own, "drag", {"c0": 0.3}), after=little)]
+    assert judge(own.data, evidence_of(own, named=named)).outcome == "explained"
+
+
 def test_drivers_of_another_law_are_not_explained():
     d = diagnose(recording("fvdm"), quick=True, workers=2)
     assert d.adequacy.outcome == "not_explained"

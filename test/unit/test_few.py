@@ -9,14 +9,16 @@ import pytest
 
 from sugiyama_ros.diagnosis import few_screen
 from sugiyama_ros.diagnosis import search as searching
+from sugiyama_ros.diagnosis import use as using
 from sugiyama_ros.diagnosis.candidacy import LEAST_GAIN, Candidacy, NullGains
 from sugiyama_ros.diagnosis.candidates import candidates
 from sugiyama_ros.diagnosis.few import Few, cost_of, fit_few, rises, who_shows
 from sugiyama_ros.diagnosis.few_screen import chosen, fits_of_few, shown_by_few
 from sugiyama_ros.diagnosis.free_runs import FreeRuns
+from sugiyama_ros.diagnosis.refits import fit_from_nothing
 from sugiyama_ros.diagnosis.screen import FULL, QUICK, Screened, with_candidate
 from sugiyama_ros.diagnosis.search import LEVEL, Search
-from sugiyama_ros.diagnosis.use import Goal, LastPart, drivers_worse, last_part, purpose_of, worse_where
+from sugiyama_ros.diagnosis.use import Goal, LastPart, Use, drivers_worse, last_part, purpose_of, worse_where
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, defaults
 from sugiyama_ros.effects.registry import ROW, index_of, switch_on
 from sugiyama_ros.errors import InputError
@@ -301,6 +303,30 @@ def test_a_model_drives_into_the_part_that_it_was_not_fitted_to(fitted, work):
     assert found.runs.start.min() >= 0.6 * len(data.fold)
     assert found.drivers.shape == (CARS,)
     assert worse_where(found, found, "simulation") == ()
+
+
+def test_for_simulations_models_are_fitted_to_the_first_part_alone(fitted, patch, grown, work, monkeypatch):
+    data, base = fitted
+    driven = []
+
+    def drive_on(data, model, work):
+        driven.append(model)
+        return LastPart(runs(1.0), np.zeros(CARS), 10.0)
+
+    monkeypatch.setattr(using, "_driven_on", drive_on)
+    use, one = Use(data, base, "simulation", work), SimpleNamespace(form=patch.name, drivers=())
+    assert use.worse([one], grown, base) == ()
+    # nothing of the last part can be in the model: it is the model of a recording that ends before
+    whole = data.trajectories
+    early = prepare(replace(whole, position_m=whole.position_m[: int(0.6 * data.samples)]))
+    expected = [fit_from_nothing(replace(early, even=data.even), effects, work) for effects in ([patch], [])]
+    for model, fit in zip(driven, expected, strict=True):
+        np.testing.assert_array_equal(model.rows, fit.model.rows)
+    # models are kept; what cannot be fitted from nothing begins with the fit to the whole recording
+    assert use.worse([one], grown, base) == ()
+    assert len(driven) == 2
+    assert use.worse([SimpleNamespace(form="a force", drivers=())], grown, base) == ()
+    assert len(driven) == 4
 
 
 def test_drivers_who_get_worse_are_listed():
