@@ -50,9 +50,9 @@ def main(source: Path, document: Path) -> None:
         row("base", fitted)
         possible = {c.name: c for c in candidates(early)}
         for named in json.loads(document.read_text())["verdict"]["effects"]:
-            if named["name"] in possible:
-                fitted = with_candidate(early, fitted, possible[named["name"]], work)
-                row(f"+ {named['name']}", fitted)
+            if named["form"] in possible:
+                fitted = with_candidate(early, fitted, possible[named["form"]], work)
+                row(f"+ {named['form']}", fitted)
             else:
                 covariate = COVARIATES[round(named["parameters"]["covariate"]) - 1]
                 look = next(look for force, look in discover(early, fitted, work) if force.covariate == covariate)
