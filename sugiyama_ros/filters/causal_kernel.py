@@ -131,7 +131,7 @@ def _parts(
 
 
 @kernel(allocates=False)
-def _begin_sample(c: int, t: int, m: int, observed: Observed, filters: _Filters, shared: _Shared, scene: Scene) -> bool:
+def _begin_sample(c: int, t: int, m: int, observed: Observed, filters: _Filters, shared: _Shared) -> bool:
     """Forget vehicle m of chain c if it has gone; returns whether a vehicle is there at sample t."""
     state, identity = state_of(c, filters.abreast, filters.known), observed.identity[c]
     if m == 0:
@@ -156,7 +156,7 @@ def _meet(
     if m == 0:
         predicted.innovation[c, t], predicted.innovation_var[c, t] = np.nan, np.nan
         predicted.log_likelihood[c, t] = np.nan
-    if not _begin_sample(c, t, m, observed, filters, shared, scene):
+    if not _begin_sample(c, t, m, observed, filters, shared):
         return
     state, parameters, waited = state_of(c, filters.abreast, filters.known), filters.parameters[c], filters.waited[c]
     mean, known, position, circumference = state.mean, state.known, observed.position[c, t, m], scene.circumference_m
