@@ -1,8 +1,8 @@
 """Judgement of candidates: their gains, compared with the gains that chance gives where nothing is missing."""
 
 import math
-from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterable, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,6 +10,7 @@ from scipy.stats import t as student
 
 from sugiyama_ros.diagnosis.candidates import Candidate
 from sugiyama_ros.diagnosis.chance import COMMON, of_best, spread_of_next
+from sugiyama_ros.diagnosis.glance import Glance, glance, promises
 from sugiyama_ros.diagnosis.screen import Effort, Screened, closer, screen
 from sugiyama_ros.effects.registry import effect
 from sugiyama_ros.fit.cross_validation import Gain, gain, held_out_nearly
@@ -183,13 +184,20 @@ def null_gains(
 
     def one_run(pair: tuple[Recorded, JointFit]) -> list[float]:
         simulated, fitted = pair
-        looks = (screen(simulated, fitted, candidate, work, effort) for candidate in chosen)
-        return [closer(simulated, look, work).gain for look in looks]
+        return [_gain_there(simulated, fitted, candidate, effort, work) for candidate in chosen]
 
     gains = at_once(one_run, simulations, "comparing with simulations", on_progress)
     drivers = len(simulations[0][1].model.rows)
     by_candidate = {c.name: list(one) for c, one in zip(chosen, zip(*gains, strict=True), strict=True)}
     return NullGains(by_candidate, {c.name: chance_scale(c, drivers) for c in chosen})
+
+
+def _gain_there(simulated: Recorded, fitted: JointFit, candidate: Candidate, effort: Effort, work: Executor) -> float:
+    """Gain of a candidate on a simulated recording [nats]; none where a glance promises nothing."""
+    seen = glance(simulated, fitted, candidate, work)
+    if not promises(simulated, fitted, seen):
+        return 0.0
+    return closer(simulated, screen(simulated, fitted, candidate, work, effort, seen), work).gain
 
 
 def heldout_gains(data: Recorded, current: JointFit, scored: Sequence[Candidacy]) -> dict[str, Gain]:
@@ -212,13 +220,15 @@ def chance_scale(candidate: Candidate, drivers: int) -> float:
     return math.sqrt(0.5 * parameters_added(candidate, drivers))
 
 
-def smallest_detectable(looks: Sequence[Screened], null: NullGains) -> dict[str, float]:
+def smallest_detectable(glances: Iterable[Glance], base: JointFit, null: NullGains) -> dict[str, float]:
     """Return the strength from which each effect would usually have shown in these data.
 
     Parameters
     ----------
-    looks : sequence of Screened
-        Rough fits of the candidates.
+    glances : iterable of Glance
+        Glances at the candidates.
+    base : JointFit
+        The model without them.
     null : NullGains
         Gains by chance.
 
@@ -228,17 +238,16 @@ def smallest_detectable(looks: Sequence[Screened], null: NullGains) -> dict[str,
         Value of the first parameter of each effect, by the name of the effect.
     """
     found = {}
-    for look in looks:
-        if look.candidate.kind == "constants" or look.candidate.glanced:
+    for seen in glances:
+        candidate, loss = seen.candidate, seen.loss(base)
+        if candidate.kind == "constants" or candidate.is_variant or loss <= 0.0 or not candidate.starts[0]:
             continue
-        if look.loss <= 0.0 or not look.candidate.starts[0]:
-            continue
-        start = float(np.max(look.loss_at[look.candidate.places[0]]))
-        scaled = start * float(np.sqrt(null.needed / look.loss))
+        start = float(np.max(seen.worst[candidate.places[0]]))
+        scaled = start * float(np.sqrt(null.needed / loss))
         # a smaller limit is a stronger effect
-        if effect(look.candidate.name).is_limit:
+        if effect(candidate.name).is_limit:
             scaled = start * start / scaled
-        found[look.candidate.name] = scaled
+        found[candidate.name] = scaled
     return found
 
 

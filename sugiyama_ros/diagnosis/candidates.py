@@ -44,8 +44,8 @@ class Candidate:
         Whether the candidate changes only noises.
     mechanism : str
         Name of the mechanism, of which the candidate may be one form among others; ``name`` if left out.
-    glanced : bool
-        Whether the candidate is screened only if a glance promises something.
+    is_variant : bool
+        Whether no smallest strength is told of it: another form of a mechanism, a part of the utility, a push.
     elsewhere : float
         Gain [nats] that the choice of a place or of a car brings by chance (look-elsewhere effect).
     drivers : tuple of int
@@ -61,7 +61,7 @@ class Candidate:
     strengths: tuple[int, ...] = ()
     is_noise: bool = False
     mechanism: str = ""
-    glanced: bool = False
+    is_variant: bool = False
     elsewhere: float = 0.0
     drivers: tuple[int, ...] = ()
 
@@ -187,7 +187,7 @@ def candidates(data: Recorded) -> tuple[Candidate, ...]:
                 strengths=strengths if has_signs else (),
                 is_noise=e.is_noise,
                 mechanism=MECHANISM[e.name],
-                glanced=e.stage == UTILITY or MECHANISM[e.name] != e.name,
+                is_variant=e.stage == UTILITY or MECHANISM[e.name] != e.name,
             )
         )
     return tuple(found)

@@ -19,8 +19,8 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.candidacy import LEAST_GAIN
 from sugiyama_ros.diagnosis.candidates import Candidate, added
 from sugiyama_ros.diagnosis.chance import of_best
+from sugiyama_ros.diagnosis.near import joined
 from sugiyama_ros.diagnosis.response import predicted, predicted_by_driver
-from sugiyama_ros.diagnosis.screen import joined
 from sugiyama_ros.effects.registry import EFFECTS, index_of
 from sugiyama_ros.fit.joint import JointFit, maximise, objectives, renewed, rise
 from sugiyama_ros.fit.model import Model

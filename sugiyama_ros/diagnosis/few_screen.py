@@ -5,7 +5,7 @@ strength of their own. Where the gains of a few drivers stand out, the effect is
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 
@@ -14,13 +14,13 @@ import numpy as np
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.candidates import Candidate, added
 from sugiyama_ros.diagnosis.few import LEVEL_OF_FEW, Few, FitOfFew, at_most, cost_of, fit_few, switches_of
-from sugiyama_ros.diagnosis.glance import best_forms
-from sugiyama_ros.diagnosis.screen import differences
+from sugiyama_ros.diagnosis.forms import best_forms
+from sugiyama_ros.diagnosis.glance import Glance
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.recording import Recorded
-from sugiyama_ros.fit.score import evaluate
-from sugiyama_ros.fit.slopes import Column, sums
+from sugiyama_ros.fit.score import predict_drivers
+from sugiyama_ros.fit.slopes import Column, column, sums
 from sugiyama_ros.progress import OnStage
 from sugiyama_ros.workers import at_once
 
@@ -50,7 +50,12 @@ class ShownByFew:
 
 
 def shown_by_few(
-    data: Recorded, base: JointFit, possible: Sequence[Candidate], work: Executor, on_progress: OnStage
+    data: Recorded,
+    base: JointFit,
+    possible: Sequence[Candidate],
+    work: Executor,
+    on_progress: OnStage,
+    seen: Mapping[str, Glance] | None = None,
 ) -> list[ShownByFew]:
     """Predict for each effect which few drivers would gain most by it.
 
@@ -66,6 +71,8 @@ def shown_by_few(
         Runs the filters.
     on_progress : callable
         Called with the name of the stage, the number of steps done, and the number of all steps.
+    seen : mapping of str to Glance, optional
+        Glances at effects beside the same model, by name.
 
     Returns
     -------
@@ -77,7 +84,8 @@ def shown_by_few(
         return []
 
     def look(candidate: Candidate) -> ShownByFew:
-        gains = [g for k in _starts(candidate) for g in _gains(data, base, candidate, k, work)]
+        known = (seen or {}).get(candidate.name)
+        gains = [g for k in _starts(candidate) for g in _gains(data, base, candidate, k, known, work)]
         few, gain = max((chosen(g) for g in gains), key=lambda one: one[1])
         return ShownByFew(candidate, few, gain - math.log(len(gains)))
 
@@ -158,15 +166,20 @@ def _starts(candidate: Candidate) -> Sequence[int]:
     return numbers[:: 1 if len(numbers) <= _MOST_STARTS else 2]
 
 
-def _gains(data: Recorded, base: JointFit, candidate: Candidate, number: int, work: Executor) -> list[Array]:
+def _gains(
+    data: Recorded, base: JointFit, candidate: Candidate, number: int, seen: Glance | None, work: Executor
+) -> list[Array]:
     """Predict what each driver would gain (N,) [nats] by an effect at one of its starts, scaled for this driver.
 
     A strength of either sign is predicted for each sign, because those who share an effect share its sign.
     """
     there = added(base.model, candidate, candidate.starts[number])
-    new = differences(base.samples, evaluate(data, there, work), 1.0, there.rows)
+    new = dict(seen.changes[number]) if seen else {}
+    others = [i for i in range(data.drivers) if i not in new]
+    for i, at in zip(others, predict_drivers(data, there, others, work), strict=True):
+        new[i] = column(base.samples.of(i), at, 1.0, there.rows[i])
     signs = (1.0, -1.0) if ROW.declared[switches_of(candidate)[0]].lower < 0.0 else (1.0,)
-    slopes, scales = np.array(_scaled(data, base, new)).T
+    slopes, scales = np.array(_scaled(data, base, [new[i] for i in range(data.drivers)])).T
     return [np.where(sign * scales > 0.0, 0.5 * slopes * scales, 0.0) for sign in signs]
 
 

@@ -71,7 +71,7 @@ def push_candidate(data: Recorded, samples: PointwiseDensity) -> Candidate | Non
         summary=EFFECT.summary,
         strengths=(index["strength"],),
         elsewhere=math.log(max(places, 1.0)),
-        glanced=True,
+        is_variant=True,
     )
 
 

@@ -4,7 +4,6 @@ The search screens candidates on the data and on data simulated from the model w
 The approximations are the same in both cases, so they cancel.
 """
 
-from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
@@ -12,14 +11,15 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.candidates import Candidate, added
-from sugiyama_ros.diagnosis.response import predicted
+from sugiyama_ros.diagnosis.glance import Glance, glance, promised
+from sugiyama_ros.diagnosis.near import differences, joined
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.filters.measurement import weigh_samples
 from sugiyama_ros.fit.joint import JointFit, maximise, objective, solve
 from sugiyama_ros.fit.model import Model, coordinate, value
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import PointwiseDensity, evaluate
-from sugiyama_ros.fit.slopes import Column, Slopes, column, difference_steps, sums
+from sugiyama_ros.fit.slopes import Column, Slopes, difference_steps
 
 # Maximum number of steps of a closer look, and smallest predicted gain [nats] of a further step.
 _CLOSER, _LEAST_PREDICTED = 4, 0.4
@@ -43,8 +43,6 @@ class Effort:
         Steps of a full fit, and how often it computes derivatives again.
     refits : int
         Number of simulated recordings to which the final model is fitted from nothing.
-    drivers : int
-        Starts of a search are compared on this many drivers, or up to twice as many.
     """
 
     runs: int
@@ -54,7 +52,6 @@ class Effort:
     steps: int
     renewals: int
     refits: int
-    drivers: int = 11
 
 
 #: Effort of a diagnosis. Constants that compensate for a missing effect need many steps.
@@ -77,22 +74,22 @@ class Screened:
         Rise of the log posterior [nats] over the model without the candidate, in sample.
     predicted_gain : float
         Further gain [nats] that the next step may add.
-    loss : float
-        Fall of the log posterior [nats] at the start ``loss_at``, after the other parameters have responded. An effect
-        of this strength would have gained as much if it existed.
-    loss_at : dict of int to float
-        A start of the search: values by place.
     """
 
     candidate: Candidate
     fit: JointFit
     gain: float
     predicted_gain: float
-    loss: float
-    loss_at: dict[int, float | Array]
 
 
-def screen(data: Recorded, base: JointFit, candidate: Candidate, work: Executor, effort: Effort = FULL) -> Screened:
+def screen(
+    data: Recorded,
+    base: JointFit,
+    candidate: Candidate,
+    work: Executor,
+    effort: Effort = FULL,
+    seen: Glance | None = None,
+) -> Screened:
     """Add a candidate to a fitted model, by a few steps from the best of its starts.
 
     Parameters
@@ -107,36 +104,29 @@ def screen(data: Recorded, base: JointFit, candidate: Candidate, work: Executor,
         Runs the filters.
     effort : Effort
         Limits of the search.
+    seen : Glance, optional
+        An earlier glance at the candidate, beside the same model.
 
     Returns
     -------
     Screened
         The rough fit.
     """
-    some, tried = _starts(data, base, candidate, work, effort.drivers)
-    here = base.samples.only(some)
-    worst = int(np.argmin([likelihood for likelihood, _, _ in tried]))
-    loss = (here.total - tried[worst][0]) * data.drivers / len(some)
-    promised, model, at = max(tried, key=lambda one: one[0])
+    seen = seen or glance(data, base, candidate, work)
 
     def look_from(start: Model, there: PointwiseDensity) -> Screened:
         slopes = _slopes_at(data, base, candidate, start, there, work)
-        return _first_steps(
-            data,
-            base,
-            Screened(candidate, JointFit(start, there, slopes), 0.0, 0.0, loss, candidate.starts[worst]),
-            work,
-            effort,
-        )
+        return _first_steps(data, base, Screened(candidate, JointFit(start, there, slopes), 0.0, 0.0), work, effort)
 
+    model = added(base.model, candidate, candidate.starts[seen.best])
     if candidate.strengths:
-        strongest = added(base.model, candidate, _strongest(data, base, here, candidate, tried))
+        strongest = added(base.model, candidate, _strongest(data, base, seen))
         look = look_from(strongest, evaluate(data, strongest, work))
-        if look.gain >= 0.0 or promised <= here.total:
+        if look.gain >= 0.0 or max(seen.likelihoods) <= base.samples.only(seen.some).total:
             return look
         # what acts strongly was scaled too far: its samples are not proportional to its strength
-        return max(look, look_from(model, _of_all(data, model, at, some, work)), key=lambda one: one.gain)
-    return look_from(model, _of_all(data, model, at, some, work))
+        return max(look, look_from(model, _of_all(data, model, seen, work)), key=lambda one: one.gain)
+    return look_from(model, _of_all(data, model, seen, work))
 
 
 def _slopes_at(
@@ -154,32 +144,12 @@ def _slopes_at(
     return joined(data, base, model, at, new)
 
 
-def _of_all(data: Recorded, model: Model, at: PointwiseDensity, some: range, work: Executor) -> PointwiseDensity:
-    """The samples of all drivers, of whom some are known."""
-    others = [i for i in range(data.drivers) if i not in some]
-    rest = evaluate(data, model, work, others)
-    for i in others:
-        at.put(i, rest.of(i))
-    return at
-
-
-def _starts(
-    data: Recorded, base: JointFit, candidate: Candidate, work: Executor, drivers: int
-) -> tuple[range, list[tuple[float, Model, PointwiseDensity]]]:
-    """Some drivers, and of each start the predicted likelihood, the model and the samples of these drivers.
-
-    drivers: number of drivers on whom the starts are compared, or up to twice as many.
-    """
-    is_only = len(candidate.starts) == 1
-    some = range(0, data.drivers, 1 if is_only else max(1, data.drivers // drivers))
-    tried = []
-    for start in candidate.starts:
-        model = added(base.model, candidate, start)
-        # a parameter that only becomes free changes nothing yet
-        is_same = not start and set(base.model.shared) <= set(model.shared)
-        at = base.samples.only(some) if is_same else evaluate(data, model, work, some)
-        tried.append((predicted(base, model, at), model, at))
-    return some, tried
+def _of_all(data: Recorded, model: Model, seen: Glance, work: Executor) -> PointwiseDensity:
+    """The samples of all drivers at the best start of a glance, which knows them for some drivers."""
+    samples = evaluate(data, model, work, [i for i in range(data.drivers) if i not in seen.some])
+    for i, known in seen.at.items():
+        samples.put(i, known)
+    return samples
 
 
 def screen_again(
@@ -276,41 +246,16 @@ def forecast(data: Recorded, before: JointFit, look: Screened, current: JointFit
     return reached - objective(current.slopes, current.model, everywhere)
 
 
-def _strongest(
-    data: Recorded,
-    base: JointFit,
-    here: PointwiseDensity,
-    candidate: Candidate,
-    tried: Sequence[tuple[float, Model, PointwiseDensity]],
-) -> dict[int, float | Array]:
-    """The start with the largest predicted gain after scaling its strengths to fit the samples; values by place.
-
-    The changes of the samples at a start serve as derivatives, so no filter runs. here: samples of the base model, for
-    the drivers on whom the starts were tried; tried: predicted likelihood, model and samples of each start.
-    """
-    steps, (ray, *_) = [], candidate.strengths
-    model = replace(base.model, shared=(*base.model.shared, ray))
-    for _, start, there in tried:
-        new = {ray: differences(here, there, 1.0, start.rows)}
-        steps.append(solve(joined(data, base, model, here, new), model, range(FOLDS), 1e-3))
-    best = int(np.argmax([step.predicted_gain for step in steps]))
-    scale = float(steps[best].shared[-1])
+def _strongest(data: Recorded, base: JointFit, seen: Glance) -> dict[int, float | Array]:
+    """The start with the largest predicted gain after scaling its strengths to fit the samples; values by place."""
+    gains, scales = promised(data, base, seen)
+    best = int(np.argmax(gains))
     return {
-        k: float(np.clip(scale * v, ROW.declared[k].lower, ROW.declared[k].upper)) if k in candidate.strengths else v
-        for k, v in candidate.starts[best].items()
+        k: float(np.clip(scales[best] * v, ROW.declared[k].lower, ROW.declared[k].upper))
+        if k in seen.candidate.strengths
+        else v
+        for k, v in seen.candidate.starts[best].items()
     }
-
-
-def joined(
-    data: Recorded, base: JointFit, model: Model, at: PointwiseDensity, new: dict[int, list[Column]]
-) -> tuple[Slopes, ...]:
-    """Slopes at a model near ``base``: derivatives of ``base``, and ``new`` derivatives by the other parameters."""
-    known, places = [*base.model.individual, *base.model.shared], (*model.individual, *model.shared)
-    found = []
-    for i, (s, row) in enumerate(zip(base.slopes, model.rows, strict=True)):
-        columns = [s.columns[known.index(k)] if k in known else new[k][i] for k in places]
-        found.append(sums(at.of(i), columns, row, data.fold[i]))
-    return tuple(found)
 
 
 def _columns(fitted: JointFit) -> dict[int, list[Column]]:
@@ -326,8 +271,3 @@ def _column(data: Recorded, model: Model, at: PointwiseDensity, place: int, work
     rows = model.rows.copy()
     rows[:, place] = value(coordinates + step, [place])[:, 0]
     return differences(at, evaluate(data, replace(model, rows=rows), work), step, model.rows)
-
-
-def differences(at: PointwiseDensity, there: PointwiseDensity, step: float, rows: Array) -> list[Column]:
-    """Difference quotients of every driver's samples; rows: (N, WIDTH)."""
-    return [column(at.of(i), there.of(i), step, row) for i, row in enumerate(rows)]

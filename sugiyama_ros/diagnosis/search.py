@@ -30,10 +30,11 @@ from sugiyama_ros.diagnosis.doubts import wrong_signs
 from sugiyama_ros.diagnosis.errors import HeldOutErrors, held_out_errors, searched_errors
 from sugiyama_ros.diagnosis.few import who_shows
 from sugiyama_ros.diagnosis.few_screen import ShownByFew, fits_of_few, shown_by_few
-from sugiyama_ros.diagnosis.glance import best_forms, worth_screening
+from sugiyama_ros.diagnosis.forms import best_forms
+from sugiyama_ros.diagnosis.looks import Looks
 from sugiyama_ros.diagnosis.placing import converged
 from sugiyama_ros.diagnosis.push import push_candidate
-from sugiyama_ros.diagnosis.screen import FULL, QUICK, Screened, closer, forecast, refine, screen, screen_again
+from sugiyama_ros.diagnosis.screen import FULL, QUICK, Screened, closer, refine
 from sugiyama_ros.diagnosis.telling_apart import indistinguishable
 from sugiyama_ros.diagnosis.use import ANYTHING, Goal, Use
 from sugiyama_ros.fit.cross_validation import Gain, gain
@@ -49,8 +50,6 @@ LEVEL = 0.05
 _RIVAL = 0.5
 # Nothing predicts more than it fits: beyond so many times the gain of the fit, a step to a held-out model failed.
 _FEIGNED = 1.1
-# Number of candidates that are screened again after the first round.
-_LATER_LOOKS = 8
 
 
 class Search:
@@ -118,8 +117,8 @@ class Search:
         push = push_candidate(data, base.samples)
         self._possible = only_those((*candidates(data), *((push,) if push else ())), goal.only)
         self.searched = tuple(dict.fromkeys(c.mechanism for c in self._possible))
-        self._seen: dict[str, tuple[JointFit, Screened]] = {}
         self.effort = QUICK if quick else FULL
+        self._looks = Looks(data, base, work, self.effort, LEAST_GAIN)
         self.current = base
         self.before = self.errors = held_out_errors(data, base, work, searched=not quick)
         self.named: list[Addition] = []
@@ -174,7 +173,8 @@ class Search:
         if self.named or not others:
             return None
         other = copy(self)
-        other.named, other.refused, other.senseless, other._seen, other._few_gained = [], [], [], dict(self._seen), {}
+        other.named, other.refused, other.senseless, other._few_gained = [], [], [], {}
+        other._looks = self._looks.copy()
         other._take(max(others, key=lambda one: one.heldout.nats))
         return other if other.named else None
 
@@ -182,7 +182,8 @@ class Search:
         """Effects by which a few drivers may gain more than all drivers by what was found (gained) [nats]."""
         known = {*self.current.model.individual, *self.current.model.shared}
         possible = [c for c in self._possible if known.isdisjoint(c.places) and self._few_gained.get(c.name, 1.0) > 0.0]
-        shown = shown_by_few(self.data, self.current, possible, self._work, self._on_progress)
+        seen = self._looks.glances if self.current is self.base else {}
+        shown = shown_by_few(self.data, self.current, possible, self._work, self._on_progress, seen)
         self._few_gained |= {one.candidate.name: one.gain for one in shown}
         return [one for one in shown if one.gain > max(_RIVAL * gained, FULL_SHARE * shown[0].gain, LEAST_GAIN)]
 
@@ -206,7 +207,7 @@ class Search:
 
     def forget(self) -> None:
         """Give up the looks at candidates, which take memory; no round can follow."""
-        self._seen.clear()
+        self._looks.forget()
 
     def add_force(self, forces: Sequence[tuple[Discovery, Screened]]) -> bool:
         """Add the first force that predicts better, and return whether there is one."""
@@ -221,19 +222,17 @@ class Search:
 
     def _look_at_all(self) -> list[Candidacy]:
         """Screen the candidates, and fit the most promising ones in full; the best candidate first."""
-        is_first = not self._seen
+        is_first = self._looks.is_first_round
         title = f"round {len(self.named) + 1}"
-        if is_first:
-            chosen = worth_screening(self.data, self.current, self._possible, self._work, self._on_progress)
-        else:
-            chosen = self._worth_a_look()
-        looks = best_forms(at_once(self._look, chosen, f"{title}: candidates", self._on_progress))
+        chosen = self._looks.worth_a_look(self._possible, self.current, self._on_progress)
+        look_at = partial(self._looks.look, current=self.current)
+        looks = best_forms(at_once(look_at, chosen, f"{title}: candidates", self._on_progress))
         promising = self._shortlist(looks)
         step = partial(closer, self.data, work=self._work)
         again = at_once(step, [looks[k] for k in promising], f"{title}: looking closer", self._on_progress)
         for k, look in zip(promising, again, strict=True):
             looks[k] = look
-        self._seen |= {look.candidate.name: (self.current, look) for look in looks}
+        self._looks.keep(looks, self.current)
         # simulate only where the result is open: not for hopeless gains, and not for obvious ones
         open_ = [k for k in promising if not is_obvious(self.data, looks[k])]
         doubtful = [k for k in open_ if self._judge(looks[k]).p_value <= LEVEL]
@@ -260,7 +259,7 @@ class Search:
         scored = sorted([*fitted, *(one for one in scored if one not in hopeful)], key=lambda one: -one.score)
         if is_first:
             self.heldout = heldout_gains(self.data, self.current, scored)
-            self.smallest = smallest_detectable(looks, null)
+            self.smallest = smallest_detectable(self._looks.glances.values(), self.current, null)
             self.scored = [one.without_fits(self.base) for one in scored]
         return scored
 
@@ -316,23 +315,9 @@ class Search:
 
     def _shortlist(self, looks: Sequence[Screened]) -> list[int]:
         """Numbers of the looks to follow; in later rounds: those with the largest gains above chance."""
-        if self._seen:
+        if not self._looks.is_first_round:
             return sorted(range(len(looks)), key=lambda k: -self._judge(looks[k]).score)[: self.effort.later]
         return shortlist(looks, self.effort)
-
-    def _worth_a_look(self) -> list[Candidate]:
-        """The candidates with the largest predicted gains over the current model, from earlier looks."""
-        seen = [c for c in self._possible if c.name in self._seen]
-        return sorted(seen, key=lambda c: -forecast(self.data, *self._seen[c.name], self.current))[:_LATER_LOOKS]
-
-    def _look(self, candidate: Candidate) -> Screened:
-        """Screen a candidate from the end of an earlier look, or from the start if the earlier look leads nowhere."""
-        before = self._seen.get(candidate.name)
-        if before and before[1].gain > 0.0:
-            again = screen_again(self.data, self.current, *before, self._work, self.effort)
-            if again.gain > 0.0 or again.predicted_gain < LEAST_GAIN:
-                return again
-        return screen(self.data, self.current, candidate, self._work, self.effort)
 
     def _in_full(self, one: Candidacy) -> Candidacy:
         """Fit a candidate in full; the gain by chance still comes from rough fits."""

@@ -14,8 +14,8 @@ from sugiyama_ros.driver.parameters import REFERENCE_HORIZON, UTILITY, horizon_a
 from sugiyama_ros.jit import kernel
 
 #: Acceleration of the last vehicle of a chain: correlation over the reference period and std [m/s^2] of its shock.
-#: Maximum likelihood on the positions of single vehicles gives a std of 0.2 to 0.4 in the Sugiyama ring, and in simulations
-#: 0.1 (free flow) to 0.6 (dense traffic). The less it is, the larger is kappa_v: at 0.5 it is 0.2 standard errors
+#: Maximum likelihood on the positions of single vehicles gives a std of 0.2 to 0.4 in the Sugiyama ring, and 0.1 (free
+#: flow) to 0.6 (dense traffic) in simulations. The less it is, the larger is kappa_v: at 0.5 it is 0.2 standard errors
 #: too large on the ring, and 0.4 too small in a short platoon behind a first car.
 LAST_RHO, LAST_SHOCK_STD = 0.9, 0.5
 #: A vehicle is known by nothing, by one position, or by position and speed.

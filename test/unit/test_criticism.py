@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 import yaml
 
+from sugiyama_ros.diagnosis import glance
 from sugiyama_ros.diagnosis.candidates import named
 from sugiyama_ros.diagnosis.diagnosis import diagnose
 from sugiyama_ros.diagnosis.errors import errors_of
 from sugiyama_ros.diagnosis.free_runs import free_runs
-from sugiyama_ros.diagnosis.screen import FULL, screen
+from sugiyama_ros.diagnosis.screen import screen
 from sugiyama_ros.diagnosis.use import Goal
 from sugiyama_ros.diagnosis.verdict import document, sentences
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, defaults
@@ -113,12 +114,11 @@ def test_a_change_of_preferences_is_found_at_its_time(work):
 
 
 @pytest.mark.parametrize("some", [3, 11])
-def test_a_patch_is_found_whether_some_or_all_drivers_compare_starts(work, some):
+def test_a_patch_is_found_whether_some_or_all_drivers_compare_starts(work, monkeypatch, some):
     """Drivers 0, 2, 4 and 6 choose among twelve places as well as all drivers do."""
     data = prepare(recording("slow_patch", reduction=0.15, centre=50.0, width=30.0).measured)
-    look = screen(
-        data, fit_base(data, INDIVIDUAL, work), *named(data, ["slow_patch"]), work, replace(FULL, drivers=some)
-    )
+    monkeypatch.setattr(glance, "_DRIVERS", some)
+    look = screen(data, fit_base(data, INDIVIDUAL, work), *named(data, ["slow_patch"]), work)
     found = dict(zip(look.candidate.parameters, look.fit.model.rows[0, look.candidate.places], strict=True))
     # Wilks: three parameters gain 7.8 nats by chance in one of 1000 recordings
     assert look.gain > 7.8

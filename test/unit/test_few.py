@@ -109,7 +109,7 @@ def test_the_choice_of_drivers_seldom_gains_by_chance():
 def test_only_what_predicts_better_hides_a_few_drivers(fitted, patch, grown, work, monkeypatch, predicts, hides):
     data, base = fitted
     search = Search(data, base, True, 0, work, on_progress=lambda *_: None)
-    look = Screened(patch, grown, gain=1000.0, predicted_gain=1000.0, loss=0.0, loss_at={})
+    look = Screened(patch, grown, gain=1000.0, predicted_gain=1000.0)
     supported = Candidacy(look, grown, 1000.0, 0.0, 1.0, p_value=0.0, p_alone=0.0, refined=True)
     added = SimpleNamespace(kind="effect", form=patch.name, fit=grown, heldout=Gain(50.0, 1.0, ()), drivers=())
     asked = []
@@ -129,7 +129,7 @@ def test_a_quick_search_simulates_more_before_it_names(
     # 20 nats against two simulations that gain nothing; four more may gain more
     data, base = fitted
     search = Search(data, base, True, 0, work, goal=Goal(only=(patch.name,)), on_progress=lambda *_: None)
-    look = Screened(patch, grown, gain=20.0, predicted_gain=0.0, loss=0.0, loss_at={})
+    look = Screened(patch, grown, gain=20.0, predicted_gain=0.0)
     asked = []
 
     def null_gains(simulations, candidates, effort, work, on_progress):
@@ -153,7 +153,7 @@ def test_a_large_gain_is_obvious_unless_samples_are_far_apart(fitted, patch, gro
     data, base = fitted
     sparse = replace(data, every=every)
     search = Search(data, base, True, 0, work, goal=Goal(only=(patch.name,)), on_progress=lambda *_: None)
-    look, simulated = Screened(patch, grown, gain=119.0, predicted_gain=0.0, loss=0.0, loss_at={}), []
+    look, simulated = Screened(patch, grown, gain=119.0, predicted_gain=0.0), []
 
     def null_gains(simulations, candidates, effort, work, on_progress):
         simulated.append(candidates)

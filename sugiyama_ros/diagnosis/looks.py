@@ -1,0 +1,108 @@
+"""What has been seen of the candidates, from round to round of a search."""
+
+from collections.abc import Iterable, Sequence
+from concurrent.futures import Executor
+
+from sugiyama_ros.diagnosis.candidates import Candidate
+from sugiyama_ros.diagnosis.glance import Glance, beyond_chance, glance, worth_screening
+from sugiyama_ros.diagnosis.screen import Effort, Screened, forecast, screen, screen_again
+from sugiyama_ros.fit.joint import JointFit
+from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.progress import OnStage
+from sugiyama_ros.workers import at_once
+
+# Number of candidates that are screened again after the first round.
+_LATER_LOOKS = 8
+
+
+class Looks:
+    """Glances and looks at candidates.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    base : JointFit
+        The fitted model beside which the glances fall.
+    work : Executor
+        Runs the filters.
+    effort : Effort
+        Limits of the search.
+    least : float
+        A look that leads nowhere and predicts less than this gain [nats] is not repeated from the start.
+
+    Attributes
+    ----------
+    glances : dict of str to Glance
+        Glances beside ``base``, by the name of the candidate.
+    """
+
+    def __init__(self, data: Recorded, base: JointFit, work: Executor, effort: Effort, least: float) -> None:
+        self._data, self._base, self._work, self._effort, self._least = data, base, work, effort, least
+        self.glances: dict[str, Glance] = {}
+        self._seen: dict[str, tuple[JointFit, Screened]] = {}
+
+    @property
+    def is_first_round(self) -> bool:
+        """Whether no candidate has been looked at yet."""
+        return not self._seen
+
+    def copy(self) -> "Looks":
+        """Return a copy that can be kept up to date by itself."""
+        other = Looks(self._data, self._base, self._work, self._effort, self._least)
+        other.glances, other._seen = self.glances, dict(self._seen)
+        return other
+
+    def forget(self) -> None:
+        """Give up everything, which takes memory."""
+        self.glances = {}
+        self._seen = {}
+
+    def keep(self, looks: Iterable[Screened], current: JointFit) -> None:
+        """Keep looks beside the current model."""
+        self._seen |= {look.candidate.name: (current, look) for look in looks}
+
+    def worth_a_look(
+        self, possible: Sequence[Candidate], current: JointFit, on_progress: OnStage
+    ) -> Sequence[Candidate]:
+        """Return the candidates that promise something: after a glance at each, or by earlier looks and glances.
+
+        Parameters
+        ----------
+        possible : sequence of Candidate
+            The candidates.
+        current : JointFit
+            The current model.
+        on_progress : callable
+            Called with the name of the stage, the number of steps done, and the number of all steps.
+
+        Returns
+        -------
+        sequence of Candidate
+            All that promise something in the first round, a few later.
+        """
+        if self.is_first_round:
+
+            def at(candidate: Candidate) -> Glance:
+                return glance(self._data, self._base, candidate, self._work)
+
+            found = at_once(at, possible, "first glances", on_progress)
+            self.glances = {one.candidate.name: one for one in found}
+            return worth_screening(self._data, self._base, self.glances)
+
+        def gain_of(candidate: Candidate) -> float:
+            if candidate.name in self._seen:
+                return forecast(self._data, *self._seen[candidate.name], current)
+            return beyond_chance(self._data, current, self.glances[candidate.name])
+
+        return sorted(possible, key=gain_of, reverse=True)[:_LATER_LOOKS]
+
+    def look(self, candidate: Candidate, current: JointFit) -> Screened:
+        """Screen a candidate from the end of an earlier look, or from the start if the earlier look leads nowhere."""
+        before = self._seen.get(candidate.name)
+        if before and before[1].gain > 0.0:
+            again = screen_again(self._data, current, *before, self._work, self._effort)
+            if again.gain > 0.0 or again.predicted_gain < self._least:
+                return again
+        seen = self.glances[candidate.name] if current is self._base else None
+        return screen(self._data, current, candidate, self._work, self._effort, seen)
