@@ -239,10 +239,9 @@ def smallest_detectable(glances: Iterable[Glance], base: JointFit, null: NullGai
     """
     found = {}
     for seen in glances:
-        candidate, loss = seen.candidate, seen.loss(base)
-        if candidate.kind == "constants" or candidate.is_variant or loss <= 0.0 or not candidate.starts[0]:
+        candidate, (start, loss) = seen.candidate, seen.lost(base)
+        if candidate.kind == "constants" or candidate.is_variant or loss <= 0.0:
             continue
-        start = float(np.max(seen.worst[candidate.places[0]]))
         scaled = start * float(np.sqrt(null.needed / loss))
         # a smaller limit is a stronger effect
         if effect(candidate.name).is_limit:

@@ -84,7 +84,8 @@ def shown_by_few(
         return []
 
     def look(candidate: Candidate) -> ShownByFew:
-        known = (seen or {}).get(candidate.name)
+        # a glance looks at several strengths one at a time
+        known = (seen or {}).get(candidate.name) if len(candidate.strengths) < 2 else None
         gains = [g for k in _starts(candidate) for g in _gains(data, base, candidate, k, known, work)]
         few, gain = max((chosen(g) for g in gains), key=lambda one: one[1])
         return ShownByFew(candidate, few, gain - math.log(len(gains)))

@@ -4,6 +4,7 @@ A glance predicts the gain of a fit well, because the changes of the samples at 
 strength. Most candidates have nothing to do with the data, so most of them need nothing more.
 """
 
+from collections import defaultdict
 from collections.abc import Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
@@ -36,37 +37,64 @@ class Glance:
         The candidate.
     some : range
         Numbers of the drivers.
+    starts : tuple of dict of int to float or ndarray
+        The starts, each with one strength at a time if there are several strengths.
     changes : tuple of dict of int to Column
         Changes of the samples of each of these drivers at each start.
     likelihoods : tuple of float
         Predicted log-likelihood of these drivers at each start, after their parameters have responded [nats].
     at : dict of int to DriverDensity
-        Samples of each of these drivers at the start with the largest likelihood.
+        Samples of each of these drivers at the best start.
     """
 
     candidate: Candidate
     some: range
+    starts: tuple[dict[int, float | Array], ...]
     changes: tuple[dict[int, Column], ...]
     likelihoods: tuple[float, ...]
     at: dict[int, DriverDensity]
 
     @property
-    def best(self) -> int:
-        """Number of the start with the largest likelihood."""
-        return int(np.argmax(self.likelihoods))
+    def best(self) -> dict[int, float | Array]:
+        """The start with the largest likelihood."""
+        return self.starts[int(np.argmax(self.likelihoods))]
 
     @property
-    def worst(self) -> dict[int, float | Array]:
-        """The start with the smallest likelihood."""
-        return self.candidate.starts[int(np.argmin(self.likelihoods))]
+    def together(self) -> list[list[int]]:
+        """Numbers of starts that differ only in which of several strengths they have."""
+        if len(self.candidate.strengths) < 2:
+            return [[number] for number in range(len(self.starts))]
+        groups = defaultdict(list)
+        for number, start in enumerate(self.starts):
+            groups[tuple(v for k, v in start.items() if k not in self.candidate.strengths)].append(number)
+        return list(groups.values())
 
-    def loss(self, base: JointFit) -> float:
-        """Return the fall of the log-likelihood of all drivers at ``worst`` [nats].
+    def ray(self, number: int) -> int:
+        """Return the place of the parameter that stands for all that a start changes."""
+        return next((k for k in self.candidate.strengths if self.starts[number][k]), self.candidate.places[0])
+
+    def lost(self, base: JointFit) -> tuple[float, float]:
+        """Return the smallest or largest first parameter of a start, and what all drivers lose at it [nats].
 
         An effect of this strength would have gained as much if it existed.
+
+        Parameters
+        ----------
+        base : JointFit
+            The model beside which the glance fell.
+
+        Returns
+        -------
+        value, loss : float
+            Of the start at which they lose most; 0 if the candidate has none.
         """
-        here = base.samples.only(self.some).total
-        return (here - min(self.likelihoods)) * len(base.slopes) / len(self.some)
+        first = self.candidate.places[0]
+        numbers = [k for k, start in enumerate(self.starts) if self.ray(k) == first and first in start]
+        if not numbers:
+            return 0.0, 0.0
+        worst = min(numbers, key=lambda k: self.likelihoods[k])
+        lost = base.samples.only(self.some).total - self.likelihoods[worst]
+        return float(np.max(self.starts[worst][first])), lost * len(base.slopes) / len(self.some)
 
 
 def glance(data: Recorded, base: JointFit, candidate: Candidate, work: Executor) -> Glance:
@@ -92,7 +120,8 @@ def glance(data: Recorded, base: JointFit, candidate: Candidate, work: Executor)
     some = range(0, data.drivers, 1 if candidate.happens_once else max(1, data.drivers // _DRIVERS))
     likelihoods, changes = [], []
     best: PointwiseDensity | None = None
-    for start in candidate.starts:
+    starts = _one_at_a_time(candidate)
+    for start in starts:
         model = added(base.model, candidate, start)
         # a parameter that only becomes free changes nothing yet
         is_same = not start and set(base.model.shared) <= set(model.shared)
@@ -104,11 +133,23 @@ def glance(data: Recorded, base: JointFit, candidate: Candidate, work: Executor)
     assert best is not None
     # copies, because the arrays have places for all drivers
     samples = {i: DriverDensity(*(values.copy() for values in best.of(i))) for i in some}
-    return Glance(candidate, some, tuple(changes), tuple(likelihoods), samples)
+    return Glance(candidate, some, starts, tuple(changes), tuple(likelihoods), samples)
 
 
-def promised(data: Recorded, base: JointFit, seen: Glance) -> tuple[Array, Array]:
-    """Predict the gain of a candidate and the multiple of its strengths that gains it, from a glance.
+def _one_at_a_time(candidate: Candidate) -> tuple[dict[int, float | Array], ...]:
+    """The starts of a candidate, each with one of its strengths at a time."""
+    if len(candidate.strengths) < 2:
+        return candidate.starts
+    return tuple(
+        start | {other: 0.0 for other in candidate.strengths if other != k}
+        for start in candidate.starts
+        for k in candidate.strengths
+        if np.any(start[k])
+    )
+
+
+def promised(data: Recorded, base: JointFit, seen: Glance) -> tuple[float, dict[int, float | Array]]:
+    """Predict the gain of a candidate, and the start that gains it, from a glance.
 
     Parameters
     ----------
@@ -121,23 +162,27 @@ def promised(data: Recorded, base: JointFit, seen: Glance) -> tuple[Array, Array
 
     Returns
     -------
-    gains : ndarray, shape (S,)
-        Predicted gain of all drivers [nats] from each start.
-    scales : ndarray, shape (S,)
-        Multiple of the start's strengths.
+    gain : float
+        Predicted gain of all drivers [nats].
+    start : dict of int to float or ndarray
+        The start with the largest predicted gain, with its strengths scaled to fit the samples; values by place.
     """
-    ray = (seen.candidate.strengths or seen.candidate.places)[0]
-    model = replace(base.model, shared=(*base.model.shared, ray))
     here, nothing = base.samples.only(seen.some), (no_density(data.samples),) * 3
     # the prior alone moves the drivers whose samples are left out
     anyway = solve(joined(data, base, base.model, here, {}), base.model, range(FOLDS), 1e-3).predicted_gain
-    gains, scales = [], []
-    for change in seen.changes:
-        new = {ray: [change.get(i, nothing) for i in range(data.drivers)]}
+    found = []
+    for numbers in seen.together:
+        rays = {seen.ray(number): number for number in numbers}
+        known = len(base.model.shared)
+        model = replace(base.model, shared=(*base.model.shared, *rays))
+        new = {k: [seen.changes[number].get(i, nothing) for i in range(data.drivers)] for k, number in rays.items()}
         step = solve(joined(data, base, model, here, new), model, range(FOLDS), 1e-3)
-        gains.append((step.predicted_gain - anyway) * data.drivers / len(seen.some))
-        scales.append(float(step.shared[-1]))
-    return np.array(gains), np.array(scales)
+        start = dict(seen.starts[numbers[0]])
+        for (k, number), scale in zip(rays.items(), step.shared[known:].tolist(), strict=True):
+            start[k] = scale * seen.starts[number][k]
+        found.append((step.predicted_gain - anyway, start))
+    gain, start = max(found, key=lambda one: one[0])
+    return gain * data.drivers / len(seen.some), start
 
 
 def beyond_chance(data: Recorded, base: JointFit, seen: Glance) -> float:
@@ -161,7 +206,7 @@ def beyond_chance(data: Recorded, base: JointFit, seen: Glance) -> float:
     if seen.candidate.individual or not any(seen.candidate.starts):
         return float("inf")
     right_there = (max(seen.likelihoods) - base.samples.only(seen.some).total) * data.drivers / len(seen.some)
-    return max(float(promised(data, base, seen)[0].max()), right_there) - seen.candidate.elsewhere
+    return max(promised(data, base, seen)[0], right_there) - seen.candidate.elsewhere
 
 
 def promises(data: Recorded, base: JointFit, seen: Glance) -> bool:

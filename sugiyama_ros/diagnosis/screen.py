@@ -118,7 +118,7 @@ def screen(
         slopes = _slopes_at(data, base, candidate, start, there, work)
         return _first_steps(data, base, Screened(candidate, JointFit(start, there, slopes), 0.0, 0.0), work, effort)
 
-    model = added(base.model, candidate, candidate.starts[seen.best])
+    model = added(base.model, candidate, seen.best)
     if candidate.strengths:
         strongest = added(base.model, candidate, _strongest(data, base, seen))
         look = look_from(strongest, evaluate(data, strongest, work))
@@ -247,14 +247,11 @@ def forecast(data: Recorded, before: JointFit, look: Screened, current: JointFit
 
 
 def _strongest(data: Recorded, base: JointFit, seen: Glance) -> dict[int, float | Array]:
-    """The start with the largest predicted gain after scaling its strengths to fit the samples; values by place."""
-    gains, scales = promised(data, base, seen)
-    best = int(np.argmax(gains))
+    """The start with the largest predicted gain, whose strengths are scaled to fit the samples; values by place."""
+    strengths = seen.candidate.strengths
     return {
-        k: float(np.clip(scales[best] * v, ROW.declared[k].lower, ROW.declared[k].upper))
-        if k in seen.candidate.strengths
-        else v
-        for k, v in seen.candidate.starts[best].items()
+        k: float(np.clip(v, ROW.declared[k].lower, ROW.declared[k].upper)) if k in strengths else v
+        for k, v in promised(data, base, seen)[1].items()
     }
 
 

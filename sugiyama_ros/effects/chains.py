@@ -60,10 +60,18 @@ def any_of(places: Ints, row: Array) -> bool:
     return False
 
 
-def _places(effect: Effect) -> tuple[int, int, int, int]:
-    """Find the slice of an effect's parameters in a row, and the indices of the first and the last switch."""
-    at = [ROW.index_of(effect.name, name) for name in effect.switches]
-    return ROW.places[effect.name].start, ROW.places[effect.name].stop, at[0], at[-1]
+def _places(effect: Effect) -> tuple[int, int, Any]:
+    """Find the slice of an effect's parameters in a row, and make a function that says whether a row has it off."""
+    at = tuple(ROW.index_of(effect.name, name) for name in effect.switches)
+
+    @kernel(cached=False, inline=True)
+    def is_off(row: Array) -> bool:
+        for k in at:  # noqa: SIM110 (numba has no all())
+            if row[k] != 0.0:
+                return False
+        return True
+
+    return ROW.places[effect.name].start, ROW.places[effect.name].stop, is_off
 
 
 @kernel(cached=False)
@@ -74,13 +82,13 @@ def nothing_perceived(seen: Seen, row: Array) -> Seen:
 
 def then_perceive(before: Hook, effect: Effect) -> Hook:
     """Add an effect that changes how the driver perceives the gap and the speeds."""
-    first, last, switch, other = _places(effect)
+    first, last, is_off = _places(effect)
     perceive: Any = effect.function
 
     @kernel(cached=False)
     def perceived(seen: Seen, row: Array) -> Seen:
         seen = before(seen, row)
-        if row[switch] == 0.0 and row[other] == 0.0:
+        if is_off(row):
             return seen
         gap, speed, leader_speed = perceive(seen, row[first:last])
         return with_view(seen, gap, speed, leader_speed)
@@ -96,13 +104,13 @@ def nothing_preferred(v_star: float, kappa_v: float, seen: Seen, row: Array) -> 
 
 def then_prefer(before: Hook, effect: Effect) -> Hook:
     """Add an effect that changes the desired speed and the risk premium."""
-    first, last, switch, other = _places(effect)
+    first, last, is_off = _places(effect)
     prefer: Any = effect.function
 
     @kernel(cached=False)
     def preferred(v_star: float, kappa_v: float, seen: Seen, row: Array) -> tuple[float, float]:
         v_star, kappa_v = before(v_star, kappa_v, seen, row)
-        if row[switch] == 0.0 and row[other] == 0.0:
+        if is_off(row):
             return v_star, kappa_v
         v_star, kappa_v = prefer(v_star, kappa_v, seen, row[first:last])
         return v_star, kappa_v
@@ -123,7 +131,7 @@ def then_value(before: Hook, effect: Effect) -> Hook:
     The loop over the actions stands inside, so that an effect that is off costs one comparison and not one for each
     action.
     """
-    first, last, switch, other = _places(effect)
+    first, last, is_off = _places(effect)
     component: Any = effect.function
 
     @kernel(cached=False)
@@ -144,7 +152,7 @@ def then_value(before: Hook, effect: Effect) -> Hook:
         stride: int,
     ) -> None:
         before(seen, actions, period, horizon, row, driver, out, stride)
-        if row[switch] == 0.0 and row[other] == 0.0:
+        if is_off(row):
             return
         p = row[first:last]
         for k in range(len(actions)):
@@ -161,13 +169,13 @@ def nothing_actuated(acceleration: float, seen: Seen, row: Array) -> float:
 
 def then_actuate(before: Hook, effect: Effect) -> Hook:
     """Add an effect that changes the intended acceleration."""
-    first, last, switch, other = _places(effect)
+    first, last, is_off = _places(effect)
     actuate: Any = effect.function
 
     @kernel(cached=False)
     def actuated(acceleration: float, seen: Seen, row: Array) -> float:
         acceleration = before(acceleration, seen, row)
-        if row[switch] == 0.0 and row[other] == 0.0:
+        if is_off(row):
             return acceleration
         return float(actuate(acceleration, seen, row[first:last]))
 
@@ -182,13 +190,13 @@ def nothing_pushes(seen: Seen, row: Array) -> float:
 
 def then_push(before: Hook, effect: Effect) -> Hook:
     """Add an effect of the environment that accelerates or brakes the car."""
-    first, last, switch, other = _places(effect)
+    first, last, is_off = _places(effect)
     push: Any = effect.function
 
     @kernel(cached=False)
     def pushed(seen: Seen, row: Array) -> float:
         total = before(seen, row)
-        if row[switch] == 0.0 and row[other] == 0.0:
+        if is_off(row):
             return float(total)
         return float(total + push(seen, row[first:last]))
 
@@ -203,13 +211,13 @@ def all_changed(wanted: float, period: float, row: Array) -> float:
 
 def then_change(before: Hook, effect: Effect) -> Hook:
     """Add an effect that limits how much of a wanted change is carried out."""
-    first, last, switch, other = _places(effect)
+    first, last, is_off = _places(effect)
     change: Any = effect.memory.change if effect.memory else None
 
     @kernel(cached=False)
     def changed(wanted: float, period: float, row: Array) -> float:
         wanted = before(wanted, period, row)
-        if row[switch] == 0.0 and row[other] == 0.0:
+        if is_off(row):
             return wanted
         return float(change(wanted, period, row[first:last]))
 
@@ -224,13 +232,13 @@ def all_expected(wanted: float, variance: float, period: float, row: Array) -> t
 
 def then_expect(before: Hook, effect: Effect) -> Hook:
     """Add an effect with memory to the moments; between two links the change counts as normally distributed."""
-    first, last, switch, other = _places(effect)
+    first, last, is_off = _places(effect)
     expect: Any = effect.memory.expected_change if effect.memory else None
 
     @kernel(cached=False)
     def expected(wanted: float, variance: float, period: float, row: Array) -> tuple[float, float, float]:
         mean, slope, left = before(wanted, variance, period, row)
-        if row[switch] == 0.0 and row[other] == 0.0:
+        if is_off(row):
             return mean, slope, left
         spread = slope * slope * variance + left
         mean, by_wanted, new = expect(mean, spread, period, row[first:last])
@@ -247,13 +255,13 @@ def no_factor(at: float, row: Array) -> float:
 
 def then_factor(before: Hook, effect: Effect) -> Hook:
     """Add an effect that multiplies the std of the acceleration noise by a factor."""
-    first, last, switch, other = _places(effect)
+    first, last, is_off = _places(effect)
     factor_of: Any = effect.noise_factor
 
     @kernel(cached=False)
     def factor(speed: float, row: Array) -> float:
         factor = before(speed, row)
-        if row[switch] == 0.0 and row[other] == 0.0:
+        if is_off(row):
             return float(factor)
         return float(factor * factor_of(speed, row[first:last]))
 
@@ -268,13 +276,13 @@ def no_displacement(position: float, circumference: float, row: Array) -> tuple[
 
 def then_displace(before: Hook, effect: Effect) -> Hook:
     """Add an effect that displaces measured positions."""
-    first, last, switch, other = _places(effect)
+    first, last, is_off = _places(effect)
     displacement: Any = effect.displacement
 
     @kernel(cached=False)
     def displaced(position: float, circumference: float, row: Array) -> tuple[float, float]:
         offset, slope = before(position, circumference, row)
-        if row[switch] == 0.0 and row[other] == 0.0:
+        if is_off(row):
             return offset, slope
         more, steeper = displacement(position, circumference, row[first:last])
         return offset + more, slope + steeper
@@ -290,13 +298,13 @@ def no_measurement_factor(position: float, circumference: float, row: Array) -> 
 
 def then_measurement_factor(before: Hook, effect: Effect) -> Hook:
     """Add an effect that multiplies the std of the measurement noise by a factor."""
-    first, last, switch, other = _places(effect)
+    first, last, is_off = _places(effect)
     factor_of: Any = effect.measurement_noise_factor
 
     @kernel(cached=False)
     def factor(position: float, circumference: float, row: Array) -> float:
         factor = before(position, circumference, row)
-        if row[switch] == 0.0 and row[other] == 0.0:
+        if is_off(row):
             return float(factor)
         return float(factor * factor_of(position, circumference, row[first:last]))
 
@@ -311,12 +319,12 @@ def never_bad(innovation: float, variance: float, noise_var: float, row: Array) 
 
 def then_weigh(before: Hook, effect: Effect) -> Hook:
     """Add an effect that weighs measurements; the last effect that acts decides."""
-    first, last, switch, other = _places(effect)
+    first, last, is_off = _places(effect)
     weigh: Any = effect.contamination.weigh if effect.contamination else None
 
     @kernel(cached=False)
     def weighed(innovation: float, variance: float, noise_var: float, row: Array) -> tuple[float, float, float]:
-        if row[switch] == 0.0 and row[other] == 0.0:
+        if is_off(row):
             probability, wide, density = before(innovation, variance, noise_var, row)
         else:
             probability, wide, density = weigh(innovation, variance, noise_var, row[first:last])

@@ -36,7 +36,7 @@ def _starts(recording: RecordingExtent) -> tuple[Values, ...]:
 
 
 def _starts_of_distortion(recording: RecordingExtent) -> tuple[Values, ...]:
-    some = {"cosine_2": 0.1, "sine_2": 0.1, "cosine_3": 0.0, "sine_3": 0.0}
+    some = {"cosine_2": 0.1, "sine_2": 0.1, "cosine_3": 0.1, "sine_3": 0.1}
     return (some,) if recording.circumference_m else ()
 
 
