@@ -214,7 +214,7 @@ def test_the_document_has_all_fields(hidden):
         assert {f"free_run_{h}s_m" for h in (2, 5, 10)} | {"one_step_rmse_m", "single_car_10s_m"} < set(errors)
     gains = [c["heldout_gain_nats"] for c in found["candidates"]]
     assert gains == sorted(gains, reverse=True)
-    assert {c["name"] for c in found["candidates"]} >= {"reaction_delay", "slow_patch", "noise_constants"}
+    assert {c["name"] for c in found["candidates"]} >= {"slow_patch", "noise_constants", "rationality"}
     assert {"outcome", "better_law", "bins_flagged", "bins_expected", "explained_share", "reasons"} == set(
         found["verdict"]["adequacy"]
     )

@@ -139,7 +139,7 @@ def test_a_quick_search_simulates_more_before_it_names(
 
     monkeypatch.setattr(searching, "null_gains", null_gains)
     monkeypatch.setattr(searching, "closer", lambda data, look, work: look)
-    monkeypatch.setattr(search, "_look", lambda candidate: look)
+    monkeypatch.setattr(search._looks, "look", lambda candidate, current: look)
     monkeypatch.setattr(search, "_in_full", lambda one: replace(one, refined=True))
     monkeypatch.setattr(search, "simulations", lambda runs=0: [None] * max(runs, QUICK.runs))
     (one,) = search._look_at_all()
@@ -162,9 +162,9 @@ def test_a_large_gain_is_obvious_unless_samples_are_far_apart(fitted, patch, gro
     search.data = sparse
     monkeypatch.setattr(searching, "null_gains", null_gains)
     monkeypatch.setattr(searching, "closer", lambda data, look, work: look)
-    monkeypatch.setattr(search, "_seen", {"another": None})
-    monkeypatch.setattr(search, "_worth_a_look", lambda: [patch])
-    monkeypatch.setattr(search, "_look", lambda candidate: look)
+    search._looks.keep([replace(look, candidate=replace(patch, name="another"))], base)
+    monkeypatch.setattr(search._looks, "worth_a_look", lambda *_: [patch])
+    monkeypatch.setattr(search._looks, "look", lambda candidate, current: look)
     monkeypatch.setattr(search, "_in_full", lambda one: replace(one, refined=True))
     monkeypatch.setattr(search, "simulations", lambda runs=0: [None] * max(runs, QUICK.runs))
     (one,) = search._look_at_all()

@@ -6,6 +6,8 @@ import pytest
 
 from sugiyama_ros.diagnosis import orders
 from sugiyama_ros.diagnosis.addition import Addition
+from sugiyama_ros.diagnosis.looks import Looks
+from sugiyama_ros.diagnosis.screen import QUICK, Screened
 from sugiyama_ros.diagnosis.search import Search
 from sugiyama_ros.fit.cross_validation import Gain
 
@@ -75,15 +77,17 @@ def addition(name, nats):
 def test_both_orders_begin_with_a_memory_of_their_own():
     search = Search.__new__(Search)
     search.named, search.refused, search.senseless = [], [], []
-    search._seen, search._few_gained = {"drag": None}, {"drag": 1.0}
+    search._looks, search._few_gained = Looks(None, "base", None, QUICK, 5.0), {"drag": 1.0}
     search._use = SimpleNamespace(worse=lambda additions, fitted, before: (), refuses=False)
     search.current, search._possible = "base", ()
     drag, more, less = addition("drag", 9.0), addition("response_constants", 8.0), addition("outlier_noise", 7.0)
     other = search._with_constants_elsewhere(drag, [drag, less, more])
     assert ([one.name for one in other.named], other.current) == (["response_constants"], "response_constants")
     assert (search.named, search.current) == ([], "base")
-    other._seen["road_grade"] = other._few_gained["road_grade"] = None
-    assert "road_grade" not in {*search._seen, *search._few_gained}
+    other._looks.keep([Screened(SimpleNamespace(name="road_grade"), None, 0.0, 0.0)], "base")
+    other._few_gained["road_grade"] = 1.0
+    assert search._looks.is_first_round
+    assert "road_grade" not in search._few_gained
     # what begins with constants is compared with what begins with an effect
     assert search._with_constants_elsewhere(more, [more, drag]).named[0].name == "drag"
     assert search._with_constants_elsewhere(drag, [drag, less]) is None
