@@ -284,12 +284,14 @@ class Search:
         grown = converged(data, fitted, candidate, work)
         after = held_out_errors(data, grown, work, searched=not self.quick)
         won = gain(data, after.samples, self.errors.samples)
-        if won.nats > _FEIGNED * rise(self.current, grown) + LEAST_GAIN:
+        most = _FEIGNED * rise(self.current, grown) + LEAST_GAIN
+        if won.nats > most:
             self.errors = searched_errors(data, self.current, self.errors, work)
             self.before = self.before if self.named else self.errors
             after = searched_errors(data, grown, after, work)
             won = gain(data, after.samples, self.errors.samples)
-        if won.nats < least_gain(won, candidate):
+        # what happens once cannot be held out, but it must not seem to change what has nothing to do with it
+        if won.nats < least_gain(won, candidate) or (candidate.happens_once and won.nats > most):
             return None
         one = addition_of(candidate, grown, (self.errors, after), won, p_value, rivals)
         if wrong := wrong_signs(one, partial(shared_stds, data, grown, work)):
