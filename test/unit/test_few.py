@@ -337,3 +337,18 @@ def test_an_unknown_purpose_is_refused():
     assert purpose_of("online") == "online"
     with pytest.raises(InputError, match="--for fun: is not known; give prediction, simulation, online"):
         purpose_of("fun")
+
+
+@pytest.mark.parametrize(("gained", "is_named"), [(25.0, True), (-300.0, True), (1118.0, False)])
+def test_a_push_that_seems_to_change_everything_is_not_named(fitted, patch, grown, work, monkeypatch, gained, is_named):
+    # what happens once cannot be held out; but no push gains more elsewhere than it gains in all
+    data, base = fitted
+    search = Search(data, base, True, 0, work, on_progress=lambda *_: None)
+    push, errors = replace(patch, name="external_push", mechanism="external_push", elsewhere=6.0), search.errors
+    monkeypatch.setattr(searching, "converged", lambda data, fitted, candidate, work: grown)
+    monkeypatch.setattr(searching, "held_out_errors", lambda *_, **__: errors)
+    monkeypatch.setattr(searching, "searched_errors", lambda *_: errors)
+    monkeypatch.setattr(searching, "gain", lambda *_: Gain(gained, 1173.0, (), ()))
+    monkeypatch.setattr(searching, "rise", lambda *_: 30.0)
+    monkeypatch.setattr(searching, "wrong_signs", lambda *_: ())
+    assert (search._grow(push, grown, 1e-4) is not None) is is_named
