@@ -226,13 +226,14 @@ class Search:
         title = f"round {len(self.named) + 1}"
         chosen = self._looks.worth_a_look(self._possible, self.current, self._on_progress)
         look_at = partial(self._looks.look, current=self.current)
-        looks = best_forms(at_once(look_at, chosen, f"{title}: candidates", self._on_progress))
+        found = at_once(look_at, chosen, f"{title}: candidates", self._on_progress)
+        looks = best_forms(found)
         promising = self._shortlist(looks)
         step = partial(closer, self.data, work=self._work)
         again = at_once(step, [looks[k] for k in promising], f"{title}: looking closer", self._on_progress)
         for k, look in zip(promising, again, strict=True):
             looks[k] = look
-        self._looks.keep(looks, self.current)
+        self._looks.keep([*found, *looks], self.current)
         # simulate only where the result is open: not for hopeless gains, and not for obvious ones
         open_ = [k for k in promising if not is_obvious(self.data, looks[k])]
         doubtful = [k for k in open_ if self._judge(looks[k]).p_value <= LEVEL]
