@@ -18,6 +18,7 @@ from sugiyama_ros.diagnosis.decisions import Searched, searched_with_decisions
 from sugiyama_ros.diagnosis.discover import Discovery
 from sugiyama_ros.diagnosis.errors import HeldOutErrors, errors_of, held_out_errors
 from sugiyama_ros.diagnosis.free_runs import HORIZONS_S
+from sugiyama_ros.diagnosis.glance import Promise
 from sugiyama_ros.diagnosis.judging import judged
 from sugiyama_ros.diagnosis.law_check import closer_laws
 from sugiyama_ros.diagnosis.locate import Located, locate
@@ -62,6 +63,8 @@ class Diagnosis(Result):
         Candidates of the first round, the best one first, without their fits.
     heldout : dict of str to Gain
         Held-out gains of these candidates, by name.
+    left_out : tuple of Promise
+        Candidates that promised too little in the first round to be fitted.
     discovered : tuple of Discovery
         Forces without a name.
     before, after : HeldOutErrors
@@ -103,6 +106,7 @@ class Diagnosis(Result):
     named: tuple[Addition, ...]
     scored: tuple[Candidacy, ...]
     heldout: dict[str, Gain]
+    left_out: tuple[Promise, ...]
     discovered: tuple[Discovery, ...]
     before: HeldOutErrors
     after: HeldOutErrors
@@ -269,6 +273,7 @@ def _summed_up(
         named=tuple(search.named),
         scored=tuple(search.scored),
         heldout=search.heldout,
+        left_out=tuple(search.left_out),
         discovered=tuple(found.evidence.forces),
         before=search.before,
         after=search.errors,

@@ -8,6 +8,7 @@ from collections import defaultdict
 from collections.abc import Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -214,8 +215,19 @@ def promises(data: Recorded, base: JointFit, seen: Glance) -> bool:
     return beyond_chance(data, base, seen) > _PROMISE
 
 
-def worth_screening(data: Recorded, base: JointFit, glances: Mapping[str, Glance]) -> list[Candidate]:
-    """Return the candidates whose glance promises something; the most promising one if none does."""
-    left = {name: beyond_chance(data, base, seen) for name, seen in glances.items()}
-    best = max(left, key=lambda name: left[name])
-    return [glances[name].candidate for name, gain in left.items() if gain > _PROMISE or name == best]
+class Promise(NamedTuple):
+    """A candidate with its predicted gain [nats]."""
+
+    candidate: Candidate
+    gain: float
+
+
+def worth_screening(
+    data: Recorded, base: JointFit, glances: Mapping[str, Glance]
+) -> tuple[list[Candidate], list[Promise]]:
+    """Return the candidates whose glance promises something, or the most promising one, and what the others promise."""
+    all_ = [Promise(seen.candidate, beyond_chance(data, base, seen)) for seen in glances.values()]
+    best = max(all_, key=lambda one: one.gain)
+    is_worth = [one.gain > _PROMISE or one is best for one in all_]
+    chosen = [one.candidate for one, worth in zip(all_, is_worth, strict=True) if worth]
+    return chosen, [one for one, worth in zip(all_, is_worth, strict=True) if not worth]

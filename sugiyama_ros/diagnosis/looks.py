@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from concurrent.futures import Executor
 
 from sugiyama_ros.diagnosis.candidates import Candidate
-from sugiyama_ros.diagnosis.glance import Glance, beyond_chance, glance, worth_screening
+from sugiyama_ros.diagnosis.glance import Glance, Promise, beyond_chance, glance, worth_screening
 from sugiyama_ros.diagnosis.screen import Effort, Screened, forecast, screen, screen_again
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.recording import Recorded
@@ -35,11 +35,14 @@ class Looks:
     ----------
     glances : dict of str to Glance
         Glances beside ``base``, by the name of the candidate.
+    left_out : list of Promise
+        Candidates that were not screened in the first round.
     """
 
     def __init__(self, data: Recorded, base: JointFit, work: Executor, effort: Effort, least: float) -> None:
         self._data, self._base, self._work, self._effort, self._least = data, base, work, effort, least
         self.glances: dict[str, Glance] = {}
+        self.left_out: list[Promise] = []
         self._seen: dict[str, tuple[JointFit, Screened]] = {}
 
     @property
@@ -88,7 +91,8 @@ class Looks:
 
             found = at_once(at, possible, "first glances", on_progress)
             self.glances = {one.candidate.name: one for one in found}
-            return worth_screening(self._data, self._base, self.glances)
+            chosen, self.left_out = worth_screening(self._data, self._base, self.glances)
+            return chosen
 
         def gain_of(candidate: Candidate) -> float:
             if candidate.name in self._seen:

@@ -31,6 +31,7 @@ from sugiyama_ros.diagnosis.errors import HeldOutErrors, held_out_errors, search
 from sugiyama_ros.diagnosis.few import who_shows
 from sugiyama_ros.diagnosis.few_screen import ShownByFew, fits_of_few, shown_by_few
 from sugiyama_ros.diagnosis.forms import best_forms
+from sugiyama_ros.diagnosis.glance import Promise
 from sugiyama_ros.diagnosis.looks import Looks
 from sugiyama_ros.diagnosis.placing import converged
 from sugiyama_ros.diagnosis.push import push_candidate
@@ -84,6 +85,8 @@ class Search:
         Candidates of the first round, the best one first, without their fits.
     heldout : dict of str to Gain
         Held-out gains of these candidates, by name.
+    left_out : list of Promise
+        Mechanisms that were not screened in the first round, in the form that promises most.
     smallest : dict of str to float
         Strength from which each effect would usually have shown, by name.
     refused : list of (str, tuple of str)
@@ -124,6 +127,7 @@ class Search:
         self.named: list[Addition] = []
         self.scored: list[Candidacy] = []
         self.heldout: dict[str, Gain] = {}
+        self.left_out: list[Promise] = []
         self.smallest: dict[str, float] = {}
         self.refused: list[tuple[str, tuple[str, ...]]] = []
         self.senseless: list[tuple[str, tuple[str, ...]]] = []
@@ -213,10 +217,10 @@ class Search:
         """Add the first force that predicts better, and return whether there is one."""
         for force, look in forces:
             one = self._grow(look.candidate, refine(self.data, look, self._work), force.p_value)
-            # a curve is flexible where data are few: it may predict one step well and fail in a free run
+            # a curve is flexible where data are few: it may predict one step well and fail in free runs, or in a jam
             if one is None or one.heldout.nats < FLEXIBLE * one.heldout.se:
                 continue
-            if one.after.no_worse_than(one.before):
+            if one.after.no_worse_than(one.before) and not self._use.is_worse(one.fit, self.current):
                 return self._take(one)
         return False
 
@@ -262,6 +266,8 @@ class Search:
             self.heldout = heldout_gains(self.data, self.current, scored)
             self.smallest = smallest_detectable(self._looks.glances.values(), self.current, null)
             self.scored = [one.without_fits(self.base) for one in scored]
+            shown = {one.candidate.mechanism for one in scored}
+            self.left_out = [one for one in best_forms(self._looks.left_out) if one.candidate.mechanism not in shown]
         return scored
 
     def _predicts_more(self, one: Candidacy, now: HeldOutErrors) -> bool:

@@ -157,6 +157,12 @@ class Use:
             return worse_where(ours, last, self._purpose)
         return found
 
+    def is_worse(self, fitted: JointFit, before: JointFit) -> bool:
+        """Return whether a model is somewhere worse in the last part than another one; tracks have no last part."""
+        if not self._data.vicinity.is_whole_road:
+            return False
+        return bool(worse_where(self._last_part(fitted), self._last_part(before), self._purpose))
+
     def _of_effects(self, effects: Sequence[Candidate]) -> LastPart:
         """Errors in the last part of a model that was fitted from nothing."""
         names = tuple(one.name for one in effects)

@@ -51,21 +51,7 @@ def document(d: Diagnosis) -> dict[str, Any]:
                 for one in d.discovered
             ],
         },
-        "candidates": [
-            {
-                "name": one.candidate.name,
-                "kind": one.candidate.kind,
-                "parameters": parameters_of(one.fit, one.candidate),
-                "heldout_gain_nats": d.heldout[one.candidate.name].nats,
-                "heldout_gain_se": d.heldout[one.candidate.name].se,
-                "gain_nats": one.gain,
-                "p_value": one.p_value,
-            }
-            for one in sorted(
-                (one for one in d.scored if one.candidate.name in d.heldout),
-                key=lambda one: -d.heldout[one.candidate.name].nats,
-            )
-        ],
+        "candidates": _candidates(d),
         "where": {"before": _where(d.where_before), "after": _where(d.where_after)},
         "smallest_detectable": [
             {"name": name, "parameter": effect(name).parameters[0].name, "value": value}
@@ -84,6 +70,28 @@ def document(d: Diagnosis) -> dict[str, Any]:
         "seed": d.seed,
         "wall_s": d.wall_s,
     }
+
+
+def _candidates(d: Diagnosis) -> list[dict[str, Any]]:
+    """The candidates of the first round by their held-out gains, then those that promised too little to be fitted."""
+    fitted = [one for one in d.scored if one.candidate.name in d.heldout]
+    found = [
+        {
+            "name": one.candidate.name,
+            "kind": one.candidate.kind,
+            "parameters": parameters_of(one.fit, one.candidate),
+            "heldout_gain_nats": d.heldout[one.candidate.name].nats,
+            "heldout_gain_se": d.heldout[one.candidate.name].se,
+            "gain_nats": one.gain,
+            "p_value": one.p_value,
+        }
+        for one in sorted(fitted, key=lambda one: -d.heldout[one.candidate.name].nats)
+    ]
+    unknown = dict.fromkeys(("heldout_gain_nats", "heldout_gain_se", "p_value"))
+    return found + [
+        {"name": c.name, "kind": c.kind, "parameters": {}, "gain_nats": gain, **unknown}
+        for c, gain in sorted(d.left_out, key=lambda one: -one.gain)
+    ]
 
 
 def _judged(adequacy: Adequacy) -> dict[str, Any]:

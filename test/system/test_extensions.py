@@ -240,8 +240,8 @@ def test_effects_of_others_are_fitted_and_diagnosed(answers):
     assert "base + syrup" in {m["name"] for m in document(answers["compare"])["models"]}
     diagnosed = document(answers["diagnose"])
     assert set(STAGES) <= set(diagnosed["verdict"]["searched"])
-    # a component of the utility is fitted only if a glance at it promises something
-    assert set(STAGES) - {"gentle"} <= {c["name"] for c in diagnosed["candidates"]}
+    # some are listed with what a glance promises, which is too little for a fit
+    assert set(STAGES) <= {c["name"] for c in diagnosed["candidates"]}
 
 
 def test_a_law_of_another_package_is_a_rival(answers):
