@@ -74,8 +74,13 @@ class Glance:
         """Return the place of the parameter that stands for all that a start changes."""
         return next((k for k in self.candidate.strengths if self.starts[number][k]), self.candidate.places[0])
 
+    def rises(self, base: JointFit) -> list[float]:
+        """Return the rise of the log-likelihood from a model to each start [nats]; some drivers stand for all."""
+        here = base.samples.only(self.some).total
+        return [(there - here) * len(base.slopes) / len(self.some) for there in self.likelihoods]
+
     def lost(self, base: JointFit) -> tuple[float, float]:
-        """Return the smallest or largest first parameter of a start, and what all drivers lose at it [nats].
+        """Return the first parameter of the start at which drivers lose most, and what all drivers lose there [nats].
 
         An effect of this strength would have gained as much if it existed.
 
@@ -87,15 +92,15 @@ class Glance:
         Returns
         -------
         value, loss : float
-            Of the start at which they lose most; 0 if the candidate has none.
+            0 and 0 if no start has this parameter.
         """
         first = self.candidate.places[0]
         numbers = [k for k, start in enumerate(self.starts) if self.ray(k) == first and first in start]
         if not numbers:
             return 0.0, 0.0
-        worst = min(numbers, key=lambda k: self.likelihoods[k])
-        lost = base.samples.only(self.some).total - self.likelihoods[worst]
-        return float(np.max(self.starts[worst][first])), lost * len(base.slopes) / len(self.some)
+        rises = self.rises(base)
+        worst = min(numbers, key=lambda k: rises[k])
+        return float(np.max(self.starts[worst][first])), -rises[worst]
 
 
 def glance(data: Recorded, base: JointFit, candidate: Candidate, work: Executor) -> Glance:
@@ -206,8 +211,7 @@ def beyond_chance(data: Recorded, base: JointFit, seen: Glance) -> float:
     """
     if seen.candidate.individual or not any(seen.candidate.starts):
         return float("inf")
-    right_there = (max(seen.likelihoods) - base.samples.only(seen.some).total) * data.drivers / len(seen.some)
-    return max(promised(data, base, seen)[0], right_there) - seen.candidate.elsewhere
+    return max(promised(data, base, seen)[0], *seen.rises(base)) - seen.candidate.elsewhere
 
 
 def promises(data: Recorded, base: JointFit, seen: Glance) -> bool:

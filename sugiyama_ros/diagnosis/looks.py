@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Sequence
 from concurrent.futures import Executor
 
+from sugiyama_ros.diagnosis.candidacy import LEAST_GAIN
 from sugiyama_ros.diagnosis.candidates import Candidate
 from sugiyama_ros.diagnosis.glance import Glance, Promise, beyond_chance, glance, worth_screening
 from sugiyama_ros.diagnosis.screen import Effort, Screened, forecast, screen, screen_again
@@ -28,8 +29,6 @@ class Looks:
         Runs the filters.
     effort : Effort
         Limits of the search.
-    least : float
-        A look that leads nowhere and predicts less than this gain [nats] is not repeated from the start.
 
     Attributes
     ----------
@@ -39,8 +38,8 @@ class Looks:
         Candidates that were not screened in the first round.
     """
 
-    def __init__(self, data: Recorded, base: JointFit, work: Executor, effort: Effort, least: float) -> None:
-        self._data, self._base, self._work, self._effort, self._least = data, base, work, effort, least
+    def __init__(self, data: Recorded, base: JointFit, work: Executor, effort: Effort) -> None:
+        self._data, self._base, self._work, self._effort = data, base, work, effort
         self.glances: dict[str, Glance] = {}
         self.left_out: list[Promise] = []
         self._seen: dict[str, tuple[JointFit, Screened]] = {}
@@ -50,9 +49,13 @@ class Looks:
         """Whether no candidate has been looked at yet."""
         return not self._seen
 
+    def beside(self, current: JointFit) -> dict[str, Glance]:
+        """Return the glances that fell beside the current model, by the name of the candidate."""
+        return self.glances if current is self._base else {}
+
     def copy(self) -> "Looks":
         """Return a copy that can be kept up to date by itself."""
-        other = Looks(self._data, self._base, self._work, self._effort, self._least)
+        other = Looks(self._data, self._base, self._work, self._effort)
         other.glances, other._seen = self.glances, dict(self._seen)
         return other
 
@@ -106,7 +109,7 @@ class Looks:
         before = self._seen.get(candidate.name)
         if before and before[1].gain > 0.0:
             again = screen_again(self._data, current, *before, self._work, self._effort)
-            if again.gain > 0.0 or again.predicted_gain < self._least:
+            if again.gain > 0.0 or again.predicted_gain < LEAST_GAIN:
                 return again
-        seen = self.glances[candidate.name] if current is self._base else None
+        seen = self.beside(current).get(candidate.name)
         return screen(self._data, current, candidate, self._work, self._effort, seen)

@@ -122,7 +122,7 @@ def screen(
     if candidate.strengths:
         strongest = added(base.model, candidate, _strongest(data, base, seen))
         look = look_from(strongest, evaluate(data, strongest, work))
-        if look.gain >= 0.0 or max(seen.likelihoods) <= base.samples.only(seen.some).total:
+        if look.gain >= 0.0 or max(seen.rises(base)) <= 0.0:
             return look
         # what acts strongly was scaled too far: its samples are not proportional to its strength
         return max(look, look_from(model, _of_all(data, model, seen, work)), key=lambda one: one.gain)

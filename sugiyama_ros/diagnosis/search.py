@@ -121,7 +121,7 @@ class Search:
         self._possible = only_those((*candidates(data), *((push,) if push else ())), goal.only)
         self.searched = tuple(dict.fromkeys(c.mechanism for c in self._possible))
         self.effort = QUICK if quick else FULL
-        self._looks = Looks(data, base, work, self.effort, LEAST_GAIN)
+        self._looks = Looks(data, base, work, self.effort)
         self.current = base
         self.before = self.errors = held_out_errors(data, base, work, searched=not quick)
         self.named: list[Addition] = []
@@ -186,7 +186,7 @@ class Search:
         """Effects by which a few drivers may gain more than all drivers by what was found (gained) [nats]."""
         known = {*self.current.model.individual, *self.current.model.shared}
         possible = [c for c in self._possible if known.isdisjoint(c.places) and self._few_gained.get(c.name, 1.0) > 0.0]
-        seen = self._looks.glances if self.current is self.base else {}
+        seen = self._looks.beside(self.current)
         shown = shown_by_few(self.data, self.current, possible, self._work, self._on_progress, seen)
         self._few_gained |= {one.candidate.name: one.gain for one in shown}
         return [one for one in shown if one.gain > max(_RIVAL * gained, FULL_SHARE * shown[0].gain, LEAST_GAIN)]
