@@ -10,9 +10,9 @@ from concurrent.futures import Executor, Future
 
 import numpy as np
 
-from sugiyama_ros.diagnosis.errors import HeldOutErrors
 from sugiyama_ros.diagnosis.law_check import CLEARLY
 from sugiyama_ros.diagnosis.noises import base_model, is_clear
+from sugiyama_ros.diagnosis.rival_fits import RivalErrors
 from sugiyama_ros.diagnosis.search import Search
 from sugiyama_ros.fit.cross_validation import Gain, gain
 from sugiyama_ros.fit.joint import JointFit
@@ -25,7 +25,7 @@ from sugiyama_ros.trajectories.tracks import Tracks
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 #: A search at its end, and the fits of other laws that run beside it.
-Searched = tuple[Search, list[Future[dict[str, HeldOutErrors]]]]
+Searched = tuple[Search, list[Future[dict[str, RivalErrors]]]]
 # Shortest time [s] between two decisions that is tried.
 _SHORTEST_S = 0.1
 

@@ -1,9 +1,8 @@
 """A diagnosis: what is missing from the model, where the model fails, and how it compares with other laws."""
 
-import os
 import time
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +15,7 @@ from sugiyama_ros.diagnosis.candidates import Candidate
 from sugiyama_ros.diagnosis.chance import widening
 from sugiyama_ros.diagnosis.decisions import Searched, searched_with_decisions
 from sugiyama_ros.diagnosis.discover import Discovery
-from sugiyama_ros.diagnosis.errors import HeldOutErrors, errors_of, held_out_errors
+from sugiyama_ros.diagnosis.errors import HeldOutErrors
 from sugiyama_ros.diagnosis.free_runs import HORIZONS_S
 from sugiyama_ros.diagnosis.glance import Promise
 from sugiyama_ros.diagnosis.judging import judged
@@ -25,20 +24,20 @@ from sugiyama_ros.diagnosis.locate import Located, locate
 from sugiyama_ros.diagnosis.orders import grown
 from sugiyama_ros.diagnosis.placing import profiled
 from sugiyama_ros.diagnosis.refits import added_to_all, refits
-from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter
+from sugiyama_ros.diagnosis.rival_fits import RivalErrors, start_rivals
 from sugiyama_ros.diagnosis.search import Search
 from sugiyama_ros.diagnosis.use import ANYTHING, Goal
 from sugiyama_ros.fit.cross_validation import Gain
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.model_file import write_model
 from sugiyama_ros.fit.recording import Recorded
-from sugiyama_ros.laws.registry import LAWS, RIVALS
+from sugiyama_ros.laws.registry import LAWS
 from sugiyama_ros.plots import bars
 from sugiyama_ros.progress import OnStage
 from sugiyama_ros.results import Result
 from sugiyama_ros.trajectories.tracks import Tracks
 from sugiyama_ros.trajectories.trajectories import Trajectories
-from sugiyama_ros.workers import here_or_there, send
+from sugiyama_ros.workers import here_or_there
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -76,7 +75,8 @@ class Diagnosis(Result):
     refused : tuple of (str, tuple of str)
         Candidates that were not added because of what the model is for, or because their values make no sense, and why.
     rivals : dict of str to dict
-        Held-out errors of other laws, by name.
+        Held-out errors of other laws, by name. A quick diagnosis fits a law that is far behind to some drivers only,
+        and their number then stands beside the errors as ``drivers``.
     closer : dict of str to float
         Errors after 10 s [m] of the laws whose free runs end clearly closer than those of ``final``, the smallest
         first.
@@ -236,22 +236,22 @@ def diagnose(
         on_progress("fitting the base model", 0, 1)
 
         def searched(data: Recorded, base: JointFit) -> Searched:
-            # runs beside the search, which cannot always use all workers
-            to_beat = base.log_likelihood if quick else None
-            others = [] if verdict_only else _rivals(data, to_beat, work, cluster or aside)
             begun = Search(data, base, quick, seed, work, goal=goal, on_progress=on_progress)
+            # runs beside the search, which cannot always use all workers
+            to_beat = begun.before if quick else None
+            others = [] if verdict_only else start_rivals(data, to_beat, work, cluster or aside)
             return grown(begun, goal.most, add_forces=goal.forces and not (quick or verdict_only)), others
 
         search, others = searched_with_decisions(searched, recording, work, on_progress)
         on_progress("rival models", 0, 1)
-        rivals = {name: errors for found in others for name, errors in found.result().items()}
+        rivals = {name: one for found in others for name, one in found.result().items()}
         on_progress("finding where the model fails", 0, 1)
         return _summed_up(search, rivals, refit, work, began, on_progress)
 
 
 def _summed_up(
     search: Search,
-    rivals: dict[str, HeldOutErrors],
+    rivals: dict[str, RivalErrors],
     refit: int | None,
     work: ThreadPoolExecutor,
     began: float,
@@ -261,7 +261,7 @@ def _summed_up(
     search.forget()
     compared = ((search.base, search.before), (search.current, search.errors))
     where_before, where_after = (locate(search.data, one.model, e.samples, work) for one, e in compared)
-    laws = {name: errors for name, errors in rivals.items() if name in LAWS}
+    laws = {name: one.errors for name, one in rivals.items() if name in LAWS and one.drivers == search.data.drivers}
     found = judged(search, where_after, laws, work)
     effects = added_to_all(search.data, search.named)
     refitted = _refitted(search, effects, found.adequacy, refit, work, on_progress)
@@ -281,7 +281,7 @@ def _summed_up(
         where_after=where_after,
         smallest=search.smallest,
         refused=(*search.refused, *((name, _senseless(why)) for name, why in search.senseless)),
-        rivals={name: errors.summary() for name, errors in rivals.items()},
+        rivals={name: one.summary(search.data.drivers) for name, one in rivals.items()},
         closer=closer_laws(search.errors, laws),
         floor={"floor": found.floor},
         adequacy=found.adequacy,
@@ -311,32 +311,3 @@ def _refitted(
     """Fits from nothing to simulated recordings: as many as asked for, else only if the names explain the data."""
     runs = (search.effort.refits if adequacy.outcome == "explained" else 0) if refit is None else refit
     return refits(search.data, search.current, effects, search.seed, runs, work, on_progress)
-
-
-def _rivals(
-    data: Recorded, to_beat: float | None, work: ThreadPoolExecutor, where: Executor
-) -> list[Future[dict[str, HeldOutErrors]]]:
-    """Start the fits of all rivals: on threads of this machine beside the search, or on a cluster."""
-    if isinstance(where, ThreadPoolExecutor):
-        return [where.submit(_rival, data, work, to_beat, law) for law in RIVALS]
-    return send(where, _rival_there, (data, to_beat), RIVALS)
-
-
-def _rival_there(common: tuple[Recorded, float | None], law: str) -> dict[str, HeldOutErrors]:
-    """What ``_rival`` returns, on a worker of a cluster; common: the recording, and what is to be beaten."""
-    data, to_beat = common
-    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as work:
-        return _rival(data, work, to_beat, law)
-
-
-def _rival(data: Recorded, work: ThreadPoolExecutor, to_beat: float | None, law: str) -> dict[str, HeldOutErrors]:
-    """Errors of a rival fitted in the filter and, unless quick, of the rival fitted to gaps.
-
-    to_beat: log-likelihood of the base model in a quick diagnosis [nats].
-    """
-    quick = to_beat is not None
-    fitted = in_filter(data, law, work, to_beat)
-    found = {law: held_out_errors(data, fitted, work, searched=not quick)}
-    if not quick and has_parameters(law):
-        found[f"{law}_least_squares"] = errors_of(data, by_gaps(data, law, fitted, work), work)
-    return found

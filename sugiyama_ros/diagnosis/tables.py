@@ -40,10 +40,18 @@ def steps(diagnosis: Diagnosis) -> TextTable:
     """Return the held-out errors of the base model, after each addition, and of other laws."""
     models = [("base model", diagnosis.before.summary())]
     models += [(f"+ {added.name}", added.after.summary()) for added in diagnosis.named]
-    models += list(diagnosis.rivals.items())
+    models += [(_law(name, summary), summary) for name, summary in diagnosis.rivals.items()]
     names = _known([summary for _, summary in models])
     rows = tuple((name, *_error_cells(summary, names)) for name, summary in models)
-    return TextTable("Held-out errors, step by step", ("model", *(_ERRORS[name] for name in names)), rows, left=1)
+    title = "Held-out errors, step by step"
+    if any("drivers" in summary for _, summary in models):
+        title += "; laws that predict some drivers worse, each of them, are not fitted to the others"
+    return TextTable(title, ("model", *(_ERRORS[name] for name in names)), rows, left=1)
+
+
+def _law(name: str, summary: Mapping[str, float]) -> str:
+    """A law, with the number of drivers to whom it was fitted if there are more in the recording."""
+    return f"{name} ({summary['drivers']} drivers)" if "drivers" in summary else name
 
 
 def by_driver(drivers: Sequence[Mapping[str, Any]]) -> TextTable:
@@ -115,4 +123,5 @@ def _with_std(mean: float, std: float) -> str:
 
 
 def _error_cells(summary: Mapping[str, float], names: Sequence[str]) -> list[str]:
-    return [f"{summary[name]:.3f}" if name in _SMALL else f"{summary[name]:.2f}" for name in names]
+    values = ((summary[name], 3 if name in _SMALL else 2) for name in names)
+    return [f"{value:.{digits}f}" if math.isfinite(value) else "–" for value, digits in values]

@@ -16,6 +16,7 @@ from sugiyama_ros.fit.recording import BLOCK_S, FOLDS, Recorded, bounds_of, prep
 from sugiyama_ros.fit.sampling import apart_if_smoothed, measured, smoothed_alike, thinned, usual_decisions
 from sugiyama_ros.fit.sampling import divided as divided_recording
 from sugiyama_ros.fit.smooth_positions import Evenness, evenness_of, smoothing_window
+from sugiyama_ros.fit.some_drivers import columns_of
 from sugiyama_ros.fit.vicinity import DriverName, Vicinity
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.one_lane import numbers_of
@@ -304,15 +305,7 @@ def _run(own: Sequence[Drive]) -> int:
 
 
 def _vicinity(tracks: Tracks, drivers: Sequence[Sequence[Drive]], chains: Sequence[Chain], parts: int) -> Vicinity:
-    count, samples = len(chains), len(chains[0].position_m)
-    columns = CHAIN * count
-    position, length = np.full((samples, columns), np.nan), np.zeros((samples, columns))
-    leader = np.full((samples, columns), -1)
-    for i, chain in enumerate(chains):
-        for m in range(chain.position_m.shape[1]):
-            position[:, i + m * count], length[:, i + m * count] = chain.position_m[:, m], chain.length_m[:, m]
-            if m > 0:
-                leader[:, i + (m - 1) * count] = np.where(chain.identity[:, m] >= 0, i + m * count, -1)
+    position, length, leader = columns_of(chains)
     numbers = numbers_of(tracks)
     names = []
     for own in drivers:
@@ -323,7 +316,7 @@ def _vicinity(tracks: Tracks, drivers: Sequence[Sequence[Drive]], chains: Sequen
         position_m=position,
         length_m=length,
         leader=leader,
-        time_s=np.stack([_times(own, samples, parts) for own in drivers], axis=1),
+        time_s=np.stack([_times(own, len(position), parts) for own in drivers], axis=1),
         road=Road(tracks.about.ring_m),
         period_s=chains[0].period_s,
         is_whole_road=False,

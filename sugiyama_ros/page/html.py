@@ -63,7 +63,7 @@ def errors(d: Document) -> str:
     largest = {key: max(one.get(key) or 0.0 for one in shown.values()) for key in columns if key.endswith("_m")}
     in_mm = {key for key, value in largest.items() if value < SMALL_M}
     rows = "".join(
-        f'<tr><td><i class="swatch" style="background:{colour_of(name, d)}"></i>{escape(model_name(name))}</td>'
+        f'<tr><td><i class="swatch" style="background:{colour_of(name, d)}"></i>{escape(_fitted(name, found))}</td>'
         + "".join(f"<td>{_number(found.get(key), 1e3 if key in in_mm else 1.0, key)}</td>" for key in columns)
         + "</tr>"
         for name, found in shown.items()
@@ -71,6 +71,11 @@ def errors(d: Document) -> str:
     titles = (title.replace("[m]", "[mm]") if key in in_mm else title for key, title in columns.items())
     head = "".join(f"<th>{escape(h)}</th>" for h in ("errors on unseen data", *titles))
     return f'<div class="scroll"><table><tr>{head}</tr>{rows}</table></div>'
+
+
+def _fitted(name: str, found: Mapping[str, Any]) -> str:
+    """A model, with the number of drivers to whom it was fitted if there are more in the recording."""
+    return f"{model_name(name)}, {found['drivers']} drivers" if "drivers" in found else model_name(name)
 
 
 def _number(value: Any, scale: float, key: str) -> str:

@@ -162,7 +162,7 @@ def test_a_model_of_another_law_on_tracks_is_told(two_lanes):
 
 def test_a_cluster_gives_the_same_numbers(ring, monkeypatch):
     distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr("sugiyama_ros.diagnosis.diagnosis.RIVALS", ("idm", "constant_speed"))
+    monkeypatch.setattr("sugiyama_ros.diagnosis.rival_fits.RIVALS", ("idm", "constant_speed"))
     tracks = tracks_of(ring.measured)
     with (
         distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster,
