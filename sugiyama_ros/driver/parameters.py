@@ -245,7 +245,8 @@ def at_period(parameters: Array, period_s: float) -> Array:
     rho_scaled = rho ** (REFERENCE_HORIZON / horizon_at(period_s))
     scaled[..., RHO] = rho_scaled
     scaled[..., SIGMA_A] *= np.sqrt((1.0 - rho_scaled * rho_scaled) / (1.0 - rho * rho))
-    scaled[..., [SIGMA_X, SIGMA_V]] *= math.sqrt(period_s / REFERENCE_PERIOD_S)
+    for k in (SIGMA_X, SIGMA_V):
+        scaled[..., k] *= math.sqrt(period_s / REFERENCE_PERIOD_S)
     return scaled
 
 

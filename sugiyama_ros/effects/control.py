@@ -37,7 +37,8 @@ _factor = chain(chains.no_factor, chains.then_factor, _NOISE)
 _PERCEIVING, _PREFERRING, _VALUING = switches(_PERCEIVE), switches(_PREFER), switches(_VALUE)
 _ACTUATING, _PUSHING, _REMEMBERING, _NOISY = (switches(e) for e in (_ACTUATE, _PUSH, _REMEMBER, _NOISE))
 _FEELING = switches(e for e in (*_PERCEIVE, *_VALUE) if e.sees_accelerations)
-_LOOKING_BACK = np.array([ROW.places[e.name].start for e in EFFECTS.values() if e.looks_back], dtype=np.int64)
+#: Places of the times that drivers look back.
+LOOKING_BACK = np.array([ROW.places[e.name].start for e in EFFECTS.values() if e.looks_back], dtype=np.int64)
 
 
 @kernel(cached=False)
@@ -251,6 +252,6 @@ def feels_accelerations(row: Array) -> bool:
 def looks_back(row: Array) -> float:
     """Return how far the driver of a row (width,) looks back [s]; 0 for a driver who sees what there is now."""
     longest = 0.0
-    for k in _LOOKING_BACK:
+    for k in LOOKING_BACK:
         longest = max(longest, row[k])
     return longest

@@ -199,7 +199,7 @@ def _run(jobs: Sequence[ChainJob], adaptation: Adaptation, trace: Trace, ends: I
         drivers_at(rows, *adaptation.arrays),
         ACTIONS,
         scene_at(one.period_s, one.circumference_m, adaptation.relaxation_s),
-        max(periods_back(some, one.period_s) for some in rows),
+        periods_back(rows, one.period_s),
         predicted,
         trace,
     )
@@ -211,7 +211,10 @@ def _stacked(arrays: Sequence[Any]) -> Any:
 
     Shorter arrays are filled up with zeros, which nobody reads.
     """
-    stacked = np.zeros((len(arrays), max(map(len, arrays)), *arrays[0].shape[1:]), dtype=arrays[0].dtype)
+    lengths = {len(one) for one in arrays}
+    if len(lengths) == 1:
+        return np.array(arrays)
+    stacked = np.zeros((len(arrays), max(lengths), *arrays[0].shape[1:]), dtype=arrays[0].dtype)
     for row, one in zip(stacked, arrays, strict=True):
         row[: len(one)] = one
     return stacked

@@ -113,7 +113,7 @@ def chain_parameters(own: Array, ahead: Array | None, vehicles: int) -> Array:
     Array
         Rows at the reference period, (M, WIDTH), as all parameters here.
     """
-    rows = np.empty((vehicles, ROW.width))
-    rows[1:] = ROW.with_effects(population() if ahead is None else ahead)
-    rows[0] = ROW.with_effects(own)
+    others = population() if ahead is None else ahead
+    rows = np.zeros((vehicles, ROW.width))
+    rows[0, : len(own)], rows[1:, : others.shape[-1]] = own, others
     return rows

@@ -10,7 +10,7 @@ lies on a straight line between two periods.
 import math
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.effects.control import looks_back
+from sugiyama_ros.effects.control import LOOKING_BACK, looks_back
 from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Linearised, State
 from sugiyama_ros.jit import kernel
 
@@ -19,8 +19,8 @@ _RECALLED = 3
 
 
 def periods_back(rows: Array, period_s: float) -> int:
-    """Return the largest number of periods that the drivers of rows (N, WIDTH) look back."""
-    return max(math.ceil(looks_back(row) / period_s) for row in rows)
+    """Return the largest number of periods that the drivers of rows (..., WIDTH) look back."""
+    return math.ceil(float(rows[..., LOOKING_BACK].max(initial=0.0)) / period_s)
 
 
 @kernel

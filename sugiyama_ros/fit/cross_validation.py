@@ -14,8 +14,9 @@ from sugiyama_ros.fit.model import Model, coordinate, moved
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import PointwiseDensity, evaluate, unknown
 
-# Steps of the search from the fit to all folds to the fit without one fold.
-_STEPS_WITHOUT = 4
+# Steps of the search from the fit to all folds to the fit without one fold, and the maximum number of times that a
+# search from the fit itself computes the derivatives again: the fit is near.
+_STEPS_WITHOUT, _RENEWALS_WITHOUT = 4, 2
 # Factor of the information of drivers who are not to move.
 _SURE = 1e15
 # Limits of the change from fitted to held-out samples where the filter does not run again: innovations change by at
@@ -55,10 +56,12 @@ def without_folds(data: Recorded, fitted: JointFit, work: Executor, *, searched:
 
 def searched_without_folds(data: Recorded, fitted: JointFit, work: Executor) -> tuple[Model, ...]:
     """Return a model for every fold, fitted to the other folds by a search that starts from the fit to all folds."""
-    return tuple(
-        maximise(data, fitted, work, folds=[k for k in range(FOLDS) if k != f], iterations=2 * _STEPS_WITHOUT).model
-        for f in range(FOLDS)
-    )
+    models = []
+    for f in range(FOLDS):
+        others = [k for k in range(FOLDS) if k != f]
+        steps, renewals = 2 * _STEPS_WITHOUT, _RENEWALS_WITHOUT
+        models.append(maximise(data, fitted, work, folds=others, iterations=steps, renewals=renewals).model)
+    return tuple(models)
 
 
 def searched_by_some(

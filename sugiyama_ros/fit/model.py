@@ -84,8 +84,8 @@ class Step:
     predicted_gain: float
 
 
-def leaders(data: Recorded, model: Model, driver: int) -> Array:
-    """Return the parameters of the vehicles ahead of a driver.
+def leaders(data: Recorded, model: Model, who: Sequence[int]) -> list[Array]:
+    """Return the parameters of the vehicles ahead of some drivers.
 
     Parameters
     ----------
@@ -93,22 +93,24 @@ def leaders(data: Recorded, model: Model, driver: int) -> Array:
         The recording.
     model : Model
         The model.
-    driver : int
-        Number of the driver.
+    who : sequence of int
+        Numbers of the drivers.
 
     Returns
     -------
-    ndarray, shape (M - 1, WIDTH)
-        Rows of the vehicles in the driver's chain ahead; the row of the median driver for an unknown vehicle.
+    list of ndarray, shape (M - 1, WIDTH)
+        For each driver the rows of the vehicles in the chain ahead; the row of the median driver for an unknown
+        vehicle.
     """
-    ahead = data.ahead[driver]
+    chosen = np.asarray(who, dtype=np.int64)
+    ahead = data.ahead[chosen]
     rows: Array = model.ahead[ahead]
-    if ahead.min() < 0:
+    if (ahead < 0).any():
         rows[ahead < 0] = np.median(model.ahead, axis=0)
-    rows[:, model.shared] = model.rows[driver, model.shared]
+    rows[:, :, model.shared] = model.rows[chosen[:, None], model.shared][:, None]
     for k, _ in model.few:
-        rows[:, k] = np.where(ahead >= 0, model.rows[ahead, k], 0.0)
-    return rows[: data.chains[driver].position_m.shape[1] - 1]
+        rows[:, :, k] = np.where(ahead >= 0, model.rows[ahead, k], 0.0)
+    return [row[: data.chains[i].position_m.shape[1] - 1] for i, row in zip(chosen, rows, strict=True)]
 
 
 def coordinate(values: Array, places: Sequence[int]) -> Array:

@@ -110,7 +110,7 @@ def evaluate(data: Recorded, model: Model, work: Executor, who: Sequence[int] | 
 def predict_drivers(data: Recorded, model: Model, who: Iterable[int], work: Executor) -> list[DriverDensity]:
     """Predict the samples of the drivers in ``who``; returns one result for each, in this order."""
     numbers = list(who)
-    parts = work.map(predict_jobs, together([job_of(data, model, i) for i in numbers]))
+    parts = work.map(predict_jobs, together(jobs_of(data, model, numbers)))
     found = [one for part in parts for one in part]
     for i, one in zip(numbers, found, strict=True):
         one.log_likelihood[~data.scored[i]] = np.nan
@@ -129,9 +129,12 @@ def predict_jobs(jobs: Sequence[causal.ChainJob]) -> list[DriverDensity]:
     return [DriverDensity(*predicted) for predicted in causal.predict_samples(jobs)]
 
 
-def job_of(data: Recorded, model: Model, driver: int) -> causal.ChainJob:
-    """Return the job of filtering one driver at a model."""
-    return causal.ChainJob(data.chains[driver], model.rows[driver], leaders(data, model, driver))
+def jobs_of(data: Recorded, model: Model, who: Sequence[int]) -> list[causal.ChainJob]:
+    """Return the jobs of filtering the drivers in ``who`` at a model."""
+    return [
+        causal.ChainJob(data.chains[i], model.rows[i], ahead)
+        for i, ahead in zip(who, leaders(data, model, who), strict=True)
+    ]
 
 
 def filtered_states(data: Recorded, model: Model, work: Executor) -> Array:
@@ -175,7 +178,7 @@ def follow(data: Recorded, model: Model, work: Executor) -> tuple[PointwiseDensi
         Filtered states, as ``filtered_states`` returns them, and the logarithms of the driver's preferences if A of
         them wander in the model, in the order of their ``Adaptation``; NaN for vehicles that are no drivers.
     """
-    jobs = [job_of(data, model, i) for i in range(data.drivers)]
+    jobs = jobs_of(data, model, range(data.drivers))
     outputs = [one for part in work.map(causal.predict_states, together(jobs)) for one in part]
     y, variance, density = (np.array([o[k] for o in outputs]) for k in range(3))
     tracks = [o[3] for o in outputs]

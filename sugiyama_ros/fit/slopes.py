@@ -20,7 +20,7 @@ from sugiyama_ros.filters.causal import ChainJob
 from sugiyama_ros.filters.measurement import weigh_samples
 from sugiyama_ros.fit.model import Model, coordinate, is_linear, reach, value
 from sugiyama_ros.fit.recording import FOLDS, Recorded
-from sugiyama_ros.fit.score import DriverDensity, PointwiseDensity, evaluate, job_of, predict_jobs, together
+from sugiyama_ros.fit.score import DriverDensity, PointwiseDensity, evaluate, jobs_of, predict_jobs, together
 from sugiyama_ros.jit import kernel
 
 # Step of the difference quotients: first in a logarithm, or as part of the longest search step in a linear coordinate;
@@ -300,8 +300,8 @@ def slopes_of(
     list of Slopes
         Slopes of each of these drivers.
     """
-    chosen = range(data.drivers) if who is None else who
-    asked = [_Asked(job_of(data, model, i), samples.of(i), steps[i]) for i in chosen]
+    chosen = list(range(data.drivers) if who is None else who)
+    asked = [_Asked(job, samples.of(i), steps[i]) for i, job in zip(chosen, jobs_of(data, model, chosen), strict=True)]
     folds = together([data.fold[i] for i in chosen])
     tasks = [(part, model.individual, model.shared, fold) for part, fold in zip(together(asked), folds, strict=True)]
     return [one for part in work.map(_slopes_of, tasks) for one in part]
