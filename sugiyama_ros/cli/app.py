@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from sugiyama_ros.cli import calibrate, catalogue, data, demo, diagnose, report, run, simulate, study, view
-from sugiyama_ros.cli.memory import check_limit
+from sugiyama_ros.cli.memory import check_limit, share_heap
 
 # Without rich's markup, which would take a unit such as [m] for a style and leave it out.
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
@@ -47,3 +47,4 @@ def sugiyama(
 ) -> None:
     """Estimate how people drive, live or from recordings, and find out what the driver model lacks."""
     check_limit()
+    share_heap()

@@ -10,11 +10,14 @@ from sugiyama_ros.diagnosis.candidates import Candidate, Kind
 from sugiyama_ros.diagnosis.errors import MANY_DRIVERS, HeldOutErrors
 from sugiyama_ros.effects.registry import EFFECTS, ROW
 from sugiyama_ros.fit.cross_validation import Gain, sum_error
-from sugiyama_ros.fit.joint import JointFit
+from sugiyama_ros.fit.joint import JointFit, objectives
+from sugiyama_ros.fit.recording import FOLDS
 
 #: An effect of some drivers only, freed constants and forces without a name take so many standard errors of their
 #: held-out gain.
 FLEXIBLE = 2.0
+#: Nothing predicts more than it fits: beyond so many times the gain of the fit, a step to a held-out model failed.
+FEIGNED = 1.1
 # One of very many candidates may gain this much [nats] by chance: gains that the filter's approximations give have
 # long tails, which six simulations do not show.
 _BY_CHANCE = 20.0
@@ -148,6 +151,13 @@ def parameters_of(fitted: JointFit, candidate: Candidate) -> dict[str, float]:
     who = list(candidate.drivers) or slice(None)
     rows = np.median(fitted.model.rows[who][:, places], axis=0)
     return {ROW.declared[k].name: float(v) for k, v in zip(places, rows, strict=True)}
+
+
+def feigning(before: tuple[JointFit, HeldOutErrors], after: tuple[JointFit, HeldOutErrors]) -> list[int]:
+    """Return the numbers of the drivers who gain more held out than by the fit, from one model to another."""
+    fitted = [objectives(fit.slopes, fit.model, range(FOLDS)) for fit, _ in (before, after)]
+    held_out = [np.nansum(errors.samples.log_likelihood, axis=1) for _, errors in (before, after)]
+    return [int(i) for i in np.flatnonzero(held_out[1] - held_out[0] > FEIGNED * (fitted[1] - fitted[0]))]
 
 
 def least_gain(won: Gain, candidate: Candidate) -> float:

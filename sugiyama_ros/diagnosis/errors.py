@@ -208,11 +208,37 @@ def _mended(data: Recorded, fitted: JointFit, models: Sequence[Model], work: Exe
         yield model, samples, states
 
 
-def searched_errors(data: Recorded, fitted: JointFit, found: HeldOutErrors, work: Executor) -> HeldOutErrors:
-    """Return the held-out errors after a search for each fold from the fit, or those ``found`` if they are better."""
+def searched_errors(
+    data: Recorded, fitted: JointFit, found: HeldOutErrors, work: Executor, who: Sequence[int] | None = None
+) -> HeldOutErrors:
+    """Return the held-out errors after a search for each fold from the fit, or those ``found`` if they are better.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    fitted : JointFit
+        The model fitted to all folds.
+    found : HeldOutErrors
+        Its held-out errors so far.
+    work : Executor
+        Runs the filters.
+    who : sequence of int, optional
+        Numbers of the drivers who search; all drivers by default.
+
+    Returns
+    -------
+    HeldOutErrors
+        The better errors. They are searched for once only.
+    """
     if found.is_searched:
         return found
-    again = errors_of(data, searched_without_folds(data, fitted, work), work)
+    if who is None:
+        models = searched_without_folds(data, fitted, work)
+    else:
+        steps = without_folds(data, fitted, work, searched=False)
+        models = tuple(searched_by_some(data, fitted, one, fold, who, work) for fold, one in enumerate(steps))
+    again = errors_of(data, models, work)
     return replace(again if again.samples.total > found.samples.total else found, is_searched=True)
 
 

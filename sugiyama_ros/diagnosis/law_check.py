@@ -134,7 +134,8 @@ def check_laws(
     found: dict[str, list[tuple[float, float]]] = {name: [] for name in names}
     for simulated, model in simulations:
         for name in names:
-            law = held_out_errors(simulated, in_filter(simulated, name, work), work, searched=False)
+            fitted = in_filter(simulated, name, work, model.samples.total)
+            law = held_out_errors(simulated, fitted, work, searched=False)
             won = gain(simulated, law.samples, model.samples).nats
             found[name].append((won, log_ratio(model, law)))
     return {name: LawCheck(*zip(*pairs, strict=True)) for name, pairs in found.items() if pairs}

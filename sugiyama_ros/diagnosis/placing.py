@@ -19,8 +19,9 @@ from sugiyama_ros.fit.score import evaluate
 _TRIES = 12
 # Factors of the other parameters.
 _FACTORS = (0.8, 0.9, 0.95, 1.05, 1.1, 1.25)
-# A value elsewhere is followed if it promises at least this gain [nats].
-_WORTH = 1.0
+# A value elsewhere is followed if it promises at least this gain [nats], as far as so many drivers tell, or up to twice
+# as many.
+_WORTH, _DRIVERS = 1.0, 22
 # Fall of the log-likelihood [nats] at the ends of a 95 % interval (Wilks), and these ends in standard errors.
 _FALL, _REACH = 1.92, 1.96
 
@@ -109,19 +110,23 @@ def _elsewhere(candidate: Candidate, place: int, here: Array) -> list[Array]:
     return [here + share * float(np.diff(starts).min()) for share in shares]
 
 
-def _promised(data: Recorded, fitted: JointFit, place: int, value: Array, work: Executor) -> tuple[float, Array]:
-    """Predicted log-likelihood with another value (N,) of one parameter, and the rows with it."""
+def _promised(
+    data: Recorded, fitted: JointFit, place: int, value: Array, work: Executor, who: Sequence[int] | None = None
+) -> tuple[float, Array]:
+    """Predicted log-likelihood of some drivers with another value (N,) of one parameter, and the rows with it."""
     declared, rows = ROW.declared[place], fitted.model.rows.copy()
     rows[:, place] = value if declared.axis else np.clip(value, declared.lower, declared.upper)
     model = replace(fitted.model, rows=rows)
-    return predicted(fitted, model, evaluate(data, model, work)), rows
+    return predicted(fitted, model, evaluate(data, model, work, who)), rows
 
 
 def _best_of(data: Recorded, fitted: JointFit, place: int, values: Sequence[Array], work: Executor) -> JointFit:
     """The best fit from one of the ``values`` (N,) of one parameter, or the fit itself if none promises more."""
-    tried = [_promised(data, fitted, place, value, work) for value in values]
+    who = range(0, data.drivers, max(1, data.drivers // _DRIVERS))
+    here = predicted(fitted, fitted.model, fitted.samples.only(who))
+    tried = [_promised(data, fitted, place, value, work, who) for value in values]
     best, rows = max(tried, key=lambda one: one[0], default=(-np.inf, fitted.model.rows))
-    if best < predicted(fitted, fitted.model, fitted.samples) + _WORTH:
+    if (best - here) * data.drivers / len(who) < _WORTH:
         return fitted
     again = warm_start(data, fitted, replace(fitted.model, rows=rows), work, renewals=FULL.renewals)
     return again if rise(fitted, again) > 0.0 else fitted

@@ -10,7 +10,7 @@ from copy import copy
 from dataclasses import replace
 from functools import partial
 
-from sugiyama_ros.diagnosis.addition import FLEXIBLE, Addition, addition_of, least_gain
+from sugiyama_ros.diagnosis.addition import FEIGNED, FLEXIBLE, Addition, addition_of, feigning, least_gain
 from sugiyama_ros.diagnosis.bootstrap import resampled_fits, seeds
 from sugiyama_ros.diagnosis.candidacy import (
     FULL_SHARE,
@@ -49,8 +49,6 @@ from sugiyama_ros.workers import at_once
 LEVEL = 0.05
 # A candidate with more than this share of the best gain may be indistinguishable from the best one.
 _RIVAL = 0.5
-# Nothing predicts more than it fits: beyond so many times the gain of the fit, a step to a held-out model failed.
-_FEIGNED = 1.1
 
 
 class Search:
@@ -291,11 +289,12 @@ class Search:
         grown = converged(data, fitted, candidate, work)
         after = held_out_errors(data, grown, work, searched=not self.quick)
         won = gain(data, after.samples, self.errors.samples)
-        most = _FEIGNED * rise(self.current, grown) + LEAST_GAIN
+        most = FEIGNED * rise(self.current, grown) + LEAST_GAIN
         if won.nats > most:
-            self.errors = searched_errors(data, self.current, self.errors, work)
+            who = feigning((self.current, self.errors), (grown, after))
+            self.errors = searched_errors(data, self.current, self.errors, work, who)
             self.before = self.before if self.named else self.errors
-            after = searched_errors(data, grown, after, work)
+            after = searched_errors(data, grown, after, work, who)
             won = gain(data, after.samples, self.errors.samples)
         # what happens once cannot be held out, but it must not seem to change what has nothing to do with it
         if won.nats < least_gain(won, candidate) or (candidate.happens_once and won.nats > most):

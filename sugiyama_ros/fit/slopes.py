@@ -10,9 +10,10 @@ from collections.abc import Iterable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import cache
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.effects.sensing import is_contaminated
@@ -45,8 +46,11 @@ class Derivatives(NamedTuple):
     density: Array
 
 
-#: Derivatives of the samples of one driver by one parameter: innovation, variance, density, (T,) each.
-Column: TypeAlias = tuple[Array, Array, Array]
+#: Derivatives of the samples of one driver by one parameter: innovation, variance, density, (T,) each. A search keeps
+#: very many of them, so difference quotients, which are not exact to seven digits, have single precision.
+Column: TypeAlias = tuple[NDArray[np.floating[Any]], NDArray[np.floating[Any]], NDArray[np.floating[Any]]]
+# Largest size of a derivative.
+_LARGEST = 1e30
 
 
 @cache
@@ -84,7 +88,7 @@ class Slopes:
 
 
 def _stacked(columns: Sequence[Column]) -> Derivatives:
-    return Derivatives(*(np.array([column[j] for column in columns]) for j in range(3)))
+    return Derivatives(*(np.array([column[j] for column in columns], dtype=np.float64) for j in range(3)))
 
 
 def sums(samples: DriverDensity, columns: Sequence[Column], row: Array, fold: Ints) -> Slopes:
@@ -216,8 +220,14 @@ def column(at: DriverDensity, there: DriverDensity, step: float, row: Array) -> 
     """
     dy, dvar = (there[0] - at[0]) / step, (there[1] - at[1]) / step
     if not is_contaminated(row):
-        return dy, dvar, no_density(len(dy))
-    return dy, dvar, (there[2] - at[2]) / step - density_slope(at[0], at[1], dy[None], dvar[None], row)[0]
+        return _single(dy), _single(dvar), no_density(len(dy))
+    direct = (there[2] - at[2]) / step - density_slope(at[0], at[1], dy[None], dvar[None], row)[0]
+    return _single(dy), _single(dvar), _single(direct)
+
+
+def _single(derivative: Array) -> NDArray[np.float32]:
+    """Return a derivative in single precision; beyond its range the largest number."""
+    return np.clip(derivative, -_LARGEST, _LARGEST).astype(np.float32)
 
 
 def _moved(asked: _Asked, individual: tuple[int, ...], shared: tuple[int, ...]) -> list[ChainJob]:
