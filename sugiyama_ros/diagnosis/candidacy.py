@@ -10,7 +10,7 @@ from scipy.stats import t as student
 
 from sugiyama_ros.diagnosis.candidates import Candidate
 from sugiyama_ros.diagnosis.chance import COMMON, of_best, spread_of_next
-from sugiyama_ros.diagnosis.glance import Glance, glance, promises
+from sugiyama_ros.diagnosis.glance import PROMISE, Glance, beyond_chance, glance
 from sugiyama_ros.diagnosis.screen import Effort, Screened, closer, screen
 from sugiyama_ros.effects.registry import effect
 from sugiyama_ros.fit.cross_validation import Gain, gain, held_out_nearly
@@ -196,10 +196,11 @@ def null_gains(
 
 
 def _gain_there(simulated: Recorded, fitted: JointFit, candidate: Candidate, effort: Effort, work: Executor) -> float:
-    """Gain of a candidate on a simulated recording [nats]; none where a glance promises nothing."""
+    """Gain of a candidate on a simulated recording [nats]; what a glance predicts where it promises little."""
     seen = glance(simulated, fitted, candidate, work)
-    if not promises(simulated, fitted, seen):
-        return 0.0
+    predicted = beyond_chance(simulated, fitted, seen)
+    if predicted <= PROMISE:
+        return max(predicted, 0.0)
     return closer(simulated, screen(simulated, fitted, candidate, work, effort, seen), work).gain
 
 

@@ -21,8 +21,8 @@ from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import DriverDensity, PointwiseDensity, evaluate
 from sugiyama_ros.fit.slopes import Column, column, no_density
 
-# A candidate is screened if a glance at it predicts more than this gain [nats].
-_PROMISE = 5.0
+#: A candidate is screened if a glance at it predicts more than this gain [nats].
+PROMISE = 5.0
 
 # Drivers on whom a glance falls, or up to twice as many.
 _DRIVERS = 11
@@ -214,11 +214,6 @@ def beyond_chance(data: Recorded, base: JointFit, seen: Glance) -> float:
     return max(promised(data, base, seen)[0], *seen.rises(base)) - seen.candidate.elsewhere
 
 
-def promises(data: Recorded, base: JointFit, seen: Glance) -> bool:
-    """Return whether a glance promises enough for a closer look."""
-    return beyond_chance(data, base, seen) > _PROMISE
-
-
 class Promise(NamedTuple):
     """A candidate with its predicted gain [nats]."""
 
@@ -232,6 +227,6 @@ def worth_screening(
     """Return the candidates whose glance promises something, or the most promising one, and what the others promise."""
     all_ = [Promise(seen.candidate, beyond_chance(data, base, seen)) for seen in glances.values()]
     best = max(all_, key=lambda one: one.gain)
-    is_worth = [one.gain > _PROMISE or one is best for one in all_]
+    is_worth = [one.gain > PROMISE or one is best for one in all_]
     chosen = [one.candidate for one, worth in zip(all_, is_worth, strict=True) if worth]
     return chosen, [one for one, worth in zip(all_, is_worth, strict=True) if not worth]

@@ -47,6 +47,8 @@ from sugiyama_ros.workers import at_once
 
 #: Level of significance, after the correction for the number of candidates.
 LEVEL = 0.05
+# Level at which a candidate is added: a wrong name is worse than none.
+_ADDED = 0.02
 # A candidate with more than this share of the best gain may be indistinguishable from the best one.
 _RIVAL = 0.5
 
@@ -148,7 +150,7 @@ class Search:
         """
         self.senseless = []
         scored = self._look_at_all()
-        supported = [one for one in scored if one.refined and one.p_value <= LEVEL and one.gain >= one.needed]
+        supported = [one for one in scored if one.refined and one.p_value <= _ADDED and one.gain >= one.needed]
         now = self._nearly(self.current) if supported and not self.quick else self.errors
         grown: list[Addition] = []
         predicted = heldout_gains(self.data, self.current, supported)
