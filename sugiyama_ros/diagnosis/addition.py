@@ -8,10 +8,10 @@ import numpy as np
 
 from sugiyama_ros.diagnosis.candidates import Candidate, Kind
 from sugiyama_ros.diagnosis.errors import MANY_DRIVERS, HeldOutErrors
+from sugiyama_ros.diagnosis.few import rises
 from sugiyama_ros.effects.registry import EFFECTS, ROW
 from sugiyama_ros.fit.cross_validation import Gain, sum_error
-from sugiyama_ros.fit.joint import JointFit, objectives
-from sugiyama_ros.fit.recording import FOLDS
+from sugiyama_ros.fit.joint import JointFit
 
 #: An effect of some drivers only, freed constants and forces without a name take so many standard errors of their
 #: held-out gain.
@@ -154,10 +154,10 @@ def parameters_of(fitted: JointFit, candidate: Candidate) -> dict[str, float]:
 
 
 def feigning(before: tuple[JointFit, HeldOutErrors], after: tuple[JointFit, HeldOutErrors]) -> list[int]:
-    """Return the numbers of the drivers who gain more held out than by the fit, from one model to another."""
-    fitted = [objectives(fit.slopes, fit.model, range(FOLDS)) for fit, _ in (before, after)]
+    """Return the numbers of the drivers who gain more held out than by the fit, by a nat and by more than a tenth."""
     held_out = [np.nansum(errors.samples.log_likelihood, axis=1) for _, errors in (before, after)]
-    return [int(i) for i in np.flatnonzero(held_out[1] - held_out[0] > FEIGNED * (fitted[1] - fitted[0]))]
+    most = FEIGNED * np.maximum(rises(before[0], after[0]), 0.0) + 1.0
+    return [int(i) for i in np.flatnonzero(held_out[1] - held_out[0] > most)]
 
 
 def least_gain(won: Gain, candidate: Candidate) -> float:

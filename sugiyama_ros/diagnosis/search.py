@@ -293,7 +293,7 @@ class Search:
         won = gain(data, after.samples, self.errors.samples)
         most = FEIGNED * rise(self.current, grown) + LEAST_GAIN
         if won.nats > most:
-            who = feigning((self.current, self.errors), (grown, after))
+            who = feigning((self.current, self.errors), (grown, after)) or None
             self.errors = searched_errors(data, self.current, self.errors, work, who)
             self.before = self.before if self.named else self.errors
             after = searched_errors(data, grown, after, work, who)

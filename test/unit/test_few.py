@@ -10,8 +10,10 @@ import pytest
 from sugiyama_ros.diagnosis import few_screen
 from sugiyama_ros.diagnosis import search as searching
 from sugiyama_ros.diagnosis import use as using
+from sugiyama_ros.diagnosis.addition import feigning
 from sugiyama_ros.diagnosis.candidacy import LEAST_GAIN, Candidacy, NullGains
 from sugiyama_ros.diagnosis.candidates import candidates
+from sugiyama_ros.diagnosis.errors import held_out_errors, searched_errors
 from sugiyama_ros.diagnosis.few import Few, cost_of, fit_few, rises, who_shows
 from sugiyama_ros.diagnosis.few_screen import chosen, fits_of_few, shown_by_few
 from sugiyama_ros.diagnosis.free_runs import FreeRuns
@@ -72,6 +74,22 @@ def test_the_drivers_who_show_an_effect_are_found_where_the_others_lose_by_it(fi
     # whose data say nothing of it may have it, too
     assert rises(base, grown)[list(SLOW)].sum() > 0.9 * rises(base, grown).sum()
     assert who_shows(base, grown) is None
+
+
+def test_who_gains_more_held_out_than_by_the_fit_feigns(fitted, grown, work):
+    data, base = fitted
+    errors = held_out_errors(data, base, work, searched=False)
+    gained = np.where(data.scored, rises(base, grown)[:, None] / data.scored.sum(axis=1, keepdims=True), 0.0)
+    samples = replace(errors.samples, log_likelihood=errors.samples.log_likelihood + gained)
+    counted = np.isfinite(samples.log_likelihood)
+    samples.log_likelihood[3, np.flatnonzero(counted[3])[0]] += 1000.0
+    assert feigning((base, errors), (grown, replace(errors, samples=samples))) == [3]
+    # where only these search, what was found before stays if it is better
+    again = searched_errors(data, base, errors, work, [3])
+    assert again.is_searched
+    assert again.samples.total >= errors.samples.total
+    others = np.arange(CARS) != 3
+    np.testing.assert_array_equal(again.samples.log_likelihood[others], errors.samples.log_likelihood[others])
 
 
 def test_the_screen_shows_who_would_gain(fitted, patch, work):

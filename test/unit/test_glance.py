@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from sugiyama_ros.diagnosis.candidacy import null_gains
 from sugiyama_ros.diagnosis.candidates import candidates, named
 from sugiyama_ros.diagnosis.glance import PROMISE, beyond_chance, glance, promised, worth_screening
-from sugiyama_ros.diagnosis.screen import screen
+from sugiyama_ros.diagnosis.screen import QUICK, screen
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, defaults
 from sugiyama_ros.effects.registry import EFFECTS, ROW, switch_on
 from sugiyama_ros.effects.sensing import displacements
@@ -65,6 +66,18 @@ def test_few_candidates_promise_something_where_nothing_is_missing(whole, work):
     # the most promising one is looked at all the same
     best = max(glances, key=lambda name: beyond_chance(data, base, glances[name]))
     assert best in {c.name for c in kept}
+
+
+def test_what_chance_gains_on_a_simulation_is_not_cut_off(whole, work):
+    """A candidate that promises too little to be screened gains there what its glance predicts, and not nothing."""
+    data, base = whole
+    possible = [c for c in candidates(data) if not c.individual and any(c.starts)]
+    predicted = {c.name: beyond_chance(data, base, glance(data, base, c, work)) for c in possible}
+    small = [c for c in possible if predicted[c.name] <= PROMISE]
+    gains = null_gains([(data, base)], small, QUICK, work, lambda *_: None).gains
+    assert {name: g for name, (g,) in gains.items()} == {c.name: max(predicted[c.name], 0.0) for c in small}
+    # half a nat for each parameter (Wilks), so that most of the gains are above 0.05
+    assert np.median([g for (g,) in gains.values()]) > 0.05
 
 
 @pytest.mark.parametrize("phase", [0.0, 0.25, 0.5, 0.75])
