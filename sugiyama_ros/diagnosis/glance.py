@@ -123,7 +123,7 @@ def glance(data: Recorded, base: JointFit, candidate: Candidate, work: Executor)
         What the starts show.
     """
     # a push moves one driver alone
-    some = range(0, data.drivers, 1 if candidate.happens_once else max(1, data.drivers // _DRIVERS))
+    some = range(data.drivers) if candidate.happens_once else data.spread(_DRIVERS)
     likelihoods, changes = [], []
     best: PointwiseDensity | None = None
     starts = _one_at_a_time(candidate)

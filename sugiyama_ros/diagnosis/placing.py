@@ -122,7 +122,7 @@ def _promised(
 
 def _best_of(data: Recorded, fitted: JointFit, place: int, values: Sequence[Array], work: Executor) -> JointFit:
     """The best fit from one of the ``values`` (N,) of one parameter, or the fit itself if none promises more."""
-    who = range(0, data.drivers, max(1, data.drivers // _DRIVERS))
+    who = data.spread(_DRIVERS)
     here = predicted(fitted, fitted.model, fitted.samples.only(who))
     tried = [_promised(data, fitted, place, value, work, who) for value in values]
     best, rows = max(tried, key=lambda one: one[0], default=(-np.inf, fitted.model.rows))

@@ -48,20 +48,18 @@ def without_folds(data: Recorded, fitted: JointFit, work: Executor, *, searched:
     for f in range(FOLDS):
         model = _without(data, fitted, f)
         if searched:
-            others = [k for k in range(FOLDS) if k != f]
-            model = maximise(data, start_fit(data, model, work), work, folds=others, iterations=_STEPS_WITHOUT).model
+            start = start_fit(data, model, work)
+            model = maximise(data, start, work, folds=_others(f), iterations=_STEPS_WITHOUT).model
         models.append(model)
     return tuple(models)
 
 
 def searched_without_folds(data: Recorded, fitted: JointFit, work: Executor) -> tuple[Model, ...]:
     """Return a model for every fold, fitted to the other folds by a search that starts from the fit to all folds."""
-    models = []
-    for f in range(FOLDS):
-        others = [k for k in range(FOLDS) if k != f]
-        steps, renewals = 2 * _STEPS_WITHOUT, _RENEWALS_WITHOUT
-        models.append(maximise(data, fitted, work, folds=others, iterations=steps, renewals=renewals).model)
-    return tuple(models)
+    steps, renewals = 2 * _STEPS_WITHOUT, _RENEWALS_WITHOUT
+    return tuple(
+        maximise(data, fitted, work, folds=_others(f), iterations=steps, renewals=renewals).model for f in range(FOLDS)
+    )
 
 
 def searched_by_some(
@@ -98,9 +96,13 @@ def searched_by_some(
     rows[:, places] = np.where(searches, fitted.model.rows[:, places], rows[:, places])
     alone = replace(model, rows=rows, shared=(), few=())
     start = at_model(data, JointFit(alone, fitted.samples, slopes), alone, work, searches[:, 0])
-    others = [k for k in range(FOLDS) if k != fold]
-    found = maximise(data, start, work, folds=others, iterations=2 * _STEPS_WITHOUT)
+    found = maximise(data, start, work, folds=_others(fold), iterations=2 * _STEPS_WITHOUT)
     return replace(model, rows=np.where(searches, found.model.rows, model.rows))
+
+
+def _others(fold: int) -> list[int]:
+    """Numbers of all folds but one."""
+    return [k for k in range(FOLDS) if k != fold]
 
 
 def _without(data: Recorded, fitted: JointFit, fold: int) -> Model:
@@ -109,8 +111,7 @@ def _without(data: Recorded, fitted: JointFit, fold: int) -> Model:
     The step uses the information of all folds, scaled to the number of folds that remain. The remaining folds alone may
     say almost nothing about a parameter, and the step would then have no limit.
     """
-    others = [k for k in range(FOLDS) if k != fold]
-    step = solve(fitted.slopes, fitted.model, others, 1e-6, curvature=range(FOLDS))
+    step = solve(fitted.slopes, fitted.model, _others(fold), 1e-6, curvature=range(FOLDS))
     return moved(data, fitted.model, step, FOLDS / (FOLDS - 1))
 
 

@@ -104,6 +104,10 @@ class Recorded:
         """Whether samples are so far apart that the filter knows too little of what drivers saw in between."""
         return self.every > 1 and self.apart_s > LONGEST_APART_S * (1.0 + ROUNDING)
 
+    def spread(self, least: int) -> range:
+        """Return the numbers of drivers who stand for all: at least ``least`` of them, less than twice as many."""
+        return range(0, self.drivers, max(1, self.drivers // least))
+
     @property
     def measured_samples(self) -> int:
         """Number of samples without those that came in between."""
