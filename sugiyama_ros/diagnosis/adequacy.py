@@ -265,12 +265,12 @@ def _free_runs_say(evidence: Evidence) -> list[str]:
     Free runs of a law that damps waves may end closer than free runs of the right model.
     """
     model = evidence.final
-    closer = closer_laws(model, {law: evidence.laws[law] for law in evidence.checks})
-    return [
-        f"free runs of {law} end closer: {error:.2g} m off after 10 s instead of {model.free_run_10s_m:.2g} m"
-        for law, error in closer.items()
-        if evidence.checks[law].p_of_ratio(log_ratio(model, evidence.laws[law])) < LEVEL_OF_LAWS
-    ][:1]
+    for law in closer_laws(model, {name: evidence.laws[name] for name in evidence.checks}):
+        errors = evidence.laws[law]
+        if evidence.checks[law].p_of_ratio(log_ratio(model, errors)) < LEVEL_OF_LAWS:
+            theirs, ours = errors.free_run_10s_beside(model)
+            return [f"free runs of {law} end closer: {theirs:.2g} m off after 10 s instead of {ours:.2g} m"]
+    return []
 
 
 def _first_of(names: Sequence[str]) -> str:
@@ -320,7 +320,10 @@ def _share(data: Recorded, evidence: Evidence, better: tuple[str, Gain] | None) 
     explained = next((one.before for one in evidence.named if one.name == FORCE), evidence.final).samples
     won = max(gain(data, explained, evidence.base.samples).nats, 0.0)
     by_force = gain(data, evidence.final.samples, explained).nats
-    by_law = gain(data, evidence.laws[better[0]].samples, explained).nats if better else 0.0
+    # a law that is fitted to some drivers stands for all
+    law = evidence.laws[better[0]] if better else evidence.final
+    drivers, all_drivers = len(law.predicted_drivers), len(evidence.final.predicted_drivers)
+    by_law = gain(data, law.samples, explained).nats * all_drivers / drivers if better else 0.0
     left = max(0.0, by_law, by_force + sum(force.gain_nats for force in evidence.forces[:1]))
     if not evidence.named and left <= 0.0:
         return None

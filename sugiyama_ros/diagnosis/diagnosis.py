@@ -75,8 +75,8 @@ class Diagnosis(Result):
     refused : tuple of (str, tuple of str)
         Candidates that were not added because of what the model is for, or because their values make no sense, and why.
     rivals : dict of str to dict
-        Held-out errors of other laws, by name. A quick diagnosis fits a law that is far behind to some drivers only,
-        and their number then stands beside the errors as ``drivers``.
+        Held-out errors of other laws, by name. Where there are many drivers, a quick diagnosis fits a law to some of
+        them only, and to a few if it is far behind. Their number then stands beside the errors as ``drivers``.
     closer : dict of str to float
         Errors after 10 s [m] of the laws whose free runs end clearly closer than those of ``final``, the smallest
         first.
@@ -261,7 +261,7 @@ def _summed_up(
     search.forget()
     compared = ((search.base, search.before), (search.current, search.errors))
     where_before, where_after = (locate(search.data, one.model, e.samples, work) for one, e in compared)
-    laws = {name: one.errors for name, one in rivals.items() if name in LAWS and one.drivers == search.data.drivers}
+    laws = {name: one.errors for name, one in rivals.items() if name in LAWS and not one.is_far}
     found = judged(search, where_after, laws, work)
     effects = added_to_all(search.data, search.named)
     refitted = _refitted(search, effects, found.adequacy, refit, work, on_progress)
@@ -281,7 +281,7 @@ def _summed_up(
         where_after=where_after,
         smallest=search.smallest,
         refused=(*search.refused, *((name, _senseless(why)) for name, why in search.senseless)),
-        rivals={name: one.summary(search.data.drivers) for name, one in rivals.items()},
+        rivals={name: one.summary(len(search.errors.predicted_drivers)) for name, one in rivals.items()},
         closer=closer_laws(search.errors, laws),
         floor={"floor": found.floor},
         adequacy=found.adequacy,

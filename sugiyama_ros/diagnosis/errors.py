@@ -14,7 +14,7 @@ from sugiyama_ros.fit.cross_validation import of_folds, searched_by_some, search
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import Recorded
-from sugiyama_ros.fit.score import PointwiseDensity, follow
+from sugiyama_ros.fit.score import PointwiseDensity, follow, unknown
 
 # The error of a free run may grow by this share without counting as worse: two starts differ by more.
 _TOLERANCE = 0.05
@@ -69,8 +69,42 @@ class HeldOutErrors:
     @property
     def free_run_10s_m(self) -> float:
         """Error of position [m] after 10 s of free run, of coupled runs if there are any, else of single cars."""
-        coupled = rmse(self.runs.coupled[:, -1])
-        return coupled if np.isfinite(coupled) else rmse(self.runs.single[:, -1])
+        return self.free_run_10s_beside(self)[0]
+
+    def free_run_10s_beside(self, other: "HeldOutErrors") -> tuple[float, float]:
+        """Return ``free_run_10s_m`` of these and of other errors [m], over the runs that both have."""
+        for ours, theirs in ((self.runs.coupled, other.runs.coupled), (self.runs.single, other.runs.single)):
+            both = np.isfinite(ours[:, -1]) & np.isfinite(theirs[:, -1])
+            if both.any():
+                return rmse(ours[:, -1][both]), rmse(theirs[:, -1][both])
+        return math.nan, math.nan
+
+    @property
+    def predicted_drivers(self) -> list[int]:
+        """Numbers of the drivers who are predicted."""
+        return [i for i, row in enumerate(self.samples.log_likelihood) if np.isfinite(row).any()]
+
+    def among(self, others: "HeldOutErrors", who: Sequence[int]) -> "HeldOutErrors":
+        """Return errors of some drivers as errors of all drivers, of whom the others are not predicted.
+
+        Parameters
+        ----------
+        others : HeldOutErrors
+            Errors of all drivers in the same recording, for their number and for the starts of their free runs.
+        who : sequence of int
+            Numbers of the drivers whose errors these are.
+
+        Returns
+        -------
+        HeldOutErrors
+            The errors, with NaN for all other drivers.
+        """
+        samples = unknown(*others.samples.log_likelihood.shape)
+        for k, i in enumerate(who):
+            samples.put(i, self.samples.of(k))
+        block = np.full_like(others.block_position_m, np.nan)
+        block[:, who] = self.block_position_m
+        return HeldOutErrors(samples, self.runs.among(others.runs, who), block, self.is_searched)
 
     def no_worse_than(self, other: "HeldOutErrors") -> bool:
         """Whether the free runs are at most 5 % worse, or worse by at most two paired standard errors over starts.

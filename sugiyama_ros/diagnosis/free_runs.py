@@ -83,6 +83,15 @@ class FreeRuns:
         """Put together the runs of each fold, which have the same starts."""
         return cls(**{field.name: first_known([getattr(one, field.name) for one in by_fold]) for field in fields(cls)})
 
+    def among(self, others: "FreeRuns", who: Sequence[int]) -> "FreeRuns":
+        """Return the runs of some drivers, who are ``who``, with NaN for the runs that only ``others`` have."""
+        starts, drivers, found = np.searchsorted(others.start, self.start)[:, None], np.array(who), {}
+        for name in (field.name for field in fields(self) if field.name != "start"):
+            found[name] = np.full_like(getattr(others, name), np.nan)
+            for k in range(len(HORIZONS_S)):
+                found[name][starts, k, drivers] = getattr(self, name)[:, k]
+        return FreeRuns(**found, start=others.start)
+
 
 def first_known(parts: Sequence[NDArray[_Kind]]) -> NDArray[_Kind]:
     """Return arrays (...) put together: each entry from the first array that knows it."""

@@ -89,11 +89,12 @@ def _judged(search: Search, evidence: Evidence, work: ThreadPoolExecutor, runs: 
     """The judgement by simulations of the final model, and by other evidence; ``runs``: number, if more than usual."""
     simulations = search.simulations(runs)
     own = [(simulated, held_out_errors(simulated, fitted, work, searched=False)) for simulated, fitted in simulations]
+    open_ = open_laws(search.data, search.errors, evidence.laws)
     evidence = replace(
         evidence,
         stds=widened(evidence.stds, search.current, [fitted for _, fitted in simulations]),
         simulated=simulated_failures(simulations, work),
-        checks=check_laws(open_laws(search.data, search.errors, evidence.laws), own, work),
+        checks=check_laws({name: evidence.laws[name] for name in open_}, own, work),
         own=[errors for _, errors in own],
     )
     return JudgedModel(judge(search.data, evidence), evidence, floor_of(evidence.own))

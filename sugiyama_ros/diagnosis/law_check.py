@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sugiyama_ros.diagnosis.chance import p_value_of
-from sugiyama_ros.diagnosis.errors import HeldOutErrors, held_out_errors
-from sugiyama_ros.diagnosis.rivals import in_filter
+from sugiyama_ros.diagnosis.errors import HeldOutErrors
+from sugiyama_ros.diagnosis.rivals import errors_of_law
 from sugiyama_ros.fit.cross_validation import Gain, gain
 from sugiyama_ros.fit.recording import Recorded
 
@@ -54,7 +54,8 @@ class LawCheck:
 
 def log_ratio(model: HeldOutErrors, law: HeldOutErrors) -> float:
     """Return the logarithm of the error of the model's free runs over the error of the law's free runs."""
-    return math.log(max(model.free_run_10s_m, 1e-6) / max(law.free_run_10s_m, 1e-6))
+    ours, theirs = model.free_run_10s_beside(law)
+    return math.log(max(ours, 1e-6) / max(theirs, 1e-6))
 
 
 def open_laws(data: Recorded, model: HeldOutErrors, laws: Mapping[str, HeldOutErrors]) -> tuple[str, ...]:
@@ -113,14 +114,16 @@ def closer_laws(model: HeldOutErrors, laws: Mapping[str, HeldOutErrors]) -> dict
 
 
 def check_laws(
-    names: Sequence[str], simulations: Sequence[tuple[Recorded, HeldOutErrors]], work: ThreadPoolExecutor
+    laws: Mapping[str, HeldOutErrors],
+    simulations: Sequence[tuple[Recorded, HeldOutErrors]],
+    work: ThreadPoolExecutor,
 ) -> dict[str, LawCheck]:
     """Fit laws to recordings that the model simulates.
 
     Parameters
     ----------
-    names : sequence of str
-        Names of the laws.
+    laws : mapping of str to HeldOutErrors
+        Held-out errors in the data of the laws to check, by name. A law is fitted to the same drivers in simulations.
     simulations : sequence of (Recorded, HeldOutErrors)
         Simulated recordings, with the errors of the model fitted to them.
     work : ThreadPoolExecutor
@@ -131,11 +134,10 @@ def check_laws(
     dict of str to LawCheck
         What each law does there.
     """
-    found: dict[str, list[tuple[float, float]]] = {name: [] for name in names}
+    found: dict[str, list[tuple[float, float]]] = {name: [] for name in laws}
     for simulated, model in simulations:
-        for name in names:
-            fitted = in_filter(simulated, name, work, model.samples.total)
-            law = held_out_errors(simulated, fitted, work, searched=False)
+        for name, errors in laws.items():
+            law = errors_of_law(simulated, name, model, errors.predicted_drivers, work)
             won = gain(simulated, law.samples, model.samples).nats
             found[name].append((won, log_ratio(model, law)))
     return {name: LawCheck(*zip(*pairs, strict=True)) for name, pairs in found.items() if pairs}

@@ -5,31 +5,29 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from typing import NamedTuple
 
 from sugiyama_ros.diagnosis.errors import HeldOutErrors, errors_of, held_out_errors
-from sugiyama_ros.diagnosis.free_runs import rmse
-from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter
+from sugiyama_ros.diagnosis.rivals import by_gaps, errors_of_law, has_parameters, in_filter
 from sugiyama_ros.fit.cross_validation import gain
 from sugiyama_ros.fit.recording import Recorded
-from sugiyama_ros.fit.score import PointwiseDensity
-from sugiyama_ros.fit.some_drivers import some_drivers
 from sugiyama_ros.laws.registry import RIVALS
 from sugiyama_ros.workers import send
 
-# Number of drivers to whom a quick diagnosis fits a law first: as many as filters run side by side.
-_FIRST = 8
+# Number of drivers to whom a quick diagnosis fits a law first, as many as filters run side by side; and number of those
+# who decide about a law, or up to twice as many.
+_FIRST, _ENOUGH = 8, 24
 # A law is far behind if it loses by more than so many standard errors.
 _FAR = 4.0
 
 
 class RivalErrors(NamedTuple):
-    """Held-out errors of a rival, and the number of drivers to whom it was fitted."""
+    """Held-out errors of a rival, and whether it is so far behind that it was fitted to a few drivers only."""
 
     errors: HeldOutErrors
-    drivers: int
+    is_far: bool = False
 
     def summary(self, drivers: int) -> dict[str, float]:
-        """Return the main errors by name; with the number of its drivers if the recording has more."""
-        found = self.errors.summary()
-        return found if self.drivers == drivers else {**found, "drivers": self.drivers}
+        """Return the main errors by name; with the number of its drivers if the recording has more who follow."""
+        found, fitted = self.errors.summary(), len(self.errors.predicted_drivers)
+        return found if fitted >= drivers else {**found, "drivers": fitted}
 
 
 def start_rivals(
@@ -68,12 +66,15 @@ def _rival_there(common: tuple[Recorded, HeldOutErrors | None], law: str) -> dic
 def _rival(data: Recorded, work: ThreadPoolExecutor, to_beat: HeldOutErrors | None, law: str) -> dict[str, RivalErrors]:
     """Errors of a rival fitted in the filter and, unless quick, of the rival fitted to gaps."""
     if to_beat is not None:
-        return {law: _far_behind(data, work, to_beat, law) or _in_filter(data, work, law, to_beat.samples.total)}
+        some = list(data.spread(_ENOUGH))
+        return {
+            law: _far_behind(data, work, to_beat, law) or RivalErrors(errors_of_law(data, law, to_beat, some, work))
+        }
     fitted = in_filter(data, law, work)
-    found = {law: RivalErrors(held_out_errors(data, fitted, work, searched=True), data.drivers)}
+    found = {law: RivalErrors(held_out_errors(data, fitted, work, searched=True))}
     if has_parameters(law):
         errors = errors_of(data, by_gaps(data, law, fitted, work), work)
-        found[f"{law}_least_squares"] = RivalErrors(errors, data.drivers)
+        found[f"{law}_least_squares"] = RivalErrors(errors)
     return found
 
 
@@ -81,18 +82,8 @@ def _far_behind(data: Recorded, work: ThreadPoolExecutor, to_beat: HeldOutErrors
     """Errors of a rival for some drivers, if it predicts all of them worse and drives no closer to what they did."""
     if data.drivers <= 2 * _FIRST:
         return None
-    who = [k * data.drivers // _FIRST for k in range(_FIRST)]
-    some = some_drivers(data, who)
-    samples = to_beat.samples
-    model = PointwiseDensity(samples.innovation_m[who], samples.innovation_var[who], samples.log_likelihood[who])
-    found = _in_filter(some, work, law, model.total)
-    won = gain(some, found.errors.samples, model)
+    found = errors_of_law(data, law, to_beat, [k * data.drivers // _FIRST for k in range(_FIRST)], work)
+    won = gain(data, found.samples, to_beat.samples)
     is_behind = max(won.drivers, default=0.0) < 0.0 and won.nats < -_FAR * won.se
-    runs = rmse(found.errors.runs.single[:, -1])
-    return found if is_behind and runs >= rmse(to_beat.runs.single[:, -1, who]) else None
-
-
-def _in_filter(data: Recorded, work: ThreadPoolExecutor, law: str, to_beat: float) -> RivalErrors:
-    """Errors of a rival fitted in the filter; to_beat: log-likelihood of the driver model [nats]."""
-    fitted = in_filter(data, law, work, to_beat)
-    return RivalErrors(held_out_errors(data, fitted, work, searched=False), data.drivers)
+    model, ours = to_beat.free_run_10s_beside(found)
+    return RivalErrors(found, is_far=True) if is_behind and ours >= model else None

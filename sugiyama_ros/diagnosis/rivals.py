@@ -4,12 +4,14 @@ The first way is a fit in the causal filter, like the fit of the driver model. T
 gap of one simulated car behind its recorded leader (Treiber and Kesting, Traffic Flow Dynamics, chapter 17).
 """
 
-from concurrent.futures import Executor
+from collections.abc import Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 
 from sugiyama_ros.arrays import Array
+from sugiyama_ros.diagnosis.errors import HeldOutErrors, held_out_errors
 from sugiyama_ros.driver.utility import FAR
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.joint import JointFit
@@ -18,6 +20,7 @@ from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.population import fit_base, start_model
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import filtered_states
+from sugiyama_ros.fit.some_drivers import some_drivers
 from sugiyama_ros.laws.registry import LAWS, number_of
 
 # The gaps of a driver are fitted only if there are more samples than this.
@@ -50,6 +53,36 @@ def in_filter(data: Recorded, law: str, work: Executor, to_beat: float | None = 
         rows[:, ROW.law] = number_of(law)
         rows[:, places] = start_of(law, data.speed)
     return fit_base(data, model.individual, work, model, to_beat)
+
+
+def errors_of_law(
+    data: Recorded, law: str, model: HeldOutErrors, who: Sequence[int], work: ThreadPoolExecutor
+) -> HeldOutErrors:
+    """Return the held-out errors of a rival law that is fitted to some drivers, one step away from the fit.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    law : str
+        Name of the law.
+    model : HeldOutErrors
+        Held-out errors of the driver model, which the law has to beat.
+    who : sequence of int
+        Numbers of the drivers. Unless these are all, the vehicles ahead of them drive as measured.
+    work : ThreadPoolExecutor
+        Runs the filters.
+
+    Returns
+    -------
+    HeldOutErrors
+        Errors of these drivers; NaN for all other drivers.
+    """
+    is_all = len(who) == data.drivers
+    some = data if is_all else some_drivers(data, who)
+    to_beat = float(np.nansum(model.samples.log_likelihood[who]))
+    found = held_out_errors(some, in_filter(some, law, work, to_beat), work, searched=False)
+    return found if is_all else found.among(model, who)
 
 
 def start_of(law: str, speed: float) -> Array:

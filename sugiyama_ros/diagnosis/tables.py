@@ -45,7 +45,7 @@ def steps(diagnosis: Diagnosis) -> TextTable:
     rows = tuple((name, *_error_cells(summary, names)) for name, summary in models)
     title = "Held-out errors, step by step"
     if any("drivers" in summary for _, summary in models):
-        title += "; a law with a number predicts each of these drivers worse, and is not fitted to the others"
+        title += "; laws that are fitted to some drivers stand with their number"
     return TextTable(title, ("model", *(_ERRORS[name] for name in names)), rows, left=1)
 
 

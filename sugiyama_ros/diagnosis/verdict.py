@@ -62,6 +62,7 @@ def document(d: Diagnosis) -> dict[str, Any]:
         "free_run": drives(d),
         "about": about(),
         "vehicles": d.data.drivers,
+        "drivers_left_out": d.data.left_out,
         "decision_period_s": d.data.vicinity.period_s,
         "samples": d.data.measured_samples if d.data.vicinity.is_whole_road else int(d.data.scored.sum()),
         "bootstrap_runs": d.bootstrap_runs,
@@ -261,6 +262,11 @@ def sentences(d: Diagnosis) -> list[str]:
         lines.append(f"After 10 s, free runs of the model are {d.after.free_run_10s_m:.3g} m off, {laws}.")
     lines += [f"In use it is worse than the base model: {one}." for n in d.named[-1:] for one in n.worse[:_WORST]]
     lines += [_smoothing(d.data), _noises(d.data), _decisions(d.data)]
+    if d.data.left_out:
+        lines.append(
+            f"This is about {d.data.drivers} of {d.data.drivers + d.data.left_out} drivers, evenly spread over the"
+            " recording: all of them would take too much memory."
+        )
     left_out = not_searched(d.data)
     if left_out and not d.data.vicinity.is_whole_road:
         lines.append("Not searched: " + ", ".join(f"{name} ({reason})" for name, reason in left_out.items()) + ".")

@@ -223,7 +223,7 @@ def gain(data: Recorded, better: PointwiseDensity, than: PointwiseDensity) -> Ga
     data : Recorded
         The recording.
     better, than : PointwiseDensity
-        Predictions of both models.
+        Predictions of both models. Only what both predict counts.
 
     Returns
     -------
@@ -231,9 +231,12 @@ def gain(data: Recorded, better: PointwiseDensity, than: PointwiseDensity) -> Ga
         The standard error is the larger of two: a jackknife over blocks of time, and a jackknife over drivers.
     """
     difference = better.log_likelihood - than.log_likelihood
+    known = np.isfinite(difference)
     # who follows nobody is not predicted, and tells nothing of how drivers differ
-    by_driver = np.nansum(difference[np.isfinite(difference).any(axis=1)], axis=1)
-    by_block = np.bincount(data.block.ravel(), weights=np.nan_to_num(difference).ravel())
+    by_driver = np.nansum(difference[known.any(axis=1)], axis=1)
+    # nor do blocks in which nothing is predicted
+    where, block = np.unique(data.block[known], return_inverse=True)
+    by_block = np.bincount(block, weights=difference[known], minlength=len(where))
     se = max(sum_error(by_driver), sum_error(by_block))
     return Gain(float(by_driver.sum()), se, tuple(by_driver.tolist()), tuple(by_block.tolist()))
 

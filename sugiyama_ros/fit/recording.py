@@ -23,11 +23,13 @@ from sugiyama_ros.fit.sampling import (
     with_short_periods,
 )
 from sugiyama_ros.fit.smooth_positions import Evenness, evenness, smoothing_window
-from sugiyama_ros.fit.vicinity import DriverName, Vicinity
+from sugiyama_ros.fit.vicinity import DriverName, Vicinity, behind_measured, numbered
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 #: Length [s] of the blocks of time that are held out, and number of folds that the blocks are assigned to in turn.
 BLOCK_S, FOLDS = 25.0, 5
+#: Largest product of drivers and samples of which a diagnosis takes everything; of more, it takes some drivers.
+MOST_SAMPLES = 200_000
 # Part of the samples in which a driver must have a leader, to count as a driver who follows.
 _LEAST_LED = 0.1
 
@@ -66,6 +68,8 @@ class Recorded:
         Number of decisions of the model's drivers from one sample of the recording to the next.
     smoothed_s : float
         Time [s] over which somebody has smoothed the positions; 0 if nobody has.
+    left_out : int
+        Number of drivers who were left out because there were too many.
     """
 
     vicinity: Vicinity
@@ -83,6 +87,7 @@ class Recorded:
     every: int = 1
     decisions: int = 1
     smoothed_s: float = 0.0
+    left_out: int = 0
 
     @property
     def drivers(self) -> int:
@@ -114,7 +119,25 @@ class Recorded:
         return len(range(0, self.samples, self.every))
 
 
-def prepare(trajectories: Trajectories, segment: Ints | None = None) -> Recorded:
+def within(most: int | None, drivers: int, samples: int) -> range:
+    """Return the numbers of drivers who stand for all.
+
+    Parameters
+    ----------
+    most : int or None
+        Largest product of drivers and measured samples; None for all drivers.
+    drivers, samples : int
+        Number of drivers, and of the measured samples of each.
+
+    Returns
+    -------
+    range
+        The drivers, evenly spread; one driver at least.
+    """
+    return range(0, drivers, 1 if most is None else min(drivers, -(-drivers * samples // most)))
+
+
+def prepare(trajectories: Trajectories, segment: Ints | None = None, most: int | None = None) -> Recorded:
     """Prepare trajectories for a fit.
 
     Parameters
@@ -124,6 +147,9 @@ def prepare(trajectories: Trajectories, segment: Ints | None = None) -> Recorded
         positions, only samples count that are most of the window apart.
     segment : ndarray of int, shape (T,), optional
         Number of the unbroken part of the recording. Every filter restarts where the number changes.
+    most : int, optional
+        Largest product of drivers and measured samples. Of a larger recording, some drivers are prepared, behind
+        vehicles that drive as measured.
 
     Returns
     -------
@@ -143,34 +169,42 @@ def prepare(trajectories: Trajectories, segment: Ints | None = None) -> Recorded
         every = apart_if_smoothed(window, evenness(trajectories))
         trajectories = replace(trajectories, position_m=thinned(trajectories.position_m, every))
     samples, drivers = trajectories.position_m.shape
-    duration = trajectories.period_s * samples
-    if duration < 8.0:
-        raise InputError(f"{trajectories.source}: lasts {duration:.1f} s; give at least 8 s to fit and to hold out")
-    block_s = min(BLOCK_S, duration / (2 * FOLDS))
-    block = np.minimum(
-        (np.arange(samples) * trajectories.period_s / block_s).astype(np.int64), round(duration / block_s) - 1
-    )
-    chains = tuple(chain_behind(trajectories, i, segment=segment) for i in range(drivers))
+    block = _blocks(trajectories)
+    who = within(most, drivers, -(-samples // measured_every(trajectories)))
+    chains = tuple(chain_behind(trajectories, i, segment=segment) for i in who)
     unbroken = np.zeros(samples, np.int64) if segment is None else segment
     even, speed = evenness(measured(trajectories)), fastest(measured(trajectories))
     lower, upper = bounds_of(even, speed)
+    is_whole, around = len(who) == drivers, _vicinity(trajectories)
     return Recorded(
-        vicinity=_vicinity(trajectories),
+        vicinity=around if is_whole else behind_measured(around, chains, who),
         chains=chains,
-        ahead=_ahead(trajectories),
-        block=np.tile(block, (drivers, 1)),
-        fold=np.tile(block % FOLDS, (drivers, 1)),
-        segment=np.tile(unbroken, (drivers, 1)),
-        scored=_who_follows(chains)[:, None] & alike,
+        ahead=numbered(drivers, who)[_ahead(trajectories, who)],
+        block=np.tile(block, (len(who), 1)),
+        fold=np.tile(block % FOLDS, (len(who), 1)),
+        segment=np.tile(unbroken, (len(who), 1)),
+        scored=_who_follows(chains)[:, None] & alike[who],
         even=even,
         speed=speed,
         lower=lower,
         upper=upper,
-        trajectories=trajectories,
+        trajectories=trajectories if is_whole else None,
         every=measured_every(trajectories),
         decisions=decisions,
         smoothed_s=window * seen.period_s,
+        left_out=drivers - len(who),
     )
+
+
+def _blocks(trajectories: Trajectories) -> Ints:
+    """Number of the block of time of each sample, (T,). Raises InputError for a recording that is too short."""
+    samples = len(trajectories.position_m)
+    duration = trajectories.period_s * samples
+    if duration < 8.0:
+        raise InputError(f"{trajectories.source}: lasts {duration:.1f} s; give at least 8 s to fit and to hold out")
+    block_s = min(BLOCK_S, duration / (2 * FOLDS))
+    number: Ints = (np.arange(samples) * trajectories.period_s / block_s).astype(np.int64)
+    return np.minimum(number, round(duration / block_s) - 1)
 
 
 def bounds_of(even: Evenness, speed: float) -> tuple[Array, Array]:
@@ -213,18 +247,17 @@ def _vicinity(t: Trajectories) -> Vicinity:
     )
 
 
-def _ahead(trajectories: Trajectories) -> Ints:
-    """Columns of the vehicles ahead of each driver in most samples, (N, CHAIN - 1), or -1."""
-    drivers = len(trajectories.vehicle)
+def _ahead(trajectories: Trajectories, who: Sequence[int]) -> Ints:
+    """Columns of the vehicles ahead of some drivers in most samples, (N, CHAIN - 1), or -1."""
     column = {int(v): k for k, v in enumerate(trajectories.vehicle)}
-    ahead = np.full((drivers, CHAIN - 1), -1)
-    for i in range(drivers):
+    ahead = np.full((len(who), CHAIN - 1), -1)
+    for k, i in enumerate(who):
         for m in range(1, CHAIN):
             columns = _columns(trajectories, i, m)
             known = trajectories.vehicle[columns[columns >= 0]]
             if len(known):
                 values, counts = np.unique(known, return_counts=True)
-                ahead[i, m - 1] = column[int(values[np.argmax(counts)])]
+                ahead[k, m - 1] = column[int(values[np.argmax(counts)])]
     return ahead
 
 

@@ -12,12 +12,11 @@ from sugiyama_ros.arrays import Array, Ints, Mask
 from sugiyama_ros.drives import Drive, divided, drives
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.chain import CHAIN, Chain
-from sugiyama_ros.fit.recording import BLOCK_S, FOLDS, Recorded, bounds_of, prepare
+from sugiyama_ros.fit.recording import BLOCK_S, FOLDS, MOST_SAMPLES, Recorded, bounds_of, prepare, within
 from sugiyama_ros.fit.sampling import apart_if_smoothed, measured, smoothed_alike, thinned, usual_decisions
 from sugiyama_ros.fit.sampling import divided as divided_recording
 from sugiyama_ros.fit.smooth_positions import Evenness, evenness_of, smoothing_window
-from sugiyama_ros.fit.some_drivers import columns_of
-from sugiyama_ros.fit.vicinity import DriverName, Vicinity
+from sugiyama_ros.fit.vicinity import DriverName, Vicinity, columns_of
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.one_lane import numbers_of
 from sugiyama_ros.trajectories.time_base import on_time_base, period_of
@@ -117,7 +116,7 @@ def fastest_on(every: Sequence[Drive], apart: int = 1) -> float:
     return float(np.nanquantile(np.concatenate(ways), 0.99)) / (steps * period_s)
 
 
-def prepare_tracks(tracks: Tracks, decisions: int | None = None) -> Recorded:
+def prepare_tracks(tracks: Tracks, decisions: int | None = None, most: int | None = None) -> Recorded:
     """Prepare tracks for a fit.
 
     Parameters
@@ -126,6 +125,8 @@ def prepare_tracks(tracks: Tracks, decisions: int | None = None) -> Recorded:
         Tracks with leaders.
     decisions : int, optional
         Number of decisions of the model's drivers from one sample to the next, as for ``followers``.
+    most : int, optional
+        Largest product of drivers and samples; of a larger recording, some of the drivers are prepared.
 
     Returns
     -------
@@ -141,7 +142,8 @@ def prepare_tracks(tracks: Tracks, decisions: int | None = None) -> Recorded:
     """
     tracks = on_time_base(tracks)
     found = followers(tracks, decisions)
-    drivers, every, parts = found.enough, found.every, found.decisions
+    every, parts = found.every, found.decisions
+    drivers = [found.enough[i] for i in within(most, len(found.enough), _samples(found.enough, parts) // parts)]
     seen_s = parts * every[0].chain.period_s
     window = smoothing_window([d.chain.position_m[::parts, 0] for d in every], seen_s)
     apart = parts if parts > 1 else apart_if_smoothed(window, evenness_on(every))
@@ -167,10 +169,13 @@ def prepare_tracks(tracks: Tracks, decisions: int | None = None) -> Recorded:
         every=apart,
         decisions=parts,
         smoothed_s=window * seen_s,
+        left_out=len(found.enough) - len(drivers),
     )
 
 
-def prepared(recording: Trajectories | Tracks, decisions: int | None = None) -> Recorded:
+def prepared(
+    recording: Trajectories | Tracks, decisions: int | None = None, most: int | None = MOST_SAMPLES
+) -> Recorded:
     """Prepare a whole road or tracks for a fit, as ``prepare`` and ``prepare_tracks`` do.
 
     Parameters
@@ -180,6 +185,8 @@ def prepared(recording: Trajectories | Tracks, decisions: int | None = None) -> 
     decisions : int, optional
         Number of decisions of the model's drivers from one sample to the next; by default as
         ``sampling.usual_decisions``.
+    most : int or None
+        Largest product of drivers and samples; of a larger recording, some of the drivers are prepared. None for all.
 
     Returns
     -------
@@ -192,8 +199,8 @@ def prepared(recording: Trajectories | Tracks, decisions: int | None = None) -> 
         If the recording is too short, or if nobody follows for long enough.
     """
     if isinstance(recording, Tracks):
-        return prepare_tracks(recording, decisions)
-    return prepare(recording if decisions is None else divided_recording(measured(recording), decisions))
+        return prepare_tracks(recording, decisions, most)
+    return prepare(recording if decisions is None else divided_recording(measured(recording), decisions), most=most)
 
 
 def driven_anew(data: Recorded, position_m: Array, segment: Ints) -> Recorded:
@@ -232,9 +239,14 @@ def _chains(drivers: Sequence[Sequence[Drive]], parts: int) -> tuple[Chain, ...]
     The leader's leader is in a chain where it is known on all stretches. Each measurement is at a multiple of
     ``parts``.
     """
-    between = parts * _BETWEEN
-    samples = max(sum(len(d.scored) + between for d in own) for own in drivers) - between
+    samples = _samples(drivers, parts)
     return tuple(_chain(own, samples, parts) for own in drivers)
+
+
+def _samples(drivers: Sequence[Sequence[Drive]], parts: int) -> int:
+    """Number of samples of the driver who has most, with those between stretches."""
+    between = parts * _BETWEEN
+    return max(sum(len(d.scored) + between for d in own) for own in drivers) - between
 
 
 def _chain(own: Sequence[Drive], samples: int, parts: int) -> Chain:

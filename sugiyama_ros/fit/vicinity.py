@@ -1,10 +1,12 @@
 """What the drivers of a recording are, and which vehicles are around them."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.filters.chain import CHAIN, Chain
 from sugiyama_ros.road import Road
 
 
@@ -104,3 +106,70 @@ class Vicinity:
     def first_last_s(self) -> tuple[float, float]:
         """Times [s] of the first and the last sample."""
         return float(np.nanmin(self.time_s)), float(np.nanmax(self.time_s))
+
+
+def behind_measured(around: Vicinity, chains: Sequence[Chain], who: Sequence[int]) -> Vicinity:
+    """Return some drivers behind vehicles that drive as measured, whoever drives these.
+
+    Parameters
+    ----------
+    around : Vicinity
+        All drivers.
+    chains : sequence of Chain
+        Chains of the chosen drivers.
+    who : sequence of int
+        Numbers of the chosen drivers.
+
+    Returns
+    -------
+    Vicinity
+        The chosen drivers, as on tracks.
+    """
+    chosen = list(who)
+    position, length, leader = columns_of(chains)
+    return replace(
+        around,
+        names=tuple(around.names[i] for i in chosen),
+        position_m=position,
+        length_m=length,
+        leader=leader,
+        time_s=around.time_s[:, chosen],
+        is_whole_road=False,
+    )
+
+
+def numbered(drivers: int, who: Sequence[int]) -> Ints:
+    """Return the new number of each driver if only those in ``who`` are left, (drivers + 1,).
+
+    Nobody else has one: -1. The last entry is that of the number -1.
+    """
+    number = np.full(drivers + 1, -1)
+    number[list(who)] = np.arange(len(who))
+    return number
+
+
+def columns_of(chains: Sequence[Chain]) -> tuple[Array, Array, Ints]:
+    """Return the vehicles of chains in columns, as a ``Vicinity`` of tracks has them.
+
+    Parameters
+    ----------
+    chains : sequence of Chain
+        Chains of N drivers, all with T samples.
+
+    Returns
+    -------
+    position_m, length_m : ndarray, shape (T, V)
+        Measured positions and lengths [m]: the N drivers, the vehicles ahead of each, and those ahead of these.
+    leader : ndarray of int, shape (T, V)
+        Column of the vehicle ahead, or -1.
+    """
+    count, samples = len(chains), len(chains[0].position_m)
+    columns = CHAIN * count
+    position, length = np.full((samples, columns), np.nan), np.zeros((samples, columns))
+    leader = np.full((samples, columns), -1)
+    for i, chain in enumerate(chains):
+        for m in range(chain.position_m.shape[1]):
+            position[:, i + m * count], length[:, i + m * count] = chain.position_m[:, m], chain.length_m[:, m]
+            if m > 0:
+                leader[:, i + (m - 1) * count] = np.where(chain.identity[:, m] >= 0, i + m * count, -1)
+    return position, length, leader

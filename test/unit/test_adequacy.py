@@ -13,7 +13,8 @@ from sugiyama_ros.diagnosis.coarseness import rounding_says, sampling_says
 from sugiyama_ros.diagnosis.diagnosis import diagnose
 from sugiyama_ros.diagnosis.discover import Discovery
 from sugiyama_ros.diagnosis.doubts import wrong_signs
-from sugiyama_ros.diagnosis.errors import errors_of, held_out_errors
+from sugiyama_ros.diagnosis.errors import HeldOutErrors, errors_of, held_out_errors
+from sugiyama_ros.diagnosis.free_runs import FreeRuns
 from sugiyama_ros.diagnosis.innovations import correlation_says
 from sugiyama_ros.diagnosis.law_check import LawCheck, check_laws, closer_laws, open_laws
 from sugiyama_ros.diagnosis.rivals import start_of
@@ -21,6 +22,7 @@ from sugiyama_ros.diagnosis.verdict import document, sentences
 from sugiyama_ros.driver.parameters import defaults
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.cross_validation import Gain, gain, sum_error, without_folds
+from sugiyama_ros.fit.score import PointwiseDensity
 from sugiyama_ros.laws.registry import LAWS, number_of
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, evenly, simulate
@@ -351,10 +353,38 @@ def test_a_law_that_predicts_better_is_judged_by_simulations_where_samples_are_f
 
 def test_a_law_is_far_behind_in_recordings_that_the_model_simulates(own):
     with ThreadPoolExecutor(2) as work:
-        found = check_laws(
-            ("constant_speed",), ((own.data, held_out_errors(own.data, own.final, work, searched=False)),), work
-        )
+        errors = held_out_errors(own.data, own.final, work, searched=False)
+        found = check_laws({"constant_speed": own.after}, [(own.data, errors)], work)
+        some = own.after.among(own.after, range(CARS))
+        for array in (some.samples.log_likelihood, some.runs.single.T, some.runs.coupled.T):
+            array[::2] = np.nan
+        of_some = check_laws({"constant_speed": some}, [(own.data, errors)], work)
     assert max(found["constant_speed"].gains) < -100.0
+    # fitted to the same drivers as in the data, half of all
+    share = max(of_some["constant_speed"].gains) / max(found["constant_speed"].gains)
+    assert 0.3 < share < 0.7
+
+
+def test_a_law_of_some_drivers_is_compared_on_their_runs_and_samples_alone(own):
+    """The law predicts and drives like the model, and some drivers are not predicted by it."""
+    who = list(range(0, CARS, 3))
+    samples, runs = own.after.samples, own.after.runs
+    part = {name: getattr(runs, name)[:, :, who] for name in vars(runs) if name != "start"}
+    alone = PointwiseDensity(samples.innovation_m[who], samples.innovation_var[who], samples.log_likelihood[who])
+    few = HeldOutErrors(alone, FreeRuns(**part, start=runs.start), own.after.block_position_m[:, who])
+    law = few.among(own.after, who)
+    assert law.predicted_drivers == who
+    assert law.free_run_10s_beside(own.after) == own.after.free_run_10s_beside(law)
+    assert law.free_run_10s_m != own.after.free_run_10s_m
+    won = gain(own.data, law.samples, own.after.samples)
+    assert (won.nats, won.se, len(won.drivers)) == (0.0, 0.0, len(who))
+    assert closer_laws(own.after, {"same": law}) == {}
+    # of starts of which these drivers have only some, too
+    later = replace(few, runs=FreeRuns(**{k: v[2:] for k, v in part.items()}, start=runs.start[2:])).among(
+        own.after, who
+    )
+    np.testing.assert_array_equal(later.runs.single[2:], law.runs.single[2:])
+    assert np.isnan(later.runs.single[:2]).all()
 
 
 def test_freed_constants_have_to_gain_twice_as_much_as_an_effect(own):

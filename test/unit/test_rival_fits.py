@@ -64,9 +64,9 @@ def test_a_quick_diagnosis_fits_a_law_that_is_far_behind_to_some_drivers(data, b
     with ThreadPoolExecutor(1) as aside:
         (found,) = start_rivals(data, before, work, aside)
     one = found.result()["constant_speed"]
-    assert one.drivers == 8
+    assert one.is_far
     assert one.summary(CARS)["drivers"] == 8
-    assert np.isnan(one.errors.free_run_10s_m) or one.errors.free_run_10s_m > before.free_run_10s_m
+    assert one.errors.free_run_10s_beside(before)[0] > before.free_run_10s_beside(one.errors)[0]
     assert one.errors.loglik_per_sample < before.loglik_per_sample
 
 
@@ -78,6 +78,26 @@ def test_a_law_that_may_be_better_is_fitted_to_all_drivers(data, work, monkeypat
     with ThreadPoolExecutor(1) as aside:
         (found,) = start_rivals(data, slow, work, aside)
     one = found.result()["idm"]
-    assert one.drivers == CARS
+    assert not one.is_far
     assert "drivers" not in one.summary(CARS)
     assert np.isfinite(one.errors.summary()["free_run_10s_m"])
+
+
+def test_some_of_many_drivers_decide_about_a_law(data, work, monkeypatch):
+    monkeypatch.setattr("sugiyama_ros.diagnosis.rival_fits._ENOUGH", CARS // 2)
+    slow = held_out_errors(data, in_filter(data, "constant_speed", work), work, searched=False)
+    monkeypatch.setattr("sugiyama_ros.diagnosis.rival_fits.RIVALS", ("idm",))
+    with ThreadPoolExecutor(1) as aside:
+        (found,) = start_rivals(data, slow, work, aside)
+    one = found.result()["idm"]
+    assert not one.is_far
+    assert one.summary(CARS)["drivers"] == CARS // 2
+    assert one.errors.predicted_drivers == list(range(0, CARS, 2))
+    alone = some_drivers(data, one.errors.predicted_drivers)
+    again = held_out_errors(alone, in_filter(alone, "idm", work, _total(slow, alone, data)), work, searched=False)
+    assert one.errors.samples.total == pytest.approx(again.samples.total, rel=1e-12)
+
+
+def _total(errors, alone, data):
+    who = [data.vicinity.names.index(name) for name in alone.vicinity.names]
+    return float(np.nansum(errors.samples.log_likelihood[who]))

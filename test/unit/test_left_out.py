@@ -1,0 +1,77 @@
+"""Recordings with so many drivers that a diagnosis takes some of them only."""
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sugiyama_ros.diagnosis.diagnosis import diagnose
+from sugiyama_ros.diagnosis.verdict import document, sentences
+from sugiyama_ros.fit import stretched
+from sugiyama_ros.fit.population import start_model
+from sugiyama_ros.fit.recording import MOST_SAMPLES, prepare, within
+from sugiyama_ros.fit.score import evaluate
+from sugiyama_ros.fit.some_drivers import some_drivers
+from sugiyama_ros.fit.stretched import prepare_tracks, prepared
+from sugiyama_ros.studies.speed.recording import jam
+from sugiyama_ros.trajectories.one_lane import tracks_of
+
+CARS = 18
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return jam(CARS, 60.0)
+
+
+@pytest.mark.parametrize("most", [None, 1, 100, 2_000, 2_001, MOST_SAMPLES])
+@pytest.mark.parametrize(("drivers", "samples"), [(1, 50), (22, 90), (22, 91), (10_000, 750)])
+def test_as_many_drivers_as_there_is_room_for(most, drivers, samples):
+    who = within(most, drivers, samples)
+    assert len(who) >= 1
+    if most is None or drivers * samples <= most:
+        assert list(who) == list(range(drivers))
+    elif len(who) > 1:
+        assert most / 2.5 < len(who) * samples <= most + samples
+
+
+def test_the_chosen_drivers_are_predicted_as_among_all(recording):
+    everybody = prepare(recording)
+    most = CARS * everybody.samples // 3
+    chosen = prepare(recording, most=most)
+    who = within(most, CARS, everybody.samples)
+    assert (chosen.drivers, chosen.left_out) == (len(who), CARS - len(who))
+    assert chosen.vicinity.numbers == [everybody.vicinity.numbers[i] for i in who]
+    alike = some_drivers(everybody, who)
+    assert np.array_equal(chosen.ahead, alike.ahead)
+    assert np.array_equal(chosen.scored, alike.scored)
+    assert np.array_equal(chosen.fold, alike.fold)
+    assert np.array_equal(chosen.vicinity.position_m, alike.vicinity.position_m, equal_nan=True)
+    with ThreadPoolExecutor(2) as work:
+        apart = evaluate(chosen, start_model(chosen, chosen.even.individual()), work)
+        among = evaluate(alike, start_model(alike, alike.even.individual()), work)
+    assert np.array_equal(apart.log_likelihood, among.log_likelihood, equal_nan=True)
+
+
+def test_the_same_drivers_with_more_decisions(recording):
+    sparse = replace(recording, position_m=recording.position_m[::3], period_s=3 * recording.period_s)
+    most = CARS * len(sparse.position_m) // 2
+    usual, finer = prepared(sparse, most=most), prepared(sparse, 4, most)
+    assert 1 < usual.drivers < CARS
+    assert usual.vicinity.names == finer.vicinity.names
+
+
+def test_some_drivers_of_tracks(recording):
+    tracks = tracks_of(recording)
+    everybody = prepare_tracks(tracks)
+    chosen = prepare_tracks(tracks, most=everybody.drivers * everybody.samples // 2)
+    assert chosen.drivers + chosen.left_out == everybody.drivers
+    assert set(chosen.vicinity.names) < set(everybody.vicinity.names)
+
+
+def test_the_verdict_says_how_many_drivers_it_is_about(recording, monkeypatch):
+    monkeypatch.setattr(stretched.prepared, "__defaults__", (None, CARS * len(recording.position_m) // 6))
+    found = diagnose(recording, quick=True, verdict_only=True, workers=2)
+    assert document(found)["drivers_left_out"] == CARS - document(found)["vehicles"] == 15
+    assert any("3 of 18 drivers" in line for line in sentences(found))
