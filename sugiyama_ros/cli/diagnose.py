@@ -155,6 +155,7 @@ def compare(
     from sugiyama_ros.diagnosis.compare import compare as compare_models
     from sugiyama_ros.diagnosis.comparison_document import document
     from sugiyama_ros.fit.model_file import read_model
+    from sugiyama_ros.fit.recording import told_of
     from sugiyama_ros.formats.registry import read_recordings
     from sugiyama_ros.workers import helpers
 
@@ -166,6 +167,8 @@ def compare(
     if as_json:
         print_json(document(compared))
         return
+    if compared.left_out:
+        print_line(told_of(compared.left_out, compared.vicinity.drivers))
     print_table(tables.held_out_errors(compared.models), wide=wide)
     print_table(tables.details(compared.models), wide=wide)
     if compared.measured is not None:

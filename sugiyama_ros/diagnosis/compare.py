@@ -91,6 +91,8 @@ class Comparison(Result):
         Standard error [m/s] of the speed of waves in the recording, over blocks of time; NaN without waves.
     seed : int
         Seed of the simulations.
+    left_out : int
+        Number of drivers who were left out because there were too many.
     """
 
     models: tuple[Compared, ...]
@@ -98,6 +100,7 @@ class Comparison(Result):
     measured: Collective | None
     wave_speed_se: float
     seed: int
+    left_out: int = 0
 
     def headline(self) -> str:
         """Say which model predicts best, and how much better than the base model."""
@@ -190,7 +193,7 @@ def compare(
         first = comparison.found[0]
         found = (first, *(_beside(data, one, first) for one in comparison.found[1:]), _floor(data, base, seed, work))
         on_progress("done", steps, steps)
-    return Comparison(found, data.vicinity, *_measured(data), seed)
+    return Comparison(found, data.vicinity, *_measured(data), seed, data.left_out)
 
 
 class _Models:

@@ -18,13 +18,14 @@ def document(comparison: Comparison) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``models``, ``measured``, ``wave_speed_se``, ``decision_period_s`` and ``seed``.
+        ``models``, ``measured``, ``wave_speed_se``, ``decision_period_s``, ``drivers_left_out`` and ``seed``.
     """
     return {
         "models": [_model(one, comparison.vicinity) for one in comparison.models],
         "measured": asdict(comparison.measured) if comparison.measured is not None else None,
         "wave_speed_se": comparison.wave_speed_se,
         "decision_period_s": comparison.vicinity.period_s,
+        "drivers_left_out": comparison.left_out,
         "seed": comparison.seed,
     }
 

@@ -15,7 +15,7 @@ from sugiyama_ros.diagnosis.use import drivers_worse
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
 from sugiyama_ros.effects.registry import EFFECTS, ROW, effect
 from sugiyama_ros.fit.model_file import own_stds
-from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.fit.recording import Recorded, told_of
 
 #: Member of the set of what cannot be told apart, where the named effect leaves biases that it should not leave.
 UNLISTED = "something that is not listed"
@@ -263,10 +263,7 @@ def sentences(d: Diagnosis) -> list[str]:
     lines += [f"In use it is worse than the base model: {one}." for n in d.named[-1:] for one in n.worse[:_WORST]]
     lines += [_smoothing(d.data), _noises(d.data), _decisions(d.data)]
     if d.data.left_out:
-        lines.append(
-            f"This is about {d.data.drivers} of {d.data.drivers + d.data.left_out} drivers, evenly spread over the"
-            " recording: all of them would take too much memory."
-        )
+        lines.append(told_of(d.data.left_out, d.data.drivers))
     left_out = not_searched(d.data)
     if left_out and not d.data.vicinity.is_whole_road:
         lines.append("Not searched: " + ", ".join(f"{name} ({reason})" for name, reason in left_out.items()) + ".")
