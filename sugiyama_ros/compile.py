@@ -5,12 +5,15 @@
 The Makefile calls this after an installation. Compiled code is kept (see `sugiyama_ros.jit`), so a second call takes
 seconds. The code is compiled by doing every kind of work once, on a small simulated recording. One function has a
 version for each number of periods that drivers look ahead (the paper's mean action, whose loop is unrolled). So the
-paper's calibration compiles a little more for recordings whose period is not about 1/3 s.
+paper's calibration compiles a little more for recordings whose period is not about 1/3 s. Python's own bytecode is
+written too, because Python itself does not write it where PYTHONDONTWRITEBYTECODE is set, as in many containers.
 """
 
+import compileall
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 from sugiyama_ros.api import simulate
 from sugiyama_ros.calibration.calibrate import each_driver
@@ -37,6 +40,7 @@ def compile_all(tell: Callable[[str], None] = print) -> None:
     tell : callable
         Called with one line of text before and after each kind of work.
     """
+    compileall.compile_dir(Path(__file__).parent, quiet=2)  # says nothing where the package cannot be written
     recording = simulate(_VEHICLES, ring_m=_RING_M, duration_s=_DURATION_S, effects={_EFFECT: _VALUES}).measured
     work: dict[str, Callable[[], object]] = {
         "the paper's calibration": lambda: each_driver(recording, Settings("paper")),

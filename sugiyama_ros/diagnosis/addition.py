@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sugiyama_ros.diagnosis.candidacy import LEAST_GAIN
 from sugiyama_ros.diagnosis.candidates import Candidate, Kind
 from sugiyama_ros.diagnosis.errors import MANY_DRIVERS, HeldOutErrors
 from sugiyama_ros.diagnosis.few import rises
@@ -154,10 +155,18 @@ def parameters_of(fitted: JointFit, candidate: Candidate) -> dict[str, float]:
 
 
 def feigning(before: tuple[JointFit, HeldOutErrors], after: tuple[JointFit, HeldOutErrors]) -> list[int]:
-    """Return the numbers of the drivers who gain more held out than by the fit, by a nat and by more than a tenth."""
+    """Return the numbers of the drivers without whom a held-out gain would not exceed the gain of the fit.
+
+    These are the drivers who gain more held out than by the fit, by a nat and by more than a tenth; those who gain most
+    come first, and no more of them than it takes.
+    """
     held_out = [np.nansum(errors.samples.log_likelihood, axis=1) for _, errors in (before, after)]
-    most = FEIGNED * np.maximum(rises(before[0], after[0]), 0.0) + 1.0
-    return [int(i) for i in np.flatnonzero(held_out[1] - held_out[0] > most)]
+    gains, risen = held_out[1] - held_out[0], rises(before[0], after[0])
+    excess = gains - FEIGNED * np.maximum(risen, 0.0) - 1.0
+    order = np.argsort(-excess)
+    too_much = gains.sum() - FEIGNED * risen.sum() - LEAST_GAIN
+    enough = int(np.searchsorted(np.cumsum(excess[order]), too_much)) + 1
+    return sorted(int(i) for i in order[:enough] if excess[i] > 0.0)
 
 
 def least_gain(won: Gain, candidate: Candidate) -> float:

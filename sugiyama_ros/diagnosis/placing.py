@@ -11,7 +11,7 @@ from sugiyama_ros.diagnosis.candidates import Candidate
 from sugiyama_ros.diagnosis.response import predicted
 from sugiyama_ros.diagnosis.screen import FULL
 from sugiyama_ros.effects.registry import ROW
-from sugiyama_ros.fit.joint import JointFit, rise, warm_start
+from sugiyama_ros.fit.joint import JointFit, at_model, maximise, renewed, rise, warm_start
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.score import evaluate
 
@@ -128,5 +128,11 @@ def _best_of(data: Recorded, fitted: JointFit, place: int, values: Sequence[Arra
     best, rows = max(tried, key=lambda one: one[0], default=(-np.inf, fitted.model.rows))
     if (best - here) * data.drivers / len(who) < _WORTH:
         return fitted
-    again = warm_start(data, fitted, replace(fitted.model, rows=rows), work, renewals=FULL.renewals)
+    everybody = np.ones(data.drivers, np.bool_)
+    there = at_model(data, fitted, replace(fitted.model, rows=rows), work, everybody)
+    # derivatives of another place may have promised too much, most of all where noises differ
+    there = renewed(data, there, work, everybody)
+    if predicted(there, there.model, there.samples) < predicted(fitted, fitted.model, fitted.samples):
+        return fitted
+    again = maximise(data, there, work, renewals=FULL.renewals - 1)
     return again if rise(fitted, again) > 0.0 else fitted

@@ -276,7 +276,7 @@ class Search:
             return True
         predicted = self._nearly(one.fit)
         won = gain(self.data, predicted.samples, now.samples)
-        return won.nats > -won.se and (one.candidate.is_noise or predicted.no_worse_than(now))
+        return won.nats > 0.0 and (one.candidate.is_noise or predicted.no_worse_than(now))
 
     def _nearly(self, fitted: JointFit) -> HeldOutErrors:
         """Held-out errors, without a search for each fold."""

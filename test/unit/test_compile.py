@@ -1,6 +1,8 @@
 """What is compiled after an installation is all that the commands need, whatever the data."""
 
 import sys
+from importlib.util import cache_from_source
+from pathlib import Path
 
 import numpy as np
 from numba.core.dispatcher import Dispatcher
@@ -24,6 +26,8 @@ def test_after_compiling_nothing_is_left_to_compile() -> None:
     compile_all(told.append)
     before = compiled()
     assert len(told) == 5
+    # Python writes no bytecode by itself where PYTHONDONTWRITEBYTECODE is set
+    assert all(Path(cache_from_source(str(one))).exists() for one in Path(sg.__file__).parent.glob("cli/*.py"))
     assert before["sugiyama_ros.filters.causal_kernel.run"] == before["sugiyama_ros.filters.paper_kalman.run"] == 1
 
     effects = {"sensor_eccentricity": {"cosine": 0.5, "sine": 0.3}, "drag": {"c0": 0.1}}
