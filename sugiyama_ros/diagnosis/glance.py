@@ -103,7 +103,7 @@ class Glance:
         return float(np.max(self.starts[worst][first])), -rises[worst]
 
 
-def glance(data: Recorded, base: JointFit, candidate: Candidate, work: Executor) -> Glance:
+def glance(data: Recorded, base: JointFit, candidate: Candidate, work: Executor, drivers: int = _DRIVERS) -> Glance:
     """Glance at the starts of a candidate.
 
     Parameters
@@ -116,6 +116,8 @@ def glance(data: Recorded, base: JointFit, candidate: Candidate, work: Executor)
         What to look at.
     work : Executor
         Runs the filters.
+    drivers : int
+        Number of drivers on whom the glance falls, or up to twice as many.
 
     Returns
     -------
@@ -123,7 +125,7 @@ def glance(data: Recorded, base: JointFit, candidate: Candidate, work: Executor)
         What the starts show.
     """
     # a push moves one driver alone
-    some = range(data.drivers) if candidate.happens_once else data.spread(_DRIVERS)
+    some = range(data.drivers) if candidate.happens_once else data.spread(drivers)
     likelihoods, changes = [], []
     best: PointwiseDensity | None = None
     starts = _one_at_a_time(candidate)
@@ -215,10 +217,11 @@ def beyond_chance(data: Recorded, base: JointFit, seen: Glance) -> float:
 
 
 class Promise(NamedTuple):
-    """A candidate with its predicted gain [nats]."""
+    """A candidate with its predicted gain [nats], and the probability that chance shows as much in any candidate."""
 
     candidate: Candidate
     gain: float
+    p_value: float | None = None
 
 
 def worth_screening(

@@ -32,6 +32,7 @@ from sugiyama_ros.diagnosis.few import who_shows
 from sugiyama_ros.diagnosis.few_screen import ShownByFew, fits_of_few, shown_by_few
 from sugiyama_ros.diagnosis.forms import best_forms
 from sugiyama_ros.diagnosis.glance import Promise
+from sugiyama_ros.diagnosis.largest import p_values, with_p_values
 from sugiyama_ros.diagnosis.looks import Looks
 from sugiyama_ros.diagnosis.placing import converged
 from sugiyama_ros.diagnosis.push import push_candidate
@@ -268,6 +269,9 @@ class Search:
             self.scored = [one.without_fits(self.base) for one in scored]
             shown = {one.candidate.mechanism for one in scored}
             self.left_out = [one for one in best_forms(self._looks.left_out) if one.candidate.mechanism not in shown]
+            if all(one.p_value > LEVEL for one in scored):
+                found_p = p_values(self.data, self.base, self._looks.glances, self.simulations(), self.seed, self._work)
+                self.scored, self.left_out = with_p_values(found_p, LEVEL, self.scored, self.left_out)
         return scored
 
     def _predicts_more(self, one: Candidacy, now: HeldOutErrors) -> bool:

@@ -88,10 +88,10 @@ def _candidates(d: Diagnosis) -> list[dict[str, Any]]:
         }
         for one in sorted(fitted, key=lambda one: -d.heldout[one.candidate.name].nats)
     ]
-    unknown = dict.fromkeys(("heldout_gain_nats", "heldout_gain_se", "p_value"))
+    unknown = dict.fromkeys(("heldout_gain_nats", "heldout_gain_se"))
     return found + [
-        {"name": c.name, "kind": c.kind, "parameters": {}, "gain_nats": gain, **unknown}
-        for c, gain in sorted(d.left_out, key=lambda one: -one.gain)
+        {"name": c.name, "kind": c.kind, "parameters": {}, "gain_nats": gain, "p_value": p, **unknown}
+        for c, gain, p in sorted(d.left_out, key=lambda one: -one.gain)
     ]
 
 

@@ -130,7 +130,9 @@ def judge(case: Case, strength: str, seed: int, quick: bool) -> Judged:
         named=tuple(n.name for n in d.named),
         also=d.named[0].indistinguishable if d.named else (),
         who=tuple(first) if isinstance(first, list) else (),
-        p_value=min((one.p_value for one in d.scored), default=1.0),
+        p_value=min(
+            [*(one.p_value for one in d.scored), *(one.p_value for one in d.left_out if one.p_value is not None), 1.0]
+        ),
         oracle=max((one.gain for one in d.scored if one.candidate.mechanism in case.right), default=0.0),
         heldout=heldout.nats if d.named else 0.0,
         heldout_se=heldout.se if d.named else 0.0,

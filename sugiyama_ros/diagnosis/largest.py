@@ -1,0 +1,131 @@
+"""The largest gain among all candidates, compared with what chance gives: a test of all candidates at once.
+
+Gains of candidates are correlated, and many are limited by bounds, so no number of independent tests stands for them.
+Here the scores of all starts have a joint normal distribution, whose covariance is the information of the starts while
+the parameters of the model respond. Approximations of the filter shift the scores. Recordings that the model simulates
+tell by how much.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.diagnosis.candidacy import Candidacy
+from sugiyama_ros.diagnosis.candidates import Candidate
+from sugiyama_ros.diagnosis.glance import Glance, Promise, glance
+from sugiyama_ros.fit.joint import JointFit
+from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.fit.slopes import sums
+
+# Draws from the distribution.
+_DRAWS = 4000
+# Drivers of all simulated recordings together on whom glances fall, or up to twice as many: as many as in the data.
+_DRIVERS = 11
+# A start whose information is a smaller part of the largest one says nothing.
+_NOTHING = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Scores:
+    """Scores of the starts of all candidates.
+
+    Parameters
+    ----------
+    score : ndarray, shape (E,)
+        Slope of the log posterior along each start, while the parameters of the model respond.
+    information : ndarray, shape (E, E)
+        Covariance of the scores.
+    """
+
+    score: Array
+    information: Array
+
+
+def p_values(
+    data: Recorded,
+    base: JointFit,
+    glances: Mapping[str, Glance],
+    simulations: Sequence[tuple[Recorded, JointFit]],
+    seed: int,
+    work: Executor,
+) -> dict[str, float]:
+    """Return how probable it is that any candidate shows as much by chance as each mechanism does.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    base : JointFit
+        The fitted model without the candidates.
+    glances : mapping of str to Glance
+        Glances at the candidates, beside this model.
+    simulations : sequence of (Recorded, JointFit)
+        Recordings that the model simulates, with the fits to them.
+    seed : int
+        Seed of the draws.
+    work : Executor
+        Runs the filters.
+
+    Returns
+    -------
+    dict of str to float
+        The probabilities, by the name of the mechanism, for those whose starts change the samples for all drivers. The
+        smallest one is uniform by chance.
+    """
+    seen = [one for one in glances.values() if _is_shared(one.candidate)]
+    if not seen:
+        return {}
+    here = scores(data, base, seen)
+    shift, covariance = np.zeros(len(here.score)), here.information.copy()
+    runs = len(simulations)
+    for simulated, fitted in simulations:
+        there = [glance(simulated, fitted, one.candidate, work, max(1, _DRIVERS // runs)) for one in seen]
+        one, weight = scores(simulated, fitted, there), len(seen[0].some) / len(there[0].some) / runs
+        shift += weight * one.score
+        covariance += weight**2 * one.information
+    variance = np.diag(covariance)
+    spread = np.where(variance > _NOTHING * variance.max(), np.sqrt(np.maximum(variance, 0.0)), np.inf)
+    values, vectors = np.linalg.eigh(covariance / np.outer(spread, spread))
+    normal = np.random.default_rng(seed).standard_normal((_DRAWS, len(values)))
+    by_chance = np.abs(normal * np.sqrt(np.maximum(values, 0.0)) @ vectors.T).max(axis=1)
+    largest: dict[str, float] = {}
+    mechanisms = [one.candidate.mechanism for one in seen for _ in one.starts]
+    for name, z in zip(mechanisms, np.abs(here.score - shift) / spread, strict=True):
+        largest[name] = max(largest.get(name, 0.0), float(z))
+    return {name: float((1 + np.count_nonzero(by_chance >= z)) / (1 + _DRAWS)) for name, z in largest.items()}
+
+
+def with_p_values(
+    found: Mapping[str, float], least: float, scored: Iterable[Candidacy], rest: Iterable[Promise]
+) -> tuple[list[Candidacy], list[Promise]]:
+    """Return candidates with these p-values, but at least ``least``: below, simulations of each candidate decide."""
+    p = {name: max(one, least) for name, one in found.items()}
+    return (
+        [replace(one, p_value=p.get(one.candidate.mechanism, one.p_value)) for one in scored],
+        [one._replace(p_value=p.get(one.candidate.mechanism)) for one in rest],
+    )
+
+
+def scores(data: Recorded, base: JointFit, seen: Sequence[Glance]) -> Scores:
+    """Return the scores of the starts of all candidates, for the drivers on whom the glances fell."""
+    own, known, std = len(base.model.individual), len(base.model.shared), np.array(base.model.prior_std)
+    score, information = [], []
+    for i in seen[0].some:
+        columns = [*base.slopes[i].columns[: own + known], *(change[i] for one in seen for change in one.changes)]
+        at = sums(base.samples.of(i), columns, base.model.rows[i], data.fold[i])
+        g, h = at.score.sum(axis=0), at.information.sum(axis=0)
+        gives_way = np.linalg.solve(h[:own, :own] + np.diag(1.0 / std**2), h[:own, own:])
+        score.append(g[own:] - (g[:own] - base.model.away[i] / std) @ gives_way)
+        information.append(h[own:, own:] - h[own:, :own] @ gives_way)
+    g, h = np.sum(score, axis=0), np.sum(information, axis=0)
+    shared = np.linalg.pinv(h[:known, :known]) @ h[:known, known:]
+    h = h[known:, known:] - h[known:, :known] @ shared
+    return Scores(g[known:] - g[:known] @ shared, 0.5 * (h + h.T))
+
+
+def _is_shared(candidate: Candidate) -> bool:
+    """Whether starts of a candidate change the samples, for all drivers in the same way."""
+    return any(candidate.starts) and not candidate.individual and not candidate.happens_once

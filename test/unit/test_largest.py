@@ -1,0 +1,79 @@
+"""The largest gain of all candidates by chance: the test is about what glances promise, and sees what is hidden."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from sugiyama_ros.diagnosis.bootstrap import resampled_fits, seeds
+from sugiyama_ros.diagnosis.candidates import candidates
+from sugiyama_ros.diagnosis.glance import glance, promised
+from sugiyama_ros.diagnosis.largest import p_values, scores
+from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, defaults
+from sugiyama_ros.effects.registry import ROW, switch_on
+from sugiyama_ros.fit.population import fit_base
+from sugiyama_ros.fit.recording import prepare
+from sugiyama_ros.road import Road
+from sugiyama_ros.simulation.simulator import Simulator, platoon, simulate
+
+CARS, RING_M, LENGTH_M, SEED = 12, 130.0, 4.33, 7
+
+
+def fitted_to(work, effect="", **values):
+    """A recording with an effect, the base model fitted to it, and glances at all candidates."""
+    rows = ROW.with_effects(defaults(CARS))
+    rows = switch_on(rows, effect, values) if effect else rows
+    length = np.full(CARS, LENGTH_M)
+    run = simulate(Simulator(rows, length, platoon(length, 2.0), Road(RING_M), np.random.default_rng(SEED)), 100.0)
+    data = prepare(run.measured)
+    base = fit_base(data, (SIGMA_NU, SIGMA_A, V_STAR, KAPPA_V), work)
+    return data, base, {c.name: glance(data, base, c, work) for c in candidates(data)}
+
+
+@pytest.fixture(scope="module")
+def work():
+    with ThreadPoolExecutor(2) as pool:
+        yield pool
+
+
+def compared(data, base, seen, work):
+    simulations = resampled_fits(data, base, seeds(SEED, 2), work, lambda *_: None)
+    return p_values(data, base, seen, simulations, SEED, work)
+
+
+@pytest.fixture(scope="module")
+def whole(work):
+    """Nothing is missing."""
+    return fitted_to(work)
+
+
+def test_half_a_squared_score_is_what_a_glance_promises(whole, work):
+    data, base, seen = whole
+    for name in ("road_grade", "clock_offset", "rear_pressure"):
+        one = seen[name]
+        found = scores(data, base, [one])
+        gains = 0.5 * found.score**2 / np.diag(found.information) * data.drivers / len(one.some)
+        # glances damp their step a little
+        assert promised(data, base, one)[0] == pytest.approx(gains.max(), rel=0.01, abs=0.01)
+
+
+def test_scores_of_candidates_are_correlated_but_not_the_same(whole):
+    data, base, seen = whole
+    some = [one for one in seen.values() if any(one.candidate.starts) and not one.candidate.individual]
+    information = scores(data, base, [one for one in some if not one.candidate.happens_once]).information
+    std = np.sqrt(np.diag(information))
+    values = np.linalg.eigvalsh(information / np.outer(std, std))
+    assert values.min() > -1e-6 * values.max()
+    # many starts repeat what others say
+    assert len(values) > 2 * values.sum() ** 2 / np.sum(values**2)
+
+
+def test_chance_shows_as_much_where_nothing_is_missing(whole, work):
+    # a smallest p-value is uniform: one recording in a thousand fails here
+    assert min(compared(*whole, work).values()) > 1e-3
+
+
+def test_what_is_hidden_stands_out(work):
+    found = compared(*fitted_to(work, "drag", c0=0.6, c2=0.0), work)
+    assert found["drag"] < 1e-3
+    assert found["drag"] == min(found.values())
