@@ -116,8 +116,6 @@ def glance(data: Recorded, base: JointFit, candidate: Candidate, work: Executor,
         What to look at.
     work : Executor
         Runs the filters.
-    drivers : int
-        Number of drivers on whom the glance falls, or up to twice as many.
 
     Returns
     -------
@@ -125,7 +123,7 @@ def glance(data: Recorded, base: JointFit, candidate: Candidate, work: Executor,
         What the starts show.
     """
     # a push moves one driver alone
-    some = range(data.drivers) if candidate.happens_once else data.spread(drivers)
+    some = range(data.drivers) if candidate.happens_once else data.spread(_DRIVERS)
     likelihoods, changes = [], []
     best: PointwiseDensity | None = None
     starts = _one_at_a_time(candidate)

@@ -2,8 +2,8 @@
 
 Gains of candidates are correlated, and many are limited by bounds, so no number of independent tests stands for them.
 Here the scores of all starts have a joint normal distribution, whose covariance is the information of the starts while
-the parameters of the model respond. Approximations of the filter shift the scores. Recordings that the model simulates
-tell by how much.
+the parameters of the model respond. Approximations of the filter shift the scores, of each driver differently. The same
+drivers in a recording that the model simulates tell by how much.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -22,8 +22,9 @@ from sugiyama_ros.fit.slopes import sums
 
 # Draws from the distribution.
 _DRAWS = 4000
-# Drivers of all simulated recordings together on whom glances fall, or up to twice as many: as many as in the data.
-_DRIVERS = 11
+# The variance of scores beyond their information: with it, the smallest p-values of 34 simulated recordings of 17
+# conditions are uniform (Kolmogorov-Smirnov: p = 0.8; without it 0.03, with 1.4 0.01).
+_WIDER = 1.2
 # A start whose information is a smaller part of the largest one says nothing.
 _NOTHING = 1e-9
 
@@ -48,7 +49,7 @@ def p_values(
     data: Recorded,
     base: JointFit,
     glances: Mapping[str, Glance],
-    simulations: Sequence[tuple[Recorded, JointFit]],
+    simulation: tuple[Recorded, JointFit],
     seed: int,
     work: Executor,
 ) -> dict[str, float]:
@@ -62,8 +63,8 @@ def p_values(
         The fitted model without the candidates.
     glances : mapping of str to Glance
         Glances at the candidates, beside this model.
-    simulations : sequence of (Recorded, JointFit)
-        Recordings that the model simulates, with the fits to them.
+    simulation : (Recorded, JointFit)
+        A recording that the model simulates, with the fit to it.
     seed : int
         Seed of the draws.
     work : Executor
@@ -72,20 +73,16 @@ def p_values(
     Returns
     -------
     dict of str to float
-        The probabilities, by the name of the mechanism, for those whose starts change the samples for all drivers. The
-        smallest one is uniform by chance.
+        The probabilities, by the name of the mechanism, for those whose starts change what all drivers do or what is
+        measured of it; not for noises. The smallest one is uniform by chance.
     """
     seen = [one for one in glances.values() if _is_shared(one.candidate)]
     if not seen:
         return {}
+    simulated, fitted = simulation
     here = scores(data, base, seen)
-    shift, covariance = np.zeros(len(here.score)), here.information.copy()
-    runs = len(simulations)
-    for simulated, fitted in simulations:
-        there = [glance(simulated, fitted, one.candidate, work, max(1, _DRIVERS // runs)) for one in seen]
-        one, weight = scores(simulated, fitted, there), len(seen[0].some) / len(there[0].some) / runs
-        shift += weight * one.score
-        covariance += weight**2 * one.information
+    there = scores(simulated, fitted, [glance(simulated, fitted, one.candidate, work) for one in seen])
+    covariance = _WIDER * (here.information + there.information)
     variance = np.diag(covariance)
     spread = np.where(variance > _NOTHING * variance.max(), np.sqrt(np.maximum(variance, 0.0)), np.inf)
     values, vectors = np.linalg.eigh(covariance / np.outer(spread, spread))
@@ -93,7 +90,7 @@ def p_values(
     by_chance = np.abs(normal * np.sqrt(np.maximum(values, 0.0)) @ vectors.T).max(axis=1)
     largest: dict[str, float] = {}
     mechanisms = [one.candidate.mechanism for one in seen for _ in one.starts]
-    for name, z in zip(mechanisms, np.abs(here.score - shift) / spread, strict=True):
+    for name, z in zip(mechanisms, np.abs(here.score - there.score) / spread, strict=True):
         largest[name] = max(largest.get(name, 0.0), float(z))
     return {name: float((1 + np.count_nonzero(by_chance >= z)) / (1 + _DRAWS)) for name, z in largest.items()}
 
@@ -127,5 +124,5 @@ def scores(data: Recorded, base: JointFit, seen: Sequence[Glance]) -> Scores:
 
 
 def _is_shared(candidate: Candidate) -> bool:
-    """Whether starts of a candidate change the samples, for all drivers in the same way."""
-    return any(candidate.starts) and not candidate.individual and not candidate.happens_once
+    """Whether starts of a candidate change the samples, for all drivers in the same way, and not only their noise."""
+    return any(candidate.starts) and not (candidate.individual or candidate.happens_once or candidate.is_noise)

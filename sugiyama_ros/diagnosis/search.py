@@ -270,7 +270,9 @@ class Search:
             shown = {one.candidate.mechanism for one in scored}
             self.left_out = [one for one in best_forms(self._looks.left_out) if one.candidate.mechanism not in shown]
             if all(one.p_value > LEVEL for one in scored):
-                found_p = p_values(self.data, self.base, self._looks.glances, self.simulations(), self.seed, self._work)
+                found_p = p_values(
+                    self.data, self.base, self._looks.glances, self.simulations()[0], self.seed, self._work
+                )
                 self.scored, self.left_out = with_p_values(found_p, LEVEL, self.scored, self.left_out)
         return scored
 
