@@ -258,6 +258,8 @@ def _summed_up(
     on_progress: OnStage,
 ) -> Diagnosis:
     """The diagnosis at the end of a search; ``began``: start on the monotonic clock [s]."""
+    if not search.named:
+        search.compare_all()
     search.forget()
     compared = ((search.base, search.before), (search.current, search.errors))
     where_before, where_after = (locate(search.data, one.model, e.samples, work) for one, e in compared)

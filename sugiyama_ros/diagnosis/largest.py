@@ -11,11 +11,14 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import norm
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.candidacy import Candidacy
 from sugiyama_ros.diagnosis.candidates import Candidate
+from sugiyama_ros.diagnosis.chance import of_best
 from sugiyama_ros.diagnosis.glance import Glance, Promise, glance
+from sugiyama_ros.fit.cross_validation import Gain
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.slopes import sums
@@ -96,13 +99,39 @@ def p_values(
 
 
 def with_p_values(
-    found: Mapping[str, float], least: float, scored: Iterable[Candidacy], rest: Iterable[Promise]
+    found: Mapping[str, float], scored: Sequence[Candidacy], heldout: Mapping[str, Gain], rest: Iterable[Promise]
 ) -> tuple[list[Candidacy], list[Promise]]:
-    """Return candidates with these p-values, but at least ``least``: below, simulations of each candidate decide."""
-    p = {name: max(one, least) for name, one in found.items()}
+    """Return candidates with p-values from one test of all of them.
+
+    What is not part of the test, such as noises, keeps its own p-value, unless its held-out gain is more probable.
+
+    Parameters
+    ----------
+    found : mapping of str to float
+        Probabilities by the name of the mechanism, as ``p_values`` returns them.
+    scored : sequence of Candidacy
+        Candidates that were screened.
+    heldout : mapping of str to Gain
+        Their held-out gains, by name.
+    rest : iterable of Promise
+        Candidates that were not screened.
+
+    Returns
+    -------
+    scored : list of Candidacy
+    rest : list of Promise
+    """
+    several = len(found) + len(scored)
+
+    def p_value(one: Candidacy) -> float:
+        if one.candidate.mechanism in found:
+            return found[one.candidate.mechanism]
+        won = heldout[one.candidate.name]
+        return max(one.p_value, of_best(float(norm.sf(won.nats / max(won.se, 1e-9))), several))
+
     return (
-        [replace(one, p_value=p.get(one.candidate.mechanism, one.p_value)) for one in scored],
-        [one._replace(p_value=p.get(one.candidate.mechanism)) for one in rest],
+        [replace(one, p_value=p_value(one)) for one in scored],
+        [one._replace(p_value=found.get(one.candidate.mechanism)) for one in rest],
     )
 
 

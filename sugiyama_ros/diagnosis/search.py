@@ -214,6 +214,11 @@ class Search:
         """Give up the looks at candidates, which take memory; no round can follow."""
         self._looks.forget()
 
+    def compare_all(self) -> None:
+        """Give candidates of the first round, of which none was named, p-values from one test of all of them."""
+        found = p_values(self.data, self.base, self._looks.glances, self.simulations()[0], self.seed, self._work)
+        self.scored, self.left_out = with_p_values(found, self.scored, self.heldout, self.left_out)
+
     def add_force(self, forces: Sequence[tuple[Discovery, Screened]]) -> bool:
         """Add the first force that predicts better, and return whether there is one."""
         for force, look in forces:
@@ -269,11 +274,6 @@ class Search:
             self.scored = [one.without_fits(self.base) for one in scored]
             shown = {one.candidate.mechanism for one in scored}
             self.left_out = [one for one in best_forms(self._looks.left_out) if one.candidate.mechanism not in shown]
-            if all(one.p_value > LEVEL for one in scored):
-                found_p = p_values(
-                    self.data, self.base, self._looks.glances, self.simulations()[0], self.seed, self._work
-                )
-                self.scored, self.left_out = with_p_values(found_p, LEVEL, self.scored, self.left_out)
         return scored
 
     def _predicts_more(self, one: Candidacy, now: HeldOutErrors) -> bool:

@@ -1,16 +1,20 @@
 """The largest gain of all candidates by chance: the test is about what glances promise, and sees what is hidden."""
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from sugiyama_ros.diagnosis.bootstrap import resampled_fits, seeds
-from sugiyama_ros.diagnosis.candidates import candidates
-from sugiyama_ros.diagnosis.glance import glance, promised
-from sugiyama_ros.diagnosis.largest import p_values, scores
+from sugiyama_ros.diagnosis.candidacy import UNKNOWN
+from sugiyama_ros.diagnosis.candidates import candidates, named
+from sugiyama_ros.diagnosis.glance import Promise, glance, promised
+from sugiyama_ros.diagnosis.largest import p_values, scores, with_p_values
+from sugiyama_ros.diagnosis.screen import QUICK, screen
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, defaults
 from sugiyama_ros.effects.registry import ROW, switch_on
+from sugiyama_ros.fit.cross_validation import gain
 from sugiyama_ros.fit.population import fit_base
 from sugiyama_ros.fit.recording import prepare
 from sugiyama_ros.road import Road
@@ -77,3 +81,23 @@ def test_what_is_hidden_stands_out(work):
     found = compared(*fitted_to(work, "drag", c0=0.6, c2=0.0), work)
     assert found["drag"] < 1e-3
     assert found["drag"] == min(found.values())
+
+
+def test_noises_keep_their_p_value_unless_their_held_out_gain_is_more_probable(whole, work):
+    data, base, seen = whole
+    (noise,) = named(data, ["uneven_noise"])
+    (drag,) = named(data, ["drag"])
+    judged = [UNKNOWN.judge(screen(data, base, one, work, QUICK), 30) for one in (noise, drag)]
+    scored = [replace(one, p_value=1e-6) for one in judged]
+    nothing = gain(data, base.samples, base.samples)
+    (of_noise, of_drag), (rest,) = with_p_values(
+        {"drag": 0.4, "road_grade": 0.7},
+        scored,
+        {"uneven_noise": nothing, "drag": nothing},
+        [Promise(seen["road_grade"].candidate, 1.0)],
+    )
+    assert (of_drag.p_value, rest.p_value) == (0.4, 0.7)
+    assert of_noise.p_value > 0.5
+    sure = replace(nothing, nats=100.0, se=10.0)
+    (of_noise, _), _ = with_p_values({"drag": 0.4}, scored, {"uneven_noise": sure, "drag": nothing}, [])
+    assert of_noise.p_value == 1e-6
