@@ -1,4 +1,8 @@
-"""The quick diagnosis of 22 drivers: its CPU time, and how often it filters a driver."""
+"""The quick diagnosis of 22 drivers: its CPU time, and how often it filters a driver.
+
+Nothing is missing in this recording, so the search ends after one round. Each effect that is found adds a round: the
+measured experiment, with three of them, takes five times as long.
+"""
 
 import os
 
