@@ -85,15 +85,18 @@ def p_values(
     simulated, fitted = simulation
     here = scores(data, base, seen)
     there = scores(simulated, fitted, [glance(simulated, fitted, one.candidate, work) for one in seen])
-    covariance = _WIDER * (here.information + there.information)
+    shift, covariance = here.score - there.score, _WIDER * (here.information + there.information)
+    # what goes beyond all bounds at a start says nothing of weak effects
+    known = np.isfinite(shift) & np.isfinite(np.diag(covariance))
+    mechanisms = [one.candidate.mechanism for one in seen for _ in one.starts]
+    shift, covariance = shift[known], covariance[np.ix_(known, known)]
     variance = np.diag(covariance)
-    spread = np.where(variance > _NOTHING * variance.max(), np.sqrt(np.maximum(variance, 0.0)), np.inf)
+    spread = np.where(variance > _NOTHING * variance.max(initial=0.0), np.sqrt(np.maximum(variance, 0.0)), np.inf)
     values, vectors = np.linalg.eigh(covariance / np.outer(spread, spread))
     normal = np.random.default_rng(seed).standard_normal((_DRAWS, len(values)))
-    by_chance = np.abs(normal * np.sqrt(np.maximum(values, 0.0)) @ vectors.T).max(axis=1)
+    by_chance = np.abs(normal * np.sqrt(np.maximum(values, 0.0)) @ vectors.T).max(axis=1, initial=0.0)
     largest: dict[str, float] = {}
-    mechanisms = [one.candidate.mechanism for one in seen for _ in one.starts]
-    for name, z in zip(mechanisms, np.abs(here.score - there.score) / spread, strict=True):
+    for name, z in zip(np.array(mechanisms)[known].tolist(), np.abs(shift) / spread, strict=True):
         largest[name] = max(largest.get(name, 0.0), float(z))
     return {name: float((1 + np.count_nonzero(by_chance >= z)) / (1 + _DRAWS)) for name, z in largest.items()}
 

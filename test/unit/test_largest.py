@@ -101,3 +101,13 @@ def test_noises_keep_their_p_value_unless_their_held_out_gain_is_more_probable(w
     sure = replace(nothing, nats=100.0, se=10.0)
     (of_noise, _), _ = with_p_values({"drag": 0.4}, scored, {"uneven_noise": sure, "drag": nothing}, [])
     assert of_noise.p_value == 1e-6
+
+
+def test_a_start_beyond_all_bounds_is_left_out(whole, work):
+    data, base, seen = whole
+    usual = compared(data, base, {name: seen[name] for name in ("road_grade", "clock_offset")}, work)
+    driver, (innovation, variance, density) = next(iter(seen["rear_pressure"].changes[0].items()))
+    broken = {driver: (np.full_like(innovation, np.inf), variance, density)}
+    odd = replace(seen["rear_pressure"], changes=({**seen["rear_pressure"].changes[0], **broken},) * 2)
+    found = compared(data, base, {"rear_pressure": odd, **{name: seen[name] for name in usual}}, work)
+    assert found == usual
