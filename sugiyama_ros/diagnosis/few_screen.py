@@ -16,6 +16,7 @@ from sugiyama_ros.diagnosis.candidates import Candidate, added
 from sugiyama_ros.diagnosis.few import LEVEL_OF_FEW, Few, FitOfFew, at_most, cost_of, fit_few, switches_of
 from sugiyama_ros.diagnosis.forms import best_forms
 from sugiyama_ros.diagnosis.glance import Glance
+from sugiyama_ros.diagnosis.response import while_own_respond
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.recording import Recorded
@@ -187,12 +188,8 @@ def _gains(
 def _scaled(data: Recorded, base: JointFit, new: Sequence[Column]) -> list[tuple[float, float]]:
     """Slope of each driver's log posterior by a strength, and the best strength, while their own parameters respond."""
     own, found = len(base.model.individual), []
-    std = np.array(base.model.prior_std)
     for i, (s, row) in enumerate(zip(base.slopes, base.model.rows, strict=True)):
         at = sums(base.samples.of(i), (*s.columns[:own], new[i]), row, data.fold[i])
-        h, g = at.information.sum(axis=0), at.score.sum(axis=0)
-        gives_way = np.linalg.solve(h[:own, :own] + np.diag(1.0 / std**2), h[:own, own])
-        slope = float(g[own] - gives_way @ (g[:own] - base.model.away[i] / std))
-        bend = float(h[own, own] - gives_way @ h[:own, own])
+        slope, bend = (float(part.item()) for part in while_own_respond(base, i, at))
         found.append((slope, slope / bend if bend > 0.0 else 0.0))
     return found

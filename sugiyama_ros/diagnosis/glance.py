@@ -103,7 +103,7 @@ class Glance:
         return float(np.max(self.starts[worst][first])), -rises[worst]
 
 
-def glance(data: Recorded, base: JointFit, candidate: Candidate, work: Executor, drivers: int = _DRIVERS) -> Glance:
+def glance(data: Recorded, base: JointFit, candidate: Candidate, work: Executor) -> Glance:
     """Glance at the starts of a candidate.
 
     Parameters

@@ -18,6 +18,7 @@ from sugiyama_ros.diagnosis.candidacy import Candidacy
 from sugiyama_ros.diagnosis.candidates import Candidate
 from sugiyama_ros.diagnosis.chance import of_best
 from sugiyama_ros.diagnosis.glance import Glance, Promise, glance
+from sugiyama_ros.diagnosis.response import while_own_respond
 from sugiyama_ros.fit.cross_validation import Gain
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.recording import Recorded
@@ -140,16 +141,12 @@ def with_p_values(
 
 def scores(data: Recorded, base: JointFit, seen: Sequence[Glance]) -> Scores:
     """Return the scores of the starts of all candidates, for the drivers on whom the glances fell."""
-    own, known, std = len(base.model.individual), len(base.model.shared), np.array(base.model.prior_std)
-    score, information = [], []
+    known, columns = len(base.model.shared), [change for one in seen for change in one.changes]
+    left = []
     for i in seen[0].some:
-        columns = [*base.slopes[i].columns[: own + known], *(change[i] for one in seen for change in one.changes)]
-        at = sums(base.samples.of(i), columns, base.model.rows[i], data.fold[i])
-        g, h = at.score.sum(axis=0), at.information.sum(axis=0)
-        gives_way = np.linalg.solve(h[:own, :own] + np.diag(1.0 / std**2), h[:own, own:])
-        score.append(g[own:] - (g[:own] - base.model.away[i] / std) @ gives_way)
-        information.append(h[own:, own:] - h[own:, :own] @ gives_way)
-    g, h = np.sum(score, axis=0), np.sum(information, axis=0)
+        by = [*base.slopes[i].columns[: len(base.model.individual) + known], *(one[i] for one in columns)]
+        left.append(while_own_respond(base, i, sums(base.samples.of(i), by, base.model.rows[i], data.fold[i])))
+    g, h = (np.sum(part, axis=0) for part in zip(*left, strict=True))
     shared = np.linalg.pinv(h[:known, :known]) @ h[:known, known:]
     h = h[known:, known:] - h[known:, :known] @ shared
     return Scores(g[known:] - g[:known] @ shared, 0.5 * (h + h.T))

@@ -6,7 +6,7 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.score import PointwiseDensity
-from sugiyama_ros.fit.slopes import density_slope
+from sugiyama_ros.fit.slopes import Slopes, density_slope
 
 
 def predicted(base: JointFit, model: Model, samples: PointwiseDensity) -> float:
@@ -42,3 +42,29 @@ def predicted_by_driver(base: JointFit, model: Model, samples: PointwiseDensity)
         score = slope[:, np.isfinite(density)].sum(axis=1)
         total[i] += 0.25 * float(score @ np.linalg.solve(s.information.sum(axis=0)[:own, :own] + prior, score))
     return np.asarray(total)
+
+
+def while_own_respond(base: JointFit, driver: int, at: Slopes) -> tuple[Array, Array]:
+    """Return the slope of a driver's log posterior by other parameters while the driver's own respond, and its decline.
+
+    Parameters
+    ----------
+    base : JointFit
+        The fitted model.
+    driver : int
+        Number of the driver.
+    at : Slopes
+        Sums over the driver's samples: first by the individual parameters of the model, then by K others.
+
+    Returns
+    -------
+    score : ndarray, shape (K,)
+        Slope.
+    information : ndarray, shape (K, K)
+        Information that is left, which is the decline of the slope.
+    """
+    own, std = len(base.model.individual), np.array(base.model.prior_std)
+    h, g = at.information.sum(axis=0), at.score.sum(axis=0)
+    gives_way = np.linalg.solve(h[:own, :own] + np.diag(1.0 / std**2), h[:own, own:])
+    score = g[own:] - gives_way.T @ (g[:own] - base.model.away[driver] / std)
+    return score, h[own:, own:] - gives_way.T @ h[:own, own:]
