@@ -108,8 +108,8 @@ def diagnose(options: DiagnoseOptions) -> None:
     print_table(tables.steps(found), wide=options.wide)
     print_table(tables.by_driver(document(found)["drivers"]), wide=options.wide)
     _print_next(found, options.sources, options.output, options.add)
-    runs = f"up to {found.bootstrap_runs} simulated recordings" + (" (quick)" if found.quick else "")
-    print_note(f"p-values from {runs}; {found.wall_s:.0f} s")
+    runs = f"from up to {found.bootstrap_runs} simulated recordings" if found.bootstrap_runs else "without simulations"
+    print_note(f"p-values {runs}{' (quick)' if found.quick else ''}; {found.wall_s:.0f} s")
 
 
 def _chosen(add: str | None) -> tuple[str, ...] | None:

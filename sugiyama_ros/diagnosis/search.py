@@ -52,6 +52,8 @@ LEVEL = 0.05
 _ADDED = 0.02
 # A candidate with more than this share of the best gain may be indistinguishable from the best one.
 _RIVAL = 0.5
+# A fit to a few drivers often gains twice its forecast, so that half this share of the best gain is enough to try it.
+_FORECAST = 0.25
 
 
 class Search:
@@ -99,7 +101,7 @@ class Search:
     searched : tuple of str
         Names of the candidates.
     runs : int
-        Largest number of simulated recordings on which a p-value rests.
+        Largest number of simulated recordings on which a p-value rests; 0 if no gain was in doubt.
     other_order : Search or None
         The search that begins with freed constants where this one began with an effect that cannot be told apart from
         them, or the other way around; None for a quick search.
@@ -134,7 +136,7 @@ class Search:
         self.senseless: list[tuple[str, tuple[str, ...]]] = []
         self._few_gained: dict[str, float] = {}
         self.other_order: Search | None = None
-        self.runs = self.effort.runs
+        self.runs = 0
         self._simulated: list[tuple[Recorded, JointFit]] = []
         self._use = Use(data, base, goal.purpose, work)
 
@@ -159,7 +161,7 @@ class Search:
             is_rival = not grown or (one.candidate.mechanism in grown[0].indistinguishable and not self.quick)
             if is_rival and self._predicts_more(one, now):
                 full = ((o.candidate.mechanism, o.fit) for o in scored if o.refined)
-                rivals = indistinguishable(self.data, (one.candidate.mechanism, one.fit), full)
+                rivals = indistinguishable(self.data, self.current, (one.candidate.mechanism, one.fit), full)
                 named = self._grow(one.candidate, one.fit, one.p_value, rivals)
                 grown += [named] if named is not None else []
         if grown:
@@ -169,7 +171,7 @@ class Search:
             grown = [best if few is None else replace(best, drivers=few.drivers)]
         # what is supported but does not predict better must not hide what a few drivers show
         gained = next((one.gain for one in supported if grown and one.candidate.name == grown[0].form), 0.0)
-        grown += self._of_few(self._shown_by_few(gained))
+        grown += self._of_few(self._shown_by_few(gained), _RIVAL * gained)
         return self._take(max(grown, key=lambda one: one.heldout.nats, default=None))
 
     def _with_constants_elsewhere(self, best: Addition, grown: Sequence[Addition]) -> "Search | None":
@@ -190,16 +192,18 @@ class Search:
         seen = self._looks.beside(self.current)
         shown = shown_by_few(self.data, self.current, possible, self._work, self._on_progress, seen)
         self._few_gained |= {one.candidate.name: one.gain for one in shown}
-        return [one for one in shown if one.gain > max(_RIVAL * gained, FULL_SHARE * shown[0].gain, LEAST_GAIN)]
+        least = max(_FORECAST * gained, LEAST_GAIN)
+        return [one for one in shown if one.gain > max(least, FULL_SHARE * shown[0].gain)]
 
-    def _of_few(self, shown: Sequence[ShownByFew]) -> list[Addition]:
-        """Effects that only a few drivers have, and that predict better."""
+    def _of_few(self, shown: Sequence[ShownByFew], least: float) -> list[Addition]:
+        """Effects that only a few drivers have, and that predict better; ``least``: gain less costs to begin with."""
         fits = fits_of_few(self.data, self.current, shown, len(self._possible), self._work, self._on_progress)
         full, grown = [(f.candidate.mechanism, f.fit) for f in fits], []
         for f in fits:
-            rivals = indistinguishable(self.data, (f.candidate.mechanism, f.fit), full)
-            one = self._grow(replace(f.candidate, drivers=f.few.drivers), f.fit, f.p_value, rivals)
-            grown += [one] if one and one.after.no_worse_than(one.before) else []
+            if f.gain - f.few.cost > least:
+                rivals = indistinguishable(self.data, self.current, (f.candidate.mechanism, f.fit), full)
+                one = self._grow(replace(f.candidate, drivers=f.few.drivers), f.fit, f.p_value, rivals)
+                grown += [one] if one and one.after.no_worse_than(one.before) else []
         return grown
 
     def forces(self, level: float) -> list[tuple[Discovery, Screened]]:
@@ -216,6 +220,7 @@ class Search:
 
     def compare_all(self) -> None:
         """Give candidates of the first round, of which none was named, p-values from one test of all of them."""
+        self.runs = max(self.runs, 1)
         found = p_values(self.data, self.base, self._looks.glances, self.simulations()[0], self.seed, self._work)
         self.scored, self.left_out = with_p_values(found, self.scored, self.heldout, self.left_out)
 
@@ -247,10 +252,9 @@ class Search:
         # simulate only where the result is open: not for hopeless gains, and not for obvious ones
         open_ = [k for k in promising if not is_obvious(self.data, looks[k])]
         doubtful = [k for k in open_ if self._judge(looks[k]).p_value <= LEVEL]
-        if is_first and not doubtful:
-            doubtful = promising[:1]
         null = UNKNOWN
         if doubtful:
+            self.runs = max(self.runs, self.effort.runs)
             chosen = [looks[k].candidate for k in doubtful]
             null = null_gains(self.simulations(), chosen, self.effort, self._work, self._on_progress)
             # two simulations may gain little by chance: six before anything is named
@@ -260,12 +264,9 @@ class Search:
                 chosen = [looks[k].candidate for k in named]
                 null = null.joined(null_gains(further, chosen, self.effort, self._work, self._on_progress))
         scored = [self._judge(look, null) for look in looks]
-        best = max(scored[k].gain for k in promising)
-        hopeful = [
-            scored[k]
-            for k in promising
-            if scored[k].p_value <= LEVEL or (scored[k].p_alone <= LEVEL and scored[k].gain > _RIVAL * best)
-        ]
+        judged = [scored[k] for k in promising]
+        best = max(one.gain for one in judged)
+        hopeful = [o for o in judged if o.p_value <= LEVEL or (o.p_alone <= LEVEL and o.gain > _RIVAL * best)]
         fitted = at_once(self._in_full, hopeful, f"{title}: fitting", self._on_progress)
         scored = sorted([*fitted, *(one for one in scored if one not in hopeful)], key=lambda one: -one.score)
         if is_first:

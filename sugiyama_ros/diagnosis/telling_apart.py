@@ -2,26 +2,31 @@
 
 from collections.abc import Iterable
 
-from sugiyama_ros.fit.cross_validation import gain, held_out_nearly, sum_error
+from sugiyama_ros.fit.cross_validation import Gain, gain, held_out_nearly, sum_error
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.recording import Recorded
 
 # One candidate is clearly worse than another by this many standard errors (5 %), and at least this difference [nats].
-_CLEARLY, _LEAST_DIFFERENCE = 1.645, 3.0
+_CLEARLY, _LEAST = 1.645, 3.0
+# Drivers may do what a candidate says by a formula that is not quite its own. It may then lose this share of the gain.
+_OTHER_FORMULA = 0.25
 
 
 def indistinguishable(
-    data: Recorded, best: tuple[str, JointFit], others: Iterable[tuple[str, JointFit]]
+    data: Recorded, base: JointFit, best: tuple[str, JointFit], others: Iterable[tuple[str, JointFit]]
 ) -> tuple[str, ...]:
     """Return the names of the mechanisms that do not predict held-out samples clearly worse than the best one.
 
     This is Vuong's test of models that are not nested (Econometrica 57 (1989) 307), one-sided, paired over drivers. It
-    is known at this point that something is missing, so the p-value of a rival needs no correction.
+    is known at this point that something is missing, so the p-value of a rival needs no correction. The test compares
+    formulas, and a mechanism has many: the closest rival also stays if it has nearly all of the gain.
 
     Parameters
     ----------
     data : Recorded
         The recording.
+    base : JointFit
+        The fitted model without any of them.
     best : (str, JointFit)
         Name of the best mechanism, and its fit.
     others : iterable of (str, JointFit)
@@ -33,11 +38,14 @@ def indistinguishable(
         The names, each once.
     """
     name, fitted = best
-    names: list[str] = []
     by_best = held_out_nearly(data, fitted)
+    behind: dict[str, Gain] = {}
     for other, one in others:
-        if other not in (name, *names):
-            behind = gain(data, by_best, held_out_nearly(data, one))
-            if behind.nats < max(_CLEARLY * sum_error(behind.drivers), _LEAST_DIFFERENCE):
-                names.append(other)
-    return tuple(names)
+        if other != name and other not in behind:
+            behind[other] = gain(data, by_best, held_out_nearly(data, one))
+    alike = [one for one, lost in behind.items() if lost.nats < max(_CLEARLY * sum_error(lost.drivers), _LEAST)]
+    if behind and not alike:
+        closest = min(behind, key=lambda one: behind[one].nats)
+        won = gain(data, by_best, held_out_nearly(data, base))
+        alike = [closest] if behind[closest].nats < _OTHER_FORMULA * won.nats else []
+    return tuple(alike)

@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -118,10 +117,9 @@ def predict_drivers(data: Recorded, model: Model, who: Iterable[int], work: Exec
 
 
 def together(drivers: Sequence[_Any]) -> list[Sequence[_Any]]:
-    """Divide drivers into equal parts, whose filters run side by side: an even number of parts, as of cores."""
-    parts = 2 * -(-len(drivers) // (2 * ABREAST))
-    ends = [k * len(drivers) // parts for k in range(1, parts + 1)]
-    return [drivers[first:last] for first, last in pairwise([0, *ends]) if last > first]
+    """Divide drivers into parts, whose filters run side by side: full ones, or two equal ones if there are few."""
+    size = min(ABREAST, -(-len(drivers) // 2))
+    return [drivers[first : first + size] for first in range(0, len(drivers), size)] if drivers else []
 
 
 def predict_jobs(jobs: Sequence[causal.ChainJob]) -> list[DriverDensity]:

@@ -167,12 +167,14 @@ def how(r: Recording, d: Document | None) -> str:
     ]
     if d is not None:
         quick = " --quick" if d.get("quick") else ""
+        runs = d.get("bootstrap_runs", "?")
+        chance = f"the gains in {runs} recordings that the model simulates without it" if runs else "what chance gives"
         rows += [
             ["", f"sugiyama diagnose FILE{quick} --seed {d.get('seed', 0)} --json > d.json; report --diagnosis d.json"],
             [
                 "p-values",
-                f"Student's t of the gain over the gains in {d.get('bootstrap_runs', '?')} recordings that the model"
-                f" simulates without it (seed {d.get('seed', '?')}), corrected for the number of candidates",
+                f"Student's t of the gain over {chance} (seed {d.get('seed', '?')}), corrected for the number of"
+                " candidates",
             ],
             ["held out", "five interleaved folds of 25-s blocks; no sample is predicted by a model that has seen it"],
         ]

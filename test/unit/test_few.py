@@ -140,6 +140,38 @@ def test_only_what_predicts_better_hides_a_few_drivers(fitted, patch, grown, wor
     assert asked == [hides]
 
 
+@pytest.mark.parametrize(
+    ("forecast", "gain", "is_grown"), [(30.0, 70.0, True), (30.0, 45.0, False), (20.0, 70.0, False)]
+)
+def test_a_forecast_for_a_few_drivers_may_be_half_of_what_a_fit_gains(
+    fitted, patch, grown, work, monkeypatch, forecast, gain, is_grown
+):
+    """All drivers gain 100 nats by something else."""
+    data, base = fitted
+    search, few = Search(data, base, True, 0, work, on_progress=lambda *_: None), Few(SLOW, cost=0.0)
+    shown = few_screen.ShownByFew(patch, few, forecast)
+    fit = SimpleNamespace(candidate=patch, few=few, fit=grown, gain=gain, p_value=0.0)
+    added = SimpleNamespace(after=search.errors, before=search.errors)
+    monkeypatch.setattr(searching, "shown_by_few", lambda *_: [shown])
+    monkeypatch.setattr(searching, "fits_of_few", lambda data, base, those, *_: [fit for _ in those])
+    monkeypatch.setattr(search, "_grow", lambda *_: added)
+    assert search._of_few(search._shown_by_few(100.0), 50.0) == ([added] if is_grown else [])
+
+
+def test_a_search_simulates_nothing_where_nothing_is_in_doubt(fitted, patch, grown, work, monkeypatch):
+    data, base = fitted
+    search = Search(data, base, True, 0, work, goal=Goal(only=(patch.name,)), on_progress=lambda *_: None)
+    monkeypatch.setattr(searching, "closer", lambda data, look, work: look)
+    monkeypatch.setattr(search, "_in_full", lambda one: replace(one, refined=True))
+    monkeypatch.setattr(searching, "null_gains", lambda *_: pytest.fail("simulated"))
+    for gain, is_supported in ((0.5, False), (100.0, True)):
+        look = Screened(patch, grown, gain=gain, predicted_gain=0.0)
+        monkeypatch.setattr(search._looks, "look", lambda candidate, current, look=look: look)
+        (one,) = search._look_at_all()
+        assert search.runs == 0
+        assert (one.p_value <= LEVEL) is is_supported
+
+
 @pytest.mark.parametrize(("further_gain", "is_supported"), [(3.0, True), (16.0, False)])
 def test_a_quick_search_simulates_more_before_it_names(
     fitted, patch, grown, work, monkeypatch, further_gain, is_supported
