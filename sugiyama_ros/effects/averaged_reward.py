@@ -7,7 +7,7 @@ from sugiyama_ros.effects.effect import UTILITY, Effect, Seen, at
 from sugiyama_ros.jit import kernel
 
 
-@kernel
+@kernel(vectorised=True)
 def component(seen: Seen, action: float, period: float, horizon: int, p: Array, driver: Preferences) -> float:
     """Compute the mean reward of the speed over the look-ahead, less the reward after one period."""
     total = first = forward_reward(seen.speed + period * action, driver[0], driver[2])

@@ -11,6 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.driver.parameters import REFERENCE_HORIZON
 from sugiyama_ros.driver.utility import Preferences
 from sugiyama_ros.effects.effect import Effect, Seen, with_view
 from sugiyama_ros.effects.registry import EFFECTS, ROW
@@ -129,7 +130,8 @@ def then_value(before: Hook, effect: Effect) -> Hook:
     """Add an effect with a component of the utility; every ``stride``-th entry of ``out`` is the utility of an action.
 
     The loop over the actions stands inside, so that an effect that is off costs one comparison and not one for each
-    action.
+    action. At the reference period the horizon is a constant, so that compilers can unroll a component's loop over it,
+    and make vector instructions of the loop over the actions.
     """
     first, last, is_off = _places(effect)
     component: Any = effect.function
@@ -155,8 +157,12 @@ def then_value(before: Hook, effect: Effect) -> Hook:
         if is_off(row):
             return
         p = row[first:last]
-        for k in range(len(actions)):
-            out[stride * k] += value(seen, actions[k], period, horizon, p, driver)
+        if horizon == REFERENCE_HORIZON:
+            for k in range(len(actions)):
+                out[stride * k] += value(seen, actions[k], period, REFERENCE_HORIZON, p, driver)
+        else:
+            for k in range(len(actions)):
+                out[stride * k] += value(seen, actions[k], period, horizon, p, driver)
 
     return valued
 

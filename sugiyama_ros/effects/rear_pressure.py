@@ -18,7 +18,7 @@ def actuate(acceleration: float, seen: Seen, p: Array) -> float:
     return acceleration + float(p[0]) * math.exp(-max(seen.rear_gap, 0.0) / p[1])
 
 
-@kernel
+@kernel(vectorised=True)
 def component(seen: Seen, action: float, period: float, horizon: int, p: Array, driver: Preferences) -> float:
     """Compute the risk that the follower runs into the car, as the driver judges the risk of the leader."""
     if math.isinf(seen.rear_gap):

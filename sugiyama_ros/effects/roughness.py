@@ -6,7 +6,7 @@ from sugiyama_ros.effects.effect import UTILITY, Effect, Seen, at
 from sugiyama_ros.jit import kernel
 
 
-@kernel
+@kernel(vectorised=True)
 def component(seen: Seen, action: float, period: float, horizon: int, p: Array) -> float:
     """Compute the cost of an action that differs from the acceleration of the last period, in units of 4 m/s^2."""
     change = action - seen.acceleration

@@ -23,7 +23,7 @@ def perceive(seen: Seen, p: Array) -> tuple[float, float, float]:
     return gap, seen.speed, (1.0 - weight) * seen.leader_speed + weight * seen.second_speed
 
 
-@kernel
+@kernel(vectorised=True)
 def component(seen: Seen, action: float, period: float, horizon: int, p: Array, driver: Preferences) -> float:
     """Compute the risk of the second vehicle ahead, at the share ``p[1]`` of the sum of both gaps."""
     if math.isinf(seen.second_gap):
