@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from sugiyama_ros.driver.parameters import COUNT, KAPPA_V, SIGMA_NU, V_STAR, defaults
+from sugiyama_ros.driver.parameters import COUNT, KAPPA_V, REFERENCE_HORIZON, SIGMA_NU, V_STAR, defaults
+from sugiyama_ros.driver.utility import ACTIONS, preferences
 from sugiyama_ros.effects import perception_threshold
-from sugiyama_ros.effects.effect import STAGES, RecordingExtent
+from sugiyama_ros.effects.control import add_components
+from sugiyama_ros.effects.effect import STAGES, UTILITY, RecordingExtent, Seen
 from sugiyama_ros.effects.registry import EFFECTS, ROW, active, effect, index_of, switch_on
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.causal import filter_chain, log_likelihood
@@ -223,6 +225,25 @@ def test_a_threshold_and_an_uncertain_change_match_numerical_sums(wanted, std, t
     assert perception_threshold.change(wanted, 1.0, p) == pytest.approx(
         perception_threshold.expected_change(wanted, 1e-24, 1.0, p)[0], abs=1e-12
     )
+
+
+@pytest.mark.parametrize("name", [name for name, e in EFFECTS.items() if e.stage == UTILITY])
+@pytest.mark.parametrize("horizon", [REFERENCE_HORIZON, REFERENCE_HORIZON - 1])
+@pytest.mark.parametrize("stride", [1, 16])
+def test_a_component_adds_the_same_to_each_utility_as_for_one_action(name, horizon, stride):
+    """Whether compilers know the horizon or not, and wherever the utilities stand."""
+    row = switch_on(ROW.with_effects(drivers()), name, ACTING[name])[0]
+    seen = Seen(6.0, 5.0, 4.0, 10.0, 3.0, RING_M, 0.5, -0.5, 8.0, 4.5, 3.0, 6.0, 6.0, 5.0, 4.0)
+    e, preferred, before = effect(name), preferences(row), np.linspace(-1.0, 1.0, len(ACTIONS))
+    after = np.repeat(before, stride)
+    add_components(seen, ACTIONS, 1.0 / 3.0, horizon, row, preferred, after, stride)
+    rest = (preferred,) if e.knows_preferences else ()
+    p = row[ROW.places[name]]
+    alone = np.array([e.function(seen, action, 1.0 / 3.0, horizon, p, *rest) for action in ACTIONS])
+    assert np.ptp(alone) > 0.001
+    assert after[::stride] == pytest.approx(before + alone, abs=1e-14)
+    others = np.arange(len(after)) % stride > 0
+    assert np.array_equal(after[others], np.repeat(before, stride)[others])
 
 
 def test_any_set_of_effects_combines():
