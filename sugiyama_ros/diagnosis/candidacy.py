@@ -10,7 +10,7 @@ from scipy.stats import t as student
 
 from sugiyama_ros.diagnosis.candidates import Candidate
 from sugiyama_ros.diagnosis.chance import COMMON, of_best, spread_of_next
-from sugiyama_ros.diagnosis.glance import PROMISE, Glance, beyond_chance, glance
+from sugiyama_ros.diagnosis.prescreen import PROMISE, Prescreen, beyond_chance, prescreen
 from sugiyama_ros.diagnosis.screen import Effort, Screened, closer, screen
 from sugiyama_ros.effects.registry import effect
 from sugiyama_ros.fit.cross_validation import Gain, gain, held_out_nearly
@@ -196,8 +196,8 @@ def null_gains(
 
 
 def _gain_there(simulated: Recorded, fitted: JointFit, candidate: Candidate, effort: Effort, work: Executor) -> float:
-    """Gain of a candidate on a simulated recording [nats]; what a glance predicts where it promises little."""
-    seen = glance(simulated, fitted, candidate, work)
+    """Gain of a candidate on a simulated recording [nats]; what the prescreen predicts where it promises little."""
+    seen = prescreen(simulated, fitted, candidate, work)
     predicted = beyond_chance(simulated, fitted, seen)
     if predicted <= PROMISE:
         return max(predicted, 0.0)
@@ -224,13 +224,13 @@ def chance_scale(candidate: Candidate, drivers: int) -> float:
     return math.sqrt(0.5 * parameters_added(candidate, drivers))
 
 
-def smallest_detectable(glances: Iterable[Glance], base: JointFit, null: NullGains) -> dict[str, float]:
+def smallest_detectable(prescreens: Iterable[Prescreen], base: JointFit, null: NullGains) -> dict[str, float]:
     """Return the strength from which each effect would usually have shown in these data.
 
     Parameters
     ----------
-    glances : iterable of Glance
-        Glances at the candidates.
+    prescreens : iterable of Prescreen
+        Prescreens of the candidates.
     base : JointFit
         The model without them.
     null : NullGains
@@ -242,7 +242,7 @@ def smallest_detectable(glances: Iterable[Glance], base: JointFit, null: NullGai
         Value of the first parameter of each effect, by the name of the effect.
     """
     found = {}
-    for seen in glances:
+    for seen in prescreens:
         candidate, (start, loss) = seen.candidate, seen.lost(base)
         if candidate.kind == "constants" or candidate.is_variant or loss <= 0.0:
             continue

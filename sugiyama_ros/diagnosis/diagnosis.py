@@ -17,12 +17,12 @@ from sugiyama_ros.diagnosis.decisions import Searched, searched_with_decisions
 from sugiyama_ros.diagnosis.discover import Discovery
 from sugiyama_ros.diagnosis.errors import HeldOutErrors
 from sugiyama_ros.diagnosis.free_runs import HORIZONS_S
-from sugiyama_ros.diagnosis.glance import Promise
 from sugiyama_ros.diagnosis.judging import judged
 from sugiyama_ros.diagnosis.law_check import closer_laws
 from sugiyama_ros.diagnosis.locate import Located, locate
 from sugiyama_ros.diagnosis.orders import grown
 from sugiyama_ros.diagnosis.placing import profiled
+from sugiyama_ros.diagnosis.prescreen import Promise
 from sugiyama_ros.diagnosis.refits import added_to_all, refits
 from sugiyama_ros.diagnosis.rival_fits import RivalErrors, start_rivals
 from sugiyama_ros.diagnosis.search import Search

@@ -15,7 +15,7 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.candidates import Candidate, added
 from sugiyama_ros.diagnosis.few import LEVEL_OF_FEW, Few, FitOfFew, at_most, cost_of, fit_few, switches_of
 from sugiyama_ros.diagnosis.forms import best_forms
-from sugiyama_ros.diagnosis.glance import Glance
+from sugiyama_ros.diagnosis.prescreen import Prescreen
 from sugiyama_ros.diagnosis.response import while_own_respond
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.joint import JointFit
@@ -56,7 +56,7 @@ def shown_by_few(
     possible: Sequence[Candidate],
     work: Executor,
     on_progress: OnStage,
-    seen: Mapping[str, Glance] | None = None,
+    seen: Mapping[str, Prescreen] | None = None,
 ) -> list[ShownByFew]:
     """Predict for each effect which few drivers would gain most by it.
 
@@ -72,8 +72,8 @@ def shown_by_few(
         Runs the filters.
     on_progress : callable
         Called with the name of the stage, the number of steps done, and the number of all steps.
-    seen : mapping of str to Glance, optional
-        Glances at effects beside the same model, by name.
+    seen : mapping of str to Prescreen, optional
+        Prescreens of effects beside the same model, by name.
 
     Returns
     -------
@@ -85,7 +85,7 @@ def shown_by_few(
         return []
 
     def look(candidate: Candidate) -> ShownByFew:
-        # a glance looks at several strengths one at a time
+        # a prescreen takes several strengths one at a time
         known = (seen or {}).get(candidate.name) if len(candidate.strengths) < 2 else None
         gains = [g for k in _starts(candidate) for g in _gains(data, base, candidate, k, known, work)]
         few, gain = max((chosen(g) for g in gains), key=lambda one: one[1])
@@ -169,7 +169,7 @@ def _starts(candidate: Candidate) -> Sequence[int]:
 
 
 def _gains(
-    data: Recorded, base: JointFit, candidate: Candidate, number: int, seen: Glance | None, work: Executor
+    data: Recorded, base: JointFit, candidate: Candidate, number: int, seen: Prescreen | None, work: Executor
 ) -> list[Array]:
     """Predict what each driver would gain (N,) [nats] by an effect at one of its starts, scaled for this driver.
 

@@ -17,7 +17,7 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.candidacy import Candidacy
 from sugiyama_ros.diagnosis.candidates import Candidate
 from sugiyama_ros.diagnosis.chance import of_best
-from sugiyama_ros.diagnosis.glance import Glance, Promise, glance
+from sugiyama_ros.diagnosis.prescreen import Prescreen, Promise, prescreen
 from sugiyama_ros.diagnosis.response import while_own_respond
 from sugiyama_ros.fit.cross_validation import Gain
 from sugiyama_ros.fit.joint import JointFit
@@ -52,7 +52,7 @@ class Scores:
 def p_values(
     data: Recorded,
     base: JointFit,
-    glances: Mapping[str, Glance],
+    prescreens: Mapping[str, Prescreen],
     simulation: tuple[Recorded, JointFit],
     seed: int,
     work: Executor,
@@ -65,8 +65,8 @@ def p_values(
         The recording.
     base : JointFit
         The fitted model without the candidates.
-    glances : mapping of str to Glance
-        Glances at the candidates, beside this model.
+    prescreens : mapping of str to Prescreen
+        Prescreens of the candidates, beside this model.
     simulation : (Recorded, JointFit)
         A recording that the model simulates, with the fit to it.
     seed : int
@@ -80,12 +80,12 @@ def p_values(
         The probabilities, by the name of the mechanism, for those whose starts change what all drivers do or what is
         measured of it; not for noises. The smallest one is uniform by chance.
     """
-    seen = [one for one in glances.values() if _is_shared(one.candidate)]
+    seen = [one for one in prescreens.values() if _is_shared(one.candidate)]
     if not seen:
         return {}
     simulated, fitted = simulation
     here = scores(data, base, seen)
-    there = scores(simulated, fitted, [glance(simulated, fitted, one.candidate, work) for one in seen])
+    there = scores(simulated, fitted, [prescreen(simulated, fitted, one.candidate, work) for one in seen])
     shift, covariance = here.score - there.score, _WIDER * (here.information + there.information)
     # what goes beyond all bounds at a start says nothing of weak effects
     known = np.isfinite(shift) & np.isfinite(np.diag(covariance))
@@ -139,8 +139,8 @@ def with_p_values(
     )
 
 
-def scores(data: Recorded, base: JointFit, seen: Sequence[Glance]) -> Scores:
-    """Return the scores of the starts of all candidates, for the drivers on whom the glances fell."""
+def scores(data: Recorded, base: JointFit, seen: Sequence[Prescreen]) -> Scores:
+    """Return the scores of the starts of all candidates, for the drivers of the prescreens."""
     known, columns = len(base.model.shared), [change for one in seen for change in one.changes]
     left = []
     for i in seen[0].some:

@@ -5,7 +5,7 @@ from concurrent.futures import Executor
 
 from sugiyama_ros.diagnosis.candidacy import LEAST_GAIN
 from sugiyama_ros.diagnosis.candidates import Candidate
-from sugiyama_ros.diagnosis.glance import Glance, Promise, beyond_chance, glance, worth_screening
+from sugiyama_ros.diagnosis.prescreen import Prescreen, Promise, beyond_chance, prescreen, worth_screening
 from sugiyama_ros.diagnosis.screen import Effort, Screened, forecast, screen, screen_again
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.recording import Recorded
@@ -17,14 +17,14 @@ _LATER_LOOKS = 8
 
 
 class Looks:
-    """Glances and looks at candidates.
+    """Prescreens and screens of candidates.
 
     Parameters
     ----------
     data : Recorded
         The recording.
     base : JointFit
-        The fitted model beside which the glances fall.
+        The fitted model beside which candidates are prescreened.
     work : Executor
         Runs the filters.
     effort : Effort
@@ -32,15 +32,15 @@ class Looks:
 
     Attributes
     ----------
-    glances : dict of str to Glance
-        Glances beside ``base``, by the name of the candidate.
+    prescreens : dict of str to Prescreen
+        Prescreens beside ``base``, by the name of the candidate.
     left_out : list of Promise
         Candidates that were not screened in the first round.
     """
 
     def __init__(self, data: Recorded, base: JointFit, work: Executor, effort: Effort) -> None:
         self._data, self._base, self._work, self._effort = data, base, work, effort
-        self.glances: dict[str, Glance] = {}
+        self.prescreens: dict[str, Prescreen] = {}
         self.left_out: list[Promise] = []
         self._seen: dict[str, tuple[JointFit, Screened]] = {}
 
@@ -49,19 +49,19 @@ class Looks:
         """Whether no candidate has been looked at yet."""
         return not self._seen
 
-    def beside(self, current: JointFit) -> dict[str, Glance]:
-        """Return the glances that fell beside the current model, by the name of the candidate."""
-        return self.glances if current is self._base else {}
+    def beside(self, current: JointFit) -> dict[str, Prescreen]:
+        """Return the prescreens beside the current model, by the name of the candidate."""
+        return self.prescreens if current is self._base else {}
 
     def copy(self) -> "Looks":
         """Return a copy that can be kept up to date by itself."""
         other = Looks(self._data, self._base, self._work, self._effort)
-        other.glances, other._seen = self.glances, dict(self._seen)
+        other.prescreens, other._seen = self.prescreens, dict(self._seen)
         return other
 
     def forget(self) -> None:
         """Give up everything, which takes memory."""
-        self.glances = {}
+        self.prescreens = {}
         self._seen = {}
 
     def keep(self, looks: Iterable[Screened], current: JointFit) -> None:
@@ -71,7 +71,7 @@ class Looks:
     def worth_a_look(
         self, possible: Sequence[Candidate], current: JointFit, on_progress: OnStage
     ) -> Sequence[Candidate]:
-        """Return the candidates that promise something: after a glance at each, or by earlier looks and glances.
+        """Return the candidates that promise something: after a prescreen of each, or by what is known of them already.
 
         Parameters
         ----------
@@ -89,18 +89,18 @@ class Looks:
         """
         if self.is_first_round:
 
-            def at(candidate: Candidate) -> Glance:
-                return glance(self._data, self._base, candidate, self._work)
+            def at(candidate: Candidate) -> Prescreen:
+                return prescreen(self._data, self._base, candidate, self._work)
 
-            found = at_once(at, possible, "first glances", on_progress)
-            self.glances = {one.candidate.name: one for one in found}
-            chosen, self.left_out = worth_screening(self._data, self._base, self.glances)
+            found = at_once(at, possible, "first screen", on_progress)
+            self.prescreens = {one.candidate.name: one for one in found}
+            chosen, self.left_out = worth_screening(self._data, self._base, self.prescreens)
             return chosen
 
         def gain_of(candidate: Candidate) -> float:
             if candidate.name in self._seen:
                 return forecast(self._data, *self._seen[candidate.name], current)
-            return beyond_chance(self._data, current, self.glances[candidate.name])
+            return beyond_chance(self._data, current, self.prescreens[candidate.name])
 
         return sorted(possible, key=gain_of, reverse=True)[:_LATER_LOOKS]
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.candidates import Candidate, added
-from sugiyama_ros.diagnosis.glance import Glance, glance, promised
 from sugiyama_ros.diagnosis.near import differences, joined
+from sugiyama_ros.diagnosis.prescreen import Prescreen, prescreen, promised
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.filters.measurement import weigh_samples
 from sugiyama_ros.fit.joint import JointFit, maximise, objective, solve
@@ -88,7 +88,7 @@ def screen(
     candidate: Candidate,
     work: Executor,
     effort: Effort = FULL,
-    seen: Glance | None = None,
+    seen: Prescreen | None = None,
 ) -> Screened:
     """Add a candidate to a fitted model, by a few steps from the best of its starts.
 
@@ -104,15 +104,15 @@ def screen(
         Runs the filters.
     effort : Effort
         Limits of the search.
-    seen : Glance, optional
-        An earlier glance at the candidate, beside the same model.
+    seen : Prescreen, optional
+        An earlier prescreen of the candidate, beside the same model.
 
     Returns
     -------
     Screened
         The rough fit.
     """
-    seen = seen or glance(data, base, candidate, work)
+    seen = seen or prescreen(data, base, candidate, work)
 
     def look_from(start: Model, there: PointwiseDensity) -> Screened:
         slopes = _slopes_at(data, base, candidate, start, there, work)
@@ -144,8 +144,8 @@ def _slopes_at(
     return joined(data, base, model, at, new)
 
 
-def _of_all(data: Recorded, model: Model, seen: Glance, work: Executor) -> PointwiseDensity:
-    """The samples of all drivers at the best start of a glance, which knows them for some drivers."""
+def _of_all(data: Recorded, model: Model, seen: Prescreen, work: Executor) -> PointwiseDensity:
+    """The samples of all drivers at the best start of a prescreen, which knows them for some drivers."""
     samples = evaluate(data, model, work, [i for i in range(data.drivers) if i not in seen.some])
     for i, known in seen.at.items():
         samples.put(i, known)
@@ -246,7 +246,7 @@ def forecast(data: Recorded, before: JointFit, look: Screened, current: JointFit
     return reached - objective(current.slopes, current.model, everywhere)
 
 
-def _strongest(data: Recorded, base: JointFit, seen: Glance) -> dict[int, float | Array]:
+def _strongest(data: Recorded, base: JointFit, seen: Prescreen) -> dict[int, float | Array]:
     """The start with the largest predicted gain, whose strengths are scaled to fit the samples; values by place."""
     strengths = seen.candidate.strengths
     return {

@@ -31,10 +31,10 @@ from sugiyama_ros.diagnosis.errors import HeldOutErrors, held_out_errors, search
 from sugiyama_ros.diagnosis.few import who_shows
 from sugiyama_ros.diagnosis.few_screen import ShownByFew, fits_of_few, shown_by_few
 from sugiyama_ros.diagnosis.forms import best_forms
-from sugiyama_ros.diagnosis.glance import Promise
 from sugiyama_ros.diagnosis.largest import p_values, with_p_values
 from sugiyama_ros.diagnosis.looks import Looks
 from sugiyama_ros.diagnosis.placing import converged
+from sugiyama_ros.diagnosis.prescreen import Promise
 from sugiyama_ros.diagnosis.push import push_candidate
 from sugiyama_ros.diagnosis.screen import FULL, QUICK, Screened, closer, refine
 from sugiyama_ros.diagnosis.telling_apart import indistinguishable
@@ -221,7 +221,7 @@ class Search:
     def compare_all(self) -> None:
         """Give candidates of the first round, of which none was named, p-values from one test of all of them."""
         self.runs = max(self.runs, 1)
-        found = p_values(self.data, self.base, self._looks.glances, self.simulations()[0], self.seed, self._work)
+        found = p_values(self.data, self.base, self._looks.prescreens, self.simulations()[0], self.seed, self._work)
         self.scored, self.left_out = with_p_values(found, self.scored, self.heldout, self.left_out)
 
     def add_force(self, forces: Sequence[tuple[Discovery, Screened]]) -> bool:
@@ -271,7 +271,7 @@ class Search:
         scored = sorted([*fitted, *(one for one in scored if one not in hopeful)], key=lambda one: -one.score)
         if is_first:
             self.heldout = heldout_gains(self.data, self.current, scored)
-            self.smallest = smallest_detectable(self._looks.glances.values(), self.current, null)
+            self.smallest = smallest_detectable(self._looks.prescreens.values(), self.current, null)
             self.scored = [one.without_fits(self.base) for one in scored]
             shown = {one.candidate.mechanism for one in scored}
             self.left_out = [one for one in best_forms(self._looks.left_out) if one.candidate.mechanism not in shown]

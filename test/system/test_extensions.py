@@ -240,7 +240,7 @@ def test_effects_of_others_are_fitted_and_diagnosed(answers):
     assert "base + syrup" in {m["name"] for m in document(answers["compare"])["models"]}
     diagnosed = document(answers["diagnose"])
     assert set(STAGES) <= set(diagnosed["verdict"]["searched"])
-    # some are listed with what a glance promises, which is too little for a fit
+    # some are listed with what a prescreen promises, which is too little for a fit
     assert set(STAGES) <= {c["name"] for c in diagnosed["candidates"]}
 
 

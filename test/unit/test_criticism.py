@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import yaml
 
-from sugiyama_ros.diagnosis import glance
+from sugiyama_ros.diagnosis import prescreen
 from sugiyama_ros.diagnosis.candidates import named
 from sugiyama_ros.diagnosis.diagnosis import diagnose
 from sugiyama_ros.diagnosis.errors import errors_of
@@ -117,7 +117,7 @@ def test_a_change_of_preferences_is_found_at_its_time(work):
 def test_a_patch_is_found_whether_some_or_all_drivers_compare_starts(work, monkeypatch, some):
     """Drivers 0, 2, 4 and 6 choose among twelve places as well as all drivers do."""
     data = prepare(recording("slow_patch", reduction=0.15, centre=50.0, width=30.0).measured)
-    monkeypatch.setattr(glance, "_DRIVERS", some)
+    monkeypatch.setattr(prescreen, "_DRIVERS", some)
     look = screen(data, fit_base(data, INDIVIDUAL, work), *named(data, ["slow_patch"]), work)
     found = dict(zip(look.candidate.parameters, look.fit.model.rows[0, look.candidate.places], strict=True))
     # Wilks: three parameters gain 7.8 nats by chance in one of 1000 recordings

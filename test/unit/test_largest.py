@@ -1,4 +1,4 @@
-"""The largest gain of all candidates by chance: the test is about what glances promise, and sees what is hidden."""
+"""The largest gain of all candidates by chance: the test is about what prescreens promise, and sees what is hidden."""
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -9,8 +9,8 @@ import pytest
 from sugiyama_ros.diagnosis.bootstrap import resampled_fits, seeds
 from sugiyama_ros.diagnosis.candidacy import UNKNOWN
 from sugiyama_ros.diagnosis.candidates import candidates, named
-from sugiyama_ros.diagnosis.glance import Promise, glance, promised
 from sugiyama_ros.diagnosis.largest import p_values, scores, with_p_values
+from sugiyama_ros.diagnosis.prescreen import Promise, prescreen, promised
 from sugiyama_ros.diagnosis.screen import QUICK, screen
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, defaults
 from sugiyama_ros.effects.registry import ROW, switch_on
@@ -24,14 +24,14 @@ CARS, RING_M, LENGTH_M, SEED = 12, 130.0, 4.33, 7
 
 
 def fitted_to(work, effect="", **values):
-    """A recording with an effect, the base model fitted to it, and glances at all candidates."""
+    """A recording with an effect, the base model fitted to it, and prescreens of all candidates."""
     rows = ROW.with_effects(defaults(CARS))
     rows = switch_on(rows, effect, values) if effect else rows
     length = np.full(CARS, LENGTH_M)
     run = simulate(Simulator(rows, length, platoon(length, 2.0), Road(RING_M), np.random.default_rng(SEED)), 100.0)
     data = prepare(run.measured)
     base = fit_base(data, (SIGMA_NU, SIGMA_A, V_STAR, KAPPA_V), work)
-    return data, base, {c.name: glance(data, base, c, work) for c in candidates(data)}
+    return data, base, {c.name: prescreen(data, base, c, work) for c in candidates(data)}
 
 
 @pytest.fixture(scope="module")
@@ -51,13 +51,13 @@ def whole(work):
     return fitted_to(work)
 
 
-def test_half_a_squared_score_is_what_a_glance_promises(whole, work):
+def test_half_a_squared_score_is_what_a_prescreen_promises(whole, work):
     data, base, seen = whole
     for name in ("road_grade", "clock_offset", "rear_pressure"):
         one = seen[name]
         found = scores(data, base, [one])
         gains = 0.5 * found.score**2 / np.diag(found.information) * data.drivers / len(one.some)
-        # glances damp their step a little
+        # prescreens damp their step a little
         assert promised(data, base, one)[0] == pytest.approx(gains.max(), rel=0.01, abs=0.01)
 
 

@@ -1,6 +1,6 @@
-"""A glance at a candidate: what its starts alone promise on some drivers, before it is screened.
+"""The prescreen of a candidate: what its starts alone promise on some drivers, before it is screened.
 
-A glance predicts the gain of a fit well, because the changes of the samples at a start serve as derivatives by the
+It predicts the gain of a fit well, because the changes of the samples at a start serve as derivatives by the
 strength. Most candidates have nothing to do with the data, so most of them need nothing more.
 """
 
@@ -21,15 +21,15 @@ from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import DriverDensity, PointwiseDensity, evaluate
 from sugiyama_ros.fit.slopes import Column, column, no_density
 
-#: A candidate is screened if a glance at it predicts more than this gain [nats].
+#: A candidate is screened if its prescreen predicts more than this gain [nats].
 PROMISE = 5.0
 
-# Drivers on whom a glance falls, or up to twice as many.
+# Drivers of a prescreen, or up to twice as many.
 _DRIVERS = 11
 
 
 @dataclass(frozen=True, eq=False)
-class Glance:
+class Prescreen:
     """What the starts of a candidate show on some drivers.
 
     Parameters
@@ -87,7 +87,7 @@ class Glance:
         Parameters
         ----------
         base : JointFit
-            The model beside which the glance fell.
+            The model beside which it was prescreened.
 
         Returns
         -------
@@ -103,8 +103,8 @@ class Glance:
         return float(np.max(self.starts[worst][first])), -rises[worst]
 
 
-def glance(data: Recorded, base: JointFit, candidate: Candidate, work: Executor) -> Glance:
-    """Glance at the starts of a candidate.
+def prescreen(data: Recorded, base: JointFit, candidate: Candidate, work: Executor) -> Prescreen:
+    """Look at the starts of a candidate on some drivers.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def glance(data: Recorded, base: JointFit, candidate: Candidate, work: Executor)
 
     Returns
     -------
-    Glance
+    Prescreen
         What the starts show.
     """
     # a push moves one driver alone
@@ -139,7 +139,7 @@ def glance(data: Recorded, base: JointFit, candidate: Candidate, work: Executor)
     assert best is not None
     # copies, because the arrays have places for all drivers
     samples = {i: DriverDensity(*(values.copy() for values in best.of(i))) for i in some}
-    return Glance(candidate, some, starts, tuple(changes), tuple(likelihoods), samples)
+    return Prescreen(candidate, some, starts, tuple(changes), tuple(likelihoods), samples)
 
 
 def _one_at_a_time(candidate: Candidate) -> tuple[dict[int, float | Array], ...]:
@@ -154,8 +154,8 @@ def _one_at_a_time(candidate: Candidate) -> tuple[dict[int, float | Array], ...]
     )
 
 
-def promised(data: Recorded, base: JointFit, seen: Glance) -> tuple[float, dict[int, float | Array]]:
-    """Predict the gain of a candidate, and the start that gains it, from a glance.
+def promised(data: Recorded, base: JointFit, seen: Prescreen) -> tuple[float, dict[int, float | Array]]:
+    """Predict the gain of a candidate, and the start that gains it, from its prescreen.
 
     Parameters
     ----------
@@ -163,8 +163,8 @@ def promised(data: Recorded, base: JointFit, seen: Glance) -> tuple[float, dict[
         The recording.
     base : JointFit
         The fitted model without the candidate, or a later model.
-    seen : Glance
-        A glance at the candidate, whose values all drivers share.
+    seen : Prescreen
+        The prescreen of the candidate, whose values all drivers share.
 
     Returns
     -------
@@ -191,8 +191,8 @@ def promised(data: Recorded, base: JointFit, seen: Glance) -> tuple[float, dict[
     return gain * data.drivers / len(seen.some), start
 
 
-def beyond_chance(data: Recorded, base: JointFit, seen: Glance) -> float:
-    """Predict the gain of a candidate from a glance, less what the choice of its place brings by chance [nats].
+def beyond_chance(data: Recorded, base: JointFit, seen: Prescreen) -> float:
+    """Predict the gain of a candidate from its prescreen, less what the choice of its place brings by chance [nats].
 
     Parameters
     ----------
@@ -200,8 +200,8 @@ def beyond_chance(data: Recorded, base: JointFit, seen: Glance) -> float:
         The recording.
     base : JointFit
         The fitted model without the candidate, or a later model.
-    seen : Glance
-        A glance at the candidate.
+    seen : Prescreen
+        The prescreen of the candidate.
 
     Returns
     -------
@@ -223,10 +223,10 @@ class Promise(NamedTuple):
 
 
 def worth_screening(
-    data: Recorded, base: JointFit, glances: Mapping[str, Glance]
+    data: Recorded, base: JointFit, prescreens: Mapping[str, Prescreen]
 ) -> tuple[list[Candidate], list[Promise]]:
-    """Return the candidates whose glance promises something, or the most promising one, and what the others promise."""
-    all_ = [Promise(seen.candidate, beyond_chance(data, base, seen)) for seen in glances.values()]
+    """Return the candidates that promise something, or the most promising one, and what the others promise."""
+    all_ = [Promise(seen.candidate, beyond_chance(data, base, seen)) for seen in prescreens.values()]
     best = max(all_, key=lambda one: one.gain)
     is_worth = [one.gain > PROMISE or one is best for one in all_]
     chosen = [one.candidate for one, worth in zip(all_, is_worth, strict=True) if worth]

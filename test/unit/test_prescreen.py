@@ -1,4 +1,4 @@
-"""Glances at candidates: little is promised where nothing is missing, and nearly all that a fit gains where it is."""
+"""Prescreens promise little where nothing is missing, and nearly all that a fit gains where something is."""
 
 from concurrent.futures import ThreadPoolExecutor
 
@@ -8,7 +8,7 @@ from scipy.stats import chi2
 
 from sugiyama_ros.diagnosis.candidacy import null_gains
 from sugiyama_ros.diagnosis.candidates import candidates, named
-from sugiyama_ros.diagnosis.glance import PROMISE, beyond_chance, glance, promised, worth_screening
+from sugiyama_ros.diagnosis.prescreen import PROMISE, beyond_chance, prescreen, promised, worth_screening
 from sugiyama_ros.diagnosis.screen import QUICK, screen
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, defaults
 from sugiyama_ros.effects.registry import EFFECTS, ROW, switch_on
@@ -48,7 +48,7 @@ def whole(work):
 def test_the_prior_of_drivers_who_are_left_out_promises_nothing(whole, work):
     data, base = whole
     (drag,) = named(data, ["drag"])
-    seen = glance(data, base, drag, work)
+    seen = prescreen(data, base, drag, work)
     assert len(seen.some) < CARS
     assert np.abs(base.model.away).max() > 1.0
     # Wilks: two parameters, and half of the drivers stand for all
@@ -58,21 +58,21 @@ def test_the_prior_of_drivers_who_are_left_out_promises_nothing(whole, work):
 def test_few_candidates_promise_something_where_nothing_is_missing(whole, work):
     data, base = whole
     possible = [c for c in candidates(data) if not c.individual and any(c.starts)]
-    glances = {c.name: glance(data, base, c, work) for c in possible}
-    kept, left = worth_screening(data, base, glances)
+    prescreens = {c.name: prescreen(data, base, c, work) for c in possible}
+    kept, left = worth_screening(data, base, prescreens)
     assert len(kept) + len(left) == len(possible)
     # a start gains by chance more than 5 nats of all drivers, 2.5 of half of them, in 3 of 100 recordings (Wilks)
     assert len(kept) <= len(possible) // 3
     # the most promising one is looked at all the same
-    best = max(glances, key=lambda name: beyond_chance(data, base, glances[name]))
+    best = max(prescreens, key=lambda name: beyond_chance(data, base, prescreens[name]))
     assert best in {c.name for c in kept}
 
 
 def test_what_chance_gains_on_a_simulation_is_not_cut_off(whole, work):
-    """A candidate that promises too little to be screened gains there what its glance predicts, and not nothing."""
+    """A candidate that promises too little to be screened gains there what its prescreen predicts, and not nothing."""
     data, base = whole
     possible = [c for c in candidates(data) if not c.individual and any(c.starts)]
-    predicted = {c.name: beyond_chance(data, base, glance(data, base, c, work)) for c in possible}
+    predicted = {c.name: beyond_chance(data, base, prescreen(data, base, c, work)) for c in possible}
     small = [c for c in possible if predicted[c.name] <= PROMISE]
     gains = null_gains([(data, base)], small, QUICK, work, lambda *_: None).gains
     assert {name: g for name, (g,) in gains.items()} == {c.name: max(predicted[c.name], 0.0) for c in small}
@@ -82,11 +82,11 @@ def test_what_chance_gains_on_a_simulation_is_not_cut_off(whole, work):
 
 @pytest.mark.parametrize("phase", [0.0, 0.25, 0.5, 0.75])
 def test_a_camera_off_the_centre_promises_at_every_angle_what_a_fit_gains(work, phase):
-    """The start of the search stands at one angle; the glance looks at both axes."""
+    """The start of the search stands at one angle; the prescreen looks at both axes."""
     angle = np.pi * (phase + 0.125)
     data, base = fitted_to(work, "sensor_eccentricity", cosine=1.5 * np.cos(angle), sine=1.5 * np.sin(angle))
     (camera,) = named(data, ["sensor_eccentricity"])
-    seen = glance(data, base, camera, work)
+    seen = prescreen(data, base, camera, work)
     look = screen(data, base, camera, work, seen=seen)
     assert beyond_chance(data, base, seen) > PROMISE
     assert look.gain > 20.0
