@@ -20,7 +20,7 @@ from sugiyama_ros.diagnosis.response import while_own_respond
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.recording import Recorded
-from sugiyama_ros.fit.score import predict_drivers
+from sugiyama_ros.fit.score import predict_each
 from sugiyama_ros.fit.slopes import Column, column, sums
 from sugiyama_ros.progress import OnStage
 from sugiyama_ros.workers import at_once
@@ -87,7 +87,7 @@ def shown_by_few(
     def look(candidate: Candidate) -> ShownByFew:
         # a prescreen takes several strengths one at a time
         known = (seen or {}).get(candidate.name) if len(candidate.strengths) < 2 else None
-        gains = [g for k in _starts(candidate) for g in _gains(data, base, candidate, k, known, work)]
+        gains = _gains(data, base, candidate, known, work)
         few, gain = max((chosen(g) for g in gains), key=lambda one: one[1])
         return ShownByFew(candidate, few, gain - math.log(len(gains)))
 
@@ -168,21 +168,21 @@ def _starts(candidate: Candidate) -> Sequence[int]:
     return numbers[:: 1 if len(numbers) <= _MOST_STARTS else 2]
 
 
-def _gains(
-    data: Recorded, base: JointFit, candidate: Candidate, number: int, seen: Prescreen | None, work: Executor
-) -> list[Array]:
-    """Predict what each driver would gain (N,) [nats] by an effect at one of its starts, scaled for this driver.
+def _gains(data: Recorded, base: JointFit, candidate: Candidate, seen: Prescreen | None, work: Executor) -> list[Array]:
+    """Predict what each driver would gain (N,) [nats] by an effect at each of its starts, scaled for this driver.
 
     A strength of either sign is predicted for each sign, because those who share an effect share its sign.
     """
-    there = added(base.model, candidate, candidate.starts[number])
-    new = dict(seen.changes[number]) if seen else {}
-    others = [i for i in range(data.drivers) if i not in new]
-    for i, at in zip(others, predict_drivers(data, there, others, work), strict=True):
-        new[i] = column(base.samples.of(i), at, 1.0, there.rows[i])
     signs = (1.0, -1.0) if ROW.declared[switches_of(candidate)[0]].lower < 0.0 else (1.0,)
-    slopes, scales = np.array(_scaled(data, base, [new[i] for i in range(data.drivers)])).T
-    return [np.where(sign * scales > 0.0, 0.5 * slopes * scales, 0.0) for sign in signs]
+    numbers, gains = _starts(candidate), []
+    models = [added(base.model, candidate, candidate.starts[number]) for number in numbers]
+    others = [i for i in range(data.drivers) if not (seen and i in seen.some)]
+    for number, there, found in zip(numbers, models, predict_each(data, models, others, work), strict=True):
+        new = dict(seen.changes[number]) if seen else {}
+        new |= {i: column(base.samples.of(i), at, 1.0, there.rows[i]) for i, at in zip(others, found, strict=True)}
+        slopes, scales = np.array(_scaled(data, base, [new[i] for i in range(data.drivers)])).T
+        gains += [np.where(sign * scales > 0.0, 0.5 * slopes * scales, 0.0) for sign in signs]
+    return gains
 
 
 def _scaled(data: Recorded, base: JointFit, new: Sequence[Column]) -> list[tuple[float, float]]:

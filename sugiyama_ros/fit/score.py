@@ -108,12 +108,18 @@ def evaluate(data: Recorded, model: Model, work: Executor, who: Sequence[int] | 
 
 def predict_drivers(data: Recorded, model: Model, who: Iterable[int], work: Executor) -> list[DriverDensity]:
     """Predict the samples of the drivers in ``who``; returns one result for each, in this order."""
-    numbers = list(who)
-    parts = work.map(predict_jobs, together(jobs_of(data, model, numbers)))
-    found = [one for part in parts for one in part]
-    for i, one in zip(numbers, found, strict=True):
-        one.log_likelihood[~data.scored[i]] = np.nan
-    return found
+    return predict_each(data, [model], list(who), work)[0]
+
+
+def predict_each(
+    data: Recorded, models: Sequence[Model], who: Sequence[int], work: Executor
+) -> list[list[DriverDensity]]:
+    """Predict the samples of the drivers in ``who`` by each model; all filters may run side by side."""
+    parts = work.map(predict_jobs, together([job for model in models for job in jobs_of(data, model, who)]))
+    found, drivers = [one for part in parts for one in part], len(who)
+    for k, one in enumerate(found):
+        one.log_likelihood[~data.scored[who[k % drivers]]] = np.nan
+    return [found[k * drivers : (k + 1) * drivers] for k in range(len(models))]
 
 
 def together(drivers: Sequence[_Any]) -> list[Sequence[_Any]]:
