@@ -217,8 +217,9 @@ def _drive_on(
     for run, sign in enumerate((1.0, -1.0)):
         if around.is_whole_road:
             run_coupled(recorded, order, everybody, ACTIONS, start_s, setting, sign * shock, coupled[run])
-        for i in np.flatnonzero(who):
-            run_single(i, recorded, order, everybody, ACTIONS, start_s, setting, sign * shock, single[run])
+        run_single(
+            np.flatnonzero(who), recorded, order, everybody, ACTIONS, start_s, setting, sign * shock, single[run]
+        )
     return silent, coupled.mean(axis=0), single.mean(axis=0)
 
 

@@ -115,7 +115,7 @@ def _neighbourhood(i: int, order: Order) -> tuple[Ints, Order]:
 
 @kernel
 def run_single(
-    i: int,
+    who: Ints,
     recorded: Array,
     order: Order,
     rows: Array,
@@ -125,12 +125,12 @@ def run_single(
     shock: Array,
     out: Array,
 ) -> None:
-    """Let vehicle i drive by the model among neighbours who drive as they were recorded.
+    """Let each of some vehicles drive by the model among neighbours who drive as they were recorded.
 
     Parameters
     ----------
-    i : int
-        Number of the vehicle.
+    who : ndarray of int, shape (W,)
+        Numbers of the vehicles.
     recorded : ndarray, shape (at least steps + 1, N, 4)
         Filtered position [m], speed [m/s], acceleration noise and held acceleration [m/s^2].
     order : Order
@@ -146,8 +146,25 @@ def run_single(
     shock : ndarray, shape (steps, N)
         Standard normal shocks of the acceleration noise; zeros for a run without noise.
     out : ndarray, shape (steps, N, 2)
-        Column i is filled with positions [m] and speeds [m/s].
+        The columns of these vehicles are filled with positions [m] and speeds [m/s].
     """
+    for i in who:
+        _run_alone(i, recorded, order, rows, actions, time, setting, shock, out)
+
+
+@kernel
+def _run_alone(
+    i: int,
+    recorded: Array,
+    order: Order,
+    rows: Array,
+    actions: Array,
+    time: float,
+    setting: Setting,
+    shock: Array,
+    out: Array,
+) -> None:
+    """Let vehicle i drive; arguments as for ``run_single``."""
     near, order_near = _neighbourhood(i, order)
     rows_near = rows[near]
     held, pushed = np.empty(1), np.empty(1)

@@ -27,7 +27,7 @@ def test_nobody_drives_through_the_vehicle_ahead(run):
     setting = Setting(_PERIOD_S, horizon_at(_PERIOD_S), 0.0)
     out = np.full((_STEPS, 2, 2), np.nan)
     if run == "single":
-        run_single(0, recorded, order, rows, ACTIONS, 0.0, setting, np.zeros((_STEPS, 2)), out)
+        run_single(np.array([0]), recorded, order, rows, ACTIONS, 0.0, setting, np.zeros((_STEPS, 2)), out)
     else:
         run_coupled(recorded, order, rows, ACTIONS, 0.0, setting, np.zeros((_STEPS, 2)), out)
     gap = 16.0 - out[:, 0, 0] - _LENGTH_M
