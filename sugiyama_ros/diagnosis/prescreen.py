@@ -5,7 +5,7 @@ strength. Most candidates have nothing to do with the data, so most of them need
 """
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -17,9 +17,8 @@ from sugiyama_ros.diagnosis.candidates import Candidate, added
 from sugiyama_ros.diagnosis.near import joined
 from sugiyama_ros.diagnosis.response import predicted
 from sugiyama_ros.fit.joint import JointFit, solve
-from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import FOLDS, Recorded
-from sugiyama_ros.fit.score import DriverDensity, PointwiseDensity, predict_each, unknown
+from sugiyama_ros.fit.score import DriverDensity, PointwiseDensity, evaluate_each
 from sugiyama_ros.fit.slopes import Column, column, no_density
 
 #: A candidate is screened if its prescreen predicts more than this gain [nats].
@@ -128,7 +127,11 @@ def prescreen(data: Recorded, base: JointFit, candidate: Candidate, work: Execut
     likelihoods, changes = [], []
     best: PointwiseDensity | None = None
     starts = _one_at_a_time(candidate)
-    for model, at in _at_each(data, base, candidate, starts, some, work):
+    models = [added(base.model, candidate, start) for start in starts]
+    # a parameter that only becomes free changes nothing yet
+    is_same = not any(starts) and set(base.model.shared) <= set(models[0].shared)
+    there = [base.samples.only(some)] if is_same else evaluate_each(data, models, work, some)
+    for model, at in zip(models, there, strict=True):
         changes.append({i: column(base.samples.of(i), at.of(i), 1.0, model.rows[i]) for i in some})
         likelihoods.append(predicted(base, model, at))
         if best is None or likelihoods[-1] >= max(likelihoods):
@@ -137,27 +140,6 @@ def prescreen(data: Recorded, base: JointFit, candidate: Candidate, work: Execut
     # copies, because the arrays have places for all drivers
     samples = {i: DriverDensity(*(values.copy() for values in best.of(i))) for i in some}
     return Prescreen(candidate, some, starts, tuple(changes), tuple(likelihoods), samples)
-
-
-def _at_each(
-    data: Recorded,
-    base: JointFit,
-    candidate: Candidate,
-    starts: Sequence[dict[int, float | Array]],
-    some: Sequence[int],
-    work: Executor,
-) -> Iterator[tuple[Model, PointwiseDensity]]:
-    """Yield the model at each start, and the samples of some drivers there."""
-    models = [added(base.model, candidate, start) for start in starts]
-    if not any(starts) and set(base.model.shared) <= set(models[0].shared):
-        # a parameter that only becomes free changes nothing yet
-        yield models[0], base.samples.only(some)
-        return
-    for model, found in zip(models, predict_each(data, models, some, work), strict=True):
-        samples = unknown(data.drivers, data.samples)
-        for i, one in zip(some, found, strict=True):
-            samples.put(i, one)
-        yield model, samples
 
 
 def _one_at_a_time(candidate: Candidate) -> tuple[dict[int, float | Array], ...]:

@@ -1,6 +1,6 @@
 """Predictions of a model for every sample: innovations, their variances, log-likelihoods and filtered states."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
@@ -99,11 +99,19 @@ def evaluate(data: Recorded, model: Model, work: Executor, who: Sequence[int] | 
     PointwiseDensity
         Predictions of all samples; NaN for drivers who are not in ``who``.
     """
+    return next(evaluate_each(data, [model], work, who))
+
+
+def evaluate_each(
+    data: Recorded, models: Sequence[Model], work: Executor, who: Sequence[int] | None = None
+) -> Iterator[PointwiseDensity]:
+    """Yield the predictions by each model, as of ``evaluate``; all filters may run side by side."""
     chosen = range(data.drivers) if who is None else who
-    samples = unknown(data.drivers, data.samples)
-    for i, at in zip(chosen, predict_drivers(data, model, chosen, work), strict=True):
-        samples.put(i, at)
-    return samples
+    for found in predict_each(data, models, chosen, work):
+        samples = unknown(data.drivers, data.samples)
+        for i, at in zip(chosen, found, strict=True):
+            samples.put(i, at)
+        yield samples
 
 
 def predict_drivers(data: Recorded, model: Model, who: Iterable[int], work: Executor) -> list[DriverDensity]:

@@ -149,42 +149,27 @@ def run_single(
         The columns of these vehicles are filled with positions [m] and speeds [m/s].
     """
     for i in who:
-        _run_alone(i, recorded, order, rows, actions, time, setting, shock, out)
-
-
-@kernel
-def _run_alone(
-    i: int,
-    recorded: Array,
-    order: Order,
-    rows: Array,
-    actions: Array,
-    time: float,
-    setting: Setting,
-    shock: Array,
-    out: Array,
-) -> None:
-    """Let vehicle i drive; arguments as for ``run_single``."""
-    near, order_near = _neighbourhood(i, order)
-    rows_near = rows[near]
-    held, pushed = np.empty(1), np.empty(1)
-    x, v, n, b = recorded[0, i, 0], recorded[0, i, 1], recorded[0, i, 2], recorded[0, i, 3]
-    a = b + rows[i, RHO] * n
-    past = begin(recorded[0, near, 0], recorded[0, near, 1], held, held, rows_near, setting.period).past
-    for k in range(len(out)):
-        xs, vs, bs = recorded[k, near, 0].copy(), recorded[k, near, 1].copy(), recorded[k, near, 3].copy()
-        accelerations = bs + recorded[k, near, 2]
-        xs[0], vs[0], bs[0], accelerations[0] = x, v, b, a
-        traffic = Traffic(xs, vs, bs, accelerations, past)
-        drive(traffic, order_near, rows_near, actions, time, setting, held, pushed)
-        remember(traffic)
-        a = held[0] + pushed[0] + n
-        x, v = advance(x, v, a, setting.period)
-        ahead, v = order_near.leader[0], max(v, 0.0)
-        if ahead >= 0:
-            there = recorded[k + 1, near[ahead]]
-            x, v = _behind(x, v, there[0], max(there[1], 0.0), 0, order_near)
-        n = _noise(n, shock[k, i], v, rows[i])
-        b = held[0]
-        time += setting.period
-        out[k, i, 0], out[k, i, 1] = x, v
+        near, order_near = _neighbourhood(i, order)
+        rows_near = rows[near]
+        held, pushed = np.empty(1), np.empty(1)
+        x, v, n, b = recorded[0, i, 0], recorded[0, i, 1], recorded[0, i, 2], recorded[0, i, 3]
+        a = b + rows[i, RHO] * n
+        past = begin(recorded[0, near, 0], recorded[0, near, 1], held, held, rows_near, setting.period).past
+        now = time
+        for k in range(len(out)):
+            xs, vs, bs = recorded[k, near, 0].copy(), recorded[k, near, 1].copy(), recorded[k, near, 3].copy()
+            accelerations = bs + recorded[k, near, 2]
+            xs[0], vs[0], bs[0], accelerations[0] = x, v, b, a
+            traffic = Traffic(xs, vs, bs, accelerations, past)
+            drive(traffic, order_near, rows_near, actions, now, setting, held, pushed)
+            remember(traffic)
+            a = held[0] + pushed[0] + n
+            x, v = advance(x, v, a, setting.period)
+            ahead, v = order_near.leader[0], max(v, 0.0)
+            if ahead >= 0:
+                there = recorded[k + 1, near[ahead]]
+                x, v = _behind(x, v, there[0], max(there[1], 0.0), 0, order_near)
+            n = _noise(n, shock[k, i], v, rows[i])
+            b = held[0]
+            now += setting.period
+            out[k, i, 0], out[k, i, 1] = x, v
