@@ -166,7 +166,8 @@ class Bag:
     def _selected(self, topics: Collection[str] | None) -> Iterator[Message]:
         """Messages of some topics, or of all topics."""
         skipped = self._chunks_without(topics) if topics is not None else frozenset()
-        for opcode, content in self._contents(skipped):
+        unwanted: set[int] = set()
+        for opcode, content in self._contents(skipped, unwanted):
             if opcode != Opcode.MESSAGE:
                 self._described.add(opcode, content)
                 continue
@@ -176,15 +177,21 @@ class Bag:
                 )
             if topics is None or self._described.channels[content.channel].topic in topics:
                 yield content
+            else:
+                unwanted.add(content.channel)
         missing = set(topics or ()) - {channel.topic for channel in self._described.channels.values()}
         if missing:
             raise InputError(f"{self.path}: no topic {', '.join(sorted(missing))}; see `sugiyama info {self.path}`")
 
-    def _contents(self, skipped: Collection[int]) -> Iterator[tuple[int, Any]]:
-        """Messages and descriptions of the data section, without the chunks at the offsets ``skipped``."""
+    def _contents(self, skipped: Collection[int], unwanted: Collection[int]) -> Iterator[tuple[int, Any]]:
+        """Messages and descriptions of the data section.
+
+        Chunks at the offsets ``skipped`` and, in chunks, messages of the channels ``unwanted`` are passed over.
+        """
         for record in self._file.records():
             if record.opcode == Opcode.CHUNK and record.offset not in skipped:
-                yield from content_records(self._file.chunk(record), f"{self.path}: chunk at offset {record.offset}")
+                where = f"{self.path}: chunk at offset {record.offset}"
+                yield from content_records(self._file.chunk(record), where, unwanted)
             elif record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 yield record.opcode, self._file.body(record, MAX_DESCRIPTION)
             elif record.opcode == Opcode.MESSAGE:

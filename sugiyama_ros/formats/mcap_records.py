@@ -2,7 +2,7 @@
 
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -207,10 +207,11 @@ def _decompressed(chunk: Chunk) -> bytes | None:
     return None
 
 
-def content_records(content: bytes, where: str) -> Iterator[tuple[int, Any]]:
+def content_records(content: bytes, where: str, unwanted: Collection[int] = ()) -> Iterator[tuple[int, Any]]:
     """Schemas, channels (as opcode and body) and messages (as Message) inside a chunk.
 
-    Raises InputError where a record does not end within the chunk.
+    Messages of the channels ``unwanted`` are passed over; the collection may grow meanwhile. Raises InputError where a
+    record does not end within the chunk.
     """
     position = 0
     while position < len(content):
@@ -222,10 +223,9 @@ def content_records(content: bytes, where: str) -> Iterator[tuple[int, Any]]:
         if opcode == Opcode.MESSAGE:
             if length < MESSAGE.size:
                 raise InputError(f"{where}: a message without its head; the file is damaged")
-            yield (
-                opcode,
-                Message._make((*MESSAGE.unpack_from(content, start), content[start + MESSAGE.size : position])),
-            )
+            head = MESSAGE.unpack_from(content, start)
+            if head[0] not in unwanted:
+                yield opcode, Message._make((*head, content[start + MESSAGE.size : position]))
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             if length > MAX_DESCRIPTION:
                 raise InputError(f"{where}: a description of {length} bytes, more than {MAX_DESCRIPTION}; not read")

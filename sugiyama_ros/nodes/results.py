@@ -12,7 +12,7 @@ import numpy as np
 from sugiyama_msgs.msg import DriverArray
 
 from sugiyama_ros.formats.mcap_reader import Bag
-from sugiyama_ros.nodes.base import incoming
+from sugiyama_ros.nodes.base import cdr_messages, incoming
 from sugiyama_ros.nodes.base.incoming import RefusedError
 
 # Parameters of every driver; a message without them is of another node.
@@ -79,17 +79,13 @@ class _Read:
             "sugiyama_msgs/msg/DriverParameters": self._parameters,
             "sugiyama_msgs/msg/DriverArray": self._array,
         }
+        self._innovations: list[bytes] = []
         self._scores: defaultdict[int, list[tuple[float, float]]] = defaultdict(list)
         self._last: dict[str, bytes] = {}
         self._last_array: dict[int, DriverArray] = {}
 
     def _innovation(self, _: str, raw: bytes) -> None:
-        try:
-            message = incoming.innovation(raw)
-        except RefusedError:
-            return
-        if message.scored:
-            self._scores[message.vehicle].append((message.innovation_m**2, message.nis))
+        self._innovations.append(raw)
 
     def _parameters(self, topic: str, raw: bytes) -> None:
         self._last[topic] = raw
@@ -107,6 +103,11 @@ class _Read:
 
     def drivers(self) -> Iterator[DriverResult]:
         """Every driver."""
+        innovation = cdr_messages.read_innovations(self._innovations)
+        scored = innovation[innovation["scored"]]
+        scores = np.column_stack([np.square(scored["innovation_m"]), scored["nis"]])
+        for vehicle in np.unique(scored["vehicle"]).tolist():
+            self._scores[vehicle] += scores[scored["vehicle"] == vehicle].tolist()
         for raw in self._last.values():
             try:
                 one = incoming.parameters(raw)

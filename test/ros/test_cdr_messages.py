@@ -146,6 +146,20 @@ def test_innovations_are_written(seed: int) -> None:
     assert cdr_messages.read_innovation(raw) == known
 
 
+def test_many_innovations_are_read_at_once_and_those_of_others_passed_over() -> None:
+    estimates = [an_estimate(seed) for seed in range(3)]
+    good = [cdr_messages.innovation(5, vehicle, e) for vehicle, e in enumerate(estimates)]
+    other_frame = good[0].replace(FRAME.encode(), b"x" * len(FRAME))
+    big_endian = b"\0\0" + good[0][2:]
+    found = cdr_messages.read_innovations(
+        [good[0], other_frame, b"", good[1][:-1], big_endian, good[1] + b"\0", good[2]]
+    )
+    assert found["vehicle"].tolist() == [0, 1, 2]
+    for name in ("innovation_m", "nis", "scored"):
+        assert found[name].tolist() == [getattr(e, name) for e in estimates]
+    assert len(cdr_messages.read_innovations([])) == 0
+
+
 def test_a_chain_ends_where_there_is_no_leader_or_it_comes_back() -> None:
     sample = cdr_messages.Sample(0, 0, [6, 7, -1, 8], [0.0] * 4, [0.0] * 4, {5: 0, 6: 1, 7: 2, 8: 3})
     assert sample.chain(5, 3) == [5, 6, 7]

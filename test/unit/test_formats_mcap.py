@@ -128,7 +128,7 @@ def test_chunks_are_small_and_unneeded_chunks_are_skipped(tmp_path: Path, monkey
     opened = []
     whole = content_records
     monkeypatch.setattr(
-        mcap_reader, "content_records", lambda content, where: opened.append(1) or whole(content, where)
+        mcap_reader, "content_records", lambda content, *rest: opened.append(1) or whole(content, *rest)
     )
     with Bag(path) as bag:
         assert sum(1 for _ in bag.raw_messages()) == 8

@@ -6,12 +6,13 @@ functions here read and write the same bytes as rclpy does; a test compares them
 
 import struct
 from array import array
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from builtin_interfaces.msg import Time
+from numpy.typing import NDArray
 from rclpy.serialization import serialize_message
 from sugiyama_msgs.msg import DriverParameters, DriverType, StyleChange
 
@@ -32,8 +33,18 @@ _CLOCK = struct.Struct("<4s i I")
 _MARK = 1.2345678901234567e-300
 # types of the sequences of MeasuredPositions that may be empty or absent
 _OPTIONAL = ("<i4", "<f8", "<f8", "<f8")
-_STATE = struct.Struct(_HEAD + "3d 9d 3d")
+# the covariance as the bytes of its nine numbers
+_STATE = struct.Struct(_HEAD + "3d 72s 3d")
 _INNOVATION = struct.Struct(_HEAD + "4d ?")
+# what is read of many innovations, in the layout of _INNOVATION
+_READ = np.dtype(
+    {
+        "names": ["encapsulation", "frame", "vehicle", "innovation_m", "nis", "scored"],
+        "formats": ["S4", "S5", "<i4", "<f8", "<f8", "?"],
+        "offsets": [0, 16, 24, 28, 44, 60],
+        "itemsize": _INNOVATION.size,
+    }
+)
 
 
 class Sample(NamedTuple):
@@ -142,7 +153,7 @@ def state(stamp_ns: int, vehicle: int, estimate: Estimate) -> bytes:
         e.position_m,
         e.speed,
         e.acceleration,
-        *e.covariance.ravel(),
+        e.covariance.tobytes(),
         e.mean_action,
         e.gap_m,
         e.approach_rate,
@@ -159,8 +170,9 @@ def innovation(stamp_ns: int, vehicle: int, estimate: Estimate) -> bytes:
 
 def read_state(raw: bytes) -> tuple[float, int, float, float, float]:
     """Time [s], vehicle, position [m], speed [m/s] and its variance of a VehicleState from an estimator."""
-    _, sec, nanosec, _, _, vehicle, position, speed, _, *rest = _unpacked(_STATE, raw)
-    return sec + 1e-9 * nanosec, vehicle, position, speed, rest[4]
+    _, sec, nanosec, _, _, vehicle, position, speed, _, covariance, *_ = _unpacked(_STATE, raw)
+    (speed_var,) = struct.unpack_from("<d", covariance, 4 * 8)
+    return sec + 1e-9 * nanosec, vehicle, position, speed, speed_var
 
 
 class ReadInnovation(NamedTuple):
@@ -178,6 +190,15 @@ def read_innovation(raw: bytes) -> ReadInnovation:
     """Read an Innovation from an estimator."""
     _, sec, nanosec, _, _, vehicle, value, variance, nis, _, scored = _unpacked(_INNOVATION, raw)
     return ReadInnovation(sec + 1e-9 * nanosec, vehicle, value, variance, nis, scored)
+
+
+def read_innovations(messages: Iterable[bytes]) -> NDArray[np.void]:
+    """Read many Innovations at once: ``vehicle``, ``innovation_m``, ``nis`` and ``scored`` of those from estimators."""
+    size = _INNOVATION.size
+    found = np.frombuffer(b"".join(raw[:size] for raw in messages if len(raw) >= size), _READ)
+    # numpy leaves out zeros at the end of texts
+    is_known = (found["encapsulation"] == _ENCAPSULATION.rstrip(b"\0")) & (found["frame"] == _FRAME_BYTES.rstrip(b"\0"))
+    return found[is_known]
 
 
 def style_change(stamp_ns: int, vehicle: int, name: str, factor: float) -> bytes:

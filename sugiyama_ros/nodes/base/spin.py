@@ -73,8 +73,9 @@ class Spinner:
         """Execute callbacks for a moment."""
         # The executor's spin() hangs in the wheels of rclpy 7.1.6; spin_once() executes one callback.
         end = time.monotonic() + _SLICE_S
-        while (left := end - time.monotonic()) > 0.0:
-            self._once(left)
+        with _given_up():
+            while (left := end - time.monotonic()) > 0.0:
+                self._executor.spin_once(timeout_sec=left)
 
     def until(self, done: Callable[[], bool], timeout_s: float) -> None:
         """Execute callbacks until ``done``, or for at most ``timeout_s``."""
@@ -99,9 +100,13 @@ class Spinner:
         self._executor.shutdown()
 
     def _once(self, timeout_s: float) -> None:
-        # rclpy fails on an event of a subscription that a node has given up since, such as for other publishers
-        with suppress(InvalidHandle):
+        with _given_up():
             self._executor.spin_once(timeout_sec=timeout_s)
+
+
+def _given_up() -> suppress:
+    """Pass over what rclpy raises on an event of a subscription that a node has given up since."""
+    return suppress(InvalidHandle)
 
 
 def run_node(make: Callable[[], PacedNode]) -> None:
