@@ -160,8 +160,7 @@ class Search:
         for one in sorted(supported, key=lambda one: -predicted[one.candidate.name].nats):
             is_rival = not grown or (one.candidate.mechanism in grown[0].indistinguishable and not self.quick)
             if is_rival and self._predicts_more(one, now):
-                full = ((o.candidate.mechanism, o.fit) for o in scored if o.refined)
-                rivals = indistinguishable(self.data, self.current, (one.candidate.mechanism, one.fit), full)
+                rivals = [(o.candidate.mechanism, o.fit) for o in scored if o.refined]
                 named = self._grow(one.candidate, one.fit, one.p_value, rivals)
                 grown += [named] if named is not None else []
         if grown:
@@ -198,10 +197,9 @@ class Search:
     def _of_few(self, shown: Sequence[ShownByFew], least: float) -> list[Addition]:
         """Effects that only a few drivers have, and that predict better; ``least``: gain less costs to begin with."""
         fits = fits_of_few(self.data, self.current, shown, len(self._possible), self._work, self._on_progress)
-        full, grown = [(f.candidate.mechanism, f.fit) for f in fits], []
+        rivals, grown = [(f.candidate.mechanism, f.fit) for f in fits], []
         for f in fits:
             if f.gain - f.few.cost > least:
-                rivals = indistinguishable(self.data, self.current, (f.candidate.mechanism, f.fit), full)
                 one = self._grow(replace(f.candidate, drivers=f.few.drivers), f.fit, f.p_value, rivals)
                 grown += [one] if one and one.after.no_worse_than(one.before) else []
         return grown
@@ -290,7 +288,7 @@ class Search:
         return held_out_errors(self.data, fitted, self._work, searched=False)
 
     def _grow(
-        self, candidate: Candidate, fitted: JointFit, p_value: float, rivals: tuple[str, ...] = ()
+        self, candidate: Candidate, fitted: JointFit, p_value: float, rivals: Sequence[tuple[str, JointFit]] = ()
     ) -> Addition | None:
         """The model with a candidate, fitted in full; None if it gains too little held out, or makes no sense."""
         data, work = self.data, self._work
@@ -308,7 +306,9 @@ class Search:
         # what happens once cannot be held out, but it must not seem to change what has nothing to do with it
         if won.nats < least_gain(won, candidate) or (candidate.happens_once and won.nats > most):
             return None
-        one = addition_of(candidate, grown, (self.errors, after), won, p_value, rivals)
+        best = candidate.mechanism, after.samples
+        alike = indistinguishable(data, self.errors.samples, best, rivals)
+        one = addition_of(candidate, grown, (self.errors, after), won, p_value, alike)
         if wrong := wrong_signs(one, partial(shared_stds, data, grown, work)):
             self.senseless.append((one.name, wrong))
             return None

@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from sugiyama_ros.fit.cross_validation import Gain, gain, held_out_nearly, sum_error
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.fit.score import PointwiseDensity
 
 # One candidate is clearly worse than another by this many standard errors (5 %), and at least this difference [nats].
 _CLEARLY, _LEAST = 1.645, 3.0
@@ -13,7 +14,10 @@ _OTHER_FORMULA = 0.25
 
 
 def indistinguishable(
-    data: Recorded, base: JointFit, best: tuple[str, JointFit], others: Iterable[tuple[str, JointFit]]
+    data: Recorded,
+    base: PointwiseDensity,
+    best: tuple[str, PointwiseDensity],
+    others: Iterable[tuple[str, JointFit]],
 ) -> tuple[str, ...]:
     """Return the names of the mechanisms that do not predict held-out samples clearly worse than the best one.
 
@@ -25,10 +29,11 @@ def indistinguishable(
     ----------
     data : Recorded
         The recording.
-    base : JointFit
-        The fitted model without any of them.
-    best : (str, JointFit)
-        Name of the best mechanism, and its fit.
+    base : PointwiseDensity
+        Held-out predictions of the model without any of them.
+    best : (str, PointwiseDensity)
+        Name of the best mechanism, and its held-out predictions, from searched folds where the fit in the sample
+        promises too much.
     others : iterable of (str, JointFit)
         Names and fits of the other mechanisms.
 
@@ -37,8 +42,7 @@ def indistinguishable(
     tuple of str
         The names, each once.
     """
-    name, fitted = best
-    by_best = held_out_nearly(data, fitted)
+    name, by_best = best
     behind: dict[str, Gain] = {}
     for other, one in others:
         if other != name and other not in behind:
@@ -46,6 +50,6 @@ def indistinguishable(
     alike = [one for one, lost in behind.items() if lost.nats < max(_CLEARLY * sum_error(lost.drivers), _LEAST)]
     if behind and not alike:
         closest = min(behind, key=lambda one: behind[one].nats)
-        won = gain(data, by_best, held_out_nearly(data, base))
-        alike = [closest] if behind[closest].nats < _OTHER_FORMULA * won.nats else []
+        won = gain(data, by_best, base).nats
+        alike = [closest] if behind[closest].nats < _OTHER_FORMULA * won else []
     return tuple(alike)

@@ -192,6 +192,22 @@ def test_three_names_that_explain_the_data_as_well_are_none(own):
     assert reason.startswith("drag, rationality, harshness and road_grade explain")
 
 
+def test_freed_constants_that_gain_little_explain_nothing(own):
+    drag = added(own, "drag", {"c0": 0.3})
+    little, much = (
+        replace(added(own, "response_constants", {}), kind="constants", heldout=Gain(nats, 10.0, (), ()))
+        for nats in (40.0, 60.0)
+    )
+    found = judge(own.data, evidence_of(own, named=[little]))
+    said = (
+        "response_constants gains 40 nats, as freed constants do whatever is missing: the cause may be something else"
+    )
+    assert (found.outcome, found.reasons) == ("not_explained", (said,))
+    assert judge(own.data, evidence_of(own, named=[much])).outcome == "explained"
+    # what was found first is judged
+    assert judge(own.data, evidence_of(own, named=[drag, little])).outcome == "explained"
+
+
 def test_what_is_explained_is_what_has_a_name(own):
     def ahead_by(nats):
         samples = own.before.samples.copy()

@@ -14,7 +14,12 @@ DRIVERS = 20
 @pytest.fixture(autouse=True)
 def _fits_are_predictions(monkeypatch):
     """A fit is here what it predicts, one sample of each driver."""
-    monkeypatch.setattr(telling_apart, "held_out_nearly", lambda data, fit: SimpleNamespace(log_likelihood=fit))
+    monkeypatch.setattr(telling_apart, "held_out_nearly", lambda data, fit: predicted(fit))
+
+
+def predicted(log_likelihood: np.ndarray) -> SimpleNamespace:
+    """Held-out predictions of drivers."""
+    return SimpleNamespace(log_likelihood=log_likelihood)
 
 
 @pytest.fixture
@@ -29,20 +34,22 @@ def each(nats: float, spread: float = 0.01) -> np.ndarray:
 
 def test_a_rival_that_is_not_clearly_worse_stays(data):
     near, far = each(60.0, spread=3.0), each(20.0)
-    assert indistinguishable(data, each(0.0), ("drag", each(70.0)), [("grade", near), ("lag", far)]) == ("grade",)
+    assert indistinguishable(
+        data, predicted(each(0.0)), ("drag", predicted(each(70.0))), [("grade", near), ("lag", far)]
+    ) == ("grade",)
 
 
 def test_the_closest_rival_stays_if_it_has_three_quarters_of_the_gain(data):
     """All rivals are clearly worse, driver by driver."""
     others = [("lag", each(34.0)), ("patch", each(33.0)), ("drag", each(5.0))]
-    assert indistinguishable(data, each(0.0), ("delay", each(42.0)), others) == ("lag",)
-    assert indistinguishable(data, each(0.0), ("delay", each(42.0)), [("lag", each(31.0))]) == ()
+    assert indistinguishable(data, predicted(each(0.0)), ("delay", predicted(each(42.0))), others) == ("lag",)
+    assert indistinguishable(data, predicted(each(0.0)), ("delay", predicted(each(42.0))), [("lag", each(31.0))]) == ()
     # the gain counts from the model without them
-    assert indistinguishable(data, each(20.0), ("delay", each(42.0)), others) == ()
+    assert indistinguishable(data, predicted(each(20.0)), ("delay", predicted(each(42.0))), others) == ()
 
 
 def test_nothing_is_a_rival_of_itself_or_twice(data):
     best = each(42.0)
     others = [("delay", best), ("lag", best), ("lag", each(0.0))]
-    assert indistinguishable(data, each(0.0), ("delay", best), others) == ("lag",)
-    assert indistinguishable(data, each(0.0), ("delay", best), []) == ()
+    assert indistinguishable(data, predicted(each(0.0)), ("delay", predicted(best)), others) == ("lag",)
+    assert indistinguishable(data, predicted(each(0.0)), ("delay", predicted(best)), []) == ()
