@@ -283,7 +283,7 @@ def _summed_up(
         where_before=where_before,
         where_after=where_after,
         smallest=search.smallest,
-        refused=(*search.refused, *((name, _senseless(why)) for name, why in search.senseless)),
+        refused=(*search.refused, *((name, _senseless(why)) for name, why in search.senseless.items())),
         rivals={name: one.summary(len(search.errors.predicted_drivers)) for name, one in rivals.items()},
         closer=closer_laws(search.errors, laws),
         floor={"floor": found.floor},

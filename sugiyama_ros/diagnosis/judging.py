@@ -68,7 +68,7 @@ def judged(
     stds = shared_stds(search.data, search.current, work)
     refused = [name for name, _ in search.refused]
     compared = (search.before, search.errors, search.named, located, laws)
-    before = Evidence(*compared, (), (), stds, refused=refused, senseless=search.senseless)
+    before = Evidence(*compared, (), (), stds, refused=refused, senseless=tuple(search.senseless.items()))
     # where samples are far apart, all evidence rests on simulations, and two of them say little
     few = search.quick and not search.data.is_sparse
     found = _judged(search, before, work, 0 if few else FULL.runs)

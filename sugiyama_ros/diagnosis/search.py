@@ -94,7 +94,7 @@ class Search:
         Strength from which each effect would usually have shown, by name.
     refused : list of (str, tuple of str)
         Candidates that were not added because of what the model is for, and why.
-    senseless : list of (str, tuple of str)
+    senseless : dict of str to tuple of str
         Candidates of the last round that predict better only with values that make no physical sense, and which.
     effort : Effort
         Limits of the search.
@@ -133,7 +133,7 @@ class Search:
         self.left_out: list[Promise] = []
         self.smallest: dict[str, float] = {}
         self.refused: list[tuple[str, tuple[str, ...]]] = []
-        self.senseless: list[tuple[str, tuple[str, ...]]] = []
+        self.senseless: dict[str, tuple[str, ...]] = {}
         self._few_gained: dict[str, float] = {}
         self.other_order: Search | None = None
         self.runs = 0
@@ -151,7 +151,7 @@ class Search:
         bool
             Whether a candidate was added.
         """
-        self.senseless = []
+        self.senseless = {}
         scored = self._look_at_all()
         supported = [one for one in scored if one.refined and one.p_value <= _ADDED and one.gain >= one.needed]
         now = self._nearly(self.current) if supported and not self.quick else self.errors
@@ -179,7 +179,7 @@ class Search:
         if self.named or not others:
             return None
         other = copy(self)
-        other.named, other.refused, other.senseless, other._few_gained = [], [], [], {}
+        other.named, other.refused, other.senseless, other._few_gained = [], [], {}, {}
         other._looks = self._looks.copy()
         other._take(max(others, key=lambda one: one.heldout.nats))
         return other if other.named else None
@@ -310,7 +310,7 @@ class Search:
         alike = indistinguishable(data, self.errors.samples, best, rivals)
         one = addition_of(candidate, grown, (self.errors, after), won, p_value, alike)
         if wrong := wrong_signs(one, partial(shared_stds, data, grown, work)):
-            self.senseless.append((one.name, wrong))
+            self.senseless[one.name] = wrong
             return None
         return one
 

@@ -36,7 +36,7 @@ def with_biases(located, bias):
 class SearchEnd:
     """A search at its end, whose simulations are numbers."""
 
-    quick, named, refused, senseless = True, (), (), ()
+    quick, named, refused, senseless = True, (), (), {}
     current = JointFit(Model(np.zeros((CARS, ROW.width)), (), (), (), np.zeros((CARS, ROW.width))), None, ())
 
     def __init__(self, d):

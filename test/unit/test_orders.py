@@ -76,7 +76,7 @@ def addition(name, nats):
 
 def test_both_orders_begin_with_a_memory_of_their_own():
     search = Search.__new__(Search)
-    search.named, search.refused, search.senseless = [], [], []
+    search.named, search.refused, search.senseless = [], [], {}
     search._looks, search._few_gained = Looks(None, "base", None, QUICK), {"drag": 1.0}
     search._use = SimpleNamespace(worse=lambda additions, fitted, before: (), refuses=False)
     search.current, search._possible = "base", ()
