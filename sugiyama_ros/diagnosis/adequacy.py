@@ -22,7 +22,7 @@ from sugiyama_ros.diagnosis.discover import FORCE, Discovery
 from sugiyama_ros.diagnosis.doubts import doubts, signs_say
 from sugiyama_ros.diagnosis.errors import HeldOutErrors
 from sugiyama_ros.diagnosis.innovations import correlation_says, spread_says
-from sugiyama_ros.diagnosis.law_check import CLEARLY, LEVEL_OF_LAWS, LawCheck, closer_laws, log_ratio
+from sugiyama_ros.diagnosis.law_check import CLEARLY, LEVEL_OF_LAWS, LawCheck, closer_laws, laws_say_as_much, log_ratio
 from sugiyama_ros.diagnosis.locate import Located, locate
 from sugiyama_ros.fit.cross_validation import Gain, gain, sum_error
 from sugiyama_ros.fit.joint import JointFit
@@ -135,8 +135,10 @@ def judge(data: Recorded, evidence: Evidence) -> Adequacy:
     than = evidence.base if signs else evidence.final
     gains = {law: gain(data, errors.samples, than.samples) for law, errors in evidence.laws.items()}
     better = _better_law(data, evidence, gains)
+    others = evidence.laws if evidence.named and not better else {}
     reasons = [
         *_laws_say(data, evidence, gains, bool(signs)),
+        *laws_say_as_much(data, evidence.base, evidence.final, others),
         *_free_runs_say(evidence),
         *_bins_say(evidence),
         *spread_says(evidence.final, evidence.own),

@@ -58,6 +58,46 @@ def log_ratio(model: HeldOutErrors, law: HeldOutErrors) -> float:
     return math.log(max(ours, 1e-6) / max(theirs, 1e-6))
 
 
+def laws_say_as_much(
+    data: Recorded, base: HeldOutErrors, final: HeldOutErrors, laws: Mapping[str, HeldOutErrors]
+) -> list[str]:
+    """Say which law explains what was missing about as well as the additions: it may be what the drivers follow.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    base, final : HeldOutErrors
+        Held-out errors of the model without and with the additions.
+    laws : mapping of str to HeldOutErrors
+        Held-out errors of the laws, by name.
+
+    Returns
+    -------
+    list of str
+        A sentence about the law that comes closest; empty if each is clearly worse than the final model, or not clearly
+        better than the base model.
+    """
+    behind = {}
+    for law, errors in laws.items():
+        won, lost = gain(data, errors.samples, base.samples), gain(data, final.samples, errors.samples)
+        if won.nats > CLEARLY * won.se and lost.nats < CLEARLY * lost.se:
+            behind[law] = (won, lost)
+    if not behind:
+        return []
+    closest = min(behind, key=lambda law: behind[law][1].nats)
+    won, lost = behind[closest]
+    return [
+        f"{closest} explains what was missing about as well: it predicts better than the model without the additions by"
+        f" {won.nats:.0f} ± {won.se:.0f} nats, and {_beside(lost)} the model with them"
+    ]
+
+
+def _beside(lost: Gain) -> str:
+    """Where a law is beside a model that predicts better than the law by ``lost``."""
+    return f"is {lost.nats:.0f} ± {lost.se:.0f} nats behind" if lost.nats > 0.0 else "is not behind"
+
+
 def open_laws(data: Recorded, model: HeldOutErrors, laws: Mapping[str, HeldOutErrors]) -> tuple[str, ...]:
     """Return the laws that only simulations can judge: they predict as well, or their free runs end closer.
 

@@ -9,8 +9,9 @@ from sugiyama_ros.fit.score import PointwiseDensity
 
 # One candidate is clearly worse than another by this many standard errors (5 %), and at least this difference [nats].
 _CLEARLY, _LEAST = 1.645, 3.0
-# Drivers may do what a candidate says by a formula that is not quite its own. It may then lose this share of the gain.
-_OTHER_FORMULA = 0.25
+# Drivers may do what a candidate says by a formula that is not quite its own. It may then lose a share of the gain, and
+# of a small gain half, up to so many nats.
+_OTHER_FORMULA, _OF_LITTLE, _LITTLE = 0.25, 0.5, 10.0
 
 
 def indistinguishable(
@@ -23,7 +24,8 @@ def indistinguishable(
 
     This is Vuong's test of models that are not nested (Econometrica 57 (1989) 307), one-sided, paired over drivers. It
     is known at this point that something is missing, so the p-value of a rival needs no correction. The test compares
-    formulas, and a mechanism has many: the closest rival also stays if it has nearly all of the gain.
+    formulas, and a mechanism has many: the closest rival also stays if it has nearly all of the gain, or half of a
+    small gain.
 
     Parameters
     ----------
@@ -51,5 +53,6 @@ def indistinguishable(
     if behind and not alike:
         closest = min(behind, key=lambda one: behind[one].nats)
         won = gain(data, by_best, base).nats
-        alike = [closest] if behind[closest].nats < _OTHER_FORMULA * won else []
+        may_lose = max(_OTHER_FORMULA * won, min(_OF_LITTLE * won, _LITTLE))
+        alike = [closest] if behind[closest].nats < may_lose else []
     return tuple(alike)

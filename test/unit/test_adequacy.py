@@ -2,6 +2,7 @@
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from sugiyama_ros.diagnosis.doubts import wrong_signs
 from sugiyama_ros.diagnosis.errors import HeldOutErrors, errors_of, held_out_errors
 from sugiyama_ros.diagnosis.free_runs import FreeRuns
 from sugiyama_ros.diagnosis.innovations import correlation_says
-from sugiyama_ros.diagnosis.law_check import LawCheck, check_laws, closer_laws, open_laws
+from sugiyama_ros.diagnosis.law_check import LawCheck, check_laws, closer_laws, laws_say_as_much, open_laws
 from sugiyama_ros.diagnosis.rivals import start_of
 from sugiyama_ros.diagnosis.verdict import document, sentences
 from sugiyama_ros.driver.parameters import defaults
@@ -206,6 +207,24 @@ def test_freed_constants_that_gain_little_explain_nothing(own):
     assert judge(own.data, evidence_of(own, named=[much])).outcome == "explained"
     # what was found first is judged
     assert judge(own.data, evidence_of(own, named=[drag, little])).outcome == "explained"
+
+
+def test_a_law_that_explains_as_much_without_additions_speaks_against_them():
+    """30 drivers in 10 blocks; parts of each driver and block scatter by a little more than they are."""
+    rng = np.random.default_rng(3)
+    data = SimpleNamespace(block=np.repeat(np.arange(10), 5)[None].repeat(30, 0))
+
+    def predicting(nats, spread=0.0):
+        log_likelihood = nats / 1500.0 + spread * rng.standard_normal((30, 50))
+        return SimpleNamespace(samples=SimpleNamespace(log_likelihood=log_likelihood))
+
+    base, final = predicting(0.0), predicting(70.0)
+    close, far = predicting(65.0, spread=0.3), predicting(20.0, spread=0.1)
+    (said,) = laws_say_as_much(data, base, final, {"idm": close, "fvdm": far})
+    assert said.startswith("idm explains what was missing about as well: it predicts better than the model without")
+    assert laws_say_as_much(data, base, final, {"fvdm": far}) == []
+    # a law that is no better than the base model explains nothing
+    assert laws_say_as_much(data, close, final, {"idm": close}) == []
 
 
 def test_what_is_explained_is_what_has_a_name(own):

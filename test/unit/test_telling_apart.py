@@ -45,7 +45,15 @@ def test_the_closest_rival_stays_if_it_has_three_quarters_of_the_gain(data):
     assert indistinguishable(data, predicted(each(0.0)), ("delay", predicted(each(42.0))), others) == ("lag",)
     assert indistinguishable(data, predicted(each(0.0)), ("delay", predicted(each(42.0))), [("lag", each(31.0))]) == ()
     # the gain counts from the model without them
-    assert indistinguishable(data, predicted(each(20.0)), ("delay", predicted(each(42.0))), others) == ()
+    assert indistinguishable(data, predicted(each(30.0)), ("delay", predicted(each(42.0))), others) == ()
+
+
+def test_of_a_small_gain_half_is_enough(data):
+    found = [
+        indistinguishable(data, predicted(each(0.0)), ("delay", predicted(each(won))), [("lag", each(won - lost))])
+        for won, lost in ((24.0, 9.0), (24.0, 11.0), (14.0, 8.0))
+    ]
+    assert found == [("lag",), (), ()]
 
 
 def test_nothing_is_a_rival_of_itself_or_twice(data):
