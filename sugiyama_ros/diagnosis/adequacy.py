@@ -339,7 +339,7 @@ def told(adequacy: Adequacy) -> str:
     if adequacy.outcome == "explained":
         return "What was missing is explained: nothing in these data speaks against the model with the additions."
     share = ""
-    if adequacy.explained_share:
+    if adequacy.explained_share and adequacy.explained_share < 0.995:
         share = f" The additions bring {100.0 * adequacy.explained_share:.0f} % of what could be explained."
     return f"Not explained: {'; '.join(adequacy.reasons)}.{share}"
 
