@@ -24,6 +24,8 @@ CLEARLY = 2.0
 FURTHER = 1.2
 #: Probability below which a law does better in the data than in simulations.
 LEVEL_OF_LAWS = 0.01
+# A law that explains as much as the additions loses this part of their gain at most.
+_MAY_LOSE = 0.5
 # Common std of gains as a part of their mean, and of the logarithm of a ratio of free runs.
 _PART_OF_GAIN, _LOG_RATIO = 0.25, 0.2
 
@@ -75,18 +77,15 @@ def laws_say_as_much(
     Returns
     -------
     list of str
-        A sentence about the law that comes closest; empty if each is clearly worse than the final model, or not clearly
-        better than the base model.
+        A sentence about the law that comes closest; empty if it is clearly worse than the final model, or gains less
+        than half of what the additions gain.
     """
-    behind = {}
-    for law, errors in laws.items():
-        won, lost = gain(data, errors.samples, base.samples), gain(data, final.samples, errors.samples)
-        if won.nats > CLEARLY * won.se and lost.nats < CLEARLY * lost.se:
-            behind[law] = (won, lost)
-    if not behind:
+    behind = {law: gain(data, final.samples, errors.samples) for law, errors in laws.items()}
+    closest = min(behind, key=lambda law: behind[law].nats, default="")
+    lost, gained = behind.get(closest), gain(data, final.samples, base.samples).nats
+    if lost is None or lost.nats > min(CLEARLY * lost.se, _MAY_LOSE * gained):
         return []
-    closest = min(behind, key=lambda law: behind[law][1].nats)
-    won, lost = behind[closest]
+    won = gain(data, laws[closest].samples, base.samples)
     return [
         f"{closest} explains what was missing about as well: it predicts better than the model without the additions by"
         f" {won.nats:.0f} ± {won.se:.0f} nats, and {_beside(lost)} the model with them"
