@@ -88,7 +88,7 @@ class _Filters(NamedTuple):
 
     abreast: their states; known: (C, M) of ``State``; places, root, points: of ``Workspace``, with an axis of C before;
     parameters, prior_mean: of ``Drivers``, with an axis of C before; waited: (C, M) periods since a vehicle's first
-    position; settled: (C,) samples since the driver's record began.
+    position; settled: (C, M) samples since a vehicle's record began.
     """
 
     abreast: Abreast
@@ -134,14 +134,12 @@ def _parts(
 def _begin_sample(c: int, t: int, m: int, observed: Observed, filters: _Filters, shared: _Shared) -> bool:
     """Forget vehicle m of chain c if it has gone; returns whether a vehicle is there at sample t."""
     state, identity = state_of(c, filters.abreast, filters.known), observed.identity[c]
-    if m == 0:
-        filters.settled[c] += 1
+    filters.settled[c, m] += 1
     filters.waited[c, m] += 1
     if identity[t, m] < 0 or (t > 0 and identity[t, m] != identity[t - 1, m]):
         forget_vehicle(m, state)
         forget_past(m, state, _drivers(c, filters, shared))
-        if m == 0:
-            filters.settled[c] = 0
+        filters.settled[c, m] = 0
     return bool(identity[t, m] >= 0)
 
 
@@ -176,10 +174,12 @@ def _meet(
     y = position - mean[x] - off
     if circumference > 0.0:
         y -= circumference * round(y / circumference)
-    step, shrink = weights(y, variance, parameters[m])
+    has_settled = filters.settled[c, m] > SETTLING
+    # a state that begins with an outlier must not take all that follows for outliers
+    step, shrink = weights(y, variance, parameters[m]) if has_settled else (1.0 / variance, 1.0 / variance)
     if m == 0:
         predicted.innovation[c, t] = y
-        if filters.settled[c] > SETTLING:
+        if has_settled:
             predicted.log_likelihood[c, t] = log_density(y, variance, parameters[m])
     sample[SLOPE, c], sample[OFF, c], sample[STEP, c], sample[SHRINK, c] = factor, -y, step, shrink
 
@@ -290,7 +290,7 @@ def run(
         drivers.parameters,
         drivers.prior_mean,
         np.zeros((count, vehicles), np.int64),
-        np.zeros(count, np.int64),
+        np.zeros((count, vehicles), np.int64),
     )
     for c in range(count):
         for k in range(a):
