@@ -125,8 +125,8 @@ def _predict(online: Online, scene: Scene) -> None:
 def _meet(online: Online) -> None:
     """Forget the vehicles that other vehicles have taken the place of."""
     book, identity = online.book, online.sample.identity
-    book.settled[0] = 1 if identity[0] != book.identity[0] else book.settled[0] + 1
     for m in range(len(identity)):
+        book.settled[m] = 1 if identity[m] != book.identity[m] else book.settled[m] + 1
         book.waited[m] += online.sample.when[1]
         if identity[m] < 0 or identity[m] != book.identity[m]:
             forget_vehicle(m, online.state)
@@ -196,7 +196,8 @@ def _update(online: Online, m: int, scene: Scene) -> None:
     """Update everything with the position of vehicle m."""
     state, row, gain, x = online.state, online.drivers.parameters[m], online.scratch.gain, STATE * m
     y, variance, factor = _innovation(online, m, scene)
-    weight, shrink = weights(y, variance, row)
+    has_settled = online.book.settled[m] > SETTLING
+    weight, shrink = weights(y, variance, row) if has_settled else (1.0 / variance, 1.0 / variance)
     own_noise_var = noise_var_at(state.mean[x], row, scene.circumference_m) if m == 0 else 0.0
     size = len(gain)
     for i in range(size):

@@ -33,7 +33,6 @@ class ReadableKalman(ChainKalman):
         self._identity: list[int] = [-1] * vehicles
         self._waited = [0.0] * vehicles
         self._refused = [0] * vehicles
-        self._settled = 0
         self._started = False
         self._reads = np.eye(3, model.adapted_entries.stop)
 
@@ -51,8 +50,8 @@ class ReadableKalman(ChainKalman):
         if self._started:
             self.go_on(periods)
         self._started = True
-        self._settled = 1 if identity[0] != self._identity[0] else self._settled + 1
         for m in range(self.model.vehicles):
+            self.settled[m] = 1 if identity[m] != self._identity[m] else self.settled[m] + 1
             self._waited[m] += periods
             if identity[m] < 0 or identity[m] != self._identity[m]:
                 self.forget(m)
@@ -124,5 +123,5 @@ class ReadableKalman(ChainKalman):
             innovation_var=variance,
             nis=nis,
             log_likelihood=density,
-            scored=not math.isnan(innovation) and self._settled > SETTLING,
+            scored=not math.isnan(innovation) and self.settled[0] > SETTLING,
         )
