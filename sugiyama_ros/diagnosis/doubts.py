@@ -32,8 +32,14 @@ def doubts(data: Recorded, named: Sequence[Addition]) -> list[str]:
     list of str
         Sentences; empty if nothing speaks against them.
     """
-    told = (_unnamed_say, _use_says, _runs_say, _many_say, _constants_say)
-    return [*_few_say(data, named), *(sentence for say in told for sentence in say(named))]
+    return [
+        *_few_say(data, named),
+        *_unnamed_say(named),
+        *_use_says(named),
+        *_runs_say(named),
+        *_many_say(named),
+        *_constants_say(named),
+    ]
 
 
 def signs_say(named: Sequence[Addition], stds: Mapping[str, float]) -> list[str]:

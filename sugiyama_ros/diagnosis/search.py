@@ -157,10 +157,10 @@ class Search:
         now = self._nearly(self.current) if supported and not self.quick else self.errors
         grown: list[Addition] = []
         predicted = heldout_gains(self.data, self.current, supported)
+        rivals = [(one.candidate.mechanism, one.fit) for one in scored if one.refined]
         for one in sorted(supported, key=lambda one: -predicted[one.candidate.name].nats):
             is_rival = not grown or (one.candidate.mechanism in grown[0].indistinguishable and not self.quick)
             if is_rival and self._predicts_more(one, now):
-                rivals = [(o.candidate.mechanism, o.fit) for o in scored if o.refined]
                 named = self._grow(one.candidate, one.fit, one.p_value, rivals)
                 grown += [named] if named is not None else []
         if grown:

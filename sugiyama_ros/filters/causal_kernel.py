@@ -175,8 +175,7 @@ def _meet(
     if circumference > 0.0:
         y -= circumference * round(y / circumference)
     has_settled = filters.settled[c, m] > SETTLING
-    # a state that begins with an outlier must not take all that follows for outliers
-    step, shrink = weights(y, variance, parameters[m]) if has_settled else (1.0 / variance, 1.0 / variance)
+    step, shrink = weights(y, variance, parameters[m], has_settled)
     if m == 0:
         predicted.innovation[c, t] = y
         if has_settled:

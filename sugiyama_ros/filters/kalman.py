@@ -184,8 +184,7 @@ class ChainKalman(ExtendedKalmanFilter):  # type: ignore[misc]
         off, factor = measurement(self.x[x], row, self.model.scene.circumference_m)
         gain = factor * self.P[:, x]
         y, variance = self.innovation(m, position_m)
-        has_settled = self.settled[m] > SETTLING
-        step, shrink = weights(y, variance, row) if has_settled else (1.0 / variance, 1.0 / variance)
+        step, shrink = weights(y, variance, row, self.settled[m] > SETTLING)
         measures, noise_var = factor * self._measures[[m]], self._noise_var(m) if m == 0 else 0.0
         self.update(
             np.array([position_m]),

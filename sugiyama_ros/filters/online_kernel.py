@@ -196,8 +196,7 @@ def _update(online: Online, m: int, scene: Scene) -> None:
     """Update everything with the position of vehicle m."""
     state, row, gain, x = online.state, online.drivers.parameters[m], online.scratch.gain, STATE * m
     y, variance, factor = _innovation(online, m, scene)
-    has_settled = online.book.settled[m] > SETTLING
-    weight, shrink = weights(y, variance, row) if has_settled else (1.0 / variance, 1.0 / variance)
+    weight, shrink = weights(y, variance, row, online.book.settled[m] > SETTLING)
     own_noise_var = noise_var_at(state.mean[x], row, scene.circumference_m) if m == 0 else 0.0
     size = len(gain)
     for i in range(size):

@@ -4,7 +4,6 @@ A call from Python passes each array of a tuple on its own, which takes longer t
 block, and compiled code finds the arrays in it.
 """
 
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -187,7 +186,6 @@ def _shapes(sizes: Sizes) -> list[tuple[int, int]]:
     return [*sample, result, *book, *state, *of_model, *noises, *alarm]
 
 
-@cache
 def layout_of(sizes: Sizes) -> Ints:
     """Return where each array begins in the memory, and its rows and columns, (arrays, 3)."""
     shapes = np.array(_shapes(sizes), np.int64)

@@ -26,6 +26,8 @@ except ImportError:  # older than Jazzy's seventh patch
 
 #: Environment variable with the id of the process that started a node; without that process, the node ends.
 RUNNER = "SUGIYAMA_RUNNER"
+# Passes over what rclpy raises on an event of a subscription that a node has given up since.
+_GIVEN_UP = suppress(InvalidHandle)
 _SLICE_S = 0.02
 _QUIET_S = 0.2
 _LONGEST_S = 3.0
@@ -73,7 +75,7 @@ class Spinner:
         """Execute callbacks for a moment."""
         # The executor's spin() hangs in the wheels of rclpy 7.1.6; spin_once() executes one callback.
         end = time.monotonic() + _SLICE_S
-        with _given_up():
+        with _GIVEN_UP:
             while (left := end - time.monotonic()) > 0.0:
                 self._executor.spin_once(timeout_sec=left)
 
@@ -100,13 +102,8 @@ class Spinner:
         self._executor.shutdown()
 
     def _once(self, timeout_s: float) -> None:
-        with _given_up():
+        with _GIVEN_UP:
             self._executor.spin_once(timeout_sec=timeout_s)
-
-
-def _given_up() -> suppress:
-    """Pass over what rclpy raises on an event of a subscription that a node has given up since."""
-    return suppress(InvalidHandle)
 
 
 def run_node(make: Callable[[], PacedNode]) -> None:
