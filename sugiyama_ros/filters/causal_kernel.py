@@ -11,6 +11,7 @@ import numpy as np
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import UTILITY
 from sugiyama_ros.effects.control import feels_accelerations, remembers
+from sugiyama_ros.effects.sensing import is_contaminated
 from sugiyama_ros.filters.abreast import (
     OFF,
     SHRINK,
@@ -42,7 +43,7 @@ from sugiyama_ros.filters.state import (
     points_of,
     workspace_for,
 )
-from sugiyama_ros.filters.vehicles import forget_vehicle, start_vehicle
+from sugiyama_ros.filters.vehicles import MOST_GROSS, count_gross, forget_vehicle, let_go, start_vehicle
 from sugiyama_ros.jit import kernel
 
 #: Samples after the start of a vehicle's record (or after a break) whose innovations are not scored.
@@ -88,7 +89,7 @@ class _Filters(NamedTuple):
 
     abreast: their states; known: (C, M) of ``State``; places, root, points: of ``Workspace``, with an axis of C before;
     parameters, prior_mean: of ``Drivers``, with an axis of C before; waited: (C, M) periods since a vehicle's first
-    position; settled: (C, M) samples since a vehicle's record began.
+    position; settled: (C, M) samples since a vehicle's record began; gross: (C, M) gross errors in a row.
     """
 
     abreast: Abreast
@@ -100,6 +101,7 @@ class _Filters(NamedTuple):
     prior_mean: Array
     waited: Ints
     settled: Ints
+    gross: Ints
 
 
 class _Shared(NamedTuple):
@@ -139,7 +141,7 @@ def _begin_sample(c: int, t: int, m: int, observed: Observed, filters: _Filters,
     if identity[t, m] < 0 or (t > 0 and identity[t, m] != identity[t - 1, m]):
         forget_vehicle(m, state)
         forget_past(m, state, _drivers(c, filters, shared))
-        filters.settled[c, m] = 0
+        filters.settled[c, m] = filters.gross[c, m] = 0
     return bool(identity[t, m] >= 0)
 
 
@@ -174,12 +176,17 @@ def _meet(
     y = position - mean[x] - off
     if circumference > 0.0:
         y -= circumference * round(y / circumference)
-    has_settled = filters.settled[c, m] > SETTLING
-    step, shrink = weights(y, variance, parameters[m], has_settled)
     if m == 0:
         predicted.innovation[c, t] = y
-        if has_settled:
+        if filters.settled[c, m] > SETTLING:
             predicted.log_likelihood[c, t] = log_density(y, variance, parameters[m])
+    if is_contaminated(parameters[m]):
+        filters.gross[c, m] = count_gross(filters.gross[c, m], y, variance, True)
+        if filters.gross[c, m] > MOST_GROSS:
+            let_go(m, y, state, scene)
+            variance += factor * factor * y * y
+            filters.gross[c, m] = 0
+    step, shrink = weights(y, variance, parameters[m])
     sample[SLOPE, c], sample[OFF, c], sample[STEP, c], sample[SHRINK, c] = factor, -y, step, shrink
 
 
@@ -288,6 +295,7 @@ def run(
         np.zeros((count, *one.points.shape), np.int64),
         drivers.parameters,
         drivers.prior_mean,
+        np.zeros((count, vehicles), np.int64),
         np.zeros((count, vehicles), np.int64),
         np.zeros((count, vehicles), np.int64),
     )

@@ -21,8 +21,9 @@ import numpy as np
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.effects.registry import EFFECTS, ROW, active, effect
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.filters.engine import GROSS, Estimate
+from sugiyama_ros.filters.engine import Estimate
 from sugiyama_ros.filters.online import ADAPT, OnlineFilter
+from sugiyama_ros.filters.vehicles import GROSS
 
 #: The word that stands for the strengths of all effects in the model.
 STRENGTHS = "effects"

@@ -10,8 +10,6 @@ from sugiyama_ros.filters.noise import Learning
 
 #: Position [m], speed [m/s] and length [m] of the vehicle behind where there is none.
 NO_REAR = (math.nan, math.nan, math.nan)
-#: Squared normalised innovation of a gross error, which the filter does not take in; but not more of them in a row.
-GROSS, MOST_REFUSED = 36.0, 3
 
 
 class Estimate(NamedTuple):

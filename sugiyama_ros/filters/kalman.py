@@ -16,7 +16,6 @@ from sugiyama_ros.effects.contaminated_normal import contaminated_normal
 from sugiyama_ros.effects.sensing import is_contaminated
 from sugiyama_ros.filters.alarm import StyleAlarm
 from sugiyama_ros.filters.any_time import conclude_for
-from sugiyama_ros.filters.causal_kernel import SETTLING
 from sugiyama_ros.filters.chain_model import ChainModel
 from sugiyama_ros.filters.linearisation import linearise
 from sugiyama_ros.filters.measurement import log_density, measurement, noise_var_at, weights
@@ -59,8 +58,6 @@ class ChainKalman(ExtendedKalmanFilter):  # type: ignore[misc]
         self.model, self.road, self.learning = model, road, learning
         self.rows: Array = model.rows.copy()
         self.known: Ints = np.zeros(vehicles, np.int64)
-        #: Samples since the record of each vehicle began.
-        self.settled = [0] * vehicles
         self.x, self.P = np.zeros(size), np.zeros((size, size))
         self.x[adapted] = model.prior_mean
         self.P[adapted, adapted] = np.diag(model.prior_var)
@@ -184,7 +181,7 @@ class ChainKalman(ExtendedKalmanFilter):  # type: ignore[misc]
         off, factor = measurement(self.x[x], row, self.model.scene.circumference_m)
         gain = factor * self.P[:, x]
         y, variance = self.innovation(m, position_m)
-        step, shrink = weights(y, variance, row, self.settled[m] > SETTLING)
+        step, shrink = weights(y, variance, row)
         measures, noise_var = factor * self._measures[[m]], self._noise_var(m) if m == 0 else 0.0
         self.update(
             np.array([position_m]),

@@ -40,12 +40,11 @@ def noise_var_at(position: float, parameters: Array, circumference_m: float) -> 
 
 
 @kernel(allocates=False)
-def weights(y: float, variance: float, parameters: Array, has_settled: bool) -> tuple[float, float]:
+def weights(y: float, variance: float, parameters: Array) -> tuple[float, float]:
     """Return how much an innovation counts.
 
     Without outliers both weights are 1 / S. With outliers the update is a mixture of two updates; the weights make its
-    mean and its covariance. A state that has begun with an outlier must not take all that follows for outliers, so
-    nothing is weighed as an outlier before the state has settled.
+    mean and its covariance.
 
     Parameters
     ----------
@@ -55,8 +54,6 @@ def weights(y: float, variance: float, parameters: Array, has_settled: bool) -> 
         Its variance S [m^2].
     parameters
         The driver's row, (WIDTH,).
-    has_settled
-        Whether the vehicle's record is longer than ``SETTLING`` samples.
 
     Returns
     -------
@@ -65,7 +62,7 @@ def weights(y: float, variance: float, parameters: Array, has_settled: bool) -> 
     shrink
         Factor of P H' H P in what is taken off P [1/m^2].
     """
-    if not (has_settled and is_contaminated(parameters)):
+    if not is_contaminated(parameters):
         return 1.0 / variance, 1.0 / variance
     bad, wide, _ = weigh(y, variance, parameters[SIGMA_NU] ** 2, parameters)
     gain = (1.0 - bad) / variance + bad / wide
@@ -96,5 +93,5 @@ def weigh_samples(y: Array, variance: Array, parameters: Array, weight: Array, d
         Filled, (T,) each: the weight, which is 1 without outliers, and the log-likelihood.
     """
     for t in range(len(y)):
-        weight[t] = weights(y[t], variance[t], parameters, True)[0] * variance[t]
+        weight[t] = weights(y[t], variance[t], parameters)[0] * variance[t]
         density[t] = log_density(y[t], variance[t], parameters)

@@ -8,7 +8,6 @@ from sugiyama_ros.effects.contaminated_normal import contaminated_normal
 from sugiyama_ros.effects.sensing import is_contaminated
 from sugiyama_ros.filters.any_time import conclude_for
 from sugiyama_ros.filters.causal_kernel import SETTLING
-from sugiyama_ros.filters.engine import GROSS, MOST_REFUSED
 from sugiyama_ros.filters.linearisation import linearise
 from sugiyama_ros.filters.measurement import log_density, measurement, noise_var_at, weights
 from sugiyama_ros.filters.online_alarm import check_style, observe, predict_alarm, reset_alarm, update_alarm
@@ -33,7 +32,7 @@ from sugiyama_ros.filters.online_state import (
 )
 from sugiyama_ros.filters.state import MOVING, STATE, Moment, Scene
 from sugiyama_ros.filters.transform import add_noise, transform
-from sugiyama_ros.filters.vehicles import forget_vehicle, start_vehicle
+from sugiyama_ros.filters.vehicles import MOST_GROSS, count_gross, forget_vehicle, let_go, start_vehicle
 from sugiyama_ros.jit import kernel
 
 # What a vehicle's sample is used for: there is none, the filter begins with it, or refuses it, or takes it in.
@@ -125,8 +124,8 @@ def _predict(online: Online, scene: Scene) -> None:
 def _meet(online: Online) -> None:
     """Forget the vehicles that other vehicles have taken the place of."""
     book, identity = online.book, online.sample.identity
+    book.settled[0] = 1 if identity[0] != book.identity[0] else book.settled[0] + 1
     for m in range(len(identity)):
-        book.settled[m] = 1 if identity[m] != book.identity[m] else book.settled[m] + 1
         book.waited[m] += online.sample.when[1]
         if identity[m] < 0 or identity[m] != book.identity[m]:
             forget_vehicle(m, online.state)
@@ -152,7 +151,8 @@ def _innovation(online: Online, m: int, scene: Scene) -> tuple[float, float, flo
 def _sort(online: Online, scene: Scene) -> None:
     """Decide what each vehicle's sample is used for, and put down the own innovation.
 
-    The filter does not take in a gross error, unless so many come in a row that the filter must be wrong.
+    The filter does not take in a gross error, unless so many come in a row that the filter must be wrong. Then it lets
+    the vehicle go where it is measured.
     """
     book, result = online.book, online.result
     result[INNOVATION_M] = result[INNOVATION_VAR] = result[LOG_LIKELIHOOD] = math.nan
@@ -168,9 +168,13 @@ def _sort(online: Online, scene: Scene) -> None:
             result[INNOVATION_M], result[INNOVATION_VAR] = y, variance
         if missing:
             continue
-        gross = y * y > GROSS * variance and not is_contaminated(online.drivers.parameters[m])
-        book.refused[m] = book.refused[m] + 1 if gross else 0
-        book.part[m] = _REFUSED if 0 < book.refused[m] <= MOST_REFUSED else _TAKEN
+        contaminated = is_contaminated(online.drivers.parameters[m])
+        book.gross[m] = count_gross(book.gross[m], y, variance, contaminated)
+        is_lost = book.gross[m] > MOST_GROSS
+        if is_lost:
+            let_go(m, y, online.state, scene)
+            book.gross[m] = 0
+        book.part[m] = _REFUSED if book.gross[m] > 0 and not contaminated else _TAKEN
 
 
 @kernel(allocates=False)
@@ -196,7 +200,7 @@ def _update(online: Online, m: int, scene: Scene) -> None:
     """Update everything with the position of vehicle m."""
     state, row, gain, x = online.state, online.drivers.parameters[m], online.scratch.gain, STATE * m
     y, variance, factor = _innovation(online, m, scene)
-    weight, shrink = weights(y, variance, row, online.book.settled[m] > SETTLING)
+    weight, shrink = weights(y, variance, row)
     own_noise_var = noise_var_at(state.mean[x], row, scene.circumference_m) if m == 0 else 0.0
     size = len(gain)
     for i in range(size):

@@ -60,14 +60,14 @@ class ChainSample(NamedTuple):
 
 
 class Book(NamedTuple):
-    """What is kept of each vehicle, (M,): identity, periods waited for a sample, gross errors in a row, part, settled.
+    """What is kept of each vehicle, (M,): identity, periods waited for a sample, gross errors in a row, part.
 
-    part: what the latest sample is used for. settled: samples since the vehicle's record began, 0 before it.
+    part: what the latest sample is used for. settled: (1,) samples since the driver's record began, 0 before it.
     """
 
     identity: Ints
     waited: Array
-    refused: Ints
+    gross: Ints
     part: Ints
     settled: Ints
 
@@ -169,7 +169,7 @@ def _shapes(sizes: Sizes) -> list[tuple[int, int]]:
     m, a, j, c = sizes
     n, most = STATE * m + a, 5 + a
     sample = [(m, 1), (m, 1), (m, 1), (3, 1), (2, 1)]
-    book = [(m, 1)] * 5
+    book = [(m, 1)] * 4 + [(1, 1)]
     state = [(n, 1), (n, n), (m, 1)]
     drivers = [(m, ROW.width), (a, 1), (a, 1), (a, 1)]
     linearised = [(n, 1), (n, n), (n, n), (n, n), (n, 1), (n, 1)]

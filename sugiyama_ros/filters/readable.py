@@ -10,10 +10,11 @@ import numpy as np
 from sugiyama_ros.effects.sensing import is_contaminated
 from sugiyama_ros.filters.causal_kernel import SETTLING
 from sugiyama_ros.filters.chain_model import ChainModel
-from sugiyama_ros.filters.engine import GROSS, MOST_REFUSED, Estimate
+from sugiyama_ros.filters.engine import Estimate
 from sugiyama_ros.filters.kalman import ChainKalman
 from sugiyama_ros.filters.noise import Learning
-from sugiyama_ros.filters.state import MOVING, STATE, Moment
+from sugiyama_ros.filters.state import MOVING, STATE, Moment, State
+from sugiyama_ros.filters.vehicles import MOST_GROSS, count_gross, let_go
 from sugiyama_ros.road import Road
 
 
@@ -32,7 +33,8 @@ class ReadableKalman(ChainKalman):
         self.change_of_style: tuple[str, float] | None = None
         self._identity: list[int] = [-1] * vehicles
         self._waited = [0.0] * vehicles
-        self._refused = [0] * vehicles
+        self._gross = [0] * vehicles
+        self._settled = 0
         self._started = False
         self._reads = np.eye(3, model.adapted_entries.stop)
 
@@ -50,8 +52,8 @@ class ReadableKalman(ChainKalman):
         if self._started:
             self.go_on(periods)
         self._started = True
+        self._settled = 1 if identity[0] != self._identity[0] else self._settled + 1
         for m in range(self.model.vehicles):
-            self.settled[m] = 1 if identity[m] != self._identity[m] else self.settled[m] + 1
             self._waited[m] += periods
             if identity[m] < 0 or identity[m] != self._identity[m]:
                 self.forget(m)
@@ -97,9 +99,12 @@ class ReadableKalman(ChainKalman):
 
     def _is_accepted(self, m: int, innovation: float, variance: float) -> bool:
         """Whether the filter takes in a sample: not a gross error, unless so many come that the filter is wrong."""
-        gross = innovation * innovation > GROSS * variance and not is_contaminated(self.rows[m])
-        self._refused[m] = self._refused[m] + 1 if gross else 0
-        return not 0 < self._refused[m] <= MOST_REFUSED
+        contaminated = is_contaminated(self.rows[m])
+        self._gross[m] = count_gross(self._gross[m], innovation, variance, contaminated)
+        if self._gross[m] > MOST_GROSS:
+            let_go(m, innovation, State(self.x, self.P, self.known), self.model.scene)
+            self._gross[m] = 0
+        return self._gross[m] == 0 or contaminated
 
     def _estimate(
         self, innovation: float, variance: float, density: float, mean_action: float, half_lengths_m: float
@@ -123,5 +128,5 @@ class ReadableKalman(ChainKalman):
             innovation_var=variance,
             nis=nis,
             log_likelihood=density,
-            scored=not math.isnan(innovation) and self.settled[0] > SETTLING,
+            scored=not math.isnan(innovation) and self._settled > SETTLING,
         )

@@ -9,6 +9,10 @@ from sugiyama_ros.filters.measurement import measurement, noise_var_at
 from sugiyama_ros.filters.state import MOVING, POSITION, STATE, UNKNOWN, Scene, State, is_last
 from sugiyama_ros.jit import kernel
 
+#: Squared normalised innovation of a gross error, and of a sample that is far off where outliers are part of the model.
+GROSS, FAR = 36.0, 9.0
+#: How many of them in a row can be errors of the measurement.
+MOST_GROSS = 3
 # Acceleration [m/s^2] for which a speed from two positions allows.
 _START_ACCELERATION_STD = 1.0
 
@@ -76,3 +80,48 @@ def start_vehicle(m: int, measured: float, elapsed: float, state: State, paramet
         covariance[b, b] = _START_ACCELERATION_STD**2 if remembers(parameters[m]) else 0.0
     else:
         covariance[n, n] = scene.last_shock_std**2 / (1.0 - scene.last_rho**2)
+
+
+@kernel(allocates=False)
+def count_gross(before: int, y: float, variance: float, contaminated: bool) -> int:
+    """Return how many samples in a row are gross errors.
+
+    Parameters
+    ----------
+    before
+        How many were before this sample.
+    y
+        Innovation [m].
+    variance
+        Its variance [m^2].
+    contaminated
+        Whether outliers are part of the model of the vehicle.
+    """
+    return before + 1 if y * y > (FAR if contaminated else GROSS) * variance else 0
+
+
+@kernel(allocates=False)
+def let_go(m: int, y: float, state: State, scene: Scene) -> None:
+    """Let vehicle m go where it is measured, after more gross errors in a row than can be errors of the measurement.
+
+    It is the state that must be wrong, as after a start from an outlier, and it would stay wrong: its covariance is
+    small, and so is what an outlier changes. The position is wrong by as much as the innovation says. The speed may
+    have been wrong by this over the time of these samples, or it may not: half of its variance goes with the position.
+
+    Parameters
+    ----------
+    m
+        Number of the vehicle in the chain, MOVING.
+    y
+        Its latest innovation [m].
+    state
+        Its covariance is changed in place.
+    scene
+        Period of the samples.
+    """
+    x, v, over = STATE * m, STATE * m + 1, (MOST_GROSS + 1) * scene.period_s
+    covariance = state.covariance
+    covariance[x, x] += y * y
+    covariance[x, v] += y * y / over
+    covariance[v, x] += y * y / over
+    covariance[v, v] += 2.0 * y * y / over**2

@@ -1,7 +1,6 @@
 """Numbers from the first release candidate (commit b38b8b8), which later changes must not move.
 
-The causal and online ones were renewed when LAST_SHOCK_STD went from 0.7 to 0.5 m/s². Those of outlier_noise
-were renewed when the first six samples of a vehicle were no longer weighed as possible outliers (57.846 before).
+The causal and online ones were renewed when LAST_SHOCK_STD went from 0.7 to 0.5 m/s².
 
 Six drivers drive on a ring of 70 m for 40 s, with each effect: their last positions and speeds, and what the filters
 say about one driver. The numbers repeat to the last bit on the same machine. Other processors round a few functions
