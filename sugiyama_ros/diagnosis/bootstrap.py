@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 from scipy.signal import savgol_filter
 
-from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.arrays import Array, Ints, Mask
 from sugiyama_ros.driver.parameters import at_period
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.joint import JointFit, maximise, start_fit
@@ -25,6 +25,9 @@ from sugiyama_ros.workers import at_once
 # Time [s] over which the track of a vehicle without a leader is smoothed (Savitzky and Golay, Anal. Chem. 36 (1964)
 # 1627).
 _SMOOTHED_S = 2.0
+# Samples of a driver do not count from so long [s] before a collision: real drivers do not get there, and the penalty
+# is flat within another vehicle.
+_BEFORE_COLLISION_S = 3.0
 # Number of steps of a search that starts at the truth.
 _FEW_STEPS = 4
 
@@ -35,7 +38,7 @@ def resample(data: Recorded, model: Model, states: Array, rng: np.random.Generat
     On tracks, each driver drives anew behind the measured vehicles ahead. On a whole road, the simulation starts from
     the first state of the recording. Vehicles without a leader move as recorded. After a collision, or where vehicles
     enter, leave or change their order, the simulation restarts from the recorded state, and the new recording has a
-    break there.
+    break there. The last seconds of vehicles that collide do not count.
 
     Parameters
     ----------
@@ -59,17 +62,17 @@ def resample(data: Recorded, model: Model, states: Array, rng: np.random.Generat
     position, speed = _led(t, states)
     samples, vehicles = position.shape
     measured, segment = np.full((samples, vehicles), np.nan), np.zeros(samples, dtype=np.int64)
-    known = np.isfinite(position)
+    known, collided = np.isfinite(position), np.zeros((vehicles, samples), np.bool_)
     simulator: Simulator | None = None
     order: Ints = np.zeros(0, dtype=np.int64)
     for k in range(samples):
         if simulator is not None and not np.array_equal(np.sort(order), np.flatnonzero(known[k] & t.present[k])):
             simulator = None
-        collided = False
         if simulator is not None:
             unled = np.flatnonzero(simulator.leader < 0)
-            collided = bool(simulator.step((unled, position[k, order[unled]], speed[k, order[unled]])))
-        if simulator is None or collided:
+            collisions = simulator.step((unled, position[k, order[unled]], speed[k, order[unled]]))
+            collided[order[[i for one in collisions for i in (one.vehicle, one.leader)]], k] = True
+        if simulator is None or collided[:, k].any():
             segment[k:] += 1
             simulator, order = _start(t, model, k, position[k], speed[k], known[k] & t.present[k], rng)
         if simulator is not None:
@@ -78,14 +81,25 @@ def resample(data: Recorded, model: Model, states: Array, rng: np.random.Generat
     empty = np.all(np.isnan(measured), axis=1)
     measured[empty] = t.position_m[empty]
     measured[np.isnan(t.position_m)] = np.nan
-    return prepare(replace(t, position_m=measured, source="simulated from the fitted model"), segment)
+    simulated = prepare(replace(t, position_m=measured, source="simulated from the fitted model"), segment)
+    return _without_collisions(simulated, collided)
 
 
 def _behind_measured(data: Recorded, model: Model, states: Array, rng: np.random.Generator) -> Recorded:
     """Tracks on which each driver drives anew behind the measured vehicles ahead."""
     around, moved = data.vicinity, between_measurements(data, states)
     recorded = RecordedTraffic(moved, around.leader, around.length_m, data.segment, around.road, around.period_s)
-    return driven_anew(data, *drive_behind(recorded, at_period(model.rows, around.period_s), rng))
+    simulated = driven_anew(data, *drive_behind(recorded, at_period(model.rows, around.period_s), rng))
+    new, old = (np.diff(one.segment, axis=1, prepend=one.segment[:, :1]) != 0 for one in (simulated, data))
+    return _without_collisions(simulated, new & ~old)
+
+
+def _without_collisions(simulated: Recorded, collided: Mask) -> Recorded:
+    """Leave out the samples just before drivers collide, (N, T)."""
+    before = np.zeros_like(collided)
+    for back in range(1, round(_BEFORE_COLLISION_S / simulated.vicinity.period_s) + 1):
+        before[:, :-back] |= collided[:, back:]
+    return replace(simulated, scored=simulated.scored & ~before)
 
 
 def resampled_fits(

@@ -9,7 +9,7 @@ import pytest
 
 from sugiyama_ros.diagnosis.bootstrap import resample, widened
 from sugiyama_ros.diagnosis.chance import widening
-from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, defaults
+from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, V_STAR, defaults
 from sugiyama_ros.effects.registry import ROW, index_of
 from sugiyama_ros.filters.causal import filter_chain
 from sugiyama_ros.filters.extract import chain_behind
@@ -65,6 +65,22 @@ def test_those_behind_a_first_car_are_simulated_as_the_model_drives(behind_a_slo
     for driver in range(FIRST):
         mean, std = mean_error(simulated, model, work, driver)
         assert abs(mean) < 4.0 * std
+
+
+def test_the_last_seconds_before_a_collision_do_not_count(behind_a_slow_car, work):
+    _, data, model = behind_a_slow_car
+    wild = replace(model, rows=model.rows.copy())
+    wild.rows[:FIRST, SIGMA_A] = 2.0
+    simulated = resample(data, wild, filtered_states(data, model, work), np.random.default_rng(1))
+    breaks = np.flatnonzero(np.diff(simulated.segment[0]) != 0) + 1
+    breaks = breaks[breaks > 2]  # before, the first states are not known yet
+    assert len(breaks) > 0
+    before = breaks[:, None] - np.arange(1, round(3.0 / data.vicinity.period_s) + 1)
+    left_out = ~simulated.scored[:FIRST] & data.scored[:FIRST]
+    # whoever collides, and nobody else at another time
+    assert left_out[:, before[before >= 0]].any(axis=0).all()
+    assert set(np.flatnonzero(left_out.any(axis=0))) <= set(before.ravel())
+    assert not simulated.scored[FIRST].any()
 
 
 def test_a_leader_with_nobody_ahead_ends_the_chain(behind_a_slow_car):

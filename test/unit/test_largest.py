@@ -77,6 +77,14 @@ def test_chance_shows_as_much_where_nothing_is_missing(whole, work):
     assert min(compared(*whole, work).values()) > 1e-3
 
 
+def test_one_moment_at_which_the_filter_is_far_off_says_little(whole, work):
+    data, base, seen = whole
+    driver, (innovation, _, _) = next(iter(seen["drag"].changes[0].items()))
+    spoiled, k = base.samples.copy(), np.nanargmax(np.abs(innovation))
+    spoiled.innovation_m[driver, k] += 100.0 * np.sqrt(spoiled.innovation_var[driver, k])
+    assert min(compared(data, replace(base, samples=spoiled), seen, work).values()) > 1e-3
+
+
 def test_what_is_hidden_stands_out(work):
     found = compared(*fitted_to(work, "drag", c0=0.6, c2=0.0), work)
     assert found["drag"] < 1e-3
