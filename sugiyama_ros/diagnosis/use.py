@@ -7,7 +7,7 @@ drives into that part by itself.
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
 from typing import Literal, get_args
@@ -18,27 +18,22 @@ from scipy.stats import t as student
 from sugiyama_ros.arrays import Array, Mask
 from sugiyama_ros.diagnosis.addition import Addition
 from sugiyama_ros.diagnosis.candidates import Candidate
-from sugiyama_ros.diagnosis.free_runs import HORIZONS_S, FreeRuns, free_runs, rmse
-from sugiyama_ros.diagnosis.refits import added_to_all, fit_from_nothing
+from sugiyama_ros.diagnosis.free_runs import HORIZONS_S, FreeRuns, rmse
+from sugiyama_ros.diagnosis.last_part import LastPart, last_part, last_part_from_nothing
+from sugiyama_ros.diagnosis.refits import added_to_all
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.fit.joint import JointFit, maximise
-from sugiyama_ros.fit.model import Model
-from sugiyama_ros.fit.recording import FOLDS, Recorded, prepare
-from sugiyama_ros.fit.score import follow
-from sugiyama_ros.fit.slopes import sums
+from sugiyama_ros.fit.joint import JointFit
+from sugiyama_ros.fit.recording import Recorded
 
 #: What a model is for.
 Purpose = Literal["prediction", "simulation", "online"]
 _PURPOSES: tuple[Purpose, ...] = get_args(Purpose)
-# Part of the recording that is fitted.
-_FITTED = 0.6
 # Worse by this many paired standard errors; worse by chance with this probability, and by this factor of the mean
 # square error.
 _CLEARLY, _CHANCE, _TOLERANCE = 2.0, 0.05, 1.1
 # Below this speed [m/s] a car stands; below this part of the fastest tenth's speed it is in a jam.
 _STANDING, _SLOW = 0.5, 0.5
 _FEWEST = 20
-_STEPS = 6
 
 #: Number of effects that a diagnosis adds at most: by default, and if additions are asked for.
 FEW_ADDITIONS, MANY_ADDITIONS = 3, 8
@@ -69,30 +64,6 @@ class Goal:
 
 #: Any candidate may be added, but no force without a name.
 ANYTHING = Goal()
-
-
-@dataclass(frozen=True, eq=False)
-class LastPart:
-    """Errors of a model in the last part of a recording, which it was not fitted to.
-
-    Parameters
-    ----------
-    runs : FreeRuns
-        Free runs that start there.
-    drivers : ndarray, shape (N,)
-        Log-likelihood of the samples of each driver [nats].
-    period_s : float
-        Time between two samples [s].
-    """
-
-    runs: FreeRuns
-    drivers: Array
-    period_s: float
-
-    @property
-    def collisions(self) -> int:
-        """Number of cars that touch their leaders at a horizon of a coupled run without noise."""
-        return int((self.runs.touches[self.runs.gap > 0.0] > 0.0).sum())
 
 
 class Use:
@@ -177,72 +148,6 @@ def purpose_of(name: str) -> Purpose:
         if purpose == name:
             return purpose
     raise InputError(f"--for {name}: is not known; give {', '.join(_PURPOSES)}")
-
-
-def last_part(data: Recorded, fitted: JointFit, work: Executor) -> LastPart:
-    """Fit a model to the first part of a recording, and let it drive into the last part.
-
-    Parameters
-    ----------
-    data : Recorded
-        The recording.
-    fitted : JointFit
-        The model fitted to the whole recording.
-    work : Executor
-        Runs the filters.
-
-    Returns
-    -------
-    LastPart
-        Errors in the last part.
-    """
-    begin = _last_part_begins(data)
-    fold = np.minimum(data.block % (FOLDS - 1), FOLDS - 2)
-    fold[:, begin:] = FOLDS - 1
-    split = replace(data, fold=fold)
-    samples, rows = fitted.samples, fitted.model.rows
-    slopes = [sums(samples.of(i), s.columns, rows[i], fold[i]) for i, s in enumerate(fitted.slopes)]
-    known = range(FOLDS - 1)
-    first = maximise(split, replace(fitted, slopes=tuple(slopes)), work, folds=known, iterations=_STEPS, renewals=1)
-    return _driven_on(data, first.model, work)
-
-
-def last_part_from_nothing(data: Recorded, effects: Sequence[Candidate], work: Executor) -> LastPart:
-    """Fit a model to the first part of a recording alone, from nothing, and let it drive into the last part.
-
-    Parameters
-    ----------
-    data : Recorded
-        The recording of a whole road.
-    effects : sequence of Candidate
-        What the model has beyond the base model, for all drivers.
-    work : Executor
-        Runs the filters.
-
-    Returns
-    -------
-    LastPart
-        Errors in the last part.
-    """
-    whole = data.trajectories
-    assert whole is not None
-    first = prepare(replace(whole, position_m=whole.position_m[: _last_part_begins(data)]))
-    return _driven_on(data, fit_from_nothing(replace(first, even=data.even), effects, work).model, work)
-
-
-def _last_part_begins(data: Recorded) -> int:
-    """First sample of the last part."""
-    return int(_FITTED * data.samples)
-
-
-def _driven_on(data: Recorded, model: Model, work: Executor) -> LastPart:
-    """Errors in the last part of a model."""
-    begin = _last_part_begins(data)
-    predicted, states = follow(data, model, work)
-    runs = free_runs(data, model, states, work)
-    chosen = runs.start >= begin
-    cut = {name: values[chosen] for name, values in vars(runs).items()}
-    return LastPart(FreeRuns(**cut), np.nansum(predicted.log_likelihood[:, begin:], axis=1), data.vicinity.period_s)
 
 
 def worse_where(ours: LastPart, base: LastPart, purpose: Purpose) -> tuple[str, ...]:

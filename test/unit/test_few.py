@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from sugiyama_ros.diagnosis import few_screen
+from sugiyama_ros.diagnosis import last_part as driving
 from sugiyama_ros.diagnosis import search as searching
-from sugiyama_ros.diagnosis import use as using
 from sugiyama_ros.diagnosis.addition import feigning
 from sugiyama_ros.diagnosis.candidacy import LEAST_GAIN, Candidacy, NullGains
 from sugiyama_ros.diagnosis.candidates import candidates
@@ -17,14 +17,16 @@ from sugiyama_ros.diagnosis.errors import held_out_errors, searched_errors
 from sugiyama_ros.diagnosis.few import Few, cost_of, fit_few, rises, who_shows
 from sugiyama_ros.diagnosis.few_screen import chosen, fits_of_few, shown_by_few
 from sugiyama_ros.diagnosis.free_runs import FreeRuns
+from sugiyama_ros.diagnosis.last_part import LastPart, last_part
 from sugiyama_ros.diagnosis.refits import fit_from_nothing
 from sugiyama_ros.diagnosis.screen import FULL, QUICK, Screened, with_candidate
 from sugiyama_ros.diagnosis.search import LEVEL, Search
-from sugiyama_ros.diagnosis.use import Goal, LastPart, Use, drivers_worse, last_part, purpose_of, worse_where
+from sugiyama_ros.diagnosis.use import Goal, Use, drivers_worse, purpose_of, worse_where
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, defaults
 from sugiyama_ros.effects.registry import ROW, index_of, switch_on
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.cross_validation import Gain, without_folds
+from sugiyama_ros.fit.joint import start_fit
 from sugiyama_ros.fit.model_file import own_stds
 from sugiyama_ros.fit.population import fit_base
 from sugiyama_ros.fit.recording import prepare
@@ -355,6 +357,22 @@ def test_a_model_drives_into_the_part_that_it_was_not_fitted_to(fitted, work):
     assert worse_where(found, found, "simulation") == ()
 
 
+@pytest.mark.parametrize(("time_s", "stays"), [(60.0, True), (12.0, False)])
+def test_what_happens_in_the_last_part_is_not_learnt_before(fitted, work, monkeypatch, time_s, stays):
+    data, base = fitted
+    driven = []
+    monkeypatch.setattr(driving, "_driven_on", lambda data, model, work: driven.append(model))
+    switch = ("v_star_change", "kappa_v_change", "time")
+    values = dict(zip(switch, (0.1, 0.1, time_s), strict=True))
+    rows = switch_on(base.model.rows, "preference_switch", values)
+    shared = tuple(index_of("preference_switch", name) for name in switch)
+    last_part(data, start_fit(data, replace(base.model, rows=rows, shared=shared), work), work)
+    (model,) = driven
+    assert (model.rows[:, shared] == rows[:, shared]).all() == stays
+    # the drivers' own parameters follow the first part
+    assert (model.rows[:, V_STAR] != rows[:, V_STAR]).any()
+
+
 def test_for_simulations_models_are_fitted_to_the_first_part_alone(fitted, patch, grown, work, monkeypatch):
     data, base = fitted
     driven = []
@@ -363,7 +381,7 @@ def test_for_simulations_models_are_fitted_to_the_first_part_alone(fitted, patch
         driven.append(model)
         return LastPart(runs(1.0), np.zeros(CARS), 10.0)
 
-    monkeypatch.setattr(using, "_driven_on", drive_on)
+    monkeypatch.setattr(driving, "_driven_on", drive_on)
     use, one = Use(data, base, "simulation", work), SimpleNamespace(form=patch.name, drivers=())
     assert use.worse([one], grown, base) == ()
     # nothing of the last part can be in the model: it is the model of a recording that ends before
