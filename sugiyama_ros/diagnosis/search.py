@@ -219,7 +219,7 @@ class Search:
     def compare_all(self) -> None:
         """Give candidates of the first round, of which none was named, p-values from one test of all of them."""
         self.runs = max(self.runs, 1)
-        found = p_values(self.data, self.base, self._looks.prescreens, self.simulations()[0], self.seed, self._work)
+        found = p_values(self.data, self.base, self._looks.prescreens, self.simulations(), self.seed, self._work)
         self.scored, self.left_out = with_p_values(found, self.scored, self.heldout, self.left_out)
 
     def add_force(self, forces: Sequence[tuple[Discovery, Screened]]) -> bool:

@@ -41,8 +41,8 @@ def work():
 
 
 def compared(data, base, seen, work):
-    (simulation,) = resampled_fits(data, base, seeds(SEED, 1), work, lambda *_: None)
-    return p_values(data, base, seen, simulation, SEED, work)
+    simulations = resampled_fits(data, base, seeds(SEED, 1), work, lambda *_: None)
+    return p_values(data, base, seen, simulations, SEED, work)
 
 
 @pytest.fixture(scope="module")
