@@ -85,6 +85,22 @@ def test_one_gross_error_does_not_become_the_noise(jam):
     assert ends[1] == pytest.approx(ends[0], rel=0.25)
 
 
+def test_a_vehicle_whose_place_jumps_is_found_again(jam):
+    """Four gross errors in a row are no errors: with the next sample the filter knows place and speed again."""
+    moved = jam.position_m.copy()
+    moved[200:, 3] -= 6.0
+    ends = []
+    for positions in (jam.position_m, moved):
+        online = OnlineFilter(DT, jam.road)
+        ends.append(follow(replace(jam, position_m=positions), 3, online, 205)[-1])
+    usual, found = ends
+    assert (
+        abs(found.position_m - (usual.position_m - 6.0) % jam.road.circumference_m)
+        < 4.0 * usual.covariance[0, 0] ** 0.5
+    )
+    assert abs(found.speed - usual.speed) < 4.0 * usual.covariance[1, 1] ** 0.5
+
+
 def changing(factor, ring_m, seed):
     """A recording of 200 s in which every third driver's desired speed changes at 100 s; and these drivers."""
     rows = ROW.with_effects(defaults(22))
