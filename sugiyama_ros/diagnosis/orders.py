@@ -12,7 +12,8 @@ def grown(search: Search, most: int, *, add_forces: bool) -> Search:
 
     Freed constants take in part of whatever is missing, and an effect may stand for constants that are off. What comes
     first decides what is left for the others, so both orders are tried to the end and compared held out. Constants go
-    first only by two standard errors. If the other order is not worse by one, its first name cannot be told apart.
+    first only by two standard errors; by one where they lead to a model that is not worse than the base model in the last
+    part, and the effect to one that is. If the other order is not worse by one, its first name cannot be told apart.
 
     Parameters
     ----------
@@ -34,7 +35,8 @@ def grown(search: Search, most: int, *, add_forces: bool) -> Search:
         return search
     _grow(other, most, add_forces)
     won = gain(search.data, other.errors.samples, search.errors.samples)
-    if won.nats > (FLEXIBLE if other.named[0].kind == "constants" else 1.0) * won.se:
+    holds = _is_worse_in_use(search) and not _is_worse_in_use(other)
+    if won.nats > (FLEXIBLE if other.named[0].kind == "constants" and not holds else 1.0) * won.se:
         return other
     if won.nats > -won.se:
         _tell(search, other.named[0].name)
@@ -50,6 +52,11 @@ def _grow(search: Search, most: int, add_forces: bool) -> None:
         # a new force may make other candidates supported
         is_growing = add_forces and search.add_force(search.forces(LEVEL))
         add_forces = False
+
+
+def _is_worse_in_use(search: Search) -> bool:
+    """Whether the final model of a search is worse than the base model in the last part."""
+    return bool(search.named[-1].worse)
 
 
 def _tell(search: Search, rival: str) -> None:

@@ -1,5 +1,6 @@
 """Searches in both orders, where an effect and freed constants compete for the first place."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -56,6 +57,27 @@ def test_the_order_that_predicts_better_wins_and_an_equal_one_is_told(monkeypatc
     assert asked == [(("response_constants", "drag"), ("drag", "outlier_noise"))]
     assert (best.named[0].name, best.named[0].indistinguishable) == (first, also)
     assert len(best.named) == 2
+
+
+@pytest.mark.parametrize(
+    ("nats", "worse", "other_worse", "first"),
+    [
+        (15.0, "10-s runs", "", "response_constants"),
+        (15.0, "10-s runs", "10-s runs", "drag"),
+        (15.0, "", "", "drag"),
+        (5.0, "10-s runs", "", "drag"),
+    ],
+)
+def test_constants_before_an_effect_take_one_standard_error_if_their_model_alone_holds_in_use(
+    monkeypatch, nats, worse, other_worse, first
+):
+    monkeypatch.setattr(orders, "gain", lambda data, ours, theirs: Gain(nats, 10.0, (), ()))
+    searches = Begun("drag"), Begun("response_constants")
+    for search, told in zip(searches, (worse, other_worse), strict=True):
+        search.add_effect()
+        search.named[0] = replace(search.named[0], worse=(told,) if told else ())
+    searches[0].other_order = searches[1]
+    assert orders.grown(searches[0], 1, add_forces=False).named[0].name == first
 
 
 def test_an_effect_before_constants_takes_one_standard_error(monkeypatch):
