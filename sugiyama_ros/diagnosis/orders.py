@@ -12,8 +12,8 @@ def grown(search: Search, most: int, *, add_forces: bool) -> Search:
 
     Freed constants take in part of whatever is missing, and an effect may stand for constants that are off. What comes
     first decides what is left for the others, so both orders are tried to the end and compared held out. Constants go
-    first only by two standard errors; by one where they lead to a model that is not worse than the base model in the last
-    part, and the effect to one that is. If the other order is not worse by one, its first name cannot be told apart.
+    first only by two standard errors; by one where their model is not worse than the base model in the last part, and
+    the other model is. If the other order is not worse by one, its first name cannot be told apart.
 
     Parameters
     ----------
