@@ -20,6 +20,7 @@ def main() -> None:
     try:
         # The work is shared out over drivers. Threads of the linear algebra would only take processor time from it.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+        sys.unraisablehook = _say_unless_half_made
         _open_standard_streams()
         code = _run()
         sys.stdout.flush()
@@ -51,6 +52,12 @@ def _run() -> int | str | None:
     except SystemExit as end:
         return end.code
     return 0
+
+
+def _say_unless_half_made(error: "sys.UnraisableHookArgs") -> None:
+    """Say nothing of an object that was half made when Ctrl-C came, and fails while it is deleted."""
+    if not (isinstance(error.exc_value, AttributeError) and getattr(error.object, "__name__", "") == "__del__"):
+        sys.__unraisablehook__(error)
 
 
 def _cause_outside(error: Exception) -> str | None:

@@ -131,7 +131,7 @@ def _meet(online: Online) -> None:
             forget_vehicle(m, online.state)
             if len(online.noises.weight) > 0:
                 forget_noises(online.noises, m)
-            book.identity[m] = identity[m]
+            book.identity[m], book.gross[m] = identity[m], 0
 
 
 @kernel(allocates=False)

@@ -57,7 +57,7 @@ class ReadableKalman(ChainKalman):
             self._waited[m] += periods
             if identity[m] < 0 or identity[m] != self._identity[m]:
                 self.forget(m)
-                self._identity[m] = int(identity[m])
+                self._identity[m], self._gross[m] = int(identity[m]), 0
         scores = self._take_in(position_m)
         lengths = np.array(length_m)
         mean_action = self.linearise(Moment(lengths, np.array(rear), time_s))

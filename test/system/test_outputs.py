@@ -149,6 +149,24 @@ def test_ctrl_c_while_a_command_is_loaded_ends_it_with_130(here, after_s):
         assert b"Traceback" not in said
 
 
+def test_nothing_is_said_of_an_object_that_ctrl_c_has_left_half_made(capsys, monkeypatch):
+    class Loaded:
+        def __del__(self):
+            self.file.close()
+
+    class Broken:
+        def __del__(self):
+            raise RuntimeError("is no half-made object")
+
+    # the test runner has a hook of its own
+    monkeypatch.setattr(sys, "unraisablehook", cli._say_unless_half_made)
+    Loaded()
+    Broken()
+    said = capsys.readouterr().err
+    assert "no half-made object" in said
+    assert "AttributeError" not in said
+
+
 def test_a_full_stdout_is_one_line(here):
     for arguments in (("info", "good.mcap"), ("echo", "good.mcap", "/measured"), ("--help",)):
         with Path("/dev/full").open("wb") as full:
