@@ -90,7 +90,8 @@ def p_values(
     seen = [one for one in prescreens.values() if _is_shared(one.candidate)]
     if not seen:
         return {}
-    simulated, fitted = min(simulations, key=lambda one: wasserstein_distance(_speeds(data), _speeds(one[0])))
+    measured = _speeds(data)
+    simulated, fitted = min(simulations, key=lambda one: wasserstein_distance(measured, _speeds(one[0])))
     here = scores(data, base, seen)
     there = scores(simulated, fitted, [prescreen(simulated, fitted, one.candidate, work) for one in seen])
     shift, covariance = here.score - there.score, _WIDER * (here.information + there.information)

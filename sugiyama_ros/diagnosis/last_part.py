@@ -86,8 +86,10 @@ def last_part(data: Recorded, fitted: JointFit, work: Executor) -> LastPart:
 
 def _happens_at_s(rows: Array, place: int) -> float:
     """Time [s] at which the effect acts to which a parameter belongs; minus infinity if it always does."""
-    places = ROW.places.get(ROW.entries[place].partition(".")[0], slice(0))
-    times = [k for k in range(places.start or 0, places.stop) if ROW.declared[k].axis == "time"]
+    name = ROW.entries[place].partition(".")[0]
+    if name not in ROW.places:
+        return -np.inf
+    times = [k for k in range(ROW.width)[ROW.places[name]] if ROW.declared[k].axis == "time"]
     return float(rows[:, times].max(initial=-np.inf))
 
 

@@ -43,7 +43,7 @@ from sugiyama_ros.filters.state import (
     points_of,
     workspace_for,
 )
-from sugiyama_ros.filters.vehicles import MOST_GROSS, count_gross, forget_vehicle, let_go, start_vehicle
+from sugiyama_ros.filters.vehicles import forget_vehicle, gross_in_a_row, start_vehicle
 from sugiyama_ros.jit import kernel
 
 #: Samples after the start of a vehicle's record (or after a break) whose innovations are not scored.
@@ -181,11 +181,9 @@ def _meet(
         if filters.settled[c, m] > SETTLING:
             predicted.log_likelihood[c, t] = log_density(y, variance, parameters[m])
     if is_contaminated(parameters[m]):
-        filters.gross[c, m] = count_gross(filters.gross[c, m], y, variance, True)
-        if filters.gross[c, m] > MOST_GROSS:
-            let_go(m, y, state, scene)
-            variance += factor * factor * y * y
-            filters.gross[c, m] = 0
+        before = state.covariance[x, x]
+        filters.gross[c, m] = gross_in_a_row(m, filters.gross[c, m], y, variance, True, state, scene)
+        variance += factor * factor * (state.covariance[x, x] - before)
     step, shrink = weights(y, variance, parameters[m])
     sample[SLOPE, c], sample[OFF, c], sample[STEP, c], sample[SHRINK, c] = factor, -y, step, shrink
 

@@ -32,7 +32,7 @@ from sugiyama_ros.filters.online_state import (
 )
 from sugiyama_ros.filters.state import MOVING, STATE, Moment, Scene
 from sugiyama_ros.filters.transform import add_noise, transform
-from sugiyama_ros.filters.vehicles import MOST_GROSS, count_gross, forget_vehicle, let_go, start_vehicle
+from sugiyama_ros.filters.vehicles import forget_vehicle, gross_in_a_row, start_vehicle
 from sugiyama_ros.jit import kernel
 
 # What a vehicle's sample is used for: there is none, the filter begins with it, or refuses it, or takes it in.
@@ -169,11 +169,7 @@ def _sort(online: Online, scene: Scene) -> None:
         if missing:
             continue
         contaminated = is_contaminated(online.drivers.parameters[m])
-        book.gross[m] = count_gross(book.gross[m], y, variance, contaminated)
-        is_lost = book.gross[m] > MOST_GROSS
-        if is_lost:
-            let_go(m, y, online.state, scene)
-            book.gross[m] = 0
+        book.gross[m] = gross_in_a_row(m, book.gross[m], y, variance, contaminated, online.state, scene)
         book.part[m] = _REFUSED if book.gross[m] > 0 and not contaminated else _TAKEN
 
 

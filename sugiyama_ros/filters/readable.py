@@ -14,7 +14,7 @@ from sugiyama_ros.filters.engine import Estimate
 from sugiyama_ros.filters.kalman import ChainKalman
 from sugiyama_ros.filters.noise import Learning
 from sugiyama_ros.filters.state import MOVING, STATE, Moment, State
-from sugiyama_ros.filters.vehicles import MOST_GROSS, count_gross, let_go
+from sugiyama_ros.filters.vehicles import gross_in_a_row
 from sugiyama_ros.road import Road
 
 
@@ -100,10 +100,8 @@ class ReadableKalman(ChainKalman):
     def _is_accepted(self, m: int, innovation: float, variance: float) -> bool:
         """Whether the filter takes in a sample: not a gross error, unless so many come that the filter is wrong."""
         contaminated = is_contaminated(self.rows[m])
-        self._gross[m] = count_gross(self._gross[m], innovation, variance, contaminated)
-        if self._gross[m] > MOST_GROSS:
-            let_go(m, innovation, State(self.x, self.P, self.known), self.model.scene)
-            self._gross[m] = 0
+        state, scene = State(self.x, self.P, self.known), self.model.scene
+        self._gross[m] = gross_in_a_row(m, self._gross[m], innovation, variance, contaminated, state, scene)
         return self._gross[m] == 0 or contaminated
 
     def _estimate(

@@ -83,45 +83,42 @@ def start_vehicle(m: int, measured: float, elapsed: float, state: State, paramet
 
 
 @kernel(allocates=False)
-def count_gross(before: int, y: float, variance: float, contaminated: bool) -> int:
-    """Return how many samples in a row are gross errors.
+def gross_in_a_row(
+    m: int, before: int, y: float, variance: float, contaminated: bool, state: State, scene: Scene
+) -> int:
+    """Return how many samples of vehicle m in a row are gross errors, 0 after more than can be errors of measurement.
 
-    Parameters
-    ----------
-    before
-        How many were before this sample.
-    y
-        Innovation [m].
-    variance
-        Its variance [m^2].
-    contaminated
-        Whether outliers are part of the model of the vehicle.
-    """
-    return before + 1 if y * y > (FAR if contaminated else GROSS) * variance else 0
-
-
-@kernel(allocates=False)
-def let_go(m: int, y: float, state: State, scene: Scene) -> None:
-    """Let vehicle m go where it is measured, after more gross errors in a row than can be errors of the measurement.
-
-    It is the state that must be wrong, as after a start from an outlier, and it would stay wrong: its covariance is
-    small, and so is what an outlier changes. The position is wrong by as much as the innovation says. The speed may
-    have been wrong by this over the time of these samples, or it may not: half of its variance goes with the position.
+    Then it is the state that must be wrong, as after a start from an outlier, and it would stay wrong: its covariance
+    is small, and so is what an outlier changes. So the vehicle is let go where it is measured. The position is wrong by
+    as much as the innovation says. The speed may have been wrong by this over the time of these samples, or it may not:
+    half of its variance goes with the position.
 
     Parameters
     ----------
     m
         Number of the vehicle in the chain, MOVING.
+    before
+        How many gross errors came before this sample.
     y
-        Its latest innovation [m].
+        Its innovation [m].
+    variance
+        The variance of the innovation [m^2].
+    contaminated
+        Whether outliers are part of the model of the vehicle.
     state
-        Its covariance is changed in place.
+        Its covariance is changed in place where the vehicle is let go.
     scene
         Period of the samples.
     """
+    is_gross = y * y > (FAR if contaminated else GROSS) * variance
+    if not is_gross:
+        return 0
+    if before < MOST_GROSS:
+        return before + 1
     x, v, over = STATE * m, STATE * m + 1, (MOST_GROSS + 1) * scene.period_s
     covariance = state.covariance
     covariance[x, x] += y * y
     covariance[x, v] += y * y / over
     covariance[v, x] += y * y / over
     covariance[v, v] += 2.0 * y * y / over**2
+    return 0

@@ -21,6 +21,7 @@ from sugiyama_ros.effects.registry import ROW, switch_on
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters import paper, paper_kalman
 from sugiyama_ros.filters.causal import ChainJob, filter_chain, log_likelihood, predict_states
+from sugiyama_ros.filters.causal_kernel import SETTLING
 from sugiyama_ros.filters.chain import Adaptation
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.online import ADAPT, OnlineFilter
@@ -229,6 +230,19 @@ def test_the_causal_likelihood_is_smooth(jam):
         q = p.copy()
         q[k] *= 1 + 1e-8
         assert log_likelihood(chain, q) == pytest.approx(value, abs=1e-4)
+
+
+def test_a_filter_whose_first_position_is_an_outlier_soon_predicts_as_well(jam):
+    m = jam.measured
+    position = m.position_m.copy()
+    position[0] += 3.0
+    row = switch_on(ROW.with_effects(defaults()), "outlier_noise", {"share": 0.006, "factor": 4.0})
+    spoiled = chain_behind(replace(m, position_m=position), 6)
+    filtered, clean = filter_chain(spoiled, row), filter_chain(chain_behind(m, 6), row)
+    first = slice(SETTLING, 30)
+    assert clean.scored[first].all()
+    difference = filtered.sample_log_likelihood[first] - clean.sample_log_likelihood[first]
+    assert np.abs(difference).sum() < 3.0
 
 
 @pytest.mark.parametrize("wrong", [0, 1])
