@@ -127,12 +127,12 @@ def resampled_fits(
     Returns
     -------
     list of (Recorded, JointFit)
-        The simulated recordings with the fits to them.
+        The simulated recordings, for screening, with the fits to them.
     """
     states = filtered_states(data, fitted.model, work)
 
     def one_run(rng: np.random.Generator) -> tuple[Recorded, JointFit]:
-        simulated = resample(data, fitted.model, states, rng)
+        simulated = resample(data, fitted.model, states, rng).roughly
         start = start_fit(simulated, fitted.model, work)
         return simulated, maximise(simulated, start, work, iterations=_FEW_STEPS, renewals=0)
 

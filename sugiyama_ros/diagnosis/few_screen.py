@@ -177,7 +177,7 @@ def _gains(data: Recorded, base: JointFit, candidate: Candidate, seen: Prescreen
     numbers, gains = _starts(candidate), []
     models = [added(base.model, candidate, candidate.starts[number]) for number in numbers]
     others = [i for i in range(data.drivers) if not (seen and i in seen.some)]
-    for number, there, found in zip(numbers, models, predict_each(data, models, others, work), strict=True):
+    for number, there, found in zip(numbers, models, predict_each(data.roughly, models, others, work), strict=True):
         new = dict(seen.changes[number]) if seen else {}
         new |= {i: column(base.samples.of(i), at, 1.0, there.rows[i]) for i, at in zip(others, found, strict=True)}
         slopes, scales = np.array(_scaled(data, base, [new[i] for i in range(data.drivers)])).T

@@ -94,7 +94,7 @@ class Looks:
 
             found = at_once(at, possible, "first screen", on_progress)
             self.prescreens = {one.candidate.name: one for one in found}
-            chosen, self.left_out = worth_screening(self._data, self._base, self.prescreens)
+            chosen, self.left_out = worth_screening(self._data, self._base, self.prescreens, self._effort.refuted)
             return chosen
 
         def gain_of(candidate: Candidate) -> float:

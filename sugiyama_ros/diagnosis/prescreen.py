@@ -130,7 +130,7 @@ def prescreen(data: Recorded, base: JointFit, candidate: Candidate, work: Execut
     models = [added(base.model, candidate, start) for start in starts]
     # a parameter that only becomes free changes nothing yet
     is_same = not any(starts) and set(base.model.shared) <= set(models[0].shared)
-    there = [base.samples.only(some)] if is_same else evaluate_each(data, models, work, some)
+    there = [base.samples.only(some)] if is_same else evaluate_each(data.roughly, models, work, some)
     for model, at in zip(models, there, strict=True):
         changes.append({i: column(base.samples.of(i), at.of(i), 1.0, model.rows[i]) for i in some})
         likelihoods.append(predicted(base, model, at))
@@ -223,10 +223,20 @@ class Promise(NamedTuple):
 
 
 def worth_screening(
-    data: Recorded, base: JointFit, prescreens: Mapping[str, Prescreen]
+    data: Recorded, base: JointFit, prescreens: Mapping[str, Prescreen], refuted: float
 ) -> tuple[list[Candidate], list[Promise]]:
-    """Return the candidates that promise something, or the most promising one, and what the others promise."""
-    all_ = [Promise(seen.candidate, beyond_chance(data, base, seen)) for seen in prescreens.values()]
+    """Return the candidates that promise something, or the most promising one, and what the others promise.
+
+    A candidate that loses more than ``refuted`` [nats] at its best start promises no more than that, unless its
+    strength is scaled.
+    """
+
+    def promise(seen: Prescreen) -> Promise:
+        most = max(seen.rises(base))
+        is_refuted = most < -refuted and not (seen.candidate.strengths or seen.candidate.individual)
+        return Promise(seen.candidate, most if is_refuted else beyond_chance(data, base, seen))
+
+    all_ = [promise(seen) for seen in prescreens.values()]
     best = max(all_, key=lambda one: one.gain)
     is_worth = [one.gain > PROMISE or one is best for one in all_]
     chosen = [one.candidate for one, worth in zip(all_, is_worth, strict=True) if worth]

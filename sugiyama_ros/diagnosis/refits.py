@@ -85,7 +85,7 @@ def refits(
     states = filtered_states(data, fitted.model, work)
 
     def one(rng: np.random.Generator) -> JointFit:
-        simulated = resample(data, fitted.model, states, rng)
+        simulated = resample(data, fitted.model, states, rng).roughly
         return fit_from_nothing(replace(simulated, even=data.even), effects, work)
 
     return at_once(one, seeds(seed, runs), "fitting simulated recordings", on_progress)

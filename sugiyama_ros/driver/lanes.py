@@ -8,6 +8,9 @@ The reward of a speed is a Gaussian of the action, and the actions are evenly sp
 reward before changes by a constant factor, and only few rewards need an exponential. Rounding errors add up, so the
 rewards begin anew after some actions.
 
+Blocks have double precision, or single precision for screening, which takes half of the time. What all lanes share is
+therefore converted to the precision of the block.
+
 A block is one array with the rows of LANES lanes, one after the other, and then the utilities of the actions. All
 places in a block are constants. Compilers then know that two rows do not overlap, and make vector instructions.
 """
@@ -17,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.driver.exponential import exponential, multiply_add
+from sugiyama_ros.driver.exponential import exponential, like, multiply_add
 from sugiyama_ros.driver.utility import FAR, Preferences, backward_penalty
 from sugiyama_ros.jit import kernel
 
@@ -32,11 +35,15 @@ _NEAR, _SCALE, _UTILITY, _BEST, _BACKWARD, _PER_SPEED, _OPENING, _PARTITION, MEA
 _REWARD, _GROWTH, _CURVE, _IS_STEEP, _SOON, _LATE = (LANES * row for row in range(19, 25))
 #: Where the utilities of the actions begin, LANES numbers for each action.
 UTILITIES = 25 * LANES
+# Two numbers are for double and for single precision, here and below.
 # Number of rewards that follow from one another before one is computed anew.
-_STRETCH = 14
-# The reward of a speed that is more than this many widths away from the desired speed is below 1e-170, and no other
-# reward can follow from it. Lanes in which it occurs take the exponential for every action.
-_STEEP = 20.0
+_STRETCH = 14, 4
+# The reward of a speed that is more than this many widths away from the desired speed is below 1e-170, or 1e-35 in
+# single precision, and no other reward can follow from it. Lanes in which it occurs take the exponential for every
+# action.
+_STEEP = 20.0, 9.0
+# Largest cost of driving backward. With this much, drivers accelerate as strongly as they can.
+_WORST = 1e8
 # What an unused lane sees and prefers: nothing that takes long or overflows.
 _UNUSED = (FAR, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, -1.0, 1.0)
 
@@ -62,17 +69,17 @@ class ActionGrid(NamedTuple):
 @kernel
 def grid_for(actions: Array, period: float) -> ActionGrid:
     """Return the evenly spaced actions (K,) [m/s^2] that drivers consider, with what does not depend on the driver."""
-    braking = 0
+    braking, exact = 0, actions.astype(np.float64)
     for k in range(len(actions)):
         if actions[k] < 0.0:
             braking = k + 1
-    return ActionGrid(actions, np.exp(-10.0 * period * actions), braking)
+    return ActionGrid(exact, np.exp(-10.0 * period * exact), braking)
 
 
 @kernel
-def blocks_for(lanes: int, actions: int) -> Array:
-    """Return blocks for at least ``lanes`` lanes and for ``actions`` actions, ready to be used; 2-dimensional."""
-    blocks = np.zeros((-(-lanes // LANES), UTILITIES + LANES * actions))
+def blocks_for(lanes: int, actions: Array) -> Array:
+    """Return blocks (B, .) for at least ``lanes`` lanes and for actions (K,), in their precision; ready to be used."""
+    blocks = np.zeros((-(-lanes // LANES), UTILITIES + LANES * len(actions)), actions.dtype)
     clear(blocks)
     return blocks
 
@@ -116,6 +123,7 @@ def value_actions(block: Array, grid: ActionGrid, period: float, horizon: int) -
     step = (last - first) / max(len(actions) - 1, 1)
     _begin(block, period, horizon, step)
     any_steep = _find_steep(block, first, last, period)
+    stretch = _STRETCH[0] if block.itemsize == 8 else _STRETCH[1]
     for k in range(len(actions)):
         action = actions[k]
         _look_at_ends(block, action, period, horizon)
@@ -124,7 +132,7 @@ def value_actions(block: Array, grid: ActionGrid, period: float, horizon: int) -
         if k < grid.braking:
             for tau in range(2, horizon, 2):
                 _look_between(block, action, period, tau, tau + 1)
-        if k % _STRETCH == 0:
+        if k % stretch == 0:
             _reward(block, action, period, step)
         if any_steep:
             _reward_steep(block, action, period)
@@ -137,7 +145,7 @@ def _begin(block: Array, period: float, horizon: int, step: float) -> None:
     """Compute what all actions share."""
     for t in range(LANES):
         block[_BEST + t] = -np.inf
-        block[_BACKWARD + t] = backward_penalty(block[_SPEED + t])
+        block[_BACKWARD + t] = min(backward_penalty(block[_SPEED + t]), _WORST)
         per_speed = 1.0 / (block[_KAPPA_1 + t] * block[_V_STAR + t])
         width = period * step * per_speed
         block[_PER_SPEED + t] = per_speed
@@ -151,9 +159,11 @@ def _begin(block: Array, period: float, horizon: int, step: float) -> None:
 @kernel(vectorised=True)
 def _look_at_ends(block: Array, action: float, period: float, horizon: int) -> None:
     """Find the gap and the scale with the smaller ratio: one period ahead, or ``horizon`` periods ahead."""
+    one = block[0]
+    way, then, later = like(_way(action, period, horizon), one), period * action, period * horizon * action
     for t in range(LANES):
-        near, far = block[_SOON + t], block[_LATE + t] - _way(action, period, horizon)
-        scale, wide = _scale(block, t, period * action), _scale(block, t, period * horizon * action)
+        near, far = block[_SOON + t], block[_LATE + t] - way
+        scale, wide = _scale(block, t, then), _scale(block, t, later)
         closer = far * scale < near * wide
         block[_NEAR + t] = far if closer else near
         block[_SCALE + t] = wide if closer else scale
@@ -162,13 +172,15 @@ def _look_at_ends(block: Array, action: float, period: float, horizon: int) -> N
 @kernel(vectorised=True)
 def _look_between(block: Array, action: float, period: float, first: int, second: int) -> None:
     """Go on with the gap and the scale with the smallest ratio, ``first`` and ``second`` periods ahead."""
+    one = block[0]
+    first_way, second_way = like(_way(action, period, first), one), like(_way(action, period, second), one)
     for t in range(LANES):
         near, scale = block[_NEAR + t], block[_SCALE + t]
-        for_first = multiply_add(period * first, block[_OPENING + t], block[_GAP + t] - _way(action, period, first))
+        for_first = multiply_add(block[_OPENING + t], period * first, block[_GAP + t] - first_way)
         wide = _scale(block, t, period * first * action)
         closer = for_first * scale < near * wide
         near, scale = for_first if closer else near, wide if closer else scale
-        for_second = multiply_add(period * second, block[_OPENING + t], block[_GAP + t] - _way(action, period, second))
+        for_second = multiply_add(block[_OPENING + t], period * second, block[_GAP + t] - second_way)
         wide = _scale(block, t, period * second * action)
         closer = for_second * scale < near * wide
         block[_NEAR + t] = for_second if closer else near
@@ -184,8 +196,9 @@ def _way(action: float, period: float, tau: int) -> float:
 @kernel(vectorised=True)
 def _scale(block: Array, t: int, faster: float) -> float:
     """Compute the scale [m] of the gap of lane t at a speed that is so much larger [m/s], as ``utility.gap_scale``."""
+    faster = like(faster, block[0])
     speed, closing = block[_SPEED + t] + faster, faster - block[_OPENING + t]
-    closing = closing if closing > 0.0 else 0.0
+    closing = closing if closing > 0.0 else like(0.0, closing)
     steady = multiply_add(block[_KAPPA_V + t], abs(speed), block[_KAPPA_C + t])
     return multiply_add(block[_KAPPA_D + t], closing, steady)
 
@@ -194,10 +207,11 @@ def _scale(block: Array, t: int, faster: float) -> float:
 def _find_steep(block: Array, first: float, last: float, period: float) -> bool:
     """Find the lanes in which some rewards are too small for other rewards to follow from; whether there are any."""
     count = 0.0
+    steep = _STEEP[0] if block.itemsize == 8 else _STEEP[1]
     for t in range(LANES):
         off = block[_SPEED + t] - block[_V_STAR + t]
         most = max(-(off + period * first), off + period * last) * block[_PER_SPEED + t]
-        block[_IS_STEEP + t] = 1.0 if most > _STEEP else 0.0
+        block[_IS_STEEP + t] = 1.0 if most > steep else 0.0
         count += block[_IS_STEEP + t]
     return count > 0.0
 
@@ -205,18 +219,21 @@ def _find_steep(block: Array, first: float, last: float, period: float) -> bool:
 @kernel(vectorised=True)
 def _reward(block: Array, action: float, period: float, step: float) -> None:
     """Compute the reward of the speed after one period of an action, and its ratio to the reward of the next action."""
+    one = block[0]
+    faster, wide = like(period * action, one), like(period * step, one)
     for t in range(LANES):
-        off = (block[_SPEED + t] + period * action - block[_V_STAR + t]) * block[_PER_SPEED + t]
-        width = period * step * block[_PER_SPEED + t]
+        off = (block[_SPEED + t] + faster - block[_V_STAR + t]) * block[_PER_SPEED + t]
+        width = wide * block[_PER_SPEED + t]
         block[_REWARD + t] = exponential(-off * off)
-        block[_GROWTH + t] = exponential(-width * (2.0 * off + width))
+        block[_GROWTH + t] = exponential(-width * (off + off + width))
 
 
 @kernel(vectorised=True)
 def _reward_steep(block: Array, action: float, period: float) -> None:
     """Compute the reward of the speed after one period of an action in the lanes where it cannot follow from others."""
+    faster = like(period * action, block[0])
     for t in range(LANES):
-        off = (block[_SPEED + t] + period * action - block[_V_STAR + t]) * block[_PER_SPEED + t]
+        off = (block[_SPEED + t] + faster - block[_V_STAR + t]) * block[_PER_SPEED + t]
         block[_REWARD + t] = exponential(-off * off) if block[_IS_STEEP + t] > 0.0 else block[_REWARD + t]
 
 
@@ -226,9 +243,9 @@ def _value(block: Array, backward: float) -> None:
     for t in range(LANES):
         ratio = block[_NEAR + t] / block[_SCALE + t]
         # -x (x + 2), as utility.collision_penalty, with one operation less
-        beyond = 1.0 + (ratio if ratio > 0.0 else 0.0)
+        beyond = like(1.0, ratio) + (ratio if ratio > 0.0 else like(0.0, ratio))
         risk = exponential(multiply_add(-beyond, beyond, 1.0))
-        known = multiply_add(-backward, block[_BACKWARD + t], block[_REWARD + t])
+        known = multiply_add(block[_BACKWARD + t], -backward, block[_REWARD + t])
         utility = multiply_add(block[_OMEGA_2 + t], risk, known)
         block[_UTILITY + t] = utility
         block[_BEST + t] = utility if utility > block[_BEST + t] else block[_BEST + t]

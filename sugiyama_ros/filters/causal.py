@@ -37,6 +37,8 @@ from sugiyama_ros.filters.vectors import ABREAST
 
 # Arrays of a chain, in the order of ``Observed``.
 _MEASURED = ("position_m", "identity", "length_m", "rear")
+# In the precision in which they are considered.
+_ROUGH_ACTIONS: Any = ACTIONS.astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,11 +96,15 @@ def filter_chain(
 
 
 class ChainJob(NamedTuple):
-    """One driver to filter: the chain, the driver's parameters and those of the drivers ahead, as ``filter_chain``."""
+    """One driver to filter: the chain, the driver's parameters and those of the drivers ahead, as ``filter_chain``.
+
+    is_rough: whether the mean actions have single precision, which takes three quarters of the time.
+    """
 
     chain: Chain
     parameters: Array
     ahead: Array | None = None
+    is_rough: bool = False
 
 
 def predict_samples(jobs: Sequence[ChainJob]) -> list[Predicted]:
@@ -168,8 +174,8 @@ def _side_by_side(jobs: Sequence[ChainJob]) -> Iterator[tuple[list[int], Adaptat
     Jobs of similar length run together, so that few lanes stay empty at the end.
     """
     groups: dict[Any, list[int]] = defaultdict(list)
-    for i, (chain, parameters, _) in enumerate(jobs):
-        same = (chain.position_m.shape[1], chain.period_s, chain.circumference_m, adaptation_of(parameters))
+    for i, (chain, parameters, _, is_rough) in enumerate(jobs):
+        same = (chain.position_m.shape[1], chain.period_s, chain.circumference_m, is_rough, adaptation_of(parameters))
         groups[same].append(i)
     for (*_, adaptation), numbers in groups.items():
         numbers.sort(key=lambda i: len(jobs[i].chain.position_m))
@@ -197,7 +203,7 @@ def _run(jobs: Sequence[ChainJob], adaptation: Adaptation, trace: Trace, ends: I
     run(
         Observed(position, identity, length, rear, start_s, ends),
         drivers_at(rows, *adaptation.arrays),
-        ACTIONS,
+        _ROUGH_ACTIONS if jobs[0].is_rough else ACTIONS,
         scene_at(one.period_s, one.circumference_m, adaptation.relaxation_s),
         periods_back(rows, one.period_s),
         predicted,

@@ -272,7 +272,7 @@ def run(
         Of all chains: parameters (C, M, WIDTH), adapted (A,), prior_mean (C, A), prior_var (A,). Row 0 of a chain's
         parameters is overwritten with the adapted values.
     actions
-        Accelerations that the drivers consider [m/s^2], (K,).
+        Accelerations that the drivers consider [m/s^2], (K,), in the precision in which they consider them.
     scene
         Period and road.
     periods_back

@@ -164,8 +164,8 @@ class Lanes(NamedTuple):
 
 @kernel
 def lanes_for(points: int, actions: Array, period_s: float) -> Lanes:
-    """Return lanes for a number of points and for actions (K,) [m/s^2]."""
-    return Lanes(blocks_for(points, len(actions)), grid_for(actions, period_s))
+    """Return lanes for a number of points and for actions (K,) [m/s^2], whose precision they have."""
+    return Lanes(blocks_for(points, actions), grid_for(actions, period_s))
 
 
 @kernel

@@ -70,6 +70,9 @@ class Recorded:
         Time [s] over which somebody has smoothed the positions; 0 if nobody has.
     left_out : int
         Number of drivers who were left out because there were too many.
+    is_rough : bool
+        Whether filters have single precision where most of the work is, for screening: at fitted models, the
+        log-likelihood of a driver is off by less than 1e-3 nats.
     """
 
     vicinity: Vicinity
@@ -88,6 +91,7 @@ class Recorded:
     decisions: int = 1
     smoothed_s: float = 0.0
     left_out: int = 0
+    is_rough: bool = False
 
     @property
     def drivers(self) -> int:
@@ -108,6 +112,11 @@ class Recorded:
     def is_sparse(self) -> bool:
         """Whether samples are so far apart that the filter knows too little of what drivers saw in between."""
         return self.every > 1 and self.apart_s > LONGEST_APART_S * (1.0 + ROUNDING)
+
+    @property
+    def roughly(self) -> "Recorded":
+        """The recording for screening; see ``is_rough``."""
+        return replace(self, is_rough=True)
 
     def spread(self, least: int) -> range:
         """Return the numbers of drivers who stand for all: at least ``least`` of them, less than twice as many."""

@@ -144,7 +144,7 @@ def predict_jobs(jobs: Sequence[causal.ChainJob]) -> list[DriverDensity]:
 def jobs_of(data: Recorded, model: Model, who: Sequence[int]) -> list[causal.ChainJob]:
     """Return the jobs of filtering the drivers in ``who`` at a model."""
     return [
-        causal.ChainJob(data.chains[i], model.rows[i], ahead)
+        causal.ChainJob(data.chains[i], model.rows[i], ahead, data.is_rough)
         for i, ahead in zip(who, leaders(data, model, who), strict=True)
     ]
 

@@ -232,7 +232,7 @@ def _single(derivative: Array) -> NDArray[np.float32]:
 
 def _moved(asked: _Asked, individual: tuple[int, ...], shared: tuple[int, ...]) -> list[ChainJob]:
     """Return the driver with each parameter moved by its step; shared parameters move for the drivers ahead, too."""
-    (chain, row, ahead), places, jobs = asked.job, [*individual, *shared], []
+    (chain, row, ahead, is_rough), places, jobs = asked.job, [*individual, *shared], []
     assert ahead is not None
     coordinates = coordinate(row[places], places)
     for k, step in enumerate(asked.steps):
@@ -245,7 +245,7 @@ def _moved(asked: _Asked, individual: tuple[int, ...], shared: tuple[int, ...]) 
             # not for drivers ahead who do not have what only some drivers have
             has = ahead[:, places[k]] == row[places[k]]
             changed_ahead[has, places[k]] = changed[places[k]]
-        jobs.append(ChainJob(chain, changed, changed_ahead))
+        jobs.append(ChainJob(chain, changed, changed_ahead, is_rough))
     return jobs
 
 

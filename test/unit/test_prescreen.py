@@ -59,13 +59,29 @@ def test_few_candidates_promise_something_where_nothing_is_missing(whole, work):
     data, base = whole
     possible = [c for c in candidates(data) if not c.individual and any(c.starts)]
     prescreens = {c.name: prescreen(data, base, c, work) for c in possible}
-    kept, left = worth_screening(data, base, prescreens)
+    kept, left = worth_screening(data, base, prescreens, np.inf)
     assert len(kept) + len(left) == len(possible)
     # a start gains by chance more than 5 nats of all drivers, 2.5 of half of them, in 3 of 100 recordings (Wilks)
     assert len(kept) <= len(possible) // 3
     # the most promising one is looked at all the same
     best = max(prescreens, key=lambda name: beyond_chance(data, base, prescreens[name]))
     assert best in {c.name for c in kept}
+
+
+def test_a_candidate_that_loses_much_at_its_best_start_is_not_screened(whole, work):
+    data, base = whole
+    possible = named(data, ["reaction_delay", "actuation_lag", "drag"])
+    prescreens = {c.name: prescreen(data, base, c, work) for c in possible}
+    # a strength is scaled, so that a loss at a start says little
+    most = {name: max(seen.rises(base)) for name, seen in prescreens.items() if not seen.candidate.strengths}
+    refuted = -0.5 * (max(most.values()) + min(most.values()))
+    kept, left = worth_screening(data, base, prescreens, refuted)
+    gains = {one.candidate.name: one.gain for one in left}
+    for name, rise in most.items():
+        assert (
+            (gains[name] == rise and name not in {c.name for c in kept}) if rise < -refuted else gains.get(name) != rise
+        )
+    assert any(rise < -refuted for rise in most.values())
 
 
 def test_what_chance_gains_on_a_simulation_is_not_cut_off(whole, work):
