@@ -42,6 +42,8 @@ _STRETCH = 14, 4
 # single precision, and no other reward can follow from it. Lanes in which it occurs take the exponential for every
 # action.
 _STEEP = 20.0, 9.0
+# Smallest cost of driving backward. Processors take their time over numbers below 1e-38 in single precision.
+_FAINT = 0.0, 1e-30
 # Largest cost of driving backward. With this much, drivers accelerate as strongly as they can.
 _WORST = 1e8
 # What an unused lane sees and prefers: nothing that takes long or overflows.
@@ -143,9 +145,10 @@ def value_actions(block: Array, grid: ActionGrid, period: float, horizon: int) -
 @kernel(vectorised=True)
 def _begin(block: Array, period: float, horizon: int, step: float) -> None:
     """Compute what all actions share."""
+    faint = _FAINT[0] if block.itemsize == 8 else _FAINT[1]
     for t in range(LANES):
         block[_BEST + t] = -np.inf
-        block[_BACKWARD + t] = min(backward_penalty(block[_SPEED + t]), _WORST)
+        block[_BACKWARD + t] = min(max(backward_penalty(block[_SPEED + t]), faint), _WORST)
         per_speed = 1.0 / (block[_KAPPA_1 + t] * block[_V_STAR + t])
         width = period * step * per_speed
         block[_PER_SPEED + t] = per_speed

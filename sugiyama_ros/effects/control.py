@@ -118,6 +118,12 @@ def prefer(perceived: Seen, row: Array) -> Preferences:
 
 
 @kernel(allocates=False)
+def sees_as_it_is(row: Array) -> bool:
+    """Whether no effect changes what the driver of a row (width,) perceives or prefers."""
+    return not (any_of(_PERCEIVING, row) or any_of(_PREFERRING, row))
+
+
+@kernel(allocates=False)
 def has_components(row: Array) -> bool:
     """Whether effects add components to the utility, for a row (width,)."""
     return any_of(_VALUING, row)

@@ -15,7 +15,8 @@ import numpy as np
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.lanes import LANES, put
 from sugiyama_ros.driver.parameters import RHO, UTILITY
-from sugiyama_ros.effects.control import feels_accelerations, looks_back, perceive, prefer, seeks
+from sugiyama_ros.driver.utility import preferences
+from sugiyama_ros.effects.control import feels_accelerations, looks_back, perceive, prefer, seeks, sees_as_it_is
 from sugiyama_ros.effects.effect import Seen
 from sugiyama_ros.filters.past import recall, recalled_at
 from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Lanes, Moment, Scene, State, Workspace, is_last
@@ -131,8 +132,11 @@ def aim(
         work[centre, 0] -= 0.5 * (moment.length[m] + moment.length[m + 1])
     if not seeks(driver):
         return free
-    here = surroundings(m, state, drivers.parameters, moment, scene)
     first_adapted, look = size - len(adapted), centre + 1
+    if len(adapted) == 0 and view != RECALLING and sees_as_it_is(driver):
+        _put_as_it_is(work, size, view, driver, lanes, free)
+        return free + 2 * size
+    here = surroundings(m, state, drivers.parameters, moment, scene)
     for point in range(2 * size):
         look_around(work, size, point)
         for k in range(len(adapted)):
@@ -144,6 +148,19 @@ def aim(
     for k in range(len(adapted)):
         driver[UTILITY[adapted[k]]] = math.exp(mean[STATE * len(known) + k])
     return free + 2 * size
+
+
+@kernel(allocates=False)
+def _put_as_it_is(work: Array, size: int, view: int, driver: Array, lanes: Lanes, free: int) -> None:
+    """Put the points into lanes, as ``aim``, of a driver whose perception and preferences no effect changes."""
+    look, wanted = size + 1, preferences(driver)
+    for point in range(2 * size):
+        look_around(work, size, point)
+        block, lane = lanes.blocks[(free + point) // LANES], (free + point) % LANES
+        if view == ALONE:
+            put(block, lane, np.inf, work[look, 0], 0.0, wanted)
+        else:
+            put(block, lane, work[look, 0], work[look, 1], work[look, 2], wanted)
 
 
 @kernel(allocates=False)
