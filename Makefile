@@ -33,13 +33,13 @@ help:
 demo: $(DONE)/compiled
 	@.venv/bin/sugiyama demo
 
-# Tests that start no nodes run two at a time; the others are about time, so each has the machine to itself.
-QUIET := test/unit test/golden test/property test/fuzz test/system/test_extensions.py
+# Tests of nodes are about time, so each of them has the machine to itself; the others run two at a time.
+TIMED := test/ros test/system/test_main_job.py test/system/test_speed.py
 
 test: $(DONE)/compiled $(DONE)/tools
 	@failed=0
-	.venv/bin/python -m pytest -n 2 --dist loadfile $(QUIET) || failed=1
-	.venv/bin/python -m pytest test/ros test/system --ignore=test/system/test_extensions.py || failed=1
+	.venv/bin/python -m pytest -n 2 --dist loadfile test $(TIMED:%=--ignore=%) || failed=1
+	.venv/bin/python -m pytest $(TIMED) || failed=1
 	exit $$failed
 
 bench: $(DONE)/compiled $(DONE)/tools
