@@ -76,7 +76,8 @@ class Diagnosis(Result):
         Candidates that were not added because of what the model is for, or because their values make no sense, and why.
     rivals : dict of str to dict
         Held-out errors of other laws, by name. Where there are many drivers, a quick diagnosis fits a law to some of
-        them only, and to a few if it is far behind. Their number then stands beside the errors as ``drivers``.
+        them only, and less closely to a few if it is far behind. Their number then stands beside the errors as
+        ``drivers``.
     closer : dict of str to float
         Errors after 10 s [m] of the laws whose free runs end clearly closer than those of ``final``, the smallest
         first.

@@ -14,12 +14,13 @@ from sugiyama_ros.workers import send
 # Number of drivers to whom a quick diagnosis fits a law first, as many as filters run side by side; and number of those
 # who decide about a law, or up to twice as many.
 _FIRST, _ENOUGH = 8, 24
-# A law is far behind if it loses by more than so many standard errors.
-_FAR = 4.0
+# A law is far behind if it loses by more than so many standard errors, and by what a fit that did not come to the end
+# may lack [nats].
+_FAR, _LACKS = 4.0, 40.0
 
 
 class RivalErrors(NamedTuple):
-    """Held-out errors of a rival, and whether it is so far behind that it was fitted to a few drivers only."""
+    """Held-out errors of a rival, and whether it is so far behind that it was fitted to a few drivers, less closely."""
 
     errors: HeldOutErrors
     is_far: bool = False
@@ -82,8 +83,9 @@ def _far_behind(data: Recorded, work: ThreadPoolExecutor, to_beat: HeldOutErrors
     """Errors of a rival for some drivers, if it predicts all of them worse and drives no closer to what they did."""
     if data.drivers <= 2 * _FIRST:
         return None
-    found = errors_of_law(data, law, to_beat, [k * data.drivers // _FIRST for k in range(_FIRST)], work)
+    some = [k * data.drivers // _FIRST for k in range(_FIRST)]
+    found = errors_of_law(data, law, to_beat, some, work, nearly=True)
     won = gain(data, found.samples, to_beat.samples)
-    is_behind = max(won.drivers, default=0.0) < 0.0 and won.nats < -_FAR * won.se
+    is_behind = max(won.drivers, default=0.0) < 0.0 and won.nats < -_FAR * won.se - _LACKS
     model, ours = to_beat.free_run_10s_beside(found)
     return RivalErrors(found, is_far=True) if is_behind and ours >= model else None

@@ -17,7 +17,7 @@ from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.least_squares import Following, fit_gaps
 from sugiyama_ros.fit.model import Model
-from sugiyama_ros.fit.population import fit_base, start_model
+from sugiyama_ros.fit.population import fit_base, fit_nearly, start_model
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import filtered_states
 from sugiyama_ros.fit.some_drivers import some_drivers
@@ -27,7 +27,9 @@ from sugiyama_ros.laws.registry import LAWS, number_of
 _FEWEST = 50
 
 
-def in_filter(data: Recorded, law: str, work: Executor, to_beat: float | None = None) -> JointFit:
+def in_filter(
+    data: Recorded, law: str, work: Executor, to_beat: float | None = None, *, nearly: bool = False
+) -> JointFit:
     """Fit the parameters and the noises of a rival law for every driver in the causal filter.
 
     Parameters
@@ -41,6 +43,8 @@ def in_filter(data: Recorded, law: str, work: Executor, to_beat: float | None = 
     to_beat : float, optional
         Log-likelihood of the driver model [nats]. A law that is so far behind that it could not catch up is fitted less
         closely.
+    nearly : bool
+        Whether the fit need not come to the end, as of ``fit_nearly``.
 
     Returns
     -------
@@ -52,11 +56,19 @@ def in_filter(data: Recorded, law: str, work: Executor, to_beat: float | None = 
     for rows in (model.rows, model.ahead):
         rows[:, ROW.law] = number_of(law)
         rows[:, places] = start_of(law, data.speed)
+    if nearly:
+        return fit_nearly(data, model.individual, work, model)
     return fit_base(data, model.individual, work, model, to_beat)
 
 
 def errors_of_law(
-    data: Recorded, law: str, model: HeldOutErrors, who: Sequence[int], work: ThreadPoolExecutor
+    data: Recorded,
+    law: str,
+    model: HeldOutErrors,
+    who: Sequence[int],
+    work: ThreadPoolExecutor,
+    *,
+    nearly: bool = False,
 ) -> HeldOutErrors:
     """Return the held-out errors of a rival law that is fitted to some drivers, one step away from the fit.
 
@@ -72,6 +84,8 @@ def errors_of_law(
         Numbers of the drivers. Unless these are all, the vehicles ahead of them drive as measured.
     work : ThreadPoolExecutor
         Runs the filters.
+    nearly : bool
+        Whether the fit need not come to the end.
 
     Returns
     -------
@@ -81,7 +95,7 @@ def errors_of_law(
     is_all = len(who) == data.drivers
     some = data if is_all else some_drivers(data, who)
     to_beat = float(np.nansum(model.samples.log_likelihood[who]))
-    found = held_out_errors(some, in_filter(some, law, work, to_beat), work, searched=False)
+    found = held_out_errors(some, in_filter(some, law, work, to_beat, nearly=nearly), work, searched=False)
     return found if is_all else found.among(model, who)
 
 
