@@ -16,7 +16,7 @@ from sugiyama_ros.workers import send
 _FIRST, _ENOUGH = 8, 24
 # A law is far behind if it loses by more than so many standard errors, and by what a fit that did not come to the end
 # may lack [nats].
-_FAR, _LACKS = 4.0, 40.0
+_FAR, _LACKS = 4.0, 60.0
 
 
 class RivalErrors(NamedTuple):

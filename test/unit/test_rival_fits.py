@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sugiyama_ros.diagnosis.errors import held_out_errors
-from sugiyama_ros.diagnosis.rival_fits import start_rivals
+from sugiyama_ros.diagnosis.rival_fits import _LACKS, start_rivals
 from sugiyama_ros.diagnosis.rivals import in_filter
 from sugiyama_ros.fit.population import fit_base, start_model
 from sugiyama_ros.fit.recording import prepare
@@ -68,6 +68,18 @@ def test_a_quick_diagnosis_fits_a_law_that_is_far_behind_to_some_drivers(data, b
     assert one.summary(CARS)["drivers"] == 8
     assert one.errors.free_run_10s_beside(before)[0] > before.free_run_10s_beside(one.errors)[0]
     assert one.errors.loglik_per_sample < before.loglik_per_sample
+    # the fit does not come to the end
+    alone = some_drivers(data, one.errors.predicted_drivers)
+    again = held_out_errors(alone, in_filter(alone, "constant_speed", work, nearly=True), work, searched=False)
+    assert one.errors.samples.total == pytest.approx(again.samples.total, rel=1e-12)
+
+
+@pytest.mark.parametrize("law", ["idm", "fvdm", "gipps"])
+def test_a_fit_that_does_not_come_to_the_end_lacks_little(data, work, law):
+    """A law counts as far behind only if it lacks more than that."""
+    alone = some_drivers(data, range(0, 16, 2))
+    lacks = in_filter(alone, law, work).log_likelihood - in_filter(alone, law, work, nearly=True).log_likelihood
+    assert lacks < _LACKS
 
 
 def test_a_law_that_may_be_better_is_fitted_to_all_drivers(data, work, monkeypatch):
