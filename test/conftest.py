@@ -17,6 +17,6 @@ settings.load_profile("suite")
 def pytest_collection_finish(session: pytest.Session) -> None:
     """Compile now, so that no time limit of a test or of a node counts it. With compiled code at hand, it is loaded."""
     starts = any(item.get_closest_marker(name) for item in session.items for name in ("ros", "system"))
-    shares = hasattr(session.config, "workerinput")  # one of several processes: those tests compile as they go
+    shares = hasattr(session.config, "workerinput")  # one of several processes: `make test` compiles before them
     if starts and not shares and not session.config.option.collectonly:
         compile_all(tell=lambda line: None)

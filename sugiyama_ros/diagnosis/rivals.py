@@ -27,9 +27,7 @@ from sugiyama_ros.laws.registry import LAWS, number_of
 _FEWEST = 50
 
 
-def in_filter(
-    data: Recorded, law: str, work: Executor, to_beat: float | None = None, *, nearly: bool = False
-) -> JointFit:
+def in_filter(data: Recorded, law: str, work: Executor, to_beat: float | None = None) -> JointFit:
     """Fit the parameters and the noises of a rival law for every driver in the causal filter.
 
     Parameters
@@ -43,22 +41,24 @@ def in_filter(
     to_beat : float, optional
         Log-likelihood of the driver model [nats]. A law that is so far behind that it could not catch up is fitted less
         closely.
-    nearly : bool
-        Whether the fit need not come to the end, as of ``fit_nearly``.
 
     Returns
     -------
     JointFit
         The fitted law.
     """
+    model = start_of_drivers(data, law)
+    return fit_base(data, model.individual, work, model, to_beat)
+
+
+def start_of_drivers(data: Recorded, law: str) -> Model:
+    """Return the model in which every driver drives by a law, with the parameters with which the search begins."""
     places = ROW.law_places[law]
     model = start_model(data, data.even.individual(*range(places.start, places.stop)))
     for rows in (model.rows, model.ahead):
         rows[:, ROW.law] = number_of(law)
         rows[:, places] = start_of(law, data.speed)
-    if nearly:
-        return fit_nearly(data, model.individual, work, model)
-    return fit_base(data, model.individual, work, model, to_beat)
+    return model
 
 
 def errors_of_law(
@@ -85,7 +85,7 @@ def errors_of_law(
     work : ThreadPoolExecutor
         Runs the filters.
     nearly : bool
-        Whether the fit need not come to the end.
+        Whether the fit need not come to the end, as of ``fit_nearly``.
 
     Returns
     -------
@@ -94,8 +94,12 @@ def errors_of_law(
     """
     is_all = len(who) == data.drivers
     some = data if is_all else some_drivers(data, who)
-    to_beat = float(np.nansum(model.samples.log_likelihood[who]))
-    found = held_out_errors(some, in_filter(some, law, work, to_beat, nearly=nearly), work, searched=False)
+    if nearly:
+        start = start_of_drivers(some, law)
+        fitted = fit_nearly(some, start.individual, work, start)
+    else:
+        fitted = in_filter(some, law, work, float(np.nansum(model.samples.log_likelihood[who])))
+    found = held_out_errors(some, fitted, work, searched=False)
     return found if is_all else found.among(model, who)
 
 

@@ -70,7 +70,7 @@ def fit_nearly(data: Recorded, individual: Sequence[int], work: Executor, start:
     Returns
     -------
     JointFit
-        A fit to which another step would add less than 20 nats.
+        A fit to which another step would add less than 20 nats, or where the search was after ten steps.
     """
     first = start or start_model(data, individual)
     near = _by_paper(data, first, work) if start is None else None

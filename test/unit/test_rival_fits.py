@@ -8,8 +8,8 @@ import pytest
 
 from sugiyama_ros.diagnosis.errors import held_out_errors
 from sugiyama_ros.diagnosis.rival_fits import _LACKS, start_rivals
-from sugiyama_ros.diagnosis.rivals import in_filter
-from sugiyama_ros.fit.population import fit_base, start_model
+from sugiyama_ros.diagnosis.rivals import in_filter, start_of_drivers
+from sugiyama_ros.fit.population import fit_base, fit_nearly, start_model
 from sugiyama_ros.fit.recording import prepare
 from sugiyama_ros.fit.score import evaluate, follow
 from sugiyama_ros.fit.some_drivers import some_drivers
@@ -35,6 +35,11 @@ def data():
 @pytest.fixture(scope="module")
 def before(data, work):
     return held_out_errors(data, fit_base(data, data.even.individual(), work), work, searched=False)
+
+
+def nearly(data, law, work):
+    start = start_of_drivers(data, law)
+    return fit_nearly(data, start.individual, work, start)
 
 
 def test_some_drivers_are_predicted_as_among_all_drivers(data, work):
@@ -70,7 +75,7 @@ def test_a_quick_diagnosis_fits_a_law_that_is_far_behind_to_some_drivers(data, b
     assert one.errors.loglik_per_sample < before.loglik_per_sample
     # the fit does not come to the end
     alone = some_drivers(data, one.errors.predicted_drivers)
-    again = held_out_errors(alone, in_filter(alone, "constant_speed", work, nearly=True), work, searched=False)
+    again = held_out_errors(alone, nearly(alone, "constant_speed", work), work, searched=False)
     assert one.errors.samples.total == pytest.approx(again.samples.total, rel=1e-12)
 
 
@@ -78,7 +83,7 @@ def test_a_quick_diagnosis_fits_a_law_that_is_far_behind_to_some_drivers(data, b
 def test_a_fit_that_does_not_come_to_the_end_lacks_little(data, work, law):
     """A law counts as far behind only if it lacks more than that."""
     alone = some_drivers(data, range(0, 16, 2))
-    lacks = in_filter(alone, law, work).log_likelihood - in_filter(alone, law, work, nearly=True).log_likelihood
+    lacks = in_filter(alone, law, work).log_likelihood - nearly(alone, law, work).log_likelihood
     assert lacks < _LACKS
 
 
