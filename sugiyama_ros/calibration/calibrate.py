@@ -95,6 +95,7 @@ def _about(trajectories: Trajectories, settings: Settings) -> dict[str, Any]:
         "regularised": settings.strength if settings.is_regularised else 0.0,
         "profiled": settings.profiled,
         "hops": [settings.hops, settings.seed],
+        "from_several": True,
     }
 
 
@@ -109,6 +110,7 @@ def _one_pass(
         seed=settings.seed,
         with_errors=is_last,
         strength=settings.strength,
+        from_several=True,
     )
     return partial(each_of, maker, options, work=work)
 

@@ -312,10 +312,16 @@ def _compared(
         gain=None,
         nis_mean=float(np.mean(nis)),
         nis_std_error=float(np.std(nis) / np.sqrt(max(len(nis) - 1, 1))),
-        autocorrelation=tuple(float(np.nanmean(normal[:, k:] * normal[:, :-k])) for k in range(1, _LAGS + 1)),
+        autocorrelation=tuple(_mean(normal[:, k:] * normal[:, :-k]) for k in range(1, _LAGS + 1)),
         band=float(1.96 / np.sqrt(max(scored.sum(), 1))),
         collective=of_road,
     )
+
+
+def _mean(values: Array) -> float:
+    """Mean of the known values; NaN where a short recording has none."""
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if len(known) else float("nan")
 
 
 def _floor(data: Recorded, base: JointFit, seed: int, work: Executor) -> Compared:

@@ -175,8 +175,8 @@ def smoothing_window(positions: Iterable[Array], period_s: float) -> int:
     Returns
     -------
     int
-        Width of the window, as far as correlations show it; 0 if none beyond three samples is above 0.2. Correlations
-        over more than 3 s are not looked for.
+        Width of the window, as far as correlations show it; 0 if none beyond three samples is above 0.2 and above what
+        chance gives. Correlations over more than 3 s are not looked for.
     """
     products = np.zeros(max(0, round(_LONGEST_S / period_s) - _OF_NOISE))
     square, count = 0.0, 0
@@ -189,9 +189,12 @@ def smoothing_window(positions: Iterable[Array], period_s: float) -> int:
         third = np.where(known, np.clip(third, -most, most), 0.0)
         square, count = square + float(third @ third), count + int(known.sum())
         products += [third[k:] @ third[:-k] for k in range(_OF_NOISE + 1, _OF_NOISE + 1 + len(products))]
-    if not (np.abs(products) > _CORRELATED * square).any():
+    if count == 0:
         return 0
-    ends = max(_ENDS, _STDS / math.sqrt(count))
+    chance = _STDS / math.sqrt(count)
+    if not (np.abs(products) > max(_CORRELATED, chance) * square).any():
+        return 0
+    ends = max(_ENDS, chance)
     return _OF_NOISE + int(np.flatnonzero(np.abs(products) > ends * square)[-1])
 
 
