@@ -246,3 +246,5 @@ def live(options: LiveOptions) -> None:
     domain = environment.isolate() if options.source is not None else os.environ.get("ROS_DOMAIN_ID", "0")
     print_note(f"{'starting the nodes' if options.source is not None else 'listening'} in ROS domain {domain}")
     serve(options.source, output.path, settings, host=options.host, port=options.port, on_ready=ready)
+    if options.source is not None:
+        print_note(f"all topics are in {output.path}; look at it: sugiyama report {output.path} --open")

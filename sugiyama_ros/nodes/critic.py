@@ -30,6 +30,7 @@ from sugiyama_ros.nodes.base.sight import sight
 from sugiyama_ros.nodes.base.spin import run_node
 from sugiyama_ros.nodes.driver_array import TOPIC
 from sugiyama_ros.nodes.driver_parameters import check_driver, declare_driver
+from sugiyama_ros.nodes.effect_services import clients_of
 from sugiyama_ros.nodes.plan import DRIVERS, estimators
 from sugiyama_ros.nodes.told import effects_of
 from sugiyama_ros.road import Road
@@ -37,6 +38,8 @@ from sugiyama_ros.road import Road
 _VERDICT_EVERY_NS = 5 * cdr_messages.NS
 # Time after the last sight of a vehicle at which its filters are dropped.
 _GONE_NS = 5 * cdr_messages.NS
+# Estimators that an answer names, at most.
+_NAMED = 3
 
 
 class Critic(PacedNode):
@@ -210,15 +213,13 @@ class Critic(PacedNode):
         of_all = f"{self.shared(DRIVERS.lstrip('/'))}/add_effect"
         is_one = any(name == of_all for name, _ in self.get_service_names_and_types())
         names = [self.shared(DRIVERS.lstrip("/"))] if is_one else estimators(namespaces(self._chains))
-        clients = [self.create_client(AddEffect, f"{name}/add_effect") for name in names]
-        ready = [client for client in clients if client.service_is_ready() or client.wait_for_service(1.0)]
+        clients, missing = clients_of(self, AddEffect, [f"{name}/add_effect" for name in names])
         for client in clients:
-            if client in ready:
-                client.call_async(request).add_done_callback(partial(self._on_answer, client))
-            else:
-                self.destroy_client(client)
-        response.success = bool(ready) and len(ready) == len(clients)
-        response.message = "" if response.success else f"{len(ready)} of {len(clients)} estimators answer"
+            client.call_async(request).add_done_callback(partial(self._on_answer, client))
+        response.success = bool(clients) and not missing
+        if not response.success:
+            which = f"; missing: {', '.join(missing[:_NAMED])}{' ...' * (len(missing) > _NAMED)}" if missing else ""
+            response.message = f"{len(clients)} of {len(names)} estimators answer{which}"
         return response
 
     def _on_answer(self, client: Client, done: Any) -> None:

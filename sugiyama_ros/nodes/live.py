@@ -26,6 +26,8 @@ LOCAL = "127.0.0.1"
 _LARGEST_MESSAGE, _LARGEST_HEADER = 1 << 20, 1 << 14
 # Samples of drivers, in a second of a recording with vehicles that come and go, that a critic beside the page can take.
 _CRITIC_AT_MOST = 200.0
+# Samples that may be under way: few, so that neither pictures nor buttons have to wait for many.
+_WINDOW = 4
 # Time [s] for which the nodes run at a stretch, and from one stretch to the next.
 _STRETCH_S, _EVERY_S = 0.01, 0.015
 
@@ -65,10 +67,10 @@ def serve(
         environment.isolate()
     plan = _plan(source, output, settings) if source is not None else None
     with ros() as asked_to_stop, contextlib.ExitStack() as stack:
-        view = View(settings.rate, str(output) if plan is not None else "")
+        view = View(settings.rate) if plan is None else View(settings.rate, str(output), plan.vehicles_with_topics)
         stack.callback(view.destroy_node)
         server, url = _server(view, host, port)
-        runner = OneProcess(plan) if plan is not None else None
+        runner = OneProcess(plan, _WINDOW) if plan is not None else None
         if runner is not None:
             stack.callback(runner.close)
         spinner = Spinner([*(runner.nodes if runner is not None else ()), view])

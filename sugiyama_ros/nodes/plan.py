@@ -125,6 +125,11 @@ class Plan:
             )
 
     @property
+    def vehicles_with_topics(self) -> list[int]:
+        """Vehicles that have topics of their own; none where one message holds all drivers."""
+        return [] if self.has_tracks or self.settings.array else self.source.vehicles
+
+    @property
     def namespaces(self) -> list[str]:
         """Namespace of each vehicle."""
         return namespaces(self.source.vehicles)

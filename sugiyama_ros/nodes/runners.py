@@ -16,6 +16,7 @@ from rclpy.parameter import Parameter
 from sugiyama_ros.errors import InputError, SugiyamaError
 from sugiyama_ros.nodes.base.measured_feed import MeasuredFeed
 from sugiyama_ros.nodes.base.node import PacedNode
+from sugiyama_ros.nodes.base.qos import WINDOW
 from sugiyama_ros.nodes.base.spin import RUNNER, Spinner
 from sugiyama_ros.nodes.critic import Critic
 from sugiyama_ros.nodes.driver_array import DriverArrayTopic
@@ -32,9 +33,17 @@ _ENDED_WELL = (0, -signal.SIGALRM)
 
 
 class OneProcess:
-    """Runs all nodes in this process; ``nodes`` are to be executed here."""
+    """Runs all nodes in this process; ``nodes`` are to be executed here.
 
-    def __init__(self, plan: Plan) -> None:
+    Parameters
+    ----------
+    plan : Plan
+        What runs.
+    window : int
+        Samples that may be under way.
+    """
+
+    def __init__(self, plan: Plan, window: int = WINDOW) -> None:
         self._paced: list[PacedNode] = []
         own = _overrides(plan.estimator)
         self._feed, array = MeasuredFeed(), DriverArrayTopic()
@@ -53,6 +62,8 @@ class OneProcess:
             # The recorder comes last, so that it finds the topics of all other nodes at once.
             self._recorder = Recorder(parameter_overrides=_overrides(plan.recorder))
             self._paced.append(self._recorder)
+            for node in self._paced:
+                node.narrow(window)
         except SugiyamaError:
             # a source that stays alive would send its road to other runs of this process
             self.close()

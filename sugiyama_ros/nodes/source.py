@@ -105,6 +105,11 @@ class Source(PacedNode):
             return Health(WARN, f"waiting for {', '.join(sorted(self._pace.missing))}", values)
         return Health(OK, "paused" if self._paused else "sending", values)
 
+    def narrow(self, window: int) -> None:
+        """Send at most ``window`` samples beyond the slowest subscriber."""
+        super().narrow(window)
+        self._pace.window = window
+
     def finish(self) -> None:
         """Send nothing more."""
         self._paused = True

@@ -5,10 +5,12 @@ import os
 import time
 from collections import OrderedDict, deque
 from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
+from rclpy.client import Client
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 from sugiyama_msgs.msg import (
@@ -31,6 +33,7 @@ from sugiyama_ros.nodes.base.any_publisher import AnyPublisher
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.base_model import BaseModel
 from sugiyama_ros.nodes.driver_array import TOPIC
+from sugiyama_ros.nodes.effect_services import clients_of
 from sugiyama_ros.nodes.effect_words import TITLES, can_be_added
 from sugiyama_ros.nodes.plan import DRIVERS, REPLAY, estimators
 from sugiyama_ros.nodes.told import each_driver
@@ -38,7 +41,6 @@ from sugiyama_ros.page.feed import KEPT, Log, Status
 from sugiyama_ros.page.panels.base import MOVING_S
 from sugiyama_ros.road import Road
 
-_UNKNOWN = (math.nan,) * 4
 # Number of events that are kept, and time [s] over which the real rate is measured.
 _EVENTS, _RATE_S = 8, 5.0
 # Samples that wait for the errors of all drivers, at most.
@@ -48,6 +50,11 @@ _WORDS = {"v_star": "desired speed", "kappa_v": "risk premium"}
 
 def _milliseconds(time_s: float) -> int:
     return round(1000.0 * time_s) if math.isfinite(time_s) else -1
+
+
+def _seconds(message: Any) -> float:
+    """Time [s] of a message with a header."""
+    return float(message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec)
 
 
 class MovingError:
@@ -69,10 +76,49 @@ class MovingError:
         return math.sqrt(sum(squares for _, squares, _ in self._squares) / scored) if scored else math.nan
 
 
-class View(Node):
-    """Subscribes to everything that the page shows, and calls the services behind its buttons."""
+class _Joined:
+    """Rows of one driver, made of what three topics say at the same stamp: the topics arrive in any order.
 
-    def __init__(self, rate: float, recording: str = "") -> None:
+    Parameters
+    ----------
+    rows : Log
+        Gets the time [s] and the numbers of all parts of each sample, as soon as the last part is there.
+    """
+
+    #: The parts: the state, the innovation, and the measured position.
+    STATE, INNOVATION, MEASURED = range(3)
+
+    def __init__(self, rows: Log) -> None:
+        self._rows = rows
+        self._waiting: OrderedDict[int, dict[int, tuple[float, ...]]] = OrderedDict()
+
+    def take(self, part: int, time_s: float, *numbers: float) -> None:
+        """Take in a part of the sample at a time [s]."""
+        key = _milliseconds(time_s)
+        parts = self._waiting.setdefault(key, {})
+        parts[part] = numbers
+        if len(parts) == 3:
+            del self._waiting[key]
+            self._rows.add(time_s, *(number for k in range(3) for number in parts[k]))
+        elif len(self._waiting) > KEPT:
+            self._waiting.popitem(last=False)
+
+
+class View(Node):
+    """Subscribes to everything that the page shows, and calls the services behind its buttons.
+
+    Parameters
+    ----------
+    rate : float
+        Rate of the replay that was asked for, in times real time.
+    recording : str
+        File to which the topics are written; empty where nothing is written.
+    expected : sequence of int
+        Vehicles that will have topics of their own, to hear them from the first message on. Of others, the node hears
+        what comes after their first sample.
+    """
+
+    def __init__(self, rate: float, recording: str = "", expected: Sequence[int] = ()) -> None:
         super().__init__("view", start_parameter_services=False)
         self.rate, self._recorded_to = rate, recording
         self.road = Road()
@@ -88,8 +134,11 @@ class View(Node):
         self.now: Mapping[int, tuple[float, float]] = self._now
         self._lanes: dict[int, int] = {}
         self.lanes: Mapping[int, int] = self._lanes
+        self._learnt: dict[int, Log] = {}
+        self.learnt: Mapping[int, Log] = self._learnt
         self.followers: Collection[int] = frozenset()
-        self._led, self._here = set[int](), set[int]()  # who has had a leader; who is in the latest sample
+        self.here: Collection[int] = frozenset()
+        self.led: Collection[int] = frozenset()
         self._adapted: dict[int, tuple[float, float, float, float]] = {}
         self.adapted: Mapping[int, tuple[float, float, float, float]] = self._adapted
         self.added: Sequence[str] = ()
@@ -103,7 +152,7 @@ class View(Node):
         self.titles = TITLES
         # the critic's values of all parameters of effects
         self._fitted: dict[str, float] = {}
-        self._state: dict[int, tuple[float, float]] = {}
+        self._joined: dict[int, _Joined] = {}
         # by the stamp: positions, and the error of the base model up to then; topics arrive in any order
         self._measured: OrderedDict[int, tuple[dict[int, float], float]] = OrderedDict()
         self._moving, self._base_moving = MovingError(), MovingError()
@@ -119,6 +168,7 @@ class View(Node):
         self._are_together = False
         self._listen(DriverArray, f"/{TOPIC}", incoming.drivers, self._on_drivers)
         self._listen(StyleChange, "/style_change", incoming.style_change, self._on_change)
+        self._listen_to(expected, expected)
 
     def _listen(
         self, kind: type, topic: str, decode: Callable[[bytes], Any], take: Callable[[Any], None], qos: Any = STREAM
@@ -157,13 +207,13 @@ class View(Node):
 
     def pause(self, paused: bool) -> None:
         """Call the replay's ~/pause or ~/resume."""
-        self._call(Trigger, f"{REPLAY}/{'pause' if paused else 'resume'}", Trigger.Request())
+        self._call(Trigger, [f"{REPLAY}/{'pause' if paused else 'resume'}"], Trigger.Request())
 
     def set_rate(self, rate: float) -> None:
         """Set the replay's parameter ``rate``."""
         value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=rate)
         request = SetParameters.Request(parameters=[Parameter(name="rate", value=value)])
-        self._call(SetParameters, f"{REPLAY}/set_parameters", request)
+        self._call(SetParameters, [f"{REPLAY}/set_parameters"], request)
         self.rate = rate
 
     def add(self, name: str, values: str) -> None:
@@ -177,20 +227,27 @@ class View(Node):
             self.said = f"{values}: give name=value, with commas between"
             return
         request = AddEffect.Request(effect=name, name=list(found), value=list(found.values()))
-        for estimator in self._estimators():
-            self._call(AddEffect, f"{estimator}/add_effect", request)
-        self.added = tuple(dict.fromkeys([*self.added, name]))
-        self._happened(f"{TITLES.get(name, name)} added ({values})")
-        self._changed_s.append(self._latest_s)
+
+        def on_success() -> None:
+            self.added = tuple(dict.fromkeys([*self.added, name]))
+            self._changed(f"{TITLES.get(name, name)} added ({values})")
+
+        self._call(AddEffect, [f"{estimator}/add_effect" for estimator in self._estimators()], request, on_success)
 
     def remove(self, name: str) -> None:
         """Call every estimator's ~/remove_effect."""
-        for estimator in self._estimators():
-            self._call(RemoveEffect, f"{estimator}/remove_effect", RemoveEffect.Request(effect=name))
-        if name in self.added:
-            self._happened(f"{TITLES.get(name, name)} removed")
-            self._changed_s.append(self._latest_s)
-        self.added = tuple(one for one in self.added if one != name)
+
+        def on_success() -> None:
+            self.added = tuple(one for one in self.added if one != name)
+            self._changed(f"{TITLES.get(name, name)} removed")
+
+        services = [f"{estimator}/remove_effect" for estimator in self._estimators()]
+        self._call(RemoveEffect, services, RemoveEffect.Request(effect=name), on_success)
+
+    def _changed(self, what: str) -> None:
+        """Note that the estimators have other effects from now on."""
+        self._happened(what)
+        self._changed_s.append(self._latest_s)
 
     def _estimators(self) -> Sequence[str]:
         """Full names of the nodes that follow the drivers."""
@@ -205,19 +262,27 @@ class View(Node):
         duration_s = float(self._road.period_s * self._road.steps) if self._road is not None else 1.0
         return RecordingExtent(0.0, duration_s, ring_m, 0.0, ring_m)
 
-    def _call(self, kind: type, service: str, request: Any) -> None:
-        client = self.create_client(kind, service)
-        if not client.service_is_ready() and not client.wait_for_service(0.5):
-            self.said = f"{service} does not answer"
-            self.destroy_client(client)
-            return
+    def _call(
+        self, kind: type, services: Sequence[str], request: Any, on_success: Callable[[], None] = lambda: None
+    ) -> None:
+        """Call services, all with the same request. The first one that succeeds calls ``on_success``."""
+        clients, missing = clients_of(self, kind, services)
+        self.said = f"{len(missing)} of {len(services)} services are not there: {missing[0]} ..." if missing else ""
+        first = [on_success]
 
-        def done(future: Any) -> None:
+        def done(client: Client, future: Any) -> None:
             answer = future.result() if future.exception() is None else None
-            self.said = getattr(answer, "message", "") if answer is not None else f"{service} has failed"
+            if answer is None:
+                self.said = f"{client.srv_name} has failed"
+            elif getattr(answer, "success", True):
+                while first:
+                    first.pop()()
+            else:
+                self.said = answer.message
             self.destroy_client(client)
 
-        client.call_async(request).add_done_callback(done)
+        for client in clients:
+            client.call_async(request).add_done_callback(partial(done, client))
 
     def _on_road(self, road: RoadMessage) -> None:
         self.road, self._road = Road(float(road.circumference_m)), road
@@ -243,8 +308,10 @@ class View(Node):
             self._happened(f"vehicle {vehicle} has left")
         if new := sorted(set(sample.place) - set(self.vehicles)):
             self._meet(new)
-        self._here = set(sample.place)
-        self._led.update(v for v, p in sample.place.items() if sample.leader[p] >= 0)
+        self.here = set(sample.place)
+        self.led = {*self.led, *(v for v, p in sample.place.items() if sample.leader[p] >= 0)}
+        for vehicle, place in sample.place.items():
+            self._joined[vehicle].take(_Joined.MEASURED, time_s, sample.position_m[place])
         if sample.lane:
             self._lanes.update({v: sample.lane[p] for v, p in sample.place.items() if sample.lane[p] >= 0})
         errors = self._base.follow(sample) if self._base is not None else []
@@ -254,30 +321,34 @@ class View(Node):
             self._measured.popitem(last=False)
 
     def _meet(self, new: Sequence[int]) -> None:
-        """Subscribe to the topics of vehicles that are seen for the first time."""
+        """Note vehicles that are seen for the first time, and subscribe to their topics."""
         if self.vehicles:
             self._happened(f"vehicle{'s' * (len(new) > 1)} {', '.join(map(str, new))} on the road")
         else:
             self.space = Log(KEPT * len(new))
         everybody = sorted([*self.vehicles, *new])
+        self._listen_to([v for v in new if v not in self.driver], everybody)
+        self.vehicles = everybody
+
+    def _listen_to(self, new: Sequence[int], everybody: Sequence[int]) -> None:
+        """Subscribe to the topics of some of the vehicles."""
         for v, space in zip(everybody, namespaces(everybody), strict=True):
             if v not in new:
                 continue
-            self._driver[v] = Log(KEPT)
-            self._state[v] = (math.nan, math.nan)
+            self._driver[v], self._learnt[v] = Log(KEPT), Log(KEPT)
+            self._joined[v] = _Joined(self._driver[v])
             if self._are_together:
                 continue
             self._listen(VehicleState, f"{space}/state", incoming.state, self._on_state)
             self._listen(Innovation, f"{space}/innovation", incoming.innovation, self._on_innovation)
             self._listen(DriverParameters, f"{space}/parameters", incoming.parameters, self._on_parameters)
             self._listen(StyleChange, f"{space}/style_change", incoming.style_change, self._on_change)
-        self.vehicles = everybody
 
     def _on_drivers(self, message: DriverArray) -> None:
         self._are_together = True
         for told in each_driver(message):
             if told.adapted is not None:
-                self._adapted[told.state[1]] = told.adapted
+                self._learn(told.state[0], told.state[1], told.adapted)
             self._on_state(told.state)
             self._on_innovation(told.innovation)
 
@@ -285,8 +356,8 @@ class View(Node):
         time_s, v, position, speed, variance = state
         if v not in self.driver:
             return
-        self._state[v] = speed, math.sqrt(max(variance, 0.0))
-        if v in self._here:  # estimates of who has left may come late
+        self._joined[v].take(_Joined.STATE, time_s, speed, math.sqrt(max(variance, 0.0)))
+        if v in self.here:  # estimates of who has left may come late
             self._now[v] = (position, speed)
         self.space.add(time_s, position, speed)
 
@@ -298,7 +369,13 @@ class View(Node):
         for k in (names.index("v_star"), names.index("kappa_v")):
             variance = float(message.covariance[k * len(names) + k])
             found += [float(message.value[k]), math.sqrt(max(variance, 0.0))]
-        self._adapted[v] = (found[0], found[1], found[2], found[3])
+        self._learn(_seconds(message), v, (found[0], found[1], found[2], found[3]))
+
+    def _learn(self, time_s: float, v: int, adapted: tuple[float, float, float, float]) -> None:
+        """Note v*, its std, kappa_v and its std of a driver at a time [s]."""
+        if v in self.driver:
+            self._adapted[v] = adapted
+            self._learnt[v].add(time_s, *adapted)
 
     def _on_change(self, message: StyleChange) -> None:
         what = _WORDS.get(message.name, message.name)
@@ -308,14 +385,11 @@ class View(Node):
         time_s, v, innovation, variance, _, scored = found
         if v not in self.driver:
             return
-        if scored and (v in self._led or not self._led):
+        if scored and (v in self.led or not self.led):
             self.followers = {*self.followers, v}
         if _milliseconds(time_s) > _milliseconds(self._latest_s):
             self._take_error(time_s, innovation**2 if scored else math.nan)
-        place = self._at(time_s)[0].get(v, math.nan)
-        adapted = self.adapted.get(v, _UNKNOWN)
-        spread = math.sqrt(max(variance, 0.0))
-        self.driver[v].add(time_s, *self._state[v], innovation, spread, *adapted, place)
+        self._joined[v].take(_Joined.INNOVATION, time_s, innovation, math.sqrt(max(variance, 0.0)))
 
     def _take_error(self, time_s: float, square: float) -> None:
         """Take in the squared error of one driver; NaN if it does not count. Drivers' topics arrive in any order."""
@@ -344,7 +418,7 @@ class View(Node):
         self._fitted = dict(zip(message.parameter, message.value, strict=True))
         if len(message.log_likelihood) == len(message.model):
             self.gains = dict(zip(message.model, map(float, message.log_likelihood), strict=True))
-            time_s = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+            time_s = _seconds(message)
             for name, gain in self.gains.items():
                 self._critic.setdefault(name, Log(KEPT)).add(time_s, gain)
         self.best, self.is_settled = str(message.best), bool(message.settled)

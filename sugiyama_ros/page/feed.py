@@ -71,7 +71,7 @@ class Feed(Protocol):
     road : Road
         The road.
     rate : float
-        Rate of the replay that was asked for, in times real time.
+        Rate of the replay that was asked for, in times real time; 0 is as fast as the nodes take it.
     vehicles : sequence of int
         Numbers of the vehicles that have been seen; empty before the first sample.
     best : str
@@ -82,6 +82,8 @@ class Feed(Protocol):
         Position [m] and speed [m/s] of each vehicle that is on the road.
     lanes : mapping
         Number of the lane of each vehicle whose lane is known.
+    here, led : collection of int
+        Vehicles in the latest sample, and vehicles that have had a leader.
     followers : collection of int
         Vehicles of whose drivers something is learnt; who follows nobody is not among them.
     adapted : mapping
@@ -107,8 +109,10 @@ class Feed(Protocol):
     critic : mapping
         For each model that the critic has had, a Log of time [s] and gain [nats].
     driver : mapping
-        For each vehicle a Log of time [s], speed and its std [m/s], innovation and its std [m], v* and its std [m/s],
-        kappa_v and its std [s], and the measured position [m].
+        For each vehicle a Log of time [s], speed and its std [m/s], innovation and its std [m], and the measured
+        position [m].
+    learnt : mapping
+        For each vehicle a Log of time [s], v* and its std [m/s], kappa_v and its std [s].
     """
 
     road: Road
@@ -118,6 +122,8 @@ class Feed(Protocol):
     gains: Mapping[str, float]
     now: Mapping[int, tuple[float, float]]
     lanes: Mapping[int, int]
+    here: Collection[int]
+    led: Collection[int]
     followers: Collection[int]
     adapted: Mapping[int, tuple[float, float, float, float]]
     effects: Mapping[str, str]
@@ -131,6 +137,7 @@ class Feed(Protocol):
     is_settled: bool
     critic: Mapping[str, Log]
     driver: Mapping[int, Log]
+    learnt: Mapping[int, Log]
 
     def status(self) -> Status:
         """Where the recording is."""
@@ -142,7 +149,7 @@ class Feed(Protocol):
         """Pause the replay, or resume it."""
 
     def set_rate(self, rate: float) -> None:
-        """Set the rate of the replay, in times real time."""
+        """Set the rate of the replay, in times real time; 0 is as fast as the nodes take it."""
 
     def add(self, effect: str, values: str) -> None:
         """Add an effect to all estimators, with values as ``values`` gives them."""

@@ -50,7 +50,10 @@ UPDATE_S, TELL_S = 0.1, 0.5
 _V_STAR = ("Chosen: desired speed v*", "Chosen: v* is not known from these data")
 # Where the cars' numbers stand: radius over that of the ring, or offset [px] from a straight road.
 _OUTSIDE, _ABOVE_PX = 1.14, -14
-_COLUMNS = ("time", "speed", "std", "innovation", "spread", "v_star", "v_star_std", "kappa_v", "kappa_v_std", "place")
+_COLUMNS = ("time", "speed", "std", "innovation", "spread", "place")
+_LEARNT = ("time", "v_star", "v_star_std", "kappa_v", "kappa_v_std")
+#: What the list of rates calls the fastest rate, which is 0.
+_FASTEST = "max"
 _WIDE = {"sizing_mode": "stretch_width"}
 
 
@@ -71,8 +74,9 @@ class _Page:
         self._road = ColumnDataSource({name: [] for name in columns})
         self._lines, self._lines_drawn = ColumnDataSource({"xs": [], "ys": []}), (math.nan,)
         self._adapted = ColumnDataSource({"vehicle": [], "v_star": [], "kappa_v": []})
-        derived = ("low", "high", "below", "above", "v_low", "v_high", "k_low", "k_high", "measured")
+        derived = ("low", "high", "below", "above", "measured")
         self._driver = ColumnDataSource({name: [] for name in (*_COLUMNS, *derived)})
+        self._learnt = ColumnDataSource({name: [] for name in (*_LEARNT, "v_low", "v_high", "k_low", "k_high")})
         self._last = (math.nan, math.nan)
         self._critic = CriticPanel(feed, self._new)
         self._colours = speed_colours(1.0)
@@ -82,6 +86,7 @@ class _Page:
             value=next(iter(feed.effects)), width=200, stylesheets=[INPUT],
         )  # fmt: skip
         self._values = TextInput(title="strength", width=150, stylesheets=[INPUT])
+        self._empty: dict[str, Any] = {}  # pictures that are not shown, because there is nothing to draw yet
         self._status = Div(text="", stylesheets=[GlobalInlineStyleSheet(css=LIVE)])
         self._said, self._about = Div(text=""), Div(text="")
         self._events = Div(text="")
@@ -91,6 +96,8 @@ class _Page:
     def fill(self, document: Document) -> None:
         document.title = "sugiyama live"
         document.add_root(self._layout())
+        for plot in self._empty.values():
+            plot.visible = False
         document.js_on_event("document_ready", CustomJS(code=REPAINT))
         self._choose_effect()
         self._tell()
@@ -98,6 +105,7 @@ class _Page:
         document.add_periodic_callback(self._tell, round(1000 * TELL_S))
 
     def _layout(self) -> Any:
+        self._controls = self._buttons()
         space, road = self._everybody()
         self._plots["error"] = error = panel(
             f"One-step error of all drivers, over {MOVING_S:g} s",
@@ -105,12 +113,13 @@ class _Page:
             "error [m]",
             y_range=DataRange1d(start=0.0),
         )
+        self._empty["error"] = error
         error.line("time", "base", source=self._error, color=GREY, line_width=2, legend_label="base model")
         error.line("time", "error", source=self._error, color=VERMILION, line_width=2, legend_label="the estimators")
         legend_above(error)
         return column(
             self._status,
-            self._buttons(),
+            self._controls,
             self._about,
             self._said,
             row(space, error, **_WIDE),
@@ -131,6 +140,7 @@ class _Page:
         road = panel("The road from above: click a car", "x [m]", "y [m]", match_aspect=True,
                      x_range=DataRange1d(range_padding=0.2))  # fmt: skip
         self._plots["road"] = road
+        self._empty |= {"space": space, "road": road}
         road.multi_line("xs", "ys", source=self._lines, color=GREY, line_alpha=0.5)
         road.scatter(
             "x", "y", source=self._road, size=14, line_color=GREY, fill_color=colour, nonselection_fill_alpha=1.0,
@@ -151,14 +161,15 @@ class _Page:
             ("kappa_v", "risk premium κ_v [s]", "k_low", "k_high"),
         ):
             plot = panel(f"Chosen: {label.split(' [')[0]}", "time [s]", label)
-            plot.varea("time", low, high, source=self._driver, color=BLUE, alpha=0.3)
-            plot.line("time", name, source=self._driver, color=BLUE, line_width=2)
+            plot.varea("time", low, high, source=self._learnt, color=BLUE, alpha=0.3)
+            plot.line("time", name, source=self._learnt, color=BLUE, line_width=2)
             found.append(plot)
-            self._plots[name] = plot
+            self._plots[name] = self._empty[name] = plot
         strip = panel("All drivers now: click one", "desired speed v* [m/s]", "risk premium κ_v [s]",
                       x_range=DataRange1d(default_span=1.0), y_range=DataRange1d(default_span=0.1))  # fmt: skip
         dots = strip.scatter("v_star", "kappa_v", source=self._adapted, size=9, color=BLUE, nonselection_alpha=0.8,
                              selection_color=VERMILION)  # fmt: skip
+        self._empty["strip"] = strip
         strip.add_tools(TapTool(), HoverTool(renderers=[dots], tooltips=[("vehicle", "@vehicle")]))
         self._adapted.selected.on_change("indices", lambda _, __, new: self._click(self._adapted, new))
         return [*found, strip]
@@ -172,14 +183,16 @@ class _Page:
         innovation = panel("Chosen: error, ± two deviations", "time [s]", "error [m]")
         innovation.varea("time", "below", "above", source=self._driver, color=ORANGE, alpha=0.3)
         innovation.line("time", "innovation", source=self._driver, color=VERMILION)
+        self._empty |= {"speed": speed, "innovation": innovation}
         return speed, innovation
 
     def _buttons(self) -> Any:
-        rates = sorted({1.0, 2.0, 4.0, 8.0, self._feed.rate})
+        rates = [*sorted({1.0, 2.0, 4.0, 8.0, self._feed.rate} - {0.0}), 0.0]
         pause = Toggle(label="pause", width=70)
         rate = Select(
-            title="rate", value=f"{self._feed.rate:g}", options=[f"{r:g}" for r in rates], width=65, stylesheets=[INPUT]
-        )
+            title="rate", value=f"{self._feed.rate:g}", width=75, stylesheets=[INPUT],
+            options=[(f"{r:g}", f"{r:g}" if r else _FASTEST) for r in rates],
+        )  # fmt: skip
         add, remove = Button(label="add", width=60), Button(label="remove", width=75)
         pause.on_change("active", lambda _, __, new: self._feed.pause(bool(new)))
         rate.on_change("value", lambda _, __, new: self._feed.set_rate(float(new)))
@@ -202,8 +215,9 @@ class _Page:
 
     def _watch(self, vehicle: int) -> None:
         self._watched = vehicle
-        self._seen.pop(self._feed.driver[vehicle], None)
-        self._driver.data = {name: [] for name in self._driver.data}
+        for logs, source in ((self._feed.driver, self._driver), (self._feed.learnt, self._learnt)):
+            self._seen.pop(logs[vehicle], None)
+            source.data = {name: [] for name in source.data}
         self._last = (math.nan, math.nan)
 
     def _new(self, log: Log) -> Array:
@@ -216,9 +230,10 @@ class _Page:
         feed = self._feed
         if len(self._select.options) != len(feed.vehicles):
             self._select.options = [f"vehicle {v}" for v in feed.vehicles]
-        # the first driver of whom something was learnt: the first car of a platoon follows nobody
-        here = [v for v in feed.followers if v in feed.now]
-        if here and self._own_choice in (None, self._watched) and self._watched not in feed.now:
+        # the lowest number of those who have a leader: the first car of a platoon follows nobody. The order in which
+        # topics arrive does not matter.
+        here = set(feed.led or feed.followers) & set(feed.here)
+        if here and self._own_choice in (None, self._watched) and self._watched not in feed.here:
             self._own_choice = min(here)
             self._select.value = f"vehicle {self._own_choice}"
         if feed.now:
@@ -232,13 +247,15 @@ class _Page:
                 "x": x, "y": y, "speed": speed, "vehicle": [str(v) for v in feed.now], "number_x": away * x,
                 "number_y": away * y, "above": np.full(len(x), above),
             }  # fmt: skip
-            if (fastest := float(np.nanmax(speed))) > self._colours.high:
+            if (fastest := float(np.nan_to_num(speed).max())) > self._colours.high:  # NaN: not known yet
                 widen(self._colours, fastest)
+            self._show("road")
 
     def _draw_road(self, lanes: Array) -> None:
         """Draw the middle of each lane; on an open road, from the first vehicle to the last one."""
         road, places = self._feed.road, [place for place, _ in self._feed.now.values()]
-        ends = (0.0, road.circumference_m) if road.is_ring else (min(places), max(places))
+        known = [place for place in places if math.isfinite(place)] or [0.0]
+        ends = (0.0, road.circumference_m) if road.is_ring else (min(known), max(known))
         if (drawn := (*ends, *lanes.tolist())) == self._lines_drawn:
             return
         self._lines_drawn = drawn
@@ -249,12 +266,20 @@ class _Page:
     def _tell(self) -> None:
         feed, status = self._feed, self._feed.status()
         self._status.text = status_line(status, feed)
+        for part in (self._controls, self._about, self._said, self._critic.text, self._events):
+            part.visible = bool(feed.vehicles)  # before, there is nothing to choose
         if self._watched in feed.driver and len(new := self._new(feed.driver[self._watched])):
             self._driver.stream(self._of_driver(new), KEPT)
+            self._show("speed", "innovation")
+        if self._watched in feed.learnt and len(new := self._new(feed.learnt[self._watched])):
+            self._learnt.stream(self._learnt_of_driver(new), KEPT)
+            self._show("v_star", "kappa_v")
         if len(new := self._new(feed.space)):
             self._space.stream(dict(zip(("time", "place", "speed"), new, strict=True)), KEPT * len(feed.vehicles))
+            self._show("space")
         if len(new := self._new(feed.error)):
             self._error.stream(dict(zip(("time", "error", "base"), new, strict=True)), KEPT)
+            self._show("error")
         if learnt := {v: found for v, found in feed.adapted.items() if v in feed.followers and v in feed.now}:
             values = np.array(list(learnt.values()))
             v_star, _ = known_only(values[:, 0], values[:, 1], self._colours.high)
@@ -263,6 +288,7 @@ class _Page:
                 "v_star": v_star,
                 "kappa_v": values[:, 2],
             }
+            self._show("strip")
         self._critic.update()
         for time_s in feed.changed_s[self._drawn :]:
             self._plots["error"].add_layout(
@@ -280,12 +306,29 @@ class _Page:
             self._said.text = f"{shown}effects added: {added}. {escape(feed.said)}"
         self._events.text = "<b>Events</b><br>" + ("<br>".join(map(escape, feed.events)) or "none yet")
 
+    def _show(self, *names: str) -> None:
+        """Show pictures that have something to draw from now on."""
+        for name in names:
+            if (plot := self._empty.pop(name, None)) is not None:
+                plot.visible = True
+
+    def _learnt_of_driver(self, new: Array) -> dict[str, Array]:
+        """Columns of what was learnt of the chosen driver, with the ends of the bands."""
+        of = dict(zip(_LEARNT, new, strict=True))
+        of["v_star"], of["v_star_std"] = known_only(of["v_star"], of["v_star_std"], self._colours.high)
+        is_beyond = np.isfinite(new[_LEARNT.index("v_star"), -1]) and np.isnan(of["v_star"][-1])
+        self._plots["v_star"].title.text = _V_STAR[bool(is_beyond)]
+        return {
+            **of,
+            "v_low": of["v_star"] - of["v_star_std"],
+            "v_high": of["v_star"] + of["v_star_std"],
+            "k_low": of["kappa_v"] - of["kappa_v_std"],
+            "k_high": of["kappa_v"] + of["kappa_v_std"],
+        }
+
     def _of_driver(self, new: Array) -> dict[str, Array]:
         """Columns of the chosen driver with the ends of the bands, and speeds from two positions."""
         of = dict(zip(_COLUMNS, new, strict=True))
-        of["v_star"], of["v_star_std"] = known_only(of["v_star"], of["v_star_std"], self._colours.high)
-        is_beyond = np.isfinite(new[_COLUMNS.index("v_star"), -1]) and np.isnan(of["v_star"][-1])
-        self._plots["v_star"].title.text = _V_STAR[bool(is_beyond)]
         time = np.concatenate([[self._last[0]], of["time"]])
         place = np.concatenate([[self._last[1]], of["place"]])
         self._last = float(time[-1]), float(place[-1])
@@ -297,9 +340,5 @@ class _Page:
             "high": of["speed"] + of["std"],
             "below": -2.0 * of["spread"],
             "above": 2.0 * of["spread"],
-            "v_low": of["v_star"] - of["v_star_std"],
-            "v_high": of["v_star"] + of["v_star_std"],
-            "k_low": of["kappa_v"] - of["kappa_v_std"],
-            "k_high": of["kappa_v"] + of["kappa_v_std"],
             "measured": measured,
         }

@@ -1,13 +1,16 @@
 """The node behind the live page."""
 
+import time
+
 import pytest
 from bokeh.document import Document
 from bokeh.models import Div
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
-from sugiyama_msgs.msg import DriverArray, MeasuredPositions, Road, VehicleState, Verdict
+from sugiyama_msgs.msg import DriverArray, Innovation, MeasuredPositions, Road, VehicleState, Verdict
 
 from sugiyama_ros.formats.measured import FRAME
+from sugiyama_ros.nodes.base.qos import STREAM
 from sugiyama_ros.nodes.view import View
 from sugiyama_ros.page import live
 
@@ -70,6 +73,52 @@ def test_a_page_hears_of_drivers_who_come_and_go_in_one_message(stage) -> None:
     assert view.followers == {120}  # of the first one, who follows nobody, nothing is learnt
     assert view.adapted[120] == pytest.approx((9.0, 0.5, 0.3, 0.1))
     assert view._estimators() == ["/drivers"]
+
+
+def test_states_that_come_after_their_innovations_stand_at_their_own_times(stage) -> None:
+    """As at the fastest rate: a burst of one topic arrives before the other topic."""
+    view, world = View(0.0, expected=[1]), Node("world")
+    to_measured = world.create_publisher(MeasuredPositions, "/measured", STREAM)
+    to_state = world.create_publisher(VehicleState, "/vehicle_01/state", STREAM)
+    to_innovation = world.create_publisher(Innovation, "/vehicle_01/innovation", STREAM)
+    stage.add(view, world)
+    stage.until(lambda: all(p.get_subscription_count() for p in (to_measured, to_state, to_innovation)))
+    sent = [
+        (to_innovation, lambda k: Innovation(vehicle=1, innovation_m=0.01 * k, innovation_var=0.04, scored=True)),
+        (to_state, lambda k: VehicleState(vehicle=1, position_m=1.0 * k, speed=10.0 + k)),
+        (
+            to_measured,
+            lambda k: MeasuredPositions(vehicle=[1], leader=[-1], position_m=[1.5 * k], length_m=[4.5], step=k),
+        ),
+    ]
+    for publisher, message_of in sent:
+        for k in range(40):
+            message = message_of(k)
+            message.header.frame_id, message.header.stamp.sec = FRAME, k
+            publisher.publish(message)
+    stage.until(lambda: 1 in view.driver and view.driver[1].heard == 40)
+    time_s, speed, _, innovation, _, place = view.driver[1].since(0).T
+    assert time_s.tolist() == list(range(40))
+    assert speed == pytest.approx(10.0 + time_s)
+    assert innovation == pytest.approx(0.01 * time_s)
+    assert place == pytest.approx(1.5 * time_s)
+
+
+def test_an_effect_that_nobody_takes_is_not_added_and_nothing_waits(stage) -> None:
+    """30 vehicles are on the road, but nobody estimates their drivers: the answer does not take 30 times as long."""
+    view, world = View(1.0), Node("world")
+    to_measured = world.create_publisher(MeasuredPositions, "/measured", STREAM)
+    stage.add(view, world)
+    stage.until(lambda: bool(to_measured.get_subscription_count()))
+    message = MeasuredPositions(vehicle=list(range(30)), leader=[-1] * 30, position_m=[0.0] * 30, length_m=[4.5] * 30)
+    message.header.frame_id = FRAME
+    to_measured.publish(message)
+    stage.until(lambda: len(view.vehicles) == 30)
+    began = time.monotonic()
+    view.add("drag", "c0=0.1")
+    assert time.monotonic() - began < 2.0
+    assert view.said == "30 of 30 services are not there: /vehicle_00/estimator/add_effect ..."
+    assert view.added == ()
 
 
 @pytest.mark.parametrize(("settled", "words"), [(True, "settled among the models"), (False, "not settled yet")])

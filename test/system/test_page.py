@@ -318,9 +318,12 @@ def test_a_desired_speed_that_the_data_do_not_tell_is_not_shown():
 def test_the_live_page_says_that_a_desired_speed_is_not_known():
     feed = feed_of_a_critic({"base": 0.0})
     log = Log(KEPT)
+    learnt = Log(KEPT)
     for k in range(3):
-        log.add(float(k), 9.0, 0.1, 0.0, 0.1, 10.0 if k < 2 else 90.0, 3.0, 0.2, 0.1, 9.0 * k)
-    feed.driver, feed.vehicles, feed.followers, feed.lanes = {1: log}, [1], {1}, {}
+        log.add(float(k), 9.0, 0.1, 0.0, 0.1, 9.0 * k)
+        learnt.add(float(k), 10.0 if k < 2 else 90.0, 3.0, 0.2, 0.1)
+    feed.driver, feed.learnt, feed.vehicles, feed.followers, feed.lanes = {1: log}, {1: learnt}, [1], {1}, {}
+    feed.here = feed.led = {1}
     feed.now, feed.adapted = {1: (18.0, 9.0)}, {1: (90.0, 3.0, 0.2, 0.1)}
     document = Document()
     live.page(feed)(document)
@@ -687,9 +690,11 @@ def live_page(browser, *arguments):
         context.close()
     finally:
         served.send_signal(signal.SIGINT)
-        code = served.wait(60)
-        served.stderr.close()
-    assert code == 0
+        _, said = served.communicate(timeout=60)
+    assert served.returncode == 0
+    # the last words say where the recording is; nothing warns
+    end = [f"all topics are in {arguments[-1]}; look at it: sugiyama report {arguments[-1]} --open"]
+    assert said.splitlines() == (end if arguments else [])
     assert problems == []
     assert asked == {f"localhost:{port}"}
 
@@ -814,6 +819,27 @@ def test_the_live_page_streams_and_its_buttons_call_the_services(browser, record
     assert "reaction_delay.delay" not in names[0]
 
 
+def test_the_live_page_at_the_fastest_rate_draws_what_was_published(browser, recorded, tmp_path):
+    """Each filtered speed stands at its own time, from the first sample on, of the driver with the lowest number."""
+    with live_page(browser, recorded.parent / "sim.mcap", "--rate", "max", "-o", tmp_path / "live.mcap") as page:
+        empty = page.locator("canvas").count()
+        page.get_by_text(re.compile(r"of 40 s, ended")).wait_for(timeout=90_000)
+        page.wait_for_timeout(1500)
+        data = "[...Bokeh.documents[0]._all_models.values()].map(m => m.data).filter(d => d?.spread)[0]"
+        time_s, speed, place = (page.evaluate(f"[...{data}.{name}]") for name in ("time", "speed", "place"))
+        assert page.get_by_label("driver", exact=True).input_value() == "vehicle 0"
+        rate = page.get_by_label("rate", exact=True)
+        assert rate.locator("option").all_inner_texts() == ["1", "2", "4", "8", "max"]
+        assert rate.locator("option:checked").inner_text() == "max"
+        assert page.locator("canvas").count() > 20
+    # a first view has no empty boxes: each picture comes when there is something to draw
+    assert empty == 0
+    r = read_recording(tmp_path / "live.mcap")
+    assert time_s == pytest.approx(r.time_s.tolist())
+    assert speed[1:] == pytest.approx(r.series["speed"][1:, 0].tolist())
+    assert place == pytest.approx(r.trajectories.position_m[:, 0].tolist())
+
+
 @pytest.mark.slow
 def test_adding_the_true_effect_lowers_the_error_on_the_page(browser, tmp_path):
     # cars of limited power, measured so well that the model causes the one-step error: 0.110 m, 0.100 m with the effect
@@ -862,13 +888,13 @@ def test_the_status_line_says_where_the_recording_is_and_what_to_do():
 def feed_of_a_critic(gains):
     """What a page needs to know while nobody is on the road and a critic speaks."""
     nobody = dict.fromkeys(("vehicles", "changed_s", "events", "added"), ())
-    nothing = {name: {} for name in ("now", "lanes", "driver", "adapted")}
+    nothing = {name: {} for name in ("now", "lanes", "driver", "learnt", "adapted")}
     status = Status("", 0.0, 0.0, math.nan, math.nan, False, "7", "")
     logs, titles = {name: Log(KEPT) for name in gains}, {"second_leader": "look past the leader"}
     return SimpleNamespace(
         road=Road(60.0), rate=1.0, effects={"drag": "", "second_leader": ""}, titles=titles, said="", space=Log(1),
         error=Log(1), gains=gains, critic=logs, is_settled=False, status=lambda: status, values=lambda name: "",
-        best="second_leader", followers=(),
+        best="second_leader", followers=(), led=(), here=(),
         **nobody, **nothing,
     )  # fmt: skip
 
@@ -925,15 +951,16 @@ def test_critic_and_verdict_say_the_same_or_why_not(best, added, words):
 
 def test_the_live_page_follows_another_driver_when_its_own_choice_has_left():
     feed = feed_of_a_critic({"base": 0.0})
-    feed.driver = {v: Log(KEPT) for v in (1, 2, 3)}
-    feed.vehicles, feed.followers, feed.lanes = [1, 2, 3], {2, 3}, {}
+    feed.driver, feed.learnt = ({v: Log(KEPT) for v in (1, 2, 3)} for _ in range(2))
+    # whose estimates come first does not matter: those who have a leader are known from the first sample on
+    feed.vehicles, feed.led, feed.followers, feed.lanes = [1, 2, 3], {2, 3}, {3}, {}
     feed.now, feed.adapted = {1: (30.0, 9.0), 2: (20.0, 9.0), 3: (10.0, 9.0)}, {}
     document = Document()
     live.page(feed)(document)
     (driver,) = [s for s in document.select({"type": Select}) if s.title == "driver"]
 
     def after(vehicles):
-        feed.now = {v: (10.0 * v, 9.0) for v in vehicles}
+        feed.now, feed.here = {v: (10.0 * v, 9.0) for v in vehicles}, set(vehicles)
         for callback in document.session_callbacks:
             callback.callback()
         return driver.value

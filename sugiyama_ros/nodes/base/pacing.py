@@ -21,7 +21,7 @@ class Pace:
     def __init__(self, window: int, patience_s: float, wait_for: Iterable[str] = ()) -> None:
         self.missing = set(wait_for)
         self.dropped: set[str] = set()
-        self._window = window
+        self.window = window
         self._patience_s = patience_s
         self._subscribers: dict[str, _Subscriber] = {}
         self._first = 0
@@ -36,7 +36,7 @@ class Pace:
     @property
     def may_send(self) -> bool:
         """Whether one more step fits into the window."""
-        return not self.missing and self._next < self.acknowledged + self._window
+        return not self.missing and self._next < self.acknowledged + self.window
 
     def sent(self) -> None:
         """One more step was sent."""
