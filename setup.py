@@ -66,7 +66,7 @@ setup(
         "console_scripts": [
             f"sugiyama = {name}.cli:main",
             *(
-                f"{node} = {name}.nodes.{node}:main"
+                f"sugiyama_{node} = {name}.nodes.executables:{node}"
                 for node in ("critic", "drivers", "estimator", "keeper", "recorder", "replay", "simulator", "tracks")
             ),
         ]

@@ -38,14 +38,18 @@ def nodes(context: LaunchContext) -> list[GroupAction]:
         # the recorder ends last, so it gets more time before it is killed
         Node(
             package=package,
-            executable="recorder",
+            executable="sugiyama_recorder",
             parameters=[config / "recorder.yaml", {"output": given("output")}],
             sigterm_timeout="20",
             on_exit=Shutdown(reason="the recorder has ended"),
         ),
-        Node(package=package, executable="drivers", parameters=[config / "drivers.yaml", model], **again),
-        *([Node(package=package, executable="critic", parameters=[config / "critic.yaml"])] if has_critic else []),
-        Node(package=package, executable="tracks", parameters=[config / "tracks.yaml", line], **again),
+        Node(package=package, executable="sugiyama_drivers", parameters=[config / "drivers.yaml", model], **again),
+        *(
+            [Node(package=package, executable="sugiyama_critic", parameters=[config / "critic.yaml"])]
+            if has_critic
+            else []
+        ),
+        Node(package=package, executable="sugiyama_tracks", parameters=[config / "tracks.yaml", line], **again),
     ]
     return [GroupAction(everything)]
 

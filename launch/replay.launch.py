@@ -42,24 +42,24 @@ def nodes(context: LaunchContext) -> list[GroupAction]:
     space = given("namespace")
     recorder = {**plan.recorder, "paced_topics": within(space, plan.recorder["paced_topics"])}
     sending = {**plan.sending, "wait_for": within(space, plan.sending["wait_for"]), "exit_at_end": True}
-    critic = [Node(package=package, executable="critic", parameters=[config / "critic.yaml"])]
+    critic = [Node(package=package, executable="sugiyama_critic", parameters=[config / "critic.yaml"])]
     everything = [
         PushROSNamespace(space),
         SetParameter("use_sim_time", given("use_sim_time") == "true"),
         # the recorder ends last, so it gets more time before it is killed
         Node(
             package=package,
-            executable="recorder",
+            executable="sugiyama_recorder",
             parameters=[config / "recorder.yaml", recorder],
             sigterm_timeout="20",
             on_exit=Shutdown(reason="the recorder has ended"),
         ),
-        Node(package=package, executable="keeper"),
+        Node(package=package, executable="sugiyama_keeper"),
         *(critic if settings.critic else []),
         *(
             Node(
                 package=package,
-                executable="estimator",
+                executable="sugiyama_estimator",
                 namespace=namespace.strip("/"),
                 parameters=[
                     *([] if settings.model else [config / "estimator.yaml"]),
@@ -74,7 +74,7 @@ def nodes(context: LaunchContext) -> list[GroupAction]:
         ),
         Node(
             package=package,
-            executable="replay",
+            executable="sugiyama_replay",
             parameters=[config / "replay.yaml", sending],
             on_exit=Shutdown(reason="the replay has ended"),
         ),

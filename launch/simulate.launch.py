@@ -36,7 +36,8 @@ def nodes(context: LaunchContext) -> list[GroupAction]:
     truth = [f"{space}/truth" for space in spaces]
     around, model, has_critic = given("namespace"), given("model"), given("critic") == "true"
     followers = [RECORDER, *estimators(spaces), *([CRITIC] if has_critic else [])]
-    recorder = {"output": given("output"), "paced_topics": within(around, [*step_topics(spaces), *truth])}
+    paced = within(around, [*step_topics(spaces), *truth])
+    recorder = {"output": given("output"), "paced_topics": paced, "time_source": "data"}
     simulator = {
         "vehicles": vehicles,
         "duration": float(given("duration")),
@@ -44,24 +45,24 @@ def nodes(context: LaunchContext) -> list[GroupAction]:
         "rate": float(given("rate")),
         "wait_for": within(around, followers),
     }
-    critic = [Node(package=package, executable="critic", parameters=[config / "critic.yaml"])]
+    critic = [Node(package=package, executable="sugiyama_critic", parameters=[config / "critic.yaml"])]
     everything = [
         PushROSNamespace(around),
         SetParameter("use_sim_time", given("use_sim_time") == "true"),
         # the recorder ends last, so it gets more time before it is killed
         Node(
             package=package,
-            executable="recorder",
+            executable="sugiyama_recorder",
             parameters=[config / "recorder.yaml", recorder],
             sigterm_timeout="20",
             on_exit=Shutdown(reason="the recorder has ended"),
         ),
-        Node(package=package, executable="keeper"),
+        Node(package=package, executable="sugiyama_keeper"),
         *(critic if has_critic else []),
         *(
             Node(
                 package=package,
-                executable="estimator",
+                executable="sugiyama_estimator",
                 namespace=space.strip("/"),
                 parameters=[{"model": model} if model else config / "estimator.yaml", {"ask_keeper": True}],
                 respawn=True,
@@ -72,7 +73,7 @@ def nodes(context: LaunchContext) -> list[GroupAction]:
         ),
         Node(
             package=package,
-            executable="simulator",
+            executable="sugiyama_simulator",
             parameters=[config / "simulator.yaml", simulator],
             on_exit=Shutdown(reason="the simulator has ended"),
         ),

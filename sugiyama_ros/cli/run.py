@@ -2,7 +2,6 @@
 
 import dataclasses
 import gc
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -24,6 +23,7 @@ from sugiyama_ros.cli.options import (
 )
 from sugiyama_ros.cli.output import print_against, print_json, print_line, print_note, print_table, progress
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.nodes.executables import ros_needed
 from sugiyama_ros.tables import TextTable
 
 if TYPE_CHECKING:
@@ -73,6 +73,10 @@ class RunOptions:
         bool,
         typer.Option("--array", help="Publish all drivers in one message, /drivers, instead of on topics of each."),
     ] = False
+    engine: Annotated[
+        str,
+        typer.Option("--engine", help="Of the filters: compiled, or filterpy, the same by slower code to be read."),
+    ] = "compiled"
     as_json: Json = False
 
 
@@ -90,12 +94,9 @@ def replay(options: RunOptions) -> "RunResult":
     rate = rate_of(options.rate)
     gc.disable()  # no module is garbage, and to look for garbage among them takes a tenth of a second
     try:
-        from sugiyama_ros.nodes.base import environment
-        from sugiyama_ros.nodes.run import run as run_nodes
-    except ModuleNotFoundError as error:
-        if error.name not in ("rclpy", "sugiyama_msgs"):
-            raise
-        raise InputError(f"{error.name}: not installed; run `make demo` once, or source a ROS 2 workspace") from None
+        with ros_needed():
+            from sugiyama_ros.nodes.base import environment
+            from sugiyama_ros.nodes.run import run as run_nodes
     finally:
         gc.freeze()
         gc.enable()
@@ -114,6 +115,7 @@ def replay(options: RunOptions) -> "RunResult":
             save_state=options.save_state,
             resume=options.resume,
             array=options.array,
+            engine=options.engine,
             overwrite=options.overwrite,
             on_progress=advance,
         )
@@ -230,9 +232,10 @@ def live(options: LiveOptions) -> None:
 
     Ctrl-C ends it.
     """
-    from sugiyama_ros.nodes.base import environment
-    from sugiyama_ros.nodes.live import serve
-    from sugiyama_ros.nodes.plan import RunSettings
+    with ros_needed():
+        from sugiyama_ros.nodes.base import environment
+        from sugiyama_ros.nodes.live import serve
+        from sugiyama_ros.nodes.plan import RunSettings
 
     def ready(url: str) -> None:
         print_note(f"live page: {url} (Ctrl-C ends it)")
@@ -243,7 +246,7 @@ def live(options: LiveOptions) -> None:
         raise InputError("--host: is empty; leave it out for this machine alone, or give an address such as 0.0.0.0")
     output = own_output(options.output, _LIVE, options.overwrite, options.source, options.model)
     settings = RunSettings(rate_of(options.rate), options.ring, options.model, critic=True, overwrite=output.overwrite)
-    domain = environment.isolate() if options.source is not None else os.environ.get("ROS_DOMAIN_ID", "0")
+    domain = environment.isolate() if options.source is not None else environment.domain()
     print_note(f"{'starting the nodes' if options.source is not None else 'listening'} in ROS domain {domain}")
     serve(options.source, output.path, settings, host=options.host, port=options.port, on_ready=ready)
     if options.source is not None:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
@@ -21,6 +22,9 @@ from sugiyama_ros.fit.model_file import read_model
 from sugiyama_ros.nodes.arrivals import WINDOW_S
 from sugiyama_ros.road import Road
 
+Engine = Literal["compiled", "filterpy"]
+#: What works out a step of an `OnlineFilter`; the first one, unless another one is asked for.
+ENGINES: tuple[Engine, ...] = ("compiled", "filterpy")
 #: Prior std of the logarithm of a preference for which none was measured: a factor of two up or down.
 OTHER_STD = 0.7
 
@@ -90,11 +94,13 @@ def declare_model(node: Node, vehicle: int) -> tuple[Array, DriverTypes | None]:
 class Adapted:
     """What is learnt online of a driver: preferences, in the state of the filter, and parameters of effects.
 
-    adaptation: of preferences; of_effects: names such as ``drag.c0``, or ``effects`` for the strengths of all effects.
+    adaptation: of preferences; of_effects: names such as ``drag.c0``, or ``effects`` for the strengths of all effects;
+    engine: of ``ENGINES``, what works out a step.
     """
 
     adaptation: Adaptation
     of_effects: tuple[str, ...]
+    engine: Engine = "compiled"
 
     def filter_of(self, period_s: float, road: Road, row: Array, vehicles: int = CHAIN) -> OnlineFilter:
         """Return the filter of a driver who starts from a row (WIDTH,), with a number of vehicles in its chain.
@@ -103,11 +109,11 @@ class Adapted:
         """
         if self.of_effects:
             return EffectFilter(period_s, road, row, self.of_effects, self.adaptation)
-        return OnlineFilter(period_s, road, row, adaptation=self.adaptation, vehicles=vehicles)
+        return OnlineFilter(period_s, road, row, adaptation=self.adaptation, vehicles=vehicles, engine=self.engine)
 
 
 def declare_adapt(node: Node) -> Adapted:
-    """Declare the parameter ``adapt``: which parameters are learnt online. Raises InputError for an unknown name."""
+    """Declare the parameters ``adapt`` and ``engine``: what is learnt online, and how. Raises InputError."""
     about = ParameterDescriptor(
         description="parameters that are learnt online: preferences, parameters of effects such as drag.c0, or effects"
         " for the strengths of all effects in the model",
@@ -120,7 +126,28 @@ def declare_adapt(node: Node) -> Adapted:
     stds = tuple(known.get(name, OTHER_STD) for name in own)
     of_effects = tuple(name for name in names if name not in own)
     check_names(of_effects)
-    return Adapted(Adaptation(own, stds, ADAPT.relaxation_s), of_effects)
+    engine = _declare_engine(node)
+    if of_effects and engine != ENGINES[0]:
+        raise InputError(f"engine: {engine} learns no parameters of effects; take {of_effects[0]} out of adapt")
+    return Adapted(Adaptation(own, stds, ADAPT.relaxation_s), of_effects, engine)
+
+
+def _declare_engine(node: Node) -> Engine:
+    """Declare the parameter ``engine``. Raises InputError for an unknown one."""
+    about = ParameterDescriptor(
+        description="what works out a step of the filter: compiled, or filterpy for the same estimates, slower, by code"
+        " that is meant to be read",
+        read_only=True,
+    )
+    return engine_of(str(node.declare_parameter("engine", ENGINES[0], about).value))
+
+
+def engine_of(name: str) -> Engine:
+    """Return the engine of a name. Raises InputError for an unknown one."""
+    for engine in ENGINES:
+        if name == engine:
+            return engine
+    raise InputError(f"engine: {name!r} is not known; give {' or '.join(ENGINES)}")
 
 
 def declare_float(node: Node, name: str, default: float, about: ParameterDescriptor) -> float:

@@ -3,6 +3,7 @@
 from typing import Protocol
 
 from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
 from sugiyama_msgs.msg import DriverParameters, DriverType, Innovation, StyleChange, VehicleState
 
 from sugiyama_ros.arrays import Array
@@ -14,6 +15,7 @@ from sugiyama_ros.fit.driver_types import DriverTypes
 from sugiyama_ros.nodes.base import cdr_messages
 from sugiyama_ros.nodes.base.driver_array_messages import KnownDriver, ParameterNames
 from sugiyama_ros.nodes.base.node import PacedNode
+from sugiyama_ros.nodes.base.qos import KEPT_STREAM, STREAM
 from sugiyama_ros.trajectories.desired_speed import largest_v_star
 
 _PARAMETERS_EVERY_NS = cdr_messages.NS
@@ -80,14 +82,14 @@ class DriverTopics:
         else:
             self._to_state = self._stream(VehicleState, "state")
             self._to_innovation = self._stream(Innovation, "innovation")
-            self._to_parameters = self._stream(DriverParameters, "parameters")
+            self._to_parameters = self._stream(DriverParameters, "parameters", KEPT_STREAM)
         self._to_changes, *to_type = [self._stream(kind, topic) for kind, topic in shared_topics(types)]
         if to_type:
             (self._to_type,) = to_type
 
-    def _stream(self, kind: type, topic: str) -> Publisher:
+    def _stream(self, kind: type, topic: str, qos: QoSProfile = STREAM) -> Publisher:
         self._topics.append(self._space + topic)
-        return self._node.stream(kind, self._space + topic)
+        return self._node.stream(kind, self._space + topic, qos)
 
     def close(self) -> None:
         """Take down the topics that are the driver's own."""

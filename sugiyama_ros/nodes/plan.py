@@ -11,6 +11,7 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.model_file import read_model
 from sugiyama_ros.formats.truth import namespaces
 from sugiyama_ros.nodes.driver_array import TOPIC
+from sugiyama_ros.nodes.driver_parameters import ENGINES, engine_of
 from sugiyama_ros.nodes.replay import samples_of
 from sugiyama_ros.nodes.run_source import FromFile, FromSimulator, FromTracks, RunSource
 from sugiyama_ros.nodes.saved_state import file_of, read_learnt
@@ -58,6 +59,8 @@ class RunSettings:
         Directory with what the estimators of an earlier run have learnt, from which they go on.
     array : bool
         Whether all drivers are in one message for each sample, on ``/drivers``, instead of on topics of each vehicle.
+    engine : str
+        What works out a step of the filters: compiled, or filterpy.
     overwrite : bool
         Whether a file of the output's name is replaced.
     """
@@ -69,6 +72,7 @@ class RunSettings:
     save_state: Path | None = None
     resume: Path | None = None
     array: bool = False
+    engine: str = ENGINES[0]
     overwrite: bool = False
 
 
@@ -93,12 +97,14 @@ class Plan:
         inputs = tuple(path for path in given if path is not None)
         _check_names(*inputs, output, settings.save_state, settings.resume)
         Output(output, settings.overwrite, inputs).check()
+        engine_of(settings.engine)
         if settings.model is not None:
             read_model(settings.model)
         if settings.save_state is not None:
             make_directory(settings.save_state)
         plan = cls(_opened(source, settings.ring_m) if isinstance(source, Path) else source, output, settings)
         plan.check_size()
+        plan.check_saved_states()
         if settings.resume is not None:
             vehicles = plan.source.vehicles
             saved = [path for v in vehicles if (path := file_of(settings.resume, v)).exists()]
@@ -123,6 +129,18 @@ class Plan:
                 f"{count} vehicles: a node for each driver works for at most {MOST_NODES}; convert the file to tracks,"
                 " which one node follows: sugiyama convert FILE TRACKS.parquet, or cut out some vehicles"
             )
+
+    def check_saved_states(self) -> None:
+        """Raise OutputError where states of another run would be replaced. A run may go on in its own directory."""
+        s = self.settings
+        if (
+            s.save_state is None
+            or s.overwrite
+            or (s.resume is not None and s.resume.resolve() == s.save_state.resolve())
+        ):
+            return
+        for vehicle in self.source.vehicles:
+            Output(file_of(s.save_state, vehicle)).check()
 
     @property
     def vehicles_with_topics(self) -> list[int]:
@@ -153,7 +171,7 @@ class Plan:
         s = self.settings
         given = {"model": s.model, "save_state": s.save_state, "resume": s.resume}
         paths = {name: str(path) for name, path in given.items() if path is not None}
-        return {**paths, "array_topic": s.array}
+        return {**paths, "array_topic": s.array, "engine": s.engine}
 
     @property
     def drivers(self) -> dict[str, Any]:
@@ -191,6 +209,7 @@ class Plan:
             "output": str(self.output),
             "overwrite": self.settings.overwrite,
             "paced_topics": self.step_topics,
+            "time_source": "data",
             "metadata": [f"{key}={value}" for key, value in about.items()],
         }
 
@@ -198,7 +217,7 @@ class Plan:
 def _opened(path: Path, ring_m: float | None) -> RunSource:
     """What a file holds: vehicles that come and go, or trajectories on one lane. Raises InputError."""
     samples = samples_of(path, ring_m)
-    return FromTracks(path, samples) if isinstance(samples, TrackSamples) else FromFile(path, samples.trajectories)
+    return FromTracks(path, samples) if isinstance(samples, TrackSamples) else FromFile(path, samples)
 
 
 def _check_names(*paths: Path | None) -> None:

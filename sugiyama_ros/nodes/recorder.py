@@ -63,6 +63,7 @@ class Recorder(PacedNode):
         if times not in ("wall", "data"):
             raise InputError(f"recorder: time_source {times} is not known; give wall or data")
         about = dict(line.split("=", 1) for line in metadata if line)
+        self._output = output
         self._bag = _writer(Path(output), overwrite, split_mb, about)
         self._time = LogTime(times == "data")
         self._held: list[tuple[int, bytes, bool]] = []
@@ -88,6 +89,11 @@ class Recorder(PacedNode):
         if self._unheard:
             return Health(WARN, f"{len(self._unheard)} topics have not appeared: {min(self._unheard)} ...", values)
         return Health(OK, "recording", values)
+
+    @property
+    def doing(self) -> str:
+        """Where everything is recorded."""
+        return f"records all topics in {self._output}"
 
     @property
     def counts(self) -> dict[str, int]:

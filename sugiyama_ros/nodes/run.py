@@ -111,7 +111,8 @@ def run(
     on_progress : callable, optional
         Called with the steps that all nodes have taken, and the steps there are.
     **settings
-        Fields of `RunSettings`: rate, ring_m, model, critic, save_state, resume, array.
+        Fields of `RunSettings`: rate, ring_m, model, critic, save_state, resume, array, engine,
+        overwrite.
 
     Returns
     -------
@@ -122,6 +123,8 @@ def run(
     ------
     SugiyamaError
         Where a node has failed; InputError or OutputError for files that cannot be read or written.
+    KeyboardInterrupt
+        Where a signal has come before the recorder was there. Nothing is written then.
     """
     environment.isolate()
     plan = Plan.read(source, output, RunSettings(**settings))
@@ -145,8 +148,10 @@ def run(
             spinner.close()
             runners.close()
             monitor.destroy_node()
-        runners.check()
         interrupted = asked_to_stop()
+        if interrupted and RECORDER not in monitor.last:
+            raise KeyboardInterrupt  # nothing was sent, so there is nothing to lose and nothing to report
+        runners.check()
     return _result(plan, monitor, wall_s, interrupted)
 
 

@@ -14,7 +14,11 @@ from sugiyama_ros.nodes.simulator import SimulatorNode
 from sugiyama_ros.nodes.source import Source
 from sugiyama_ros.nodes.track_samples import TrackSamples
 from sugiyama_ros.simulation.experiment import Experiment
-from sugiyama_ros.trajectories.trajectories import Trajectories
+
+
+def true_topics(vehicles: list[int]) -> list[str]:
+    """Full names of the topics with the true motion of simulated vehicles."""
+    return [f"{space}/truth" for space in namespaces(vehicles)]
 
 
 class RunSource(Protocol):
@@ -60,42 +64,47 @@ class RunSource(Protocol):
 
 @dataclass(frozen=True)
 class FromFile:
-    """A file, which holds ``trajectories``."""
+    """A file of trajectories, as samples."""
 
     path: Path
-    trajectories: Trajectories
+    samples: RecordedPositions
     node: ClassVar[str] = "/replay"
     module: ClassVar[str] = "replay"
-    topics: ClassVar[list[str]] = []
+
+    @property
+    def topics(self) -> list[str]:
+        """The true motion of every vehicle, where the drivers were simulated."""
+        truth = self.samples.truth
+        return [] if truth is None else true_topics(truth.vehicle.tolist())
 
     @property
     def vehicles(self) -> list[int]:
         """Numbers of the vehicles."""
-        return [int(vehicle) for vehicle in self.trajectories.vehicle]
+        return [int(vehicle) for vehicle in self.samples.trajectories.vehicle]
 
     @property
     def steps(self) -> int:
         """Samples in the recording."""
-        return len(self.trajectories.position_m)
+        return len(self.samples.trajectories.position_m)
 
     @property
     def period_s(self) -> float:
         """Time [s] between two samples."""
-        return self.trajectories.period_s
+        return self.samples.trajectories.period_s
 
     @property
     def parameters(self) -> Mapping[str, Any]:
         """Parameters of the replay."""
-        return {"source": str(self.path), "ring": self.trajectories.road.circumference_m}
+        return {"source": str(self.path), "ring": self.samples.trajectories.road.circumference_m}
 
     @property
     def about(self) -> Mapping[str, Any]:
         """Name and checksum of the file."""
-        return {"source": self.trajectories.source, "sha256": self.trajectories.sha256}
+        return {"source": self.samples.trajectories.source, "sha256": self.samples.trajectories.sha256}
 
     def start(self, overrides: list[Parameter]) -> Source:
         """The replay; it does not read the file again."""
-        return Replay(RecordedPositions(self.trajectories), parameter_overrides=overrides)
+        return Replay(self.samples, parameter_overrides=overrides)
 
 
 @dataclass(frozen=True)
@@ -169,7 +178,7 @@ class FromSimulator:
     @property
     def topics(self) -> list[str]:
         """The true motion of every vehicle."""
-        return [f"{space}/truth" for space in namespaces(self.vehicles)]
+        return true_topics(self.vehicles)
 
     @property
     def parameters(self) -> Mapping[str, Any]:

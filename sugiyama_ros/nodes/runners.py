@@ -17,7 +17,7 @@ from sugiyama_ros.errors import InputError, SugiyamaError
 from sugiyama_ros.nodes.base.measured_feed import MeasuredFeed
 from sugiyama_ros.nodes.base.node import PacedNode
 from sugiyama_ros.nodes.base.qos import WINDOW
-from sugiyama_ros.nodes.base.spin import RUNNER, Spinner
+from sugiyama_ros.nodes.base.spin import RUNNER, Spinner, held_back
 from sugiyama_ros.nodes.critic import Critic
 from sugiyama_ros.nodes.driver_array import DriverArrayTopic
 from sugiyama_ros.nodes.drivers import DriversNode
@@ -28,6 +28,8 @@ from sugiyama_ros.nodes.recorder import Recorder
 #: Longest time [s] that nodes get to come to an orderly end.
 STOP_S = 15.0
 _LAST_STEPS_S = 0.5
+# How a line of a node's log begins that tells of no trouble.
+_INFORMS = "[INFO]"
 #: Exit codes of a node that was stopped. ``run_node`` sets the alarm when the work of the node is done.
 _ENDED_WELL = (0, -signal.SIGALRM)
 
@@ -123,7 +125,8 @@ class Processes:
             if code is not None and not (self._stopped and code in _ENDED_WELL):
                 log = self._log(name)
                 lines = log.read_text(errors="replace").split("\n") if log.exists() else []
-                said = next((line.strip() for line in reversed(lines) if line.strip()), "said nothing")
+                told = (line.strip() for line in reversed(lines) if not line.startswith(_INFORMS))
+                said = next(filter(None, told), "said nothing")
                 raise SugiyamaError(f"{name}: ended with code {code}: {said}; its log is {log}")
 
     def stop(self, spinner: Spinner) -> None:
@@ -149,7 +152,7 @@ class Processes:
             given = self._log(name).with_suffix(".yaml")
             given.write_text(json.dumps({"/**": {"ros__parameters": parameters}}))
             arguments += ["--params-file", str(given)]
-        with self._log(name).open("wb") as log:
+        with self._log(name).open("wb") as log, held_back():
             self._children[name] = subprocess.Popen(
                 [sys.executable, "-m", f"sugiyama_ros.nodes.{module}", *arguments],
                 stdin=subprocess.DEVNULL,

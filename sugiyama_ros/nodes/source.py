@@ -1,6 +1,5 @@
 """A source of measured positions: paced by its subscribers and, if wanted, by the clock."""
 
-import os
 import time
 from typing import Any
 
@@ -13,17 +12,18 @@ from visualization_msgs.msg import MarkerArray
 
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.measured import FRAME
-from sugiyama_ros.nodes.base import cdr_messages, incoming
+from sugiyama_ros.nodes.base import cdr_messages, environment, incoming
 from sugiyama_ros.nodes.base.node import ERROR, OK, RECORDER, WARN, Health, PacedNode
 from sugiyama_ros.nodes.base.pacing import Pace
 from sugiyama_ros.nodes.base.qos import LATCHED, PROGRESS_IN, STREAM, WINDOW
 from sugiyama_ros.nodes.base.samples import PositionSamples
-from sugiyama_ros.nodes.markers import markers
+from sugiyama_ros.nodes.markers import Markers
 
 _TICK_S = 0.005
+# Nodes that are waited for and named when the source starts, at most.
+_NAMED = 3
 #: Silence [s] after which a subscriber is no longer waited for.
 PATIENCE_S = 10.0
-_MARKERS_EVERY_S = 0.2
 # Time [s] in which a new source looks for another one; discovery between processes takes up to about 3 s.
 _LOOKS_S, _LOOKS_EVERY_S = 3.0, 0.1
 
@@ -72,7 +72,7 @@ class Source(PacedNode):
         self.next_step = 0
         self._jump_to: int | None = None
         self._anchor: tuple[float, int] | None = None
-        self._markers_s = 0.0
+        self._markers = Markers(self.samples.road)
         self._awake_s = 0.0
         self._ticked_s = time.monotonic()
         self._to_road = self.create_publisher(RoadMessage, "road", LATCHED)
@@ -110,6 +110,16 @@ class Source(PacedNode):
         super().narrow(window)
         self._pace.window = window
 
+    @property
+    def doing(self) -> str:
+        """What is sent, how fast, and who is waited for."""
+        s, rate = self.samples, f"{self._speed_up:g} times real time" if self._speed_up else "the fastest rate"
+        what = f"{s.steps} samples ({(s.steps - 1) * s.period_s:.1f} s)" if s.steps else "samples without end"
+        awaited = sorted(self._pace.missing)
+        named = ", ".join(awaited[:_NAMED]) + f" and {len(awaited) - _NAMED} others" * (len(awaited) > _NAMED)
+        waits = f", once {named} can take them" if awaited else ""
+        return f"sends {what} of {s.source} at {rate}{waits}"
+
     def finish(self) -> None:
         """Send nothing more."""
         self._paused = True
@@ -128,7 +138,7 @@ class Source(PacedNode):
             self._paused = True
             self.failure = InputError(
                 f"{self._to_measured.topic_name}: another node publishes it already in ROS domain"
-                f" {os.environ.get('ROS_DOMAIN_ID', '0')}; end it, or set ROS_DOMAIN_ID to another number"
+                f" {environment.domain()}; end it, or set ROS_DOMAIN_ID to another number"
             )
 
     def _pump(self) -> None:
@@ -170,10 +180,8 @@ class Source(PacedNode):
         self.send_more(stamp_ns)
         self.next_step += 1
         self._pace.sent()
-        now = time.monotonic()
-        if now - self._markers_s >= _MARKERS_EVERY_S:
-            self._markers_s = now
-            self.send(self._to_markers, markers(cdr_messages.time_message(stamp_ns), samples.road, positions))
+        if self._to_markers.get_subscription_count():
+            self.send(self._to_markers, self._markers.message(stamp_ns, positions))
 
     def _send_road(self) -> None:
         s = self.samples

@@ -1,7 +1,6 @@
 """The node behind the live page: it hears everything that the page shows, and calls the services behind its buttons."""
 
 import math
-import os
 import time
 from collections import OrderedDict, deque
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -28,7 +27,7 @@ from sugiyama_msgs.srv import AddEffect, RemoveEffect
 from sugiyama_ros.effects.effect import RecordingExtent
 from sugiyama_ros.effects.registry import EFFECTS, effect
 from sugiyama_ros.formats.truth import namespaces
-from sugiyama_ros.nodes.base import cdr_messages, incoming
+from sugiyama_ros.nodes.base import cdr_messages, environment, incoming
 from sugiyama_ros.nodes.base.any_publisher import AnyPublisher
 from sugiyama_ros.nodes.base.qos import LATCHED, STREAM
 from sugiyama_ros.nodes.base_model import BaseModel
@@ -194,7 +193,7 @@ class View(Node):
             real_rate=real_rate,
             silent_s=silent_s,
             ended=bool(steps) and self._step + 1 >= steps,
-            domain=os.environ.get("ROS_DOMAIN_ID", "0"),
+            domain=environment.domain(),
             recording=self._recorded_to,
         )
 

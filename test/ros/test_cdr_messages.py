@@ -5,11 +5,14 @@ import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 from sugiyama_msgs.msg import DriverParameters, Innovation, MeasuredPositions, VehicleState
+from visualization_msgs.msg import Marker, MarkerArray
 
 from sugiyama_ros.filters.online import Estimate
 from sugiyama_ros.formats.measured import FRAME
 from sugiyama_ros.nodes.base import cdr_messages
 from sugiyama_ros.nodes.base.samples import Positions
+from sugiyama_ros.nodes.markers import Markers
+from sugiyama_ros.road import Road
 
 
 def an_estimate(seed: int) -> Estimate:
@@ -184,3 +187,33 @@ def test_parameters_are_written(stamp_ns: int, count: int) -> None:
     assert message.identified == identified.tolist()
     assert message.value.tolist() == value.tolist()
     assert message.covariance.tolist() == covariance.ravel().tolist()
+
+
+@pytest.mark.parametrize("ring_m", [0.0, 230.0])
+@pytest.mark.parametrize("vehicles", [0, 1, 2, 3, 22])
+def test_markers_are_boxes_where_the_vehicles_are(ring_m: float, vehicles: int) -> None:
+    """Every number of every box, after rclpy has read the bytes; a vehicle without a position has no box."""
+    number, length = [7 + 3 * k for k in range(vehicles)], [4.0 + 0.1 * k for k in range(vehicles)]
+    position = [np.nan if k == 1 else 10.0 * k + 0.5 for k in range(vehicles)]
+    raw = Markers(Road(ring_m)).message(
+        12 * cdr_messages.NS + 345, Positions(number, [-1] * vehicles, position, length)
+    )
+    message = deserialize_message(raw, MarkerArray)
+    assert len(bytes(serialize_message(message))) == pytest.approx(len(raw), abs=3)
+    before = message.markers
+    boxes = [m for m in before if m.ns == "vehicles"]
+    assert before[0].action == Marker.DELETEALL
+    assert [m.type for m in before if m.ns == "road"] == [Marker.LINE_STRIP] * (ring_m > 0.0)
+    known = [k for k in range(vehicles) if k != 1]
+    assert [m.id for m in boxes] == [number[k] for k in known]
+    radius = ring_m / (2.0 * np.pi)
+    for k, box in zip(known, boxes, strict=True):
+        assert (box.type, box.action, box.header.frame_id) == (Marker.CUBE, Marker.ADD, FRAME)
+        assert (box.scale.x, box.scale.y, box.scale.z) == (length[k], 1.7, 1.5)
+        angle = position[k] / radius if radius else 0.0
+        where = (radius * np.cos(angle), radius * np.sin(angle)) if radius else (position[k], 0.0)
+        assert (box.pose.position.x, box.pose.position.y, box.pose.position.z) == pytest.approx((*where, 0.0))
+        heading = angle + np.pi / 2.0 if radius else 0.0
+        assert box.pose.orientation.z == pytest.approx(np.sin(heading / 2.0))
+        assert box.pose.orientation.w == pytest.approx(np.cos(heading / 2.0))
+    assert all((m.header.stamp.sec, m.header.stamp.nanosec) == (12, 345) for m in before)

@@ -76,7 +76,7 @@ def test_launch_files_start_what_is_there(path: Path) -> None:
     compile(path.read_text(), str(path), "exec")
     assert "def generate_launch_description()" in path.read_text()
     executables = {node["executable"] for node in launched(path)}
-    assert {"recorder"} < executables <= {*EXECUTABLES, WITHOUT_PARAMETERS}
+    assert {"sugiyama_recorder"} < executables <= {f"sugiyama_{node}" for node in (*EXECUTABLES, WITHOUT_PARAMETERS)}
     installed = {e.name for e in entry_points(group="console_scripts") if e.value.startswith("sugiyama_ros.nodes.")}
     if installed:  # a checkout that is not installed has no executables
         assert executables <= installed

@@ -41,8 +41,8 @@ def prefix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     folder = tmp_path / "install"
     (folder / "lib/sugiyama_ros").mkdir(parents=True)
     for node in ("recorder", "replay", "simulator", "estimator", "keeper", "critic", "drivers", "tracks"):
-        start = folder / "lib/sugiyama_ros" / node
-        start.write_text(f"#!{sys.executable}\nfrom sugiyama_ros.nodes.{node} import main\nmain()\n")
+        start = folder / "lib/sugiyama_ros" / f"sugiyama_{node}"
+        start.write_text(f"#!{sys.executable}\nfrom sugiyama_ros.nodes.executables import {node}\n{node}()\n")
         start.chmod(0o755)
     (folder / "share/sugiyama_ros").mkdir(parents=True)
     (folder / "share/sugiyama_ros/config").symlink_to(ROOT / "config")

@@ -44,8 +44,16 @@ def test_standard_messages_of_now_and_of_the_next_seconds(stage, ring_csv: Path)
     assert np.hypot(last.pose.pose.position.x, last.pose.pose.position.y) == pytest.approx(radius)
     assert last.twist.twist.linear.x == pytest.approx(estimator.filter.kalman.x[1])
     covariance = np.reshape(last.pose.covariance, (6, 6))
-    assert np.trace(covariance) == pytest.approx(estimator.filter.kalman.P[0, 0])
-    # all of it lies along the road
+    var = estimator.filter.kalman.P[0, 0]
+    assert np.trace(covariance[:2, :2]) == pytest.approx(var)
+    # the road turns, so the direction is as uncertain as the place on the circle, and the driver may turn aside by 0.1;
+    # a filter of positions along a road knows nothing of height, roll and pitch
+    assert covariance[5, 5] == pytest.approx(var / radius**2 + 0.01)
+    assert covariance.diagonal()[2:5].tolist() == [1e6] * 3
+    np.linalg.cholesky(covariance + 1e-9 * np.eye(6))
+    twist = np.reshape(last.twist.covariance, (6, 6))
+    assert twist.diagonal().tolist() == pytest.approx([estimator.filter.kalman.P[1, 1], *[1e6] * 5])
+    # all of the variance of the place lies along the road
     across = np.array([last.pose.pose.position.x, last.pose.pose.position.y]) / radius
     assert across @ covariance[:2, :2] @ across == pytest.approx(0.0, abs=1e-9)
 
@@ -55,7 +63,7 @@ def test_standard_messages_of_now_and_of_the_next_seconds(stage, ring_csv: Path)
     stage.until(lambda: seconds(heard["predicted_odometry"][-1]) == seconds(path) + 5.0)
     of_then = heard["predicted_odometry"][-5:]
     assert [seconds(m) - seconds(path) for m in of_then] == pytest.approx([1.0, 2.0, 3.0, 4.0, 5.0])
-    spreads = [np.trace(np.reshape(m.pose.covariance, (6, 6))) for m in of_then]
+    spreads = [np.trace(np.reshape(m.pose.covariance, (6, 6))[:2, :2]) for m in of_then]
     assert np.all(np.diff(spreads) > 0.0)
     at = of_then[-1].pose.pose.position
     assert (at.x, at.y) == pytest.approx((path.poses[-1].pose.position.x, path.poses[-1].pose.position.y))

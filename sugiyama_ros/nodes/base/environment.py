@@ -35,11 +35,16 @@ def isolate() -> str:
     return os.environ["ROS_DOMAIN_ID"]
 
 
+def domain() -> str:
+    """Return the number of the ROS domain, as the environment says it."""
+    return os.environ.get("ROS_DOMAIN_ID") or "0"
+
+
 def check() -> None:
     """Raise InputError for a domain that ROS cannot use, with which it would fail in many ways."""
-    domain = os.environ.get("ROS_DOMAIN_ID") or "0"
-    if not (domain.isascii() and domain.isdecimal() and int(domain) <= _LAST_DOMAIN):
-        raise InputError(f"ROS_DOMAIN_ID: {domain!r} is no domain; give a number from 0 to {_LAST_DOMAIN}")
+    given = domain()
+    if not (given.isascii() and given.isdecimal() and int(given) <= _LAST_DOMAIN):
+        raise InputError(f"ROS_DOMAIN_ID: {given!r} is no domain; give a number from 0 to {_LAST_DOMAIN}")
 
 
 def is_free(domain: int) -> bool:

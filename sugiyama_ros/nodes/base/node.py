@@ -122,10 +122,10 @@ class PacedNode(Node):
             return resolved
         return re.sub(r"/vehicle_\d+$", "", self.get_namespace()).rstrip("/") + "/" + topic
 
-    def stream(self, kind: type, topic: str) -> Publisher:
+    def stream(self, kind: type, topic: str, qos: QoSProfile = STREAM) -> Publisher:
         """Publisher of a topic, made at the first call, and shared by everything in the node that publishes there."""
         if topic not in self._streams:
-            self._streams[topic] = self.create_publisher(kind, topic, STREAM)
+            self._streams[topic] = self.create_publisher(kind, topic, qos)
         return self._streams[topic]
 
     def end_stream(self, topic: str) -> None:
@@ -220,6 +220,11 @@ class PacedNode(Node):
     def health(self) -> Health:
         """Health of this node now."""
         raise NotImplementedError
+
+    @property
+    def doing(self) -> str:
+        """What the node does, in one line that it says when it starts."""
+        return self.health().message
 
     def report(self) -> None:
         """Publish the health now."""

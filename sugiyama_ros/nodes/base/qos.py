@@ -27,6 +27,8 @@ def reliable(depth: int, durability: QoSDurabilityPolicy = QoSDurabilityPolicy.T
 
 #: For every topic with more than one message: who subscribes hears what comes from then on, and nothing old.
 STREAM = reliable(DEPTH, QoSDurabilityPolicy.VOLATILE)
+#: As STREAM, but who subscribes late and asks for it (transient local) gets the last messages too.
+KEPT_STREAM = reliable(DEPTH)
 #: Latched: the last message only.
 LATCHED = reliable(1)
 #: Progress counts from the start, so only the last message of a sender matters; a receiver hears many senders.

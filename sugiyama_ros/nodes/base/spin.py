@@ -116,6 +116,7 @@ def run_node(make: Callable[[], PacedNode]) -> None:
         with ros() as asked_to_stop:
             with _interruptible():
                 node = make()
+            node.get_logger().info(f"in ROS domain {environment.domain()}: {node.doing}")
             spinner = Spinner([node])
             while not asked_to_stop() and node.failure is None and not node.is_done and os.getppid() == runner:
                 spinner.slice()
@@ -135,14 +136,29 @@ def run_node(make: Callable[[], PacedNode]) -> None:
 
 
 @contextmanager
+def held_back() -> Iterator[None]:
+    """Hold SIGINT and SIGTERM back in processes that the block starts, until their nodes can take them.
+
+    A signal that comes while Python itself starts would end it with a traceback.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
 def _interruptible() -> Iterator[None]:
     """Let SIGINT and SIGTERM end the block at once, by KeyboardInterrupt.
 
-    A node takes seconds of processor time to start, which is a minute on a busy machine.
+    A node takes seconds of processor time to start, which is a minute on a busy machine. Who started the node may have
+    held the signals back until now (`held_back`).
     """
     stop = (signal.SIGINT, signal.SIGTERM)
     before = {number: signal.signal(number, signal.default_int_handler) for number in stop}
     try:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, stop)
         yield
     finally:
         for number, handler in before.items():

@@ -1,10 +1,12 @@
 """Position and speed of now, with their covariance."""
 
+import numpy as np
 from geometry_msgs.msg import TwistWithCovariance
 from nav_msgs.msg import Odometry
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.nodes.base.cdr_messages import NS, time_message
-from sugiyama_ros.nodes.outputs.output import DriverOutput, Known
+from sugiyama_ros.nodes.outputs.output import UNKNOWN_VAR, DriverOutput, Known
 
 
 def odometry(known: Known, k: int = 0) -> Odometry:
@@ -18,7 +20,9 @@ def odometry(known: Known, k: int = 0) -> Odometry:
     message.header.stamp = time_message(known.stamp_ns + round(float(path.time_s[k]) * NS))
     message.header.frame_id = known.places.frame
     message.twist.twist.linear.x = float(path.speed[k])
-    message.twist.covariance[0] = float(path.covariance[k, 1, 1])
+    # of the speeds, the filter knows the one along the road
+    covariance: Array = np.diag([float(path.covariance[k, 1, 1]), *[UNKNOWN_VAR] * 5])
+    message.twist.covariance = covariance.ravel()
     return message
 
 

@@ -2,17 +2,21 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import cos, pi, sin
+from math import cos, pi, remainder, sin
 from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import Point, Pose, PoseWithCovariance, Quaternion
 
-from sugiyama_ros.arrays import Array
 from sugiyama_ros.formats.measured import FRAME
 from sugiyama_ros.nodes.prediction import Prediction
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.centre_line import CentreLine
+
+#: Variance of what the filter does not know, such as height and roll [SI]: not 0, which would mean that it is exact.
+UNKNOWN_VAR = 1e6
+# Std [rad] of the direction of a vehicle around that of the road: who changes lane at 10 m/s moves aside at 1 m/s.
+_ASIDE_STD = 0.1
 
 
 class Places:
@@ -44,15 +48,25 @@ class Places:
         angle, radius = 2.0 * pi * position_m / self._road.circumference_m, self._road.circumference_m / (2.0 * pi)
         return radius * cos(angle), radius * sin(angle), angle + pi / 2.0
 
+    def curvature(self, position_m: float) -> float:
+        """Return by how much the road turns [rad/m] at a position [m]."""
+        if self._line is not None:
+            before, after = self._line.heading(np.array([position_m - 0.5, position_m + 0.5])).tolist()
+            return remainder(after - before, 2.0 * pi)
+        return 2.0 * pi / self._road.circumference_m if self._road.is_ring else 0.0
+
     def pose(self, position_m: float, var: float) -> PoseWithCovariance:
-        """Return the pose at a position [m], whose variance [m^2] lies along the road."""
+        """Return the pose at a position [m] with a variance [m^2]: on the line, and pointing along it."""
         x, y, heading = self.of(position_m)
         message = PoseWithCovariance(
             pose=Pose(position=Point(x=x, y=y), orientation=Quaternion(z=sin(0.5 * heading), w=cos(0.5 * heading)))
         )
-        along = np.array([cos(heading), sin(heading)])
-        covariance: Array = np.zeros((6, 6))
-        covariance[:2, :2] = var * np.outer(along, along)
+        # x, y and yaw change with the position along the road; the road turns by its curvature
+        by_position = np.zeros(6)
+        by_position[[0, 1, 5]] = cos(heading), sin(heading), self.curvature(position_m)
+        covariance = np.asarray(var * np.outer(by_position, by_position), np.float64)
+        covariance[[2, 3, 4], [2, 3, 4]] = UNKNOWN_VAR
+        covariance[5, 5] += _ASIDE_STD**2
         message.covariance = covariance.ravel()
         return message
 

@@ -1,0 +1,44 @@
+"""The executables of the nodes, such as ``sugiyama_replay``: each runs one node, or says in one line what is missing.
+
+This module imports nothing of ROS, so that it can say that ROS is not there.
+"""
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from importlib import import_module
+
+from sugiyama_ros.errors import InputError, SugiyamaError
+
+#: The nodes. Each is a module of ``sugiyama_ros.nodes`` with a function ``main``.
+NODES = ("critic", "drivers", "estimator", "keeper", "recorder", "replay", "simulator", "tracks")
+
+
+@contextmanager
+def ros_needed() -> Iterator[None]:
+    """Raise InputError where the block imports a package that is not installed."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        package = (error.name or "").partition(".")[0]
+        if package in ("", "sugiyama_ros"):
+            raise
+        raise InputError(f"{package}: not installed; run `make demo` once, or source a ROS 2 workspace") from None
+
+
+def run(node: str) -> None:
+    """Run a node of ``NODES`` until it ends. What the user can correct is one line, and exit code 2."""
+    try:
+        with ros_needed():
+            main = import_module(f"sugiyama_ros.nodes.{node}").main
+    except SugiyamaError as error:
+        print(error, file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        os._exit(0)  # nothing has begun
+    main()
+
+
+critic, drivers, estimator, keeper, recorder, replay, simulator, tracks = (partial(run, node) for node in NODES)
