@@ -20,9 +20,6 @@ if TYPE_CHECKING:
     from sugiyama_ros.formats.convert import Part
     from sugiyama_ros.formats.mcap_reader import BagInfo
 
-#: First bytes of an MCAP file.
-_BAG = b"\x89MCAP"
-
 
 @dataclasses.dataclass(frozen=True)
 class ConvertOptions:
@@ -208,16 +205,17 @@ def fetch(
 
 
 def info(
-    file: Annotated[Path, typer.Argument(help="MCAP file, or trajectories in any known format.")],
+    file: Annotated[Path, typer.Argument(help="MCAP file, directory of rosbag2, or trajectories in any known format.")],
     as_json: Json = False,
 ) -> None:
     """Show what a file contains.
 
     Of trajectories: vehicles, classes, lanes, time and leaders. Of an MCAP file: topics, as `ros2 bag info` does.
     """
+    from sugiyama_ros.formats.bag_folder import is_bag, recorded
     from sugiyama_ros.formats.sheet import head_of
 
-    if file.suffix.lower() != ".mcap" and not head_of(file).startswith(_BAG):
+    if not is_bag(file, head_of(file)):
         from sugiyama_ros.formats.registry import format_of, read_tracks
 
         document = {"format": format_of(file).name, **document_of(read_tracks(file))}
@@ -227,10 +225,7 @@ def info(
         print_line(f"{'Format:':<13}{document['format']}")
         _print_tracks(document)
         return
-    from sugiyama_ros.formats.mcap_reader import Bag
-
-    with Bag(file) as bag:
-        about = bag.info()
+    about = recorded(file).info()
     if as_json:
         print_json(dataclasses.asdict(about))
         return
@@ -263,25 +258,27 @@ def _moment(ns: int) -> str:
 
 
 def echo(
-    file: Annotated[Path, typer.Argument(help="MCAP file.")],
+    file: Annotated[Path, typer.Argument(help="MCAP file, or directory of rosbag2.")],
     topic: Annotated[str, typer.Argument(help="Topic, such as /vehicle_07/innovation.")],
     as_json: Json = False,
 ) -> None:
     """Print the messages of one topic."""
+    from sugiyama_ros.formats.bag_folder import recorded
     from sugiyama_ros.formats.cdr import plain
-    from sugiyama_ros.formats.mcap_reader import Bag
 
-    with Bag(file) as bag:
-        messages = bag.messages({topic})
-        if as_json:
-            sys.stdout.write("[")
-            for number, (_, _, log_time_ns, message) in enumerate(messages):
-                document = {"log_time_ns": log_time_ns, "message": plain(message)}
-                sys.stdout.write(("," if number else "") + "\n" + to_json(document))
-            sys.stdout.write("\n]\n")
-            return
+    bag = recorded(file)
+    messages = bag.messages({topic})
+    if as_json:
+        sys.stdout.write("[")
+        for number, (_, _, log_time_ns, message) in enumerate(messages):
+            document = {"log_time_ns": log_time_ns, "message": plain(message)}
+            sys.stdout.write(("," if number else "") + "\n" + to_json(document))
+        sys.stdout.write("\n]\n")
+    else:
         for _, _, log_time_ns, message in messages:
             sys.stdout.write(f"# {log_time_ns}\n{to_json(plain(message), indent=2)}\n---\n")
+    for name, why in bag.undecoded.items():
+        print_note(f"{name}: bytes in hexadecimal: {why}")
 
 
 def recover(

@@ -1,6 +1,9 @@
 """Directories of rosbag2: one or more files, and ``metadata.yaml``."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
+from operator import attrgetter
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -10,11 +13,17 @@ import yaml
 from sugiyama_ros.documents import read_yaml
 from sugiyama_ros.errors import InputError, OutputError
 from sugiyama_ros.formats.definitions import type_hash
+from sugiyama_ros.formats.mcap_order import Part, merged
+from sugiyama_ros.formats.mcap_reader import Bag, BagInfo, BagMessage, TopicInfo
+from sugiyama_ros.formats.mcap_records import MAGIC
 from sugiyama_ros.formats.mcap_writer import BagWriter, Qos
 from sugiyama_ros.outputs import make_directory, writing
 
 METADATA = "metadata.yaml"
 _NEVER_NS = 2**63 - 1
+# How rosbag2 and others call files that zstd has compressed.
+_PACKED = (".zstd", ".zst")
+_PACKED_BAGS = tuple(f".mcap{end}" for end in _PACKED)
 
 
 def bag_files(path: Path) -> list[Path]:
@@ -36,7 +45,15 @@ def bag_files(path: Path) -> list[Path]:
         For a directory that is no bag, or whose files are not MCAP.
     """
     if not path.is_dir():
+        if path.suffix.lower() in (".bag", ".db3"):
+            kind = "a bag of ROS 1" if path.suffix.lower() == ".bag" else "in a database of rosbag2"
+            source = path if path.suffix.lower() == ".bag" else path.parent
+            target = path.with_suffix("")
+            cure = f"run `rosbags-convert --src {source} --dst {target}_mcap --dst-storage mcap`"
+            raise InputError(f"{path}: {kind}, not an MCAP file; {cure}, and give {target}_mcap")
         return [path]
+    if not (path / METADATA).is_file():
+        raise InputError(f"{path}: has no {METADATA}; give one of its .mcap files, or run `ros2 bag reindex {path}`")
     document = read_yaml(path / METADATA)
     try:
         about = document["rosbag2_bagfile_information"]
@@ -44,11 +61,102 @@ def bag_files(path: Path) -> list[Path]:
     except (KeyError, TypeError):
         raise InputError(f"{path / METADATA}: is not of a bag; give a directory that rosbag2 recorded") from None
     if storage != "mcap":
-        raise InputError(f"{path}: its storage is {storage}, not mcap; convert it with `ros2 bag convert`")
-    files = [path / Path(name).name for name in names]
+        cure = f"run `rosbags-convert --src {path} --dst {path}_mcap --dst-storage mcap`"
+        raise InputError(f"{path}: its storage is {storage}, not mcap; {cure}, and give {path}_mcap")
+    files = [_unpacked(path / Path(name).name) for name in names]
     if not files:
         raise InputError(f"{path}: has no files; record something")
     return files
+
+
+def _unpacked(file: Path) -> Path:
+    """The file that was unpacked beside a compressed one, if there is one."""
+    beside = file.with_suffix("")
+    return beside if file.suffix in _PACKED and beside.suffix == ".mcap" and beside.is_file() else file
+
+
+def is_bag(path: Path, head: bytes) -> bool:
+    """Whether a path is a bag: a directory of rosbag2, or a file that is one by its first bytes or its name."""
+    if path.is_dir():
+        return (path / METADATA).is_file()
+    return head.startswith(MAGIC) or path.suffix.lower() == ".mcap" or path.name.endswith(_PACKED_BAGS)
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """One or more files that were recorded together, read as one.
+
+    Parameters
+    ----------
+    path : Path
+        MCAP file, or directory of rosbag2.
+    files : list of Path
+        The files.
+    """
+
+    path: Path
+    files: list[Path]
+    #: Why the messages of a topic are given as bytes.
+    undecoded: dict[str, str] = field(default_factory=dict)
+
+    def info(self) -> BagInfo:
+        """Content of all files together. Raises InputError where a file cannot be read."""
+        each = []
+        for file in self.files:
+            with Bag(file) as bag:
+                each.append(bag.info())
+        if len(each) == 1:
+            return replace(each[0], file=str(self.path))
+        filled = [one for one in each if one.messages]
+        start_ns = min((one.start_ns for one in filled), default=0)
+        end_ns = max((one.end_ns for one in filled), default=0)
+        topics: dict[str, TopicInfo] = {}
+        for topic in (topic for one in each for topic in one.topics):
+            known = topics.get(topic.name)
+            topics[topic.name] = topic if known is None else replace(known, count=known.count + topic.count)
+        return BagInfo(
+            file=str(self.path),
+            size_bytes=sum(one.size_bytes for one in each),
+            storage=each[0].storage,
+            profile=each[0].profile,
+            library=each[0].library,
+            duration_s=1e-9 * (end_ns - start_ns),
+            start_ns=start_ns,
+            end_ns=end_ns,
+            messages=sum(one.messages for one in each),
+            compression=tuple(sorted({name for one in each for name in one.compression})),
+            topics=tuple(topics[name] for name in sorted(topics)),
+            metadata={name: values for one in each for name, values in one.metadata.items()},
+        )
+
+    def messages(self, topics: Collection[str]) -> Iterator[BagMessage]:
+        """Messages of some topics in the order of their log times, as those of `Bag`.
+
+        Raises InputError for a topic that no file has.
+        """
+        parts, missing = [], set(topics)
+        for file in self.files:
+            with Bag(file) as bag:
+                about = bag.info()
+            here = {topic.name for topic in about.topics} & set(topics)
+            missing -= here
+            if here and about.messages:
+                parts.append(Part(about.start_ns, 0, partial(self._of_file, file, here)))
+        if missing:
+            raise InputError(f"{self.path}: no topic {', '.join(sorted(missing))}; see `sugiyama info {self.path}`")
+        yield from merged(parts, attrgetter("log_time_ns"), self.path)
+
+    def _of_file(self, file: Path, topics: Collection[str]) -> Iterator[BagMessage]:
+        with Bag(file) as bag:
+            for message in bag.messages(topics):
+                if isinstance(message.message, bytes):
+                    self.undecoded.update(bag.undecoded)
+                yield message
+
+
+def recorded(path: Path) -> Recorded:
+    """A bag: an MCAP file, or a directory of rosbag2. Raises InputError as `bag_files` does."""
+    return Recorded(path, bag_files(path))
 
 
 class FolderWriter:

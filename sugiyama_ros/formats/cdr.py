@@ -1,16 +1,18 @@
-"""Messages to and from CDR bytes without ROS, from the text of their definition."""
+"""Messages to and from bytes (CDR, or ROS 1) without ROS, from the text of their definition."""
 
 import dataclasses
 import math
+import re
 import struct
 from collections.abc import Callable
+from contextlib import suppress
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.base import TypesysError
 from rosbags.typesys.store import Typestore
 
@@ -24,6 +26,14 @@ _MAX_DEPTH = 8
 _MAX_UNROLLED = 1000
 # Definitions that are kept compiled. A file has one channel for each topic, but few types.
 _KEPT = 64
+# What stands between two files of a definition in IDL.
+_NEXT_IDL = "=" * 80 + "\nIDL: "
+# Lines such as #include: what they name is in the definition itself.
+_PREPROCESSOR = re.compile(r"^[ \t]*#.*$", re.MULTILINE)
+#: Kinds of definitions that can be used, as MCAP calls them.
+KINDS = ("ros2msg", "ros2idl", "ros1msg")
+# Bytes that a writer may leave behind the end of a message, for the alignment of an empty list.
+_PADDING = 8
 #: Largest message [bytes] that is decoded if it holds lists of messages or texts, each a Python object.
 _MAX_COMPOUND = 1 << 18
 
@@ -31,7 +41,7 @@ Decoder = Callable[[bytes], Any]
 
 
 @lru_cache(maxsize=_KEPT)
-def decoder(type_name: str, text: str) -> Decoder | None:
+def decoder(type_name: str, text: str, kind: str = "ros2msg") -> Decoder | None:
     """Make a function that decodes a message.
 
     The function is made once for each definition, because rosbags compiles Python code for it.
@@ -41,15 +51,17 @@ def decoder(type_name: str, text: str) -> Decoder | None:
     type_name : str
         Name of the type, such as ``std_msgs/msg/Header``.
     text : str
-        Definition of the type and of all types in it (``ros2msg``).
+        Definition of the type and of all types in it.
+    kind : {"ros2msg", "ros2idl", "ros1msg"}
+        Kind of the definition; the messages of a ``ros1msg`` are in the encoding of ROS 1, all others in CDR.
 
     Returns
     -------
     callable or None
-        Takes CDR bytes and returns a dataclass with numpy arrays; raises ValueError if the bytes do not fit the
+        Takes bytes and returns a dataclass with numpy arrays; raises ValueError if the bytes do not fit the
         definition. None if the definition cannot be used.
     """
-    store = _store(type_name, text)
+    store = _store(type_name, text, kind)
     if store is None:
         return None
     fields = [desc for _, fields in store.fielddefs.values() for _, desc in fields]
@@ -59,17 +71,78 @@ def decoder(type_name: str, text: str) -> Decoder | None:
     def decode(data: bytes) -> Any:
         if largest is not None and len(data) > largest:
             raise ValueError(f"{len(data)} bytes are more than the limit of {largest} for a {type_name}")
-        if data[:2] not in (b"\0\0", b"\0\1"):
+        if kind != "ros1msg" and data[:2] not in (b"\0\0", b"\0\1"):
             raise ValueError("does not begin like CDR")
         try:
-            kind = store.get_msgdef(type_name)
-            # Where lists are empty, ROS leaves bytes for their alignment behind the end; they are allowed.
-            read = kind.deserialize_cdr_le if data[1] else kind.deserialize_cdr_be
-            return read(memoryview(data)[4:], 0, kind.cls, store)[0]
+            made = store.get_msgdef(type_name)
+            if kind == "ros1msg":
+                message, end = made.deserialize_ros1(memoryview(data), 0, made.cls, store)
+                rest = len(data) - end
+            else:
+                read = made.deserialize_cdr_le if data[1] else made.deserialize_cdr_be
+                message, end = read(memoryview(data)[4:], 0, made.cls, store)
+                # Where lists are empty, ROS leaves bytes for their alignment behind the end; they are allowed.
+                rest = max(0, len(data) - 4 - end - _PADDING)
         except (SerdeError, struct.error, ValueError, IndexError, RecursionError) as error:
             raise ValueError(" ".join(str(error).split())) from None
+        if rest:
+            raise ValueError("is longer than its definition says")
+        return message
 
     return decode
+
+
+def decoder_of(type_name: str, text: str, kind: str, encoding: str) -> Decoder | str:
+    """Make a decoder for the messages of a channel of a bag.
+
+    Where the bag has no definition, or one that cannot be used, the installed definition of the type counts.
+
+    Parameters
+    ----------
+    type_name, text, kind : str
+        Name of the type, its definition, and what kind of definition that is.
+    encoding : str
+        Encoding of the messages.
+
+    Returns
+    -------
+    callable or str
+        The decoder, or why there is none and what to do.
+    """
+    if encoding not in ("cdr", "ros1"):
+        return f"its messages are in {encoding or 'no known encoding'}; give a bag with messages of ROS (cdr or ros1)"
+    if not type_name:
+        return "the bag does not say the type of its messages; record it again"
+    name, known = ros2_name(type_name), "ros1msg" if encoding == "ros1" else "ros2msg"
+    if kind in KINDS and text.strip() and (kind == "ros1msg") == (encoding == "ros1"):
+        made = decoder(name, text, kind)
+        if made is not None:
+            return made
+        what = f"its definition ({kind}) cannot be used"
+        if kind != "ros2idl":  # it says something else than what is installed
+            return f"{what}; record the topic again"
+    else:
+        what = f"its definition is in {kind}" if text.strip() else "the bag does not have its definition"
+    made = decoder(name, _known_text(name, known), known)
+    package = name.partition("/")[0]
+    return made or f"{what}, and {package} is not installed; install {package}, or record the topic again with it"
+
+
+def ros2_name(type_name: str) -> str:
+    """Name of a type as in ROS 2: ``nav_msgs/msg/Odometry`` for ``nav_msgs/Odometry`` of ROS 1."""
+    package, _, name = type_name.partition("/")
+    return f"{package}/msg/{name}" if name and "/" not in name else type_name
+
+
+def _known_text(type_name: str, kind: str) -> str:
+    """Definition of a type that is installed, or that rosbags brings; empty if there is none."""
+    if kind == "ros2msg":
+        with suppress(InputError):
+            return full_text(type_name)
+    store = get_typestore(Stores.LATEST if kind == "ros2msg" else Stores.ROS1_NOETIC)
+    if type_name not in store.fielddefs:
+        return ""
+    return store.generate_msgdef(type_name, ros_version=2 if kind == "ros2msg" else 1)[0]
 
 
 def plain(value: Any) -> Any:
@@ -111,13 +184,20 @@ def _build(store: Typestore, type_name: str, fields: dict[str, Any]) -> Any:
     return message_type(**values)
 
 
-def _store(type_name: str, text: str) -> Typestore | None:
+def _store(type_name: str, text: str, kind: str = "ros2msg") -> Typestore | None:
     """Types of a definition and of the types in it; None if it is malformed or too large."""
     if len(text) > _MAX_TEXT:
         return None
     try:
         store = get_typestore(Stores.EMPTY)
-        store.register(get_types_from_msg(text.replace("\r\n", "\n"), type_name))
+        text = text.replace("\r\n", "\n")
+        if kind == "ros2idl":
+            first, *others = text.split(_NEXT_IDL)
+            for part in (first, *(other.partition("\n")[2] for other in others)):
+                if part.strip():
+                    store.register(get_types_from_idl(_PREPROCESSOR.sub("", part)))
+        else:
+            store.register(get_types_from_msg(text, type_name))
         return store if _depth(type_name, store, {}) <= _MAX_DEPTH else None
     except (TypesysError, SyntaxError, ValueError, TypeError, AssertionError, RecursionError):
         return None

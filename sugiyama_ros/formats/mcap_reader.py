@@ -2,9 +2,11 @@
 
 import re
 import zlib
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
+from operator import attrgetter
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple
@@ -13,7 +15,8 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, Footer, Header, Metadata, MetadataIndex, Statistics
 
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.formats.cdr import Decoder, decoder
+from sugiyama_ros.formats.cdr import Decoder, decoder_of
+from sugiyama_ros.formats.mcap_order import Part, in_order, merged
 from sugiyama_ros.formats.mcap_records import (
     HEAD,
     MAGIC,
@@ -23,10 +26,11 @@ from sugiyama_ros.formats.mcap_records import (
     RecordFile,
     content_records,
 )
-from sugiyama_ros.formats.reading import open_input
+from sugiyama_ros.formats.zstd_packed import ZSTD, open_packed, unpacked
 
 _FOOTER_SIZE = HEAD.size + 20
 _BLOCK = 1 << 20
+_log_time = attrgetter("log_time")
 
 
 @dataclass(frozen=True)
@@ -83,8 +87,10 @@ class Bag:
     def __init__(self, path: Path) -> None:
         self.path = Path(path)
         self._described = Descriptions(self.path)
+        #: Why the messages of a topic are given as bytes.
+        self.undecoded: dict[str, str] = {}
         with ExitStack() as opened:
-            self._file = RecordFile(self.path, opened.enter_context(open_input(self.path)))
+            self._file = RecordFile(self.path, opened.enter_context(open_packed(self.path)))
             first = self._file.record(len(MAGIC))
             if first.opcode != Opcode.HEADER:
                 raise self._file.damaged(first.offset, "no header record")
@@ -131,10 +137,10 @@ class Bag:
         )
 
     def messages(self, topics: Collection[str] | None = None, *, skip_misfits: bool = False) -> Iterator[BagMessage]:
-        """Messages of some topics, or of all topics, in the order in which they were recorded.
+        """Messages of some topics, or of all topics, in the order of their log times.
 
-        Raises InputError for a topic that is not in the bag, and for a message that does not fit its definition, unless
-        such messages are skipped.
+        A topic whose messages cannot be decoded has bytes, and `undecoded` says why. Raises InputError for a topic that
+        is not in the bag, and for a message that does not fit its definition, unless such messages are skipped.
         """
         decoders: dict[int, Decoder | None] = {}
         for number, message in enumerate(self._selected(topics)):
@@ -144,7 +150,7 @@ class Bag:
             found = self._named(message)
             if decode is not None:
                 try:
-                    found = found._replace(message=decode(message.data))
+                    found = found._replace(message=decode(found.message))
                 except ValueError as error:
                     if skip_misfits:
                         continue
@@ -158,44 +164,71 @@ class Bag:
         return map(self._named, self._selected(topics))
 
     def _named(self, message: Message) -> BagMessage:
-        """A message with the topic and type of its channel."""
+        """A message with the topic and type of its channel; unpacked if it was compressed on its own."""
         schema = self._described.schema(message.channel)
-        topic = self._described.channels[message.channel].topic
-        return BagMessage(topic, schema.name if schema else "", message.log_time, message.data)
+        channel = self._described.channels[message.channel]
+        data = message.data
+        if data[: len(ZSTD)] == ZSTD and channel.message_encoding == "cdr":
+            data = unpacked(data, f"{self.path}: a message of {channel.topic!r}")
+        return BagMessage(channel.topic, schema.name if schema else "", message.log_time, data)
 
     def _selected(self, topics: Collection[str] | None) -> Iterator[Message]:
         """Messages of some topics, or of all topics."""
         skipped = self._chunks_without(topics) if topics is not None else frozenset()
-        unwanted: set[int] = set()
-        for opcode, content in self._contents(skipped, unwanted):
-            if opcode != Opcode.MESSAGE:
-                self._described.add(opcode, content)
-                continue
-            if content.channel not in self._described.channels:
+        self._describe_all()
+
+        def unwanted(channel: int) -> bool:
+            if channel not in self._described.channels:
                 raise InputError(
-                    f"{self.path}: a message of channel {content.channel}, which is not described; the file is damaged"
+                    f"{self.path}: a message of channel {channel}, which is not described; the file is damaged"
                 )
-            if topics is None or self._described.channels[content.channel].topic in topics:
-                yield content
-            else:
-                unwanted.add(content.channel)
+            return topics is not None and self._described.channels[channel].topic not in topics
+
+        def part(start_ns: int, size: int, where: str, content: Callable[[], bytes]) -> Part:
+            return Part(start_ns, size, lambda: in_order(content(), where, self._described.add, unwanted))
+
+        yield from merged([part(*found) for found in self._parts(skipped)], _log_time, self.path)
         missing = set(topics or ()) - {channel.topic for channel in self._described.channels.values()}
         if missing:
             raise InputError(f"{self.path}: no topic {', '.join(sorted(missing))}; see `sugiyama info {self.path}`")
 
-    def _contents(self, skipped: Collection[int], unwanted: Collection[int]) -> Iterator[tuple[int, Any]]:
-        """Messages and descriptions of the data section.
+    def _parts(self, skipped: Collection[int]) -> Iterator[tuple[int, int, str, Callable[[], bytes]]]:
+        """The chunks, and the blocks of messages between them: first log time [ns], bytes, name, and what reads it.
 
-        Chunks at the offsets ``skipped`` and, in chunks, messages of the channels ``unwanted`` are passed over.
+        Chunks at the offsets ``skipped`` are passed over.
         """
+        file, block, first_ns = self._file, (0, 0), 0
+        for record in file.records():
+            is_message = record.opcode == Opcode.MESSAGE
+            begin, end = block
+            if begin < end and (not is_message or end != record.offset or record.end - begin > _BLOCK):
+                yield first_ns, end - begin, f"{self.path}: offset {begin}", partial(file.read, begin, end - begin)
+                block = (0, 0)
+            if is_message:
+                log_time = file.message_head(record).log_time
+                first_ns = log_time if block == (0, 0) else min(first_ns, log_time)
+                block = (record.offset if block == (0, 0) else block[0], record.end)
+            elif record.opcode == Opcode.CHUNK and record.offset not in skipped:
+                start_ns, size = file.chunk_head(record)
+                yield start_ns, size, f"{self.path}: chunk at offset {record.offset}", partial(file.chunk, record)
+
+    def _describe_all(self) -> None:
+        """Take in the descriptions of types and channels: from the summary, and from between the chunks.
+
+        Only if that leaves some out, from the chunks as well: a channel may be described in a chunk that comes later.
+        """
+        for offset in (self._summary, len(MAGIC)):
+            for record in self._file.records(offset) if offset else ():
+                if record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                    self._described.add(record.opcode, self._file.body(record, MAX_DESCRIPTION))
+        if self._described.channels:
+            return
         for record in self._file.records():
-            if record.opcode == Opcode.CHUNK and record.offset not in skipped:
+            if record.opcode == Opcode.CHUNK:
                 where = f"{self.path}: chunk at offset {record.offset}"
-                yield from content_records(self._file.chunk(record), where, unwanted)
-            elif record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                yield record.opcode, self._file.body(record, MAX_DESCRIPTION)
-            elif record.opcode == Opcode.MESSAGE:
-                yield record.opcode, self._file.message(record)
+                for opcode, found in content_records(self._file.chunk(record), where):
+                    if opcode != Opcode.MESSAGE:
+                        self._described.add(opcode, found)
 
     def _chunks_without(self, topics: Collection[str]) -> Collection[int]:
         """Offsets of chunks that hold no message of ``topics``, as far as the summary says so."""
@@ -218,11 +251,15 @@ class Bag:
         return skipped
 
     def _decoder(self, number: int) -> Decoder | None:
-        """Decoder for the messages of a channel; None if they cannot be decoded."""
-        schema = self._described.schema(number)
-        if schema is None or schema.encoding != "ros2msg" or self._described.channels[number].message_encoding != "cdr":
+        """Decoder for the messages of a channel; None if they cannot be decoded, and `undecoded` says why."""
+        channel, schema = self._described.channels[number], self._described.schema(number)
+        name = schema.name if schema is not None else ""
+        text = schema.data.decode(errors="replace") if schema is not None else ""
+        found = decoder_of(name, text, schema.encoding if schema is not None else "", channel.message_encoding)
+        if isinstance(found, str):
+            self.undecoded[channel.topic] = found
             return None
-        return decoder(schema.name, schema.data.decode(errors="replace"))
+        return found
 
     def _topic(self, channel: Channel, count: int) -> TopicInfo:
         schema = self._described.schema(channel.id)

@@ -2,7 +2,7 @@
 
 import struct
 import zlib
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -27,6 +27,8 @@ _MAX_DESCRIPTIONS = 64 << 20
 HEAD = struct.Struct("<BQ")
 #: Head of a message: channel, sequence, time of recording and of publishing [ns].
 MESSAGE = struct.Struct("<HIQQ")
+# Head of a chunk: log times [ns] of its first and last message, and length of its content [bytes].
+_CHUNK_HEAD = struct.Struct("<QQQ")
 
 Parsed = TypeVar("Parsed")
 
@@ -39,6 +41,15 @@ class Message(NamedTuple):
     log_time: int
     publish_time: int
     data: bytes
+
+
+class Place(NamedTuple):
+    """Where a message lies in the content of a chunk: its channel, log time [ns], and first and last byte."""
+
+    channel: int
+    log_time: int
+    start: int
+    end: int
 
 
 @dataclass(frozen=True)
@@ -114,6 +125,21 @@ class RecordFile:
     def chunk(self, record: Record) -> bytes:
         """Decompressed and verified content of a chunk."""
         return decompress(self.parse(Chunk, record, MAX_RECORD), f"{self.path}: chunk at offset {record.offset}")
+
+    def chunk_head(self, record: Record) -> tuple[int, int]:
+        """Log time [ns] of the first message of a chunk, and bytes of its content, as it claims them."""
+        if record.length < _CHUNK_HEAD.size:
+            raise self.damaged(record.offset, "not a valid Chunk record")
+        start_ns, _, size = _CHUNK_HEAD.unpack(self.read(record.offset + HEAD.size, _CHUNK_HEAD.size))
+        return start_ns, min(size, MAX_RECORD)
+
+    def message_head(self, record: Record) -> Place:
+        """Where a message outside of any chunk lies in the file, and its log time [ns]."""
+        if record.length < MESSAGE.size:
+            raise self.damaged(record.offset, "a message without its head")
+        start = record.offset + HEAD.size
+        channel, _, log_time, _ = MESSAGE.unpack(self.read(start, MESSAGE.size))
+        return Place(channel, log_time, start, record.end)
 
     def message(self, record: Record) -> Message:
         """A message outside of any chunk."""
@@ -207,11 +233,10 @@ def _decompressed(chunk: Chunk) -> bytes | None:
     return None
 
 
-def content_records(content: bytes, where: str, unwanted: Collection[int] = ()) -> Iterator[tuple[int, Any]]:
-    """Schemas, channels (as opcode and body) and messages (as Message) inside a chunk.
+def content_records(content: bytes, where: str) -> Iterator[tuple[int, Any]]:
+    """Schemas, channels (as opcode and body) and messages (as Place) inside a chunk.
 
-    Messages of the channels ``unwanted`` are passed over; the collection may grow meanwhile. Raises InputError where a
-    record does not end within the chunk.
+    Raises InputError where a record does not end within the chunk.
     """
     position = 0
     while position < len(content):
@@ -223,10 +248,14 @@ def content_records(content: bytes, where: str, unwanted: Collection[int] = ()) 
         if opcode == Opcode.MESSAGE:
             if length < MESSAGE.size:
                 raise InputError(f"{where}: a message without its head; the file is damaged")
-            head = MESSAGE.unpack_from(content, start)
-            if head[0] not in unwanted:
-                yield opcode, Message._make((*head, content[start + MESSAGE.size : position]))
+            channel, _, log_time, _ = MESSAGE.unpack_from(content, start)
+            yield opcode, Place(channel, log_time, start, position)
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             if length > MAX_DESCRIPTION:
                 raise InputError(f"{where}: a description of {length} bytes, more than {MAX_DESCRIPTION}; not read")
             yield opcode, content[start:position]
+
+
+def message_at(content: bytes, start: int, end: int) -> Message:
+    """The message whose head begins at ``start`` of the content of a chunk."""
+    return Message._make((*MESSAGE.unpack_from(content, start), content[start + MESSAGE.size : end]))

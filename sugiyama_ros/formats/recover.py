@@ -22,6 +22,7 @@ from sugiyama_ros.formats.mcap_records import (
     Record,
     RecordFile,
     content_records,
+    message_at,
 )
 from sugiyama_ros.formats.reading import open_input
 from sugiyama_ros.outputs import Target, output_of, writing
@@ -127,11 +128,12 @@ class _Salvage:
             self._copy_message(self._file.message(record), writer)
         elif record.opcode == Opcode.CHUNK:
             where = f"{self._file.path}: chunk at offset {record.offset}"
-            for opcode, content in content_records(self._chunk(record), where):
+            content = self._chunk(record)
+            for opcode, found in content_records(content, where):
                 if opcode == Opcode.MESSAGE:
-                    self._copy_message(content, writer)
+                    self._copy_message(message_at(content, found.start, found.end), writer)
                 else:
-                    self._described.add(opcode, content)
+                    self._described.add(opcode, found)
 
     def _copy_message(self, message: Message, writer: Writer) -> None:
         """Copy one message; a message without a description of its channel is lost."""

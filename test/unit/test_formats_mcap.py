@@ -123,13 +123,11 @@ def test_chunks_are_small_and_unneeded_chunks_are_skipped(tmp_path: Path, monkey
             channel = bag.topic(name, HEADER)
             for k in range(4):
                 bag.write(channel, os.urandom(200_000), k, k)
-    from sugiyama_ros.formats import mcap_reader
+    from sugiyama_ros.formats import mcap_order
 
     opened = []
     whole = content_records
-    monkeypatch.setattr(
-        mcap_reader, "content_records", lambda content, *rest: opened.append(1) or whole(content, *rest)
-    )
+    monkeypatch.setattr(mcap_order, "content_records", lambda content, *rest: opened.append(1) or whole(content, *rest))
     with Bag(path) as bag:
         assert sum(1 for _ in bag.raw_messages()) == 8
         in_all = len(opened)
