@@ -15,12 +15,26 @@ from sugiyama_ros.trajectories.placing import SeenVehicle
 
 _NS = 1_000_000_000
 _TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*")
-_PATH = re.compile(r"[a-zA-Z_]\w*(\[-?\d+\])?(\.[a-zA-Z_]\w*(\[-?\d+\])?)*")
+_STEP = r"[a-zA-Z_]\w*(\[-?\d+\])?"
+_PATH = re.compile(rf"{_STEP}(\.{_STEP})*")
+_TEXTS = {
+    "type": (_TYPE, "type of a message"),
+    "heading_known": (re.compile(rf"{_STEP}(\.{_STEP})*=\d+"), "path of a field and its value, such as state=2"),
+}
+#: Units of stamps [ns].
+UNITS_NS = {"s": _NS, "ms": 1_000_000, "us": 1000, "ns": 1}
+_CHOICES = {
+    "stamp_unit": tuple(UNITS_NS),
+    "heading_unit": ("rad", "deg"),
+    "orientation_order": ("", "xyzw", "wxyz"),
+}
 
 
 @dataclass(frozen=True)
 class Bridge:
-    """Where a message says what. Each field but ``type`` is a path, such as ``pose.covariance[0]``; empty: nowhere.
+    """Where a message says what. Each field but the last three and ``type`` is a path; empty: nowhere.
+
+    A path is such as ``pose.covariance[0]``.
 
     Attributes
     ----------
@@ -34,13 +48,21 @@ class Bridge:
     x, y : str
         Position [m] of the vehicle.
     orientation, heading : str
-        Quaternion, or angle [rad], of the direction in which the vehicle points.
+        Quaternion, or angle, of the direction in which the vehicle points.
+    heading_known : str
+        Path and value, such as ``orientation_availability=2``: the direction counts only where the field has the value.
     length, vehicle_class : str
         Length [m] and class of the vehicle.
     var : str
         Variance [m^2] of the position.
     stamp, frame : str
-        Time stamp, and frame of the position.
+        Time stamp, and frame of the position. An empty ``stamp`` is the log time of a bag, or the time of receipt.
+    stamp_unit : {"s", "ms", "us", "ns"}
+        Unit of a stamp that is a number.
+    heading_unit : {"rad", "deg"}
+        Unit of ``heading``.
+    orientation_order : {"", "xyzw", "wxyz"}
+        Order of a quaternion that is an array of four numbers.
     """
 
     type: str
@@ -50,14 +72,32 @@ class Bridge:
     id: str = ""
     orientation: str = ""
     heading: str = ""
+    heading_known: str = ""
     length: str = ""
     vehicle_class: str = ""
     var: str = ""
     stamp: str = "header.stamp"
     frame: str = "header.frame_id"
+    stamp_unit: str = "s"
+    heading_unit: str = "rad"
+    orientation_order: str = ""
 
-    def seen(self, message: Any, topic: str) -> Iterator[SeenVehicle]:
+    def seen(self, message: Any, topic: str, log_ns: int) -> Iterator[SeenVehicle]:
         """The vehicles in a message, from rclpy or from a bag.
+
+        Parameters
+        ----------
+        message : object
+            The message.
+        topic : str
+            Its topic. Objects of different topics are different vehicles, also if their ids are the same.
+        log_ns : int
+            Log time, or time of receipt [ns].
+
+        Yields
+        ------
+        SeenVehicle
+            Its name is empty if the message does not have one.
 
         Raises
         ------
@@ -66,10 +106,10 @@ class Bridge:
         """
         objects = look_up(message, self.objects, self) if self.objects else [message]
         for one in objects:
-            name = _name(look_up(one, self.id, self)) if self.id else topic
+            name = _name(look_up(one, self.id, self)) if self.id else ""
             yield SeenVehicle(
-                stamp_ns=self._stamp_ns(self._either(one, message, self.stamp)),
-                name=name,
+                stamp_ns=self._stamp_ns(self._either(one, message, self.stamp)) if self.stamp else log_ns,
+                name=f"{topic} {name}" if name else "" if self.id else topic,
                 x_m=self._real(one, self.x),
                 y_m=self._real(one, self.y),
                 heading=self._heading(one),
@@ -80,12 +120,24 @@ class Bridge:
             )
 
     def _heading(self, one: Any) -> float:
+        if self.heading_known:
+            path, _, value = self.heading_known.partition("=")
+            if self._real(one, path) != float(value):
+                return math.nan
         if self.heading:
-            return self._real(one, self.heading)
+            angle = self._real(one, self.heading)
+            return math.radians(angle) if self.heading_unit == "deg" else angle
         if not self.orientation:
             return math.nan
         quaternion = look_up(one, self.orientation, self)
-        return yaw(*(self._real(quaternion, name) for name in "xyzw"))
+        if hasattr(quaternion, "x"):
+            return yaw(*(self._real(quaternion, name) for name in "xyzw"))
+        if not self.orientation_order:
+            raise InputError(
+                f"{self.type}: {self.orientation} is an array; add `orientation_order: wxyz` (or xyzw) to the bridge"
+            )
+        order = [self.orientation_order.index(name) for name in "xyzw"]
+        return yaw(*(self._real(one, f"{self.orientation}[{k}]") for k in order))
 
     def _number(self, one: Any, path: str) -> float:
         """A positive number; NaN where the message does not know it, as it says with a 0."""
@@ -100,11 +152,13 @@ class Bridge:
             raise InputError(f"{self.type}: {path} is no number; correct the bridge") from None
 
     def _stamp_ns(self, stamp: Any) -> int:
-        """A stamp [ns]: a Time, or a number of seconds. Raises InputError for anything else."""
+        """A stamp [ns]: a Time, or a number. Raises InputError for anything else."""
         try:
             if hasattr(stamp, "sec"):
                 return int(stamp.sec) * _NS + int(stamp.nanosec)
-            return round(float(stamp) * 1e9)
+            unit_ns = UNITS_NS[self.stamp_unit]
+            # a float cannot hold the nanoseconds since 1970
+            return int(stamp) * unit_ns if float(stamp).is_integer() else round(float(stamp) * unit_ns)
         except (AttributeError, TypeError, ValueError, OverflowError):
             raise InputError(f"{self.type}: {self.stamp} is no time; correct the bridge") from None
 
@@ -154,17 +208,29 @@ def read_bridge(path: Path) -> Bridge:
     if not isinstance(document, dict) or not {"type", "x", "y"} <= set(document) <= known:
         raise InputError(f"{path}: is no bridge; give type, x, y, and perhaps {', '.join(sorted(known - {'type'}))}")
     for name, value in document.items():
-        if not isinstance(value, str) or (value and not (_TYPE if name == "type" else _PATH).fullmatch(value)):
-            raise InputError(
-                f"{path}: {name}: {value!r} is not the {'type of a message' if name == 'type' else 'path of a field'}"
-            )
+        _check(path, name, value)
     return Bridge(**document)
 
 
+def _check(path: Path, name: str, value: Any) -> None:
+    """Raise InputError for a line of a bridge that cannot be used."""
+    if name in _CHOICES:
+        if value not in _CHOICES[name]:
+            raise InputError(
+                f"{path}: {name}: {value!r} is not known; give {' or '.join(filter(None, _CHOICES[name]))}"
+            )
+        return
+    wanted, what = _TEXTS.get(name, (_PATH, "path of a field"))
+    if not isinstance(value, str) or (value and not wanted.fullmatch(value)):
+        raise InputError(f"{path}: {name}: {value!r} is not the {what}")
+
+
 def _name(value: Any) -> str:
-    """Name of a vehicle from a text, a number, or the bytes of a UUID."""
+    """Name of a vehicle from a text, a number, or the bytes of a UUID; empty for a UUID of zeros."""
     if hasattr(value, "uuid"):
         value = value.uuid
     if isinstance(value, (bytes, list, np.ndarray)):
-        return bytes(value).hex()
-    return str(value)
+        return bytes(value).hex() if any(bytes(value)) else ""
+    if isinstance(value, (float, np.floating)) and value.is_integer():
+        return str(int(value))
+    return str(value).strip()

@@ -3,7 +3,9 @@
 import math
 from bisect import bisect_right, insort
 from dataclasses import replace
-from typing import Any, NamedTuple
+from enum import Enum
+from operator import attrgetter
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -12,54 +14,80 @@ from sugiyama_ros.bridges.fields import yaw
 from sugiyama_ros.trajectories.placing import SeenVehicle
 
 _NS = 1_000_000_000
-#: Transforms that are kept of each frame, and how many frames may hang from one another.
-_KEPT, _DEEPEST = 1000, 50
-#: Age [s] at which a moving transform is too old to be used.
-OLDEST_S = 1.0
+#: How long [s] transforms are kept, as in tf2, and how many frames may hang from one another.
+CACHE_S, _DEEPEST = 10.0, 50
+#: Time [s] between two transforms of a frame beyond which nothing is interpolated, if it is not the frame's usual one.
+LONGEST_HOLE_S = 1.0
+# Periods of a frame that make a hole, and transforms from which the period follows.
+_PERIODS, _USUAL = 1.5, 20
+# Angle [rad] between two rotations below which the way does not matter.
+_SMALL = 1e-6
+
+_stamp = attrgetter("stamp_ns")
+
+
+class Waiting(Enum):
+    """What is given instead of a vehicle whose transforms have not come yet."""
+
+    EARLY = "early"
+
+
+EARLY: Final = Waiting.EARLY
 
 
 class _Pose(NamedTuple):
-    """A frame in its parent: stamp [ns], parent, origin (3,) [m], and rotation (3, 3)."""
+    """A frame in its parent: stamp [ns], parent, origin (3,) [m], and quaternion (4,) x, y, z, w."""
 
     stamp_ns: int
     parent: str
     origin: Array
-    rotation: Array
+    turn: Array
 
 
 class Frames:
-    """Transforms between frames, as they are published."""
+    """Transforms between frames, as they are published. Between two transforms, they are interpolated as in tf2."""
 
     def __init__(self) -> None:
         self._moving: dict[str, list[_Pose]] = {}
         self._static: dict[str, _Pose] = {}
+        #: Stamp [ns] of the latest transform that moves.
+        self.newest_ns = -1
 
     def add(self, message: Any, static: bool) -> None:
         """Take in the transforms of a TFMessage. One that is no rotation is left out."""
         for one in message.transforms:
             q, t = one.transform.rotation, one.transform.translation
-            rotation = _rotation(q)
-            origin = np.array([t.x, t.y, t.z])
-            if rotation is None or not np.isfinite(origin).all():
+            turn, origin = np.array([q.x, q.y, q.z, q.w]), np.array([t.x, t.y, t.z])
+            if math.isnan(yaw(q.x, q.y, q.z, q.w)) or not np.isfinite(origin).all():
                 continue
-            stamp_ns = one.header.stamp.sec * _NS + one.header.stamp.nanosec
-            pose = _Pose(stamp_ns, one.header.frame_id.lstrip("/"), origin, rotation)
+            stamp_ns = int(one.header.stamp.sec) * _NS + int(one.header.stamp.nanosec)
+            pose = _Pose(stamp_ns, one.header.frame_id.lstrip("/"), origin, turn / np.linalg.norm(turn))
             child = one.child_frame_id.lstrip("/")
             if static:
                 self._static[child] = pose
-                continue
-            kept = self._moving.setdefault(child, [])
-            insort(kept, pose, key=lambda p: p.stamp_ns)
-            del kept[:-_KEPT]
+            else:
+                self._keep(child, pose)
 
-    def brought(self, seen: SeenVehicle, frame: str) -> SeenVehicle | None:
-        """A vehicle as seen in another frame; None where the transforms do not say how."""
+    def is_moving(self, frame: str) -> bool:
+        """Whether a frame moves in its parent, as far as is known."""
+        return frame.lstrip("/") in self._moving
+
+    def brought(self, seen: SeenVehicle, frame: str) -> SeenVehicle | Waiting | None:
+        """A vehicle as seen in another frame.
+
+        Returns
+        -------
+        SeenVehicle, EARLY or None
+            `EARLY` where the transforms that say how have not come yet; None where they are lost.
+        """
         own = seen.frame.lstrip("/")
         if not frame or own == frame:
             return seen
         ours, theirs = self._to_root(own, seen.stamp_ns), self._to_root(frame, seen.stamp_ns)
-        if ours is None or theirs is None or ours[0] != theirs[0]:
+        if ours is None or theirs is None:
             return None
+        if isinstance(ours, Waiting) or isinstance(theirs, Waiting) or ours[0] != theirs[0]:
+            return EARLY
         _, origin, rotation = ours
         _, base, turn = theirs
         point = turn.T @ (rotation @ np.array([seen.x_m, seen.y_m, 0.0]) + origin - base)
@@ -67,35 +95,73 @@ class Frames:
         heading = math.atan2(ahead[1], ahead[0])  # NaN stays NaN
         return replace(seen, x_m=float(point[0]), y_m=float(point[1]), heading=heading, frame=frame)
 
-    def _to_root(self, frame: str, stamp_ns: int) -> tuple[str, Array, Array] | None:
+    def _keep(self, child: str, pose: _Pose) -> None:
+        kept = self._moving.setdefault(child, [])
+        if kept and pose.stamp_ns < kept[-1].stamp_ns - CACHE_S * _NS:
+            kept.clear()  # time has begun anew
+            self.newest_ns = -1
+        insort(kept, pose, key=_stamp)
+        self.newest_ns = max(self.newest_ns, pose.stamp_ns)
+        old = bisect_right(kept, kept[-1].stamp_ns - round(CACHE_S * _NS), key=_stamp)
+        # of a frame that moves seldom, the last two are kept
+        del kept[: min(old, len(kept) - 2)]
+
+    def _to_root(self, frame: str, stamp_ns: int) -> tuple[str, Array, Array] | Waiting | None:
         """The root of a frame's tree, and the frame's origin and rotation in it."""
         origin: Array = np.zeros(3)
         rotation: Array = np.eye(3)
         for _ in range(_DEEPEST):
             pose = self._static.get(frame)
             if pose is None and frame in self._moving:
-                pose = self._at(frame, stamp_ns)
-                if pose is None:
-                    return None
+                found = self._at(frame, stamp_ns)
+                if not isinstance(found, _Pose):
+                    return found
+                pose = found
             if pose is None:
                 return frame, origin, rotation
-            origin, rotation, frame = pose.rotation @ origin + pose.origin, pose.rotation @ rotation, pose.parent
+            turn = _rotation(pose.turn)
+            origin, rotation, frame = turn @ origin + pose.origin, turn @ rotation, pose.parent
         return None
 
-    def _at(self, frame: str, stamp_ns: int) -> _Pose | None:
-        """The last transform that is not younger than a stamp [ns], unless it is too old."""
+    def _at(self, frame: str, stamp_ns: int) -> _Pose | Waiting | None:
+        """A frame at a stamp [ns]: between the transforms before and after it."""
         kept = self._moving[frame]
-        k = bisect_right(kept, stamp_ns, key=lambda p: p.stamp_ns) - 1
-        found = kept[k] if k >= 0 else None
-        return found if found is not None and stamp_ns - found.stamp_ns <= OLDEST_S * _NS else None
+        k = bisect_right(kept, stamp_ns, key=_stamp)
+        if k == 0:
+            return None
+        before = kept[k - 1]
+        if before.stamp_ns == stamp_ns:
+            return before
+        if k == len(kept):
+            return EARLY
+        after = kept[k]
+        between_ns = after.stamp_ns - before.stamp_ns
+        if before.parent != after.parent or between_ns > self._longest_ns(kept):
+            return None
+        part = (stamp_ns - before.stamp_ns) / between_ns
+        origin = before.origin + part * (after.origin - before.origin)
+        return _Pose(stamp_ns, before.parent, origin, _between(before.turn, after.turn, part))
+
+    def _longest_ns(self, kept: list[_Pose]) -> float:
+        """Longest time [ns] between two transforms over which they are interpolated."""
+        usual = float(np.median(np.diff([pose.stamp_ns for pose in kept[-_USUAL:]])))
+        return max(LONGEST_HOLE_S * _NS, _PERIODS * usual)
 
 
-def _rotation(q: Any) -> Array | None:
-    """Rotation (3, 3) of a quaternion; None for one that is no rotation."""
-    if math.isnan(yaw(q.x, q.y, q.z, q.w)):
-        return None
-    n = math.sqrt(q.x**2 + q.y**2 + q.z**2 + q.w**2)
-    x, y, z, w = q.x / n, q.y / n, q.z / n, q.w / n
+def _between(a: Array, b: Array, part: float) -> Array:
+    """A quaternion on the shortest way from one to another, at a part of it (slerp)."""
+    cos = float(a @ b)
+    if cos < 0.0:
+        b, cos = -b, -cos
+    angle = math.acos(min(cos, 1.0))
+    if angle < _SMALL:
+        return a
+    return np.asarray((math.sin((1.0 - part) * angle) * a + math.sin(part * angle) * b) / math.sin(angle))
+
+
+def _rotation(quaternion: Array) -> Array:
+    """Rotation (3, 3) of a quaternion of length 1."""
+    x, y, z, w = quaternion.tolist()
     return np.array(
         [
             [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],

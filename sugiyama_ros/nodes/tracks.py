@@ -63,13 +63,17 @@ class TracksNode(PacedNode):
         self._on_poll()
 
     def health(self) -> Health:
-        """WARN without a topic, or without a vehicle on the road."""
+        """WARN without a topic, without a vehicle on the road, or where much of what is seen is lost."""
         counts = self._perception.moments.counts
+        periods = self._perception.moments.periods_s
         values = {"topics": self._sources, "samples": self.steps, **vars(counts)}
+        if periods:
+            values["periods of vehicles [s]"] = f"{periods[0]:.3g} to {periods[-1]:.3g}"
+        problem = self._perception.problem()
         if not self._sources:
             return Health(WARN, f"no topic {', '.join(self._patterns)} of a known type", values)
-        if not counts.taken:
-            return Health(WARN, "no vehicle on the road yet", values)
+        if problem or not counts.taken:
+            return Health(WARN, problem or "no vehicle on the road yet", values)
         return Health(OK, "sending", values)
 
     def _on_poll(self) -> None:
@@ -78,7 +82,7 @@ class TracksNode(PacedNode):
             if topic in self._known or not self.get_publishers_info_by_topic(topic):
                 continue
             if kind == TF_TYPE and topic in TF_TOPICS:
-                self._subscribe(topic, kind, partial(self._perception.frames.add, static=TF_TOPICS[topic]))
+                self._subscribe(topic, kind, partial(self._on_transforms, static=TF_TOPICS[topic]))
             elif any(fnmatchcase(topic, pattern) for pattern in self._patterns):
                 bridge = self._bridges.get(kind)
                 if bridge is None:
@@ -104,10 +108,14 @@ class TracksNode(PacedNode):
         self._known.add(topic)
         self.get_logger().warning(f"{topic}: left out: {why}")
 
+    def _on_transforms(self, message: Any, static: bool) -> None:
+        for sample in self._perception.hear(message, static):
+            self._send(sample)
+
     def _on_seen(self, message: Any, bridge: Bridge, topic: str) -> None:
         self.received += 1
         try:
-            for sample in self._perception.take(message, bridge, topic):
+            for sample in self._perception.take(message, bridge, topic, self.get_clock().now().nanoseconds):
                 self._send(sample)
         except (InputError, ValueError) as error:
             self.refuse(topic, error)

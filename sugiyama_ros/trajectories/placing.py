@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sugiyama_ros.arrays import Array
+from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.centre_line import RoadLanes
 
 #: Name of the vehicle ahead where there is none.
@@ -24,7 +25,7 @@ class SeenVehicle:
     stamp_ns : int
         When it was seen [ns].
     name : str
-        Name of the vehicle.
+        Name of the vehicle; empty if nobody knows it.
     x_m, y_m : float
         Position [m] of its centre, in the frame of the centre line.
     heading : float
@@ -49,13 +50,33 @@ class SeenVehicle:
 
 
 class OnLane(NamedTuple):
-    """A vehicle on the road: what was seen, position [m] along and across its lane, lane, and the vehicle ahead."""
+    """A vehicle on the road.
+
+    Attributes
+    ----------
+    seen : SeenVehicle
+        What was seen.
+    s_m, d_m : float
+        Position [m] along and across its lane.
+    lane : int
+        Number of the lane.
+    leader : str or None
+        Name of the vehicle ahead; `NOBODY` where there is none, None where it is not known.
+    """
 
     seen: SeenVehicle
     s_m: float
     d_m: float
     lane: int
-    leader: str
+    leader: str | None = None
+
+
+class Unseen(NamedTuple):
+    """A vehicle that is on the road, but was not seen now: its name, None if it may be gone, position [m] and lane."""
+
+    name: str | None
+    s_m: float
+    lane: int
 
 
 @dataclass(frozen=True)
@@ -90,6 +111,11 @@ class Placer:
         self._lanes, self._rule = lanes, rule
         self._lane: dict[str, int] = {}
 
+    @property
+    def road(self) -> Road:
+        """The road, along the centre line of its first lane."""
+        return self._lanes.road
+
     def place(self, seen: Sequence[SeenVehicle]) -> list[OnLane]:
         """Place the vehicles of one moment, each of them once, in the order in which they were given.
 
@@ -108,7 +134,7 @@ class Placer:
                 continue
             self._lane[one.name] = lane
             on_road.append((one, float(s_m[k]), float(d_m[lane, k]), lane))
-        leaders = self._leaders(on_road)
+        leaders = self.leaders([Unseen(one.name, s, lane) for one, s, _, lane in on_road])
         return [OnLane(*one, leader) for one, leader in zip(on_road, leaders, strict=True)]
 
     def forget(self, names: Sequence[str]) -> None:
@@ -126,14 +152,13 @@ class Placer:
             return nearest
         return before
 
-    def _leaders(self, on_road: Sequence[tuple[SeenVehicle, float, float, int]]) -> list[str]:
-        """Name of the vehicle directly ahead on the same lane, for each vehicle."""
-        leaders = [NOBODY] * len(on_road)
-        for lane in {lane for *_, lane in on_road}:
-            here = sorted((s, k) for k, (_, s, _, own) in enumerate(on_road) if own == lane)
-            behind = [k for _, k in here]
+    def leaders(self, there: Sequence[Unseen]) -> list[str | None]:
+        """Name of the vehicle directly ahead on the same lane, for each vehicle; None for one that may be gone."""
+        leaders: list[str | None] = [NOBODY] * len(there)
+        for lane in {one.lane for one in there}:
+            behind = [k for _, k in sorted((one.s_m, k) for k, one in enumerate(there) if one.lane == lane)]
             for k, ahead in pairwise(behind):
-                leaders[k] = on_road[ahead][0].name
+                leaders[k] = there[ahead].name
             if self._lanes.road.is_ring and len(behind) > 1:
-                leaders[behind[-1]] = on_road[behind[0]][0].name
+                leaders[behind[-1]] = there[behind[0]].name
         return leaders

@@ -40,11 +40,15 @@ def period_of(tracks: Tracks) -> float:
     near = step[np.abs(step - usual) <= _JITTER * usual]
     if len(near) == 0 or not _are_multiples(step, usual):
         return float(np.median(step))
-    refined = float(np.mean(near))
-    for simple in (round(refined, 2), round(refined * 30.0) / 30.0, round(refined, 3)):
-        if simple > 0.0 and abs(simple - refined) <= max(1e-3 * simple, TICK_S * 0.5):
+    return nearly(float(np.mean(near)))
+
+
+def nearly(period_s: float) -> float:
+    """The simple period [s] that is nearly the same, or the period itself: 0.1 for 0.1003, 1/30 for 0.0333."""
+    for simple in (round(period_s, 2), round(period_s * 30.0) / 30.0, round(period_s, 3)):
+        if simple > 0.0 and abs(simple - period_s) <= max(1e-3 * simple, TICK_S * 0.5):
             return simple
-    return refined
+    return period_s
 
 
 def _are_multiples(step: Array, period_s: float) -> bool:
