@@ -15,9 +15,9 @@ from sugiyama_ros.bridges.moments import Counts, Numbers
 from sugiyama_ros.bridges.on_grid import Grid, Lost, own_periods, rates_noted, rows_of, usual_period
 from sugiyama_ros.bridges.perception import TF_TOPICS, TF_TYPES, PerceptionSettings, lane_numbers
 from sugiyama_ros.bridges.registry import BRIDGES
-from sugiyama_ros.bridges.sightings import Collector, Sightings, Stamps, brought, directed, recordings
+from sugiyama_ros.bridges.sightings import Collector, Sightings, Stamps, Transforms, brought, directed, recordings
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.formats.bag_folder import Recorded, recorded
+from sugiyama_ros.formats.bag_folder import BagSource, recorded
 from sugiyama_ros.formats.cdr import ros2_name
 from sugiyama_ros.formats.reading import open_input, sha256, shown_name
 from sugiyama_ros.trajectories.about import About
@@ -65,14 +65,7 @@ def tracks_of_bag(
     known = BRIDGES | ({bridge.type: bridge} if bridge is not None else {})
     bridges = _topics(bag, pattern, known)
     counts = Counts()
-    collector = Collector(path, counts)
-    for message in bag.messages(bridges):
-        if isinstance(message.message, bytes):
-            raise InputError(f"{path}: {message.topic}: {bag.undecoded[message.topic]}")
-        collector.add(message, bridges[message.topic])
-    sightings = collector.all()
-    if not len(sightings):
-        raise InputError(f"{path}: no vehicle on {', '.join(bridges)}; check --odometry")
+    sightings = _collected(bag, bridges, counts)
     stamps = Stamps(path, bridges)
     parts = [stamps.corrected(part) for part in recordings(sightings) if len(part)]
     _check_frames(bag, sightings, settings.frame)
@@ -82,8 +75,8 @@ def tracks_of_bag(
             counts.unknown_frame += unknown
     if not any(map(len, parts)):
         raise InputError(
-            f"{path}: no transform leads from {', '.join(sightings.frames)} to {settings.frame}; check --frame, or"
-            " record /tf and /tf_static"
+            f"{path}: no transform leads from {', '.join(sightings.frames)} to {settings.frame} when vehicles are seen;"
+            " check --frame, and record /tf and /tf_static"
         )
     columns, lost, notes = _columns([directed(part) for part in parts if len(part)], lanes, settings)
     about = _about(path, bag.files[0], lanes, counts, lost)
@@ -96,7 +89,20 @@ def tracks_of_bag(
     return replace(tracks, about=tracks.about.noting(jumps_noted(tracks)))
 
 
-def _topics(bag: Recorded, pattern: str, known: dict[str, Bridge]) -> dict[str, Bridge]:
+def _collected(bag: BagSource, bridges: dict[str, Bridge], counts: Counts) -> Sightings:
+    """All that the topics say of vehicles. Raises InputError where they say nothing that can be used."""
+    collector = Collector(bag.path, counts)
+    for message in bag.messages(bridges):
+        if isinstance(message.message, bytes):
+            raise InputError(f"{bag.path}: {message.topic}: {bag.undecoded[message.topic]}")
+        collector.add(message, bridges[message.topic])
+    sightings = collector.all()
+    if not len(sightings):
+        raise InputError(f"{bag.path}: no vehicle in the messages of {', '.join(bridges)}; check --odometry")
+    return sightings
+
+
+def _topics(bag: BagSource, pattern: str, known: dict[str, Bridge]) -> dict[str, Bridge]:
     """The bridge of each topic that is wanted. Raises InputError if there is none."""
     topics = bag.info().topics
     kinds = {topic.name: ros2_name(topic.type) for topic in topics if topic.count and fnmatchcase(topic.name, pattern)}
@@ -110,25 +116,25 @@ def _topics(bag: Recorded, pattern: str, known: dict[str, Bridge]) -> dict[str, 
     raise InputError(f"{bag.path}: no topic {pattern}; it has {have}; see `sugiyama info {bag.path}`")
 
 
-def _transforms(bag: Recorded) -> Iterator[tuple[Any, bool]]:
-    """Transforms of a bag, and whether each is static; the static ones first, since they hold from the beginning."""
+def _transforms(bag: BagSource) -> Iterator[Transforms]:
+    """Transforms of a bag; the static ones first, since they hold from the beginning."""
     topics = {topic.name for topic in bag.info().topics if topic.count and ros2_name(topic.type) in TF_TYPES}
     for static in (True, False):
         wanted = {name for name in topics if TF_TOPICS.get(name) is static}
         for message in bag.messages(wanted) if wanted else ():
             if isinstance(message.message, bytes):
                 raise InputError(f"{bag.path}: {message.topic}: {bag.undecoded[message.topic]}")
-            yield message.message, static
+            yield Transforms(message.message, static, message.log_time_ns)
 
 
-def _check_frames(bag: Recorded, sightings: Sightings, frame: str) -> None:
+def _check_frames(bag: BagSource, sightings: Sightings, frame: str) -> None:
     """Raise InputError where positions are in several frames, or in one that moves, and no frame is given."""
     names = [name for name in sightings.frames if name]
     if frame or not names:
         return
     known = Frames()
-    for message, static in islice(_transforms(bag), _SOME):
-        known.add(message, static)
+    for transforms in islice(_transforms(bag), _SOME):
+        known.add(transforms.message, transforms.static)
     cure = "; give --frame, the frame of the centre line"
     if moving := [name for name in names if known.is_moving(name)]:
         raise InputError(f"{bag.path}: positions are in {moving[0]}, which moves{cure}")
@@ -189,7 +195,7 @@ def _about(path: Path, first: Path, lanes: RoadLanes, counts: Counts, lost: Lost
     )
     for reason, rows in (
         ("beside the road", lost.beside + counts.beside),
-        ("in an unknown frame", counts.unknown_frame),
+        ("without a transform to the frame", counts.unknown_frame),
         ("without an id", counts.unnamed),
         ("with the id of another one", counts.doubled),
         ("seen once, between two times", lost.alone),

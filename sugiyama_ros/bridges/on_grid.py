@@ -81,7 +81,7 @@ def rates_noted(periods: list[float], period_s: float) -> str:
     )
 
 
-class _Table(NamedTuple):
+class _AtSteps(NamedTuple):
     """Where vehicles are at the times of a grid: step, vehicle, position (x, y) [m], heading [rad] and length [m]."""
 
     step: Ints
@@ -122,7 +122,7 @@ def rows_of(found: Sightings, grid: Grid, placer: Placer) -> tuple[Rows, Lost]:
             parts.append(part)
     joined: list[Any] = [np.concatenate(columns) for columns in zip(*parts, strict=True)]
     in_time = np.argsort(joined[0], kind="stable")
-    table = _Table(*[column[in_time] for column in joined])
+    table = _AtSteps(*[column[in_time] for column in joined])
     on_road, lane, s_m, d_m = _placed(table, found.vehicles, placer)
     leader = np.full(len(on_road), UNKNOWN, dtype=np.int64)
     leader[on_road] = _leaders(table, on_road, lane, s_m, grid.period_s, placer.road)
@@ -130,7 +130,7 @@ def rows_of(found: Sightings, grid: Grid, placer: Placer) -> tuple[Rows, Lost]:
     return Rows(*[column[on_road] for column in columns]), Lost(int((~on_road).sum()), alone, interpolated, holes)
 
 
-def _at_steps(found: Sightings, rows: Ints, time_s: Array, period_s: float) -> tuple[_Table, Array]:
+def _at_steps(found: Sightings, rows: Ints, time_s: Array, period_s: float) -> tuple[_AtSteps, Array]:
     """A piece of a vehicle's track at the steps of a grid, and the time [s] from each to the nearest sighting."""
     near = TICK_S / period_s
     step = np.arange(math.ceil(time_s[0] / period_s - near), math.floor(time_s[-1] / period_s + near) + 1)
@@ -144,11 +144,11 @@ def _at_steps(found: Sightings, rows: Ints, time_s: Array, period_s: float) -> t
     else:
         x, y = x[nearest], y[nearest]
     own = rows[nearest]
-    table = _Table(step, found.vehicle[own], x, y, found.heading[own], found.length_m[own])
+    table = _AtSteps(step, found.vehicle[own], x, y, found.heading[own], found.length_m[own])
     return table, np.abs(at_s - time_s[nearest])
 
 
-def _placed(table: _Table, names: tuple[str, ...], placer: Placer) -> tuple[Mask, Ints, Array, Array]:
+def _placed(table: _AtSteps, names: tuple[str, ...], placer: Placer) -> tuple[Mask, Ints, Array, Array]:
     """Whether each row is on the road (R,), its lane, and its positions along and across [m]."""
     count = len(table.step)
     on_road, lane = np.zeros(count, dtype=bool), np.full(count, -1, dtype=np.int64)
@@ -176,7 +176,7 @@ class _Ghost(NamedTuple):
     way_m: float
 
 
-def _leaders(table: _Table, on_road: Mask, lane: Ints, s_m: Array, period_s: float, road: Road) -> Ints:
+def _leaders(table: _AtSteps, on_road: Mask, lane: Ints, s_m: Array, period_s: float, road: Road) -> Ints:
     """Leader of each row on the road: the next vehicle ahead on its lane, `UNKNOWN` where another may be between."""
     ghosts = sorted(_ghosts(table, on_road, lane, s_m, round(LONGEST_ABSENCE_S / period_s), road))
     step, vehicle = table.step[on_road], table.vehicle[on_road]
@@ -214,7 +214,7 @@ def _next_ahead(step: Ints, lane: Ints, s_m: Array, is_ring: bool) -> Ints:
     return found
 
 
-def _ghosts(table: _Table, on_road: Mask, lane: Ints, s_m: Array, most: int, road: Road) -> Iterator[_Ghost]:
+def _ghosts(table: _AtSteps, on_road: Mask, lane: Ints, s_m: Array, most: int, road: Road) -> Iterator[_Ghost]:
     """Where vehicles may be that have no row: in their holes, and before and after they were seen."""
     order = np.lexsort((table.step, table.vehicle))
     for rows in np.split(order, np.flatnonzero(np.diff(table.vehicle[order])) + 1):

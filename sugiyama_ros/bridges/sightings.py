@@ -5,13 +5,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import median_low
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints, Mask
 from sugiyama_ros.bridges.fields import Bridge
-from sugiyama_ros.bridges.frames import CACHE_S, Frames
+from sugiyama_ros.bridges.frames import CACHE_S, EARLY, Frames
 from sugiyama_ros.bridges.moments import MOVING, Counts
 from sugiyama_ros.bridges.perception import LONGEST_M, MOST_LOST, check_unit, told_apart
 from sugiyama_ros.errors import InputError
@@ -24,6 +24,8 @@ _NS = 1_000_000_000
 _BACK_NS, _BACK_IN_A_ROW = _NS, 5
 # Two resets of vehicles that are logged within this time [ns] are one.
 _ONE_RESET_NS = 5 * _NS
+# A time [ns] after all others.
+_END_NS = 1 << 62
 # Way [m] that a vehicle goes between two messages, so that they are not of the same time.
 _MOVED_M = 0.01
 #: Clocks that are further apart [s] are set; those that are so far apart are warned of.
@@ -90,18 +92,27 @@ class Collector:
         self._path, self._counts = path, counts
         self._columns = {name: array("q" if name in _INTEGERS else "d") for name in _COLUMNS}
         self._numbers: dict[str, dict[str, int]] = {"vehicle": {}, "topic": {}, "frame": {}}
+        # stamp and log time [ns] of the first message of each topic
+        self._clocks: dict[str, tuple[int, int]] = {}
         self._total = 0
 
     def add(self, message: BagMessage, bridge: Bridge) -> None:
-        """Take in a message. Raises InputError for one that has not what the bridge names."""
+        """Take in a message.
+
+        Raises InputError for one that has not what the bridge names, or where stamps are in another unit.
+        """
         seen = list(bridge.seen(message.message, message.topic, message.log_time_ns))
         self._total += len(seen)
+        if seen and seen[0].stamp_ns:
+            first = self._clocks.setdefault(message.topic, (seen[0].stamp_ns, message.log_time_ns))
+            since = seen[0].stamp_ns - first[0], message.log_time_ns - first[1]
+            check_unit(f"{self._path}: {message.topic}", bridge, *since)
         for one in told_apart(seen, self._counts):
             if not (np.isfinite(one.x_m) and np.isfinite(one.y_m)):
                 self._counts.beside += 1
                 continue
             values: dict[str, Any] = {
-                "stamp_ns": one.stamp_ns,
+                "stamp_ns": min(max(one.stamp_ns, -_END_NS), _END_NS),
                 "log_ns": message.log_time_ns,
                 "x_m": one.x_m,
                 "y_m": one.y_m,
@@ -190,14 +201,9 @@ class Stamps:
     def corrected(self, sightings: Sightings) -> Sightings:
         """Give the sightings stamps that can be used, one for each vehicle and time, sorted by stamp.
 
-        Raises InputError where neither stamps nor log times can be used, or stamps are in another unit.
+        Raises InputError where neither stamps nor log times can be used.
         """
-        found = self._set(self._unstamped(sightings))
-        for number, topic in enumerate(found.topics):
-            rows = np.flatnonzero(found.topic == number)
-            if len(rows):
-                check_unit(topic, self._bridges[topic], *_span(found.stamp_ns[rows], found.log_ns[rows]))
-        return self._once(found)
+        return self._once(self._set(self._unstamped(sightings)))
 
     def _unstamped(self, found: Sightings) -> Sightings:
         """Log times instead of stamps of topics that have none, or the same one for several places."""
@@ -274,11 +280,6 @@ def _same_stamp(found: Sightings) -> Mask:
     return same
 
 
-def _span(stamp_ns: Ints, log_ns: Ints) -> tuple[int, int]:
-    """Times [ns] from the first message to the last, by the stamps and by the log."""
-    return int(stamp_ns[-1] - stamp_ns[0]), int(log_ns[-1] - log_ns[0])
-
-
 def _offsets_s(found: Sightings) -> dict[int, float]:
     """How much later [s] the messages of each topic are logged after their stamps than those of the first one.
 
@@ -300,15 +301,23 @@ def _offsets_s(found: Sightings) -> dict[int, float]:
     return offset
 
 
-def brought(sightings: Sightings, transforms: Iterator[tuple[object, bool]], frame: str) -> tuple[Sightings, int]:
+class Transforms(NamedTuple):
+    """A message with transforms, whether they are static, and its log time [ns]."""
+
+    message: Any
+    static: bool
+    log_ns: int
+
+
+def brought(sightings: Sightings, transforms: Iterator[Transforms], frame: str) -> tuple[Sightings, int]:
     """Bring sightings into a frame.
 
     Parameters
     ----------
     sightings : Sightings
         Sorted by stamp.
-    transforms : iterator
-        Messages with transforms, in the order of the log, and whether each is static.
+    transforms : iterator of Transforms
+        In the order of the log, the static ones first.
     frame : str
         The frame.
 
@@ -321,26 +330,28 @@ def brought(sightings: Sightings, transforms: Iterator[tuple[object, bool]], fra
     """
     known, kept = Frames(), np.zeros(len(sightings), dtype=bool)
     x_m, y_m, heading = sightings.x_m.copy(), sightings.y_m.copy(), sightings.heading.copy()
-    row = 0
+    row, around_ns = 0, round(0.5 * CACHE_S * _NS)
 
-    def go_on(at_end: bool) -> None:
+    def go_on(log_ns: int) -> None:
+        """Bring what can be brought with the transforms until a log time; what is not seen yet waits."""
         nonlocal row
-        while row < len(sightings):
+        while row < len(sightings) and sightings.log_ns[row] <= log_ns + around_ns:
             stamp_ns = int(sightings.stamp_ns[row])
             own = sightings.frames[sightings.frame[row]]
             one = SeenVehicle(stamp_ns, "", x_m[row], y_m[row], heading[row], frame=own)
             found = known.brought(one, frame)
             if isinstance(found, SeenVehicle):
                 x_m[row], y_m[row], heading[row], kept[row] = found.x_m, found.y_m, found.heading, True
-            elif found is not None and not at_end and known.newest_ns - stamp_ns <= 0.5 * CACHE_S * _NS:
+            elif sightings.log_ns[row] > log_ns - (around_ns if found is EARLY else 0):
                 return
             row += 1
 
-    for message, static in transforms:
-        known.add(message, static)
+    for message, static, log_ns in transforms:
+        if static or log_ns >= sightings.log_ns.min(initial=log_ns) - around_ns:
+            known.add(message, static)
         if not static:
-            go_on(False)
-    go_on(True)
+            go_on(log_ns)
+    go_on(_END_NS)
     here = replace(sightings, x_m=x_m, y_m=y_m, heading=heading).taken(kept)
     return here, int((~kept).sum())
 

@@ -13,7 +13,7 @@ import yaml
 from sugiyama_ros.documents import read_yaml
 from sugiyama_ros.errors import InputError, OutputError
 from sugiyama_ros.formats.definitions import type_hash
-from sugiyama_ros.formats.mcap_order import Part, merged
+from sugiyama_ros.formats.mcap_order import Segment, merged
 from sugiyama_ros.formats.mcap_reader import Bag, BagInfo, BagMessage, TopicInfo
 from sugiyama_ros.formats.mcap_records import MAGIC
 from sugiyama_ros.formats.mcap_writer import BagWriter, Qos
@@ -83,7 +83,7 @@ def is_bag(path: Path, head: bytes) -> bool:
 
 
 @dataclass(frozen=True)
-class Recorded:
+class BagSource:
     """One or more files that were recorded together, read as one.
 
     Parameters
@@ -141,7 +141,7 @@ class Recorded:
             here = {topic.name for topic in about.topics} & set(topics)
             missing -= here
             if here and about.messages:
-                parts.append(Part(about.start_ns, 0, partial(self._of_file, file, here)))
+                parts.append(Segment(about.start_ns, 0, partial(self._of_file, file, here)))
         if missing:
             raise InputError(f"{self.path}: no topic {', '.join(sorted(missing))}; see `sugiyama info {self.path}`")
         yield from merged(parts, attrgetter("log_time_ns"), self.path)
@@ -154,9 +154,9 @@ class Recorded:
                 yield message
 
 
-def recorded(path: Path) -> Recorded:
+def recorded(path: Path) -> BagSource:
     """A bag: an MCAP file, or a directory of rosbag2. Raises InputError as `bag_files` does."""
-    return Recorded(path, bag_files(path))
+    return BagSource(path, bag_files(path))
 
 
 class FolderWriter:

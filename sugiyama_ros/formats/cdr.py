@@ -32,7 +32,7 @@ _NEXT_IDL = "=" * 80 + "\nIDL: "
 _PREPROCESSOR = re.compile(r"^[ \t]*#.*$", re.MULTILINE)
 #: Kinds of definitions that can be used, as MCAP calls them.
 KINDS = ("ros2msg", "ros2idl", "ros1msg")
-# Bytes that a writer may leave behind the end of a message, for the alignment of an empty list.
+# Bytes that ROS may leave behind the end of a message for each list in it, which may have been empty.
 _PADDING = 8
 #: Largest message [bytes] that is decoded if it holds lists of messages or texts, each a Python object.
 _MAX_COMPOUND = 1 << 18
@@ -67,6 +67,7 @@ def decoder(type_name: str, text: str, kind: str = "ros2msg") -> Decoder | None:
     fields = [desc for _, fields in store.fielddefs.values() for _, desc in fields]
     compound = any(desc[0] == Nodetype.SEQUENCE and _is_object(_inner(desc)) for desc in fields)
     largest = _MAX_COMPOUND if compound else None
+    padding = _PADDING * (1 + sum(desc[0] == Nodetype.SEQUENCE for desc in fields))
 
     def decode(data: bytes) -> Any:
         if largest is not None and len(data) > largest:
@@ -81,8 +82,7 @@ def decoder(type_name: str, text: str, kind: str = "ros2msg") -> Decoder | None:
             else:
                 read = made.deserialize_cdr_le if data[1] else made.deserialize_cdr_be
                 message, end = read(memoryview(data)[4:], 0, made.cls, store)
-                # Where lists are empty, ROS leaves bytes for their alignment behind the end; they are allowed.
-                rest = max(0, len(data) - 4 - end - _PADDING)
+                rest = max(0, len(data) - 4 - end - padding)
         except (SerdeError, struct.error, ValueError, IndexError, RecursionError) as error:
             raise ValueError(" ".join(str(error).split())) from None
         if rest:
@@ -123,8 +123,8 @@ def decoder_of(type_name: str, text: str, kind: str, encoding: str) -> Decoder |
             return f"{what}; record the topic again"
     else:
         what = f"its definition is in {kind}" if text.strip() else "the bag does not have its definition"
-    made = decoder(name, _known_text(name, known), known)
-    package = name.partition("/")[0]
+    text, package = _known_text(name, known), name.partition("/")[0]
+    made = decoder(name, text, known) if text else None
     return made or f"{what}, and {package} is not installed; install {package}, or record the topic again with it"
 
 

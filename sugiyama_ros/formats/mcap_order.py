@@ -16,7 +16,7 @@ from sugiyama_ros.formats.mcap_records import Message, content_records, message_
 MOST_OPEN = 256 << 20
 
 
-class Part(NamedTuple):
+class Segment(NamedTuple):
     """A part of a recording whose messages are in order.
 
     Attributes
@@ -34,7 +34,7 @@ class Part(NamedTuple):
     load: Callable[[], Iterable[Any]]
 
 
-def merged(parts: Collection[Part], time_of: Callable[[Any], int], path: Path) -> Iterator[Any]:
+def merged(parts: Collection[Segment], time_of: Callable[[Any], int], path: Path) -> Iterator[Any]:
     """Yield the messages of all parts in the order of their log times, and in that of the parts at the same time.
 
     A part is loaded when its first message is due, and forgotten after its last one.

@@ -16,7 +16,7 @@ from mcap.records import Channel, ChunkIndex, Footer, Header, Metadata, Metadata
 
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.cdr import Decoder, decoder_of
-from sugiyama_ros.formats.mcap_order import Part, in_order, merged
+from sugiyama_ros.formats.mcap_order import Segment, in_order, merged
 from sugiyama_ros.formats.mcap_records import (
     HEAD,
     MAGIC,
@@ -184,8 +184,8 @@ class Bag:
                 )
             return topics is not None and self._described.channels[channel].topic not in topics
 
-        def part(start_ns: int, size: int, where: str, content: Callable[[], bytes]) -> Part:
-            return Part(start_ns, size, lambda: in_order(content(), where, self._described.add, unwanted))
+        def part(start_ns: int, size: int, where: str, content: Callable[[], bytes]) -> Segment:
+            return Segment(start_ns, size, lambda: in_order(content(), where, self._described.add, unwanted))
 
         yield from merged([part(*found) for found in self._parts(skipped)], _log_time, self.path)
         missing = set(topics or ()) - {channel.topic for channel in self._described.channels.values()}

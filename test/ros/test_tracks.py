@@ -47,13 +47,14 @@ def across(car: int, time_s: float) -> float:
 
 
 def true_leaders(time_s: float) -> dict[int, int]:
-    """Who is directly ahead of whom on the same lane; -1 for nobody."""
+    """Who is directly ahead of whom on the same lane; -1 for nobody, -2 where one was lost that may still be there."""
     here = [car for car, (begin, end) in SEEN_S.items() if begin <= time_s < end]
     lane = {car: across(car, time_s) > 0.5 * LANE_M for car in here}
     found = {}
     for car in here:
         ahead = [other for other in here if lane[other] == lane[car] and START_M[other] > START_M[car]]
-        found[car] = min(ahead, key=START_M.__getitem__, default=-1)
+        lost = car in (1, 4) and time_s >= SEEN_S[3][1]
+        found[car] = min(ahead, key=START_M.__getitem__, default=-2 if lost else -1)
     return found
 
 
@@ -147,7 +148,7 @@ def test_odometry_becomes_vehicles_on_lanes_with_leaders_in_one_bag(stage, tmp_p
     given = {"centre_line": str(line), "topics": ["/car*/odom"]}
     node = TracksNode(parameter_overrides=[Parameter(name, value=value) for name, value in given.items()])
     world = World()
-    drivers = DriversNode(parameter_overrides=[Parameter("retire_after", value=1.0)])
+    drivers = DriversNode(parameter_overrides=[Parameter("retire_after", value=0.8)])
     recorder = Recorder(parameter_overrides=[Parameter("output", value=str(bag))])
     stage.add(world, node, drivers, recorder)
     drive(stage, world, node, recorder)
@@ -177,13 +178,19 @@ def check_samples(samples: list[MeasuredPositions]) -> Rows:
         allowed = [true_leaders(t) for t in np.arange(max(stamp_s - SOON_S, 0.0), stamp_s + 0.051, 0.05)]
         for k, car in enumerate(message.vehicle):
             time_s = stamp_s + message.stamp_offset_s[k]
-            assert message.leader[k] in {leaders.get(car) for leaders in allowed}, (stamp_s, car)
+            known = {leaders.get(car) for leaders in allowed}
+            # in the first second somebody may be ahead of whom nothing was heard yet
+            assert message.leader[k] in known or (message.leader[k] == -2 and known == {-1} and stamp_s < 1.0), car
+            if np.isnan(message.position_m[k]):  # not seen now, and not taken for gone yet
+                assert SEEN_S[car][1] <= stamp_s <= SEEN_S[car][1] + 0.15
+                continue
             # noise of 0.1 m, and on the inner lane the line of the outer one is longer; six standard deviations
             assert message.position_m[k] == pytest.approx(START_M[car] + SPEED * time_s, abs=0.7)
             assert message.d_m[k] == pytest.approx(across(car, time_s) - LANE_M * message.lane[k], abs=0.7)
             assert abs(message.stamp_offset_s[k]) <= 0.05
             assert message.position_var[k] == 0.01
-            live[round(stamp_s, 6), str(car)] = message.position_m[k], message.lane[k], message.leader[k]
+            position_m = message.position_m[k] - SPEED * message.stamp_offset_s[k]
+            live[round(stamp_s, 6), str(car)] = position_m, message.lane[k], message.leader[k]
     leaders_of_1 = [live[key][2] for key in sorted(live) if key[1] == "1"]
     assert list(dict.fromkeys(leaders_of_1)) == [2, 3, 4]
     assert {key[1] for key in live} == {"1", "2", "3", "4", "5"}
@@ -194,23 +201,29 @@ def check_samples(samples: list[MeasuredPositions]) -> Rows:
 
 
 def check_converted(live: Rows, bag: Path, line: Path, output: Path) -> None:
-    """`sugiyama convert` reads the same rows from the bag."""
+    """`sugiyama convert` reads the same rows from the bag, with positions that are interpolated."""
     given = ["convert", str(bag), str(output), "--odometry", "/car*/odom", "--centerline", str(line)]
     said = CliRunner().invoke(app, given)
     assert said.exit_code == 0, said.output
     tracks = read_tracks(output)
     assert tracks.lane is not None
     leader = tracks.leader
+    numbers = {NOBODY: -1, None: -2}
     offline = {
         (round(float(tracks.time_s[k]), 6), tracks.vehicle.at(k)): (
             tracks.s_m[k],
             int(tracks.lane.at(k)),
-            -1 if leader.at(k) == NOBODY else int(leader.at(k)),
+            numbers[name] if (name := leader.at(k) if leader.code[k] >= 0 else None) in numbers else int(name),
         )
         for k in range(len(tracks))
     }
-    assert live.items() <= offline.items()
-    assert len(offline) - len(live) <= 4  # the last sample is complete only at the end of the bag
+    # a car whose samples lie behind the times has no row at its first one, and the last sample is complete at the end
+    assert len(offline.keys() - live.keys()) <= 4
+    assert len(live.keys() - offline.keys()) <= 5
+    both = live.keys() & offline.keys()
+    same = [live[key][1:] == offline[key][1:] or live[key][2] == -2 for key in both]
+    assert np.mean(same) > 0.98  # noise decides when a car is on the other lane
+    assert max(abs(live[key][0] - offline[key][0]) for key in both) < 0.6
 
 
 def test_what_cannot_be_used_is_told(stage, tmp_path: Path) -> None:

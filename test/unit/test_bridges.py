@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace as Message
 from typing import Any
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from sugiyama_ros.bridges.fields import read_bridge, yaw
-from sugiyama_ros.bridges.frames import Frames
+from sugiyama_ros.bridges.frames import EARLY, Frames
 from sugiyama_ros.bridges.moments import Moments, Numbers, RoadMoment
 from sugiyama_ros.bridges.perception import PerceptionSettings
 from sugiyama_ros.bridges.registry import BRIDGES
@@ -41,7 +42,7 @@ CASES = {
             header=header(),
             detections=[Message(header=header(), id="17", bbox=Message(center=pose(1.0, 2.0), size=Message(x=4.2)))],
         ),
-        SeenVehicle(2_500_000_000, "17", 1.0, 2.0, math.pi / 2.0, 4.2, math.nan, "", "map"),
+        SeenVehicle(2_500_000_000, "/car 17", 1.0, 2.0, math.pi / 2.0, 4.2, math.nan, "", "map"),
     ),
     "autoware_perception_msgs/msg/TrackedObjects": (
         Message(
@@ -49,12 +50,15 @@ CASES = {
             objects=[
                 Message(
                     object_id=Message(uuid=np.arange(16, dtype=np.uint8)),
-                    kinematics=Message(pose_with_covariance=Message(pose=pose(1.0, 2.0), covariance=[0.09] * 36)),
+                    kinematics=Message(
+                        pose_with_covariance=Message(pose=pose(1.0, 2.0), covariance=[0.09] * 36),
+                        orientation_availability=2,
+                    ),
                     shape=Message(dimensions=Message(x=5.0, y=2.0, z=1.5)),
                 )
             ],
         ),
-        SeenVehicle(2_500_000_000, bytes(range(16)).hex(), 1.0, 2.0, math.pi / 2.0, 5.0, 0.09, "", "map"),
+        SeenVehicle(2_500_000_000, "/car " + bytes(range(16)).hex(), 1.0, 2.0, math.pi / 2.0, 5.0, 0.09, "", "map"),
     ),
     "derived_object_msgs/msg/ObjectArray": (
         Message(
@@ -69,7 +73,7 @@ CASES = {
                 )
             ],
         ),
-        SeenVehicle(2_500_000_000, "3", 1.0, 2.0, math.pi / 2.0, 4.0, math.nan, "6", "map"),
+        SeenVehicle(2_500_000_000, "/car 3", 1.0, 2.0, math.pi / 2.0, 4.0, math.nan, "6", "map"),
     ),
 }
 
@@ -77,12 +81,12 @@ CASES = {
 @pytest.mark.parametrize("kind", BRIDGES)
 def test_each_bridge(kind: str) -> None:
     message, expected = CASES[kind]
-    (found,) = BRIDGES[kind].seen(message, "/car")
+    (found,) = BRIDGES[kind].seen(message, "/car", 0)
     for name, value in vars(expected).items():
         known = getattr(found, name)
         assert known == (pytest.approx(value, nan_ok=True) if isinstance(value, float) else value), name
     with pytest.raises(InputError, match="no field"):
-        list(BRIDGES[kind].seen(Message(header=header(), detections=[1], objects=[1]), "/car"))
+        list(BRIDGES[kind].seen(Message(header=header(), detections=[1], objects=[1]), "/car", 0))
 
 
 def test_a_bridge_of_ones_own(tmp_path: Path) -> None:
@@ -92,14 +96,23 @@ def test_a_bridge_of_ones_own(tmp_path: Path) -> None:
         "stamp: time\nframe: ''\n"
     )
     target = Message(number=4, at=[1.0, 2.0], yaw=0.5)
-    (found,) = read_bridge(path).seen(Message(time=1.25, targets=[target]), "/radar")
-    assert (found.stamp_ns, found.name, found.x_m, found.y_m, found.heading) == (1_250_000_000, "4", 1.0, 2.0, 0.5)
+    (found,) = read_bridge(path).seen(Message(time=1.25, targets=[target]), "/radar", 0)
+    assert (found.stamp_ns, found.name, found.x_m, found.y_m, found.heading) == (
+        1_250_000_000,
+        "/radar 4",
+        1.0,
+        2.0,
+        0.5,
+    )
     for text, why in (
         ("type: a/msg/B\nx: x\n", "give type, x, y"),
         ("type: a/msg/B\nx: x\ny: y\nz: z\n", "give type, x, y"),
         ("type: B\nx: x\ny: y\n", "not the type of a message"),
         ("type: a/msg/B\nx: x\ny: __import__('os')\n", "not the path of a field"),
         ("type: a/msg/B\nx: 3\ny: y\n", "not the path of a field"),
+        ("type: a/msg/B\nx: x\ny: y\nstamp_unit: minutes\n", "give s or ms or us or ns"),
+        ("type: a/msg/B\nx: x\ny: y\norientation_order: zyxw\n", "give xyzw or wxyz"),
+        ("type: a/msg/B\nx: x\ny: y\nheading_known: state\n", "path of a field and its value"),
     ):
         path.write_text(text)
         with pytest.raises(InputError, match=why):
@@ -111,7 +124,7 @@ def test_fields_that_are_no_numbers_are_refused() -> None:
     odometry = BRIDGES["nav_msgs/msg/Odometry"]
     for name, path in (("x", "header.frame_id"), ("y", "pose"), ("heading", "header.frame_id"), ("stamp", "pose.pose")):
         with pytest.raises(InputError, match=r"is no (number|time); correct the bridge"):
-            list(replace(odometry, **{name: path}).seen(message, "/car"))
+            list(replace(odometry, **{name: path}).seen(message, "/car", 0))
     assert math.isnan(yaw(1e308, 0.0, 0.0, 1.0))
     assert math.isnan(yaw(math.nan, 0.0, 0.0, 1.0))
 
@@ -129,22 +142,42 @@ def transform(parent: str, child: str, time_s: float, x: float, y: float, angle:
 
 
 def test_frames_against_closed_forms() -> None:
-    """A car at (10, 5) that points to the left sees another one 8 m ahead; the map is turned by 30 degrees."""
+    """A car that turns from left to right drives from (10, 5) to (12, 6), and sees another one 8 m ahead."""
     frames = Frames()
     frames.add(transform("map", "odom", 0.0, 100.0, 0.0, math.pi / 6.0), static=True)
     frames.add(transform("odom", "car", 2.0, 10.0, 5.0, math.pi / 2.0), static=False)
-    frames.add(transform("odom", "car", 3.0, 90.0, 90.0, 0.0), static=False)  # later than what was seen
-    seen = frames.brought(SeenVehicle(2_500_000_000, "a", 8.0, 0.0, 0.0, frame="car"), "map")
-    assert seen is not None
+    seen = SeenVehicle(2_250_000_000, "a", 8.0, 0.0, 0.0, frame="car")
+    assert frames.brought(seen, "map") is EARLY
+    frames.add(transform("odom", "car", 3.0, 12.0, 6.0, 0.0), static=False)
+    found = frames.brought(seen, "map")
+    assert isinstance(found, SeenVehicle)
+    # a quarter of the way: at (10.5, 5.25), 67.5 degrees to the left, on a map that is turned by 30 degrees
+    angle = 0.75 * math.pi / 2.0
+    x, y = 10.5 + 8.0 * math.cos(angle), 5.25 + 8.0 * math.sin(angle)
     cos, sin = math.cos(math.pi / 6.0), math.sin(math.pi / 6.0)
-    assert seen.x_m == pytest.approx(100.0 + cos * 10.0 - sin * 13.0, abs=1e-12)
-    assert seen.y_m == pytest.approx(sin * 10.0 + cos * 13.0, abs=1e-12)
-    assert seen.heading == pytest.approx(math.pi / 2.0 + math.pi / 6.0)
-    back = frames.brought(seen, "car")
-    assert back is not None
-    assert (back.x_m, back.y_m) == (pytest.approx(8.0), pytest.approx(0.0, abs=1e-12))
-    for stamp_ns, frame in ((1_000_000_000, "car"), (9_000_000_000, "car"), (2_500_000_000, "elsewhere")):
-        assert frames.brought(SeenVehicle(stamp_ns, "a", 8.0, 0.0, frame=frame), "map") is None
+    assert (found.x_m, found.y_m) == pytest.approx((100.0 + cos * x - sin * y, sin * x + cos * y), abs=1e-12)
+    assert found.heading == pytest.approx(angle + math.pi / 6.0)
+    back = frames.brought(found, "car")
+    assert isinstance(back, SeenVehicle)
+    assert (back.x_m, back.y_m) == pytest.approx((8.0, 0.0), abs=1e-12)
+    at = partial(SeenVehicle, name="a", x_m=8.0, y_m=0.0)
+    assert frames.brought(at(1_000_000_000, frame="car"), "map") is None
+    assert frames.brought(at(9_000_000_000, frame="car"), "map") is EARLY
+    assert frames.brought(at(2_500_000_000, frame="elsewhere"), "map") is EARLY
+
+
+def test_transforms_are_not_interpolated_over_a_hole() -> None:
+    frames = Frames()
+    for time_s in (1.0, 1.1, 1.2, 1.3, 4.0):
+        frames.add(transform("map", "car", time_s, time_s, 0.0, 0.0), static=False)
+    seen = [frames.brought(SeenVehicle(round(t * 1e9), "a", 0.0, 0.0, frame="car"), "map") for t in (1.25, 1.3, 2.0)]
+    assert [one.x_m if isinstance(one, SeenVehicle) else one for one in seen] == [pytest.approx(1.25), 1.3, None]
+    seldom = Frames()
+    for time_s in (0.0, 5.0, 10.0, 15.0):  # a frame that is corrected every 5 s
+        seldom.add(transform("map", "odom", time_s, time_s, 0.0, 0.0), static=False)
+    found = seldom.brought(SeenVehicle(12_500_000_000, "a", 0.0, 0.0, frame="odom"), "map")
+    assert isinstance(found, SeenVehicle)
+    assert found.x_m == pytest.approx(12.5)
 
 
 def road() -> Moments:
@@ -176,23 +209,35 @@ def test_time_may_begin_anew_but_one_stale_vehicle_is_left_out() -> None:
     for k in range(20):
         found += list(moments.take([at(50.0 + 0.1 * k, "a"), at(40.0, "stale")]))
     assert named(found) == [(k, "a") for k in range(19)]
-    assert moments.counts.late == 20
+    assert (moments.counts.late, moments.counts.repeated) == (1, 19)
     for k in range(20):
         found += list(moments.take([at(0.1 * k, "a")]))
     assert [m.step for m in found] == sorted({m.step for m in found})
     assert found[-1].stamp_ns < 2_000_000_000
 
 
+def test_a_vehicle_without_a_sample_is_not_gone() -> None:
+    """b is seen every 0.2 s between a and c, is lost at 3 s, and comes back at 4 s; c is lost for good at 5 s."""
+    moments, leaders = road(), {}
+    for k in range(70):
+        t = 0.1 * k
+        seen = [at(t, "a", 10.0 * t)]
+        seen += [at(t, "b", 20.0 + 10.0 * t)] * (k % 2 == 0 and not 30 < k < 40)
+        seen += [at(t, "c", 40.0 + 10.0 * t)] * (k <= 50)
+        for moment in moments.take(seen):
+            leaders[moment.step] = {one.seen.name: one.leader for one in (*moment.placed, *moment.carried)}
+    settled = range(12, 69)
+    assert all(leaders[k]["a"] == ("b" if not 33 < k < 40 else None) for k in settled), leaders
+    assert all(leaders[k]["b"] == ("c" if k < 52 else None) for k in settled if not 33 < k < 40)
+    assert all(leaders[k]["c"] == "" for k in settled if k < 52)
+    assert all(leaders[k]["a"] != "c" for k in settled)
+    assert moments.counts.carried > 20
+
+
 def test_numbers_of_vehicles() -> None:
     numbers = Numbers()
-    assert [numbers(name) for name in ("/car7/odom", "bus", "/van7/odom", "/car3/odom", "", "bus")] == [
-        7,
-        8,
-        9,
-        3,
-        -1,
-        8,
-    ]
+    names = ("/car7/odom", "bus", "/van7/odom", "/car3/odom", "", "bus", "/det 5.0", "/det 0", None)
+    assert [numbers(name) for name in names] == [7, 8, 9, 3, -1, 8, 5, 0, -2]
 
 
 def test_directories_of_rosbag2(tmp_path: Path) -> None:

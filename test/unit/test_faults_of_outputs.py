@@ -54,6 +54,7 @@ OTHERS = {
     "outputs.py",
     "fit/checkpoint.py",
     "cli/__init__.py",
+    "formats/zstd_packed.py",
     "nodes/runners.py",
     "studies/speed/__main__.py",
     "studies/speed/figure.py",

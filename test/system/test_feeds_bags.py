@@ -1,0 +1,580 @@
+"""Bags as others record them become the right tracks, or are refused with a cure that works."""
+
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from feeds import (
+    CARS,
+    LENGTH_M,
+    NO_STAMP,
+    ODOMETRY,
+    PX4,
+    TRACKED,
+    Recorded,
+    Style,
+    at,
+    build,
+    detections,
+    every,
+    folder,
+    header,
+    line,
+    odometry,
+    place,
+    stamp,
+    transforms,
+    write,
+)
+from mcap.writer import CompressionType
+from typer.testing import CliRunner
+
+from sugiyama_ros.cli.app import app
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.formats.registry import read_tracks
+from sugiyama_ros.trajectories.tracks import FREE, UNKNOWN, Tracks
+
+pytestmark = pytest.mark.system
+CASES = next((p / "shared/cases" for p in Path(__file__).parents if (p / "shared/cases").is_dir()), Path("none"))
+ODOM = "/car*/odom"
+
+
+def sugiyama(*arguments: object) -> tuple[int, str]:
+    """Exit code and what is printed; an error that a user can correct is code 2."""
+    done = CliRunner().invoke(app, [str(one) for one in arguments])
+    if isinstance(done.exception, InputError):
+        return 2, str(done.exception)
+    assert done.exception is None or isinstance(done.exception, SystemExit), done.exception
+    return done.exit_code, done.output
+
+
+def document(*arguments: object) -> Any:
+    """What a command prints with --json."""
+    done = CliRunner().invoke(app, [*(str(one) for one in arguments), "--json"])
+    assert done.exit_code == 0, done.exception
+    return json.loads(done.stdout)
+
+
+def converted(bag: Path, pattern: str = ODOM, *options: object) -> tuple[Tracks, str]:
+    """Tracks of a bag, and what `convert` says."""
+    out = bag.parent / "out.parquet"
+    given = ("--odometry", pattern, "--centerline", line(bag.parent / "line.csv"), "--overwrite", *options)
+    code, said = sugiyama("convert", bag, out, *given)
+    assert code == 0, said
+    return read_tracks(out), " ".join(said.split())
+
+
+def refused(bag: Path, pattern: str = ODOM, *options: object) -> str:
+    given = ("--odometry", pattern, "--centerline", line(bag.parent / "line.csv"), "--overwrite", *options)
+    code, said = sugiyama("convert", bag, bag.parent / "out.parquet", *given)
+    assert code == 2, said
+    assert "\n" not in said.strip()
+    return said
+
+
+def leaders(tracks: Tracks) -> dict[int, dict[str, float]]:
+    """Share of the rows of each vehicle by its leader: ``"0"``, ``"free"`` or ``"unknown"``."""
+    found: dict[int, dict[str, float]] = {}
+    for run in range(tracks.runs):
+        rows = np.arange(tracks.start[run], tracks.start[run + 1])
+        names = [
+            {FREE: "free", UNKNOWN: "unknown"}.get(int(row)) or tracks.vehicle.at(int(row))
+            for row in tracks.leader_row[rows]
+        ]
+        shares = {name: names.count(name) / len(names) for name in dict.fromkeys(names)}
+        found[int(tracks.vehicle.at(int(rows[0])))] = shares
+    return found
+
+
+def check(tracks: Tracks, begin_s: float = 100.0, within_m: float = 0.02, unknown: float = 0.06) -> None:
+    """Three cars, each behind the one before it, where they are in truth; nobody has a free road but the first."""
+    shares = leaders(tracks)
+    assert sorted(shares) == list(range(CARS)), shares
+    assert shares[0].get("free", 0.0) > 1.0 - unknown
+    for car in (1, 2):
+        assert set(shares[car]) <= {str(car - 1), "unknown"}, shares
+        assert shares[car][str(car - 1)] > 1.0 - unknown, shares
+    for run in range(tracks.runs):
+        rows = slice(tracks.start[run], tracks.start[run + 1])
+        car = int(tracks.vehicle.at(tracks.start[run]))
+        off_m = tracks.s_m[rows] - at(car, tracks.time_s[rows] - begin_s)
+        assert np.abs(off_m).max() < within_m, (car, np.abs(off_m).max())
+
+
+# --- rates, phases, holes
+
+
+@pytest.mark.parametrize(
+    ("periods", "phases", "usual_s"),
+    [
+        ((0.1, 0.1, 0.1), (0.0, 0.0, 0.0), 0.1),
+        ((0.1, 0.2, 0.1), (0.0, 0.0, 0.0), 0.1),
+        ((0.2, 0.1, 0.2), (0.03, 0.0, 0.11), 0.2),
+        ((0.2, 0.2, 0.2), (0.0, 0.07, 0.13), 0.2),
+        ((0.05, 0.1, 1.0 / 30.0), (0.0, 0.02, 0.05), 0.05),
+        ((0.5, 0.5, 0.5), (0.0, 0.2, 0.4), 0.5),
+        ((0.1, 0.4, 0.5), (0.0, 0.0, 0.3), 0.4),
+    ],
+)
+def test_rates_and_phases(tmp_path: Path, periods: tuple, phases: tuple, usual_s: float) -> None:
+    feeds = [odometry(car, every(periods[car], phases[car])) for car in range(CARS)]
+    tracks, said = converted(write(tmp_path / "a.mcap", *feeds))
+    check(tracks)
+    assert np.median(np.diff(tracks.time_s[: tracks.start[1]])) == pytest.approx(usual_s, abs=1e-6)
+    assert ("warning: vehicles were seen every" in said) == (max(periods) > 1.5 * min(periods))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_dropped_messages_jitter_and_another_period(tmp_path: Path, seed: int) -> None:
+    rng, feeds = np.random.default_rng(seed), []
+    for car in range(CARS):
+        times = every(0.1, 0.03 * car)
+        times = np.sort(times + rng.uniform(-0.03, 0.03, len(times)))
+        feeds.append(odometry(car, times[rng.random(len(times)) > 0.3]))
+    bag = write(tmp_path / "a.mcap", *feeds)
+    check(converted(bag)[0], within_m=0.1, unknown=0.2)
+    tracks, _ = converted(bag, ODOM, "--period", 0.2)
+    check(tracks, within_m=0.1, unknown=0.2)
+
+
+def test_a_vehicle_that_is_lost_is_not_gone(tmp_path: Path) -> None:
+    """Car 1 is not seen for 8 s, begins late and ends early: car 2 never follows car 0, and never has a free road."""
+    times = every(0.1)
+    some = times[(times > 5.0) & ((times < 15.0) | (times > 23.0)) & (times < 33.0)]
+    tracks, said = converted(write(tmp_path / "a.mcap", *(odometry(c, some if c == 1 else times) for c in range(CARS))))
+    shares = leaders(tracks)
+    assert shares[2] == {"1": pytest.approx(0.5, abs=0.01), "unknown": pytest.approx(0.5, abs=0.01)}
+    assert shares[1] == {"0": 1.0}
+    assert "1 times a vehicle was not seen" in said
+
+
+def test_calibration_does_not_depend_on_rates(tmp_path: Path) -> None:
+    found = {}
+    for name, period_s in (("same", 0.1), ("mixed", 0.2)):
+        feeds = [odometry(car, every(period_s if car == 1 else 0.1)) for car in range(CARS)]
+        bag = write(tmp_path / f"{name}.mcap", *feeds)
+        converted(bag)
+        drivers = document("calibrate", tmp_path / "out.parquet")["drivers"]
+        found[name] = {one["vehicle"]: one for one in drivers}
+    for vehicle, same in found["same"].items():
+        mixed = found["mixed"][vehicle]
+        for parameter in ("v_star", "kappa_v"):
+            off = abs(np.log(mixed[parameter] / same[parameter]))
+            assert off < 0.1, (vehicle, parameter, same, mixed)
+
+
+# --- stamps
+
+
+def seconds_only(t: float) -> dict[str, int]:
+    return stamp(t) | {"nanosec": 0}
+
+
+def never(_: float) -> dict[str, int]:
+    return NO_STAMP
+
+
+def always_the_same(_: float) -> dict[str, int]:
+    return stamp(1.0)
+
+
+def now_and_then(t: float) -> dict[str, int]:
+    return NO_STAMP if round(t * 10) % 4 == 0 else stamp(t)
+
+
+@pytest.mark.parametrize("stamps", [never, always_the_same, seconds_only, now_and_then])
+@pytest.mark.parametrize("which", [(0, 1, 2), (1,)])
+def test_stamps_that_cannot_be_right(tmp_path: Path, stamps: Callable, which: tuple[int, ...]) -> None:
+    feeds = [odometry(c, every(0.1), stamps if c in which else stamp) for c in range(CARS)]
+    tracks, said = converted(write(tmp_path / "a.mcap", *feeds))
+    check(tracks, within_m=0.15)  # the log times are 5 ms later
+    for car in which:
+        assert f"warning: /car{car}/odom: " in said
+    assert "the log times count instead" in said
+    assert len(tracks) > 1190
+
+
+def test_clocks_that_are_apart(tmp_path: Path) -> None:
+    feeds = [odometry(c, every(0.1), lambda t, c=c: stamp(t + 12.3 * (c == 1))) for c in range(CARS)]
+    tracks, said = converted(write(tmp_path / "a.mcap", *feeds))
+    check(tracks, within_m=0.02)
+    assert "/car1/odom: its clock is 12.3 s ahead of the others; it was set by the log times" in said
+    feeds = [odometry(c, every(0.1), lambda t, c=c: stamp(t - 0.4 * (c == 1))) for c in range(CARS)]
+    bag = write(tmp_path / "a.mcap", *feeds)
+    _, said = converted(bag)
+    assert "/car1/odom: recorded 0.4 s later after its stamps than the others" in said
+    bridge = tmp_path / "odometry.yaml"  # the cure
+    assert "a bridge with `stamp: ''`" in said
+    bridge.write_text(f"type: {ODOMETRY}\nx: pose.pose.position.x\ny: pose.pose.position.y\nstamp: ''\n")
+    check(converted(bag, ODOM, "--bridge", bridge)[0], within_m=0.15)
+
+
+def test_time_that_begins_anew(tmp_path: Path) -> None:
+    """A simulation is reset after 20 s: the stamps begin anew, the log times do not."""
+    feeds = []
+    for car in range(CARS):
+        first = odometry(car, every(0.1, until_s=20.0))
+        again = odometry(car, every(0.1, until_s=20.0))
+        feeds += [first, [Recorded(o.topic, o.kind, o.log_s + 21.0, o.make) for o in again]]
+    tracks, said = converted(write(tmp_path / "a.mcap", *feeds))
+    assert "time begins anew 1 times" in said
+    assert tracks.runs == 2 * CARS
+    for part in ("1", "2"):
+        check(tracks.select(np.array([tracks.recording.at(k) == part for k in range(len(tracks))])))
+
+
+def px4(car: int, unit_s: float, boot_s: float) -> list[Recorded]:
+    """A car of PX4: a number as stamp, an array as position, a quaternion with w first."""
+
+    def make(t: float) -> Callable[[Any], Any]:
+        stamps, where = round((t + boot_s) / unit_s), [at(car, t), 0.0, 0.0]
+        return lambda store: build(store, PX4, timestamp=stamps, position=where, q=[1.0, 0.0, 0.0, 0.0])
+
+    return [Recorded(f"/px4_{car}/fmu/out/vehicle_odometry", PX4, t + 0.005, make(t)) for t in every(0.1).tolist()]
+
+
+@pytest.mark.parametrize(("unit", "unit_s"), [("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)])
+def test_stamps_in_other_units_and_quaternions_in_arrays(tmp_path: Path, unit: str, unit_s: float) -> None:
+    bag = write(tmp_path / "a.mcap", *(px4(car, unit_s, 37.2) for car in range(CARS)))
+    bridge, pattern = tmp_path / "px4.yaml", "/px4_*/fmu/out/vehicle_odometry"
+    text = f"type: {PX4}\nx: position[0]\ny: position[1]\nstamp: timestamp\nframe: ''\n"
+    bridge.write_text(text)
+    said = refused(bag, pattern, "--bridge", bridge)
+    cure = re.search(r"`(stamp_unit: \w+)`", said)
+    assert cure, said
+    bridge.write_text(text := text + cure[1] + "\n")
+    assert cure[1] == f"stamp_unit: {unit}"
+    tracks, _ = converted(bag, pattern, "--bridge", bridge)
+    check(tracks, begin_s=37.2)
+    bridge.write_text(text + "orientation: q\n")
+    cure = re.search(r"`(orientation_order: \w+)`", refused(bag, pattern, "--bridge", bridge))
+    assert cure
+    bridge.write_text(f"{text}orientation: q\n{cure[1]}\n")
+    check(converted(bag, pattern, "--bridge", bridge)[0], begin_s=37.2)
+    bridge.write_text(text.replace("stamp: timestamp", "stamp: ''"))
+    check(converted(bag, pattern, "--bridge", bridge)[0], within_m=0.15)
+
+
+def test_vehicles_that_count_from_their_own_start(tmp_path: Path) -> None:
+    bag = write(tmp_path / "a.mcap", *(px4(car, 1e-6, 37.2 + 100.0 * car) for car in range(CARS)))
+    bridge = tmp_path / "px4.yaml"
+    bridge.write_text(f"type: {PX4}\nx: position[0]\ny: position[1]\nstamp: timestamp\nframe: ''\nstamp_unit: us\n")
+    tracks, said = converted(bag, "/px4_*/fmu/out/vehicle_odometry", "--bridge", bridge)
+    assert said.count("it was set by the log times") == 2
+    check(tracks, begin_s=float(tracks.time_s.min()), within_m=0.02)
+
+
+# --- names
+
+
+@pytest.mark.parametrize(
+    "name_of", [lambda car: "", lambda car: "0", lambda car: "car", lambda car: "" if car == 1 else "7"]
+)
+def test_detections_that_cannot_be_told_apart(tmp_path: Path, name_of: Callable) -> None:
+    said = refused(write(tmp_path / "a.mcap", detections(every(0.1), name_of)), "/det")
+    assert "nobody can be followed; give the messages of a tracker" in said
+    assert not (tmp_path / "out.parquet").exists()
+
+
+@pytest.mark.parametrize("name_of", [str, lambda car: f"{car}.0", lambda car: f"track_{car}", lambda car: f" {car} "])
+def test_ids_that_begin_at_0(tmp_path: Path, name_of: Callable) -> None:
+    tracks, _ = converted(write(tmp_path / "a.mcap", detections(every(0.1), name_of)), "/det")
+    check(tracks)
+    assert tracks.length_m[0] == pytest.approx(LENGTH_M)
+
+
+def test_the_same_ids_on_two_topics_are_different_vehicles(tmp_path: Path) -> None:
+    feeds = [detections(every(0.1), lambda _: "5", [car], f"/sensor_{car}/det") for car in range(CARS)]
+    tracks, _ = converted(write(tmp_path / "a.mcap", *feeds), "/sensor_*/det")
+    assert tracks.runs == CARS
+    assert sorted(float(tracks.s_m[k]) for k in tracks.start[:-1]) == pytest.approx(
+        [at(2, 0), at(1, 0), at(0, 0)], abs=0.02
+    )
+
+
+def test_one_id_for_several_vehicles_in_separate_messages(tmp_path: Path) -> None:
+    feeds = [detections(every(0.1), lambda _: "5", [car]) for car in range(CARS)]
+    said = refused(write(tmp_path / "a.mcap", *feeds), "/det")
+    assert "one name stands for several vehicles" in said
+
+
+# --- order, files, compression
+
+
+@pytest.mark.parametrize("order", ["log", "topic", "back"])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"chunk_size": 8192},
+        {"chunk_size": 8192, "use_summary_offsets": False, "use_statistics": False, "repeat_channels": False},
+        {"use_chunking": False},
+        {"compression": CompressionType.LZ4, "index_types": 0},
+    ],
+)
+def test_order_in_the_file_does_not_matter(tmp_path: Path, order: str, options: dict[str, Any]) -> None:
+    feeds = [odometry(car, every(0.1)) for car in range(CARS)]
+    if "index_types" in options:
+        from mcap.writer import IndexType
+
+        options = options | {"index_types": IndexType.NONE}
+    bag = write(tmp_path / "a.mcap", *feeds, style=Style(order, options=tuple(options.items())))
+    tracks, _ = converted(bag)
+    check(tracks, unknown=0.001)
+    assert len(tracks) == 3 * 401
+
+
+def test_directories_of_rosbag2(tmp_path: Path) -> None:
+    """Files by topic or by time, compressed as a whole, unpacked beside, or with messages compressed one by one."""
+    for number, packed in enumerate(("", ".zstd", ".zst")):
+        files = {}
+        for car in range(CARS):
+            file = write(tmp_path / f"bag_{car}.mcap", odometry(car, every(0.1)))
+            files[f"bag_{car}.mcap{packed}"] = file
+        bag = folder(tmp_path / f"folder{number}", files, "FILE" if packed else "")
+        check(converted(bag)[0], unknown=0.001)
+        code, said = sugiyama("info", bag)
+        assert code == 0
+        assert "1203" in said
+        assert all(f"/car{car}/odom" in said for car in range(CARS))
+        assert len(document("echo", bag, "/car1/odom")) == 401
+        if packed:
+            beside = folder(tmp_path / f"beside{number}", dict.fromkeys(files), "FILE")
+            for name, file in files.items():
+                (beside / name.removesuffix(packed)).write_bytes(file.read_bytes())
+            check(converted(beside)[0], unknown=0.001)
+            one = next(iter(sorted(bag.glob(f"*{packed}"))))
+            assert "401" in sugiyama("info", one)[1]
+    feeds = [odometry(car, every(0.1)) for car in range(CARS)]
+    bag = write(tmp_path / "a.mcap", *feeds, style=Style(packed=True, options=(("compression", CompressionType.NONE),)))
+    check(converted(bag)[0], unknown=0.001)
+    assert len(document("echo", bag, "/car0/odom")) == 401
+
+
+def test_bags_of_another_storage(tmp_path: Path) -> None:
+    """The cures for a database of rosbag2 and a bag of ROS 1 work as they are printed."""
+    bag = write(tmp_path / "a.mcap", *(odometry(car, every(0.1)) for car in range(CARS)))
+    convert = Path(sys.executable).parent / "rosbags-convert"
+    source = folder(tmp_path / "source", {"a.mcap": bag})
+    (source / "metadata.yaml").write_text(metadata_of(bag))
+    for target in ("other", "ros1.bag"):
+        made = subprocess.run([convert, "--src", source, "--dst", tmp_path / target], capture_output=True, check=False)
+        assert made.returncode == 0, made.stderr
+        said = refused(tmp_path / target)
+        cure, then = re.search(r"run `(.*)`, and give (\S+)", said).groups()  # type: ignore[union-attr]
+        done = subprocess.run([convert, *cure.split()[1:]], capture_output=True, check=False)
+        assert done.returncode == 0, done.stderr
+        check(converted(Path(then))[0], unknown=0.001)
+
+
+def metadata_of(bag: Path) -> str:
+    topics = "".join(
+        f"    - topic_metadata: {{name: /car{car}/odom, type: {ODOMETRY}, serialization_format: cdr,"
+        " offered_qos_profiles: '', type_description_hash: ''}\n      message_count: 401\n"
+        for car in range(CARS)
+    )
+    return (
+        "rosbag2_bagfile_information:\n  version: 6\n  storage_identifier: mcap\n"
+        "  duration: {nanoseconds: 40000000000}\n"
+        "  starting_time: {nanoseconds_since_epoch: 100005000000}\n  message_count: 1203\n"
+        f"  topics_with_message_count:\n{topics}  compression_format: ''\n  compression_mode: ''\n"
+        f"  relative_file_paths: [{bag.name}]\n  files:\n    - path: {bag.name}\n"
+        "      starting_time: {nanoseconds_since_epoch: 100005000000}\n      duration: {nanoseconds: 40000000000}\n"
+        "      message_count: 1203\n"
+    )
+
+
+# --- definitions
+
+
+def idl_of(kind: str, share: Path) -> str:
+    """The definition as rosbag2 writes it in IDL, from the files that are installed."""
+    names, texts = [kind], {}
+    while names:
+        name = names.pop(0)
+        texts[name] = (share / f"{name}.idl").read_text()
+        names += [f for f in re.findall(r'#include "(.*)\.idl"', texts[name]) if f not in texts and f not in names]
+    return "".join(f"{'=' * 80}\nIDL: {name}\n{text}" for name, text in texts.items())
+
+
+def test_definitions_of_other_kinds(tmp_path: Path) -> None:
+    feeds = [odometry(car, every(0.1)) for car in range(CARS)]
+    share = Path(sys.prefix) / "share"
+    styles = [Style(definition=b""), Style(encoding="ros1msg"), Style(encoding="ros1msg", definition=b"")]
+    styles += [Style(encoding="", definition=b""), Style(encoding="ros2idl", definition=b"no IDL at all")]
+    if (share / "nav_msgs/msg/Odometry.idl").exists():
+        styles.append(Style(encoding="ros2idl", definition=idl_of(ODOMETRY, share).encode()))
+    for style in styles:
+        bag = write(tmp_path / "a.mcap", *feeds, style=style)
+        check(converted(bag)[0], unknown=0.001)
+        assert len(document("echo", bag, "/car1/odom")) == 401
+
+
+def test_what_cannot_be_decoded_says_why(tmp_path: Path) -> None:
+    bag = write(tmp_path / "a.mcap", detections(every(0.1)), style=Style(definition=b""))
+    said = refused(bag, "/det")
+    assert "does not have its definition, and vision_msgs is not installed; install vision_msgs" in said
+    code, said = sugiyama("echo", bag, "/det")
+    assert code == 0
+    assert "vision_msgs is not installed" in said
+    said = refused(write(tmp_path / "b.mcap", odometry(0, every(0.1)), style=Style(definition=b"int32\n")))
+    assert "its definition (ros2msg) cannot be used; record the topic again" in said
+
+
+def test_topics_that_are_not_known_are_named(tmp_path: Path) -> None:
+    bag = write(tmp_path / "a.mcap", *(px4(car, 1e-6, 37.2) for car in range(CARS)))
+    assert f"/px4_0/fmu/out/vehicle_odometry is {PX4}" in refused(bag, "/px4_*/*/*/*")
+    assert "no topic /bus*; it has /px4_0/fmu/out/vehicle_odometry" in refused(bag, "/bus*")
+
+
+# --- frames
+
+
+def ego(t: float) -> tuple[float, float, float]:
+    """The car that sees the others drives 30 m behind the last one, on the next lane, and turns a little."""
+    return float(at(2, t)) - 30.0, -3.5, 0.2 * np.sin(0.5 * t)
+
+
+def from_ego(car: int, t: float, pose: Callable = ego) -> dict[str, Any]:
+    x, y, yaw = pose(t)
+    dx, dy = float(at(car, t)) - x, -y
+    return place(np.cos(yaw) * dx + np.sin(yaw) * dy, np.cos(yaw) * dy - np.sin(yaw) * dx, -yaw)
+
+
+@pytest.mark.parametrize("late_s", [0.002, 0.05, 0.3])
+@pytest.mark.parametrize("times", [every(0.1, -0.05), every(0.02, -0.01), every(0.1, -0.0371)])
+def test_transforms_are_interpolated(tmp_path: Path, times: Any, late_s: float) -> None:
+    """Also where a sensor's place is told late and once, and the transforms are recorded later than what was seen."""
+    sensor = transforms(np.array([5.0]), lambda _: (0.0, 0.0, 0.0), "base_link", "radar", topic="/tf_static")
+    feeds = [detections(every(0.1), seen=from_ego, frame="radar"), transforms(times, ego, late_s=late_s), sensor]
+    bag = write(tmp_path / "a.mcap", *feeds)
+    tracks, _ = converted(bag, "/det", "--frame", "map")
+    check(tracks, within_m=0.03)
+    assert len(tracks) > 1190
+    bag = write(tmp_path / "b.mcap", feeds[0], transforms(times, ego, child="radar"))
+    assert "radar, which moves; give --frame, the frame of the centre line" in refused(bag, "/det")
+
+
+def test_transforms_with_a_hole(tmp_path: Path) -> None:
+    times = every(0.1, -0.05)
+    feeds = [detections(every(0.1), seen=from_ego, frame="base_link")]
+    feeds.append(transforms(times[(times < 10.0) | (times > 16.0)], ego))
+    tracks, said = converted(write(tmp_path / "a.mcap", *feeds), "/det", "--frame", "map")
+    check(tracks, within_m=0.03)
+    assert re.search(r"without a transform to the frame (18\d)", said)
+
+
+def test_positions_in_frames_of_their_own(tmp_path: Path) -> None:
+    """Each car counts from its own start; only --frame with transforms, or a bridge, puts them together."""
+    feeds = [odometry(car, every(0.1), frame=f"car{car}/odom") for car in range(CARS)]
+    said = refused(write(tmp_path / "a.mcap", *feeds))
+    assert "positions are in several frames (car0/odom, car1/odom, car2/odom); give --frame" in said
+    bridge = tmp_path / "odometry.yaml"
+    bridge.write_text(f"type: {ODOMETRY}\nx: pose.pose.position.x\ny: pose.pose.position.y\nframe: ''\n")
+    check(converted(tmp_path / "a.mcap", ODOM, "--bridge", bridge)[0], unknown=0.001)
+    fixed = [transforms(every(1.0), lambda _: (0.0, 0.0, 0.0), child=f"car{car}/odom") for car in range(CARS)]
+    check(converted(write(tmp_path / "a.mcap", *feeds, *fixed), ODOM, "--frame", "map")[0])
+    said = refused(write(tmp_path / "b.mcap", *feeds), ODOM, "--frame", "map")
+    assert "no transform leads from car0/odom, car1/odom, car2/odom to map" in said
+
+
+# --- headings
+
+
+@pytest.mark.parametrize(("availability", "turned"), [(2, 0.0), (1, np.pi), (0, 1.3)])
+def test_headings_of_which_the_sign_is_unknown(tmp_path: Path, availability: int, turned: float) -> None:
+    """Car 3 comes the other way, on the same lane as the map shows it."""
+
+    def make(t: float) -> Callable[[Any], Any]:
+        objects = [
+            {
+                "object_id": {"uuid": np.full(16, car + 1, dtype=np.uint8)},
+                "kinematics": {
+                    "pose_with_covariance": {"pose": place(at(car, t), 0.0, turned)},
+                    "orientation_availability": availability,
+                },
+                "shape": {"dimensions": {"x": LENGTH_M, "y": 2.0, "z": 1.5}},
+            }
+            for car in range(CARS)
+        ]
+        other = {
+            "object_id": {"uuid": np.full(16, 99, dtype=np.uint8)},
+            "kinematics": {
+                "pose_with_covariance": {"pose": place(1500.0 - 20.0 * t, 0.0, np.pi + turned)},
+                "orientation_availability": availability,
+            },
+        }
+        return lambda store: build(store, TRACKED, header=header(t), objects=[*objects, other])
+
+    feed = [Recorded("/objects", TRACKED, t, make(t)) for t in every(0.1).tolist()]
+    tracks, said = converted(write(tmp_path / "a.mcap", feed), "/objects")
+    assert tracks.runs == CARS, said
+    assert re.search(r"beside the road 401", said)
+    assert sorted(float(tracks.s_m[k]) for k in tracks.start[:-1]) == pytest.approx([at(2, 0), at(1, 0), at(0, 0)])
+
+
+# --- the cases that were handed over
+
+
+@pytest.mark.skipif(not CASES.is_dir(), reason="needs ../shared/cases")
+@pytest.mark.parametrize(
+    ("case", "pattern", "options"),
+    [
+        ("bag_rates_differ/rmix.mcap", ODOM, ()),
+        ("bag_rates_differ/r5.mcap", ODOM, ()),
+        ("bag_stamp_zero/stamp0.mcap", ODOM, ()),
+        ("bag_topic_after_topic/bytopic.mcap", ODOM, ()),
+        ("bag_topic_after_topic/ordered.mcap", ODOM, ()),
+        ("bag_definition_not_ros2msg/idl.mcap", ODOM, ()),
+        ("bag_definition_not_ros2msg/emptydef.mcap", ODOM, ()),
+        ("bag_definition_not_ros2msg/ros1.mcap", ODOM, ()),
+        ("bag_rosbag2_compression/msgmode_0.mcap", ODOM, ()),
+        ("bag_tf_not_interpolated/tf10.mcap", "/det", ("--frame", "map")),
+        ("bag_tf_not_interpolated/tflate.mcap", "/det", ("--frame", "map")),
+    ],
+)
+def test_cases_that_become_right(tmp_path: Path, case: str, pattern: str, options: tuple[str, ...]) -> None:
+    out = tmp_path / "out.parquet"
+    given = ("--odometry", pattern, "--centerline", (CASES / case).parent / "line.csv", *options)
+    code, said = sugiyama("convert", CASES / case, out, *given)
+    assert code == 0, said
+    tracks = read_tracks(out)
+    shares = leaders(tracks)
+    cars = sorted(shares)
+    assert cars == list(range(len(cars)))
+    assert shares[0] == {"free": 1.0}
+    assert all(shares[car] == {str(car - 1): 1.0} for car in cars[1:]), shares
+    if "tf" in case:
+        with np.load(CASES / "bag_tf_not_interpolated/truth.npz") as truth:
+            time_s, x_m = truth["t"], truth["x"]
+        for car in cars:
+            rows = slice(tracks.start[car], tracks.start[car + 1])
+            expected = np.interp(tracks.time_s[rows], time_s, x_m[:, car])
+            assert np.abs(tracks.s_m[rows] - expected).max() < 0.005
+
+
+@pytest.mark.skipif(not CASES.is_dir(), reason="needs ../shared/cases")
+def test_cases_that_are_refused(tmp_path: Path) -> None:
+    run = partial(sugiyama, "convert")
+    rest = ("--centerline", CASES / "bag_stamp_zero/line.csv", "--odometry")
+    code, said = run(CASES / "bag_detections_without_id/noid.mcap", tmp_path / "a.csv", *rest, "/det")
+    assert (code, "give the messages of a tracker" in said) == (2, True), said
+    pattern, mine = "/px4_*/fmu/out/vehicle_odometry", CASES / "bag_px4_microseconds"
+    code, said = run(mine / "px4.mcap", tmp_path / "a.csv", *rest, pattern, "--bridge", mine / "px4.yaml")
+    assert (code, "give `stamp_unit: us` in the bridge" in said) == (2, True), said
+    (tmp_path / "px4.yaml").write_text((mine / "px4.yaml").read_text() + "stamp_unit: us\n")
+    found = document(
+        "convert", mine / "px4.mcap", tmp_path / "a.csv", *rest, pattern, "--bridge", tmp_path / "px4.yaml"
+    )
+    assert (found["vehicles"], found["rows"]) == (3, 1203)
+    packed = CASES / "bag_rosbag2_compression/mcap_zstd"
+    assert sugiyama("info", packed)[0] == 0
+    assert "Subscribed to topic" in sugiyama("echo", packed, "/rosout")[1]
+    code, said = run(packed, tmp_path / "b.csv", *rest, "/*")
+    assert (code, "/rosout is rcl_interfaces/msg/Log" in said) == (2, True), said
