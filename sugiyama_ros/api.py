@@ -22,7 +22,7 @@ from sugiyama_ros.fit.driver import Formulation
 from sugiyama_ros.fit.model_file import read_model
 from sugiyama_ros.fit.smooth_positions import evenness
 from sugiyama_ros.formats.choices import Choices
-from sugiyama_ros.formats.frames import from_frame
+from sugiyama_ros.formats.frames import from_frame, tracks_of_frame
 from sugiyama_ros.formats.registry import read_tracks as tracks_of_file
 from sugiyama_ros.formats.registry import read_trajectories
 from sugiyama_ros.page import recording
@@ -30,8 +30,6 @@ from sugiyama_ros.page.recording import Recording
 from sugiyama_ros.progress import stages
 from sugiyama_ros.simulation.experiment import Experiment, carry_out, changed
 from sugiyama_ros.simulation.result import Simulation
-from sugiyama_ros.trajectories.about import About
-from sugiyama_ros.trajectories.exchange import from_frame as tracks_of_frame
 from sugiyama_ros.trajectories.tracks import Tracks
 from sugiyama_ros.trajectories.trajectories import Trajectories
 from sugiyama_ros.workers import workers
@@ -105,7 +103,7 @@ def read_tracks(source: "str | Path | pandas.DataFrame", ring_m: float | None = 
     """
     if isinstance(source, str | Path):
         return tracks_of_file(Path(source), Choices(ring_m=ring_m), name)
-    return tracks_of_frame(source, About(ring_m=ring_m or 0.0, source="data frame"))
+    return tracks_of_frame(source, Choices(ring_m=ring_m))
 
 
 def simulate(

@@ -1,6 +1,7 @@
 """From messages of a perception, as they come, to samples of the road."""
 
 import math
+import re
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -211,7 +212,7 @@ class Perception:
 
 def lane_numbers(lanes: RoadLanes) -> list[int]:
     """Number of each lane: its name if all names are numbers, else its place."""
-    are_numbers = all(name.lstrip("-").isdecimal() and abs(int(name)) < 1000 for name in lanes.names)
+    are_numbers = all(re.fullmatch(r"-?[0-9]{1,3}", name) for name in lanes.names)
     return [int(name) if are_numbers else k for k, name in enumerate(lanes.names)]
 
 

@@ -11,8 +11,12 @@ from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.about import Reference, View
 from sugiyama_ros.trajectories.tracks import NUMBERS, TEXTS
 
+#: Columns of a table of tracks.
+COLUMNS = (*TEXTS, *NUMBERS, "leader", "measured")
+#: Columns of the leader, in a table whose rows have a follower and the leader; and their gap.
+PAIRED = ("leader_vehicle", "leader_s_m", "leader_length_m", "leader_speed", "gap_m")
 #: Columns that a map may name.
-MAPPED = (*TEXTS, *NUMBERS, "leader", "measured")
+MAPPED = (*COLUMNS, "speed", *PAIRED)
 # Factors to metres or seconds, without their signs: from picoseconds to the largest units.
 _FACTORS = 1e-12, 1e12
 _REFERENCES: tuple[Reference, ...] = ("centre", "front", "rear")

@@ -9,6 +9,7 @@ import numpy as np
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
+from sugiyama_ros.formats.reading import shown_name
 from sugiyama_ros.formats.sheet import Sheet, checksum_of, read_sheet
 from sugiyama_ros.trajectories.about import About, Leaders, Reference
 from sugiyama_ros.trajectories.assemble import assemble
@@ -41,7 +42,7 @@ def need(*names: str, factor: float = 1.0) -> Take:
     return Take(names, factor, optional=False)
 
 
-def read_columns(sheet: Sheet, wanted: Mapping[str, Take]) -> dict[str, Array | Labels]:
+def read_columns(sheet: Sheet, wanted: Mapping[str, Take], hint: str = "") -> dict[str, Array | Labels]:
     """Read the columns of tracks from a table.
 
     Parameters
@@ -50,7 +51,9 @@ def read_columns(sheet: Sheet, wanted: Mapping[str, Take]) -> dict[str, Array | 
         The table.
     wanted : mapping of str to Take
         For each column of tracks (or any name that the caller knows) the columns it may come from. A name that ends in
-        ``_s`` or ``_m`` is a number, any other a text.
+        ``_s``, ``_m`` or ``speed`` is a number, any other a text.
+    hint : str
+        What else helps, if a column is missing.
 
     Returns
     -------
@@ -65,17 +68,20 @@ def read_columns(sheet: Sheet, wanted: Mapping[str, Take]) -> dict[str, Array | 
     found = {name: place for name, one in wanted.items() if (place := sheet.find(*one.names)) is not None}
     missing = [" or ".join(one.names) for name, one in wanted.items() if not one.optional and name not in found]
     if missing:
-        line = f":{sheet.header}" if sheet.header else ""
-        raise InputError(
-            f"{sheet.path}{line}: no column {', '.join(missing)}; the columns are {', '.join(sheet.names)[:200]}; say"
-            " which is which: sugiyama convert --columns map.yaml"
-        )
+        line = f":{sheet.header}" if sheet.header and not sheet.is_parquet else ""
+        cure = "say which is which: sugiyama convert --columns map.yaml"
+        if sheet.frame is not None:
+            cure = "name them so, as by frame.rename(columns={'old': 'new'})"
+        there = ", ".join(sheet.names)[:200]
+        raise InputError(f"{sheet.path}{line}: no column {', '.join(missing)}; the columns are {there}; {cure}{hint}")
+    times = {place: wanted[name].factor for name, place in found.items() if name in ("time_s", "clock_s")}
     numbers = {place for name, place in found.items() if is_number(name)}
-    read = read_sheet(sheet, numbers, {place for name, place in found.items() if not is_number(name)} - numbers)
+    texts = {place for name, place in found.items() if not is_number(name)} - numbers
+    read = read_sheet(sheet, numbers, texts, times)
     table: dict[str, Array | Labels] = {}
     for name, place in found.items():
         column = read[place]
-        factor = wanted[name].factor
+        factor = 1.0 if place in times else wanted[name].factor
         # what becomes too large is left out later on, as no time or no position
         with np.errstate(over="ignore"):
             table[name] = column if isinstance(column, Labels) or factor == 1.0 else column * factor
@@ -84,7 +90,7 @@ def read_columns(sheet: Sheet, wanted: Mapping[str, Take]) -> dict[str, Array | 
 
 def is_number(name: str) -> bool:
     """Whether a column of tracks holds numbers."""
-    return name in NUMBERS or name == "measured" or name.endswith(("_s", "_m"))
+    return name in NUMBERS or name == "measured" or name.endswith(("_s", "_m", "speed"))
 
 
 def text_of(columns: Mapping[str, Array | Labels], name: str) -> Labels:
@@ -95,9 +101,12 @@ def text_of(columns: Mapping[str, Array | Labels], name: str) -> Labels:
     return column
 
 
-def nobody(column: Labels, *names: str) -> Labels:
-    """A column of leaders in which some names, such as 0, mean that nobody is known to be ahead."""
-    gone = np.array([text in names for text in column.text] + [True])
+def nobody(column: Labels, vehicles: Labels, *names: str) -> Labels:
+    """A column of leaders in which some names, such as 0, mean that nobody is known to be ahead.
+
+    A vehicle may have such a name; then it means this vehicle.
+    """
+    gone = np.array([text in names and text not in vehicles.text for text in column.text] + [True])
     return labels(np.where(gone[column.code], -1, column.code).astype(np.int32), column.text)
 
 
@@ -129,11 +138,8 @@ def put_together(
         about = replace(about, ring_m=choices.ring_m)
     if choices.view is not None:
         about = replace(about, view=choices.view)
-    time = np.asarray(columns["time_s"])
-    latest = float(np.nanmax(np.abs(time), initial=0.0))
-    if part := next(((part, name) for above, part, name in _PARTS if latest > above), None):
-        columns["time_s"] = time * part[0]
-        about = about.noting(f"times are {part[1]} in the file; they were made seconds")
+    columns["time_s"], note = in_seconds(np.asarray(columns["time_s"]))
+    about = about.noting(note)
     tracks = assemble(columns, about, choices.reference or reference)
     if np.any(np.diff(tracks.start) > 1) and not is_regular(tracks):
         tracks = on_time_base(tracks)
@@ -142,6 +148,15 @@ def put_together(
     return replace(tracks, about=tracks.about.noting(note))
 
 
+def in_seconds(time: Array) -> tuple[Array, str]:
+    """Times (R,) [s], where they may count parts of a second since 1970, and a note that says so."""
+    latest = float(np.nanmax(np.abs(time), initial=0.0))
+    for above, part, name in _PARTS:
+        if above < latest < np.inf:
+            return time * part, f"times are {name} in the file; they were made seconds"
+    return time, ""
+
+
 def about_file(path: Path, leaders: Leaders = "found", **said: str) -> About:
     """Where tracks come from: name and checksum of a file, and what the format says of its data."""
-    return About(source=path.name, sha256=checksum_of(path), leaders=leaders, **said)  # type: ignore[arg-type]
+    return About(source=shown_name(path), sha256=checksum_of(path), leaders=leaders, **said)  # type: ignore[arg-type]

@@ -1,42 +1,61 @@
 """CommonRoad scenarios: vehicles in the plane, and lanelets that say where the lanes are."""
 
-import re
 from array import array
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from sugiyama_ros.arrays import Array
+from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.columns import about_file, put_together
 from sugiyama_ros.formats.format import tracks_format
+from sugiyama_ros.formats.lanelets import Lanelet, SeenRows, placed
 from sugiyama_ros.formats.reading import number
-from sugiyama_ros.formats.sheet import MAX_ROWS, head_of
-from sugiyama_ros.formats.xml_events import elements
-from sugiyama_ros.trajectories.labels import Labels, labels, labels_of
+from sugiyama_ros.formats.sheet import MAX_ROWS
+from sugiyama_ros.formats.xml_events import elements, has_root, root_of
+from sugiyama_ros.trajectories.assemble import AGREES
+from sugiyama_ros.trajectories.labels import Labels, labels_of
 from sugiyama_ros.trajectories.tracks import Tracks
 
-#: Distance [m] from the middle of a lane within which a vehicle is on it.
-_ON_LANE_M = 2.5
 #: Points of all lanelets, at most.
 _MAX_POINTS = 200_000
-_PERIOD = re.compile(rb'timeStepSize="([^"]{1,20})"')
-# Times, places and sizes: what is kept of each row.
-_KEPT = ("time_s", "x_m", "y_m", "length_m", "width_m")
+# Time [s] between two steps where the file does not say it.
+_USUAL_S = 0.1
+_DIRECTION = "drivingDir"
 
 
-class _Lanelet(NamedTuple):
-    """The middle of a lanelet, (P, 2) [m], and the lanelet that follows; empty for none."""
+class _State(NamedTuple):
+    """What is kept of each row."""
 
-    middle: Array
-    successor: str
+    time_s: float
+    x_m: float
+    y_m: float
+    heading: float
+    speed: float
+    length_m: float
+    width_m: float
+
+
+class _Counts:
+    """States that are not exact."""
+
+    def __init__(self) -> None:
+        self.areas = self.unknown = self.static = 0
+
+    def notes(self) -> list[str]:
+        """What was done with these states."""
+        return [
+            f"places of {self.areas} states are areas in the file; their middles count" * (self.areas > 0),
+            f"{self.static} obstacles stand still by their role; they were left out" * (self.static > 0),
+        ]
 
 
 def read_commonroad(path: Path, choices: Choices) -> Tracks:
-    """Read a scenario. Lanelets that follow one another make a lane; positions are measured along its middle.
+    """Read a scenario. Lanelets that follow one another make a road; positions are measured along their middles.
 
     Parameters
     ----------
@@ -48,59 +67,108 @@ def read_commonroad(path: Path, choices: Choices) -> Tracks:
     Returns
     -------
     Tracks
-        Centres. A vehicle that is on no lane has an unknown leader.
+        Centres. A vehicle that is on no lane, or whose way ahead is not known, has an unknown leader.
 
     Raises
     ------
     InputError
         With the line, for a file of another form.
     """
-    found = _PERIOD.search(head_of(path))
-    period = number(found[1].decode(), "timeStepSize", str(path)) if found else 0.1
-    lanelets: dict[str, _Lanelet] = {}
-    rows = {name: array("d") for name in _KEPT}
+    said = root_of(path).get("timeStepSize")
+    period = _USUAL_S if said is None else number(said.strip(), "timeStepSize", str(path))
+    network: dict[str, Lanelet] = {}
+    rows = {name: array("d") for name in _State._fields}
     vehicles: list[str] = []
     kinds: list[str] = []
-    points = 0
+    counts, points = _Counts(), 0
     for element in elements(path, "lanelet", "dynamicObstacle", "obstacle"):
         if element.tag == "lanelet":
-            one = lanelets[element.get("id", "")] = _lanelet(element, path)
+            one = network[element.get("id", "")] = _lanelet(element, path)
             points += len(one.middle)
+        elif element.findtext("role", "dynamic").strip().lower() == "static":
+            counts.static += 1
         else:
-            states = _add(element, path, period, rows)
+            states = _add(element, path, period, rows, counts)
             vehicles += [element.get("id", "")] * states
             kinds += [element.findtext("type", "").strip().lower()] * states
         if points > _MAX_POINTS or len(vehicles) > MAX_ROWS:
             raise InputError(f"{path}: more than {_MAX_POINTS} points of lanelets or {MAX_ROWS} states; split the file")
-    if not vehicles or not lanelets:
+    if not vehicles or not network:
         raise InputError(f"{path}: no lanelets, or no obstacles with a trajectory; give a recorded scenario")
     columns: dict[str, Array | Labels] = {name: np.frombuffer(values) for name, values in rows.items()}
+    vehicle = labels_of(vehicles)
     place = np.stack((np.asarray(columns.pop("x_m")), np.asarray(columns.pop("y_m"))), axis=1)
-    lane, s, off = _on_lanes(lanelets, place)
+    code, time = vehicle.code.astype(np.int64), np.asarray(columns["time_s"])
+    seen = SeenRows(code, time, place, _headings(code, time, place, np.asarray(columns.pop("heading"))))
+    on = placed(network, seen, vehicle.text)
     # A place on no lane has no position along a lane.
-    columns |= {"vehicle": labels_of(vehicles), "class": labels_of(kinds), "lane": lane, "s_m": s, "d_m": off}
-    return put_together(columns, about_file(path), choices)
+    columns |= {"vehicle": vehicle, "class": labels_of(kinds), "road": on.road, "lane": on.lane, "leader": on.leader}
+    columns |= {"s_m": on.s_m, "d_m": on.d_m}
+    about = about_file(path, leaders="given").noting(*counts.notes())
+    about = about.without("a state without an exact time or a place", counts.unknown)
+    tracks = put_together(columns, about, choices)
+    # The file names no leaders: those on the way of a driver are not compared with the next ones on the same lane.
+    notes = tuple(note for note in tracks.about.notes if AGREES not in note)
+    return replace(tracks, about=replace(tracks.about, notes=notes))
 
 
-def _add(obstacle: Element, path: Path, period_s: float, rows: "dict[str, array[float]]") -> int:
+def _add(obstacle: Element, path: Path, period_s: float, rows: "dict[str, array[float]]", counts: _Counts) -> int:
     """Add the states of an obstacle; returns how many."""
     where = f"{path}: obstacle {obstacle.get('id', '')[:40]}"
     shape = obstacle.find("shape/rectangle")
-    size = [_value(shape, name, where) if shape is not None else np.nan for name in ("length", "width")]
-    states = [*obstacle.iterfind("initialState"), *obstacle.iterfind("trajectory/state")]
-    for state in states:
+    length, width = (_value(shape, name, where) if shape is not None else np.nan for name in ("length", "width"))
+    added = 0
+    for state in [*obstacle.iterfind("initialState"), *obstacle.iterfind("trajectory/state")]:
+        place = _place(state.find("position"), where, counts)
+        if place is None or state.find("time/exact") is None:
+            counts.unknown += 1
+            continue
         time = _value(state, "time/exact", where) * period_s
-        place = [_value(state, f"position/point/{axis}", where) for axis in "xy"]
-        for name, value in zip(_KEPT, (time, *place, *size), strict=True):
-            rows[name].append(value)
-    return len(states)
+        heading, speed = (
+            _value(state, f"{name}/exact", where) if state.find(f"{name}/exact") is not None else np.nan
+            for name in ("orientation", "velocity")
+        )
+        for values, value in zip(rows.values(), _State(time, *place, heading, speed, length, width), strict=True):
+            values.append(value)
+        added += 1
+    return added
 
 
-def _value(element: Element, name: str, where: str) -> float:
-    return number(element.findtext(name, "").strip(), name.replace("/", " "), where)
+def _place(position: Element | None, where: str, counts: _Counts) -> tuple[float, float] | None:
+    """A place [m]: a point, or the middle of an area; None where it is a lanelet or nothing."""
+    if position is None:
+        return None
+    if (point := position.find("point")) is not None:
+        x, y = (_value(point, axis, where, "position point ") for axis in "xy")
+        return x, y
+    found = [point for area in ("rectangle", "circle") for point in position.iterfind(f"{area}/center")]
+    found = found or [*position.iterfind("polygon/point")]
+    if not found:
+        return None
+    counts.areas += 1
+    x, y = (float(np.mean([_value(point, axis, where, "position ") for point in found])) for axis in "xy")
+    return x, y
 
 
-def _lanelet(element: Element, path: Path) -> _Lanelet:
+def _value(element: Element, name: str, where: str, of: str = "") -> float:
+    return number(element.findtext(name, "").strip(), of + name.replace("/", " "), where)
+
+
+def _headings(vehicle: Ints, time_s: Array, place_m: Array, heading: Array) -> Array:
+    """Headings [rad] of the rows, (R,): where the file does not say one, the direction from a place to the next one."""
+    if np.isfinite(heading).all():
+        return heading
+    order = np.lexsort((time_s, vehicle))
+    way = np.diff(place_m[order], axis=0)
+    moves = (np.diff(vehicle[order]) == 0) & (np.hypot(*way.T) > 0.1)
+    after = np.where(moves, np.arctan2(way[:, 1], way[:, 0]), np.nan)
+    guessed = np.full(len(heading), np.nan)
+    guessed[order[1:]] = after
+    guessed[order[:-1]] = np.where(np.isfinite(after), after, guessed[order[:-1]])
+    return np.where(np.isfinite(heading), heading, guessed)
+
+
+def _lanelet(element: Element, path: Path) -> Lanelet:
     where = f"{path}: lanelet {element.get('id', '')[:40]}"
     left, right = (
         np.array([[_value(p, "x", where), _value(p, "y", where)] for p in element.iterfind(f"{side}Bound/point")])
@@ -110,54 +178,16 @@ def _lanelet(element: Element, path: Path) -> _Lanelet:
         raise InputError(
             f"{where}: {len(left)} points on the left and {len(right)} on the right; give two or more of each"
         )
-    successor = element.find("successor")
-    return _Lanelet(0.5 * (left + right), "" if successor is None else successor.get("ref", ""))
-
-
-def _on_lanes(lanelets: dict[str, _Lanelet], place_m: Array) -> tuple[Labels, Array, Array]:
-    """Lane of each place (R, 2), its position along the lane and its distance to the left [m], (R,) each."""
-    lane, offset = _chained(lanelets)
-    best = np.full(len(place_m), _ON_LANE_M)
-    code = np.full(len(place_m), -1, dtype=np.int32)
-    s, off = np.full(len(place_m), np.nan), np.full(len(place_m), np.nan)
-    for number_of, (name, one) in enumerate(lanelets.items()):
-        low, high = one.middle.min(axis=0) - _ON_LANE_M, one.middle.max(axis=0) + _ON_LANE_M
-        near = np.flatnonzero(((place_m >= low) & (place_m <= high)).all(axis=1))
-        start = offset[name]
-        for begin, end in zip(one.middle[:-1], one.middle[1:], strict=True):
-            way = end - begin
-            length = float(np.hypot(*way))
-            if length == 0.0:
-                continue
-            to = place_m[near] - begin
-            along = np.clip(to @ way / length, 0.0, length)
-            across = (way[0] * to[:, 1] - way[1] * to[:, 0]) / length
-            distance = np.hypot(*(to - along[:, None] * way / length).T)
-            closer = distance < best[near]
-            hit = near[closer]
-            best[hit], code[hit], s[hit], off[hit] = distance[closer], number_of, start + along[closer], across[closer]
-            start += length
-    return labels(code, [lane[name] for name in lanelets]), s, off
-
-
-def _chained(lanelets: dict[str, _Lanelet]) -> tuple[dict[str, str], dict[str, float]]:
-    """For each lanelet the first one of its lane, and where it begins on the lane [m]."""
-    followed = {one.successor for one in lanelets.values()}
-    lane: dict[str, str] = {}
-    offset: dict[str, float] = {}
-    for first in [*(name for name in lanelets if name not in followed), *lanelets]:
-        name, start = first, 0.0
-        while name in lanelets and name not in lane:
-            lane[name], offset[name] = first, start
-            start += float(np.hypot(*np.diff(lanelets[name].middle, axis=0).T).sum())
-            name = lanelets[name].successor
-    return lane, offset
+    after = tuple(one.get("ref", "") for one in element.iterfind("successor"))
+    beside = [one for side in ("Left", "Right") for one in element.iterfind(f"adjacent{side}")]
+    same = tuple(one.get("ref", "") for one in beside if one.get(_DIRECTION, "same") == "same")
+    return Lanelet(0.5 * (left + right), after, same)
 
 
 FORMAT = tracks_format(
     name="commonroad",
     suffixes=(".xml",),
-    recognise=lambda head, path: b"<commonRoad" in head,
+    recognise=lambda head, path: has_root(head, path, "commonRoad"),
     tracks=read_commonroad,
     summary="CommonRoad scenarios: obstacles on lanelets",
 )

@@ -10,6 +10,7 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.format import tracks_format
+from sugiyama_ros.formats.reading import shown_name, shown_stem
 from sugiyama_ros.formats.sheet import head_of
 from sugiyama_ros.trajectories.about import About
 from sugiyama_ros.trajectories.exchange import of_columns
@@ -51,8 +52,8 @@ def read_folder(path: Path, choices: Choices) -> Tracks:
         )
     if len(files) > MAX_FILES:
         raise InputError(f"{path}: more than {MAX_FILES} files; split the folder")
-    together = read_files(files, choices, path.name)
-    others = ", ".join(one.name for one in tables if one not in files)
+    together = read_files(files, choices, shown_name(path))
+    others = ", ".join(shown_name(one) for one in tables if one not in files)
     note = f"files of no known format were left out: {others[:200]}" if others else ""
     return replace(together, about=together.about.noting(note))
 
@@ -89,7 +90,7 @@ def read_files(files: Sequence[Path], choices: Choices, source: str = "") -> Tra
     parts = [_named(read_tracks(file, choices, name), file) for file in files]
     if len({part.about.ring_m for part in parts}) > 1:
         raise InputError(f"{files[0]}: the files are of different roads; give the files of each road on their own")
-    return _joined(source or files[0].name, parts)
+    return _joined(source or shown_name(files[0]), parts)
 
 
 def _is_table(file: Path) -> bool:
@@ -99,7 +100,7 @@ def _is_table(file: Path) -> bool:
 
 def _named(part: Tracks, file: Path) -> Tracks:
     """The tracks of a file, whose recordings have the name of the file."""
-    here = same_label(len(part), file.stem)
+    here = same_label(len(part), shown_stem(file))
     single = len(part.recording.used()) == 1
     return replace(part, recording=here if single else joined(here, part.recording, "/"))
 

@@ -1,4 +1,4 @@
-"""Trajectories from data frames: the columns of the plain CSV file, in a table of pandas or of anything like it."""
+"""Trajectories and tracks from data frames of pandas, or of anything like them, read as tables of Parquet are read."""
 
 from pathlib import Path
 from typing import Any
@@ -6,11 +6,23 @@ from typing import Any
 import numpy as np
 
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.formats.choices import Choices
+from sugiyama_ros.formats.columns import in_seconds, need, read_columns, take, text_of
 from sugiyama_ros.formats.samples import Samples, agreed_road
+from sugiyama_ros.formats.sheet import Sheet
+from sugiyama_ros.formats.table import tracks_of_sheet
+from sugiyama_ros.trajectories.about import About
+from sugiyama_ros.trajectories.one_lane import is_numbered, one_lane
+from sugiyama_ros.trajectories.tracks import Tracks
 from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M, Trajectories
 
-_REQUIRED = ("time_s", "vehicle", "position_m")
 _WHERE = Path("data frame")
+_WANTED = {
+    "time_s": need("time_s"),
+    "vehicle": need("vehicle"),
+    "position_m": need("position_m", "s_m"),
+    "length_m": take("length_m"),
+}
 
 
 def from_frame(frame: Any, ring_m: float | None = None) -> Trajectories:
@@ -19,7 +31,8 @@ def from_frame(frame: Any, ring_m: float | None = None) -> Trajectories:
     Parameters
     ----------
     frame : pandas.DataFrame
-        Columns time_s [s], vehicle (whole numbers), position_m [m] and perhaps length_m [m]; one row for each sample.
+        Columns time_s [s], vehicle, position_m [m] and perhaps length_m [m]; one row for each sample. Times may also be
+        dates or time differences. Vehicles may have names; then their numbers are those in the names.
     ring_m : float, optional
         Circumference [m] of the ring; an open road without it.
 
@@ -33,24 +46,81 @@ def from_frame(frame: Any, ring_m: float | None = None) -> Trajectories:
     InputError
         For a missing column, a value that is no number, or times without a regular base.
     """
-    missing = [name for name in _REQUIRED if name not in frame.columns]
-    if missing:
-        raise InputError(f"{_WHERE}: no column {', '.join(missing)}; it must have {', '.join(_REQUIRED)}")
-    columns = [name for name in (*_REQUIRED, "length_m") if name in frame.columns]
-    try:
-        table = {name: np.asarray(frame[name], dtype=np.float64) for name in columns}
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{_WHERE}: {error}; give numbers") from None
-    vehicle = table["vehicle"]
-    if not np.isfinite(table["time_s"]).all() or not np.array_equal(vehicle, np.floor(vehicle)):
-        raise InputError(f"{_WHERE}: a time is missing, or a vehicle is not a whole number; correct the rows")
+    sheet = _sheet(frame)
+    table = read_columns(sheet, _WANTED)
+    vehicle = text_of(table, "vehicle")
+    if not is_numbered(vehicle):
+        return one_lane(tracks_of_frame(frame, Choices(ring_m=ring_m)), str(_WHERE))
+    time, _ = in_seconds(np.asarray(table["time_s"]))
+    position, length = np.asarray(table["position_m"]), np.asarray(table.get("length_m", np.full(len(time), np.nan)))
+    if not np.isfinite(time).all() or (vehicle.code < 0).any():
+        raise InputError(f"{_WHERE}: a time or a vehicle is missing; correct or drop the rows, as by frame.dropna")
     samples = Samples(_WHERE)
     lengths: dict[int, float] = {}
-    order = np.lexsort((vehicle, table["time_s"]))
-    for k in order.tolist():
-        number = int(vehicle[k])
-        samples.add(float(table["time_s"][k]), number, float(table["position_m"][k]), f"{_WHERE}: row {k}")
-        if "length_m" in table and np.isfinite(table["length_m"][k]):
-            lengths.setdefault(number, float(table["length_m"][k]))
+    numbers = np.array([int(text) for text in vehicle.text])[vehicle.code]
+    for k in np.lexsort((numbers, time)).tolist():
+        number = int(numbers[k])
+        samples.add(float(time[k]), number, float(position[k]), f"{_WHERE}: row {k}")
+        if np.isfinite(length[k]):
+            lengths.setdefault(number, float(length[k]))
     length_m = [lengths.get(number, DEFAULT_LENGTH_M) for number in samples.vehicles]
     return samples.trajectories(length_m, agreed_road(_WHERE, None, ring_m), "")
+
+
+def tracks_of_frame(frame: Any, choices: Choices | None = None) -> Tracks:
+    """Read tracks from a data frame.
+
+    Parameters
+    ----------
+    frame : pandas.DataFrame
+        Columns vehicle, time_s [s] and s_m (or position_m) [m], and perhaps the other columns of tracks.
+    choices : Choices, optional
+        What the user says, such as the circumference of a ring.
+
+    Returns
+    -------
+    Tracks
+        With leaders found, or as the column ``leader`` says.
+
+    Raises
+    ------
+    InputError
+        For a missing column, a value that is not a number, or vehicles that overlap.
+    """
+    return tracks_of_sheet(_sheet(frame), choices or Choices(), About(source=str(_WHERE)))
+
+
+def _sheet(frame: Any) -> Sheet:
+    """The table of a data frame; a named index counts as columns."""
+    import pyarrow
+
+    index = getattr(frame, "index", None)
+    named = [name for name in getattr(index, "names", ()) if name is not None and name not in frame.columns]
+    if named:
+        frame = frame.reset_index(level=named)
+    names = [str(name) for name in frame.columns]
+    if double := [name for name in names if names.count(name) > 1]:
+        raise InputError(f"{_WHERE}: has {names.count(double[0])} columns {double[0]}; rename all but one")
+    columns = [_arrow(frame[name]) for name in frame.columns]
+    return Sheet(_WHERE, tuple(names), separator="", frame=pyarrow.table(columns, names=names))
+
+
+def _arrow(series: Any) -> Any:
+    """A column as one of Arrow; a column of values of several types becomes text."""
+    import pyarrow
+
+    if hasattr(series, "to_arrow"):
+        return series.to_arrow()
+    try:
+        return pyarrow.array(series, from_pandas=True)
+    except (pyarrow.ArrowException, TypeError, ValueError, OverflowError):
+        texts = [None if _is_missing(value) else str(value) for value in series]
+        return pyarrow.array(texts, pyarrow.string())
+
+
+def _is_missing(value: Any) -> bool:
+    """Whether a value is None, NaN, NaT or NA; NA says neither yes nor no when it is compared."""
+    try:
+        return value is None or bool(value != value)
+    except (TypeError, ValueError):
+        return True

@@ -10,6 +10,7 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.columns import about_file, need, nobody, put_together, read_columns, take, text_of
 from sugiyama_ros.formats.format import tracks_format
+from sugiyama_ros.formats.reading import shown_stem
 from sugiyama_ros.formats.sheet import Sheet, head_of, sheet_of
 from sugiyama_ros.trajectories.labels import Labels, labels, same_label
 from sugiyama_ros.trajectories.tracks import Tracks
@@ -26,7 +27,7 @@ _HIGHD = {
     "width_m": take("height"),
     "lane": need("laneId"),
     "leader": take("precedingId"),
-    "speed_x_m": take("xVelocity"),
+    "x_speed": take("xVelocity"),
 }
 # x and y are of the centre. Only exiD says who leads, and on which lane; a lane may be given as "12" or "12;13".
 _EXID = {
@@ -39,6 +40,8 @@ _EXID = {
     "width_m": take("width"),
     "heading_m": need("heading"),
     "leader": need("leadId"),
+    "x_speed": take("xVelocity"),
+    "y_speed": take("yVelocity"),
 }
 
 
@@ -76,9 +79,9 @@ def read_highd(path: Path, choices: Choices) -> Tracks:
     about = replace(about, smoothing="positions as published (smoothed)")
     columns["time_s"] = np.asarray(columns.pop("frame_s")) / _rate(path)
     if isinstance(leader := columns.get("leader"), Labels):
-        columns["leader"] = nobody(leader, "0", "-1", "")
+        columns["leader"] = nobody(leader, text_of(columns, "vehicle"), "0", "-1")
     columns = _of_highd(columns) if is_highd else _of_exid(columns)
-    columns.setdefault("recording", same_label(len(np.asarray(columns["time_s"])), path.stem.partition("_")[0]))
+    columns.setdefault("recording", same_label(len(np.asarray(columns["time_s"])), shown_stem(path).partition("_")[0]))
     if (kind := _classes(path, text_of(columns, "vehicle"))) is not None:
         columns["class"] = kind
     return put_together(columns, about, choices)
@@ -88,11 +91,11 @@ def _of_highd(columns: dict[str, Array | Labels]) -> dict[str, Array | Labels]:
     """Centres, and a road for each direction."""
     x, length = np.asarray(columns.pop("x_m")), np.asarray(columns["length_m"])
     y, width = np.asarray(columns.pop("y_m")), np.asarray(columns.get("width_m", 0.0))
-    speed = np.asarray(columns.pop("speed_x_m", np.zeros(len(x))))
+    speed = np.asarray(columns.pop("x_speed", np.full(len(x), np.nan)))
     code = text_of(columns, "vehicle").code
     forward = np.bincount(code + 1, weights=np.nan_to_num(speed))[code + 1] >= 0.0
     road = Labels(np.where(forward, 0, 1).astype(np.int32), ("lower", "upper"))
-    return columns | {"s_m": x + 0.5 * length, "d_m": y + 0.5 * width, "road": road}
+    return columns | {"s_m": x + 0.5 * length, "d_m": y + 0.5 * width, "road": road, "speed": speed}
 
 
 def _of_exid(columns: dict[str, Array | Labels]) -> dict[str, Array | Labels]:
@@ -105,6 +108,8 @@ def _of_exid(columns: dict[str, Array | Labels]) -> dict[str, Array | Labels]:
     sign = 1.0 - 2.0 * side
     along, across = x * np.cos(axis) + y * np.sin(axis), y * np.cos(axis) - x * np.sin(axis)
     road = Labels(side.astype(np.int32), ("forward", "backward"))
+    if "x_speed" in columns and "y_speed" in columns:
+        columns["speed"] = np.hypot(np.asarray(columns.pop("x_speed")), np.asarray(columns.pop("y_speed")))
     return columns | {"s_m": sign * along, "d_m": sign * across, "road": road}
 
 

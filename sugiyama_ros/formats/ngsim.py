@@ -7,8 +7,9 @@ import numpy as np
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
-from sugiyama_ros.formats.columns import FOOT_M, about_file, need, nobody, put_together, read_columns, take
+from sugiyama_ros.formats.columns import FOOT_M, about_file, need, nobody, put_together, read_columns, take, text_of
 from sugiyama_ros.formats.format import tracks_format
+from sugiyama_ros.formats.reading import shown_stem
 from sugiyama_ros.formats.sheet import Sheet, head_of, sheet_of
 from sugiyama_ros.trajectories.labels import Labels, joined, labels, numbered, same_label
 from sugiyama_ros.trajectories.tracks import Tracks
@@ -24,6 +25,7 @@ _WANTED = {
     "d_m": take("Local_X", "Local X (ft)", factor=FOOT_M),
     "length_m": take("v_Length", "Length (ft)", factor=FOOT_M),
     "width_m": take("v_Width", "Width (ft)", factor=FOOT_M),
+    "speed": take("v_Vel", "Speed (ft/s)", factor=FOOT_M),
     "class": take("v_Class", "Class"),
     "lane": take("Lane_ID", "Lane Num"),
     "leader": take("Preceding", "Preceding Vehicle ID"),
@@ -67,13 +69,12 @@ def read_ngsim(path: Path, choices: Choices) -> Tracks:
     about = about_file(path, smoothing="positions as published", licence="US DOT, public")
     clock = np.asarray(columns.pop("clock_s"))
     place = columns.pop("place", None)
-    place = place if isinstance(place, Labels) else same_label(len(clock), path.stem)
+    place = place if isinstance(place, Labels) else same_label(len(clock), shown_stem(path))
     columns["recording"], columns["time_s"] = _periods(place, clock)
-    for name, gone in (("leader", ("0", "-1", "")), ("road", ("0", "", "NA"))):
-        if isinstance(column := columns.get(name), Labels):
-            columns[name] = nobody(column, *gone)
+    if isinstance(leader := columns.get("leader"), Labels):
+        columns["leader"] = nobody(leader, text_of(columns, "vehicle"), "0", "-1")
     road = columns.get("road")
-    if isinstance(road, Labels) and (road.code < 0).any():
+    if isinstance(road, Labels) and ((road.code < 0).any() or "0" in road.used()):
         del columns["road"]
     if isinstance(kind := columns.get("class"), Labels):
         columns["class"] = labels(kind.code, [_CLASSES.get(text, text) for text in kind.text])

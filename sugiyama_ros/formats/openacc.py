@@ -11,6 +11,7 @@ from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.columns import about_file, put_together
 from sugiyama_ros.formats.common_path import common_path
 from sugiyama_ros.formats.format import tracks_format
+from sugiyama_ros.formats.reading import shown_stem
 from sugiyama_ros.formats.sheet import Sheet, head_of, read_sheet, sheet_of
 from sugiyama_ros.trajectories.about import About
 from sugiyama_ros.trajectories.labels import Labels, labels
@@ -55,7 +56,7 @@ def read_openacc(path: Path, choices: Choices) -> Tracks:
     found = {name: _COLUMN.fullmatch(name) for name in sheet.names}
     cars = sorted({int(one[2]) for one in found.values() if one is not None and one[1] == "Speed" and one[2]})
     numbers = {name for name, one in found.items() if one is not None and one[1] != "Driver"}
-    table = {name: np.asarray(column) for name, column in read_sheet(sheet, numbers, set()).items()}
+    table = {name: np.asarray(column) for name, column in read_sheet(sheet, numbers, set(), {"Time": 1.0}).items()}
     places = _places(table, cars, path)
     path_of_all = common_path(places)
     if path_of_all is None:
@@ -67,16 +68,18 @@ def read_openacc(path: Path, choices: Choices) -> Tracks:
     # The antennas' distance is the gap and the cars' lengths around it.
     length, about = _lengths(table, cars, position, about)
     brand = _brands(path, cars)
+    speed = np.stack([table[f"Speed{car}"] for car in cars], axis=1)
     rows, column = np.nonzero(np.isfinite(position))
     ahead = np.array([cars.index(car - 1) if car - 1 in cars else -1 for car in cars], dtype=np.int32)
     name = [str(car) for car in cars]
     columns: dict[str, Array | Labels] = {
-        "recording": labels(np.zeros(len(rows), dtype=np.int32), [path.stem]),
+        "recording": labels(np.zeros(len(rows), dtype=np.int32), [shown_stem(path)]),
         "vehicle": labels(column.astype(np.int32), name),
         "leader": labels(ahead[column], name),
         "class": labels(column.astype(np.int32), brand),
         "time_s": table["Time"][rows] - np.nanmin(table["Time"]),
         "s_m": position[rows, column],
+        "speed": speed[rows, column],
         "length_m": length[column],
     }
     about = about.without("a car was not recorded", int(np.sum(~np.isfinite(position))))

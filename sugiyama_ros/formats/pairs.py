@@ -8,8 +8,9 @@ import numpy as np
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
-from sugiyama_ros.formats.columns import Take, about_file, need, put_together, read_columns, take
+from sugiyama_ros.formats.columns import Take, about_file, need, put_together, read_columns, take, text_of
 from sugiyama_ros.formats.format import tracks_format
+from sugiyama_ros.formats.reading import shown_stem
 from sugiyama_ros.formats.sheet import Sheet, head_of, sheet_of
 from sugiyama_ros.trajectories.about import Reference
 from sugiyama_ros.trajectories.labels import Labels, labels, same_label
@@ -29,11 +30,13 @@ _KINDS = (
     _Kind(
         {
             "recording": take("run_no"),
-            "vehicle": need("follower_id"),
-            "leader_vehicle": need("leader_id"),
+            "vehicle": take("follower_id"),
+            "leader_vehicle": take("leader_id"),
             "time_s": need("timestamp"),
             "s_m": need("xFollowerReal"),
             "leader_s_m": need("xLeaderReal"),
+            "speed": take("vFollowerReal"),
+            "leader_speed": take("vLeaderReal"),
             "gap_m": take("spacing"),
         }
     ),
@@ -44,6 +47,8 @@ _KINDS = (
             "time_s": need("frame_id", factor=0.1),
             "s_m": need("local_y"),
             "leader_s_m": need("preceding_local_y"),
+            "speed": take("v_vel"),
+            "leader_speed": take("preceding_vel"),
             "d_m": take("local_x"),
             "length_m": take("v_length"),
             "leader_length_m": take("preceding_length"),
@@ -58,11 +63,13 @@ _KINDS = (
     _Kind(
         {
             "recording": take("Trajectory_ID"),
-            "vehicle": need("ID_FAV"),
-            "leader_vehicle": need("ID_LV"),
+            "vehicle": take("ID_FAV"),
+            "leader_vehicle": take("ID_LV"),
             "time_s": need("Time_Index"),
             "s_m": need("Pos_FAV"),
             "leader_s_m": need("Pos_LV"),
+            "speed": take("Speed_FAV"),
+            "leader_speed": take("Speed_LV"),
             "gap_m": take("Space_Gap", "Spatial_Gap"),
         }
     ),
@@ -96,20 +103,54 @@ def read_pairs(path: Path, choices: Choices) -> Tracks:
             f"{path}:1: not the columns of pairs; say which is which with --format table --columns map.yaml"
         )
     pair = read_columns(sheet, kind.wanted)
+    if isinstance(one := pair.get("class"), Labels):
+        pair["class"] = labels(one.code, [kind.classes.get(text, text) for text in one.text])
+    if isinstance(one := pair.get("leader_class"), Labels):
+        pair["leader_class"] = labels(one.code, [kind.classes.get(text, text) for text in one.text])
+    both = both_of(pair)
+    both.setdefault("recording", same_label(len(np.asarray(both["s_m"])), shown_stem(path)))
+    return put_together(both, about_file(path, leaders="given"), choices, kind.reference)
+
+
+def both_of(pair: dict[str, Array | Labels]) -> dict[str, Array | Labels]:
+    """Rows of the followers and of the leaders, of rows that have both.
+
+    Parameters
+    ----------
+    pair : dict
+        Columns (R,) of the followers; those of the leaders begin with ``leader_``. Perhaps ``gap_m`` [m], bumper to
+        bumper. Without names, there is one pair in each recording, ``follower`` and ``leader``.
+
+    Returns
+    -------
+    dict
+        Columns (2 R,), fewer where nobody leads.
+    """
+    rows = len(np.asarray(pair["s_m"]))
+    if "vehicle" not in pair or "leader_vehicle" not in pair:
+        pair["vehicle"], pair["leader_vehicle"] = same_label(rows, "follower"), same_label(rows, "leader")
+    pair["leader_vehicle"] = _somebody(text_of(pair, "leader_vehicle"), np.asarray(pair["leader_s_m"]))
     if "gap_m" in pair and "length_m" not in pair:
         pair["leader_length_m"] = pair["length_m"] = _length(pair)
-    rows = len(np.asarray(pair["s_m"]))
+    if "leader_length_m" in pair:
+        pair.setdefault("length_m", np.full(rows, np.nan))
     # Followers come first, so that the row with the leader stays where a vehicle has two.
     both: dict[str, Array | Labels] = {
         "leader": _twice(pair["leader_vehicle"], Labels(np.full(rows, -1, np.int32), ()))
     }
     for name, column in pair.items():
-        if name not in ("gap_m", "d_m") and not name.startswith("leader_"):
-            both[name] = _twice(column, pair.get(f"leader_{name}", column))
-    if isinstance(one := both.get("class"), Labels):
-        both["class"] = labels(one.code, [kind.classes.get(text, text) for text in one.text])
-    both.setdefault("recording", same_label(2 * rows, path.stem))
-    return put_together(both, about_file(path, leaders="given"), choices, kind.reference)
+        if name not in ("gap_m", "d_m", "leader") and not name.startswith("leader_"):
+            own = np.full(rows, np.nan) if name.endswith("speed") else column
+            both[name] = _twice(column, pair.get(f"leader_{name}", own))
+    there = np.concatenate((np.ones(rows, dtype=bool), text_of(pair, "leader_vehicle").code >= 0))
+    return {name: column[there] for name, column in both.items()}
+
+
+def _somebody(leader: Labels, leader_s_m: Array) -> Labels:
+    """The leaders; a number such as 0 without a place is nobody, but a vehicle may have the number 0."""
+    gone = np.append([text in ("0", "-1") for text in leader.text], False)[leader.code]
+    placed = np.isfinite(leader_s_m) & (leader_s_m != 0.0)
+    return Labels(np.where(gone & ~placed, -1, leader.code).astype(np.int32), leader.text)
 
 
 def _length(pair: dict[str, Array | Labels]) -> Array:

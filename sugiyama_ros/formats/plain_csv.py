@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.format import Format
 from sugiyama_ros.formats.reading import lines, number, open_input, sha256
 from sugiyama_ros.formats.samples import Samples, agreed_road
@@ -15,17 +16,46 @@ from sugiyama_ros.formats.sheet import MISSING
 from sugiyama_ros.formats.table import read_table
 from sugiyama_ros.outputs import Target, writing
 from sugiyama_ros.trajectories.jumps import check_jumps
-from sugiyama_ros.trajectories.one_lane import check_order
+from sugiyama_ros.trajectories.one_lane import check_order, one_lane
 from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M, Trajectories
 
 _REQUIRED = ("time_s", "vehicle", "position_m")
 _VEHICLE = re.compile(r"\d{1,9}")
+# A name, and a number that only a table has: one that is written as 12.0, or a long one.
+_NAME = re.compile(r"[^-+.\d]|^\d+\.0+$|^\d{10,}$")
 #: Columns that make a table one of tracks.
 _OF_TRACKS = {"recording", "road", "lane", "leader"}
 
 
+class _OtherTableError(Exception):
+    """A table with names of vehicles, clocks or decimal commas, which the format ``table`` reads."""
+
+
 def read_csv(path: Path, ring_m: float | None = None) -> Trajectories:
     """Read a CSV file with a header. Other columns are ignored.
+
+    Vehicles with names, times such as 0:01:02.5 and decimal commas are read as the format ``table`` reads them.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    ring_m : float, optional
+        Circumference [m] of the ring; without it the road is open.
+
+    Raises
+    ------
+    InputError
+        With the line and the field, for a file that has another form.
+    """
+    try:
+        return _read(path, ring_m)
+    except _OtherTableError:
+        return one_lane(read_table(path, Choices(ring_m=ring_m)), str(path))
+
+
+def _read(path: Path, ring_m: float | None) -> Trajectories:
+    """Read a CSV file with numbers.
 
     An empty position, or nan, is a missing sample. A vehicle without a length gets ``DEFAULT_LENGTH_M``. The times of
     each vehicle must increase.
@@ -55,6 +85,8 @@ def read_csv(path: Path, ring_m: float | None = None) -> Trajectories:
                     continue
                 if len(row) != len(header):
                     raise InputError(f"{where}: {len(row)} fields, the header has {len(header)}; correct the line")
+                if _is_other(*(row[columns[name]].strip() for name in _REQUIRED)):
+                    raise _OtherTableError
                 vehicle = _vehicle(row[columns["vehicle"]].strip(), where)
                 position = row[columns["position_m"]].strip()
                 samples.add(
@@ -97,6 +129,13 @@ def write_csv(trajectories: Trajectories, target: Target) -> None:
                 vehicle, length = vehicles[column]
                 position = "" if np.isnan(positions[column]) else repr(float(positions[column]))
                 stream.write(f"{time!r},{vehicle},{position},{length!r}\n".encode())
+
+
+def _is_other(time: str, vehicle: str, position: str) -> bool:
+    """Whether a row has a clock, a name of a vehicle, or a decimal comma."""
+    return (
+        (vehicle not in MISSING and _NAME.search(vehicle) is not None) or ":" in time or "," in time or "," in position
+    )
 
 
 def _columns(path: Path, header: list[str]) -> dict[str, int]:

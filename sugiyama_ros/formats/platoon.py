@@ -8,6 +8,7 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.columns import about_file, need, put_together, read_columns
 from sugiyama_ros.formats.format import tracks_format
+from sugiyama_ros.formats.reading import shown_stem
 from sugiyama_ros.formats.sheet import Sheet, head_of, sheet_of
 from sugiyama_ros.trajectories.labels import Labels
 from sugiyama_ros.trajectories.tracks import Tracks
@@ -18,6 +19,8 @@ _WANTED = {
     "leader_s_m": need("leader position"),
     "s_m": need("follower position"),
     "length_m": need("leader length"),
+    "leader_speed": need("leader speed"),
+    "speed": need("follower speed"),
 }
 
 
@@ -51,19 +54,19 @@ def read_platoon(path: Path, choices: Choices) -> Tracks:
     follower, leader = (digits, str(int(digits) - 1)) if digits.strip("0") else ("follower", "leader")
     second = np.repeat(np.array([0, 1], dtype=np.int32), rows)
     columns = {
-        "recording": Labels(np.zeros(2 * rows, dtype=np.int32), (path.stem,)),
+        "recording": Labels(np.zeros(2 * rows, dtype=np.int32), (shown_stem(path),)),
         "vehicle": Labels(second, (follower, leader)),
         "leader": Labels(np.where(second == 0, 0, -1).astype(np.int32), (leader,)),
         "time_s": np.tile(np.asarray(pair["time_s"]), 2),
         "s_m": np.concatenate((np.asarray(pair["s_m"]), np.asarray(pair["leader_s_m"]))),
         "length_m": np.tile(np.asarray(pair["length_m"]), 2),
+        "speed": np.concatenate((np.asarray(pair["speed"]), np.asarray(pair["leader_speed"]))),
     }
     return put_together(columns, about_file(path, leaders="given"), choices, reference="front")
 
 
 def _sheet(path: Path, head: bytes) -> Sheet | None:
-    first = head.decode("utf-8", errors="replace").partition("\n")[0].rstrip("\r")
-    fields = first.split("\t")
+    fields = (head.decode("utf-8-sig", errors="replace").splitlines() or [""])[0].split("\t")
     if len(fields) != len(_COLUMNS) or not all(one.strip().replace(".", "").lstrip("-").isdigit() for one in fields):
         return None
     return sheet_of(path, head, names=_COLUMNS)

@@ -28,8 +28,8 @@ _SIDES = ("east", "north", "west", "south")
 def read_pneuma(path: Path, choices: Choices) -> Tracks:
     """Read a file of pNEUMA.
 
-    The file names neither lanes nor leaders. A road is a direction of the compass, and a position is measured in this
-    direction. So all leaders are unknown, until lanes are added.
+    The file names neither lanes nor leaders. A road is a direction of the compass, and a position is measured in the
+    mean direction of its vehicles. So all leaders are unknown, until lanes are added.
 
     Parameters
     ----------
@@ -50,20 +50,23 @@ def read_pneuma(path: Path, choices: Choices) -> Tracks:
     """
     values, rows, names, kinds = _read(path)
     vehicle: Ints = np.repeat(np.arange(len(rows)), rows)
-    latitude, longitude, time = values[:, 0], values[:, 1], values[:, 5]
+    latitude, longitude, speed, time = values[:, 0], values[:, 1], values[:, 2] / 3.6, values[:, 5]
     east = _EARTH_M * np.radians(longitude - longitude.mean()) * np.cos(np.radians(latitude.mean()))
     north = _EARTH_M * np.radians(latitude - latitude.mean())
     last = np.cumsum(rows) - 1
     first = last - rows + 1
-    angle = np.arctan2(north[last] - north[first], east[last] - east[first])
-    side = (np.round(angle / (0.5 * np.pi)).astype(np.int64) % 4)[vehicle]
-    turn = 0.5 * np.pi * side
+    way = (east[last] - east[first]) + 1j * (north[last] - north[first])
+    sides = np.round(np.angle(way) / (0.5 * np.pi)).astype(np.int64) % 4
+    # streets seldom lie along the compass: positions count in the mean direction of a road
+    mean = np.array([np.sum(way[sides == one]) or 1j**one for one in range(4)])
+    side, turn = sides[vehicle], np.angle(mean)[sides][vehicle]
     columns: dict[str, Array | Labels] = {
         "vehicle": labels(vehicle.astype(np.int32), names),
         "class": labels(vehicle.astype(np.int32), kinds),
         "time_s": time,
         "s_m": east * np.cos(turn) + north * np.sin(turn),
         "d_m": north * np.cos(turn) - east * np.sin(turn),
+        "speed": speed,
         "road": labels(side.astype(np.int32), _SIDES),
         "lane": Labels(np.full(len(time), -1, dtype=np.int32), ()),
     }

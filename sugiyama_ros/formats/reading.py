@@ -2,9 +2,11 @@
 
 import hashlib
 import math
+import os
 from collections.abc import Iterator
+from io import BufferedReader, RawIOBase
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from sugiyama_ros import inputs
 from sugiyama_ros.errors import InputError
@@ -50,13 +52,47 @@ def why_no_text(head: bytes) -> str:
 
 
 def shown_name(path: Path) -> str:
-    """Name of a file as text; a question mark stands for each byte that is not UTF-8."""
-    return path.name.encode(errors="replace").decode()
+    """Name of a file as text; bytes that are not UTF-8 are written as in \\xe9."""
+    return os.fsencode(path.name).decode(errors="backslashreplace")
+
+
+def shown_stem(path: Path) -> str:
+    """Name of a file without its suffix, as `shown_name` writes it."""
+    return shown_name(path.with_suffix(""))
+
+
+class _UnixLines(RawIOBase):
+    """A file in which lines that end in CR, or in CR and LF, end in LF."""
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self._stream, self._after_cr = stream, False
+
+    def readable(self) -> bool:
+        """Always."""
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        """Put the next bytes into a buffer."""
+        while block := self._stream.read(len(buffer)):
+            # a pair may be cut in two
+            begin = int(self._after_cr and block.startswith(b"\n"))
+            self._after_cr = block.endswith(b"\r")
+            block = block[begin:].replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+            if block:
+                buffer[: len(block)] = block
+                return len(block)
+        return 0
+
+
+def unix_lines(stream: BinaryIO) -> BufferedReader:
+    """A file, read from where it is, in which all lines end in LF."""
+    return BufferedReader(_UnixLines(stream), 1 << 16)
 
 
 def lines(path: Path, stream: BinaryIO) -> Iterator[str]:
     """Lines of a text file without their ends. Raises InputError for a line that is too long or not UTF-8."""
     number = 0
+    stream = unix_lines(stream)
     while line := stream.readline(_MAX_LINE + 1):
         number += 1
         if len(line) > _MAX_LINE:
@@ -65,7 +101,7 @@ def lines(path: Path, stream: BinaryIO) -> Iterator[str]:
             text = line.decode("utf-8-sig" if number == 1 else "utf-8")
         except UnicodeDecodeError:
             raise InputError(f"{path}:{number}: not UTF-8 text; this is not a table of positions") from None
-        yield text.rstrip("\r\n")
+        yield text.rstrip("\n")
 
 
 def number(text: str, field: str, where: str) -> float:

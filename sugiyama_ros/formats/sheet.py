@@ -1,10 +1,9 @@
-"""Tables of text (CSV with any separator, or aligned by spaces) and Parquet tables: chosen columns, as arrays."""
+"""Tables: text (CSV with any separator, or aligned by spaces), Parquet and data frames; chosen columns as arrays."""
 
 import csv
-import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import RawIOBase
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -15,8 +14,9 @@ from numpy.typing import NDArray
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.format import HEAD_BYTES
-from sugiyama_ros.formats.reading import lines, open_input, sha256
-from sugiyama_ros.trajectories.labels import Labels, labels, plain_text
+from sugiyama_ros.formats.reading import lines, open_input, sha256, unix_lines
+from sugiyama_ros.formats.times import FORMS, seconds_of, times_of
+from sugiyama_ros.trajectories.labels import Labels, labels, plain_text, without_point_zero
 
 #: Most rows of a table: 40 million take about 4 GB as tracks.
 MAX_ROWS = 40_000_000
@@ -25,6 +25,9 @@ MISSING = ("", "nan", "NaN", "NAN", "NA", "N/A", "null", "NULL", "None", "inf", 
 _BLOCK = 1 << 21
 _PARQUET = b"PAR1"
 _SPACES = " "
+# A column of times keeps its unit: seconds of one of its parts.
+_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_DAY_S = 86_400.0
 
 
 @dataclass(frozen=True)
@@ -38,28 +41,32 @@ class Sheet:
     names : tuple of str
         Names of all columns, in the order of the file.
     separator : str
-        What stands between two fields; a space for any number of blanks; empty for Parquet.
+        What stands between two fields; a space for any number of blanks; empty for Parquet and data frames.
     header : int
         Number of the line with the names, from 1; 0 where there is none.
-    decimal : str
-        The decimal point.
+    frame : pyarrow.Table, optional
+        The table itself, if it is a data frame and no file.
     """
 
     path: Path
     names: tuple[str, ...]
     separator: str = ","
     header: int = 1
-    decimal: str = "."
+    frame: Any = None
 
     @property
     def is_parquet(self) -> bool:
-        """Whether the file is a Parquet table."""
+        """Whether the table is one of Parquet, or a data frame: its columns have types."""
         return not self.separator
 
     def find(self, *alternatives: str) -> str | None:
         """The first of some names that the table has, in any case, and with any of ``_ -`` in between; None if none."""
         known = {_plain(name): name for name in reversed(self.names)}
         return next((known[_plain(name)] for name in alternatives if _plain(name) in known), None)
+
+    def has_one(self, *names: str) -> bool:
+        """Whether the table has at least one of these columns, as `find` finds them."""
+        return self.find(*names) is not None
 
     def has(self, *names: str) -> bool:
         """Whether the table has all of these columns, as `find` finds them."""
@@ -93,12 +100,10 @@ def sheet_of(path: Path, head: bytes, header: int = 1, names: tuple[str, ...] = 
         return None
     first = rows[header - 1]
     separator = next((s for s in (";", "\t", ",") if s in first), _SPACES)
-    data = [row for row in rows[header:-1] if row.strip()]
     if names:
         return Sheet(path, names, separator, header=0)
     fields = first.split() if separator == _SPACES else next(csv.reader([first], delimiter=separator), [])
-    decimal = "," if separator != "," and data and re.search(r"\d,\d", data[0]) and "." not in data[0] else "."
-    return Sheet(path, tuple(_unique([one.strip() for one in fields])), separator, header, decimal)
+    return Sheet(path, tuple(_unique([one.strip() for one in fields])), separator, header)
 
 
 def head_of(path: Path) -> bytes:
@@ -115,7 +120,9 @@ def checksum_of(path: Path) -> str:
         return sha256(stream)
 
 
-def read_sheet(sheet: Sheet, numbers: set[str], texts: set[str]) -> Mapping[str, Array | Labels]:
+def read_sheet(
+    sheet: Sheet, numbers: set[str], texts: set[str], times: Mapping[str, float] | None = None
+) -> dict[str, Array | Labels]:
     """Read some columns.
 
     Parameters
@@ -124,10 +131,13 @@ def read_sheet(sheet: Sheet, numbers: set[str], texts: set[str]) -> Mapping[str,
         The table.
     numbers, texts : set of str
         Names of the columns to read as numbers (NaN where missing) and as text.
+    times : mapping of str to float, optional
+        Names of the columns to read as times [s], and what their numbers count [s]. Dates, clocks and columns with a
+        type of times are seconds in any case.
 
     Returns
     -------
-    mapping
+    dict
         Arrays (R,) and `Labels` by name.
 
     Raises
@@ -137,49 +147,142 @@ def read_sheet(sheet: Sheet, numbers: set[str], texts: set[str]) -> Mapping[str,
     """
     import pyarrow
 
-    try:
-        batches = _parquet_batches(sheet, numbers | texts) if sheet.is_parquet else _text_batches(sheet, numbers, texts)
-        gathered = {name: _Texts() if name in texts else _Numbers() for name in sorted(numbers | texts)}
-        rows = 0
-        for batch in batches:
-            rows += batch.num_rows
-            if rows > MAX_ROWS:
-                raise InputError(f"{sheet.path}: more than {MAX_ROWS} rows; split the file")
-            for name, column in gathered.items():
-                column.add(batch[name])
-        if rows == 0:
-            raise InputError(f"{sheet.path}: no samples; give a table of positions")
-        return {name: gathered.pop(name).whole() for name in sorted(numbers | texts)}
-    except (pyarrow.ArrowException, OSError, ValueError, UnicodeDecodeError) as error:
-        reason = " ".join(str(error).split())[:200]
-        if reason.startswith("Empty CSV"):
-            raise InputError(f"{sheet.path}: no samples; give a table of positions") from None
-        raise _first_bad(sheet, numbers) or InputError(
-            f"{sheet.path}: not a table: {reason}; correct the file"
-        ) from None
+    times = dict(times or {})
+    wanted = _Wanted(numbers - set(times), texts - set(times), times)
+    # One row does not tell how numbers are written: all rows must fit one way.
+    ways = [(".", False), (",", False)] + [(".", True), (",", True)] * bool(times)
+    reason = ""
+    for decimal, as_text in ways[:1] if sheet.is_parquet else ways:
+        try:
+            return _gathered(sheet, replace(wanted, decimal=decimal, as_text=as_text))
+        except (pyarrow.ArrowException, OSError, ValueError, UnicodeDecodeError) as error:
+            if isinstance(error, _NotSuchError) and sheet.is_parquet:
+                raise InputError(f"{sheet.path}: {error}") from None
+            reason = " ".join(str(error).split())[:200]
+            if reason.startswith("Empty CSV"):
+                raise InputError(f"{sheet.path}: no samples; give a table of positions") from None
+    raise _first_bad(sheet, wanted) or InputError(f"{sheet.path}: not a table: {reason}; correct the file") from None
+
+
+@dataclass(frozen=True)
+class _Wanted:
+    """Columns to read, and how numbers are written: the decimal point, and whether times are read as text."""
+
+    numbers: set[str]
+    texts: set[str]
+    times: Mapping[str, float]
+    decimal: str = "."
+    as_text: bool = False
+
+    @property
+    def names(self) -> list[str]:
+        return sorted(self.numbers | self.texts | set(self.times))
+
+
+def _gathered(sheet: Sheet, wanted: _Wanted) -> dict[str, Array | Labels]:
+    """The columns, if all rows fit."""
+    if sheet.frame is not None:
+        batches = iter(sheet.frame.select(wanted.names).to_batches())
+    else:
+        batches = _parquet_batches(sheet, wanted.names) if sheet.is_parquet else _text_batches(sheet, wanted)
+    columns: dict[str, _Numbers | _Times | _Texts] = {
+        **{name: _Numbers(name) for name in wanted.numbers},
+        **{name: _Times(name, factor) for name, factor in wanted.times.items()},
+        **{name: _Texts() for name in wanted.texts},
+    }
+    rows = 0
+    for batch in batches:
+        rows += batch.num_rows
+        if rows > MAX_ROWS:
+            raise InputError(f"{sheet.path}: more than {MAX_ROWS} rows; split the file")
+        for name, column in columns.items():
+            column.add(batch[name])
+    if rows == 0:
+        raise InputError(f"{sheet.path}: no samples; give a table of positions")
+    return {name: columns.pop(name).whole() for name in wanted.names}
+
+
+class _NotSuchError(ValueError):
+    """A value that does not belong into a column."""
 
 
 class _Numbers:
     """A column of numbers, gathered from batches of Arrow, which are let go."""
 
-    def __init__(self) -> None:
+    def __init__(self, name: str) -> None:
+        self._name = name
         self._parts: list[Array] = []
 
     def add(self, column: Any) -> None:
         """Add the column of a batch."""
         import pyarrow
-        from pyarrow import compute
 
-        if pyarrow.types.is_dictionary(column.type):
+        kind = pyarrow.types
+        if kind.is_dictionary(column.type):
             column = column.cast(column.type.value_type)
-        if pyarrow.types.is_timestamp(column.type):
-            microseconds = column.cast(pyarrow.timestamp("us")).cast(pyarrow.int64())
-            column = compute.divide(microseconds.cast(pyarrow.float64()), 1e6)
-        self._parts.append(np.array(column.cast(pyarrow.float64()).to_numpy(zero_copy_only=False)))
+        if kind.is_string(column.type) or kind.is_large_string(column.type):
+            self._parts.append(self._of_text(column))
+            return
+        if kind.is_nested(column.type) or kind.is_temporal(column.type) or kind.is_binary(column.type):
+            raise _NotSuchError(f"column {self._name}: {column.type} is no type of numbers; give numbers")
+        if kind.is_boolean(column.type):
+            column = column.cast(pyarrow.int8())
+        self._parts.append(np.array(column.cast(pyarrow.float64(), safe=False).to_numpy(zero_copy_only=False)))
+
+    def _of_text(self, column: Any) -> Array:
+        coded = column.dictionary_encode()
+        texts = [one.strip() for one in coded.dictionary.to_pylist()]
+        decimal = "," if any("," in one for one in texts) else "."
+        bad = next((one for one in texts if not _is_number(one, decimal)), None)
+        if bad is not None:
+            raise _NotSuchError(f"column {self._name}: {bad[:40]!r} is not a number; correct the row")
+        value = np.array([_float(one, decimal) for one in texts] + [np.nan])
+        return np.asarray(value[_codes(coded)])
 
     def whole(self) -> Array:
         """The column, (R,), NaN where missing."""
         return np.concatenate(self._parts)
+
+
+class _Times:
+    """A column of times, gathered from batches of Arrow, which are let go."""
+
+    def __init__(self, name: str, factor: float) -> None:
+        self._name, self._factor = name, factor
+        self._numbers = _Numbers(name)
+        self._texts: _Texts | None = None
+
+    def add(self, column: Any) -> None:
+        """Add the column of a batch."""
+        import pyarrow
+
+        kind = pyarrow.types
+        if kind.is_dictionary(column.type) and kind.is_temporal(column.type.value_type):
+            column = column.cast(column.type.value_type)
+        if kind.is_dictionary(column.type) or kind.is_string(column.type) or kind.is_large_string(column.type):
+            self._texts = self._texts or _Texts()
+            self._texts.add(column)
+            return
+        if kind.is_date(column.type):
+            column, self._factor = column.cast(pyarrow.date32()).cast(pyarrow.int32()), _DAY_S
+        elif kind.is_temporal(column.type):
+            width = pyarrow.int32() if kind.is_time32(column.type) else pyarrow.int64()
+            column, self._factor = column.cast(width), _UNITS[column.type.unit]
+        self._numbers.add(column)
+
+    def whole(self) -> Array:
+        """The times [s], (R,), NaN where missing."""
+        if self._texts is None:
+            # what becomes too large is left out later on, as no time
+            with np.errstate(over="ignore"):
+                return self._numbers.whole() * self._factor
+        column = self._texts.coded()
+        texts = [one if one not in MISSING else "nan" for one in column.text]
+        time, bad = times_of(texts)
+        if bad:
+            raise _NotSuchError(f"column {self._name}: {bad[:40]!r} is not a time; give {FORMS}")
+        plain = np.array([_is_number(one, ".") for one in texts] + [True])
+        return np.asarray((np.append(time, np.nan) * np.where(plain, self._factor, 1.0))[column.code])
 
 
 class _Texts:
@@ -193,32 +296,49 @@ class _Texts:
         """Add the column of a batch."""
         import pyarrow
 
-        if not pyarrow.types.is_dictionary(column.type):
-            column = column.cast(pyarrow.string()).dictionary_encode()
-        code = column.indices.cast(pyarrow.int32()).fill_null(-1).to_numpy(zero_copy_only=False)
-        texts = column.dictionary.cast(pyarrow.string()).to_pylist()
-        place = [self._place.setdefault(plain_text(one or ""), len(self._place)) for one in texts]
-        self._parts.append(np.array([*place, -1], dtype=np.int32)[code])
+        kind = pyarrow.types
+        if not kind.is_dictionary(column.type):
+            is_number = kind.is_floating(column.type) or kind.is_integer(column.type)
+            column = (column if is_number else column.cast(pyarrow.string())).dictionary_encode()
+        texts = column.dictionary
+        if not (kind.is_floating(texts.type) or kind.is_integer(texts.type)):
+            texts = texts.cast(pyarrow.string())
+        names = ["" if one is None or one != one else plain_text(one) for one in texts.to_pylist()]
+        place = [-1 if one in MISSING else self._place.setdefault(one, len(self._place)) for one in names]
+        self._parts.append(np.array([*place, -1], dtype=np.int32)[_codes(column)])
 
-    def whole(self) -> Labels:
-        """The column, (R,)."""
+    def coded(self) -> Labels:
+        """The column, (R,), as it is written."""
         return labels(np.concatenate(self._parts), self._place)
 
+    def whole(self) -> Labels:
+        """The column, (R,); whole numbers that are all written as 12.0 lose their point."""
+        return without_point_zero(self.coded())
 
-def _text_batches(sheet: Sheet, numbers: set[str], texts: set[str]) -> Iterator[Any]:
+
+def _codes(column: Any) -> NDArray[np.int32]:
+    """Place of each value of a column of categories in its dictionary, (R,); -1 where missing."""
+    import pyarrow
+
+    return np.asarray(column.indices.cast(pyarrow.int32()).fill_null(-1).to_numpy(zero_copy_only=False))
+
+
+def _text_batches(sheet: Sheet, wanted: _Wanted) -> Iterator[Any]:
     import pyarrow
     from pyarrow import csv as arrow_csv
 
     text = pyarrow.dictionary(pyarrow.int32(), pyarrow.string())
+    types = {**dict.fromkeys(wanted.numbers, pyarrow.float64()), **dict.fromkeys(wanted.texts, text)}
+    types |= dict.fromkeys(wanted.times, text if wanted.as_text else pyarrow.float64())
     convert = arrow_csv.ConvertOptions(
-        include_columns=sorted(numbers) + sorted(texts),
-        column_types={**dict.fromkeys(numbers, pyarrow.float64()), **dict.fromkeys(texts, text)},
+        include_columns=wanted.names,
+        column_types=types,
         null_values=list(MISSING),
         strings_can_be_null=True,
-        decimal_point=sheet.decimal,
+        decimal_point=wanted.decimal,
     )
     read = arrow_csv.ReadOptions(column_names=list(sheet.names), block_size=_BLOCK, use_threads=False)
-    parse = arrow_csv.ParseOptions(delimiter="," if sheet.separator == _SPACES else sheet.separator)
+    parse = arrow_csv.ParseOptions(delimiter="\t" if sheet.separator == _SPACES else sheet.separator)
     with (
         _body(sheet) as stream,
         arrow_csv.open_csv(stream, read, parse, convert, pyarrow.system_memory_pool()) as reader,
@@ -228,19 +348,20 @@ def _text_batches(sheet: Sheet, numbers: set[str], texts: set[str]) -> Iterator[
 
 @contextmanager
 def _body(sheet: Sheet) -> Iterator[Any]:
-    """The lines below the names; blanks between fields are made commas."""
+    """The lines below the names; blanks between fields are made tabs."""
     import pyarrow
 
-    with open_input(sheet.path) as stream:
-        if sheet.header == 0 and stream.read(3) != b"\xef\xbb\xbf":
-            stream.seek(0)
+    with open_input(sheet.path) as file:
+        if sheet.header == 0 and file.read(3) != b"\xef\xbb\xbf":
+            file.seek(0)
+        stream = unix_lines(file)
         for _ in range(sheet.header):
             stream.readline(1 << 20)
         yield pyarrow.PythonFile(_Collapsed(stream) if sheet.separator == _SPACES else stream, mode="r")
 
 
 class _Collapsed(RawIOBase):
-    """A file in which any number of blanks between two fields is read as one comma."""
+    """A file in which any number of blanks between two fields is read as one tab."""
 
     def __init__(self, stream: BinaryIO) -> None:
         self._stream, self._before, self._held = stream, np.uint8(10), b""
@@ -253,16 +374,15 @@ class _Collapsed(RawIOBase):
         """The next bytes."""
         while block := self._stream.read(size):
             data = np.frombuffer(block, dtype=np.uint8)
-            data = data[data != 13]
             blank = (data == 32) | (data == 9)
             before = np.concatenate(([self._before], data[:-1])) if len(data) else data
             # Of blanks in a row one stays; none stays at the start of a line.
             keep = ~blank | ~((before == 32) | (before == 9) | (before == 10))
             self._before = data[-1] if len(data) else self._before
-            kept = self._held + bytes(np.where(blank, np.uint8(44), data)[keep])
-            # A comma at the end waits: at the end of a line it is left out.
-            self._held = b"," if kept.endswith(b",") else b""
-            kept = kept.removesuffix(b",").replace(b",\n", b"\n")
+            kept = self._held + bytes(np.where(blank, np.uint8(9), data)[keep])
+            # A tab at the end waits: at the end of a line it is left out.
+            self._held = b"\t" if kept.endswith(b"\t") else b""
+            kept = kept.removesuffix(b"\t").replace(b"\t\n", b"\n")
             if kept:
                 return kept
         return b""
@@ -282,19 +402,20 @@ def _parquet_sheet(path: Path) -> Sheet | None:
     return Sheet(path, names, separator="")
 
 
-def _parquet_batches(sheet: Sheet, names: set[str]) -> Iterator[Any]:
+def _parquet_batches(sheet: Sheet, names: list[str]) -> Iterator[Any]:
     from pyarrow import parquet
 
     with parquet.ParquetFile(sheet.path) as file:
         if file.metadata.num_rows > MAX_ROWS:
             raise InputError(f"{sheet.path}: more than {MAX_ROWS} rows; split the file")
-        yield from file.iter_batches(batch_size=1 << 18, columns=sorted(names))
+        yield from file.iter_batches(batch_size=1 << 18, columns=names)
 
 
-def _first_bad(sheet: Sheet, numbers: set[str]) -> InputError | None:
+def _first_bad(sheet: Sheet, wanted: _Wanted) -> InputError | None:
     """The first line that does not fit; None if every line does."""
     if sheet.is_parquet:
         return None
+    decimals = [".", ","]  # what the lines so far allow
     with open_input(sheet.path) as stream:
         for count, line in enumerate(lines(sheet.path, stream), start=1):
             if count <= sheet.header or not line.strip():
@@ -308,18 +429,33 @@ def _first_bad(sheet: Sheet, numbers: set[str]) -> InputError | None:
                 return InputError(f"{where}: not CSV: {error}; correct the line")
             if len(fields) != len(sheet.names):
                 return InputError(f"{where}: {len(fields)} fields, but {len(sheet.names)} columns; correct the line")
-            for name, text in zip(sheet.names, fields, strict=True):
-                if name in numbers and not _is_number(text.strip(), sheet.decimal):
-                    return InputError(f"{where}: column {name}: {text[:40]!r} is not a number; correct the line")
+            for name, text in zip(sheet.names, (one.strip() for one in fields), strict=True):
+                if name in wanted.times and text not in MISSING and seconds_of(text.replace(",", ".")) is None:
+                    return InputError(f"{where}: column {name}: {text[:40]!r} is not a time; give {FORMS}")
+                if name not in wanted.numbers:
+                    continue
+                decimals = [decimal for decimal in decimals if _is_number(text, decimal)]
+                if not decimals:
+                    mixed = "" if not any(_is_number(text, one) for one in ".,") else ", or has another decimal point"
+                    return InputError(f"{where}: column {name}: {text[:40]!r} is not a number{mixed}; correct the line")
     return None
 
 
 def _is_number(text: str, decimal: str) -> bool:
+    """Whether a text is a number, written with a decimal point or comma, or says that a value is missing."""
+    if text in MISSING:
+        return True
+    if "_" in text or (decimal == "," and "." in text):
+        return False
     try:
-        float(text.replace(decimal, ".") if text not in MISSING else "0")
+        float(text.replace(decimal, "."))
     except ValueError:
         return False
     return True
+
+
+def _float(text: str, decimal: str) -> float:
+    return np.nan if text in MISSING else float(text.replace(decimal, "."))
 
 
 def _plain(name: str) -> str:

@@ -14,7 +14,7 @@ from sugiyama_ros.formats.columns import about_file, need, put_together, read_co
 from sugiyama_ros.formats.edges import Edges, along_edges
 from sugiyama_ros.formats.format import tracks_format
 from sugiyama_ros.formats.sheet import MAX_ROWS, head_of, sheet_of
-from sugiyama_ros.formats.xml_events import attribute, elements
+from sugiyama_ros.formats.xml_events import attribute, elements, has_root
 from sugiyama_ros.trajectories.labels import Labels, labels
 from sugiyama_ros.trajectories.tracks import Tracks
 
@@ -24,21 +24,24 @@ _WANTED = {
     "time_s": need("timestep_time"),
     "vehicle": need("vehicle_id"),
     "s_m": need("vehicle_pos"),
-    "lane_name": need("vehicle_lane"),
-    "speed_m": need("vehicle_speed"),
+    "lane_name": take("vehicle_lane"),
+    "edge": take("vehicle_edge"),
+    "speed": need("vehicle_speed"),
     "class": take("vehicle_type"),
     "leader": take("vehicle_leaderID"),
     "gap_m": take("vehicle_leaderGap"),
     "length_m": take("vehicle_length"),
 }
-_TEXTS = {"vehicle": "id", "lane_name": "lane", "class": "type", "leader": "leaderID"}
-_NUMBERS = {"s_m": "pos", "speed_m": "speed"}
+_TEXTS = {"vehicle": "id", "lane_name": "lane", "edge": "edge", "class": "type", "leader": "leaderID"}
+_NUMBERS = {"s_m": "pos", "speed": "speed"}
 # Present only if the user asked SUMO for leaders.
 _GAP = "leaderGap"
 
 
 def read_sumo(path: Path, choices: Choices) -> Tracks:
     """Read floating car data. Positions on edges become positions along the road that the edges make.
+
+    The mesoscopic model names edges without lanes; then nobody's leader is known.
 
     Parameters
     ----------
@@ -58,19 +61,26 @@ def read_sumo(path: Path, choices: Choices) -> Tracks:
         With the line, for a file of another form.
     """
     head = head_of(path)
-    if _is_xml(head):
+    if _is_xml(head, path):
         columns = _of_xml(path)
     else:
         sheet = sheet_of(path, head)
         if sheet is None:
             raise InputError(f"{path}:1: not the columns of SUMO; check the file")
         columns = read_columns(sheet, _WANTED)
-    lane, vehicle = text_of(columns, "lane_name"), text_of(columns, "vehicle")
-    del columns["lane_name"]
+    lane, edge = columns.pop("lane_name", None), columns.pop("edge", None)
+    if not isinstance(lane, Labels) and not isinstance(edge, Labels):
+        raise InputError(f"{path}: no vehicle has a lane or an edge; write the file with the attribute lane")
     about = about_file(path)
-    edges, columns["lane"] = _edges(lane, path)
-    time, speed = np.asarray(columns["time_s"]), np.asarray(columns.pop("speed_m"))
-    placed = along_edges(Edges(edges, vehicle.code, time, np.asarray(columns["s_m"]), speed))
+    edges, columns["lane"] = _edges(lane, edge, path)
+    columns = _on_an_edge(columns, edges, path)
+    edges = edges[edges.code >= 0]
+    if (text_of(columns, "lane").code < 0).all():
+        about = about.noting(
+            "warning: edges have no lanes in the file, as in SUMO's mesoscopic model, so that no leader is known"
+        )
+    vehicle, speed = text_of(columns, "vehicle"), np.asarray(columns["speed"])
+    placed = along_edges(Edges(edges, vehicle.code, np.asarray(columns["time_s"]), np.asarray(columns["s_m"]), speed))
     columns["s_m"] = placed.s_m
     if placed.road is not None:
         columns["road"] = placed.road
@@ -82,8 +92,32 @@ def read_sumo(path: Path, choices: Choices) -> Tracks:
     return put_together(columns, about, choices, reference="front")
 
 
-def _edges(lane: Labels, path: Path) -> tuple[Labels, Labels]:
-    """Edge and number of the lane of each row, (R,), from names like ``E1_0``."""
+def _on_an_edge(columns: dict[str, Array | Labels], edges: Labels, path: Path) -> dict[str, Array | Labels]:
+    """The rows of vehicles that are on an edge; others wait for a place, or are persons."""
+    on_edge = edges.code >= 0
+    if not on_edge.any():
+        raise InputError(f"{path}: no vehicle is on an edge; write the file with the attribute lane")
+    if on_edge.all():
+        return columns
+    return {name: column[on_edge] for name, column in columns.items()}
+
+
+def _edges(lane: Labels | Array | None, edge: Labels | Array | None, path: Path) -> tuple[Labels, Labels]:
+    """Edge and number of the lane of each row, (R,), from names of lanes like ``E1_0``, or else of edges."""
+    if not isinstance(lane, Labels):
+        assert isinstance(edge, Labels)
+        return edge, Labels(np.full(len(edge), -1, dtype=np.int32), ())
+    edges, numbers = _of_lanes(lane, path)
+    if isinstance(edge, Labels) and (edges.code < 0).any():
+        texts = (*edges.text, *edge.text)
+        edges = labels(
+            np.where(edges.code < 0, np.where(edge.code < 0, -1, edge.code + len(edges.text)), edges.code), texts
+        )
+    return edges, numbers
+
+
+def _of_lanes(lane: Labels, path: Path) -> tuple[Labels, Labels]:
+    """Edge and number of the lane of each row, (R,), from names of lanes."""
     parts = [text.rpartition("_") for text in lane.text]
     if any(not edge or not number.isdigit() for edge, _, number in parts):
         bad = next(
@@ -148,7 +182,7 @@ class _Gathered:
         found["gap_m"] = np.frombuffer(self._gap)
         for name, codes in self._code.items():
             code = np.frombuffer(codes, dtype=np.int32)
-            if name in ("vehicle", "lane_name") or (code >= 0).any():
+            if name == "vehicle" or (code >= 0).any():
                 found[name] = labels(code, self._texts[name])
         return found
 
@@ -168,15 +202,15 @@ def _of_xml(path: Path) -> dict[str, Array | Labels]:
     return gathered.columns()
 
 
-def _is_xml(head: bytes) -> bool:
-    return b"<fcd-export" in head
+def _is_xml(head: bytes, path: Path) -> bool:
+    return has_root(head, path, "fcd-export")
 
 
 def _recognise(head: bytes, path: Path) -> bool:
-    if _is_xml(head):
+    if _is_xml(head, path):
         return True
     sheet = sheet_of(path, head)
-    return sheet is not None and sheet.has("timestep_time", "vehicle_id", "vehicle_pos", "vehicle_lane")
+    return sheet is not None and sheet.has("timestep_time", "vehicle_id", "vehicle_pos", "vehicle_speed")
 
 
 FORMAT = tracks_format(

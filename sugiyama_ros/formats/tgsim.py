@@ -4,9 +4,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
-from sugiyama_ros.formats.columns import Take, about_file, need, nobody, put_together, read_columns, take
+from sugiyama_ros.formats.columns import Take, about_file, need, nobody, put_together, read_columns, take, text_of
 from sugiyama_ros.formats.format import tracks_format
 from sugiyama_ros.formats.sheet import Sheet, head_of, sheet_of
 from sugiyama_ros.trajectories.about import About, Reference
@@ -31,8 +34,9 @@ _KNOWN = (
             "recording": take("run_index"),
             "vehicle": need("id"),
             "time_s": need("time"),
-            "s_m": need("xloc_kf"),
-            "d_m": take("yloc_kf"),
+            "x_m": need("xloc_kf"),
+            "y_m": take("yloc_kf"),
+            "speed": take("speed_kf"),
             "lane": need("lane_kf"),
             "length_m": take("length_smoothed"),
             "width_m": take("width_smoothed"),
@@ -47,6 +51,7 @@ _KNOWN = (
             "vehicle": need("veh_id"),
             "time_s": need("timestamp"),
             "s_m": need("cam_distance"),
+            "speed": take("cam_velocity"),
             "length_m": take("length"),
             "class": take("make"),
             "leader": take("leader_id"),
@@ -83,11 +88,35 @@ def read_known(path: Path, choices: Choices) -> Tracks:
         raise InputError(f"{path}:1: not the columns of TGSIM or ARED; check the file")
     columns = read_columns(sheet, known.wanted)
     about = known.said(about_file(path))
+    if "x_m" in columns:
+        columns = _along_travel(columns)
     if isinstance(leader := columns.get("leader"), Labels):
-        columns["leader"] = nobody(leader, "-1", "")
+        columns["leader"] = nobody(leader, text_of(columns, "vehicle"), "-1")
     elif about.leaders == "given":
         about = replace(about, leaders="found")
     return put_together(columns, about, choices, known.reference)
+
+
+def _along_travel(columns: dict[str, Array | Labels]) -> dict[str, Array | Labels]:
+    """Positions along the axis that vehicles travel on, and across it."""
+    x = np.asarray(columns.pop("x_m"))
+    if "y_m" not in columns:
+        return columns | {"s_m": x}
+    y, time, vehicle = np.asarray(columns.pop("y_m")), np.asarray(columns["time_s"]), text_of(columns, "vehicle").code
+    recording = columns.get("recording")
+    other = recording.code.astype(np.int64) if isinstance(recording, Labels) else 0
+    known = np.flatnonzero(np.isfinite(x) & np.isfinite(y) & np.isfinite(time))
+    key = (other * (int(vehicle.max()) + 2) + vehicle)[known]
+    order = known[np.lexsort((time[known], key))]
+    key = np.sort(key)
+    first, last = order[np.diff(key, prepend=np.nan) != 0], order[np.diff(key, append=np.nan) != 0]
+    way = (x[last] - x[first]) + 1j * (y[last] - y[first])
+    # both directions of one axis have the same square; long ways count more
+    axis = np.sqrt(complex(np.sum(way**2)) or 1.0)
+    # it grows with the coordinate that it is nearer to
+    axis *= np.sign(axis.real if abs(axis.real) >= abs(axis.imag) else axis.imag) / abs(axis)
+    turned = (x + 1j * y) * axis.conjugate()
+    return columns | {"s_m": np.asarray(turned.real), "d_m": np.asarray(turned.imag)}
 
 
 def _known(sheet: Sheet) -> _Known | None:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.formats.choices import MAPPED, Choices
+from sugiyama_ros.formats.choices import COLUMNS, Choices
 from sugiyama_ros.formats.columns import is_number
 from sugiyama_ros.formats.format import tracks_format
 from sugiyama_ros.formats.sheet import head_of, read_sheet, sheet_of
@@ -44,7 +44,7 @@ def read_tracks_parquet(path: Path, choices: Choices) -> Tracks:
         raise InputError(f"{path}: no column {', '.join(missing)}; convert the source again")
     if choices.ring_m is not None:
         about = replace(about, ring_m=choices.ring_m)
-    names = {name for name in MAPPED if name in sheet.names}
+    names = {name for name in COLUMNS if name in sheet.names}
     numbers = {name for name in names if is_number(name)}
     # Errors name the file that is read; the tracks keep the name of their source.
     tracks = of_columns(dict(read_sheet(sheet, numbers, names - numbers)), replace(about, source=str(path)))

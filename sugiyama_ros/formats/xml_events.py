@@ -7,20 +7,65 @@ from xml.etree import ElementTree
 
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.reading import open_input
+from sugiyama_ros.formats.times import seconds_of
 
 _BLOCK = 1 << 16
+_MARK = b"\xef\xbb\xbf"
 Parser: TypeAlias = "ElementTree.XMLPullParser[ElementTree.Element]"
 
 
+def root_of(path: Path) -> ElementTree.Element:
+    """The first element of an XML file, without what is in it.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    Element
+        Its tag, without a namespace, and its attributes.
+
+    Raises
+    ------
+    InputError
+        As for `elements`.
+    """
+    parser: Parser = ElementTree.XMLPullParser(events=("start",))
+    with open_input(path) as stream:
+        try:
+            # a comment with all options of a program may come first
+            for _, element in _events(path, stream, parser):
+                element.tag = _plain(element.tag)
+                return element
+        except ElementTree.ParseError as error:
+            raise InputError(f"{path}:{error.position[0]}: not XML: {error}; correct the file") from None
+    raise InputError(f"{path}: not XML: no element; correct the file")
+
+
+def has_root(head: bytes, path: Path, tag: str) -> bool:
+    """Whether a file, of which ``head`` are the first bytes, is XML whose first element has a tag.
+
+    A damaged file counts as one, if the tag is in its first bytes.
+    """
+    if not head.removeprefix(_MARK).lstrip().startswith(b"<"):
+        return False
+    try:
+        return root_of(path).tag == tag
+    except InputError:
+        return f"<{tag}".encode() in head
+
+
 def elements(path: Path, *tags: str) -> Iterator[ElementTree.Element]:
-    """Whole elements of some tags, outermost first seen; each is forgotten when the next is asked for.
+    """Whole elements directly below the first one; each is forgotten when the next is asked for.
 
     Parameters
     ----------
     path : Path
         The file.
     *tags : str
-        Tags of the elements, which do not lie inside one another.
+        Tags of the elements, without a namespace. An element of such a tag deeper in the file is another thing.
 
     Yields
     ------
@@ -38,15 +83,15 @@ def elements(path: Path, *tags: str) -> Iterator[ElementTree.Element]:
         try:
             for event, element in _events(path, stream, parser):
                 if event == "start":
+                    element.tag = _plain(element.tag)
                     depth.append(element)
                     continue
                 depth.pop()
-                if element.tag in tags:
-                    yield element
-                if not any(one.tag in tags for one in depth):
+                if len(depth) == 1:
+                    if element.tag in tags:
+                        yield element
                     element.clear()
-                    if depth:
-                        depth[-1].remove(element)
+                    depth[0].remove(element)
         except ElementTree.ParseError as error:
             raise InputError(f"{path}:{error.position[0]}: not XML: {error}; correct the file") from None
 
@@ -64,11 +109,17 @@ def _events(path: Path, stream: BinaryIO, parser: "Parser") -> Iterator[tuple[st
     yield from parser.read_events()  # type: ignore[misc]
 
 
+def _plain(tag: str) -> str:
+    """A tag without its namespace."""
+    return tag.rpartition("}")[2]
+
+
 def attribute(attributes: Mapping[str, str], name: str, where: str) -> float:
     """A number among the attributes of an element. Raises InputError."""
     if name not in attributes:
         raise InputError(f"{where}: no attribute {name}; write the file with it")
-    try:
-        return float(attributes[name])
-    except ValueError:
-        raise InputError(f"{where}: {name} {attributes[name][:40]!r} is not a number; correct the file") from None
+    # a clock is a number of seconds
+    value = seconds_of(attributes[name])
+    if value is None:
+        raise InputError(f"{where}: {name} {attributes[name][:40]!r} is not a number; correct the file")
+    return value

@@ -11,7 +11,7 @@ from sugiyama_ros.arrays import Array, Ints, Mask
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.trajectories.about import About, Reference
 from sugiyama_ros.trajectories.jumps import jumps_noted
-from sugiyama_ros.trajectories.labels import Labels, labels, labels_of, numbered, same_label
+from sugiyama_ros.trajectories.labels import Labels, labels, labels_of, matched, numbered, same_label
 from sugiyama_ros.trajectories.leaders import (
     LEAST_AGREEMENT,
     agreement,
@@ -19,6 +19,7 @@ from sugiyama_ros.trajectories.leaders import (
     find_leaders,
     given_leaders,
 )
+from sugiyama_ros.trajectories.speeds import MOST_OFF, UNITS, Motion, difference
 from sugiyama_ros.trajectories.tracks import NOBODY, TEXTS, UNKNOWN, Tracks, starts
 from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M
 
@@ -38,6 +39,8 @@ _LONGEST_M = 1000.0
 _LATEST_S, _FARTHEST_M = 2.0**32, 3e8
 #: Way [m] that all vehicles of a lane together go backward, for the lane to be turned round: more than noise at rest.
 _BACKWARD_M = 10.0
+#: How a note begins that says how many of the given leaders are the next vehicles ahead.
+AGREES = "the next vehicle ahead is the given leader"
 #: Way [vehicle lengths] from the point of reference to the centre.
 _TO_CENTRE = {"front": -0.5, "centre": 0.0, "rear": 0.5}
 
@@ -51,7 +54,8 @@ def assemble(
     ----------
     columns : mapping of str to array or Labels, shape (R,) each
         ``vehicle``, ``time_s`` [s] and ``s_m`` [m]; perhaps ``recording``, ``road``, ``lane``, ``class``, ``driver``,
-        ``leader``, ``d_m``, ``length_m``, ``width_m`` [m] and ``measured``. Rows may stand in any order.
+        ``leader``, ``d_m``, ``length_m``, ``width_m`` [m] and ``measured``. Rows may stand in any order. Positions are
+        compared with ``speed`` [m/s] and, if its unit is not known, ``some_speed``, where they are given.
     about : About, optional
         Where the columns come from.
     reference : {"centre", "front", "rear"}
@@ -68,13 +72,13 @@ def assemble(
     Raises
     ------
     InputError
-        If no rows are left, many vehicles are in two places at once, or vehicles overlap.
+        If no rows are left, many vehicles are in two places at once, vehicles overlap, or positions contradict speeds.
     """
     table = _table(columns, about or About())
     for step in (_known, _sorted, _once, _lives):
         table = step(table)
     run = _run(table)
-    table = _lengths(table, starts(run))
+    table = _lengths(_speeds(table, run) if checked else table, starts(run))
     table = _along(table, run) if checked else table
     number, text = table.number, table.text
     about = _referred(table.about, reference)
@@ -127,7 +131,7 @@ def led(tracks: Tracks, named: Labels | None, compared: bool = True) -> Tracks:
         return replace(tracks, leader_row=given)
     found = find_leaders(tracks)
     share = agreement(found, given)
-    note = f"the next vehicle ahead is the given leader in {100.0 * share:.4g} %" if np.isfinite(share) else ""
+    note = f"{AGREES} in {100.0 * share:.4g} %" if np.isfinite(share) else ""
     if share < LEAST_AGREEMENT:
         note = f"warning: {note}, fewer than {100.0 * LEAST_AGREEMENT:g} %; check lanes and positions (--columns)"
     # Whoever follows a vehicle that has no row at this time follows nobody in the table.
@@ -166,7 +170,12 @@ def _table(columns: Columns, about: About) -> _Table:
             text[name] = numbered(array) if array.dtype.kind in "fiu" else labels_of(array.tolist())
         else:
             number[name] = np.asarray(column, dtype=np.float64)
+    # a column of recordings without a single name says nothing
+    if "recording" in text and not (text["recording"].code >= 0).any():
+        del text["recording"]
     text.setdefault("recording", same_label(len(number["s_m"]), "1"))
+    if "leader" in text:
+        text["leader"] = matched(text["leader"], text["vehicle"])
     return _Table(text, number, about)
 
 
@@ -264,6 +273,31 @@ def _lengths(table: _Table, start: Ints) -> _Table:
     )
     filled = np.repeat(np.where(np.isnan(length), DEFAULT_LENGTH_M, length), rows)
     return table._replace(number={**table.number, "length_m": filled}, about=about)
+
+
+def _speeds(table: _Table, run: Ints) -> _Table:
+    """Compare the positions with the speeds that the file gives, which are left out then."""
+    number, about = table.number.copy(), table.about
+    speed, some = number.pop("speed", None), number.pop("some_speed", None)
+    given = speed if speed is not None else some
+    if given is None:
+        return table
+    road = table.text["road"].code.astype(np.int64) + 1 if "road" in table.text else 0
+    motion = Motion(run * (int(np.max(road)) + 1) + road, number["time_s"], number["s_m"], given)
+    units = UNITS[:1] if speed is not None else UNITS
+    found = [one for unit in units if (one := difference(motion, about.ring_m, unit)) is not None]
+    if found and min(one.part for one in found) > MOST_OFF:
+        unit = "m/s" if speed is not None else "(no unit)"
+        slow, fast = found[0].by_position, found[0].by_speed
+        says = (
+            f"vehicles move at {slow:.3g} m/s by their positions, but at {fast:.3g} {unit} by the speeds in the file;"
+            " say which column holds positions along the road, and their unit (--format table --columns map.yaml)"
+        )
+        # Where no vehicle is on a lane, nobody follows anybody, and positions do no harm.
+        if speed is not None and ("lane" not in table.text or (table.text["lane"].code >= 0).any()):
+            raise InputError(f"{table.source}: {says}")
+        about = about.noting(f"warning: {says}")
+    return table._replace(number=number, about=about)
 
 
 def _along(table: _Table, run: Ints) -> _Table:

@@ -1,27 +1,22 @@
-"""Tracks as tables of Arrow and of pandas, and back."""
+"""Tracks as tables of Arrow, and back."""
 
 import json
 import math
 from dataclasses import asdict, fields, replace
-from typing import TYPE_CHECKING, Any, BinaryIO, get_args
+from typing import TYPE_CHECKING, BinaryIO, get_args
 
-import numpy as np
-
-from sugiyama_ros.errors import InputError
 from sugiyama_ros.trajectories.about import About, Leaders, Reference, View
 from sugiyama_ros.trajectories.assemble import Column, assemble
-from sugiyama_ros.trajectories.labels import Labels, labels
-from sugiyama_ros.trajectories.tracks import NUMBERS, TEXTS, Tracks
+from sugiyama_ros.trajectories.labels import Labels
+from sugiyama_ros.trajectories.tracks import Tracks
 
 if TYPE_CHECKING:
-    import pandas
     import pyarrow
 
 #: Key of the metadata in the schema of an Arrow table.
 KEY = b"sugiyama_ros.tracks"
 # Rows of a group, which a reader may take one at a time.
 _GROUP = 1 << 17
-_COLUMNS = (*TEXTS, *NUMBERS, "leader", "measured")
 
 
 def to_arrow(tracks: Tracks) -> "pyarrow.Table":
@@ -103,45 +98,3 @@ def of_columns(columns: dict[str, Column], about: About) -> Tracks:
     known = about if "leader" not in columns else replace(about, leaders="given")
     tracks = assemble(columns, known, checked=False)
     return replace(tracks, about=replace(tracks.about, leaders=about.leaders))
-
-
-def from_frame(frame: "pandas.DataFrame", about: About | None = None) -> Tracks:
-    """Tracks of a data frame.
-
-    Parameters
-    ----------
-    frame : pandas.DataFrame
-        Columns vehicle, time_s [s] and s_m (or position_m) [m], and perhaps the other columns of tracks.
-    about : About, optional
-        Where they come from.
-
-    Returns
-    -------
-    Tracks
-        With leaders found, or as the column ``leader`` says if ``about.leaders`` is "given".
-
-    Raises
-    ------
-    InputError
-        For a missing column, a value that is not a number, or vehicles that overlap.
-    """
-    if "s_m" not in frame.columns:
-        frame = frame.rename(columns={"position_m": "s_m"})
-    missing = [name for name in ("vehicle", "time_s", "s_m") if name not in frame.columns]
-    if missing:
-        raise InputError(f"data frame: no column {', '.join(missing)}; name it so, as by frame.rename")
-    try:
-        columns = {name: _column(name, frame[name]) for name in _COLUMNS if name in frame.columns}
-    except (TypeError, ValueError) as error:
-        raise InputError(f"data frame: {error}; give numbers") from None
-    return assemble(columns, about or About(source="data frame"))
-
-
-def _column(name: str, series: Any) -> Column:
-    if name not in (*TEXTS, "leader"):
-        return np.asarray(series, dtype=np.float64)
-    if hasattr(series, "cat"):
-        texts = [str(one) for one in series.cat.categories]
-        return labels(np.asarray(series.cat.codes, dtype=np.int32), texts)
-    values = [None if one is None or one != one else one for one in series.tolist()]
-    return np.array(values, dtype=object)

@@ -49,6 +49,9 @@ def check_jumps(trajectories: Trajectories, where: str) -> None:
 def jumps_noted(tracks: Tracks) -> str:
     """Return a warning that says where vehicles jump, as `check_jumps` understands it; empty if none does."""
     same = np.diff(tracks.run) == 0
+    if tracks.road is not None:
+        # each road has a start of its own
+        same &= np.diff(tracks.road.code) == 0
     step_m = np.where(same, Road(tracks.about.ring_m).difference(tracks.s_m[1:], tracks.s_m[:-1]), 0.0)
     found = _jumps(step_m, np.diff(tracks.time_s))
     if not len(found):

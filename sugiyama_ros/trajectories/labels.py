@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from sugiyama_ros.arrays import Ints, Mask
 
 _DIGITS = re.compile(r"(\d+)")
+_WHOLE, _POINT_ZERO = re.compile(r"-?\d+"), re.compile(r"-?\d+\.0+")
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +80,7 @@ def labels(code: NDArray[np.integer], text: Iterable[str]) -> Labels:
 
 
 def labels_of(values: Iterable[object]) -> Labels:
-    """Make a column of categories of one value for each row; None is missing, whole numbers lose their ``.0``."""
+    """Make a column of categories of one value for each row; None is missing, the number 12.0 becomes 12."""
     found: dict[object, int] = {}
     code = np.array([-1 if v is None else found.setdefault(v, len(found)) for v in values], dtype=np.int32)
     return labels(code, [plain_text(value) for value in found])
@@ -116,5 +117,27 @@ def plain_text(value: object) -> str:
     """The text of a value; a whole number that is kept as 12.0 becomes 12."""
     if isinstance(value, float) and value.is_integer():
         return str(int(value))
-    text = str(value).strip()
-    return text[:-2] if re.fullmatch(r"-?\d+\.0", text) else text
+    return str(value).strip()
+
+
+def without_point_zero(column: Labels) -> Labels:
+    """The column, whose whole numbers lose their ``.0`` where all texts are whole numbers and stay different.
+
+    Tables write whole numbers as 12.0 where some are missing. Names such as 3.0 and 3.1 stay as they are.
+    """
+    short = [text.partition(".")[0] if _POINT_ZERO.fullmatch(text) else text for text in column.text]
+    if short == list(column.text) or len(set(short)) < len(short):
+        return column
+    if not all(_WHOLE.fullmatch(text) for text in short):
+        return column
+    return labels(column.code, short)
+
+
+def matched(column: Labels, names: Labels) -> Labels:
+    """A column of names that stand in another column; 12.0 may be called 12 there, and 12 be called 12.0."""
+    known = set(names.text)
+    found = [
+        next((one for one in (text, text.removesuffix(".0"), f"{text}.0") if one in known), text)
+        for text in column.text
+    ]
+    return column if found == list(column.text) else labels(column.code, found)

@@ -162,7 +162,7 @@ def check_gaps(tracks: Tracks) -> None:
         return
     row = int(negative[np.argmin(gap[negative])])
     raise InputError(
-        f"{tracks.about.source or 'tracks'}: {100.0 * len(negative) / followed:.2g} % of the gaps are below zero, as"
+        f"{tracks.about.source or 'tracks'}: {100.0 * len(negative) / followed:.3g} % of the gaps are below zero, as"
         f" {gap[row]:.1f} m behind vehicle {tracks.vehicle.at(int(tracks.leader_row[row]))} at {tracks.time_s[row]:g} s"
         f" (vehicle {tracks.run_name(int(tracks.run[row]))}): {_cure(tracks, gap, followed)}"
     )

@@ -123,6 +123,11 @@ def numbers_of(tracks: Tracks) -> Ints:
     return np.array([number if number >= 0 else next(free) for number in numbers], dtype=np.int64)
 
 
+def is_numbered(vehicle: Labels) -> bool:
+    """Whether all vehicles have plain numbers for names."""
+    return all(_NUMBER.fullmatch(text) and str(int(text)) == text for text in vehicle.used())
+
+
 def _check_leaders(tracks: Tracks, dense: Trajectories, step: Ints, where: str) -> None:
     """Refuse tracks in which the vehicle ahead in the dense table is not the leader."""
     column = dense.leader[step, tracks.run]

@@ -49,9 +49,9 @@ def test_a_data_frame_is_read_like_the_file(simulation, tmp_path):
     ("change", "told"),
     [
         (lambda f: f.drop(columns="vehicle"), "no column vehicle"),
-        (lambda f: f.assign(vehicle="car"), "give numbers"),
-        (lambda f: f.assign(vehicle=0.5), "a vehicle is not a whole number"),
-        (lambda f: f.assign(time_s=np.nan), "a time is missing"),
+        (lambda f: f.assign(vehicle="car"), r"vehicle car is at .* and at .* give the column recording"),
+        (lambda f: f.assign(vehicle=-1), r"vehicle -1 is at .* and at "),
+        (lambda f: f.assign(time_s=np.nan), "a time or a vehicle is missing"),
     ],
 )
 def test_a_bad_data_frame_is_refused_in_one_line(simulation, change, told):

@@ -199,7 +199,7 @@ def test_a_map_of_columns(tmp_path: Path) -> None:
     [
         ("[1, 2]", "not a map of columns"),
         ("lane: {", "is no YAML"),
-        ("speed: v", "'speed' is no column of tracks"),
+        ("mood: v", "'mood' is no column of tracks"),
         ("lane: {name: a}", "lane: give the name of a column"),
         ("s_m: {column: a, factor: b}", "factor of s_m: 'b' is no finite number"),
         ("s_m: {column: a, factor: 0}", "factor of s_m: 0 is no unit's factor"),

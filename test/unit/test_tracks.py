@@ -5,11 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import sugiyama_ros as sg
 from sugiyama_ros.errors import InputError, OutputError
 from sugiyama_ros.formats.registry import read_tracks
 from sugiyama_ros.trajectories.about import About
 from sugiyama_ros.trajectories.assemble import assemble
-from sugiyama_ros.trajectories.exchange import about_of, from_frame, of_columns, to_arrow
+from sugiyama_ros.trajectories.exchange import about_of, of_columns, to_arrow
 from sugiyama_ros.trajectories.labels import Labels, joined, labels, labels_of, numbered
 from sugiyama_ros.trajectories.leaders import find_leaders, gaps
 from sugiyama_ros.trajectories.selection import Selection, select
@@ -241,13 +242,13 @@ def test_pandas_and_back() -> None:
     given = assemble(columns(lane=np.full(240, 1)))
     frame = given.to_frame()
     assert list(frame.columns) == list(given.columns)
-    back = from_frame(frame)
+    back = sg.read_tracks(frame)
     np.testing.assert_array_equal(back.s_m, given.s_m)
     np.testing.assert_array_equal(back.leader_row, given.leader_row)
-    with pytest.raises(InputError, match="no column s_m"):
-        from_frame(frame.drop(columns="s_m"))
-    with pytest.raises(InputError, match=r"data frame: .*; give numbers"):
-        from_frame(frame.assign(s_m="far"))
+    with pytest.raises(InputError, match="no column s_m or position_m"):
+        sg.read_tracks(frame.drop(columns="s_m"))
+    with pytest.raises(InputError, match=r"data frame: column s_m: 'far' is not a number"):
+        sg.read_tracks(frame.assign(s_m="far"))
 
 
 def test_rows_are_made_when_they_are_asked_for() -> None:
