@@ -32,3 +32,24 @@ class InputError(SugiyamaError):
 
 class OutputError(SugiyamaError):
     """An output cannot be written to the place that the user asked for."""
+
+
+def nowhere_to_compile(error: Exception) -> str | None:
+    """Say what to do where numba can keep compiled code nowhere.
+
+    Parameters
+    ----------
+    error : Exception
+        What an import has raised.
+
+    Returns
+    -------
+    str or None
+        One line; None for any other error.
+    """
+    if not (isinstance(error, RuntimeError) and "no locator available" in str(error)):
+        return None
+    return (
+        "compiled code can be kept neither in the installation nor in the home directory; set NUMBA_CACHE_DIR to a"
+        " directory that can be written"
+    )

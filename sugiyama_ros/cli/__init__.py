@@ -10,7 +10,7 @@ import signal
 import sys
 from contextlib import suppress
 
-from sugiyama_ros.errors import SugiyamaError
+from sugiyama_ros.errors import SugiyamaError, nowhere_to_compile
 
 _FAILED, _REFUSED, _INTERRUPTED = 1, 2, 130
 
@@ -67,6 +67,8 @@ def _cause_outside(error: Exception) -> str | None:
     if isinstance(error, OSError) and error.errno is not None:
         where = error.filename if error.filename is not None else "the output"
         return f"{where}: {error.strerror or error}; free some space, or choose another place"
+    if (reason := nowhere_to_compile(error)) is not None:
+        return reason
     if isinstance(error, MemoryError):
         return "not enough memory; give less data, or fewer vehicles"
     limit = limit_bytes()

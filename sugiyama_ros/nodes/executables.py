@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from functools import partial
 from importlib import import_module
 
-from sugiyama_ros.errors import InputError, SugiyamaError
+from sugiyama_ros.errors import InputError, SugiyamaError, nowhere_to_compile
 
 #: The nodes. Each is a module of ``sugiyama_ros.nodes`` with a function ``main``.
 NODES = ("critic", "drivers", "estimator", "keeper", "recorder", "replay", "simulator", "tracks")
@@ -33,11 +33,14 @@ def run(node: str) -> None:
     try:
         with ros_needed():
             main = import_module(f"sugiyama_ros.nodes.{node}").main
-    except SugiyamaError as error:
-        print(error, file=sys.stderr)
-        sys.exit(2)
     except KeyboardInterrupt:
         os._exit(0)  # nothing has begun
+    except Exception as error:
+        reason = str(error) if isinstance(error, SugiyamaError) else nowhere_to_compile(error)
+        if reason is None:
+            raise
+        print(reason, file=sys.stderr)
+        sys.exit(2)
     main()
 
 

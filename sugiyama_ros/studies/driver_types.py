@@ -8,10 +8,13 @@ from scipy.spatial.distance import pdist, squareform
 
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, V_STAR
+from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.each_driver import calibrate
 from sugiyama_ros.studies.study import Answer, Asked, Study
 
 _PLACES, _MOST, _DRAWS = [SIGMA_A, V_STAR, KAPPA_V], 6, 200
+# Clusters that the figure shows, as in the paper; there must be more drivers than that.
+_SHOWN = 4
 
 
 def silhouette(points: Array, label: Ints) -> float:
@@ -80,12 +83,16 @@ def _answer(asked: Asked) -> Answer:
     are drawn within their errors and clustered again; the table has the agreement with the first clustering.
     """
     fits = [fit for fit in calibrate(asked.measured, "paper") if fit.identified("v_star")]
+    if len(fits) <= _SHOWN:
+        raise InputError(
+            f"study types: v_star is identified for {len(fits)} drivers; give a recording of at least {_SHOWN + 1}"
+        )
     values = np.array([fit.parameters[_PLACES] for fit in fits])
     std = np.array([fit.std[_PLACES] for fit in fits])
     centre, scale = values.mean(axis=0), values.std(axis=0)
     points = (values - centre) / scale
     tree = linkage(points, "ward")
-    counts = range(2, _MOST + 1)
+    counts = range(2, min(_MOST, len(fits) - 1) + 1)  # fewer clusters than drivers
     labels = {n: fcluster(tree, n, "maxclust") for n in counts}
     rng = np.random.default_rng(asked.seed)
     rows = []
@@ -108,10 +115,10 @@ def _answer(asked: Asked) -> Answer:
         left, right = figure.subplots(1, 2)
         dendrogram(tree, labels=[fit.vehicle for fit in fits], ax=left)
         left.set(xlabel="vehicle", ylabel="distance")
-        for k in np.unique(labels[4]):
-            of = values[labels[4] == k]
+        for k in np.unique(labels[_SHOWN]):
+            of = values[labels[_SHOWN] == k]
             right.scatter(of[:, 1], of[:, 2], s=200.0 * of[:, 0], label=f"type {k}")
-        right.set(xlabel="v* [m/s]", ylabel="kappa_v [s]", title="four clusters; size: sigma_a")
+        right.set(xlabel="v* [m/s]", ylabel="kappa_v [s]", title=f"{_SHOWN} clusters; size: sigma_a")
         right.legend()
 
     return Answer(tuple(rows), draw)

@@ -35,8 +35,9 @@ def _answer(asked: Asked) -> Answer:
         for parameter in ESTIMATED:
             known = np.array([one[parameter] for one in found.identified])
             values = found.rows[known, index(parameter)]
-            row[parameter] = float(values.mean())
-            row[f"{parameter}, std"] = float(values.std(ddof=1))
+            # what is not known is shown as "-"
+            row[parameter] = float(values.mean()) if len(values) else np.nan
+            row[f"{parameter}, std"] = float(values.std(ddof=1)) if len(values) > 1 else np.nan
         row["log-likelihood"] = float(found.log_likelihood.sum())
         row["not identified"] = ", ".join(
             f"{p} of {v}" for v, one in zip(t.vehicle, found.identified, strict=True) for p in ESTIMATED if not one[p]

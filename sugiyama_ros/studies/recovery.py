@@ -10,7 +10,7 @@ from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.driver.parameters import index
 from sugiyama_ros.fit.driver import Formulation
 from sugiyama_ros.fit.smooth_positions import ESTIMATED
-from sugiyama_ros.studies.rings import Ring, alike, run
+from sugiyama_ros.studies.rings import alike, jams
 from sugiyama_ros.studies.study import Answer, Asked, Row, Study
 
 #: Duration [s] of a simulated run.
@@ -27,12 +27,9 @@ def _answer(asked: Asked) -> Answer:
     truth = alike()[0, places]
     errors: dict[str, list[Array]] = {f: [] for f in _FORMULATIONS}
     intervals: dict[str, list[Array]] = {f: [] for f in _FORMULATIONS}
-    for k in range(asked.runs):
-        simulated = run(Ring(alike(), asked.seed + k, jammed=True, duration_s=DURATION_S))
-        if simulated.collisions:
-            continue
+    for _, measured in jams({}, asked.runs, asked.seed, DURATION_S):
         for f in _FORMULATIONS:
-            found = each_driver(simulated.measured, Settings(f, profiled=True), work=asked.work)
+            found = each_driver(measured, Settings(f, profiled=True), work=asked.work)
             errors[f].append(found.rows[:, places] - truth)
             intervals[f].append(found.interval[:, places])
     rows: list[Row] = []

@@ -10,6 +10,7 @@ import numpy as np
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import SIGMA_A, defaults
 from sugiyama_ros.effects.registry import ROW, switch_on
+from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.driver import SearchOptions
 from sugiyama_ros.fit.each_driver import calibrate
 from sugiyama_ros.road import Road
@@ -117,7 +118,13 @@ def jams(spread: Mapping[int, float], runs: int, seed: int, duration_s: float) -
         Parameters of the drivers.
     measured : Trajectories
         What is measured. A run in which cars collide is left out.
+
+    Raises
+    ------
+    InputError
+        If cars collide in all runs.
     """
+    collided = 0
     for k in range(runs):
         rng = np.random.default_rng([seed, k])
         drivers = alike()
@@ -126,6 +133,9 @@ def jams(spread: Mapping[int, float], runs: int, seed: int, duration_s: float) -
         simulated = run(Ring(drivers, seed + k, jammed=True, duration_s=duration_s))
         if not simulated.collisions:
             yield drivers, simulated.measured
+        collided += bool(simulated.collisions)
+    if collided == runs:
+        raise InputError(f"study: cars collide in all simulated runs ({runs}); give more --runs, or another --seed")
 
 
 def outcome(ring: Ring) -> Outcome:

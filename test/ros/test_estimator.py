@@ -290,6 +290,19 @@ def test_parameters_are_published_once_a_second_of_the_data(stage, pair) -> None
     assert len(message.covariance) == len(NAMES) ** 2
 
 
+def test_who_comes_late_can_ask_for_the_last_parameters(stage, pair) -> None:
+    """Volatile subscribers get what comes; who asks for the last message gets it, also after the end."""
+    road, _ = pair
+    road.drive(0, 5)
+    stage.until(lambda: len(road.parameters) == 3)
+    late, told = Node("late"), []
+    late.create_subscription(DriverParameters, "/vehicle_07/parameters", told.append, LATCHED)
+    stage.suspend()
+    stage.add(late)
+    stage.until(lambda: bool(told))
+    assert [m.header.stamp for m in told] == [road.parameters[-1].header.stamp]
+
+
 def test_a_failure_is_reported_once_and_the_stream_continues(
     stage, pair, monkeypatch: pytest.MonkeyPatch, capfd
 ) -> None:

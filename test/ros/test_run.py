@@ -14,7 +14,7 @@ import pytest
 from sugiyama_ros.errors import InputError, OutputError, SugiyamaError
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.registry import read_trajectories
-from sugiyama_ros.formats.truth import namespaces
+from sugiyama_ros.formats.truth import namespaces, read_truth
 from sugiyama_ros.nodes import recorder, runners, source
 from sugiyama_ros.nodes.base.node import PacedNode
 from sugiyama_ros.nodes.estimator import Estimator
@@ -104,6 +104,58 @@ def test_a_run_continues_from_the_saved_state_of_another(ring_csv: Path, tmp_pat
         run(ring_csv, tmp_path / "third.mcap", ring_m=100.0, resume=kept)
     with pytest.raises(InputError, match="nowhere: nothing is known of these vehicles"):
         run(ring_csv, tmp_path / "third.mcap", ring_m=100.0, resume=tmp_path / "nowhere")
+
+
+def test_states_of_another_run_are_kept(ring_csv: Path, tmp_path: Path) -> None:
+    """A file of somebody else is replaced with --overwrite only. A run may go on in its own directory."""
+    kept = tmp_path / "kept"
+    kept.mkdir()
+    (kept / "vehicle_00.json").write_text("of somebody else")
+    with pytest.raises(OutputError, match=r"vehicle_00\.json: exists already; choose another"):
+        run(ring_csv, tmp_path / "out.mcap", ring_m=100.0, save_state=kept)
+    assert [p.name for p in tmp_path.glob("kept/*")] == ["vehicle_00.json"]
+    assert (kept / "vehicle_00.json").read_text() == "of somebody else"
+    run(ring_csv, tmp_path / "out.mcap", ring_m=100.0, save_state=kept, overwrite=True)
+    assert '"v_star"' in (kept / "vehicle_00.json").read_text()
+    run(ring_csv, tmp_path / "more.mcap", ring_m=100.0, save_state=kept, resume=kept)
+
+
+def test_filterpy_gives_the_same_estimates(tmp_path: Path) -> None:
+    short = tmp_path / "short.csv"
+    rows = [f"{0.5 * k},{v},{25.0 * v + 3.0 * k},4.5" for k in range(30) for v in range(2)]
+    short.write_text("\n".join(["time_s,vehicle,position_m,length_m", *rows]) + "\n")
+    compiled, readable = (run(short, tmp_path / f"{e}.mcap", engine=e).drivers for e in ("compiled", "filterpy"))
+    for one, other in zip(compiled, readable, strict=True):
+        assert other.v_star == pytest.approx(one.v_star, rel=1e-9)
+        assert other.kappa_v == pytest.approx(one.kappa_v, rel=1e-9)
+    with pytest.raises(InputError, match="engine: 'unscented' is not known; give compiled or filterpy"):
+        run(short, tmp_path / "out.mcap", engine="unscented")
+
+
+def test_the_truth_of_a_simulation_is_kept(tmp_path: Path) -> None:
+    """simulate, run, report: the same truth, also after two runs; markers for every sample, at times of data."""
+    sugiyama = str(Path(sys.executable).with_name("sugiyama"))
+    simulate = ("simulate", "--vehicles", "3", "--ring", "60", "--duration", "20", "-o", "sim.mcap")
+    subprocess.run([sugiyama, *simulate], cwd=tmp_path, check=True, capture_output=True)
+    run(tmp_path / "sim.mcap", tmp_path / "run.mcap")
+    run(tmp_path / "run.mcap", tmp_path / "again.mcap")
+    told = subprocess.run(
+        [sugiyama, "report", "again.mcap", "-o", "page.html"], cwd=tmp_path, check=True, capture_output=True, text=True
+    ).stdout
+    assert "Estimates against the truth" in told
+    assert "errors: speed 0." in told
+    first, again = (read_truth(tmp_path / name) for name in ("sim.mcap", "again.mcap"))
+    assert first is not None
+    assert again is not None
+    for name in ("time_s", "position_m", "speed", "acceleration", "gap_m"):
+        assert getattr(again, name) == pytest.approx(getattr(first, name), nan_ok=True)
+    drives = [sorted((d.time_s, d.vehicle, sorted(d.parameters.items())) for d in t.drivers) for t in (again, first)]
+    assert drives[0] == drives[1]
+    with Bag(tmp_path / "again.mcap") as bag:
+        about = bag.info()
+        counts = {topic.name: topic.count for topic in about.topics}
+    assert counts["/markers"] == counts["/measured"] == 61
+    assert about.duration_s == pytest.approx(20.0)
 
 
 def test_a_slow_estimator_loses_nothing(ring_csv: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,83 @@
+"""Nodes that are started by hand, with the executables of the wheels, as docs/ros.md says it."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from sugiyama_ros.formats.mcap_reader import Bag
+from sugiyama_ros.nodes.executables import NODES
+
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(200)]
+BIN = Path(sys.executable).parent
+
+
+def started(name: str, *arguments: str) -> "subprocess.Popen[str]":
+    """A node, by its executable."""
+    command = [str(BIN / f"sugiyama_{name}"), "--ros-args", *arguments]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+
+
+def test_three_processes_record_every_sample(ring_csv: Path, tmp_path: Path) -> None:
+    """A recorder, an estimator and a replay that waits for both; each says in one line what it does."""
+    output = tmp_path / "run.mcap"
+    recorder = started("recorder", "-p", f"output:={output}", "-p", "time_source:=data")
+    estimator = started("estimator", "-r", "__ns:=/vehicle_02")
+    try:
+        replay = started(
+            "replay", "-p", f"source:={ring_csv}", "-p", "ring:=100.0", "-p", "rate:=0.0", "-p", "exit_at_end:=true",
+            "-p", 'wait_for:=["/recorder", "/vehicle_02/estimator"]',
+        )  # fmt: skip
+        said, _ = replay.communicate(timeout=120)
+        assert replay.returncode == 0, said
+        lines = []
+        for node in (estimator, recorder):
+            node.send_signal(signal.SIGINT)
+            lines.append(node.communicate(timeout=60)[0])
+    finally:
+        for node in (recorder, estimator):
+            node.kill()
+            node.communicate()
+    domain = os.environ["ROS_DOMAIN_ID"]
+    assert f"[replay]: in ROS domain {domain}: sends 200 samples (99.5 s) of ring.csv at the fastest rate, once" in said
+    assert f"in ROS domain {domain}: records all topics in {output}" in lines[1]
+    assert f"in ROS domain {domain}: waiting for a road on /road" in lines[0]
+    assert (recorder.returncode, estimator.returncode) == (0, 0)
+    with Bag(output) as bag:
+        counts = {topic.name: topic.count for topic in bag.info().topics}
+        times = [time_ns for _, _, time_ns, _ in bag.raw_messages({"/measured", "/markers"})]
+    topics = ("/measured", "/markers", "/clock", "/vehicle_02/state", "/vehicle_02/innovation")
+    assert {topic: counts[topic] for topic in topics} == dict.fromkeys(topics, 200)
+    # the times in the file are those of the recording
+    assert (min(times), max(times)) == (0, 99_500_000_000)
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_a_node_without_the_messages_says_so_in_one_line(node: str) -> None:
+    code = (
+        f"import sys; sys.modules['sugiyama_msgs'] = None\nfrom sugiyama_ros.nodes.executables import {node}\n{node}()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2
+    assert done.stderr == ("sugiyama_msgs: not installed; run `make demo` once, or source a ROS 2 workspace\n")
+
+
+@pytest.mark.parametrize("wait_s", [0.6, 2.0, 4.0])
+def test_a_signal_while_the_processes_of_a_run_start_ends_it(ring_csv: Path, tmp_path: Path, wait_s: float) -> None:
+    output = tmp_path / "run.mcap"
+    command = [BIN / "sugiyama", "run", ring_csv, "--ring", "100", "-o", output, "--processes", "--rate", "1"]
+    run = subprocess.Popen(list(map(str, command)), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    time.sleep(wait_s)
+    run.send_signal(signal.SIGTERM)
+    _, said = run.communicate(timeout=100)
+    assert run.returncode in (130, -signal.SIGTERM), said
+    assert "Traceback" not in said
+    assert "KeyboardInterrupt" not in said
+    assert not list(tmp_path.glob("*.part"))
+    if output.exists():
+        with Bag(output) as bag:
+            assert bag.info().topics
