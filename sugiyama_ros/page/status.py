@@ -15,8 +15,8 @@ def status_line(status: Status, feed: Feed) -> str:
         waiting = "the first positions on /measured" if status.source else "a road on /road and positions on /measured"
         return (
             f"Waiting for {waiting}, in ROS domain {escape(status.domain)}. To feed this page, replay a file with"
-            " <code>sugiyama live FILE</code>, or start <code>sugiyama run FILE -o run.mcap --rate 1</code> or nodes with"
-            f" <code>ROS_DOMAIN_ID={escape(status.domain)}</code>."
+            " <code>sugiyama live FILE</code>, or start <code>sugiyama run FILE -o run.mcap --rate 1</code> or nodes"
+            f" with <code>ROS_DOMAIN_ID={escape(status.domain)}</code>."
         )
     total = f" of {status.total_s:.0f}" if status.total_s > 0.0 else ""
     if status.ended:
