@@ -27,7 +27,7 @@ def reliable(depth: int, durability: QoSDurabilityPolicy = QoSDurabilityPolicy.T
 
 #: For every topic with more than one message: who subscribes hears what comes from then on, and nothing old.
 STREAM = reliable(DEPTH, QoSDurabilityPolicy.VOLATILE)
-#: As STREAM, but who subscribes late and asks for it (transient local) gets the last messages too.
+#: As STREAM, but who subscribes late and asks for it (transient local) gets the last messages too, in their order.
 KEPT_STREAM = reliable(DEPTH)
 #: Latched: the last message only.
 LATCHED = reliable(1)
