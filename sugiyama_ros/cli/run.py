@@ -86,7 +86,12 @@ def run(options: RunOptions) -> None:
 
     Each driver has an estimator of their own. All topics are recorded.
     """
-    print_run(replay(options), options.as_json)
+    try:
+        result = replay(options)
+    except KeyboardInterrupt:
+        print_note("interrupted before the first sample; nothing was recorded")
+        raise
+    print_run(result, options.as_json)
 
 
 def replay(options: RunOptions) -> "RunResult":

@@ -101,8 +101,16 @@ class Recorder(PacedNode):
         return self._bag.counts
 
     def close(self) -> None:
-        """Finish the file. A publisher may go on, but nothing more is recorded."""
+        """Finish the file. A publisher may go on, but nothing more is recorded.
+
+        In the time of the data, a recording without a sample has no times: it is dropped, and an older file of its name
+        stays.
+        """
         self._is_closed = True
+        if not self._time.is_known:
+            self.get_logger().info(f"no sample came: {self._output} is not written")
+            self._bag.__exit__(SugiyamaError, None, None)
+            return
         for held in self._held:
             self._write(*held)
         if self.failure is not None:

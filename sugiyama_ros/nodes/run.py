@@ -93,7 +93,7 @@ def run(
     output: Path,
     *,
     processes: bool = False,
-    on_progress: OnProgress | None = None,
+    on_progress: OnProgress = lambda done, total: None,
     **settings: Any,
 ) -> RunResult:
     """Replay a recording, or simulate drivers, with one estimator for each driver, and record everything in one file.
@@ -111,8 +111,7 @@ def run(
     on_progress : callable, optional
         Called with the steps that all nodes have taken, and the steps there are.
     **settings
-        Fields of `RunSettings`: rate, ring_m, model, critic, save_state, resume, array, engine,
-        overwrite.
+        Fields of `RunSettings`.
 
     Returns
     -------
@@ -121,13 +120,11 @@ def run(
 
     Raises
     ------
-    SugiyamaError
-        Where a node has failed; InputError or OutputError for files that cannot be read or written.
-    KeyboardInterrupt
-        Where a signal has come before the recorder was there. Nothing is written then.
+    SugiyamaError, KeyboardInterrupt
+        Where a node has failed, or a file cannot be used; where a signal comes before the first sample.
     """
     environment.isolate()
-    plan = Plan.read(source, output, RunSettings(**settings))
+    plan, before = Plan.read(source, output, RunSettings(**settings)), _written(output)
     warm_up()  # first, so that compiling does not count as time that a node is not heard of
     began = time.monotonic()
     with ros() as asked_to_stop:
@@ -139,8 +136,7 @@ def run(
                 spinner.slice()
                 runners.check()
                 _check_started(plan, monitor, began)
-                if on_progress is not None:
-                    on_progress(monitor.steps, plan.source.steps)
+                on_progress(monitor.steps, plan.source.steps)
         finally:
             runners.stop(spinner)
             wall_s = time.monotonic() - began
@@ -148,11 +144,19 @@ def run(
             spinner.close()
             runners.close()
             monitor.destroy_node()
-        interrupted = asked_to_stop()
-        if interrupted and RECORDER not in monitor.last:
-            raise KeyboardInterrupt  # nothing was sent, so there is nothing to lose and nothing to report
+        if asked_to_stop() and _written(plan.output) == before:
+            raise KeyboardInterrupt  # no sample came, so there is nothing to lose and nothing to report
         runners.check()
-    return _result(plan, monitor, wall_s, interrupted)
+    return _result(plan, monitor, wall_s, asked_to_stop())
+
+
+def _written(path: Path) -> tuple[int, int] | None:
+    """Identify the file under a name; None if there is none."""
+    try:
+        stat = path.stat()
+    except OSError:
+        return None
+    return stat.st_ino, stat.st_mtime_ns
 
 
 def _check_started(plan: Plan, monitor: _Monitor, began_s: float) -> None:

@@ -20,6 +20,8 @@ from sugiyama_ros.nodes.base.node import PacedNode
 from sugiyama_ros.nodes.estimator import Estimator
 from sugiyama_ros.nodes.follower import Follower
 from sugiyama_ros.nodes.run import RunResult, run
+from sugiyama_ros.nodes.run_source import FromSimulator
+from sugiyama_ros.simulation.experiment import Experiment
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
 
@@ -278,6 +280,15 @@ def test_bad_input_starts_nothing(ring_csv: Path, tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="cannot be written"):
         run(ring_csv, tmp_path / "missing" / "out.mcap", ring_m=100.0)
     assert [p.name for p in tmp_path.iterdir()] == ["ring.csv"]
+
+
+def test_a_node_that_is_refused_leaves_the_old_recording(tmp_path: Path) -> None:
+    """Also with --overwrite, and where the recorder runs before the simulator finds that its cars have no room."""
+    (tmp_path / "out.mcap").write_bytes(b"precious")
+    crowded = FromSimulator(22, Experiment(ring_m=60.0, duration_s=5.0))
+    with pytest.raises(SugiyamaError, match="22 vehicles with gaps of 2 m need 137 m"):
+        run(crowded, tmp_path / "out.mcap", overwrite=True, processes=True)
+    assert [(p.name, p.read_bytes()) for p in tmp_path.iterdir()] == [("out.mcap", b"precious")]
 
 
 def test_a_refused_output_starts_no_process(ring_csv: Path, tmp_path: Path) -> None:
