@@ -1,7 +1,9 @@
 """The functions of the Python interface: what a notebook needs, on top of the rooms that do the work."""
 
+import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sugiyama_ros.calibration.calibrate import each_driver, in_classes, pooled
+from sugiyama_ros.calibration.on_tracks import TracksCalibration, calibrate_tracks
 from sugiyama_ros.calibration.result import Calibration, Settings
 from sugiyama_ros.diagnosis import compare as comparison
 from sugiyama_ros.diagnosis import diagnosis
@@ -21,7 +24,8 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.driver import Formulation
 from sugiyama_ros.fit.model_file import read_model
 from sugiyama_ros.fit.smooth_positions import evenness
-from sugiyama_ros.formats.choices import Choices
+from sugiyama_ros.formats.choices import Choices, choices_of, read_choices, reference_of
+from sugiyama_ros.formats.folder import read_files
 from sugiyama_ros.formats.frames import from_frame, tracks_of_frame
 from sugiyama_ros.formats.registry import read_tracks as tracks_of_file
 from sugiyama_ros.formats.registry import read_trajectories
@@ -30,12 +34,17 @@ from sugiyama_ros.page.recording import Recording
 from sugiyama_ros.progress import stages
 from sugiyama_ros.simulation.experiment import Experiment, carry_out, changed
 from sugiyama_ros.simulation.result import Simulation
+from sugiyama_ros.trajectories.one_lane import one_lane
 from sugiyama_ros.trajectories.tracks import Tracks
 from sugiyama_ros.trajectories.trajectories import Trajectories
 from sugiyama_ros.workers import workers
 
 if TYPE_CHECKING:
     import pandas
+
+
+#: Further settings of `calibrate`, and their defaults.
+_CALIBRATE: dict[str, Any] = {"classes": 0, "hops": 0, "seed": 0, "regularise_strength": 1.0, "scheduler": None}
 
 
 def read(source: "str | Path | pandas.DataFrame", ring_m: float | None = None) -> Trajectories:
@@ -45,7 +54,7 @@ def read(source: "str | Path | pandas.DataFrame", ring_m: float | None = None) -
     ----------
     source : str, Path or pandas.DataFrame
         A file in any known format with one recording on one lane, or a data frame with the columns time_s [s],
-        vehicle, position_m [m] and perhaps length_m [m].
+        vehicle, position_m [m] and perhaps length_m [m]. Of vehicles with names, the numbers in the names count.
     ring_m : float, optional
         Circumference [m] of the ring where the file does not tell; an open road without it.
 
@@ -71,18 +80,31 @@ def read(source: "str | Path | pandas.DataFrame", ring_m: float | None = None) -
     return from_frame(source, ring_m)
 
 
-def read_tracks(source: "str | Path | pandas.DataFrame", ring_m: float | None = None, name: str = "auto") -> Tracks:
-    """Read vehicles on any number of lanes from a file, a folder or a data frame.
+def read_tracks(
+    source: "str | Path | Sequence[str | Path] | pandas.DataFrame",
+    ring_m: float | None = None,
+    name: str = "auto",
+    *,
+    columns: str | Path | Mapping[str, Any] | None = None,
+    reference: str | None = None,
+) -> Tracks:
+    """Read vehicles on any number of lanes from files, a folder or a data frame.
 
     Parameters
     ----------
-    source : str, Path or pandas.DataFrame
-        A file or a folder in any known format, or a data frame with the columns vehicle, time_s [s] and s_m [m], and
-        perhaps recording, road, lane, d_m, length_m, width_m [m], class, driver, leader and measured.
+    source : str, Path, sequence of them or pandas.DataFrame
+        A file or a folder in any known format; several files, each of which is a recording; or a data frame with the
+        columns vehicle, time_s [s] and s_m [m], and perhaps recording, road, lane, d_m, length_m, width_m [m], class,
+        driver, leader and measured.
     ring_m : float, optional
         Circumference [m] of the ring where the file does not tell; an open road without it.
     name : str
         Name of the format of a file; "auto" for the one that recognises it.
+    columns : str, Path or mapping, optional
+        Which column of the source is which column of tracks: a map in YAML, or its content, such as
+        ``{"s_m": {"column": "Local_Y", "factor": 0.3048}, "lane": "Lane_ID"}``.
+    reference : {"centre", "front", "rear"}, optional
+        Which point of a vehicle the positions are of; by default as the format says.
 
     Returns
     -------
@@ -101,9 +123,19 @@ def read_tracks(source: "str | Path | pandas.DataFrame", ring_m: float | None = 
     >>> sg.read_tracks("three.csv", ring_m=40.0)
     <Tracks: 3 vehicles in 1 recording, 93 rows, leaders known in 100 %, from three.csv>
     """
+    choices = Choices()
+    if columns is not None:
+        is_file = isinstance(columns, str | Path)
+        choices = read_choices(Path(columns)) if is_file else choices_of(columns, "columns")  # type: ignore[arg-type]
+    if reference is not None:
+        choices = replace(choices, reference=reference_of(reference, "reference"))
+    if ring_m is not None:
+        choices = replace(choices, ring_m=ring_m)
     if isinstance(source, str | Path):
-        return tracks_of_file(Path(source), Choices(ring_m=ring_m), name)
-    return tracks_of_frame(source, Choices(ring_m=ring_m))
+        return tracks_of_file(Path(source), choices, name)
+    if isinstance(source, list | tuple):
+        return read_files([Path(one) for one in source], choices)
+    return tracks_of_frame(source, choices)
 
 
 def simulate(
@@ -147,9 +179,14 @@ def simulate(
     >>> hidden.measured.position_m.shape
     (31, 3)
     """
-    unknown = sorted(set(settings) - set(Experiment.__dataclass_fields__))
-    if unknown:
-        raise InputError(f"simulate: {unknown[0]!r} is not known; give {', '.join(Experiment.__dataclass_fields__)}")
+    _check_names("simulate", settings, Experiment.__dataclass_fields__)
+    for field, lower, upper in (
+        ("duration_s", 1.0, 1e9),
+        ("horizon", 1, 100),
+        ("seed", 0, math.inf),
+        ("spread", 0.0, 1.0),
+    ):
+        _check_within(field, settings.get(field), lower, upper)
     experiment = Experiment(**settings)
     experiment.check(vehicles)
     rows = ROW.with_effects(defaults(vehicles))
@@ -159,22 +196,22 @@ def simulate(
 
 
 def calibrate(
-    trajectories: Trajectories,
+    trajectories: Trajectories | Tracks | Simulation,
     formulation: Formulation = "causal",
     parameters: Sequence[str] = (),
     *,
     effects: Sequence[str] = (),
     regularise: bool = False,
     profile: bool = False,
-    classes: int = 0,
-    seed: int = 0,
-) -> Calibration:
+    **settings: Any,
+) -> Calibration | TracksCalibration:
     """Estimate every driver's parameters by maximum likelihood.
 
     Parameters
     ----------
-    trajectories : Trajectories
-        The recording.
+    trajectories : Trajectories, Tracks or Simulation
+        The recording, or a simulated one. Tracks may have many lanes; ``effects``, ``regularise``, ``classes``,
+        ``hops`` and the paper's formulation need one lane on which everybody is present.
     formulation : {"causal", "paper"}
         Whether perceived states are filtered, or smoothed as in the paper.
     parameters : sequence of str
@@ -185,43 +222,104 @@ def calibrate(
         Causal: drivers are draws of one population; paper: with the paper's penalty.
     profile : bool
         Whether the intervals come from the profile likelihood, which takes longer.
-    classes : int
-        Number of classes of drivers who share all parameters; 0 for parameters of each driver.
-    seed : int
-        Seed of all random numbers.
+    **settings
+        classes: number of classes of drivers who share all parameters, 0 for parameters of each driver; hops: number
+        of hops of basinhopping before the search; regularise_strength: factor of the weights of the paper's penalty;
+        seed: seed of all random numbers; scheduler: address of a Dask scheduler whose workers do the work.
 
     Returns
     -------
-    Calibration
+    Calibration or TracksCalibration
         Parameters of each driver with their errors, and whether the data hold them.
 
     Raises
     ------
     InputError
-        For an unknown name, or data that the formulation cannot take.
+        For an unknown name, options that contradict each other, or data that the formulation cannot take.
 
     Examples
     --------
     >>> import sugiyama_ros as sg
-    >>> recording = sg.simulate(vehicles=4, ring_m=45.0, duration_s=60.0, seed=1).measured
-    >>> found = sg.calibrate(recording, "paper", ["v_star", "kappa_v"])
+    >>> simulated = sg.simulate(vehicles=4, ring_m=45.0, duration_s=60.0, seed=1)
+    >>> found = sg.calibrate(simulated, "paper", ["v_star", "kappa_v"])
     >>> found.to_frame().shape
     (4, 12)
     """
-    chosen = tuple(parameters) or evenness(trajectories).estimated(formulation)
-    settings = Settings(formulation, chosen, regularise and formulation == "paper", profile, 0, seed)
-    if effects and formulation == "paper":
-        raise InputError("effects: the paper's formulation knows none; use the causal formulation")
-    with stages() as advance, workers(len(trajectories.vehicle)) as work:
-        if effects or (regularise and formulation == "causal"):
-            return pooled(trajectories, settings, list(effects), work)
+    _check_names("calibrate", settings, _CALIBRATE)
+    said = {**_CALIBRATE, **settings}
+    classes, hops, scheduler = said["classes"], said["hops"], said["scheduler"]
+    asked = (formulation, tuple(parameters), regularise, profile, hops, said["seed"], said["regularise_strength"])
+    _check_calibration(Settings(*asked), bool(effects), classes)
+    return _calibrated(_recorded(trajectories), Settings(*asked), effects, classes, scheduler)
+
+
+def _calibrated(
+    recording: Trajectories | Tracks, asked: Settings, effects: Sequence[str], classes: int, scheduler: str | None
+) -> Calibration | TracksCalibration:
+    """Drivers on tracks, together, in classes, or one by one."""
+    is_paper = asked.formulation == "paper"
+    is_pooled = bool(effects) or (asked.is_regularised and not is_paper)
+    if isinstance(recording, Tracks) and (is_paper or is_pooled or classes or asked.hops):
+        recording = one_lane(recording, recording.about.source or "tracks")
+    if isinstance(recording, Tracks):
+        with stages() as advance, workers(recording.runs, scheduler) as work:
+            on_progress = partial(advance, "calibrating")
+            return calibrate_tracks(
+                recording, asked.estimated, profiled=asked.profiled, work=work, on_progress=on_progress
+            )
+    chosen = asked.estimated or evenness(recording).estimated(asked.formulation)
+    options = replace(asked, estimated=chosen, is_regularised=asked.is_regularised and is_paper)
+    with stages() as advance, workers(len(recording.vehicle), scheduler) as work:
+        if is_pooled:
+            return pooled(recording, options, list(effects), work)
         if classes:
-            return in_classes(trajectories, settings, classes, work)
-        return each_driver(trajectories, settings, work=work, on_progress=partial(advance, "calibrating"))
+            return in_classes(recording, options, classes, work)
+        return each_driver(recording, options, work=work, on_progress=partial(advance, "calibrating"))
+
+
+def _recorded(given: Trajectories | Tracks | Simulation) -> Trajectories | Tracks:
+    """A recording; of a simulation, what a camera would have measured."""
+    if isinstance(given, Simulation):
+        return given.measured
+    if not isinstance(given, Trajectories | Tracks):
+        raise InputError(f"recording: {type(given).__name__} is none; give what read, read_tracks or simulate returns")
+    return given
+
+
+def _check_names(function: str, given: Mapping[str, Any], known: Iterable[str]) -> None:
+    unknown = sorted(set(given) - set(known))
+    if unknown:
+        raise InputError(f"{function}: {unknown[0]!r} is not known; give {', '.join(known)}")
+
+
+def _check_within(name: str, value: float | None, lower: float, upper: float) -> None:
+    if value is not None and not lower <= value <= upper:
+        most = f" to {upper:g}" if upper < math.inf else " or more"
+        raise InputError(f"{name}: {value:g} is not possible; give {lower:g}{most}")
+
+
+def _check_calibration(chosen: Settings, effects: bool, classes: int) -> None:
+    """Raise InputError for settings that contradict each other, as the command does."""
+    if chosen.formulation not in ("paper", "causal"):
+        raise InputError(f"formulation: {chosen.formulation!r} is not known; give 'paper' or 'causal'")
+    is_paper, alone = chosen.formulation == "paper", chosen.profiled or chosen.hops
+    counts = {"classes": classes, "hops": chosen.hops, "seed": chosen.seed, "regularise_strength": chosen.strength}
+    for name, value in counts.items():
+        _check_within(name, value, 0, math.inf)
+    if effects and is_paper:
+        raise InputError("effects: the paper's formulation knows none; use the causal formulation")
+    if (effects or (chosen.is_regularised and not is_paper)) and alone:
+        raise InputError("profile and hops: are for drivers calibrated one by one; leave out effects and regularise")
+    if chosen.strength != 1.0 and not (chosen.is_regularised and is_paper):
+        raise InputError("regularise_strength: give regularise=True and the formulation 'paper', too")
+    if classes and (effects or chosen.is_regularised or alone):
+        raise InputError(
+            "classes: the drivers of a class share all parameters; leave out effects, regularise, profile and hops"
+        )
 
 
 def compare(
-    trajectories: Trajectories | Tracks,
+    trajectories: Trajectories | Tracks | Simulation,
     effects: Sequence[str] = (),
     model: str | Path | None = None,
     *,
@@ -231,7 +329,7 @@ def compare(
 
     Parameters
     ----------
-    trajectories : Trajectories or Tracks
+    trajectories : Trajectories, Tracks or Simulation
         The recording, at least 8 s long; or tracks on which somebody follows a known vehicle for 15 s.
     effects : sequence of str
         Names of effects that are added to the base model.
@@ -261,7 +359,7 @@ def compare(
     given = read_model(Path(model)) if model is not None else None
     with stages() as advance:
         return comparison.compare(
-            trajectories, effects, given, seed=seed, workers=os.cpu_count() or 1, on_progress=advance
+            _recorded(trajectories), effects, given, seed=seed, workers=os.cpu_count() or 1, on_progress=advance
         )
 
 

@@ -71,8 +71,30 @@ def read_choices(path: Path) -> Choices:
     InputError
         For anything else.
     """
-    said = read_yaml(path)
-    if not isinstance(said, dict):
+    return choices_of(read_yaml(path), path)
+
+
+def choices_of(said: Any, path: object) -> Choices:
+    """Take a map of columns.
+
+    Parameters
+    ----------
+    said : mapping
+        The content of a map, as for `read_choices`.
+    path : object
+        Name of the map in a message.
+
+    Returns
+    -------
+    Choices
+        What the map says.
+
+    Raises
+    ------
+    InputError
+        For anything else.
+    """
+    if not isinstance(said, Mapping):
         raise InputError(f"{path}: not a map of columns; give lines like 'lane: Lane_ID'")
     unknown = [name for name in said if name not in (*MAPPED, "reference", "ring_m", "view")]
     if unknown:
@@ -91,9 +113,9 @@ def read_choices(path: Path) -> Choices:
         raise InputError(f"{path}: {error}") from None
 
 
-def reference_of(text: str | None) -> Reference | None:
+def reference_of(text: str | None, option: str = "--reference") -> Reference | None:
     """The reference that an option names. Raises InputError."""
-    found: Reference | None = _one_of("--reference", "reference", text, _REFERENCES)
+    found: Reference | None = _one_of(option, "reference", text, _REFERENCES)
     return found
 
 
@@ -103,8 +125,8 @@ def _one_of(where: object, name: str, value: Any, known: tuple[Any, ...]) -> Any
     return value
 
 
-def _column(path: Path, name: str, said: Any) -> tuple[str, float]:
-    if isinstance(said, dict) and set(said) <= {"column", "factor"} and "column" in said:
+def _column(path: object, name: str, said: Any) -> tuple[str, float]:
+    if isinstance(said, Mapping) and set(said) <= {"column", "factor"} and "column" in said:
         factor = number(said.get("factor", 1.0), f"{path}: factor of {name}")
         if not _FACTORS[0] <= abs(factor) <= _FACTORS[1]:
             raise InputError(f"{path}: factor of {name}: {factor:g} is no unit's factor; 0.3048 makes metres of feet")

@@ -102,7 +102,8 @@ def _periods(place: Labels, clock_s: Array) -> tuple[Labels, Array]:
 
 def _sheet(path: Path, head: bytes) -> Sheet | None:
     sheet = sheet_of(path, head)
-    if sheet is None or sheet.is_parquet:
+    # a row with the place of the leader too is a pair
+    if sheet is None or sheet.is_parquet or sheet.has("preceding_local_y"):
         return None
     if sheet.has("Vehicle_ID", "Local_Y", "Preceding") or sheet.has("Vehicle ID", "Local Y (ft)", "Lane Num"):
         return sheet

@@ -85,7 +85,7 @@ def _read(path: Path, ring_m: float | None) -> Trajectories:
                     continue
                 if len(row) != len(header):
                     raise InputError(f"{where}: {len(row)} fields, the header has {len(header)}; correct the line")
-                if _is_other(*(row[columns[name]].strip() for name in _REQUIRED)):
+                if _is_other({name: row[column].strip() for name, column in columns.items()}):
                     raise _OtherTableError
                 vehicle = _vehicle(row[columns["vehicle"]].strip(), where)
                 position = row[columns["position_m"]].strip()
@@ -131,11 +131,10 @@ def write_csv(trajectories: Trajectories, target: Target) -> None:
                 stream.write(f"{time!r},{vehicle},{position},{length!r}\n".encode())
 
 
-def _is_other(time: str, vehicle: str, position: str) -> bool:
+def _is_other(cells: dict[str, str]) -> bool:
     """Whether a row has a clock, a name of a vehicle, or a decimal comma."""
-    return (
-        (vehicle not in MISSING and _NAME.search(vehicle) is not None) or ":" in time or "," in time or "," in position
-    )
+    named = cells["vehicle"] not in MISSING and _NAME.search(cells["vehicle"]) is not None
+    return named or ":" in cells["time_s"] or any("," in text for text in cells.values())
 
 
 def _columns(path: Path, header: list[str]) -> dict[str, int]:

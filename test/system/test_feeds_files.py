@@ -1,0 +1,627 @@
+"""Files and data frames as users have them: what a user reads is right, or a message names the cure that works."""
+
+import math
+import re
+import sys
+from collections.abc import Iterable
+from datetime import timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import sugiyama_ros as sg
+from sugiyama_ros import cli
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.trajectories.leaders import gaps
+
+pd = pytest.importorskip("pandas")
+pytestmark = pytest.mark.system
+CASES = Path(__file__).parents[2].parent / "shared/cases"
+#: Three cars behind one another at 12 m/s.
+CARS = pd.DataFrame(
+    [
+        {"time_s": i / 10, "vehicle": v, "position_m": 260 + 20 * v + 1.2 * i, "length_m": 4.5}
+        for i in range(100)
+        for v in range(3)
+    ]
+)
+
+
+@pytest.fixture
+def sugiyama(tmp_path, monkeypatch, capfd):
+    """Run a command in this process, in an empty folder: exit code, stdout, stderr."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["sugiyama", *map(str, arguments)])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        out, err = capfd.readouterr()
+        return end.value.code or 0, out, err
+
+    return run
+
+
+def info(sugiyama, path) -> dict[str, str]:
+    """What `sugiyama info` prints, by its first word."""
+    code, out, err = sugiyama("info", path)
+    assert (code, err) == (0, ""), err
+    return {key: text.strip() for key, _, text in (line.partition(":") for line in out.splitlines())}
+
+
+def is_the_cars(said: dict[str, str]) -> None:
+    assert said["Vehicles"] == "3"
+    assert said["Time"] == "0 to 9.9 s"
+    assert said["Positions"] == "260 to 418.8 m, of the vehicles' centres"
+    assert said["Leaders"] == "66.7% in the table, 0.0% free road, 33.3% unknown"
+
+
+# ---- numbers and times as text
+
+
+def german(frame, separator: str) -> str:
+    """A table with decimal commas; numbers without a fraction are written without a comma."""
+    rows = [separator.join(f"{value:.6g}".replace(".", ",") for value in row) for row in frame.itertuples(index=False)]
+    return "\n".join([separator.join(frame.columns), *rows]) + "\n"
+
+
+@pytest.mark.parametrize("separator", [";", "\t", "  "])
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_decimal_commas_and_ends_of_lines(sugiyama, separator, end):
+    """The first row has no comma: all rows say how numbers are written."""
+    Path("cars.csv").write_bytes(german(CARS, separator).replace("\n", end).encode())
+    is_the_cars(info(sugiyama, "cars.csv"))
+    assert sg.read("cars.csv").position_m.shape == (100, 3)
+
+
+def test_a_point_in_a_text_is_no_decimal_point(sugiyama):
+    Path("cars.csv").write_text(german(CARS, ";").replace("\n", ";Kfz.\n").replace("Kfz.", "class", 1))
+    is_the_cars(info(sugiyama, "cars.csv"))
+
+
+def test_quoted_decimal_commas(sugiyama):
+    rows = ['"' + row.replace(";", '","') + '"' for row in german(CARS, ";").splitlines()]
+    Path("cars.csv").write_text("\n".join(rows) + "\n")
+    is_the_cars(info(sugiyama, "cars.csv"))
+    assert sg.read("cars.csv").position_m[-1, -1] == 418.8
+
+
+def test_two_decimal_points_in_one_table_are_refused(sugiyama):
+    lines = german(CARS, ";").splitlines()
+    lines[7] = lines[7].replace(",", ".")
+    Path("cars.csv").write_text("\n".join(lines) + "\n")
+    code, _, err = sugiyama("info", "cars.csv")
+    assert code == 2
+    assert (
+        "cars.csv:8: column position_m: '262.4' is not a number, or has another decimal point; correct the line" in err
+    )
+
+
+def clock(second: float) -> str:
+    minutes, rest = divmod(second, 60.0)
+    return f"{int(minutes) // 60:02}:{int(minutes) % 60:02}:{rest:04.1f}"
+
+
+@pytest.mark.parametrize(
+    ("write", "start"),
+    [
+        (lambda t: clock(t), 0.0),
+        (lambda t: clock(t).replace(".", ","), 0.0),
+        (lambda t: f"0 days {clock(t)}00000", 0.0),
+        (lambda t: f"{int(t) // 60:02}:{t % 60:04.1f}", 0.0),
+        (lambda t: f"2024-05-31T10:00:{t:04.1f}Z", 1717149600.0),
+        (lambda t: f"2024-05-31 12:00:{t:04.1f}+02:00", 1717149600.0),
+        # midnight passes
+        (lambda t: clock((86395.0 + t) % 86400.0), 86395.0),
+    ],
+)
+def test_times_that_people_read(sugiyama, write, start):
+    CARS.assign(time_s=[write(t) for t in CARS.time_s]).to_csv("cars.csv", sep=";", index=False)
+    is_the_cars(info(sugiyama, "cars.csv") | {"Time": "0 to 9.9 s"})
+    tracks = sg.read_tracks("cars.csv")
+    np.testing.assert_allclose(np.unique(tracks.time_s), start + np.arange(100) / 10, atol=1e-6)
+    CARS.assign(time_s=[write(t) for t in CARS.time_s]).to_csv("plain.csv", index=False, quoting=1)
+    assert sg.read("plain.csv").start_s == pytest.approx(start, abs=1e-6)
+    frame = sg.read_tracks(pd.read_csv("cars.csv", sep=";"))
+    np.testing.assert_array_equal(frame.time_s, tracks.time_s)
+
+
+def test_a_time_that_is_none_is_named(sugiyama):
+    CARS.assign(time_s=["noon"] * 300).to_csv("cars.csv", sep=";", index=False)
+    code, _, err = sugiyama("info", "cars.csv")
+    assert code == 2
+    assert "cars.csv:2: column time_s: 'noon' is not a time; give seconds, or a time such as 0:01:02.5" in err
+
+
+# ---- names
+
+
+def test_vehicles_with_names(sugiyama):
+    CARS.assign(vehicle="car" + CARS.vehicle.astype(str)).to_csv("cars.csv", index=False)
+    read = sg.read("cars.csv")
+    np.testing.assert_array_equal(read.vehicle, [0, 1, 2])
+    np.testing.assert_array_equal(read.position_m, sg.read(CARS).position_m)
+    assert sg.read(pd.read_csv("cars.csv")).vehicle.tolist() == [0, 1, 2]
+    code, out, _ = sugiyama("convert", "cars.csv", "cars.mcap")
+    assert code == 0
+    assert out.startswith("3 vehicles")
+
+
+def test_names_that_end_in_point_zero_stay(sugiyama):
+    """A flow of SUMO called 3 has the vehicles 3.0, 3.1, ...; another vehicle may be called 3."""
+    names = ["3", "3.0", "3.1"]
+    CARS.assign(vehicle=[names[v] for v in CARS.vehicle]).to_csv("cars.csv", sep=";", index=False)
+    assert sg.read_tracks("cars.csv").vehicle.used() == ("3", "3.0", "3.1")
+
+
+def test_whole_numbers_may_be_written_with_a_point(sugiyama):
+    """Tables write the leader as 2.0 where some rows have none."""
+    led = CARS.assign(leader=CARS.vehicle.map({0: 1.0, 1: 2.0, 2: np.nan}))
+    led.to_csv("cars.csv", index=False)
+    for tracks in (sg.read_tracks("cars.csv"), sg.read_tracks(led)):
+        assert tracks.leader.values()[::100].tolist() == ["1", "2", None]
+    text = led.assign(
+        vehicle=led.vehicle.map({0: "5.0", 1: "5.1", 2: "5.2"}), leader=led.leader.map({1: "5.1", 2: "5.2"})
+    )
+    assert sg.read_tracks(text).leader.values()[::100].tolist() == ["5.1", "5.2", None]
+
+
+def test_a_vehicle_may_be_called_0():
+    """Where ids start at 0, the leader 0 is a vehicle, and not nobody."""
+    led = CARS.assign(vehicle=2 - CARS.vehicle, leader=CARS.vehicle.map({0: 1, 1: 0, 2: -1}))
+    assert sg.read_tracks(led).leader.values()[::100].tolist() == [None, "0", "1"]
+
+
+def test_file_names_that_are_not_utf8(sugiyama):
+    folder = Path("runs")
+    folder.mkdir()
+    for name in (b"runs/a\xe9.csv", b"runs/a\xea.csv"):
+        Path(name.decode(errors="surrogateescape")).write_text(CARS.to_csv(index=False))
+    for out in ("all.parquet", "all.csv"):
+        code, _, err = sugiyama("convert", "runs", out)
+        assert (code, err) == (0, "")
+        assert sg.read_tracks(out).recording.used() == ("a\\xe9", "a\\xea")
+
+
+# ---- data frames, CSV and Parquet are one
+
+
+OPTIONAL = ("recording", "road", "lane", "d_m", "length_m", "width_m", "class", "driver", "leader", "measured")
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(empty=st.sets(st.sampled_from(OPTIONAL)), left_out=st.sets(st.sampled_from(OPTIONAL)))
+def test_a_column_that_may_be_empty_may_be_wholly_empty(tmp_path, empty, left_out):
+    table = CARS.rename(columns={"position_m": "s_m"}).assign(
+        **{"recording": "r", "road": "A", "lane": 1, "d_m": 0.1, "width_m": 1.8, "class": "car", "driver": "x"},
+        leader=CARS.vehicle.map({0: 1, 1: 2}),
+        measured=1,
+    )
+    table = table.assign(**dict.fromkeys(empty, pd.NA)).drop(columns=[*left_out])
+    table.to_csv(tmp_path / "t.csv", index=False)
+    table.to_parquet(tmp_path / "t.parquet")
+    found = [sg.read_tracks(table), sg.read_tracks(tmp_path / "t.csv"), sg.read_tracks(tmp_path / "t.parquet")]
+    # nobody knows who follows whom where a column of lanes or roads is there, but says nothing, and no leader is named
+    named = "leader" not in empty | left_out
+    known = named or not {"lane", "road"} - left_out & empty
+    for tracks in found:
+        assert len(tracks) == 300
+        assert tracks.leader.values()[::100].tolist() == (["1", "2", None] if known else [None] * 3)
+        np.testing.assert_allclose(tracks.length_m, 4.33 if "length_m" in empty | left_out else 4.5)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda f: f.assign(time_s=pd.to_timedelta(f.time_s, unit="s")),
+        lambda f: f.assign(time_s=pd.Series([timedelta(seconds=t) for t in f.time_s], dtype=object)),
+        lambda f: f.assign(vehicle=f.vehicle.astype("category"), position_m=f.position_m.astype("string")),
+        lambda f: f.assign(vehicle=f.vehicle.astype("Int64"), position_m=f.position_m.astype("Float64")),
+        lambda f: f.assign(position_m=f.position_m.map("{:.2f}".format).str.replace(".", ",")),
+        lambda f: f.set_index("time_s"),
+        lambda f: f.set_index(["vehicle", "time_s"]),
+        lambda f: f.sample(frac=1.0, random_state=1),
+    ],
+)
+def test_types_of_a_data_frame(change):
+    given = change(CARS)
+    np.testing.assert_allclose(sg.read(given).position_m, sg.read(CARS).position_m)
+    tracks = sg.read_tracks(given)
+    np.testing.assert_allclose(tracks.s_m, sg.read_tracks(CARS).s_m)
+    np.testing.assert_allclose(tracks.time_s, sg.read_tracks(CARS).time_s)
+
+
+def test_dates_and_missing_values_of_a_data_frame(tmp_path):
+    dates = CARS.assign(time_s=pd.Timestamp("2024-05-31 10:00") + pd.to_timedelta(CARS.time_s, unit="s"))
+    assert sg.read(dates).start_s == 1717149600.0
+    vehicle = CARS.vehicle.astype(object).where(CARS.index != 5, pd.NA)
+    found = sg.read_tracks(dates.assign(vehicle=vehicle, lane=pd.array([1, pd.NA] * 150, dtype="Int64")))
+    assert dict(found.about.dropped) == {"no vehicle": 1}
+    with pytest.raises(
+        InputError, match=r"a time or a vehicle is missing; correct or drop the rows, as by frame.dropna"
+    ):
+        sg.read(dates.assign(vehicle=vehicle))
+    assert sg.read(dates.assign(vehicle=vehicle).dropna(subset="vehicle")).position_m.shape == (100, 3)
+
+
+# ---- positions and speeds
+
+
+TGSIM = (
+    "id,time,xloc_kf,yloc_kf,lane_kf,speed_kf,acceleration_kf,length_smoothed,width_smoothed,type_most_common,run_index"
+)
+
+
+def tgsim(angle: float, origin: float = 0.0) -> str:
+    """Two lanes of two cars at 12 m/s, on a road in a direction."""
+    rows = [TGSIM]
+    for car, lane, start in ((1, 1, 20.0), (2, 1, 50.0), (3, 2, 30.0), (4, 2, 75.0)):
+        for i in range(100):
+            s, d = start + 1.2 * i, 3.6 * lane
+            x, y = s * math.cos(angle) - d * math.sin(angle), s * math.sin(angle) + d * math.cos(angle)
+            rows.append(f"{car},{i / 10},{origin + x:.3f},{origin + y:.3f},{lane},12,0,4.5,1.9,car,1")
+    return "\n".join(rows) + "\n"
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.5, math.pi / 2, 2.5, math.pi, -math.pi / 2, -0.8])
+@pytest.mark.parametrize("origin", [0.0, 4e5])
+def test_tgsim_is_measured_along_the_drive(tmp_path, angle, origin):
+    path = tmp_path / "I395.csv"
+    path.write_text(tgsim(angle, origin))
+    tracks = sg.read_tracks(path)
+    assert tracks.leader.values()[::100].tolist() == ["2", None, "4", None]
+    np.testing.assert_allclose(np.diff(tracks.s_m.reshape(4, 100)), 1.2, atol=2e-3)
+    np.testing.assert_allclose(gaps(tracks)[:100], 25.5, atol=2e-3)
+
+
+def test_positions_that_contradict_the_speeds_are_refused_and_the_cure_works(sugiyama):
+    """Local_X is along the road here: who sees the file knows which column holds positions along the road."""
+    head = (
+        "Vehicle_ID,Frame_ID,Total_Frames,Global_Time,Local_X,Local_Y,v_Length,v_Width,v_Class,v_Vel,Lane_ID,Preceding"
+    )
+    rows = [
+        f"{v},{i},100,{1113433135300 + 100 * i},{40 * v + 3.9 * i:.2f},{12 + 0.01 * i},15,6,2,39,1,{(v + 1) % 4}"
+        for v in (1, 2, 3)
+        for i in range(100)
+    ]
+    Path("ngsim.csv").write_text("\n".join([head, *rows]) + "\n")
+    code, out, err = sugiyama("info", "ngsim.csv")
+    assert (code, out) == (2, "")
+    assert "vehicles move at 0.0305 m/s by their positions, but at 11.9 m/s by the speeds in the file" in err
+    cure = re.search(r"\((--format table --columns map.yaml)\)", err)
+    assert cure
+    Path("map.yaml").write_text(
+        "time_s: {column: Frame_ID, factor: 0.1}\nvehicle: Vehicle_ID\ns_m: {column: Local_X, factor: 0.3048}\n"
+        "length_m: {column: v_Length, factor: 0.3048}\nspeed: {column: v_Vel, factor: 0.3048}\nlane: Lane_ID\n"
+    )
+    code, _, err = sugiyama("convert", "ngsim.csv", "cured.parquet", *cure[1].split())
+    assert (code, err) == (0, "")
+    assert info(sugiyama, "cured.parquet")["Leaders"].startswith("66.7% in the table")
+    place = {"column": "Local_X", "factor": 0.3048}
+    columns = {"time_s": {"column": "Frame_ID", "factor": 0.1}, "vehicle": "Vehicle_ID", "s_m": place, "speed": "v_Vel"}
+    with pytest.raises(InputError, match=r"but at 39 m/s by the speeds"):
+        sg.read_tracks("ngsim.csv", columns=columns)
+
+
+def test_a_speed_without_a_unit_is_a_warning():
+    assert not any("speeds" in note for note in sg.read_tracks(CARS.assign(speed=12.0)).about.notes)
+    assert not any("speeds" in note for note in sg.read_tracks(CARS.assign(speed=43.2)).about.notes)
+    assert not any("speeds" in note for note in sg.read_tracks(CARS.assign(speed=0.0)).about.notes)
+    said = [note for note in sg.read_tracks(CARS.assign(speed=8.0)).about.notes if "speeds" in note]
+    assert said[0].startswith("warning: vehicles move at 12 m/s by their positions, but at 8 (no unit) by the speeds")
+    with pytest.raises(InputError, match="but at 8 m/s by the speeds"):
+        sg.read_tracks(CARS.assign(speed_mps=8.0))
+
+
+# ---- pairs
+
+
+def test_pairs_without_names(sugiyama):
+    """The message says what rows with a follower and the leader need, and that works."""
+    pairs = pd.DataFrame(
+        {"t": np.arange(100) / 10, "lead": 60 + 1.2 * np.arange(100), "follow": 30 + 1.2 * np.arange(100)}
+    )
+    pairs.to_csv("pairs.csv", index=False)
+    code, _, err = sugiyama("info", "pairs.csv")
+    assert code == 2
+    assert "where a row has a follower and the leader, give time_s, s_m and leader_s_m" in err
+    Path("map.yaml").write_text("time_s: t\ns_m: follow\nleader_s_m: lead\n")
+    code, _, err = sugiyama("convert", "pairs.csv", "pairs.parquet", "--columns", "map.yaml")
+    assert (code, err) == (0, "")
+    tracks = sg.read_tracks("pairs.parquet")
+    assert tracks.vehicle.used() == ("follower", "leader")
+    np.testing.assert_allclose(gaps(tracks)[:100], 30.0 - 4.33)
+    frame = sg.read_tracks(pairs.rename(columns={"t": "time_s", "lead": "leader_s_m", "follow": "s_m"}))
+    np.testing.assert_array_equal(frame.s_m, tracks.s_m)
+
+
+def test_a_leader_0_without_a_place_is_nobody(tmp_path):
+    head = "vehicle_id,preceding,frame_id,local_y,preceding_local_y,v_length,preceding_length"
+    rows = [f"7,{5 if i < 60 else 0},{i},{30 + i},{60 + i if i < 60 else 0},4,4" for i in range(100)]
+    (tmp_path / "p.csv").write_text("\n".join([head, *rows]) + "\n")
+    tracks = sg.read_tracks(tmp_path / "p.csv")
+    assert tracks.vehicle.used() == ("5", "7")
+    assert tracks.leader.values()[60:].tolist() == ["5"] * 60 + [None] * 40
+
+
+# ---- SUMO
+
+
+def fcd(rows: Iterable[tuple[int, int]], attributes: str, clocks: bool = False, before: str = "") -> str:
+    """Cars at 10 m/s on one edge."""
+    steps: dict[int, str] = {}
+    for step, car in rows:
+        place = f'x="0" y="0" angle="90" type="car" speed="10.00" pos="{100 + 40 * car + 10 * step:.2f}" slope="0"'
+        steps[step] = steps.get(step, "") + f'<vehicle id="flow.{car}" {place} {attributes}/>'
+    times = {step: clock(step).replace(".0", ".00") if clocks else f"{step:.2f}" for step in steps}
+    body = "".join(f'<timestep time="{times[step]}">{cars}</timestep>' for step, cars in steps.items())
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{before}<fcd-export>{body}</fcd-export>\n'
+
+
+SUMO_ROWS = [(step, car) for step in range(61) for car in range(3)]
+
+
+def test_sumo_says_times_as_clocks(sugiyama):
+    # the options of SUMO stand in a comment before the data
+    Path("fcd.xml").write_text(fcd(SUMO_ROWS, 'lane="E0_0"', True, f"<!-- {'option ' * 2000} -->\n"))
+    said = info(sugiyama, "fcd.xml")
+    assert (said["Format"], said["Time"], said["Period"]) == ("sumo", "0 to 60 s", "1 s")
+    assert said["Leaders"].startswith("66.7% in the table")
+    text = ["timestep_time;vehicle_id;vehicle_pos;vehicle_lane;vehicle_speed"]
+    text += [f"{clock(step)};flow.{car};{100 + 40 * car + 10 * step};E0_0;10" for step, car in SUMO_ROWS]
+    Path("fcd.csv").write_text("\n".join(text) + "\n")
+    assert info(sugiyama, "fcd.csv")["Time"] == "0 to 60 s"
+
+
+@pytest.mark.parametrize("separator", ["xml", ";"])
+def test_sumo_without_lanes_has_no_leaders(sugiyama, separator):
+    if separator == "xml":
+        Path("meso.fcd").write_text(fcd(SUMO_ROWS, 'edge="E0"'))
+    else:
+        text = ["timestep_time;vehicle_id;vehicle_pos;vehicle_edge;vehicle_speed"]
+        text += [f"{step};flow.{car};{100 + 40 * car + 10 * step};E0;10" for step, car in SUMO_ROWS]
+        Path("meso.fcd").write_text("\n".join(text) + "\n")
+    code, out, _ = sugiyama("info", "meso.fcd")
+    assert code == 0
+    assert "Leaders:     0.0% in the table, 0.0% free road, 100.0% unknown" in out
+    assert "warning: edges have no lanes in the file, as in SUMO's mesoscopic model, so that no leader is known" in out
+    code, _, err = sugiyama("calibrate", "meso.fcd")
+    assert code == 2
+    assert err.count("error: ") == 1
+
+
+def test_sumo_some_vehicles_are_on_no_edge(tmp_path):
+    text = fcd(SUMO_ROWS, 'lane="E0_0"')
+    waiting = '<vehicle id="w" x="0" y="0" angle="0" type="car" speed="0" pos="0" lane="" slope="0"/></timestep>'
+    (tmp_path / "fcd.xml").write_text(text.replace("</timestep>", waiting))
+    tracks = sg.read_tracks(tmp_path / "fcd.xml")
+    assert tracks.vehicle.used() == ("flow.0", "flow.1", "flow.2")
+
+
+# ---- CommonRoad
+
+
+def bound(points: list[tuple[float, float]], off: float) -> str:
+    text = ""
+    for k, (x, y) in enumerate(points):
+        (ax, ay), (bx, by) = points[max(k - 1, 0)], points[min(k + 1, len(points) - 1)]
+        angle = math.atan2(by - ay, bx - ax)
+        text += f"<point><x>{x - off * math.sin(angle):.4f}</x><y>{y + off * math.cos(angle):.4f}</y></point>"
+    return text
+
+
+def lanelet(name: int, points: list[tuple[float, float]], more: str = "") -> str:
+    left, right = bound(points, 1.75), bound(points, -1.75)
+    return f'<lanelet id="{name}"><leftBound>{left}</leftBound><rightBound>{right}</rightBound>{more}</lanelet>'
+
+
+def after(*names: int) -> str:
+    return "".join(f'<successor ref="{name}"/>' for name in names)
+
+
+def line(x: float, y: float, length: int, angle: float = 0.0) -> list[tuple[float, float]]:
+    return [(x + s * math.cos(angle), y + s * math.sin(angle)) for s in range(0, length + 1, 10)]
+
+
+def point(x: float, y: float) -> str:
+    return f"<point><x>{x:.4f}</x><y>{y:.4f}</y></point>"
+
+
+def obstacle(name: int, way: list[tuple[float, float, float]], place=point) -> str:
+    states = [
+        f"<{'state' if k else 'initialState'}><position>{place(x, y)}</position><orientation><exact>{h:.4f}</exact>"
+        f"</orientation><time><exact>{k}</exact></time><velocity><exact>10</exact></velocity>"
+        f"</{'state' if k else 'initialState'}>"
+        for k, (x, y, h) in enumerate(way)
+    ]
+    return (
+        f'<dynamicObstacle id="{name}"><type>car</type><shape><rectangle><length>4.5</length><width>1.8</width>'
+        f"</rectangle></shape>{states[0]}<trajectory>{''.join(states[1:])}</trajectory></dynamicObstacle>"
+    )
+
+
+def drive(x: float, y: float, angle: float = 0.0, samples: int = 60) -> list[tuple[float, float, float]]:
+    return [(x + k * math.cos(angle), y + k * math.sin(angle), angle) for k in range(samples)]
+
+
+def scenario(*parts: str, quote: str = '"', step: str = "0.1") -> str:
+    return f'<?xml version="1.0"?>\n<commonRoad  timeStepSize = {quote}{step}{quote}>{"".join(parts)}</commonRoad>'
+
+
+STREET = lanelet(1, line(0.0, 0.0, 300))
+
+
+@pytest.mark.parametrize("quote", ['"', "'"])
+@pytest.mark.parametrize(
+    "goal",
+    [
+        '<planningProblem id="9"><goalState><position><lanelet ref="1"/></position></goalState></planningProblem>',
+        '<planningProblem id="9"><goalState><position><lanelet id="1"/></position></goalState></planningProblem>',
+        '<scenarioTags><obstacle id="3"/></scenarioTags>',
+    ],
+)
+def test_tags_count_where_they_belong(tmp_path, quote, goal):
+    path = tmp_path / "goal.xml"
+    path.write_text(
+        scenario(STREET, obstacle(11, drive(20, 0)), obstacle(12, drive(50, 0)), goal, quote=quote, step="0.1")
+    )
+    tracks = sg.read_tracks(path)
+    assert (tracks.vehicle.used(), tracks.time_s.max()) == (("11", "12"), pytest.approx(5.9))
+    np.testing.assert_allclose(gaps(tracks)[:60], 25.5)
+
+
+def test_the_time_step_is_the_files(tmp_path):
+    path = tmp_path / "step.xml"
+    text = scenario(STREET, obstacle(11, drive(20, 0)), quote="'", step="0.04")
+    path.write_text(text.replace("velocity><exact>10<", "velocity><exact>25<"))
+    assert sg.read_tracks(path).time_s.max() == pytest.approx(59 * 0.04)
+
+
+@pytest.mark.parametrize(
+    ("place", "known"),
+    [
+        (
+            lambda x, y: (
+                f"<rectangle><length>2</length><width>1</width><center><x>{x}</x><y>{y}</y></center></rectangle>"
+            ),
+            60,
+        ),
+        (lambda x, y: f"<circle><radius>1</radius><center><x>{x}</x><y>{y}</y></center></circle>", 60),
+        (lambda x, y: f"<polygon>{point(x - 1, y)}{point(x + 1, y - 1)}{point(x, y + 1)}</polygon>", 60),
+        (lambda x, y: '<lanelet ref="1"/>', 0),
+    ],
+)
+def test_uncertain_places_give_their_middles_or_are_counted(tmp_path, place, known):
+    path = tmp_path / "area.xml"
+    path.write_text(scenario(STREET, obstacle(11, drive(20, 0)), obstacle(12, drive(50, 0), place)))
+    tracks = sg.read_tracks(path)
+    assert len(tracks) == 60 + known
+    if known:
+        np.testing.assert_allclose(gaps(tracks)[:60], 25.5, atol=1e-9)
+        assert "places of 60 states are areas in the file; their middles count" in tracks.about.notes
+    else:
+        assert dict(tracks.about.dropped) == {"a state without an exact time or a place": 60}
+
+
+def test_nobody_follows_a_vehicle_on_a_crossing_street(tmp_path):
+    path = tmp_path / "crossing.xml"
+    streets = lanelet(1, line(-100, 0, 200)), lanelet(2, line(0, -100, 200, math.pi / 2))
+    north = math.pi / 2
+    cars = [obstacle(11, drive(-60, 0)), obstacle(12, drive(-30, 0)), obstacle(21, drive(0, -50, north))]
+    path.write_text(scenario(*streets, *cars, obstacle(22, drive(0, -25, north))))
+    tracks = sg.read_tracks(path)
+    assert tracks.lane.used() == ("1", "2")
+    for first, name in ((0, "12"), (60, None), (120, "22"), (180, None)):
+        assert set(tracks.leader.values()[first : first + 60]) == {name}
+
+
+def turned(s: float, radius: float = 40.0) -> tuple[float, float, float]:
+    """A way of 100 m, a quarter of a circle to the right, and on."""
+    if s < 100.0:
+        return s, 0.0, 0.0
+    angle = min((s - 100.0) / radius, math.pi / 2)
+    rest = max(s - 100.0 - radius * math.pi / 2, 0.0)
+    return 100 + radius * math.sin(angle), -radius + radius * math.cos(angle) - rest, -angle
+
+
+def test_every_successor_counts_at_a_fork(tmp_path):
+    """Who turns follows who turns, and positions go on without a jump."""
+    path = tmp_path / "fork.xml"
+    bend = [turned(100 + k * math.pi)[:2] for k in range(21)]
+    streets = lanelet(1, line(0, 0, 100), after(2, 3)), lanelet(2, line(100, 0, 100)), lanelet(3, bend, after(4))
+    cars = [(11, 30, turned), (12, 55, turned), (13, 45, None), (14, 70, None)]
+    text = [
+        obstacle(name, [turned(start + k) for k in range(120)] if way else drive(start, 0, 0, 120))
+        for name, start, way in cars
+    ]
+    path.write_text(scenario(*streets, lanelet(4, line(140, -40, 100, -math.pi / 2)), *text))
+    tracks = sg.read_tracks(path)
+    np.testing.assert_allclose(np.diff(tracks.s_m.reshape(4, 120)), 1.0, atol=0.02)
+    leader = tracks.leader.values().reshape(4, 120)
+    assert leader[0, 0] == "13"  # in front of the fork, the next one ahead
+    assert leader[0, 60] == "12"  # 13 went straight on
+    assert leader[2, 60] == "14"
+    assert not any("warning" in note for note in tracks.about.notes)
+
+
+def test_lanes_side_by_side_have_one_origin(tmp_path):
+    """A lane that begins 100 m before the other one is no jump for who changes lanes."""
+    path = tmp_path / "change.xml"
+    beside = '<adjacent{} ref="{}" drivingDir="same"/>'
+    streets = (
+        lanelet(9, line(-100, 0, 100), after(1)),
+        lanelet(1, line(0, 0, 300), beside.format("Left", 2)),
+        lanelet(2, line(0, 3.5, 300), beside.format("Right", 1)),
+    )
+    change = [(20 + k, 3.5 / (1 + math.exp(-(k - 50) / 5)), 0.0) for k in range(120)]
+    cars = obstacle(11, change), obstacle(12, drive(60, 0, 0, 120)), obstacle(13, drive(70, 3.5, 0, 120))
+    path.write_text(scenario(*streets, *cars))
+    tracks = sg.read_tracks(path)
+    np.testing.assert_allclose(np.diff(tracks.s_m.reshape(3, 120)), 1.0, atol=1e-6)
+    assert list(dict.fromkeys(tracks.leader.values()[:120])) == ["12", "13"]
+    assert list(dict.fromkeys(tracks.lane.values()[:120])) == ["9", "2"]
+
+
+# ---- from a feed to an estimate in Python
+
+
+def test_python_calibrates_tracks_and_simulations():
+    simulated = sg.simulate(4, ring_m=45.0, duration_s=60.0, seed=1)
+    found = sg.calibrate(simulated, "paper").to_frame()
+    np.testing.assert_array_equal(found, sg.calibrate(simulated.measured, "paper").to_frame())
+    rng = np.random.default_rng(0)
+    noisy = CARS.assign(position_m=CARS.position_m + rng.normal(0.0, 0.1, len(CARS)))
+    longer = pd.concat(
+        [noisy.assign(time_s=noisy.time_s + 10 * k, position_m=noisy.position_m + 120 * k) for k in range(3)]
+    )
+    drivers = sg.calibrate(sg.read_tracks(longer), parameters=["v_star"]).to_frame()
+    assert drivers["vehicle"].tolist() == ["0", "1"]
+    assert (drivers["v_star"] > 10.0).all()
+
+
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        ({"formulation": "papr"}, r"formulation: 'papr' is not known; give 'paper' or 'causal'"),
+        ({"hops": -1}, r"hops: -1 is not possible; give 0 or more"),
+        ({"classes": 2, "profile": True}, r"classes: .*; leave out effects, regularise, profile and hops"),
+        ({"regularise_strength": 2.0}, r"regularise_strength: give regularise=True and the formulation 'paper', too"),
+        ({"strength": 2.0}, r"calibrate: 'strength' is not known; give classes, hops, seed"),
+    ],
+)
+def test_python_refuses_what_the_command_refuses(settings, told):
+    with pytest.raises(InputError, match=told):
+        sg.calibrate(sg.simulate(2, ring_m=40.0, duration_s=10.0), **settings)
+    with pytest.raises(InputError, match=r"horizon: 0 is not possible; give 1 to 100"):
+        sg.simulate(2, horizon=0)
+    with pytest.raises(InputError, match=r"recording: str is none; give what read, read_tracks or simulate returns"):
+        sg.calibrate("cars.csv")
+
+
+# ---- the cases that users reported
+
+
+@pytest.mark.skipif(not CASES.exists(), reason="needs the reported files")
+@pytest.mark.parametrize(
+    ("name", "lines"),
+    [
+        ("commonroad_goal_lanelet/cr_goal.xml", ("Time:        0 to 5.9 s", "50.0% in the table")),
+        ("commonroad_uncertain_position/cr_rect.xml", ("Time:        0 to 5.9 s", "50.0% in the table", "areas")),
+        ("csv_decimal_comma/de_first_whole.csv", ("Time:        0 to 30 s", "66.7% in the table")),
+        ("csv_decimal_comma/de_dot.csv", ("Time:        0.1 to 30.1 s", "66.7% in the table")),
+        ("csv_decimal_comma/cr.csv", ("Time:        0 to 30 s", "66.7% in the table")),
+        ("sumo_human_readable_time/human.xml", ("Time:        0 to 60 s", "75.0% in the table")),
+        ("sumo_human_readable_time/human.csv", ("Time:        0 to 60 s", "75.0% in the table")),
+        ("sumo_meso_no_lane/meso.xml", ("100.0% unknown", "so that no leader is known")),
+        ("tgsim_i395_axis/I395_short.csv", ("75.0% in the table",)),
+        ("tgsim_i395_axis/I395_two.csv", ("Positions:   0 to 472.741 m",)),
+    ],
+)
+def test_reported_files(sugiyama, name, lines):
+    code, out, err = sugiyama("info", CASES / name)
+    assert (code, err) == (0, "")
+    for one in lines:
+        assert one in out
