@@ -4,6 +4,7 @@ This module imports nothing of ROS, so that it can say that ROS is not there.
 """
 
 import os
+import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -30,11 +31,11 @@ def ros_needed() -> Iterator[None]:
 
 def run(node: str) -> None:
     """Run a node of ``NODES`` until it ends. What the user can correct is one line, and exit code 2."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: os._exit(0))  # nothing has begun; the node itself handles its signals
     try:
         with ros_needed():
             main = import_module(f"sugiyama_ros.nodes.{node}").main
-    except KeyboardInterrupt:
-        os._exit(0)  # nothing has begun
     except Exception as error:
         reason = str(error) if isinstance(error, SugiyamaError) else nowhere_to_compile(error)
         if reason is None:

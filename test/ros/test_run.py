@@ -32,6 +32,12 @@ def assert_nothing_lost(result: RunResult, output: Path) -> None:
     assert result.messages_published == result.messages_recorded
     with Bag(output) as bag:
         counts = {topic.name: topic.count for topic in bag.info().topics}
+        # the log times are those of the data, also of what comes long after a burst of samples
+        stamps = [
+            (m.log_time_ns, m.message.header.stamp.sec * 10**9 + m.message.header.stamp.nanosec)
+            for m in bag.messages([f"/vehicle_0{v}/{topic}" for v in range(4) for topic in ("state", "parameters")])
+        ]
+    assert all(log_ns == stamp_ns for log_ns, stamp_ns in stamps)
     per_step = {"/clock", "/measured"} | {f"/vehicle_0{v}/{t}" for v in range(4) for t in ("state", "innovation")}
     assert {name: counts[name] for name in per_step} == dict.fromkeys(per_step, 200)
     assert counts["/road"] == 1

@@ -5,7 +5,7 @@ import time
 from sugiyama_ros.formats.definitions import full_text
 from sugiyama_ros.nodes.base.cdr_messages import NS
 
-#: A stamp that is farther than this [ns] from the last sample is of another clock.
+#: A stamp that is farther than this [ns] from all samples so far is of another clock.
 _NEAR_NS = 10 * NS
 _STAMPED = ("std_msgs/Header", "builtin_interfaces/Time", "Header")
 
@@ -13,8 +13,9 @@ _STAMPED = ("std_msgs/Header", "builtin_interfaces/Time", "Header")
 class LogTime:
     """Gives each message its time [ns] in the record.
 
-    With the time of the data, a message has its own stamp if that is near the last sample of the road, and else the
-    stamp of that sample. So a bag of a fast replay plays as long as the recording was.
+    With the time of the data, a message has its own stamp if that is within the time of the samples of the road so far,
+    or near it, and else the stamp of the last sample. At a fast rate, many samples come before what follows from them.
+    So a bag of a fast replay plays as long as the recording was.
 
     Parameters
     ----------
@@ -25,6 +26,7 @@ class LogTime:
     def __init__(self, of_data: bool) -> None:
         self.of_data = of_data
         self._last_ns: int | None = None
+        self._within = (0, 0)  # stamps of the earliest and of the latest sample
 
     @property
     def is_known(self) -> bool:
@@ -33,6 +35,8 @@ class LogTime:
 
     def heard(self, stamp_ns: int) -> None:
         """Note the stamp [ns] of a sample of the road."""
+        earliest, latest = (stamp_ns, stamp_ns) if self._last_ns is None else self._within
+        self._within = min(earliest, stamp_ns), max(latest, stamp_ns)
         self._last_ns = stamp_ns
 
     def of(self, raw: bytes, stamped: bool) -> int:
@@ -41,7 +45,8 @@ class LogTime:
             return time.time_ns()
         if stamped and raw[:2] == b"\0\1" and len(raw) >= 12:
             own = int.from_bytes(raw[4:8], "little", signed=True) * NS + int.from_bytes(raw[8:12], "little")
-            if own >= 0 and abs(own - self._last_ns) <= _NEAR_NS:
+            earliest, latest = self._within
+            if own >= 0 and earliest - _NEAR_NS <= own <= latest + _NEAR_NS:
                 return own
         return max(self._last_ns, 0)
 

@@ -15,7 +15,7 @@ from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from sugiyama_ros.errors import InputError, SugiyamaError
+from sugiyama_ros.errors import InputError, OutputError, SugiyamaError
 from sugiyama_ros.nodes.base import environment
 from sugiyama_ros.nodes.base.node import PacedNode
 
@@ -114,11 +114,11 @@ def run_node(make: Callable[[], PacedNode]) -> None:
     runner = int(os.environ.get(RUNNER, os.getppid()))
     try:
         with ros() as asked_to_stop:
-            with _interruptible():
+            with _interruptible() as came:
                 node = make()
             node.get_logger().info(f"in ROS domain {environment.domain()}: {node.doing}")
             spinner = Spinner([node])
-            while not asked_to_stop() and node.failure is None and not node.is_done and os.getppid() == runner:
+            while not (came or asked_to_stop() or node.failure or node.is_done) and os.getppid() == runner:
                 spinner.slice()
             spinner.until_quiet(lambda: node.received)
             node.finish()
@@ -132,7 +132,7 @@ def run_node(make: Callable[[], PacedNode]) -> None:
     except (SugiyamaError, ParameterException) as error:
         # rclpy's errors of parameters say in one line which value is wrong
         print(" ".join(str(error).split()), file=sys.stderr)
-        sys.exit(2 if isinstance(error, (InputError, ParameterException)) else 1)
+        sys.exit(2 if isinstance(error, (InputError, OutputError, ParameterException)) else 1)
 
 
 @contextmanager
@@ -149,17 +149,24 @@ def held_back() -> Iterator[None]:
 
 
 @contextmanager
-def _interruptible() -> Iterator[None]:
-    """Let SIGINT and SIGTERM end the block at once, by KeyboardInterrupt.
+def _interruptible() -> Iterator[list[int]]:
+    """Let SIGINT and SIGTERM end the block at once, by KeyboardInterrupt; yields the signals that have come.
 
     A node takes seconds of processor time to start, which is a minute on a busy machine. Who started the node may have
-    held the signals back until now (`held_back`).
+    held the signals back until now (`held_back`). A library may swallow a KeyboardInterrupt, so look at the signals
+    afterwards.
     """
+    came: list[int] = []
+
+    def interrupt(number: int, _: FrameType | None) -> None:
+        came.append(number)
+        raise KeyboardInterrupt
+
     stop = (signal.SIGINT, signal.SIGTERM)
-    before = {number: signal.signal(number, signal.default_int_handler) for number in stop}
+    before = {number: signal.signal(number, interrupt) for number in stop}
     try:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, stop)
-        yield
+        yield came
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
