@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -105,6 +105,8 @@ class Bridge:
             For a message that does not have one of the fields.
         """
         objects = look_up(message, self.objects, self) if self.objects else [message]
+        if not isinstance(objects, Iterable):
+            raise InputError(f"{self.type}: {self.objects} is no list; name the list, or leave out objects")
         for one in objects:
             name = _name(look_up(one, self.id, self)) if self.id else ""
             yield SeenVehicle(

@@ -104,6 +104,8 @@ def test_a_bridge_of_ones_own(tmp_path: Path) -> None:
         2.0,
         0.5,
     )
+    with pytest.raises(InputError, match="time is no list; name the list, or leave out objects"):
+        list(replace(read_bridge(path), objects="time").seen(Message(time=1.25, targets=[target]), "/radar", 0))
     for text, why in (
         ("type: a/msg/B\nx: x\n", "give type, x, y"),
         ("type: a/msg/B\nx: x\ny: y\nz: z\n", "give type, x, y"),
