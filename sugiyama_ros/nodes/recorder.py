@@ -62,6 +62,9 @@ class Recorder(PacedNode):
             raise InputError("recorder: no file given; start it with -p output:=FILE.mcap")
         if times not in ("wall", "data"):
             raise InputError(f"recorder: time_source {times} is not known; give wall or data")
+        for line in metadata:
+            if line and "=" not in line:
+                raise InputError(f"recorder: metadata {line!r} is no line key=value")
         about = dict(line.split("=", 1) for line in metadata if line)
         self._output = output
         self._bag = _writer(Path(output), overwrite, split_mb, about)

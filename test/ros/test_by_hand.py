@@ -81,3 +81,31 @@ def test_a_signal_while_the_processes_of_a_run_start_ends_it(ring_csv: Path, tmp
     if output.exists():
         with Bag(output) as bag:
             assert bag.info().topics
+
+
+def handles_signals(pid: int) -> bool:
+    """Whether a program has got so far that it handles SIGTERM; before, Python itself starts."""
+    (caught,) = (line.split()[1] for line in Path(f"/proc/{pid}/status").read_text().splitlines() if "SigCgt" in line)
+    return bool(int(caught, 16) >> (signal.SIGTERM - 1) & 1)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_nodes_start_ends_them(tmp_path: Path, number: signal.Signals) -> None:
+    """Each node on its own, at another moment of its start: no traceback, no file that is half written."""
+    (tmp_path / "line.csv").write_text("x,y\n0,0\n100,0\n")
+    given = {
+        "recorder": ("-p", f"output:={tmp_path / 'out.mcap'}", "-p", "time_source:=data"),
+        "estimator": ("-r", "__ns:=/vehicle_02"),
+        "tracks": ("-p", f"centre_line:={tmp_path / 'line.csv'}"),
+    }
+    nodes = {name: started(name, *given.get(name, ())) for name in NODES if name != "replay"}
+    ended = {}
+    for name, node in nodes.items():
+        while not handles_signals(node.pid):
+            time.sleep(0.01)
+        time.sleep(0.2)
+        node.send_signal(number)
+        said, _ = node.communicate(timeout=60)
+        ended[name] = node.returncode, "Traceback" in said
+    assert ended == dict.fromkeys(nodes, (0, False))
+    assert [path.name for path in tmp_path.iterdir()] == ["line.csv"]

@@ -131,6 +131,8 @@ def test_an_output_that_cannot_be_written_is_one_line(stage, tmp_path: Path) -> 
         recorder(tmp_path / "missing" / "out.mcap")
     with pytest.raises(InputError, match="recorder: no file given"):
         Recorder()
+    with pytest.raises(InputError, match="recorder: metadata 'run' is no line key=value"):
+        Recorder(parameter_overrides=[Parameter("output", value="out.mcap"), Parameter("metadata", value=["run"])])
 
 
 def test_a_disk_that_refuses_ends_the_recorder_and_no_other(stage, tmp_path: Path, monkeypatch) -> None:
