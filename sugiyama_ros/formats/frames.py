@@ -1,5 +1,6 @@
 """Trajectories and tracks from data frames of pandas, or of anything like them, read as tables of Parquet are read."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -94,15 +95,24 @@ def _sheet(frame: Any) -> Sheet:
     """The table of a data frame; a named index counts as columns."""
     import pyarrow
 
+    if isinstance(frame, pyarrow.Table):
+        return Sheet(_WHERE, _once(frame.column_names), separator="", frame=frame)
+    if not hasattr(frame, "columns"):
+        raise InputError(f"{_WHERE}: {type(frame).__name__} is none; give a data frame, or the name of a file")
     index = getattr(frame, "index", None)
     named = [name for name in getattr(index, "names", ()) if name is not None and name not in frame.columns]
     if named:
         frame = frame.reset_index(level=named)
-    names = [str(name) for name in frame.columns]
+    names = _once([str(name) for name in frame.columns])
+    columns = [_arrow(frame[name]) for name in frame.columns]
+    return Sheet(_WHERE, names, separator="", frame=pyarrow.table(columns, names=list(names)))
+
+
+def _once(names: Sequence[str]) -> tuple[str, ...]:
+    """The names of columns. Raises InputError where one occurs twice."""
     if double := [name for name in names if names.count(name) > 1]:
         raise InputError(f"{_WHERE}: has {names.count(double[0])} columns {double[0]}; rename all but one")
-    columns = [_arrow(frame[name]) for name in frame.columns]
-    return Sheet(_WHERE, tuple(names), separator="", frame=pyarrow.table(columns, names=names))
+    return tuple(names)
 
 
 def _arrow(series: Any) -> Any:
@@ -111,6 +121,8 @@ def _arrow(series: Any) -> Any:
 
     if hasattr(series, "to_arrow"):
         return series.to_arrow()
+    if getattr(getattr(series, "dtype", None), "tz", None) is not None:
+        series = series.dt.tz_convert(None)
     try:
         return pyarrow.array(series, from_pandas=True)
     except (pyarrow.ArrowException, TypeError, ValueError, OverflowError):

@@ -10,7 +10,7 @@ from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.columns import FOOT_M, about_file, need, nobody, put_together, read_columns, take, text_of
 from sugiyama_ros.formats.format import tracks_format
 from sugiyama_ros.formats.reading import shown_stem
-from sugiyama_ros.formats.sheet import Sheet, head_of, sheet_of
+from sugiyama_ros.formats.sheet import Sheet, head_of, is_number, sheet_of
 from sugiyama_ros.trajectories.labels import Labels, joined, labels, numbered, same_label
 from sugiyama_ros.trajectories.tracks import Tracks
 
@@ -113,7 +113,7 @@ def _sheet(path: Path, head: bytes) -> Sheet | None:
 
 
 def _is_number(text: str) -> bool:
-    return text.partition("~")[0].replace(".", "").replace("-", "").isdigit()
+    return is_number(text.partition("~")[0])
 
 
 FORMAT = tracks_format(

@@ -23,12 +23,14 @@ _REQUIRED = ("time_s", "vehicle", "position_m")
 _VEHICLE = re.compile(r"\d{1,9}")
 # A name, and a number that only a table has: one that is written as 12.0, or a long one.
 _NAME = re.compile(r"[^-+.\d]|^\d+\.0+$|^\d{10,}$")
+# Speeds [m/s].
+_SPEEDS = {"speed_mps", "speed_m_s"}
 #: Columns that make a table one of tracks.
 _OF_TRACKS = {"recording", "road", "lane", "leader"}
 
 
 class _OtherTableError(Exception):
-    """A table with names of vehicles, clocks or decimal commas, which the format ``table`` reads."""
+    """A table with names of vehicles, clocks, decimal commas or speeds, which the format ``table`` reads."""
 
 
 def read_csv(path: Path, ring_m: float | None = None) -> Trajectories:
@@ -79,6 +81,8 @@ def _read(path: Path, ring_m: float | None) -> Trajectories:
         try:
             header = [name.strip() for name in next(rows, [])]
             columns = _columns(path, header)
+            if _SPEEDS & set(header):
+                raise _OtherTableError  # which compares positions with speeds
             for row in rows:
                 where = f"{path}:{rows.line_num}"
                 if not row:

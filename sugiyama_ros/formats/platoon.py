@@ -9,7 +9,7 @@ from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.columns import about_file, need, put_together, read_columns
 from sugiyama_ros.formats.format import tracks_format
 from sugiyama_ros.formats.reading import shown_stem
-from sugiyama_ros.formats.sheet import Sheet, head_of, sheet_of
+from sugiyama_ros.formats.sheet import Sheet, head_of, is_number, sheet_of
 from sugiyama_ros.trajectories.labels import Labels
 from sugiyama_ros.trajectories.tracks import Tracks
 
@@ -67,7 +67,7 @@ def read_platoon(path: Path, choices: Choices) -> Tracks:
 
 def _sheet(path: Path, head: bytes) -> Sheet | None:
     fields = (head.decode("utf-8-sig", errors="replace").splitlines() or [""])[0].split("\t")
-    if len(fields) != len(_COLUMNS) or not all(one.strip().replace(".", "").lstrip("-").isdigit() for one in fields):
+    if len(fields) != len(_COLUMNS) or not all(is_number(one.strip(), ".,") for one in fields):
         return None
     return sheet_of(path, head, names=_COLUMNS)
 

@@ -96,6 +96,8 @@ def sheet_of(path: Path, head: bytes, header: int = 1, names: tuple[str, ...] = 
         return _parquet_sheet(path)
     text = head.decode("utf-8-sig", errors="replace")
     rows = text.splitlines()
+    if header == 1 and not names and rows and rows[0].lower().startswith("sep="):
+        header = 2  # spreadsheets say the separator in the first line
     if b"\0" in head or len(rows) < header or "\ufffd" in text[:-4] or not rows[header - 1].strip():
         return None
     first = rows[header - 1]
@@ -281,7 +283,7 @@ class _Times:
         time, bad = times_of(texts)
         if bad:
             raise _NotSuchError(f"column {self._name}: {bad[:40]!r} is not a time; give {FORMS}")
-        plain = np.array([_is_number(one, ".") for one in texts] + [True])
+        plain = np.array([is_number(one, ".,") for one in texts] + [True])
         return np.asarray((np.append(time, np.nan) * np.where(plain, self._factor, 1.0))[column.code])
 
 
@@ -430,19 +432,23 @@ def _first_bad(sheet: Sheet, wanted: _Wanted) -> InputError | None:
             if len(fields) != len(sheet.names):
                 return InputError(f"{where}: {len(fields)} fields, but {len(sheet.names)} columns; correct the line")
             for name, text in zip(sheet.names, (one.strip() for one in fields), strict=True):
-                if name in wanted.times and text not in MISSING and seconds_of(text.replace(",", ".")) is None:
+                if name in wanted.times and text not in MISSING and seconds_of(text) is None:
                     return InputError(f"{where}: column {name}: {text[:40]!r} is not a time; give {FORMS}")
                 if name not in wanted.numbers:
                     continue
                 decimals = [decimal for decimal in decimals if _is_number(text, decimal)]
                 if not decimals:
-                    mixed = "" if not any(_is_number(text, one) for one in ".,") else ", or has another decimal point"
+                    mixed = "" if not is_number(text, ".,") else ", or has another decimal point"
                     return InputError(f"{where}: column {name}: {text[:40]!r} is not a number{mixed}; correct the line")
     return None
 
 
+def is_number(text: str, decimals: str = ".") -> bool:
+    """Whether a text is a number, written with one of some decimal points, or says that a value is missing."""
+    return any(_is_number(text, decimal) for decimal in decimals)
+
+
 def _is_number(text: str, decimal: str) -> bool:
-    """Whether a text is a number, written with a decimal point or comma, or says that a value is missing."""
     if text in MISSING:
         return True
     if "_" in text or (decimal == "," and "." in text):

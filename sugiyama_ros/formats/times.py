@@ -36,7 +36,7 @@ def seconds_of(text: str) -> float | None:
     """
     text = text.strip()
     try:
-        return float(text)
+        return float(text if "." in text else text.replace(",", "."))
     except ValueError:
         pass
     if found := _CLOCK.fullmatch(text):

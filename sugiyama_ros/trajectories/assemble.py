@@ -291,8 +291,10 @@ def _speeds(table: _Table, run: Ints) -> _Table:
         slow, fast = found[0].by_position, found[0].by_speed
         says = (
             f"vehicles move at {slow:.3g} m/s by their positions, but at {fast:.3g} {unit} by the speeds in the file;"
-            " say which column holds positions along the road, and their unit (--format table --columns map.yaml)"
+            " check the positions, the times and their units"
         )
+        if not table.source.endswith(".xml"):
+            says += ", or say which columns hold them (--format table --columns map.yaml)"
         # Where no vehicle is on a lane, nobody follows anybody, and positions do no harm.
         if speed is not None and ("lane" not in table.text or (table.text["lane"].code >= 0).any()):
             raise InputError(f"{table.source}: {says}")

@@ -8,6 +8,7 @@ from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
+import pyarrow
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -136,6 +137,18 @@ def test_a_time_that_is_none_is_named(sugiyama):
     assert "cars.csv:2: column time_s: 'noon' is not a time; give seconds, or a time such as 0:01:02.5" in err
 
 
+def test_a_spreadsheet_may_say_its_separator_first(sugiyama):
+    Path("cars.csv").write_text("sep=;\n" + german(CARS, ";"))
+    is_the_cars(info(sugiyama, "cars.csv"))
+
+
+@pytest.mark.parametrize("given", [None, {"a": 1}, np.zeros(3), 5])
+def test_what_is_no_table_is_refused(given):
+    for read in (sg.read, sg.read_tracks):
+        with pytest.raises(InputError, match="is none; give a data frame, or the name of a file"):
+            read(given)
+
+
 # ---- names
 
 
@@ -224,6 +237,7 @@ def test_a_column_that_may_be_empty_may_be_wholly_empty(tmp_path, empty, left_ou
         lambda f: f.set_index("time_s"),
         lambda f: f.set_index(["vehicle", "time_s"]),
         lambda f: f.sample(frac=1.0, random_state=1),
+        lambda f: pyarrow.Table.from_pandas(f),
     ],
 )
 def test_types_of_a_data_frame(change):
@@ -237,6 +251,7 @@ def test_types_of_a_data_frame(change):
 def test_dates_and_missing_values_of_a_data_frame(tmp_path):
     dates = CARS.assign(time_s=pd.Timestamp("2024-05-31 10:00") + pd.to_timedelta(CARS.time_s, unit="s"))
     assert sg.read(dates).start_s == 1717149600.0
+    assert sg.read(dates.assign(time_s=dates.time_s.dt.tz_localize("Europe/Berlin"))).start_s == 1717142400.0
     vehicle = CARS.vehicle.astype(object).where(CARS.index != 5, pd.NA)
     found = sg.read_tracks(dates.assign(vehicle=vehicle, lane=pd.array([1, pd.NA] * 150, dtype="Int64")))
     assert dict(found.about.dropped) == {"no vehicle": 1}
@@ -290,7 +305,7 @@ def test_positions_that_contradict_the_speeds_are_refused_and_the_cure_works(sug
     Path("ngsim.csv").write_text("\n".join([head, *rows]) + "\n")
     code, out, err = sugiyama("info", "ngsim.csv")
     assert (code, out) == (2, "")
-    assert "vehicles move at 0.0305 m/s by their positions, but at 11.9 m/s by the speeds in the file" in err
+    assert "vehicles move at 0.0305 m/s by their positions, but at 11.9 m/s by the speeds in the file; check" in err
     cure = re.search(r"\((--format table --columns map.yaml)\)", err)
     assert cure
     Path("map.yaml").write_text(
@@ -306,7 +321,7 @@ def test_positions_that_contradict_the_speeds_are_refused_and_the_cure_works(sug
         sg.read_tracks("ngsim.csv", columns=columns)
 
 
-def test_a_speed_without_a_unit_is_a_warning():
+def test_a_speed_without_a_unit_is_a_warning(tmp_path):
     assert not any("speeds" in note for note in sg.read_tracks(CARS.assign(speed=12.0)).about.notes)
     assert not any("speeds" in note for note in sg.read_tracks(CARS.assign(speed=43.2)).about.notes)
     assert not any("speeds" in note for note in sg.read_tracks(CARS.assign(speed=0.0)).about.notes)
@@ -314,6 +329,9 @@ def test_a_speed_without_a_unit_is_a_warning():
     assert said[0].startswith("warning: vehicles move at 12 m/s by their positions, but at 8 (no unit) by the speeds")
     with pytest.raises(InputError, match="but at 8 m/s by the speeds"):
         sg.read_tracks(CARS.assign(speed_mps=8.0))
+    CARS.assign(speed_mps=8.0).to_csv(tmp_path / "cars.csv", index=False)
+    with pytest.raises(InputError, match="but at 8 m/s by the speeds"):
+        sg.read(tmp_path / "cars.csv")
 
 
 # ---- pairs
