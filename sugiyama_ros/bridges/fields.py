@@ -14,6 +14,8 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.trajectories.placing import SeenVehicle
 
 _NS = 1_000_000_000
+# Names of fields that an error shows, at most.
+_SHOWN = 12
 _TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*")
 _STEP = r"[a-zA-Z_]\w*(\[-?\d+\])?"
 _PATH = re.compile(rf"{_STEP}(\.{_STEP})*")
@@ -110,7 +112,7 @@ class Bridge:
         for one in objects:
             name = _name(look_up(one, self.id, self)) if self.id else ""
             yield SeenVehicle(
-                stamp_ns=self._stamp_ns(self._either(one, message, self.stamp)) if self.stamp else log_ns,
+                stamp_ns=self._stamp(one, message) if self.stamp else log_ns,
                 name=f"{topic} {name}" if name else "" if self.id else topic,
                 x_m=self._real(one, self.x),
                 y_m=self._real(one, self.y),
@@ -118,7 +120,7 @@ class Bridge:
                 length_m=self._number(one, self.length),
                 var=self._number(one, self.var),
                 vehicle_class=str(look_up(one, self.vehicle_class, self)) if self.vehicle_class else "",
-                frame=str(self._either(one, message, self.frame)) if self.frame else "",
+                frame=self._frame(one, message) if self.frame else "",
             )
 
     def _heading(self, one: Any) -> float:
@@ -164,25 +166,43 @@ class Bridge:
         except (AttributeError, TypeError, ValueError, OverflowError):
             raise InputError(f"{self.type}: {self.stamp} is no time; correct the bridge") from None
 
-    def _either(self, one: Any, message: Any, path: str) -> Any:
+    def _stamp(self, one: Any, message: Any) -> int:
+        """Stamp [ns] of the object; that of the message where the object has none, or 0."""
+        own = self._stamp_ns(self._either(one, message, self.stamp))
+        return own or self._stamp_ns(self._either(message, one, self.stamp))
+
+    def _frame(self, one: Any, message: Any) -> str:
+        """Frame of the object; that of the message where the object has none, or an empty one."""
+        return str(self._either(one, message, self.frame) or self._either(message, one, self.frame))
+
+    def _either(self, one: Any, other: Any, path: str) -> Any:
         try:
             return look_up(one, path, self)
         except InputError:
-            return look_up(message, path, self)
+            return look_up(other, path, self)
 
 
 def look_up(message: Any, path: str, bridge: Bridge) -> Any:
     """A field of a message by its path. Raises InputError where there is none."""
     found = message
-    try:
-        for part in path.split("."):
-            name, _, index = part.partition("[")
-            found = getattr(found, name)
-            if index:
-                found = found[int(index[:-1])]
-    except (AttributeError, IndexError, TypeError, KeyError):
-        raise InputError(f"{bridge.type}: no field {path}; correct the bridge") from None
+    for part in path.split("."):
+        name, _, index = part.partition("[")
+        try:
+            inner = getattr(found, name)
+            found = inner[int(index[:-1])] if index else inner
+        except (AttributeError, IndexError, TypeError, KeyError):
+            have = ", ".join(_fields_of(found)[:_SHOWN]) or "none"
+            raise InputError(
+                f"{bridge.type}: no field {path}, but {have}; give --bridge, a file with the right names"
+            ) from None
     return found
+
+
+def _fields_of(message: Any) -> list[str]:
+    """Names of the fields of a message, from rclpy or from a bag."""
+    if hasattr(message, "get_fields_and_field_types"):
+        return list(message.get_fields_and_field_types())
+    return [name for name in getattr(message, "__dataclass_fields__", ()) if not name.startswith("_")]
 
 
 def yaw(x: float, y: float, z: float, w: float) -> float:

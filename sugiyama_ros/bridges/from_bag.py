@@ -15,10 +15,19 @@ from sugiyama_ros.bridges.moments import Counts, Numbers
 from sugiyama_ros.bridges.on_grid import Grid, Lost, own_periods, rates_noted, rows_of, usual_period
 from sugiyama_ros.bridges.perception import TF_TOPICS, TF_TYPES, PerceptionSettings, lane_numbers
 from sugiyama_ros.bridges.registry import BRIDGES
-from sugiyama_ros.bridges.sightings import Collector, Sightings, Stamps, Transforms, brought, directed, recordings
+from sugiyama_ros.bridges.sightings import (
+    Collector,
+    Sightings,
+    Stamps,
+    Transforms,
+    brought,
+    check_followed,
+    directed,
+    recordings,
+)
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.bag_folder import BagSource, recorded
-from sugiyama_ros.formats.cdr import ros2_name
+from sugiyama_ros.formats.cdr import ros2_name, why_unreadable
 from sugiyama_ros.formats.reading import open_input, sha256, shown_name
 from sugiyama_ros.trajectories.about import About
 from sugiyama_ros.trajectories.assemble import assemble
@@ -73,6 +82,7 @@ def tracks_of_bag(
         for k, part in enumerate(parts):
             parts[k], unknown = brought(part, _transforms(bag), settings.frame)
             counts.unknown_frame += unknown
+    check_followed(path, parts)
     if not any(map(len, parts)):
         raise InputError(
             f"{path}: no transform leads from {', '.join(sightings.frames)} to {settings.frame} when vehicles are seen;"
@@ -109,6 +119,9 @@ def _topics(bag: BagSource, pattern: str, known: dict[str, Bridge]) -> dict[str,
     found = {name: known[kind] for name, kind in kinds.items() if kind in known}
     if found:
         return found
+    for topic in topics:
+        if topic.name in kinds and (why := why_unreadable(topic.serialization)):
+            raise InputError(f"{bag.path}: {topic.name}: {why}")
     if kinds:
         other = ", ".join(f"{name} is {kind or 'of no type'}" for name, kind in list(kinds.items())[:3])
         raise InputError(f"{bag.path}: {other}; known are {', '.join(sorted(known))}; give a --bridge for another type")
@@ -150,8 +163,6 @@ def _columns(
 ) -> tuple[dict[str, Any], Lost, list[str]]:
     """Columns of tracks, what was lost, and notes."""
     periods = sorted(period for part in parts for period in own_periods(part))
-    if settings.period_s is None and not periods:
-        raise InputError("no vehicle was seen three times; give --period")
     period_s = settings.period_s or usual_period(periods)
     numbers, number = Numbers(), lane_numbers(lanes)
     texts = ("recording", "vehicle", "lane", "leader")

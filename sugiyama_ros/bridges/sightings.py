@@ -1,7 +1,7 @@
 """All that a bag says of vehicles, as arrays: when each was seen, by which clock, and where."""
 
 from array import array
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import median_low
@@ -24,6 +24,8 @@ _NS = 1_000_000_000
 _BACK_NS, _BACK_IN_A_ROW = _NS, 5
 # Two resets of vehicles that are logged within this time [ns] are one.
 _ONE_RESET_NS = 5 * _NS
+# A vehicle that is seen less often is not followed.
+_FEW = 3
 # A time [ns] after all others.
 _END_NS = 1 << 62
 # Way [m] that a vehicle goes between two messages, so that they are not of the same time.
@@ -299,6 +301,17 @@ def _offsets_s(found: Sightings) -> dict[int, float]:
         if number != first and len(both):
             offset[number] = float(np.median(late[both] - np.interp(log[both], log[base], late[base])))
     return offset
+
+
+def check_followed(path: Path, parts: Sequence[Sightings]) -> None:
+    """Raise InputError where most sightings are of vehicles that are seen once or twice: their ids do not stay."""
+    often = [len(rows) for part in parts if len(part) for rows in part.steps()]
+    seldom = [number for number in often if number < _FEW]
+    if sum(seldom) > 0.5 * sum(often):
+        raise InputError(
+            f"{path}: {len(seldom)} ids are seen once or twice each, so nobody can be followed; give the messages of a"
+            " tracker, whose ids stay with the vehicles"
+        )
 
 
 class Transforms(NamedTuple):

@@ -212,10 +212,10 @@ def info(
 
     Of trajectories: vehicles, classes, lanes, time and leaders. Of an MCAP file: topics, as `ros2 bag info` does.
     """
-    from sugiyama_ros.formats.bag_folder import is_bag, recorded
+    from sugiyama_ros.formats.measured import FORMAT as BAG
     from sugiyama_ros.formats.sheet import head_of
 
-    if not is_bag(file, head_of(file)):
+    if not BAG.recognise(head_of(file), file):
         from sugiyama_ros.formats.registry import format_of, read_tracks
 
         document = {"format": format_of(file).name, **document_of(read_tracks(file))}
@@ -225,6 +225,8 @@ def info(
         print_line(f"{'Format:':<13}{document['format']}")
         _print_tracks(document)
         return
+    from sugiyama_ros.formats.bag_folder import recorded
+
     about = recorded(file).info()
     if as_json:
         print_json(dataclasses.asdict(about))
@@ -248,7 +250,9 @@ def _lines(about: "BagInfo") -> list[tuple[str, str]]:
         ("Messages", str(about.messages)),
     ]
     for record, values in about.metadata.items():
-        lines.append(("Metadata", f"{record}: " + ", ".join(f"{key}={value}" for key, value in values.items())))
+        # rosbag2 keeps its metadata.yaml, which the other lines say
+        short = (f"{key}={value}" for key, value in values.items() if "\n" not in value)
+        lines.append(("Metadata", f"{record}: " + ", ".join(short)))
     return lines
 
 

@@ -15,7 +15,6 @@ from sugiyama_ros.errors import InputError, OutputError
 from sugiyama_ros.formats.definitions import type_hash
 from sugiyama_ros.formats.mcap_order import Segment, merged
 from sugiyama_ros.formats.mcap_reader import Bag, BagInfo, BagMessage, TopicInfo
-from sugiyama_ros.formats.mcap_records import MAGIC
 from sugiyama_ros.formats.mcap_writer import BagWriter, Qos
 from sugiyama_ros.outputs import make_directory, writing
 
@@ -23,7 +22,6 @@ METADATA = "metadata.yaml"
 _NEVER_NS = 2**63 - 1
 # How rosbag2 and others call files that zstd has compressed.
 _PACKED = (".zstd", ".zst")
-_PACKED_BAGS = tuple(f".mcap{end}" for end in _PACKED)
 
 
 def bag_files(path: Path) -> list[Path]:
@@ -73,13 +71,6 @@ def _unpacked(file: Path) -> Path:
     """The file that was unpacked beside a compressed one, if there is one."""
     beside = file.with_suffix("")
     return beside if file.suffix in _PACKED and beside.suffix == ".mcap" and beside.is_file() else file
-
-
-def is_bag(path: Path, head: bytes) -> bool:
-    """Whether a path is a bag: a directory of rosbag2, or a file that is one by its first bytes or its name."""
-    if path.is_dir():
-        return (path / METADATA).is_file()
-    return head.startswith(MAGIC) or path.suffix.lower() == ".mcap" or path.name.endswith(_PACKED_BAGS)
 
 
 @dataclass(frozen=True)

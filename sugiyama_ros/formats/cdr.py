@@ -31,7 +31,7 @@ _NEXT_IDL = "=" * 80 + "\nIDL: "
 # Lines such as #include: what they name is in the definition itself.
 _PREPROCESSOR = re.compile(r"^[ \t]*#.*$", re.MULTILINE)
 #: Kinds of definitions that can be used, as MCAP calls them.
-KINDS = ("ros2msg", "ros2idl", "ros1msg")
+KINDS = ("ros2msg", "ros2idl", "omgidl", "ros1msg")
 # Bytes that ROS may leave behind the end of a message for each list in it, which may have been empty.
 _PADDING = 8
 #: Largest message [bytes] that is decoded if it holds lists of messages or texts, each a Python object.
@@ -52,7 +52,7 @@ def decoder(type_name: str, text: str, kind: str = "ros2msg") -> Decoder | None:
         Name of the type, such as ``std_msgs/msg/Header``.
     text : str
         Definition of the type and of all types in it.
-    kind : {"ros2msg", "ros2idl", "ros1msg"}
+    kind : {"ros2msg", "ros2idl", "omgidl", "ros1msg"}
         Kind of the definition; the messages of a ``ros1msg`` are in the encoding of ROS 1, all others in CDR.
 
     Returns
@@ -109,8 +109,8 @@ def decoder_of(type_name: str, text: str, kind: str, encoding: str) -> Decoder |
     callable or str
         The decoder, or why there is none and what to do.
     """
-    if encoding not in ("cdr", "ros1"):
-        return f"its messages are in {encoding or 'no known encoding'}; give a bag with messages of ROS (cdr or ros1)"
+    if why := why_unreadable(encoding):
+        return why
     if not type_name:
         return "the bag does not say the type of its messages; record it again"
     name, known = ros2_name(type_name), "ros1msg" if encoding == "ros1" else "ros2msg"
@@ -119,13 +119,20 @@ def decoder_of(type_name: str, text: str, kind: str, encoding: str) -> Decoder |
         if made is not None:
             return made
         what = f"its definition ({kind}) cannot be used"
-        if kind != "ros2idl":  # it says something else than what is installed
+        if kind not in ("ros2idl", "omgidl"):  # it says something else than what is installed
             return f"{what}; record the topic again"
     else:
         what = f"its definition is in {kind}" if text.strip() else "the bag does not have its definition"
     text, package = _known_text(name, known), name.partition("/")[0]
     made = decoder(name, text, known) if text else None
     return made or f"{what}, and {package} is not installed; install {package}, or record the topic again with it"
+
+
+def why_unreadable(encoding: str) -> str:
+    """Why messages in an encoding cannot be read, and what to do; empty if they can."""
+    if encoding in ("cdr", "ros1"):
+        return ""
+    return f"its messages are in {encoding or 'no known encoding'}; record them as messages of ROS (cdr or ros1)"
 
 
 def ros2_name(type_name: str) -> str:
@@ -191,7 +198,7 @@ def _store(type_name: str, text: str, kind: str = "ros2msg") -> Typestore | None
     try:
         store = get_typestore(Stores.EMPTY)
         text = text.replace("\r\n", "\n")
-        if kind == "ros2idl":
+        if kind in ("ros2idl", "omgidl"):
             first, *others = text.split(_NEXT_IDL)
             for part in (first, *(other.partition("\n")[2] for other in others)):
                 if part.strip():

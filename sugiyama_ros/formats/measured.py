@@ -15,7 +15,7 @@ from sugiyama_ros.formats.samples import MAX_SAMPLES, agreed_road
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 if TYPE_CHECKING:
-    from sugiyama_ros.formats.mcap_reader import Bag
+    from sugiyama_ros.formats.bag_folder import BagSource
 
 ROAD_TYPE = "sugiyama_msgs/msg/Road"
 MEASURED_TYPE = "sugiyama_msgs/msg/MeasuredPositions"
@@ -110,26 +110,28 @@ def read_measured(path: Path, ring_m: float | None = None) -> Trajectories:
     InputError
         Where the topics are missing or ambiguous, the road or a length changes, or time goes backward.
     """
-    from sugiyama_ros.formats.mcap_reader import Bag
+    from sugiyama_ros.formats.bag_folder import recorded
 
-    with Bag(path) as bag:
-        topics = {}
-        for name, kind in (("road", ROAD_TYPE), ("measured", MEASURED_TYPE)):
-            found = [t.name for t in bag.info().topics if t.name.split("/")[-1] == name and t.type == kind and t.count]
-            if len(found) != 1:
-                have = f"{len(found)} topics ({', '.join(map(repr, found))})" if found else "no topic"
-                raise InputError(f"{path}: {have} `{name}` with messages of {kind}; give a bag with exactly one")
-            topics[found[0]] = kind
-        try:
-            return _collected(bag, topics, ring_m)
-        except (AttributeError, TypeError, ValueError):
-            # A bag brings its own definitions, which may have other fields.
-            raise InputError(
-                f"{path}: `road` or `measured`: not the fields that this version knows; convert the source again"
-            ) from None
+    bag = recorded(path)
+    about = bag.info().topics
+    topics = {}
+    for name, kind in (("road", ROAD_TYPE), ("measured", MEASURED_TYPE)):
+        found = [t.name for t in about if t.name.split("/")[-1] == name and t.type == kind and t.count]
+        if len(found) != 1:
+            have = f"{len(found)} topics ({', '.join(map(repr, found))})" if found else "no topic"
+            seen = "" if found else "; vehicles on other topics are read by `sugiyama convert` with --odometry"
+            raise InputError(f"{path}: {have} `{name}` with messages of {kind}; give a bag with exactly one{seen}")
+        topics[found[0]] = kind
+    try:
+        return _collected(bag, topics, ring_m)
+    except (AttributeError, TypeError, ValueError):
+        # A bag brings its own definitions, which may have other fields.
+        raise InputError(
+            f"{path}: `road` or `measured`: not the fields that this version knows; convert the source again"
+        ) from None
 
 
-def _collected(bag: "Bag", topics: dict[str, str], ring_m: float | None) -> Trajectories:
+def _collected(bag: "BagSource", topics: dict[str, str], ring_m: float | None) -> Trajectories:
     """Trajectories from the messages on two topics, given by name with their types."""
     path = bag.path
     road: Any = None
@@ -144,7 +146,7 @@ def _collected(bag: "Bag", topics: dict[str, str], ring_m: float | None) -> Traj
             raise InputError(f"{path}: {message.topic!r}: the road changes; record one road in one bag")
     if road is None:
         raise InputError(f"{path}: no message on `road`; the bag is damaged")
-    with open_input(path) as stream:
+    with open_input(bag.files[0]) as stream:
         checksum = road.sha256 or sha256(stream)
     return columns.trajectories(road, ring_m, checksum)
 
@@ -239,8 +241,10 @@ class _Columns:
 
 
 def _is_bag(head: bytes, path: Path) -> bool:
-    """Whether a file is a bag by its content, or is called one."""
-    return head.startswith(MAGIC) or path.suffix.lower() == ".mcap"
+    """Whether a path is a bag by its content, or is called one; also a directory of rosbag2."""
+    if path.is_dir():
+        return (path / "metadata.yaml").is_file()
+    return head.startswith(MAGIC) or path.suffix.lower() == ".mcap" or path.name.endswith((".mcap.zstd", ".mcap.zst"))
 
 
 FORMAT = Format(

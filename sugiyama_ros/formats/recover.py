@@ -24,7 +24,7 @@ from sugiyama_ros.formats.mcap_records import (
     content_records,
     message_at,
 )
-from sugiyama_ros.formats.reading import open_input
+from sugiyama_ros.formats.zstd_packed import open_packed
 from sugiyama_ros.outputs import Target, output_of, writing
 
 # Blocks in which the next chunk is looked for: they grow from the first size to the second.
@@ -73,7 +73,7 @@ def recover(path: Path, target: Target) -> Recovered:
     path, output = Path(path), replace(output_of(target), inputs=(Path(path),))
     output.check()
     out = output.path
-    with open_input(path) as stream:
+    with open_packed(path) as stream:
         salvage = _Salvage(RecordFile(path, stream))
         with writing(output) as recovered:
             writer = Writer(recovered, chunk_size=256 << 10, compression=CompressionType.ZSTD)

@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 from feeds import (
     CARS,
+    DETECTIONS,
+    LASTS_S,
     LENGTH_M,
     NO_STAMP,
     ODOMETRY,
@@ -30,6 +32,7 @@ from feeds import (
     odometry,
     place,
     stamp,
+    text_of,
     transforms,
     write,
 )
@@ -299,6 +302,44 @@ def test_the_same_ids_on_two_topics_are_different_vehicles(tmp_path: Path) -> No
     )
 
 
+def test_ids_that_are_new_in_each_message(tmp_path: Path) -> None:
+    """A detector that numbers all that it finds: nobody is seen twice."""
+    feed = []
+    for k, t in enumerate(every(0.1).tolist()):
+        feed += detections(np.array([t]), lambda car, k=k: str(3 * k + car))
+    for options in ((), ("--period", 0.1)):
+        said = refused(write(tmp_path / "a.mcap", feed), "/det", *options)
+        assert "1203 ids are seen once or twice each" in said
+        assert "give the messages of a tracker" in said
+
+
+def test_objects_without_a_header_of_their_own(tmp_path: Path) -> None:
+    """Many detectors leave the headers of the objects empty: that of the message counts."""
+
+    def make(t: float) -> Callable[[Any], Any]:
+        each = [{"id": str(car), "bbox": {"center": place(at(car, t))}} for car in range(CARS)]
+        return lambda store: build(store, DETECTIONS, header=header(t, "map"), detections=each)
+
+    feed = [Recorded("/det", DETECTIONS, t + 0.05, make(t)) for t in every(0.1).tolist()]
+    tracks, said = converted(write(tmp_path / "a.mcap", feed), "/det", "--frame", "map")
+    check(tracks, unknown=0.001)
+    assert "log times" not in said
+
+
+def test_fields_of_another_version_are_named(tmp_path: Path) -> None:
+    """Older detections have another field for the id."""
+    text = text_of(DETECTIONS).replace(b"string id\n", b"string tracking_id\n")
+    bag = write(tmp_path / "a.mcap", detections(every(0.1)), style=Style(definition=text))
+    said = refused(bag, "/det")
+    assert f"{DETECTIONS}: no field id, but header, bbox, tracking_id; give --bridge" in said
+    bridge = tmp_path / "det.yaml"
+    bridge.write_text(
+        f"type: {DETECTIONS}\nobjects: detections\nid: tracking_id\n"
+        "x: bbox.center.position.x\ny: bbox.center.position.y\nlength: bbox.size.x\n"
+    )
+    check(converted(bag, "/det", "--bridge", bridge)[0], unknown=0.001)
+
+
 def test_one_id_for_several_vehicles_in_separate_messages(tmp_path: Path) -> None:
     feeds = [detections(every(0.1), lambda _: "5", [car]) for car in range(CARS)]
     said = refused(write(tmp_path / "a.mcap", *feeds), "/det")
@@ -519,6 +560,44 @@ def test_headings_of_which_the_sign_is_unknown(tmp_path: Path, availability: int
     assert sorted(float(tracks.s_m[k]) for k in tracks.start[:-1]) == pytest.approx([at(2, 0), at(1, 0), at(0, 0)])
 
 
+# --- all at once
+
+
+def any_feed(rng: np.random.Generator) -> tuple[list[list[Recorded]], str, tuple[str, ...], float]:
+    """Feeds of three cars at random, their pattern, options, and the share of rows that may be lost."""
+    drop = float(rng.choice([0.0, 0.1, 0.3]))
+    period = rng.choice([0.02, 0.05, 0.1, 0.2, 0.25], CARS if rng.random() < 0.5 else 1)
+    jitter = float(rng.choice([0.0, 0.1]))
+    kind = rng.choice(["odometry", "detections", "ego"])
+    late = float(rng.choice([0.0, 0.004, 0.08]))
+
+    def times(k: int) -> Any:
+        own_s = float(period[k % len(period)])
+        found = every(own_s, rng.uniform(0.0, own_s))
+        found = found + rng.uniform(-jitter, jitter, len(found)) * own_s
+        return found[rng.random(len(found)) >= drop]
+
+    if kind == "odometry":
+        stamps = rng.choice([stamp, never], CARS) if jitter == 0.0 and drop == 0.0 else [stamp] * CARS
+        return [odometry(c, times(c), stamps[c], late) for c in range(CARS)], ODOM, (), drop
+    if kind == "detections":
+        return [detections(times(0))], "/det", (), drop
+    feeds = [detections(times(0), seen=from_ego, frame="base_link")]
+    own_s = float(rng.choice([0.02, 0.1]))
+    feeds.append(transforms(every(own_s, -rng.uniform(0.0, own_s), LASTS_S + 1.0), ego, late_s=late))
+    return feeds, "/det", ("--frame", "map"), drop
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_any_mixture(tmp_path: Path, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    feeds, pattern, options, drop = any_feed(rng)
+    style = Style(order=str(rng.choice(["log", "topic", "back"])), packed=bool(rng.random() < 0.3))
+    tracks, _ = converted(write(tmp_path / "a.mcap", *feeds, style=style), pattern, *options)
+    # the log times that count instead of stamps may be late by 0.08 s
+    check(tracks, within_m=0.15 if pattern == "/det" or drop else 2.0, unknown=0.5 if drop else 0.05)
+
+
 # --- the cases that were handed over
 
 
@@ -578,3 +657,19 @@ def test_cases_that_are_refused(tmp_path: Path) -> None:
     assert "Subscribed to topic" in sugiyama("echo", packed, "/rosout")[1]
     code, said = run(packed, tmp_path / "b.csv", *rest, "/*")
     assert (code, "/rosout is rcl_interfaces/msg/Log" in said) == (2, True), said
+
+
+def test_a_directory_with_road_and_measured_is_a_recording(tmp_path: Path) -> None:
+    """Our own topics in a directory of rosbag2, also compressed, are read by every command that takes a file."""
+    given = ("--vehicles", 4, "--ring", 60, "--duration", 20, "--seed", 1)
+    assert sugiyama("simulate", *given, "-o", tmp_path / "ring.mcap")[0] == 0
+    one = document("calibrate", tmp_path / "ring.mcap")
+    for name in ("ring_0.mcap", "ring_0.mcap.zstd"):
+        bag = folder(tmp_path / f"of_{name[5:]}", {name: tmp_path / "ring.mcap"}, "FILE" if name.endswith("d") else "")
+        assert document("calibrate", bag)["log_likelihood"] == one["log_likelihood"]
+        assert document("info", bag / name)["messages"] == document("info", tmp_path / "ring.mcap")["messages"]
+    code, said = sugiyama("recover", bag / name, "-o", tmp_path / "again.mcap")
+    assert (code, "0 bytes lost" in said) == (0, True)
+    bag = write(tmp_path / "a.mcap", odometry(0, every(0.1)))
+    code, said = sugiyama("calibrate", bag)
+    assert (code, "with --odometry" in said) == (2, True)

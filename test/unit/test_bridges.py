@@ -13,7 +13,7 @@ import pytest
 from sugiyama_ros.bridges.fields import read_bridge, yaw
 from sugiyama_ros.bridges.frames import EARLY, Frames
 from sugiyama_ros.bridges.moments import Moments, Numbers, RoadMoment
-from sugiyama_ros.bridges.perception import PerceptionSettings
+from sugiyama_ros.bridges.perception import Perception, PerceptionSettings
 from sugiyama_ros.bridges.registry import BRIDGES
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.bag_folder import bag_files
@@ -257,3 +257,77 @@ def test_directories_of_rosbag2(tmp_path: Path) -> None:
 def test_settings_with_which_nobody_can_be_followed(settings: dict[str, float]) -> None:
     with pytest.raises(InputError, match=r"is not"):
         PerceptionSettings(**settings)
+
+
+def perceived(frame: str = "") -> Perception:
+    line = CentreLine(np.array([0.0, 1000.0]), np.zeros(2))
+    return Perception(RoadLanes(["0"], [line], [3.5]), PerceptionSettings(frame=frame))
+
+
+def odometry(time_s: float, x: float, frame: str = "map") -> Any:
+    straight = Message(position=Message(x=x, y=0.0), orientation=Message(x=0.0, y=0.0, z=0.0, w=1.0))
+    return Message(header=header(time_s, frame), pose=Message(pose=straight, covariance=[0.0] * 36))
+
+
+def detected(time_s: float, *names: str) -> Any:
+    boxes = [
+        Message(id=name, bbox=Message(center=odometry(time_s, 10.0 * k).pose.pose, size=Message(x=4.0)))
+        for k, name in enumerate(names)
+    ]
+    return Message(header=header(time_s), detections=boxes)
+
+
+ODOMETRY, DETECTIONS = (BRIDGES[f"{name}"] for name in ("nav_msgs/msg/Odometry", "vision_msgs/msg/Detection3DArray"))
+
+
+@pytest.mark.parametrize(
+    ("names", "why"),
+    [
+        (("", ""), "40 of 40 vehicles seen have no id"),
+        (("7", "7"), "40 of 40 vehicles seen share an id"),
+        (("7", "8"), ""),
+    ],
+)
+def test_live_ids_are_checked(names: tuple[str, ...], why: str) -> None:
+    perception = perceived()
+    samples = [s for k in range(20) for s in perception.take(detected(0.1 * k + 5.0, *names), DETECTIONS, "/det", k)]
+    assert perception.problem().startswith(why)
+    assert bool(samples) == (not why)
+    assert {vehicle for sample in samples for vehicle in sample.vehicle} == ({7, 8} if samples else set())
+
+
+def test_live_stamps_are_checked() -> None:
+    perception, second = perceived(), 1_000_000_000
+    samples = []
+    for k in range(30):
+        samples += perception.take(odometry(0.0, 10.0 * k), ODOMETRY, "/a", second * (5 + k) // 10)
+    assert len(samples) == 29
+    assert [s.stamp_ns for s in samples[:2]] == [second // 2, second * 6 // 10]
+    assert "have stamp 0 and count as seen when the message came" in perception.problem()
+    same = perceived()
+    for k in range(30):
+        list(same.take(odometry(7.0, 10.0 * k), ODOMETRY, "/a", second * k // 10))
+    assert "have a stamp that the vehicle had before; set header.stamp, or give a bridge" in same.problem()
+    milliseconds = replace(ODOMETRY, stamp="time")
+    numbers = perceived()
+    given = [Message(**vars(odometry(0.0, 10.0 * k)), time=100 * k + 5) for k in range(30)]
+    with pytest.raises(InputError, match=r"runs 1e\+03 times as fast as the clock; give `stamp_unit: ms`"):
+        [list(numbers.take(one, milliseconds, "/a", second * k // 10)) for k, one in enumerate(given)]
+
+
+def test_live_positions_wait_for_the_transform_after_them() -> None:
+    """A car at 10 m/s sees another one 30 m ahead; transforms come at half the times."""
+    perception, found = perceived("map"), []
+    for k in range(40):
+        t = 5.0 + 0.1 * k
+        found += list(perception.take(odometry(t, 30.0, "car"), ODOMETRY, "/other", 0))
+        found += list(perception.hear(transform("map", "car", t + 0.05, 10.0 * t + 0.5, 0.0, 0.0), static=False))
+    assert len(found) >= 37
+    for sample in found:
+        assert sample.position_m[0] == pytest.approx(1e-8 * sample.stamp_ns + 30.0, abs=1e-6)
+    assert perception.moments.counts.unknown_frame == 1  # before the first transform
+    assert perception.problem().startswith("1 of 40 vehicles seen are in a frame")
+    moving = perceived()
+    list(moving.take(odometry(5.0, 30.0, "car"), ODOMETRY, "/other", 0))
+    list(moving.hear(transform("map", "car", 5.0, 0.0, 0.0, 0.0), static=False))
+    assert "car, which moves; set the parameter frame" in moving.problem()
