@@ -10,6 +10,7 @@ import signal
 import sys
 from contextlib import suppress
 
+from sugiyama_ros import interrupts
 from sugiyama_ros.errors import SugiyamaError, nowhere_to_compile
 
 _FAILED, _REFUSED, _INTERRUPTED = 1, 2, 130
@@ -18,6 +19,7 @@ _FAILED, _REFUSED, _INTERRUPTED = 1, 2, 130
 def main() -> None:
     """Entry point of the console script."""
     try:
+        interrupts.remember()
         # The work is shared out over drivers. Threads of the linear algebra would only take processor time from it.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         sys.unraisablehook = _say_unless_half_made

@@ -109,3 +109,27 @@ def test_a_signal_while_nodes_start_ends_them(tmp_path: Path, number: signal.Sig
         ended[name] = node.returncode, "Traceback" in said
     assert ended == dict.fromkeys(nodes, (0, False))
     assert [path.name for path in tmp_path.iterdir()] == ["line.csv"]
+
+
+def test_ctrl_c_that_a_library_swallows_ends_a_run_all_the_same(ring_csv: Path, tmp_path: Path) -> None:
+    """It comes while the command is loaded, in a block that catches everything."""
+    code = (
+        "import signal, sys\n"
+        "import sugiyama_ros.cli as cli\n"
+        "load = cli._run\n"
+        "def swallowing():\n"
+        "    try:\n"
+        "        signal.raise_signal(signal.SIGINT)\n"
+        "    except BaseException:\n"
+        "        pass\n"
+        "    return load()\n"
+        "cli._run = swallowing\n"
+        f"sys.argv = ['sugiyama', 'run', {str(ring_csv)!r}, '--ring', '100', '--rate', '1', '-o', 'out.mcap']\n"
+        "cli.main()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 130, done.stderr
+    *told, last = done.stderr.splitlines()
+    assert last == "interrupted before the first sample; nothing was recorded"
+    assert all(line.startswith("[INFO]") for line in told)
+    assert [path.name for path in tmp_path.iterdir()] == ["ring.csv"]

@@ -693,8 +693,8 @@ def live_page(browser, *arguments):
         _, said = served.communicate(timeout=60)
     assert served.returncode == 0
     # the last words say where the recording is; nothing warns
-    end = [f"all topics are in {arguments[-1]}; look at it: sugiyama report {arguments[-1]} --open"]
-    assert said.splitlines() == (end if arguments else [])
+    end = [f"all topics are in {path}; look at it: sugiyama report {path} --open" for path in arguments[-1:]]
+    assert said.splitlines() == end
     assert problems == []
     assert asked == {f"localhost:{port}"}
 

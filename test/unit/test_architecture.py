@@ -12,6 +12,7 @@ PACKAGE = Path(__file__).parents[2] / "sugiyama_ros"
 ORDER = (
     "arrays",
     "inputs",
+    "interrupts",
     "outputs",
     "documents",
     "entry_points",
@@ -44,7 +45,7 @@ ORDER = (
     "compile",
 )
 #: Single files that README does not have to name.
-SMALL = {"entry_points", "inputs", "progress", "plugins", "picture", "results", "plots", "tables"}
+SMALL = {"entry_points", "inputs", "interrupts", "progress", "plugins", "picture", "results", "plots", "tables"}
 #: Rooms that may import only these rooms, whatever the order allows.
 ALONE = {
     "page": set(

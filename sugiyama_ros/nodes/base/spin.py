@@ -15,6 +15,7 @@ from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from sugiyama_ros import interrupts
 from sugiyama_ros.errors import InputError, OutputError, SugiyamaError
 from sugiyama_ros.nodes.base import environment
 from sugiyama_ros.nodes.base.node import PacedNode
@@ -56,7 +57,7 @@ def ros() -> Iterator[Callable[[], bool]]:
         raise InputError(f"ROS does not start: {why}; correct the environment variables ROS_*") from None
     before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield lambda: bool(asked)
+        yield lambda: bool(asked or interrupts.came)
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
