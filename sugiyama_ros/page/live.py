@@ -85,7 +85,7 @@ class _Page:
             title="effect", options=[(name, title(feed, name)) for name in feed.effects],
             value=next(iter(feed.effects)), width=200, stylesheets=[INPUT],
         )  # fmt: skip
-        self._values = TextInput(title="strength", width=150, stylesheets=[INPUT])
+        self._values = TextInput(title="strength", width=140, stylesheets=[INPUT])
         self._empty: dict[str, Any] = {}  # pictures that are not shown, because there is nothing to draw yet
         self._status = Div(text="", stylesheets=[GlobalInlineStyleSheet(css=LIVE)])
         self._said, self._about = Div(text=""), Div(text="")
@@ -190,7 +190,7 @@ class _Page:
         rates = [*sorted({1.0, 2.0, 4.0, 8.0, self._feed.rate} - {0.0}), 0.0]
         pause = Toggle(label="pause", width=70)
         rate = Select(
-            title="rate", value=f"{self._feed.rate:g}", width=75, stylesheets=[INPUT],
+            title="rate", value=f"{self._feed.rate:g}", width=70, stylesheets=[INPUT],
             options=[(f"{r:g}", f"{r:g}" if r else _FASTEST) for r in rates],
         )  # fmt: skip
         add, remove = Button(label="add", width=60), Button(label="remove", width=75)

@@ -734,7 +734,7 @@ def test_every_control_of_the_live_page(browser, recorded, tmp_path):
         check_live_layout(page)
         # the driver: by the list, by a car, by a point
         driver = page.get_by_label("driver", exact=True)
-        speeds = "[...Bokeh.documents[0]._all_models.values()].map(m => m.data).filter(d => d?.v_low)[0].speed.join()"
+        speeds = "[...Bokeh.documents[0]._all_models.values()].map(m => m.data).filter(d => d?.spread)[0].speed.join()"
         first = page.evaluate(speeds)
         driver.select_option("vehicle 3")
         page.wait_for_function(f"{speeds} != {json.dumps(first)} && {speeds}.length > 0")
