@@ -175,6 +175,11 @@ class _Ghost(NamedTuple):
     s_m: float
     way_m: float
 
+    def within(self, begin: int, end: int) -> tuple[Ints, Array]:
+        """Steps of a block, and positions [m] at them."""
+        steps: Ints = np.arange(max(self.first, begin), min(self.last, end), dtype=np.int64)
+        return steps, self.s_m + self.way_m * (steps - self.first).astype(np.float64)
+
 
 def _leaders(table: _AtSteps, on_road: Mask, lane: Ints, s_m: Array, period_s: float, road: Road) -> Ints:
     """Leader of each row on the road: the next vehicle ahead on its lane, `UNKNOWN` where another may be between."""
@@ -184,17 +189,13 @@ def _leaders(table: _AtSteps, on_road: Mask, lane: Ints, s_m: Array, period_s: f
     leader = np.full(len(step), FREE, dtype=np.int64)
     for begin in range(int(step[0]), int(step[-1]) + 1, _AT_ONCE) if len(step) else ():
         here = np.arange(*np.searchsorted(step, (begin, begin + _AT_ONCE)))
-        there = [
-            (k, ghost.lane, float(road.wrap(np.array(ghost.s_m + ghost.way_m * (k - ghost.first)))))
-            for ghost in ghosts
-            if ghost.first < begin + _AT_ONCE and ghost.last > begin
-            for k in range(max(ghost.first, begin), min(ghost.last, begin + _AT_ONCE))
-        ]
-        more = np.array(there, dtype=np.float64).reshape(-1, 3)
-        all_step = np.concatenate([step[here], more[:, 0].astype(np.int64)])
-        all_lane = np.concatenate([lane[here], more[:, 1].astype(np.int64)])
-        all_s = np.concatenate([s_m[here], more[:, 2]])
-        name = np.concatenate([vehicle[here], np.full(len(more), UNKNOWN, dtype=np.int64)])
+        more = [ghost.within(begin, begin + _AT_ONCE) for ghost in ghosts]
+        all_step = np.concatenate([step[here], *(steps for steps, _ in more)])
+        all_lane = np.concatenate(
+            [lane[here], *(np.full(len(k), g.lane) for g, (k, _) in zip(ghosts, more, strict=True))]
+        )
+        all_s = np.concatenate([s_m[here], *(road.wrap(positions) for _, positions in more)])
+        name = np.concatenate([vehicle[here], np.full(len(all_step) - len(here), UNKNOWN)])
         ahead = _next_ahead(all_step, all_lane, all_s, road.is_ring)
         leader[here] = np.where(ahead >= 0, name[ahead], FREE)[: len(here)]
     return leader

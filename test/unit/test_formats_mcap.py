@@ -10,7 +10,7 @@ import subprocess
 import sys
 import textwrap
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +26,7 @@ from sugiyama_ros.errors import InputError, OutputError
 from sugiyama_ros.formats.cdr import Encoder
 from sugiyama_ros.formats.convert import convert, write_trajectories
 from sugiyama_ros.formats.definitions import full_text
+from sugiyama_ros.formats.mcap_order import Segment, merged
 from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.mcap_records import MAGIC, RecordFile, content_records
 from sugiyama_ros.formats.mcap_writer import LATCHED_TOPIC, BagWriter
@@ -616,3 +617,26 @@ def test_formats_work_without_ros() -> None:
             importlib.import_module(f"sugiyama_ros.formats.{module.name}")
     """
     subprocess.run([sys.executable, "-c", textwrap.dedent(script)], check=True, timeout=60)
+
+
+def test_overlapping_parts_are_merged_in_bounded_memory(tmp_path: Path) -> None:
+    """Parts are open only while their messages are due; too many at the same time are refused with a cure."""
+    opened: list[int] = []
+
+    def part(number: int, times: list[int], size: int = 100 << 20) -> Segment:
+        def load() -> Iterator[tuple[int, int]]:
+            opened.append(number)
+            yield from ((time, number) for time in times)
+            opened.remove(number)
+
+        return Segment(times[0], size, load)
+
+    most = []
+    for found in merged([part(k, [10 * k, 10 * k + 12]) for k in (3, 1, 2, 0)], lambda one: one[0], tmp_path):
+        most.append((found, len(opened)))
+    times = [time for (time, _), _ in most]
+    assert times == sorted(times)
+    assert len(times) == 8
+    assert max(count for _, count in most) == 2
+    with pytest.raises(InputError, match="lie in another order than their log times; sort it with `mcap sort"):
+        list(merged([part(k, [k, 100]) for k in range(3)], lambda one: one[0], tmp_path))
