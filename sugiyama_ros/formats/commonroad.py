@@ -100,7 +100,9 @@ def read_commonroad(path: Path, choices: Choices) -> Tracks:
     place = np.stack((np.asarray(columns.pop("x_m")), np.asarray(columns.pop("y_m"))), axis=1)
     code, time = vehicle.code.astype(np.int64), np.asarray(columns["time_s"])
     seen = SeenRows(code, time, place, _headings(code, time, place, np.asarray(columns.pop("heading"))))
-    on = placed(network, seen, vehicle.text)
+    # what becomes too large is on no lanelet
+    with np.errstate(over="ignore", invalid="ignore"):
+        on = placed(network, seen, vehicle.text)
     # A place on no lane has no position along a lane.
     columns |= {"vehicle": vehicle, "class": labels_of(kinds), "road": on.road, "lane": on.lane, "leader": on.leader}
     columns |= {"s_m": on.s_m, "d_m": on.d_m}

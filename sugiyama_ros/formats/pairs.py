@@ -155,8 +155,10 @@ def _somebody(leader: Labels, leader_s_m: Array) -> Labels:
 
 def _length(pair: dict[str, Array | Labels]) -> Array:
     """Length [m] of the leader (R,), from the gap bumper to bumper."""
-    length = np.asarray(pair["leader_s_m"]) - np.asarray(pair["s_m"]) - np.asarray(pair["gap_m"])
-    return np.asarray(np.round(length, 2))
+    # what becomes too large is no length
+    with np.errstate(over="ignore", invalid="ignore"):
+        length = np.asarray(pair["leader_s_m"]) - np.asarray(pair["s_m"]) - np.asarray(pair["gap_m"])
+        return np.asarray(np.round(length, 2))
 
 
 def _twice(follower: Array | Labels, leader: Array | Labels) -> Array | Labels:

@@ -583,6 +583,26 @@ def test_lanes_side_by_side_have_one_origin(tmp_path):
     assert list(dict.fromkeys(tracks.lane.values()[:120])) == ["9", "2"]
 
 
+@pytest.mark.parametrize("number", ["1e308", "-1e308"])
+def test_numbers_that_overflow_give_no_warning_of_numpy(tmp_path, number):
+    """One such value is left out, or the file is refused in one line."""
+    pair = "timestamp,xLeaderReal,xFollowerReal,spacing\n" + "".join(
+        f"{t / 10},{50 + t},{20 + t},25\n" for t in range(50)
+    )
+    files = {
+        "cars.csv": CARS.to_csv(index=False).replace("260.0", number, 1),
+        "pairs.csv": pair.replace(",25\n", f",{number}\n", 1),
+        "street.xml": scenario(STREET, obstacle(11, drive(20, 0)).replace("<x>25.0000", f"<x>{number}")),
+        "tgsim.csv": tgsim(0.4).replace(",12,0,4.5", f",{number},0,4.5", 1),
+    }
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+        try:
+            assert len(sg.read_tracks(tmp_path / name)) > 50
+        except InputError as error:
+            assert name in str(error)
+
+
 # ---- from a feed to an estimate in Python
 
 
