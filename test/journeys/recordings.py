@@ -91,6 +91,18 @@ def own_columns(path: Path) -> Path:
     return path
 
 
+def all_columns(path: Path) -> Path:
+    """A table of tracks with every column that it may have: three cars on each of two lanes."""
+    measured = drivers(3, 0.0, 60.0)
+    lanes = [table(measured).assign(lane=lane, vehicle=lambda rows, k=lane: rows.vehicle + 3 * k) for lane in (1, 2)]
+    rows = pd.concat(lanes).rename(columns={"position_m": "s_m"})
+    rows = rows.assign(recording=1, road=1, d_m=0.0, width_m=1.8, driver=rows.vehicle, measured=1)
+    rows["vehicle"] -= 2
+    rows["class"] = np.where(rows.vehicle == 1, "truck", "car")
+    rows.to_csv(path, index=False)
+    return path
+
+
 def centre_line(path: Path, length_m: float = 700.0) -> Path:
     """A straight road along x with one lane."""
     path.write_text("x,y\n" + "".join(f"{x:.1f},0.0\n" for x in np.arange(-50.0, length_m, 10.0)))

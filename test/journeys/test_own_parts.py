@@ -1,36 +1,35 @@
-"""Another package adds a law, an effect of each stage, a file format and a study, and every command knows them.
+"""A package has what the pages in docs/howto show: an effect, a law, two formats and a study.
 
-The commands compile their own code, because a driver's row is longer with more effects. That takes most of the time. So
-two processes share it: one compiles what simulates and fits, the other compiles the estimators. Both compile with fewer
-optimisations (NUMBA_OPT), which takes three quarters of the time.
+Every command knows them.
+
+Another package has an effect of each stage, and one that cannot be loaded. The commands compile their own code, because
+a driver's row is longer with more effects. That takes most of the time. So two processes share it: one compiles what
+simulates and fits, the other compiles the estimators. Both compile with fewer optimisations (NUMBA_OPT), which takes
+three quarters of the time.
 """
 
 import json
 import os
+import shlex
 import subprocess
 import sys
+import sysconfig
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from journeys.blocks import ROOT, blocks
+
 # Most of this time is for compiling on a busy machine.
 pytestmark = [pytest.mark.system, pytest.mark.timeout(900)]
+PAGES = [ROOT / "docs" / "howto" / f"{name}.md" for name in ("effect", "law", "format", "study")]
+#: An effect of each stage, beside the one of the page.
 MODULE = """
-from pathlib import Path
-
-import numpy as np
 from numba import njit
 
 from sugiyama_ros.driver.parameters import Parameter
-from sugiyama_ros.effects.effect import (
-    ACTUATION, ENVIRONMENT, MEASUREMENT, PERCEPTION, PREFERENCE, UTILITY, Effect, Memory, at,
-)
-from sugiyama_ros.formats.format import Format
-from sugiyama_ros.laws.law import Law
-from sugiyama_ros.road import Road
-from sugiyama_ros.studies.study import Answer, Study
-from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.effects.effect import ACTUATION, MEASUREMENT, PERCEPTION, PREFERENCE, UTILITY, Effect, Memory, at
 
 
 @njit
@@ -64,11 +63,6 @@ def half_expected(wanted, variance, period, p):
 
 
 @njit
-def syrup(seen, p):
-    return -p[0] * seen.speed
-
-
-@njit
 def displaced(position, circumference, p):
     return p[0], 0.0
 
@@ -86,27 +80,7 @@ HURRIED = effect("hurried", PREFERENCE, hurried)
 GENTLE = effect("gentle", UTILITY, gentle)
 WEAK = effect("weak", ACTUATION, weak)
 HALF = effect("half", ACTUATION, memory=Memory(half, half_expected))
-SYRUP = effect("syrup", ENVIRONMENT, syrup)
 DISPLACED = effect("displaced", MEASUREMENT, displacement=displaced, is_noise=True)
-
-
-@njit
-def follow(gap, speed, leader_speed, p):
-    return min(max(p[0] * (leader_speed - speed), -6.0), 4.0)
-
-
-LAW = Law("follow", "a follower", "drives as fast as the leader", "a test",
-          (Parameter("k", "k", "1/s", 0.5, 0.01, 5.0, "sensitivity"),), follow)
-
-
-def read(path, ring_m=None):
-    table = np.loadtxt(path, skiprows=1)
-    return Trajectories(table, np.full(table.shape[1], 4.33), np.arange(table.shape[1]), Road(ring_m or 0.0), 1.0 / 3.0,
-                        source=Path(path).name)
-
-
-FORMAT = Format("grid", (".grid",), lambda head, path: head.startswith(b"grid"), read, "a table of positions")
-STUDY = Study("made_up", "What is one and one?", "says nothing", lambda asked: Answer(({"sum": 2},), lambda axes: None))
 """
 ENTRIES = """
 [sugiyama_ros.effects]
@@ -115,17 +89,10 @@ hurried = mine:HURRIED
 gentle = mine:GENTLE
 weak = mine:WEAK
 half = mine:HALF
-syrup = mine:SYRUP
 displaced = mine:DISPLACED
 broken = mine:MISSING
-[sugiyama_ros.laws]
-follow = mine:LAW
-[sugiyama_ros.formats]
-grid = mine:FORMAT
-[sugiyama_ros.studies]
-made_up = mine:STUDY
 """
-STAGES = ("nearsighted", "hurried", "gentle", "weak", "half", "syrup", "displaced")
+STAGES = ("nearsighted", "hurried", "gentle", "weak", "half", "displaced", "syrup")
 #: Program that runs commands in turn: it reads lists of arguments from standard input, and prints codes and outputs.
 COMMANDS = """
 import json, os, sys, tempfile
@@ -151,13 +118,46 @@ for arguments in commands:
 """
 
 
+def write_package(folder: Path) -> list[str]:
+    """Write the files that the pages show, and install them as the pages say; returns the commands of the pages."""
+    project: dict[str, list[str]] = {}
+    commands = []
+    for block in (block for page in PAGES for block in blocks(page)):
+        if block.words == "pyproject.toml":  # the pages share one project
+            section = ""
+            for line in filter(None, block.text.splitlines()):
+                section = line if line.startswith("[") else section
+                lines = project.setdefault(section, [section])
+                lines += [line] * (line not in lines)
+        elif block.mark == "file":
+            path = folder / block.words
+            path.parent.mkdir(exist_ok=True)
+            path.write_text(block.text)
+        elif block.is_run:
+            commands += block.text.splitlines()
+    (folder / "pyproject.toml").write_text("\n".join(line for lines in project.values() for line in lines) + "\n")
+    (install,) = {line for line in commands if not line.startswith("sugiyama ")}
+    assert install == "pip install -e ."
+    subprocess.run(
+        [sys.executable, "-m", *install.split()], cwd=folder, env=environment(folder), check=True, capture_output=True
+    )
+    return [line for line in commands if line != install]
+
+
+def environment(folder: Path) -> dict[str, str]:
+    """Variables with which pip installs into the folder and asks no other machine, and Python finds what is there."""
+    where = sysconfig.get_path("purelib", vars={"base": str(folder / "installed")})
+    path = os.pathsep.join([where, str(folder), *filter(None, [os.environ.get("PYTHONPATH")])])
+    pip = {"PIP_PREFIX": str(folder / "installed"), "PIP_NO_INDEX": "1", "PIP_NO_BUILD_ISOLATION": "0"}
+    return os.environ | pip | {"PYTHONPATH": path, "NUMBA_CACHE_DIR": str(folder / "compiled"), "NUMBA_OPT": "1"}
+
+
 def start(folder: Path, commands: dict[str, list[str]]) -> Callable[[], dict[str, list[object]]]:
     """Start a process that runs commands in turn; returns a function that waits for their answers."""
-    path = os.pathsep.join([str(folder), *filter(None, [os.environ.get("PYTHONPATH")])])
     process = subprocess.Popen(
         [sys.executable, "-c", COMMANDS],
         cwd=folder,
-        env=os.environ | {"PYTHONPATH": path, "NUMBA_CACHE_DIR": str(folder / "compiled"), "NUMBA_OPT": "1"},
+        env=environment(folder),
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -186,29 +186,35 @@ def answers(tmp_path_factory):
     (folder / "mine.py").write_text(MODULE)
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: mine\nVersion: 1.0\n")
     (about / "entry_points.txt").write_text(ENTRIES)
-    (folder / "small.grid").write_text("grid\n" + "\n".join(f"{3.0 * k} {3.0 * k + 20.0}" for k in range(60)))
+    of_pages = write_package(folder)
+    for name in ("small.grid", "my.grid"):
+        (folder / name).write_text("grid\n" + "\n".join(f"{3.0 * k} {3.0 * k + 20.0}" for k in range(60)))
+    (folder / "my.lanes").write_text(
+        "\n".join(f"{v} 1 {0.5 * k} {3.0 * k + 20.0 * v}" for v in (1, 2) for k in range(60))
+    )
     ring = ["--ring", "45", "--json"]
     base = ["--vehicles", "4", "--ring", "45", "--duration", "40", "--seed", "1", "--json"]
     effects = [argument for name in STAGES for argument in ("--effect", f"{name}:k=0.05")]
     estimators = start(folder, {"run grid": ["run", "small.grid", "-o", "grid.mcap", "--json"]})
     fits = {
         **{
-            f"simulate {name}": ["simulate", "-o", f"{name}.csv", *base, "--effect", f"{name}:k=0.3"] for name in STAGES
+            f"simulate {name}": ["simulate", "-o", f"{name}_1.csv", *base, "--effect", f"{name}:k=0.3"]
+            for name in STAGES
         },
         "simulate": ["simulate", "-o", "base.csv", *base],
         "simulate all": ["simulate", "-o", "all.csv", *base, *effects],
         "broken": ["simulate", "-o", "broken.csv", *base, "--effect", "broken:k=1"],
-        "calibrate": ["calibrate", "syrup.csv", *ring, "--effects", "syrup,gentle"],
-        "compare": ["compare", "syrup.csv", *ring, "--effects", "syrup"],
-        "diagnose": ["diagnose", "syrup.csv", *ring, "--quick", "--add", "auto", "-o", "model.yaml"],
+        "calibrate": ["calibrate", "syrup_1.csv", *ring, "--effects", "syrup,gentle"],
+        "compare": ["compare", "syrup_1.csv", *ring, "--effects", "syrup"],
+        "diagnose": ["diagnose", "syrup_1.csv", *ring, "--quick", "--add", "auto", "-o", "model.yaml"],
         "convert": ["convert", "small.grid", "small.mcap", "--json"],
         "calibrate grid": ["calibrate", "small.grid", "--formulation", "paper", "--json"],
-        "study": ["study", "made_up", "--json"],
         "studies": ["study"],
+        **{line: shlex.split(line)[1:] for line in of_pages},
     }
     found = start(folder, fits)() | estimators()
     followed = {
-        "run": ["run", "syrup.csv", *ring, "-o", "run.mcap", "--model", "model.yaml"],
+        "run": ["run", "syrup_1.csv", *ring, "-o", "run.mcap", "--model", "model.yaml"],
         "report": ["report", "run.mcap", "--json"],
     }
     return found | start(folder, followed)()
@@ -261,6 +267,14 @@ def test_a_format_of_another_package_is_read(answers):
     assert len(document(answers["calibrate grid"])["drivers"]) == 2
 
 
-def test_a_study_of_another_package_is_answered(answers):
-    assert document(answers["study"])["rows"] == [{"sum": 2}]
-    assert "What is one and one?" in answers["studies"][1]
+def test_the_commands_of_the_pages_work(answers):
+    said = {words: answer for words, answer in answers.items() if words.startswith("sugiyama ")}
+    assert {words.split()[1] for words in said} == {"simulate", "diagnose", "compare", "convert", "info", "study"}
+    for words, (code, _, err) in said.items():
+        assert code == 0, f"{words}: {err}"
+    out = {words.split()[1]: answer[1] for words, answer in said.items()}
+    assert "syrup" in out["diagnose"]
+    assert "follow_least_squares" in out["compare"]
+    assert "Vehicles:    2" in out["info"]
+    assert "What does one slow driver do to a ring?" in out["study"]
+    assert "slow_drivers" in answers["studies"][1]
