@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 import sugiyama_ros as sg
 
@@ -139,4 +139,29 @@ def odometry_bag(folder: Path, duration_s: float = 40.0, storage: str = "mcap") 
                 )
                 raw = store.serialize_cdr(message, odometry.__msgtype__)
                 writer.write(topic, nanoseconds + 1_000_000 * (k + 1), raw)
+    return folder
+
+
+def targets_bag(folder: Path, duration_s: float = 20.0) -> Path:
+    """A folder of rosbag2 with messages of a type of its own: all cars that a radar sees, in one message."""
+    measured = drivers(3, 0.0, duration_s, period_s=0.1)
+    places = measured.position_m - measured.position_m.min()
+    store = get_typestore(Stores.ROS2_JAZZY)
+    target = "int32 number\ngeometry_msgs/Point at\nfloat64 yaw\nfloat64 length\n"
+    store.register(get_types_from_msg(target, "radar_msgs/msg/Target"))
+    store.register(get_types_from_msg("std_msgs/Header header\nTarget[] targets\n", "radar_msgs/msg/Targets"))
+    kinds: Mapping[str, Any] = store.types
+    stamp, header, point = (
+        kinds[name] for name in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", "geometry_msgs/msg/Point")
+    )
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        topic = writer.add_connection("/targets", "radar_msgs/msg/Targets", typestore=store)
+        for i, row in enumerate(places):
+            nanoseconds = 1_700_000_000_000_000_000 + 100_000_000 * i
+            seen = [
+                kinds["radar_msgs/msg/Target"](k + 1, point(row[k], 0.0, 0.0), 0.0, float(measured.length_m[k]))
+                for k in range(len(row))
+            ]
+            message = kinds["radar_msgs/msg/Targets"](header(stamp(*divmod(nanoseconds, 1_000_000_000)), "map"), seen)
+            writer.write(topic, nanoseconds, store.serialize_cdr(message, "radar_msgs/msg/Targets"))
     return folder

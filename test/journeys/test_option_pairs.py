@@ -44,6 +44,7 @@ VALUES: Mapping[str, Sequence[str]] = {
     "--output": ("new.mcap", "old.mcap"),
     "demo --data": ("ring.mcap", "ring.csv"),
     "demo --hidden": ("random",),
+    "run --engine": ("compiled", "filterpy"),
     "run --duration": ("20",),
     "run --vehicles": ("3",),
     "run --save-state": ("new_state", "state"),
@@ -210,7 +211,7 @@ def scheduler() -> Iterator[str]:
         yield "tcp://127.0.0.1:9"
         return
     with LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, protocol="tcp://", dashboard_address=None
+        n_workers=1, threads_per_worker=1, processes=False, protocol="tcp://", dashboard_address=":0"
     ) as cluster:
         yield cluster.scheduler_address
 
