@@ -61,6 +61,7 @@ def ngsim(path: Path, vehicles: int = 3, duration_s: float = 410.0) -> Path:
     measured = drivers(vehicles, 0.0, duration_s, period_s=0.5)
     length = measured.length_m / FOOT_M
     front = measured.position_m / FOOT_M + 0.5 * length
+    speed = np.gradient(front, measured.period_s, axis=0)
     order = np.argsort(-front[0])
     rows = []
     for place, k in enumerate(order):
@@ -69,7 +70,7 @@ def ngsim(path: Path, vehicles: int = 3, duration_s: float = 410.0) -> Path:
             gap = front[i, order[place - 1]] - front[i, k] if place else 0.0
             rows.append(
                 f"{k + 1} {i + 1} {len(front)} {1118846979700 + 500 * i} 18.000 {front[i, k]:.3f} 6042842.116"
-                f" 2133117.662 {length[k]:.1f} 6.0 2 30.00 0.00 2 {ahead} {behind} {gap:.2f} 3.33"
+                f" 2133117.662 {length[k]:.1f} 6.0 2 {speed[i, k]:.2f} 0.00 2 {ahead} {behind} {gap:.2f} 3.33"
             )
     path.write_text("\n".join(rows) + "\n")
     return path
