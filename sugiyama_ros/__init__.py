@@ -8,6 +8,7 @@ The Python interface in one line each, with ``import sugiyama_ros as sg``:
 - ``sg.compare(trajectories)``: held-out errors beside other car-following laws;
 - ``sg.diagnose(trajectories)``: which physical effect the model lacks;
 - ``sg.read_recording(path)``: what the estimators published in a recorded run;
+- ``sg.report(run, page)``: a page about a recorded run, with a diagnosis if there is one;
 - ``sg.laws``, ``sg.effects``: what can be simulated, fitted and added, by name.
 
 Importing the package loads nothing else: what a name needs is loaded when the name is first used.
@@ -18,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from sugiyama_ros import effects, laws
-    from sugiyama_ros.api import calibrate, compare, diagnose, read, read_recording, read_tracks, simulate
+    from sugiyama_ros.api import calibrate, compare, diagnose, read, read_recording, read_tracks, report, simulate
 
     __version__: str
 
@@ -32,6 +33,7 @@ __all__ = [
     "read",
     "read_recording",
     "read_tracks",
+    "report",
     "simulate",
 ]
 

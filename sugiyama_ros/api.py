@@ -15,9 +15,11 @@ from sugiyama_ros.calibration.on_tracks import TracksCalibration, calibrate_trac
 from sugiyama_ros.calibration.result import Calibration, Settings
 from sugiyama_ros.diagnosis import compare as comparison
 from sugiyama_ros.diagnosis import diagnosis
+from sugiyama_ros.diagnosis.asked import check_names
 from sugiyama_ros.diagnosis.compare import Comparison
 from sugiyama_ros.diagnosis.diagnosis import Diagnosis
-from sugiyama_ros.diagnosis.use import FEW_ADDITIONS, MANY_ADDITIONS, Goal
+from sugiyama_ros.diagnosis.use import FEW_ADDITIONS, MANY_ADDITIONS, Goal, Purpose, purpose_of
+from sugiyama_ros.diagnosis.verdict import document as document_of
 from sugiyama_ros.driver.parameters import defaults
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
@@ -30,8 +32,10 @@ from sugiyama_ros.formats.frames import from_frame, tracks_of_frame
 from sugiyama_ros.formats.registry import read_tracks as tracks_of_file
 from sugiyama_ros.formats.registry import read_trajectories
 from sugiyama_ros.page import recording
+from sugiyama_ros.page.diagnosis import read_diagnosis
 from sugiyama_ros.page.recording import Recording
 from sugiyama_ros.progress import stages
+from sugiyama_ros.results import plain
 from sugiyama_ros.simulation.experiment import Experiment, carry_out, changed
 from sugiyama_ros.simulation.result import Simulation
 from sugiyama_ros.trajectories.one_lane import one_lane
@@ -334,7 +338,8 @@ def compare(
     effects : sequence of str
         Names of effects that are added to the base model.
     model : str or Path, optional
-        Model file that is compared as it is, without a fit.
+        Model file that is compared as it is, without a fit. If it was fitted to this recording, its errors are in
+        sample.
     seed : int
         Seed of all random numbers.
 
@@ -367,7 +372,8 @@ def diagnose(
     trajectories: Trajectories | Tracks,
     *,
     quick: bool = False,
-    add: str | None = None,
+    add: str | Sequence[str] | None = None,
+    purpose: Purpose = "prediction",
     refit: int | None = None,
     seed: int = 0,
 ) -> Diagnosis:
@@ -379,8 +385,12 @@ def diagnose(
         The recording, at least 8 s long; or tracks on which somebody follows a known vehicle for 15 s.
     quick : bool
         Whether to simulate fewer recordings: sooner, with rougher p-values.
-    add : {None, "auto"}
-        ``"auto"`` adds effects until nothing more is supported; else at most three are added.
+    add : {None, "auto"} or sequence of str
+        By default, at most three effects are added that the data support. ``"auto"`` adds as many as they support, up
+        to eight, and a force without a name. Names, such as ``["drag"]``, are added whatever the data say of them:
+        effects, their forms, groups of constants such as ``"response_constants"``, or ``"discovered_force:speed"``.
+    purpose : {"prediction", "simulation", "online"}
+        What the model is for: nothing is added that makes it worse there.
     refit : int
         Number of simulated recordings to which the final model is fitted, for its standard errors.
     seed : int
@@ -394,27 +404,35 @@ def diagnose(
     Raises
     ------
     InputError
-        For a recording that is too short.
+        For a recording that is too short, or a name that cannot be added.
 
     Examples
     --------
     >>> import sugiyama_ros as sg
     >>> recording = sg.simulate(vehicles=4, ring_m=45.0, duration_s=60.0, seed=1).measured
-    >>> sg.diagnose(recording, quick=True)
-    <Diagnosis: nothing that is missing can be detected in these data>
+    >>> found = sg.diagnose(recording, quick=True)
+    >>> print(found.summary().splitlines()[0])
+    The model is adequate: nothing in these data speaks against it.
     """
-    if add not in (None, "auto"):
-        raise InputError(f"add: {add!r} is not known; give 'auto' or None")
+    goal = _goal(add, purpose)
     with stages() as advance:
         return diagnosis.diagnose(
             trajectories,
             seed=seed,
             quick=quick,
-            goal=Goal(forces=add is not None, most=MANY_ADDITIONS if add else FEW_ADDITIONS),
+            goal=goal,
             refit=refit,
             workers=os.cpu_count() or 1,
             on_progress=advance,
         )
+
+
+def _goal(add: str | Sequence[str] | None, purpose: str) -> Goal:
+    """What may be added, and what the model is for. Raises InputError for unknown names."""
+    only = () if add in (None, "auto") else (add,) if isinstance(add, str) else tuple(add or ())
+    check_names(only)
+    most = MANY_ADDITIONS if add else FEW_ADDITIONS
+    return Goal(only=only, forces=add == "auto", purpose=purpose_of(purpose), most=most)
 
 
 def read_recording(path: str | Path) -> Recording:
@@ -443,3 +461,47 @@ def read_recording(path: str | Path) -> Recording:
     False
     """
     return recording.read_recording(Path(path))
+
+
+def report(run: str | Path, output: str | Path, diagnosis: Diagnosis | str | Path | None = None) -> Path:
+    """Write an HTML page about a recorded run, as ``sugiyama report``.
+
+    Parameters
+    ----------
+    run : str or Path
+        Bag that ``sugiyama run`` recorded, or that `Simulation.save` wrote.
+    output : str or Path
+        Page to write; a page of this name is replaced.
+    diagnosis : Diagnosis, str or Path, optional
+        What `diagnose` returns for the same data, or the document of it in a file.
+
+    Returns
+    -------
+    Path
+        The page.
+
+    Raises
+    ------
+    InputError
+        For a file that is no such bag, or no such document.
+    OutputError
+        If the page cannot be written.
+
+    Examples
+    --------
+    >>> import sugiyama_ros as sg
+    >>> sg.simulate(vehicles=3, ring_m=40.0, duration_s=10.0).save("three.mcap")
+    >>> sg.report("three.mcap", "three.html").name
+    'three.html'
+    """
+    from sugiyama_ros.page.report import write_report
+    from sugiyama_ros.page.truth import against_truth
+
+    if isinstance(diagnosis, Diagnosis):
+        document: dict[str, Any] | None = plain(document_of(diagnosis))
+    else:
+        document = read_diagnosis(Path(diagnosis)) if diagnosis is not None else None
+    bag, page = Path(run), Path(output)
+    read = recording.read_recording(bag)
+    write_report(read, document, page, against_truth(bag, read))
+    return page

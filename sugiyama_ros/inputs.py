@@ -1,12 +1,14 @@
 """Which files a program has read, so that it never writes to one of them.
 
 Files that a command reads beside the files that it is given count too: metadata, and the files of a folder. Code that
-opens inputs calls `note`. Only the command line remembers; in a notebook, a file that was read may be written.
+opens inputs calls `note`; the command line calls `note_given` for what it was given, read or not. Only the
+command line remembers; in a notebook, a file that was read may be written.
 """
 
 import os
+import stat
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 # A file is its device and its number there, whatever its names.
@@ -33,6 +35,15 @@ def note(number: int) -> None:
     """Note that the program reads the file with a descriptor. A file that it has written itself does not count."""
     if _remembers and (key := _key(os.fstat(number))) not in _own:
         _read.add(key)
+
+
+def note_given(path: Path) -> None:
+    """Note that somebody has given a file as an input, whether the program reads it or not."""
+    if _remembers:
+        with suppress(OSError, ValueError):
+            about = path.stat()
+            if stat.S_ISREG(about.st_mode):
+                _read.add(_key(about))
 
 
 def note_own(number: int) -> None:

@@ -136,7 +136,7 @@ def _cell(value: Any) -> str:
 def needs(module: str, what: str, extra: str) -> None:
     """Check that an optional library is there. Raises InputError, which says how to install it."""
     if find_spec(module) is None:
-        raise InputError(f"{what}: {module} is not installed; pip install 'sugiyama_ros[{extra}]'")
+        raise InputError(f"{what}: {module} is not installed; pip install {module}")
 
 
 def plain(value: Any) -> Any:

@@ -3,6 +3,18 @@
 from dataclasses import dataclass
 
 
+def figure(value: float, digits: int = 3) -> str:
+    """Write a number for people: with so many digits, and never as 1.63e+03.
+
+    Examples
+    --------
+    >>> figure(1634.2), figure(0.01234), figure(999.7)
+    ('1634', '0.0123', '1000')
+    """
+    text = f"{value:.{digits}g}"
+    return f"{value:.0f}" if "e+" in text else text
+
+
 @dataclass(frozen=True)
 class TextTable:
     """A table of text.

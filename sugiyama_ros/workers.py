@@ -65,7 +65,7 @@ def _cluster(scheduler: str) -> Iterator[Executor]:
     try:
         from distributed import Client
     except ImportError:
-        raise InputError("--scheduler: Dask is not installed; pip install 'sugiyama_ros[dask]'") from None
+        raise InputError("--scheduler: Dask is not installed; pip install distributed") from None
     try:
         client = Client(scheduler, timeout="10s")
     except (OSError, ValueError, TypeError) as error:  # TypeError: an encrypted connection without certificates

@@ -1,11 +1,30 @@
 """The commands. Each command imports what it needs when it runs, so that ``sugiyama --help`` answers at once."""
 
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
+from sugiyama_ros import inputs
 from sugiyama_ros.cli import calibrate, catalogue, data, demo, diagnose, report, run, simulate, study, view
 from sugiyama_ros.cli.memory import check_limit, share_heap
+
+# Names of arguments and options whose files are written; all other files that a command is given are inputs.
+_WRITTEN = {"output", "save", "figures", "save_state", "directory"}
+
+
+class _Command(TyperCommand):
+    """A command that never writes to a file that it was given as an input."""
+
+    def invoke(self, ctx: Any) -> Any:
+        for name, value in ctx.params.items():
+            if name not in _WRITTEN:
+                for path in value if isinstance(value, list | tuple) else [value]:
+                    if isinstance(path, Path):
+                        inputs.note_given(path)
+        return super().invoke(ctx)
+
 
 # Without rich's markup, which would take a unit such as [m] for a style and leave it out.
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
@@ -28,7 +47,7 @@ for command in (
     data.echo,
     data.recover,
 ):
-    app.command()(command)
+    app.command(cls=_Command)(command)
 
 
 def _print_version(wanted: bool) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sugiyama_ros.cli.options import Json, Overwrite, Ring, Seed, own_output
-from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table
+from sugiyama_ros.cli.output import print_json, print_line, print_note, print_table, show_page
 from sugiyama_ros.cli.run import INTERRUPTED, RunOptions, replay
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.outputs import Output
@@ -71,7 +71,7 @@ def demo(
     told = {**truth, **plain(document_of(found))}
     write_report(read_recording(recording.path), told, page)
     if show:
-        typer.launch(str(page.path))
+        show_page(str(page.path))
     rmse = [math.sqrt(sum(d.one_step_rmse_m**2 for d in r.drivers) / len(r.drivers)) for r in (before, after)]
     if not as_json:
         _print(told, rmse, recording, page)

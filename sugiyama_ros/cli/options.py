@@ -4,12 +4,14 @@ import dataclasses
 import functools
 import inspect
 import math
+import shlex
 from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, TypeVar, get_type_hints
 
 import typer
+from typer.models import ArgumentInfo
 
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.outputs import Output
@@ -81,6 +83,36 @@ def _parameter(field: "dataclasses.Field[object]", annotation: object) -> inspec
     return inspect.Parameter(field.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
 
 
+def command_line(name: str, options: Callable[..., object], **values: object) -> str:
+    """The command that somebody can paste to run a command with these values of its arguments and options.
+
+    Parameters
+    ----------
+    name : str
+        Name of the command.
+    options : callable
+        Its function, or the class of its options, as for ``takes``.
+    **values
+        Values by the names of the fields. Those that are the default are left out.
+    """
+    hints, parameters = get_type_hints(options, include_extras=True), inspect.signature(options).parameters
+    arguments, rest = [], []
+    for field, value in values.items():
+        if value is None or value is False or value == parameters[field].default:
+            continue
+        (about,) = hints[field].__metadata__
+        every = value if isinstance(value, list | tuple) else [value]
+        given = [f"{one:g}" if isinstance(one, float) else str(one) for one in every]
+        if isinstance(about, ArgumentInfo):
+            arguments += given
+        else:
+            # typer takes the first name of an annotated option for its default
+            flags = [flag for flag in (about.default, *(about.param_decls or ())) if isinstance(flag, str)]
+            flag = min(flags, key=len, default=f"--{field.replace('_', '-')}")
+            rest += [flag] if value is True else [part for one in given for part in (flag, one)]
+    return shlex.join(["sugiyama", name, *arguments, *rest])
+
+
 def names(text: str) -> tuple[str, ...]:
     """The names in a list that is separated by commas."""
     return tuple(name.strip() for name in text.split(",") if name.strip())
@@ -121,4 +153,4 @@ def own_output(given: Path | None, own: str, overwrite: bool, *inputs: Path | No
 def need_matplotlib(option: str) -> None:
     """Raise InputError if matplotlib is not installed."""
     if find_spec("matplotlib") is None:
-        raise InputError(f"{option}: matplotlib is not installed; pip install 'sugiyama_ros[pictures]'")
+        raise InputError(f"{option}: matplotlib is not installed; pip install matplotlib")

@@ -1,10 +1,13 @@
 """What the commands print: text, tables and JSON on stdout; notes and progress on stderr."""
 
 import json
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
+from shutil import which
 from typing import TYPE_CHECKING, Any
 
 from rich.box import HEAVY_HEAD
@@ -24,6 +27,8 @@ if TYPE_CHECKING:
 
 # Columns of a terminal, at least, and columns of a line that is not broken.
 _NARROW, _WIDE = 80, 1000
+# Whoever finds no browser says so within this time [s].
+_OPENS_S = 2.0
 _out, _err = Console(), Console(stderr=True)
 
 
@@ -43,6 +48,16 @@ def print_warnings(recording: "Trajectories | Tracks") -> None:
     for note in about.notes if about is not None else ():
         if note.startswith("warning"):
             print_note(note)
+
+
+def print_cautions(model: Path | None) -> None:
+    """Print to stderr what a user of a model must know, if the model file says anything."""
+    if model is None:
+        return
+    from sugiyama_ros.fit.model_file import read_model
+
+    for line in read_model(model).cautions:
+        print_note(f"caution: {model}: {line}")
 
 
 def print_table(table: TextTable, boxed: bool = True, wide: bool = False) -> None:
@@ -108,6 +123,21 @@ def tell(document: Any, text: str, as_json: bool) -> None:
 def to_json(document: Any, indent: int | None = None) -> str:
     """A document as JSON; NaN and infinite numbers become null."""
     return json.dumps(plain(document), indent=indent, allow_nan=False)
+
+
+def show_page(place: str) -> None:
+    """Open a page, given as a file or an address, in the browser; say how to look at it where there is no browser."""
+    opener = which("open" if sys.platform == "darwin" else "xdg-open")
+    has_opened = False
+    if opener is not None:
+        quiet = subprocess.DEVNULL
+        asked = subprocess.Popen([opener, place], stdin=quiet, stdout=quiet, stderr=quiet, start_new_session=True)
+        try:
+            has_opened = asked.wait(_OPENS_S) == 0
+        except subprocess.TimeoutExpired:  # a browser that stays
+            has_opened = True
+    if not has_opened:
+        print_note(f"no browser was found here; open {place} in one")
 
 
 @contextmanager

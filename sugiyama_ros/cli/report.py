@@ -9,9 +9,9 @@ from typing import Annotated
 import typer
 
 from sugiyama_ros.cli.options import Json, Overwrite, need_matplotlib
-from sugiyama_ros.cli.output import print_against, tell
+from sugiyama_ros.cli.output import print_against, show_page, tell
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.outputs import Output
+from sugiyama_ros.outputs import Output, make_directory
 
 
 def report(
@@ -19,7 +19,7 @@ def report(
     output: Annotated[Path | None, typer.Option("--output", "-o", help="HTML file to write.")] = None,
     diagnosis: Annotated[
         Path | None,
-        typer.Option("--diagnosis", help="Document that `sugiyama diagnose --json` printed for the same data."),
+        typer.Option("--diagnosis", help="Document that `sugiyama diagnose --save` wrote for the same data."),
     ] = None,
     figures: Annotated[
         Path | None, typer.Option("--figures", help="Directory to write figures to, for a paper: PDF and PNG.")
@@ -47,15 +47,17 @@ def report(
     to_write.check()
     if figures is not None:
         need_matplotlib("--figures")
+        make_directory(figures)
     found, recording = read_diagnosis(diagnosis) if diagnosis is not None else None, read_recording(source)
     against = against_truth(source, recording)
     written: list[Path] = []
     with showing(diagnosis):
-        write_report(recording, found, to_write, against)
         if figures is not None:
+            # the figures first: what refuses them leaves no page behind
             from sugiyama_ros.page.figures import write_figures
 
             written = write_figures(recording, found, figures, overwrite)
+        write_report(recording, found, to_write, against)
     text = f"page: {page}" + (f"; {len(written)} figures in {figures}" if written else "")
     document = {"output": str(page), "size_bytes": page.stat().st_size, "figures": written}
     if against is not None:
@@ -64,7 +66,7 @@ def report(
             print_against(against)
     tell(document, text, as_json)
     if show:
-        typer.launch(str(page))
+        show_page(str(page))
 
 
 @contextmanager
@@ -79,5 +81,5 @@ def showing(diagnosis: Path | None) -> Iterator[None]:
         if diagnosis is None:
             raise
         raise InputError(
-            f"{diagnosis}: cannot be shown: {error!r}; give what `sugiyama diagnose --json` printed for the same data"
+            f"{diagnosis}: cannot be shown: {error!r}; give what `sugiyama diagnose --save` wrote for the same data"
         ) from error

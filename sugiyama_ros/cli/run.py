@@ -2,6 +2,7 @@
 
 import dataclasses
 import gc
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -21,7 +22,16 @@ from sugiyama_ros.cli.options import (
     rate_of,
     takes,
 )
-from sugiyama_ros.cli.output import print_against, print_json, print_line, print_note, print_table, progress
+from sugiyama_ros.cli.output import (
+    print_against,
+    print_cautions,
+    print_json,
+    print_line,
+    print_note,
+    print_table,
+    progress,
+    show_page,
+)
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.nodes.executables import ros_needed
 from sugiyama_ros.tables import TextTable
@@ -106,6 +116,7 @@ def replay(options: RunOptions) -> "RunResult":
         gc.freeze()
         gc.enable()
     source = _source(options)
+    print_cautions(options.model)
     domain = environment.isolate()
     doing = "simulating" if options.simulate else "replaying"
     with progress(f"{doing} in ROS domain {domain}") as advance:
@@ -187,7 +198,7 @@ def print_run(result: "RunResult", as_json: bool) -> None:
         )
         for d in result.drivers
     )
-    print_table(TextTable("What the estimators know at the end", headings, rows))
+    print_table(TextTable("What the estimators know at the end", headings, (*rows, *_mean(result))))
     if against is not None:
         print_against(against)
     print_line(
@@ -199,6 +210,23 @@ def print_run(result: "RunResult", as_json: bool) -> None:
     if result.interrupted:
         print_note("The run was interrupted: the recording ends early, but it can be read.")
     _end(result)
+
+
+def _mean(result: "RunResult") -> list[tuple[str, ...]]:
+    """The last row: the mean over the drivers who follow somebody; none for a single one."""
+    from sugiyama_ros.formats.registry import read_trajectories
+
+    try:
+        t = read_trajectories(result.output, None)
+        following = set(t.vehicle[(t.leader >= 0).any(axis=0)].tolist())
+    except InputError:  # tracks, or junk that another program has sent
+        following = set()
+    known = [d for d in result.drivers if math.isfinite(d.one_step_rmse_m)]
+    drivers = [d for d in known if d.vehicle in following] or known
+    if len(drivers) < 2:
+        return []
+    error, nis = (sum(getattr(d, name) for d in drivers) / len(drivers) for name in ("one_step_rmse_m", "nis_mean"))
+    return [(f"mean of {len(drivers)}", "", "", f"{error:.3f}", f"{nis:.2f}")]
 
 
 def _end(result: "RunResult") -> None:
@@ -245,10 +273,11 @@ def live(options: LiveOptions) -> None:
     def ready(url: str) -> None:
         print_note(f"live page: {url} (Ctrl-C ends it)")
         if options.show:
-            typer.launch(url)
+            show_page(url)
 
     if not options.host.strip():
         raise InputError("--host: is empty; leave it out for this machine alone, or give an address such as 0.0.0.0")
+    print_cautions(options.model)
     output = own_output(options.output, _LIVE, options.overwrite, options.source, options.model)
     settings = RunSettings(rate_of(options.rate), options.ring, options.model, critic=True, overwrite=output.overwrite)
     domain = environment.isolate() if options.source is not None else environment.domain()

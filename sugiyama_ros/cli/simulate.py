@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sugiyama_ros.cli.options import AddEffect, Json, ModelFile, Overwrite, Seed, SetParameter, Start, takes
-from sugiyama_ros.cli.output import print_json, print_line, print_note
+from sugiyama_ros.cli.output import print_cautions, print_json, print_line, print_note
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.outputs import Output
 
@@ -67,6 +67,7 @@ def simulate(options: SimulateOptions) -> None:
     The file has the positions that a camera would measure. An MCAP file also has the truth about each vehicle. The
     first vehicle starts at 0 m and all others behind it.
     """
+    print_cautions(options.model)
     if options.lanes is not None:
         _simulate_lanes(options, options.lanes)
         return

@@ -19,7 +19,7 @@ def view(
     source: Annotated[Path, typer.Argument(help="MCAP file that `sugiyama run` recorded.")],
     diagnosis: Annotated[
         Path | None,
-        typer.Option("--diagnosis", help="Document that `sugiyama diagnose --json` printed for the same data."),
+        typer.Option("--diagnosis", help="Document that `sugiyama diagnose --save` wrote for the same data."),
     ] = None,
     save: Annotated[
         Path | None,
@@ -40,7 +40,7 @@ def view(
         _save_layout(source, _output(save, overwrite, source))
         return
     if find_spec("rerun") is None:
-        raise InputError("view: rerun-sdk is not installed; pip install 'sugiyama_ros[view]'")
+        raise InputError("view: rerun-sdk is not installed; pip install rerun-sdk")
     output = _output(save, overwrite, source) if save is not None else None
     import rerun
 

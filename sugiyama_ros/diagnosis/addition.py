@@ -54,6 +54,8 @@ class Addition:
         Columns of the drivers who have it, or who bring nearly all of its gain; empty for all.
     worse : tuple of str
         Where the model with the addition does worse in the last part of the recording than the base model, in words.
+    is_supported : bool
+        Whether the data ask for it. What somebody asks for is added even if they do not.
     """
 
     name: str
@@ -69,6 +71,7 @@ class Addition:
     form: str
     drivers: tuple[int, ...] = ()
     worse: tuple[str, ...] = ()
+    is_supported: bool = True
 
     @property
     def is_of_others_too(self) -> bool:

@@ -27,6 +27,7 @@ from sugiyama_ros.diagnosis.locate import Located, locate
 from sugiyama_ros.fit.cross_validation import Gain, gain, sum_error
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.tables import figure
 
 Outcome = Literal["adequate", "explained", "not_explained"]
 # Another law is better by at least this gain [nats].
@@ -149,7 +150,8 @@ def judge(data: Recorded, evidence: Evidence) -> Adequacy:
         *((*rounding_says(data, evidence.final), *sampling_says(data)) if evidence.named else ()),
     ]
     reasons += [
-        f"a force that depends on {force.shown} is missing, by {force.strength:.2g} m/s² ({force.gain_nats:.0f} nats)"
+        f"a force that depends on {force.shown} is missing, by {figure(force.strength, 2)} m/s²"
+        f" ({force.gain_nats:.0f} nats{'' if force.can_be_added else '; the model cannot have a force along it'})"
         for force in evidence.forces[:1]
     ]
     if evidence.refused:
@@ -271,7 +273,9 @@ def _free_runs_say(evidence: Evidence) -> list[str]:
         errors = evidence.laws[law]
         if evidence.checks[law].p_of_ratio(log_ratio(model, errors)) < LEVEL_OF_LAWS:
             theirs, ours = errors.free_run_10s_beside(model)
-            return [f"free runs of {law} end closer: {theirs:.2g} m off after 10 s instead of {ours:.2g} m"]
+            return [
+                f"free runs of {law} end closer: {figure(theirs, 2)} m off after 10 s instead of {figure(ours, 2)} m"
+            ]
     return []
 
 

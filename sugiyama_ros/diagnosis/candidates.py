@@ -215,19 +215,26 @@ def _why_not(e: Effect, data: Recorded) -> str:
     return next((reason for reason, holds in reasons.items() if holds), "")
 
 
-def only_those(possible: Sequence[Candidate], names: Sequence[str]) -> tuple[Candidate, ...]:
+def only_those(data: Recorded, possible: Sequence[Candidate], names: Sequence[str]) -> tuple[Candidate, ...]:
     """Return the candidates with these names, or of these mechanisms; all of them if there are no names.
 
     Raises
     ------
     InputError
-        For a name that no candidate has.
+        For a name that no candidate has; the message says why where an effect of that name cannot be added.
     """
-    known = {name for c in possible for name in (c.name, c.mechanism)}
     for name in names:
-        if name not in known:
-            raise InputError(f"effect {name!r}: cannot be added here; choose among {', '.join(sorted(known))}")
+        if not any(name in (c.name, c.mechanism) for c in possible):
+            raise _cannot_be_added(data, possible, name)
     return tuple(c for c in possible if not names or c.name in names or c.mechanism in names)
+
+
+def _cannot_be_added(data: Recorded, possible: Sequence[Candidate], name: str) -> InputError:
+    """The error for a name that no candidate has."""
+    known = sorted({name for c in possible for name in (c.name, c.mechanism)})
+    reason = not_searched(data).get(name, "")
+    why = f": {reason}" if reason else ""
+    return InputError(f"effect {name!r}: cannot be added here{why}; choose among {', '.join(known)}")
 
 
 def named(data: Recorded, names: Sequence[str]) -> list[Candidate]:
@@ -253,7 +260,7 @@ def named(data: Recorded, names: Sequence[str]) -> list[Candidate]:
     possible = {c.name: c for c in candidates(data)}
     for name in names:
         if name not in possible:
-            raise InputError(f"effect {name!r}: cannot be added here; choose among {', '.join(possible)}")
+            raise _cannot_be_added(data, tuple(possible.values()), name)
     return [possible[name] for name in names]
 
 

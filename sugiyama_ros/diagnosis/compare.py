@@ -1,10 +1,10 @@
-"""Comparison of models on the same held-out samples, with paired standard errors and the floor of the base model."""
+"""Comparison of models on the same held-out samples, with paired standard errors."""
 
 import os
 from collections.abc import Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from sugiyama_ros.diagnosis.noises import base_model
 from sugiyama_ros.diagnosis.rivals import by_gaps, has_parameters, in_filter
 from sugiyama_ros.diagnosis.screen import with_candidate
 from sugiyama_ros.filters.extract import chain_behind, track
-from sugiyama_ros.fit.cross_validation import Gain, gain, without_folds
+from sugiyama_ros.fit.cross_validation import Gain, gain, gain_of_samples, without_folds
 from sugiyama_ros.fit.joint import JointFit, fit
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.model_file import ModelFile
@@ -37,8 +37,15 @@ from sugiyama_ros.workers import here_or_there, send
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+Kind = Literal["base", "asked", "in_sample", "law", "simulated"]
+#: Name of the base model on a recording that it simulates itself.
+SIMULATED = "base, simulated"
+# A model is better beyond doubt by this many standard errors of the paired gain.
+_CLEARLY = 2.0
 # Number of lags of the autocorrelation.
 _LAGS = 10
+#: Number of models that a comparison shows first.
+MAIN_ROWS = 6
 # Number of simulations of a whole recording, for the collective measures.
 _SIMULATIONS = 3
 
@@ -63,6 +70,9 @@ class Compared:
         95 % of the autocorrelations of white innovations are smaller than this in size.
     collective : dict of str to (float, float)
         Mean and standard deviation of measures of the whole road, over simulations of the model.
+    kind : {"base", "asked", "in_sample", "law", "simulated"}
+        The base model; what was asked for; a model file that was fitted to this recording; another law; or the base
+        model on a recording that it simulates itself.
     """
 
     name: str
@@ -73,6 +83,12 @@ class Compared:
     autocorrelation: tuple[float, ...]
     band: float
     collective: dict[str, tuple[float, float]]
+    kind: Kind = "law"
+
+    @property
+    def is_held_out(self) -> bool:
+        """Whether the errors are those of other models on the same samples, which no fit of the model has seen."""
+        return self.kind not in ("in_sample", "simulated")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -82,7 +98,7 @@ class Comparison(Result):
     Parameters
     ----------
     models : tuple of Compared
-        The base model first, the floor last.
+        The base model first; last the base model on a recording that it simulates itself.
     vicinity : Vicinity
         The drivers of the recording that the models were compared on.
     measured : Collective or None
@@ -91,6 +107,8 @@ class Comparison(Result):
         Standard error [m/s] of the speed of waves in the recording, over blocks of time; NaN without waves.
     seed : int
         Seed of the simulations.
+    block : ndarray of int, shape (N, T)
+        Number of the block of time of each sample.
     left_out : int
         Number of drivers who were left out because there were too many.
     """
@@ -100,16 +118,39 @@ class Comparison(Result):
     measured: Collective | None
     wave_speed_se: float
     seed: int
+    block: Ints
     left_out: int = 0
 
     def headline(self) -> str:
-        """Say which model predicts best, and how much better than the base model."""
-        others = [one for one in self.models if one.gain is not None]
-        best = max(others, key=lambda one: one.gain.nats if one.gain else 0.0)
-        if best.gain is None or best.gain.nats <= best.gain.se:
-            return f"{len(self.models)} models; none predicts held-out samples clearly better than the base model"
-        gain = f"{best.gain.nats:.0f} ± {best.gain.se:.0f} nats"
-        return f"{len(self.models)} models; {best.name} predicts held-out samples {gain} better than the base model"
+        """Say which model predicts best, how much better than the base model, and which ones are not clearly behind."""
+        ranked = self.ranked()
+        best, *others = ranked
+        if best.gain is None or best.gain.nats <= _CLEARLY * best.gain.se:
+            return "No model predicts held-out samples clearly better than the base model."
+        gained = f"{best.gain.nats:.0f} ± {best.gain.se:.0f} nats"
+        behind = [(one, self._ahead(best, one)) for one in others]
+        alike = [one.name for one, ahead in behind if ahead.nats <= _CLEARLY * ahead.se]
+        text = f"{best.name} predicts held-out samples best: {gained} better than the base model"
+        if alike:
+            return f"{text}. Not clearly behind: {', '.join(alike)}."
+        second, ahead = behind[0]
+        return f"{text}, {ahead.nats:.0f} ± {ahead.se:.0f} nats better than {second.name}."
+
+    def ranked(self) -> list[Compared]:
+        """Return the models with held-out errors, the largest gain over the base model first."""
+        found = [one for one in self.models if one.is_held_out]
+        return sorted(found, key=lambda one: -one.gain.nats if one.gain is not None else 0.0)
+
+    def _ahead(self, best: Compared, other: Compared) -> Gain:
+        """What one model gains over another."""
+        return gain_of_samples(self.block, best.errors.samples, other.errors.samples)
+
+    def main(self) -> tuple[Compared, ...]:
+        """Return about six models to look at first: what was asked for, the best ones, and the base model."""
+        asked = [one for one in self.models if one.kind in ("base", "asked", "in_sample")]
+        best = [one for one in self.ranked() if one not in asked]
+        kept = [*asked, *best[: max(1, MAIN_ROWS - len(asked))]]
+        return tuple(sorted(kept, key=lambda one: -one.gain.nats if one.gain is not None else 0.0))
 
     def records(self) -> list[dict[str, Any]]:
         """List the models: held-out errors, gain over the base model [nats] and mean NIS."""
@@ -143,9 +184,9 @@ def compare(
     workers: int | Executor = 4,
     on_progress: OnStage = lambda what, done, total: None,
 ) -> "Comparison":
-    """Compare models: the base model with and without effects, a model from a file, the rivals, and the floor.
+    """Compare models: the base model with and without effects, a model from a file, and other laws.
 
-    The floor is the base model on data that it simulated itself. No model can be expected to do better.
+    The last one is the base model on a recording that it simulates itself: the errors that its own noise makes.
 
     Parameters
     ----------
@@ -189,11 +230,11 @@ def compare(
         for k, law in enumerate(RIVALS):
             comparison.begin(law)
             comparison.found += sent[k].result() if sent else _rival(data, law, seed, work)
-        comparison.begin("floor")
+        comparison.begin(SIMULATED)
         first = comparison.found[0]
         found = (first, *(_beside(data, one, first) for one in comparison.found[1:]), _floor(data, base, seed, work))
         on_progress("done", steps, steps)
-    return Comparison(found, data.vicinity, *_measured(data), seed, data.left_out)
+    return Comparison(found, data.vicinity, *_measured(data), seed, data.block, data.left_out)
 
 
 class _Models:
@@ -212,7 +253,7 @@ class _Models:
     def add_fitted(self, name: str, fitted: JointFit) -> None:
         """Add a fitted model, with a new search for each fold that is left out."""
         models = without_folds(self._data, fitted, self._work, searched=True)
-        self._add(name, models, fitted.model)
+        self._add(name, "base" if not self.found else "asked", models, fitted.model)
 
     def add_effects(self, base: JointFit, chosen: Sequence[Candidate]) -> None:
         """Add the base model with candidates, if there are any."""
@@ -224,16 +265,19 @@ class _Models:
             self.add_fitted("base + " + " + ".join(candidate.name for candidate in chosen), current)
 
     def add_file(self, model: ModelFile) -> None:
-        """Add a model from a file without a fit."""
+        """Add a model from a file without a fit. What was fitted to this recording is in sample."""
         self.begin("model file")
         rows = model.rows_of(np.array(self._data.vicinity.numbers))
         given = Model(rows, (), (), (), rows)
-        self._add(f"file: {', '.join(model.effects) or 'base'}", [given] * FOLDS, given)
+        name, own = f"file: {', '.join(model.effects) or 'base'}", self._data.vicinity.sha256
+        if own and own == model.sha256:
+            self._add(f"{name} (in sample)", "in_sample", [given] * FOLDS, given)
+        else:
+            self._add(name, "asked", [given] * FOLDS, given)
 
-    def _add(self, name: str, models: Sequence[Model], simulated: Model) -> None:
-        self.found.append(
-            _compared(name, self._data, models, _of_road(self._data, simulated, self._seed, self._work), self._work)
-        )
+    def _add(self, name: str, kind: Kind, models: Sequence[Model], simulated: Model) -> None:
+        of_road = _of_road(self._data, simulated, self._seed, self._work)
+        self.found.append(replace(_compared(name, self._data, models, of_road, self._work), kind=kind))
 
 
 def _rival(data: Recorded, law: str, seed: int, work: Executor) -> list[Compared]:
@@ -327,4 +371,5 @@ def _mean(values: Array) -> float:
 def _floor(data: Recorded, base: JointFit, seed: int, work: Executor) -> Compared:
     simulated = resample(data, base.model, filtered_states(data, base.model, work), seeds(seed, 1)[0])
     fitted = fit(simulated, base.model, work)
-    return _compared("floor", simulated, without_folds(simulated, fitted, work, searched=True), {}, work)
+    models = without_folds(simulated, fitted, work, searched=True)
+    return replace(_compared(SIMULATED, simulated, models, {}, work), kind="simulated")

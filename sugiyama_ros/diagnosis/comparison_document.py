@@ -18,9 +18,11 @@ def document(comparison: Comparison) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``models``, ``measured``, ``wave_speed_se``, ``decision_period_s``, ``drivers_left_out`` and ``seed``.
+        ``headline``, ``models``, ``measured``, ``wave_speed_se``, ``decision_period_s``, ``drivers_left_out`` and
+        ``seed``.
     """
     return {
+        "headline": comparison.headline(),
         "models": [_model(one, comparison.vicinity) for one in comparison.models],
         "measured": asdict(comparison.measured) if comparison.measured is not None else None,
         "wave_speed_se": comparison.wave_speed_se,
@@ -33,6 +35,7 @@ def document(comparison: Comparison) -> dict[str, Any]:
 def _model(one: Compared, vicinity: Vicinity) -> dict[str, Any]:
     return {
         "name": one.name,
+        "kind": one.kind,
         **one.errors.summary(),
         **one.errors.details(),
         "collective": {name: {"mean": mean, "std": std} for name, (mean, std) in one.collective.items()},

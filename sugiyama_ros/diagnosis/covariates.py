@@ -5,12 +5,11 @@ from collections.abc import Mapping
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.effects.discovered_force import LONGEST_S, MOVING
 from sugiyama_ros.fit.recording import Recorded
 
 # Number of vehicles ahead whose mean speed is the speed of the flow.
 _FLOW = 5
-# A time gap [s] is meaningful above this speed [m/s], and up to this length [s].
-_MOVING, _LONGEST_S = 1.0, 10.0
 
 
 def covariates_of(data: Recorded, state: Array) -> dict[str, Array]:
@@ -73,7 +72,7 @@ def further_covariates(data: Recorded, state: Array, seen: Mapping[str, Array]) 
         ahead = _ahead(ahead, leader)
         speeds.append(ahead)
     return {
-        "time_gap": np.minimum(seen["gap"] / np.maximum(seen["speed"], _MOVING), _LONGEST_S),
+        "time_gap": np.minimum(seen["gap"] / np.maximum(seen["speed"], MOVING), LONGEST_S),
         "flow_approach_rate": (v - np.mean(speeds, axis=0))[:, :drivers],
         "leader_acceleration": _ahead(acceleration, leader)[:, :drivers],
         "acceleration": acceleration[:, :drivers],

@@ -1,11 +1,12 @@
 """A diagnosis: what is missing from the model, where the model fails, and how it compares with other laws."""
 
+import json
 import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from sugiyama_ros.diagnosis.addition import Addition
 from sugiyama_ros.diagnosis.adequacy import Adequacy, told
@@ -34,7 +35,7 @@ from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.laws.registry import LAWS
 from sugiyama_ros.plots import bars
 from sugiyama_ros.progress import OnStage
-from sugiyama_ros.results import Result
+from sugiyama_ros.results import Result, plain
 from sugiyama_ros.trajectories.tracks import Tracks
 from sugiyama_ros.trajectories.trajectories import Trajectories
 from sugiyama_ros.workers import here_or_there
@@ -89,6 +90,8 @@ class Diagnosis(Result):
         Standard errors of the shared parameters of ``final``, by name.
     searched : tuple of str
         Names of the candidates that were searched for.
+    asked : tuple of str
+        Names that somebody asked to add; empty for a search.
     bootstrap_runs : int
         Largest number of simulated recordings on which a p-value rests.
     refitted : int
@@ -121,6 +124,7 @@ class Diagnosis(Result):
     adequacy: Adequacy
     stds: Mapping[str, float]
     searched: tuple[str, ...]
+    asked: tuple[str, ...]
     bootstrap_runs: int
     refitted: int
     quick: bool
@@ -167,14 +171,30 @@ class Diagnosis(Result):
         right.set(xlabel="time ahead [s]", ylabel="error of free runs [m]", ylim=(0.0, None))
         right.legend()
 
+    def summary(self) -> str:
+        """Return the verdict in words, one line for each finding, as the command line prints it.
+
+        Returns
+        -------
+        str
+            The lines.
+        """
+        from sugiyama_ros.diagnosis.verdict import sentences
+
+        return "\n".join(sentences(self))
+
+    def cautions(self) -> tuple[str, ...]:
+        """Return what a user of the final model must know, in words: where it does worse than the base model."""
+        return tuple(one for addition in self.named[-1:] for one in addition.worse)
+
     def save(self, path: str | Path) -> None:
         """Write the diagnosis to a file.
 
         Parameters
         ----------
         path : str or Path
-            ``.yaml`` for a model file with what was added; ``.json`` and ``.csv`` for the candidates, ``.png`` and
-            ``.pdf`` for the picture.
+            ``.yaml`` for a model file with what was added; ``.json`` for the whole document, as ``sugiyama report
+            --diagnosis`` reads it; ``.csv`` for the candidates, ``.png`` and ``.pdf`` for the picture.
 
         Raises
         ------
@@ -184,9 +204,14 @@ class Diagnosis(Result):
             If the file cannot be written.
         """
         if Path(path).suffix in (".yaml", ".yml"):
-            write_model(Path(path), self.data, self.final)
+            write_model(Path(path), self.data, self.final, self.cautions())
         else:
             super().save(path)
+
+    def _save_json(self, stream: BinaryIO, _: str) -> None:
+        from sugiyama_ros.diagnosis.verdict import document
+
+        stream.write((json.dumps(plain(document(self)), indent=2, allow_nan=False) + "\n").encode())
 
 
 def diagnose(
@@ -241,13 +266,20 @@ def diagnose(
             # runs beside the search, which cannot always use all workers
             to_beat = begun.before if quick else None
             others = [] if verdict_only else start_rivals(data, to_beat, work, cluster or aside)
-            return grown(begun, goal.most, add_forces=goal.forces and not (quick or verdict_only)), others
+            return _carried_out(begun, goal.most, goal.forces and not verdict_only), others
 
         search, others = searched_with_decisions(searched, recording, work, on_progress)
         on_progress("rival models", 0, 1)
         rivals = {name: one for found in others for name, one in found.result().items()}
         on_progress("finding where the model fails", 0, 1)
         return _summed_up(search, rivals, refit, work, began, on_progress)
+
+
+def _carried_out(search: Search, most: int, add_forces: bool) -> Search:
+    """A search at its end; or with what was asked for, and nothing else."""
+    for name in search.asked:
+        search.add_asked(name)
+    return search if search.asked else grown(search, most, add_forces=add_forces)
 
 
 def _summed_up(
@@ -291,6 +323,7 @@ def _summed_up(
         adequacy=found.adequacy,
         stds=profiled(search.data, search.current, effects, stds, work),
         searched=search.searched,
+        asked=search.asked,
         bootstrap_runs=search.runs,
         refitted=len(refitted),
         quick=search.quick,

@@ -10,10 +10,11 @@ from scipy.stats import ncx2
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.candidates import Candidate
 from sugiyama_ros.diagnosis.chance import of_best
-from sugiyama_ros.diagnosis.covariates import covariates_of
+from sugiyama_ros.diagnosis.covariates import covariates_of, further_covariates
 from sugiyama_ros.diagnosis.screen import FULL, Effort, Screened, screen
 from sugiyama_ros.effects.discovered_force import COVARIATES, KNOTS
 from sugiyama_ros.effects.registry import index_of
+from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.score import filtered_states
@@ -25,6 +26,8 @@ _FORCES = tuple(range(_FIRST + 3, _FIRST + 3 + KNOTS))
 # Gains by chance are larger than half a chi-squared variable, because the filter is an approximation. This is the
 # largest factor in simulations without effects.
 _INFLATION = 2.0
+# What only a whole road shows.
+_ALONE = ("time", "rear_gap", "rear_approach_rate")
 #: The knots lie between these quantiles of a covariate.
 INNER = (0.02, 0.98)
 
@@ -66,6 +69,13 @@ class Discovery:
     tests: int = len(COVARIATES)
 
     @property
+    def can_be_added(self) -> str:
+        """Name by which a force like it can be added to the model; empty if the model cannot have one."""
+        if self.covariate in COVARIATES and not self.ago_s:
+            return f"{FORCE}:{self.covariate}"
+        return next((f"{FORCE}:{name}" for name in self.alike if name in COVARIATES), "")
+
+    @property
     def shown(self) -> str:
         """What the force depends on, in words."""
         when = f" ({self.ago_s:g} s ago)" if self.ago_s else ""
@@ -95,9 +105,11 @@ def discover(
     (Discovery, Screened)
         A force with its rough fit. The p-value is corrected for the number of forces.
     """
-    seen = covariates_of(data, filtered_states(data, fitted.model, work))
+    states = filtered_states(data, fitted.model, work)
+    seen = covariates_of(data, states)
+    seen |= further_covariates(data, states, seen)
     around = data.vicinity
-    unknown = () if around.is_whole_road else ("time", "rear_gap") + ("place",) * (not around.has_places)
+    unknown = () if around.is_whole_road else _ALONE + ("place",) * (not around.has_places)
     for number, covariate in enumerate(COVARIATES, 1):
         if covariate in unknown or covariate not in only:
             continue
@@ -130,6 +142,46 @@ def discover(
             force=tuple(force.tolist()),
         )
         yield discovery, look
+
+
+def is_force(name: str) -> bool:
+    """Return whether a name asks for a force without a name: ``discovered_force`` or ``discovered_force:COVARIATE``."""
+    return name == FORCE or name.startswith(f"{FORCE}:")
+
+
+def best_force(
+    data: Recorded, fitted: JointFit, work: Executor, effort: Effort, name: str
+) -> tuple[Discovery, Screened]:
+    """Return the force without a name that gains most, or the one along the covariate that the name gives.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    fitted : JointFit
+        The model without the force.
+    work : Executor
+        Runs the filters.
+    effort : Effort
+        Limits of the fits.
+    name : str
+        ``discovered_force``, or ``discovered_force:COVARIATE``.
+
+    Returns
+    -------
+    (Discovery, Screened)
+        The force with its rough fit.
+
+    Raises
+    ------
+    InputError
+        For a covariate that is not known, or that the recording does not show.
+    """
+    covariate = name.partition(":")[2]
+    found = list(discover(data, fitted, work, effort, [covariate] if covariate else COVARIATES))
+    if not found:
+        raise InputError(f"{name}: this recording does not show that covariate; give one of {', '.join(COVARIATES)}")
+    return max(found, key=lambda one: one[0].gain_nats)
 
 
 def against_simulations(

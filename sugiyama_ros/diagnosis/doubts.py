@@ -8,6 +8,7 @@ from sugiyama_ros.diagnosis.law_check import FURTHER
 from sugiyama_ros.effects.discovered_force import COVARIATES
 from sugiyama_ros.effects.registry import EFFECTS
 from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.tables import figure
 
 # A sign is wrong if a parameter is on the wrong side by this many standard deviations.
 _SURELY = 2.0
@@ -84,7 +85,7 @@ def wrong_signs(one: Addition, stds: Callable[[], Mapping[str, float]]) -> tuple
     below = {name: off for name, off in below.items() if off < 0.0}
     errors = stds() if below else {}
     return tuple(
-        f"{name} is {one.parameters[name]:.3g}"
+        f"{name} is {figure(one.parameters[name])}"
         for name, off in below.items()
         if off < -_SURELY * errors.get(f"{one.form}.{name}", errors.get(name, 0.0))
     )
@@ -123,7 +124,8 @@ def _runs_say(named: Sequence[Addition]) -> list[str]:
     off, base = after.free_run_10s_m, before.free_run_10s_m
     if after.no_worse_than(before) and not off > FURTHER * base:
         return []
-    return [f"its free runs get worse: after 10 s they end {off:.2g} m off instead of {base:.2g} m for the base model"]
+    ends = f"{figure(off, 2)} m off instead of {figure(base, 2)} m for the base model"
+    return [f"its free runs get worse: after 10 s they end {ends}"]
 
 
 def _many_say(named: Sequence[Addition]) -> list[str]:

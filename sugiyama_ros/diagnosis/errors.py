@@ -58,8 +58,9 @@ class HeldOutErrors:
 
     @property
     def one_step_rmse_m(self) -> float:
-        """Root mean square of the innovations [m]."""
-        return rmse(self.samples.innovation_m)
+        """Root mean square of the innovations [m] of the samples that gains count: of drivers who follow somebody."""
+        counts = np.isfinite(self.samples.log_likelihood)
+        return rmse(np.where(counts, self.samples.innovation_m, np.nan))
 
     def by_driver(self) -> list[tuple[float, float]]:
         """Return the log-likelihood [nats] and the single-car error after 10 s [m] of every driver."""

@@ -67,7 +67,9 @@ def judged(
     """
     stds = shared_stds(search.data, search.current, work)
     refused = [name for name, _ in search.refused]
-    compared = (search.before, search.errors, search.named, located, laws)
+    # what was only asked for explains nothing
+    named = [one for one in search.named if one.is_supported]
+    compared = (search.before, search.errors, named, located, laws)
     before = Evidence(*compared, (), (), stds, refused=refused, senseless=tuple(search.senseless.items()))
     # where samples are far apart, all evidence rests on simulations, and two of them say little
     few = search.quick and not search.data.is_sparse

@@ -19,6 +19,7 @@ from sugiyama_ros.driver.parameters import RHO
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.score import PointwiseDensity, filtered_states
+from sugiyama_ros.tables import figure
 
 #: False-discovery rate of the flags.
 RATE = 0.05
@@ -70,7 +71,7 @@ class Bin:
     def shown(self) -> str:
         """Covariate and range with its unit, in words."""
         unit = UNITS.get(self.covariate, "")
-        return f"{self.covariate} {self.label or f'{self.low:.3g} to {self.high:.3g} {unit}'.strip()}"
+        return f"{self.covariate} {self.label or f'{figure(self.low)} to {figure(self.high)} {unit}'.strip()}"
 
 
 @dataclass(frozen=True, eq=False)

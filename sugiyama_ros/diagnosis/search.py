@@ -25,7 +25,7 @@ from sugiyama_ros.diagnosis.candidacy import (
     smallest_detectable,
 )
 from sugiyama_ros.diagnosis.candidates import Candidate, candidates, only_those
-from sugiyama_ros.diagnosis.discover import Discovery, against_simulations, discover
+from sugiyama_ros.diagnosis.discover import Discovery, against_simulations, best_force, discover, is_force
 from sugiyama_ros.diagnosis.doubts import wrong_signs
 from sugiyama_ros.diagnosis.errors import HeldOutErrors, held_out_errors, searched_errors
 from sugiyama_ros.diagnosis.few import who_shows
@@ -36,9 +36,11 @@ from sugiyama_ros.diagnosis.looks import Looks
 from sugiyama_ros.diagnosis.placing import converged
 from sugiyama_ros.diagnosis.prescreen import Promise
 from sugiyama_ros.diagnosis.push import push_candidate
-from sugiyama_ros.diagnosis.screen import FULL, QUICK, Screened, closer, refine
+from sugiyama_ros.diagnosis.scan import forces_left
+from sugiyama_ros.diagnosis.screen import FULL, QUICK, Screened, closer, refine, screen
 from sugiyama_ros.diagnosis.telling_apart import indistinguishable
 from sugiyama_ros.diagnosis.use import ANYTHING, Goal, Use
+from sugiyama_ros.effects.discovered_force import COVARIATES
 from sugiyama_ros.fit.cross_validation import Gain, gain
 from sugiyama_ros.fit.joint import JointFit, rise
 from sugiyama_ros.fit.recording import Recorded
@@ -52,6 +54,8 @@ LEVEL = 0.05
 _ADDED = 0.02
 # A candidate with more than this share of the best gain may be indistinguishable from the best one.
 _RIVAL = 0.5
+# Number of forces without a name that a quick search fits.
+_TRIED = 3
 # A fit to a few drivers often gains twice its forecast, so that half this share of the best gain is enough to try it.
 _FORECAST = 0.25
 
@@ -98,6 +102,8 @@ class Search:
         Candidates of the last round that predict better only with values that make no physical sense, and which.
     effort : Effort
         Limits of the search.
+    asked : tuple of str
+        Names of the only candidates, if somebody has asked for them.
     searched : tuple of str
         Names of the candidates.
     runs : int
@@ -121,8 +127,11 @@ class Search:
         self.data, self.base, self.quick, self.seed = data, base, quick, seed
         self._work, self._on_progress = work, on_progress
         push = push_candidate(data, base.samples)
-        self._possible = only_those((*candidates(data), *((push,) if push else ())), goal.only)
-        self.searched = tuple(dict.fromkeys(c.mechanism for c in self._possible))
+        every = (*candidates(data), *((push,) if push else ()))
+        self.asked = tuple(dict.fromkeys(goal.only))
+        effects = [name for name in self.asked if not is_force(name)]
+        self._possible = only_those(data, every, effects) if effects or not self.asked else ()
+        self.searched = tuple(dict.fromkeys((*(c.mechanism for c in self._possible), *filter(is_force, self.asked))))
         self.effort = QUICK if quick else FULL
         self._looks = Looks(data, base, work, self.effort)
         self.current = base
@@ -205,9 +214,16 @@ class Search:
         return grown
 
     def forces(self, level: float) -> list[tuple[Discovery, Screened]]:
-        """Forces without a name that the current model lacks, at a level of significance; the largest gain first."""
+        """Forces without a name that the current model lacks, at a level of significance; the largest gain first.
+
+        A quick search fits only those along covariates that the scan finds.
+        """
         self._on_progress("forces without a name", 0, 1)
-        forces = discover(self.data, self.current, self._work, self.effort)
+        only: Sequence[str] = COVARIATES
+        if self.quick:
+            left = forces_left(self.data, self.current, self.simulations(), level, self._work)
+            only = [one.covariate for one in left if one.covariate in COVARIATES][:_TRIED]
+        forces = discover(self.data, self.current, self._work, self.effort, only)
         if found := [one for one in forces if one[0].p_value < level]:
             found = against_simulations(found, self.simulations(), self._work, self.effort)
         return sorted((one for one in found if one[0].p_value < level), key=lambda one: -one[0].gain_nats)
@@ -291,28 +307,96 @@ class Search:
         self, candidate: Candidate, fitted: JointFit, p_value: float, rivals: Sequence[tuple[str, JointFit]] = ()
     ) -> Addition | None:
         """The model with a candidate, fitted in full; None if it gains too little held out, or makes no sense."""
+        one = self._extended(candidate, fitted, p_value, rivals)
+        if not self._holds(one, candidate):
+            return None
+        if wrong := self._wrong_signs(one):
+            self.senseless[one.name] = wrong
+            return None
+        return one
+
+    def _extended(
+        self, candidate: Candidate, fitted: JointFit, p_value: float, rivals: Sequence[tuple[str, JointFit]] = ()
+    ) -> Addition:
+        """The model with a candidate, fitted in full, and what it gains held out."""
         data, work = self.data, self._work
         # what is named has converged, also in a quick search
         grown = converged(data, fitted, candidate, work)
         after = held_out_errors(data, grown, work, searched=not self.quick)
         won = gain(data, after.samples, self.errors.samples)
-        most = FEIGNED * rise(self.current, grown) + LEAST_GAIN
-        if won.nats > most:
+        if won.nats > self._most(grown):
             who = feigning((self.current, self.errors), (grown, after)) or None
             self.errors = searched_errors(data, self.current, self.errors, work, who)
             self.before = self.before if self.named else self.errors
             after = searched_errors(data, grown, after, work, who)
             won = gain(data, after.samples, self.errors.samples)
-        # what happens once cannot be held out, but it must not seem to change what has nothing to do with it
-        if won.nats < least_gain(won, candidate) or (candidate.happens_once and won.nats > most):
-            return None
         best = candidate.mechanism, after.samples
         alike = indistinguishable(data, self.errors.samples, best, rivals)
-        one = addition_of(candidate, grown, (self.errors, after), won, p_value, alike)
-        if wrong := wrong_signs(one, partial(shared_stds, data, grown, work)):
-            self.senseless[one.name] = wrong
-            return None
-        return one
+        return addition_of(candidate, grown, (self.errors, after), won, p_value, alike)
+
+    def _most(self, grown: JointFit) -> float:
+        """Largest held-out gain [nats] of an extended model to believe: nothing predicts more than it fits."""
+        return FEIGNED * rise(self.current, grown) + LEAST_GAIN
+
+    def _holds(self, one: Addition, candidate: Candidate) -> bool:
+        """Whether held-out samples support an extended model."""
+        won = one.heldout
+        # what happens once cannot be held out, but it must not seem to change what has nothing to do with it
+        return not (
+            won.nats < least_gain(won, candidate) or (candidate.happens_once and won.nats > self._most(one.fit))
+        )
+
+    def _wrong_signs(self, one: Addition) -> tuple[str, ...]:
+        """Parameters of an extended model that make no physical sense, in words."""
+        return wrong_signs(one, partial(shared_stds, self.data, one.fit, self._work))
+
+    def add_asked(self, name: str) -> None:
+        """Add what somebody asks for, in the form that fits best, and note whether the data ask for it, too.
+
+        Parameters
+        ----------
+        name : str
+            Name of an effect, of one of its forms, of a group of constants, or of a force without a name.
+
+        Raises
+        ------
+        InputError
+            For a name that cannot be added here.
+        """
+        title = f"adding {name}"
+        if is_force(name):
+            force, look = best_force(self.data, self.current, self._work, self.effort, name)
+            shown = [(force, look)]
+            if force.p_value < LEVEL:
+                shown = against_simulations(shown, self._enough_simulations(), self._work, self.effort)
+            scored = replace(UNKNOWN.judge(look, 1), p_value=shown[0][0].p_value)
+        else:
+            forms = [c for c in self._possible if name in (c.name, c.mechanism)]
+            looks = at_once(self._closely, forms, title, self._on_progress)
+            look = max(looks, key=lambda one: one.gain - one.candidate.elsewhere)
+            null, chosen = UNKNOWN, [look.candidate]
+            if not is_obvious(self.data, look):
+                null = null_gains(self._enough_simulations(), chosen, self.effort, self._work, self._on_progress)
+            scored = null.judge(look, len(forms))
+        scored = at_once(self._in_full, [scored], f"{title}: fitting", self._on_progress)[0]
+        one = self._extended(scored.candidate, scored.fit, scored.p_value)
+        few = None if scored.candidate.individual else who_shows(self.current, one.fit)
+        is_likely = scored.p_value <= _ADDED and scored.gain >= scored.needed
+        is_supported = is_likely and self._holds(one, scored.candidate) and not self._wrong_signs(one)
+        one = replace(one, is_supported=is_supported, drivers=few.drivers if few is not None and is_supported else ())
+        worse = self._use.worse([*self.named, one], one.fit, self.current)
+        self.heldout[scored.candidate.name] = one.heldout
+        self.scored.append(scored.without_fits(one.fit))
+        self._accept(one, worse)
+
+    def _enough_simulations(self) -> list[tuple[Recorded, JointFit]]:
+        """As many simulated recordings as a p-value needs on which a name rests."""
+        self.runs = FULL.runs
+        return self.simulations(self.runs)
+
+    def _closely(self, candidate: Candidate) -> Screened:
+        """A rough fit of a candidate beside the current model, with a closer look."""
+        return closer(self.data, screen(self.data, self.current, candidate, self._work, self.effort), self._work)
 
     def _take(self, one: Addition | None) -> bool:
         """Make an extended model the current one; return False if there is none."""
@@ -323,9 +407,13 @@ class Search:
         if worse and self._use.refuses:
             self.refused.append((one.name, worse))
             return bool(self._possible)
+        self._accept(one, worse)
+        return True
+
+    def _accept(self, one: Addition, worse: tuple[str, ...]) -> None:
+        """Make an extended model the current one."""
         self.current, self.errors, self._simulated = one.fit, one.after, []
         self.named.append(replace(one, worse=worse))
-        return True
 
     def _judge(self, look: Screened, null: NullGains | None = None) -> Candidacy:
         return (null or UNKNOWN).judge(look, len(self._possible))

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from sugiyama_ros.diagnosis.compare import Compared
+from sugiyama_ros.diagnosis.compare import Compared, Comparison
 from sugiyama_ros.diagnosis.diagnosis import Diagnosis
 from sugiyama_ros.simulation.collective import Collective
 from sugiyama_ros.tables import TextTable
@@ -20,6 +20,12 @@ _ERRORS = {
     "single_car_5s_m": "5 s [m]",
     "single_car_10s_m": "10 s [m]",
     "loglik_per_sample": "nats per sample",
+}
+# Headings of the errors that a comparison shows first.
+_MAIN = {
+    "one_step_rmse_m": "one-step [m]",
+    "free_run_10s_m": "10 s [m]",
+    "single_car_10s_m": "one car 10 s [m]",
 }
 # Errors that get a third decimal place.
 _SMALL = ("one_step_rmse_m", "loglik_per_sample")
@@ -67,6 +73,19 @@ def by_driver(drivers: Sequence[Mapping[str, Any]]) -> TextTable:
         for d in drivers
     )
     return TextTable("By driver, before and after", headings, rows)
+
+
+def main_errors(comparison: Comparison) -> TextTable:
+    """Return the models to look at first, with what they gain over the base model and their errors after 10 s."""
+    shown = comparison.main()
+    known = _known([one.errors.summary() for one in shown])
+    names = [name for name in _MAIN if name in known]
+    rows = []
+    for one in shown:
+        won = f"{one.gain.nats:.0f} ± {one.gain.se:.0f}" if one.gain else "0"
+        rows.append((one.name, won, *_error_cells(one.errors.summary(), names)))
+    headings = ("model", "gain [nats]", *(_MAIN[name] for name in names))
+    return TextTable("Held-out errors, the best model first", headings, tuple(rows), left=1)
 
 
 def held_out_errors(compared: Sequence[Compared]) -> TextTable:

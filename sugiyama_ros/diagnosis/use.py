@@ -24,6 +24,7 @@ from sugiyama_ros.diagnosis.refits import added_to_all
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.tables import figure
 
 #: What a model is for.
 Purpose = Literal["prediction", "simulation", "online"]
@@ -46,7 +47,7 @@ class Goal:
     Parameters
     ----------
     only : tuple of str
-        Names of the only candidates; empty for all candidates.
+        Names of what is added, whatever the data say of it; empty for a search among all candidates.
     forces : bool
         Whether the best force without a name may be added at the end.
     purpose : {"prediction", "simulation", "online"}
@@ -223,7 +224,7 @@ def _larger(ours: FreeRuns, base: FreeRuns) -> Iterator[str]:
             off, base_off = (rmse(one[starts, k][both[:, k]]) for one in (ends, base_ends))
             if off > base_off:
                 runs = f"{kind} of {horizon:g} s into the {half} half of the last part"
-                yield f"{runs} end {off:.3g} m off instead of {base_off:.3g} m"
+                yield f"{runs} end {figure(off)} m off instead of {figure(base_off)} m"
 
 
 def _beside(ours: Array, base: Array, block: Array) -> tuple[float, str] | None:
@@ -242,4 +243,4 @@ def _beside(ours: Array, base: Array, block: Array) -> tuple[float, str] | None:
     squares = [float(np.nanmean(np.square(one))) for one in (ours, base)]
     is_larger = squares[0] > _TOLERANCE * squares[1]
     p = float(student.sf(by_block.sum() / max(error, 1e-9), len(blocks) - 1)) if is_larger else 1.0
-    return p, f"{np.sqrt(squares[0]):.2g} m off instead of {np.sqrt(squares[1]):.2g} m"
+    return p, f"{figure(squares[0] ** 0.5, 2)} m off instead of {figure(squares[1] ** 0.5, 2)} m"

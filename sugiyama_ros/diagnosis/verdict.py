@@ -1,5 +1,6 @@
 """A diagnosis as a document (for ``--json``) and as sentences."""
 
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -9,13 +10,16 @@ from sugiyama_ros.diagnosis.addition import Addition, parameters_of
 from sugiyama_ros.diagnosis.adequacy import LEVEL_OF_BINS, Adequacy, told, who
 from sugiyama_ros.diagnosis.candidates import not_searched
 from sugiyama_ros.diagnosis.diagnosis import Diagnosis
+from sugiyama_ros.diagnosis.discover import FORCE
 from sugiyama_ros.diagnosis.locate import Bin, Located
 from sugiyama_ros.diagnosis.pictures import about, drives
 from sugiyama_ros.diagnosis.use import drivers_worse
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
+from sugiyama_ros.effects.discovered_force import COVARIATES
 from sugiyama_ros.effects.registry import EFFECTS, ROW, effect
 from sugiyama_ros.fit.model_file import own_stds
 from sugiyama_ros.fit.recording import Recorded, told_of
+from sugiyama_ros.tables import figure
 
 #: Member of the set of what cannot be told apart, where the named effect leaves biases that it should not leave.
 UNLISTED = "something that is not listed"
@@ -33,6 +37,7 @@ def document(d: Diagnosis) -> dict[str, Any]:
             "effects": [_named(n, d) for n in d.named],
             "told": sentences(d),
             "searched": list(d.searched),
+            "asked": list(d.asked),
             "not_searched": [{"name": name, "reason": reason} for name, reason in not_searched(d.data).items()],
             "refused": [{"name": name, "reasons": list(why)} for name, why in d.refused],
             "none_detectable": not d.named,
@@ -130,6 +135,8 @@ def _named(n: Addition, d: Diagnosis) -> dict[str, Any]:
             "holds": not is_open(d),
         },
         "worse_where": list(n.worse),
+        "is_supported": n.is_supported,
+        "covariate": COVARIATES[round(n.parameters["covariate"]) - 1] if n.name == FORCE else None,
         "p_value": n.p_value,
         "heldout_gain_nats": n.heldout.nats,
         "heldout_gain_se": n.heldout.se,
@@ -182,7 +189,7 @@ def _told(b: Bin) -> str:
 
 def _quantity(value: float, unit: str) -> str:
     """A value with its unit; a pure number has none."""
-    return f"{value:.3g}" if unit in ("", "1") else f"{value:.3g} {unit}"
+    return figure(value) if unit in ("", "1") else f"{figure(value)} {unit}"
 
 
 def _not_certain(d: Diagnosis) -> list[str]:
@@ -193,6 +200,25 @@ def _not_certain(d: Diagnosis) -> list[str]:
     advice = dict.fromkeys(one for n in d.named for one in n.advice)
     lines = [f"Cannot be told apart: {'; '.join(others)}."] if others else []
     return lines + ([f"To tell them apart: {'; '.join(advice)}."] if advice else [])
+
+
+def _asked_for(n: Addition) -> str:
+    """Return one sentence on whether the data ask for what somebody has asked to add."""
+    if n.is_supported:
+        return "The data ask for it."
+    if n.p_value <= 0.05 and n.heldout.nats > 0.0:
+        return "It was added because you asked for it; held out, it gains too little to count."
+    return "It was added because you asked for it; the data do not ask for it."
+
+
+def force_in_words(values: Mapping[str, float]) -> str:
+    """Return what a force without a name depends on, and how large it is."""
+    covariate = COVARIATES[round(values["covariate"]) - 1]
+    force = [value for name, value in values.items() if name.startswith("force_")]
+    return (
+        f"{covariate} from {figure(values['first'])} to {figure(values['last'])}: {figure(min(force), 2)} to"
+        f" {figure(max(force), 2)} m/s^2"
+    )
 
 
 def _smoothing(data: Recorded) -> str:
@@ -245,11 +271,14 @@ def sentences(d: Diagnosis) -> list[str]:
         units |= {p.name: p.unit for p in ROW.declared if p.name in n.parameters and p.name not in units}
         form = f"as {n.form}: " if n.form != n.name else ""
         values = ", ".join(f"{k} {_quantity(v, units.get(k, ''))}" for k, v in n.parameters.items())
+        values = force_in_words(n.parameters) if n.name == FORCE else values
         lines.append(
             f"{n.name} ({form}{values}): held-out gain {n.heldout.nats:.0f} ± {n.heldout.se:.0f} nats,"
             f" p {n.p_value:.1g}; 10-s free run {n.before.free_run_10s_m:.2f} ->"
             f" {n.after.free_run_10s_m:.2f} m."
         )
+        if d.asked:
+            lines.append(f"  {_asked_for(n)}")
         which = who(n, d.data.vicinity.numbers)
         if which != "all":
             names = ", ".join(map(str, which))
@@ -258,8 +287,8 @@ def sentences(d: Diagnosis) -> list[str]:
             )
     lines += _not_certain(d)
     if d.closer:
-        laws = ", ".join(f"those of {name} {error:.3g} m" for name, error in d.closer.items())
-        lines.append(f"After 10 s, free runs of the model are {d.after.free_run_10s_m:.3g} m off, {laws}.")
+        laws = ", ".join(f"those of {name} {figure(error)} m" for name, error in d.closer.items())
+        lines.append(f"After 10 s, free runs of the model are {figure(d.after.free_run_10s_m)} m off, {laws}.")
     lines += [f"In use it is worse than the base model: {one}." for n in d.named[-1:] for one in n.worse[:_WORST]]
     lines += [_smoothing(d.data), _noises(d.data), _decisions(d.data)]
     if d.data.left_out:

@@ -8,8 +8,23 @@ from sugiyama_ros.effects.effect import ENVIRONMENT, Effect, Seen
 from sugiyama_ros.jit import kernel
 
 #: What the force may depend on. The first parameter of the effect is a number in this order, counted from 1.
-COVARIATES = ("gap", "speed", "approach_rate", "place", "time", "leader_acceleration", "rear_gap", "second_gap")
+COVARIATES = (
+    "gap",
+    "speed",
+    "approach_rate",
+    "place",
+    "time",
+    "leader_acceleration",
+    "rear_gap",
+    "second_gap",
+    "acceleration",
+    "rear_approach_rate",
+    "second_approach_rate",
+    "time_gap",
+)
 KNOTS = 8
+#: A time gap [s] is meaningful above this speed [m/s], and up to this length [s].
+MOVING, LONGEST_S = 1.0, 10.0
 
 
 @kernel
@@ -17,7 +32,7 @@ def push(seen: Seen, p: Array) -> float:
     """Compute the force [m/s^2]: straight lines between the values ``p[3:]`` at knots from ``p[1]`` to ``p[2]``.
 
     The knots are evenly spaced, and the curve is flat outside them. Over the place on a ring the curve is periodic: the
-    first knot follows the last knot.
+    first knot follows the last knot. There is no force along the approach rate of a vehicle that is not there.
     """
     covariate = p[0]
     if covariate == 1.0:
@@ -34,8 +49,20 @@ def push(seen: Seen, p: Array) -> float:
         x = seen.leader_acceleration
     elif covariate == 7.0:
         x = seen.rear_gap
-    else:
+    elif covariate == 8.0:
         x = seen.second_gap
+    elif covariate == 9.0:
+        x = seen.acceleration
+    elif covariate == 10.0:
+        x = seen.rear_speed - seen.speed
+        if math.isinf(seen.rear_gap):
+            return 0.0
+    elif covariate == 11.0:
+        x = seen.speed - seen.second_speed
+        if math.isinf(seen.second_gap):
+            return 0.0
+    else:
+        x = min(seen.gap / max(seen.speed, MOVING), LONGEST_S)
     if covariate == 4.0 and seen.circumference > 0.0:
         s = (x - p[1]) / seen.circumference
         s = KNOTS * (s - math.floor(s))

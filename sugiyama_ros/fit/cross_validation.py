@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sugiyama_ros.arrays import Ints
 from sugiyama_ros.filters.measurement import weigh_samples
 from sugiyama_ros.fit.joint import JointFit, at_model, maximise, solve, start_fit
 from sugiyama_ros.fit.model import Model, coordinate, moved
@@ -230,12 +231,17 @@ def gain(data: Recorded, better: PointwiseDensity, than: PointwiseDensity) -> Ga
     Gain
         The standard error is the larger of two: a jackknife over blocks of time, and a jackknife over drivers.
     """
+    return gain_of_samples(data.block, better, than)
+
+
+def gain_of_samples(block_of: Ints, better: PointwiseDensity, than: PointwiseDensity) -> Gain:
+    """Return the gain of one model over another, as ``gain``; ``block_of`` (N, T): number of each sample's block."""
     difference = better.log_likelihood - than.log_likelihood
     known = np.isfinite(difference)
     # who follows nobody is not predicted, and tells nothing of how drivers differ
     by_driver = np.nansum(difference[known.any(axis=1)], axis=1)
     # nor do blocks in which nothing is predicted
-    where, block = np.unique(data.block[known], return_inverse=True)
+    where, block = np.unique(block_of[known], return_inverse=True)
     by_block = np.bincount(block, weights=difference[known], minlength=len(where))
     se = max(sum_error(by_driver), sum_error(by_block))
     return Gain(float(by_driver.sum()), se, tuple(by_driver.tolist()), tuple(by_block.tolist()))

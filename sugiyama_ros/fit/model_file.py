@@ -15,6 +15,7 @@ import yaml
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.documents import number, read_yaml
 from sugiyama_ros.driver.parameters import COUNT, NAMES, check_for_filter
+from sugiyama_ros.effects.effect import RecordingExtent
 from sugiyama_ros.effects.registry import ROW, active, effect, index_of, switch_on
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.driver_types import DriverTypes
@@ -27,6 +28,8 @@ from sugiyama_ros.outputs import Target, writing
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 _FORMAT = 1
+# A recording in which every effect that a fit can find has a start.
+_A_RING = RecordingExtent(0.0, 100.0, 100.0, 0.0, 100.0)
 # libyaml, if it is installed, is ten times faster
 _DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
@@ -49,6 +52,8 @@ class ModelFile:
         Checksum of the fitted data.
     types : DriverTypes, optional
         Classes of drivers, if the drivers were divided into classes.
+    cautions : tuple of str
+        What somebody who uses the model must know, in words.
     """
 
     vehicle: Ints
@@ -57,6 +62,12 @@ class ModelFile:
     source: str
     sha256: str
     types: DriverTypes | None = None
+    cautions: tuple[str, ...] = ()
+
+    def effects_to_fit(self) -> tuple[str, ...]:
+        """Return the effects if a fit can find all of them; none if one has no start for a search."""
+        can_be_found = all(effect(name).starts(_A_RING) for name in self.effects)
+        return self.effects if can_be_found else ()
 
     def rows_of(self, vehicles: Ints) -> Array:
         """Return the rows (N, WIDTH) of some vehicles; the row of the median driver for a vehicle that is not in the
@@ -67,7 +78,7 @@ class ModelFile:
         return np.array([self.rows[known[int(v)]] if int(v) in known else typical for v in vehicles])
 
 
-def write_model(target: Target, data: Recorded, fitted: JointFit) -> None:
+def write_model(target: Target, data: Recorded, fitted: JointFit, cautions: Sequence[str] = ()) -> None:
     """Write a fitted model to a file.
 
     Parameters
@@ -78,6 +89,8 @@ def write_model(target: Target, data: Recorded, fitted: JointFit) -> None:
         The recording.
     fitted : JointFit
         The model fitted to the recording.
+    cautions : sequence of str
+        What somebody who uses the model must know, in words.
 
     Raises
     ------
@@ -86,7 +99,7 @@ def write_model(target: Target, data: Recorded, fitted: JointFit) -> None:
     """
     with ThreadPoolExecutor(1) as work:
         own, shared = own_stds(fitted), shared_stds(data, fitted, work)
-    write_drivers(target, data.vicinity, fitted.model.rows, own, shared, fitted.log_likelihood)
+    write_drivers(target, data.vicinity, fitted.model.rows, own, shared, fitted.log_likelihood, cautions=cautions)
 
 
 def write_drivers(
@@ -97,6 +110,7 @@ def write_drivers(
     shared_std: Mapping[str, float],
     log_likelihood: float,
     types: DriverTypes | None = None,
+    cautions: Sequence[str] = (),
 ) -> None:
     """Write the parameters of drivers as a model file.
 
@@ -114,23 +128,16 @@ def write_drivers(
         Log-likelihood of the fit [nats].
     types : DriverTypes, optional
         Classes of the drivers.
+    cautions : sequence of str
+        What a user of the model must know, in words.
 
     Raises
     ------
     OutputError
         If the file cannot be written.
     """
-    drivers = {}
     numbers = of.numbers if isinstance(of, Vicinity) else of.vehicle.tolist()
-    for vehicle, row, std in zip(numbers, rows, own_std, strict=True):
-        drivers[vehicle] = {
-            "parameters": {name: float(v) for name, v in zip(NAMES, row, strict=False)},
-            "std": dict(std),
-            "effects": {
-                name: {p.name: float(row[index_of(name, p.name)]) for p in effect(name).parameters}
-                for name in active(row)
-            },
-        }
+    drivers = {v: _driver(row, std) for v, row, std in zip(numbers, rows, own_std, strict=True)}
     document = {
         "sugiyama_model": _FORMAT,
         "version": version("sugiyama_ros"),
@@ -139,6 +146,8 @@ def write_drivers(
         "shared_std": dict(shared_std),
         "drivers": drivers,
     }
+    if cautions:
+        document["cautions"] = list(cautions)
     if types is not None:
         document["classes"] = [
             {"share": float(share), "parameters": dict(zip(NAMES, row.tolist(), strict=True))}
@@ -146,6 +155,17 @@ def write_drivers(
         ]
     with writing(target) as stream:
         stream.write(yaml.dump(document, Dumper=_DUMPER, sort_keys=False, allow_unicode=True).encode())
+
+
+def _driver(row: Array, std: Mapping[str, float]) -> dict[str, Any]:
+    """The parameters of a driver with their standard deviations, and the effects that act on them."""
+    return {
+        "parameters": {name: float(v) for name, v in zip(NAMES, row, strict=False)},
+        "std": dict(std),
+        "effects": {
+            name: {p.name: float(row[index_of(name, p.name)]) for p in effect(name).parameters} for name in active(row)
+        },
+    }
 
 
 def read_model(path: Path) -> ModelFile:
@@ -185,6 +205,9 @@ def read_model(path: Path) -> ModelFile:
     about_data = document.get("data")
     known = about_data if isinstance(about_data, dict) else {}
     stacked = np.array(rows)
+    cautions = document.get("cautions", [])
+    if not isinstance(cautions, list) or not all(isinstance(one, str) for one in cautions):
+        raise InputError(f"{path}: cautions: give a list of sentences, or leave it out")
     source, checksum = str(known.get("source", "")), str(known.get("sha256", ""))
     return ModelFile(
         vehicle=np.array(vehicles),
@@ -193,6 +216,7 @@ def read_model(path: Path) -> ModelFile:
         source=source,
         sha256=checksum,
         types=types,
+        cautions=tuple(cautions),
     )
 
 

@@ -13,6 +13,7 @@ from sugiyama_ros.page.thumbnail import thumbnail
 from sugiyama_ros.page.words import (
     SMALL_M,
     badge,
+    form_of,
     gain_in_words,
     headline,
     how_sure,
@@ -64,7 +65,7 @@ def _verdict(d: Mapping[str, Any] | None) -> str:
     if d is None:
         return (
             '<div class="verdict"><p class="headline">What the model lacks is not known yet.</p><p>To see it, run'
-            " <code>sugiyama diagnose FILE --json &gt; d.json</code>, and give <code>--diagnosis d.json</code>.</p>"
+            " <code>sugiyama diagnose FILE --save d.json</code>, and give <code>--diagnosis d.json</code>.</p>"
             "</div>"
         )
     outcome = d["verdict"].get("adequacy", {}).get("outcome", "")
@@ -72,7 +73,7 @@ def _verdict(d: Mapping[str, Any] | None) -> str:
     effects = d["verdict"]["effects"]
     rows: list[tuple[str, str]] = []
     if len(effects) == 1:
-        if summary := summary_of(d, effects[0]["name"]):
+        if summary := summary_of(d, form_of(effects[0])):
             rows.append(("What it is", summary))
         rows.append(("How large", size_of(d, effects[0])))
     else:
@@ -86,7 +87,7 @@ def _verdict(d: Mapping[str, Any] | None) -> str:
     rows += _few("What gets worse", worse(d)) + _few("What is left", reasons(d))
     rows.append(("What to do", what_to_do(d)))
     if hidden := d.get("hidden"):
-        rows.append(("What was hidden", f"{title_of(d, hidden['name'])}; {size_of(d, hidden)}."))
+        rows.append(("What was hidden", f"{title_of(d, form_of(hidden))}; {size_of(d, hidden)}."))
     listed = "".join(f"<dt>{escape(what)}</dt><dd>{escape(text[:1].upper() + text[1:])}</dd>" for what, text in rows)
     return (
         f'<div class="verdict {escape(outcome)}"><p class="badge">{sign} {escape(words)}</p>'
@@ -118,7 +119,15 @@ def _explained(d: Mapping[str, Any]) -> str:
     """Which share of the gain the additions bring, and in how many bins the model stays biased."""
     share = d["verdict"].get("adequacy", {}).get("explained_share")
     of_chance = d["verdict"].get("adequacy", {}).get("bins_expected")
-    if share is not None:
+    failed = d["verdict"].get("adequacy", {}).get("outcome") == "not_explained"
+    if share is not None and failed:
+        # a share of what was tried is no measure of what is left
+        text, bar = f"{100.0 * float(share):.0f} %", ""
+        note = (
+            "of what additions, other laws and forces gain on unseen data; what speaks against the model stands beside"
+            " (what is left)"
+        )
+    elif share is not None:
         text = f"{100.0 * float(share):.0f} %"
         bar = f'<div class="bar"><i style="width:{100.0 * min(max(float(share), 0.0), 1.0):.1f}%"></i></div>'
         note = "of what additions, other laws and forces gain on unseen data"
@@ -156,7 +165,10 @@ def _tile(title: str, about: str, key: str, errors: Mapping[str, Any]) -> str:
     if before is not None and before == after:
         shown, names = [(model, value) for model, value in shown if model != "after"], {"floor": "floor"}
     if known and (_value(errors, "floor", key) or 0.0) > _ABOVE * known[-1]:
-        about += ". The floor, of recordings that the model simulates itself, lies above: those happen to be harder"
+        about += (
+            ". ✗ A failed check: the floor lies above. In recordings that the model simulates itself, its errors are"
+            " larger than in the data, so its noise is too large"
+        )
     # a law that goes astray may leave the picture
     full = 1.5 * max([*known, 1e-9])
     bars = "".join(

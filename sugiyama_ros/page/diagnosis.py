@@ -36,7 +36,7 @@ _ERROR = re.compile(r"one_step_rmse_m|loglik_per_sample|(free_run|single_car)_\d
 
 
 def read_diagnosis(path: Path) -> dict[str, Any]:
-    """Read a document that ``sugiyama diagnose --json`` printed.
+    """Read a document that ``sugiyama diagnose --save`` wrote.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def read_diagnosis(path: Path) -> dict[str, Any]:
             if len({one[name] for one in document[group]}) != len(document[group]):
                 raise InputError(f"{group}: a {name} occurs twice")
     except InputError as error:
-        raise InputError(f"{path}: is no diagnosis: {error}; give what `sugiyama diagnose --json` printed") from None
+        raise InputError(f"{path}: is no diagnosis: {error}; give what `sugiyama diagnose --save` wrote") from None
     return document
 
 

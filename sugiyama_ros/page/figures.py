@@ -40,7 +40,7 @@ def write_figures(
     r : Recording
         The run.
     diagnosis : mapping or None
-        Document of `sugiyama diagnose --json`.
+        Document of `sugiyama diagnose --save`.
     directory : Path
         Where to write; made if it is not there.
     overwrite : bool

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sugiyama_ros.page.words import title_of
+from sugiyama_ros.page.words import form_of, title_of
 
 
 class Found(NamedTuple):
@@ -31,8 +31,8 @@ def found_in(axes: tuple[str, str], diagnosis: Mapping[str, Any], ring_m: float)
     """
     found = []
     for effect in diagnosis["verdict"]["effects"]:
-        title = title_of(diagnosis, effect["name"])
-        declared = diagnosis.get("about", {}).get(effect["name"], {}).get("parameters", {})
+        title = title_of(diagnosis, form_of(effect))
+        declared = diagnosis.get("about", {}).get(form_of(effect), {}).get("parameters", {})
         values = effect.get("parameters", {})
         for name, value in values.items():
             axis = declared.get(name, {}).get("axis")

@@ -13,6 +13,7 @@ from sugiyama_ros.page.words import (
     SMALL_M,
     Document,
     chance,
+    form_of,
     model_name,
     models,
     not_told_apart,
@@ -22,6 +23,7 @@ from sugiyama_ros.page.words import (
     worse_in_use,
     would_have_shown,
 )
+from sugiyama_ros.tables import figure
 
 _COLUMNS = {
     "one_step_rmse_m": "one step [m]",
@@ -88,11 +90,11 @@ def additions(d: Document) -> str:
     if effects := d["verdict"]["effects"]:
         rows = [
             [
-                f"{title_of(d, n['name'])} ({n['name']})",
+                f"{title_of(d, form_of(n))} ({form_of(n)})",
                 size_of(d, n) or "a value of each driver",
                 on_unseen(n),
                 chance(n.get("p_value")).replace(" ", "\u00a0"),
-                not_told_apart(d, n) or "nothing",
+                not_told_apart(d, n) or ("not searched for" if d["verdict"].get("asked") else "nothing"),
                 "; ".join(worse_in_use(n)) or "nowhere",
             ]
             for n in effects
@@ -138,7 +140,7 @@ def _bias(b: Mapping[str, Any] | None) -> str:
 
 def _bin(b: Mapping[str, Any]) -> str:
     name = "while" if b["covariate"] == "regime" else str(b["covariate"]).replace("_", " ")
-    value = b["label"] or f"{b['low']:.3g} to {b['high']:.3g} {_UNITS.get(b['covariate'], '')}".strip()
+    value = b["label"] or f"{figure(b['low'])} to {figure(b['high'])} {_UNITS.get(b['covariate'], '')}".strip()
     return f"{name} {value} ({b['bias']:+.2f} std)"
 
 
@@ -167,10 +169,11 @@ def how(r: Recording, d: Document | None) -> str:
     ]
     if d is not None:
         quick = " --quick" if d.get("quick") else ""
+        own = f"sugiyama diagnose FILE{quick} --seed {d.get('seed', 0)} --save diagnosis.json"
         runs = d.get("bootstrap_runs", "?")
         chance = f"the gains in {runs} recordings that the model simulates without it" if runs else "what chance gives"
         rows += [
-            ["", f"sugiyama diagnose FILE{quick} --seed {d.get('seed', 0)} --json > d.json; report --diagnosis d.json"],
+            ["", f"{d.get('command') or own}; sugiyama report run.mcap --diagnosis diagnosis.json"],
             [
                 "p-values",
                 f"Student's t of the gain over {chance} (seed {d.get('seed', '?')}), corrected for the number of"

@@ -22,8 +22,8 @@ from sugiyama_ros.page.truth import SHOWN, AgainstTruth
 
 _ORANGE = "<p>Orange: added (▸), and what cannot be told apart from it in these data.</p>"
 _FLOOR = (
-    '<p class="note">Floor: the final model on a few recordings that it simulates itself. What is left there is'
-    " noise. It differs from recording to recording, so that a model may lie below it. In the pictures, the"
+    '<p class="note">Floor: the errors of the final model on a few recordings that it simulates itself, which are noise'
+    " alone. Errors on the data that are clearly below say that the model's noise is too large. In the pictures, the"
     " floor is dashed.</p>"
 )
 
@@ -52,7 +52,7 @@ def write_report(
     recording : Recording
         The run.
     diagnosis : mapping or None
-        Document of `sugiyama diagnose --json`.
+        Document of `sugiyama diagnose --save`.
     output : Path or Output
         HTML file to write.
     against : AgainstTruth, optional
@@ -91,7 +91,9 @@ def _measured(r: Recording, d: Mapping[str, Any] | None, chosen: Chosen) -> list
     driven = space_time.simulated(r, d, first) if d is not None else []
     about = (
         "<p>Colours are speeds, the same in all pictures. The model starts anew from the measured state at each dotted"
-        " line, and then drives all cars on its own, without noise; it was fitted without the block that it drives.</p>"
+        " line, and then drives all cars on its own; it was fitted without the block that it drives. These pictures are"
+        " without noise. The errors of free runs in tables and tiles are those of the mean of two runs with opposite"
+        " noise, so they are not the distance between the pictures.</p>"
     )
     columns = {3: "three", 2: ""}.get(1 + len(driven), "one")
     found = [Section("seen", "Measured and simulated" if driven else "What was measured",

@@ -33,7 +33,7 @@ def log(stream: "rerun.RecordingStream", r: Recording, diagnosis: Mapping[str, A
     r : Recording
         The run.
     diagnosis : mapping or None
-        Document of ``sugiyama diagnose --json``.
+        Document of ``sugiyama diagnose --save``.
     """
     stream.send_blueprint(_layout(r))
     stream.send_recording_name(name_of(r))

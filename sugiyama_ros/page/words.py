@@ -5,6 +5,8 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
+from sugiyama_ros.tables import figure
+
 Document = Mapping[str, Any]
 _LAWS = {"idm": "IDM", "fvdm": "FVDM", "ovm": "OVM", "gipps": "Gipps", "newell": "Newell", "helly": "Helly"}
 # Additions that the card and its headline name one by one; of more, they say the number.
@@ -27,6 +29,11 @@ _OUTCOMES = {
     "explained": ("✓", "What was missing is explained"),
     "not_explained": ("✗", "Not explained"),
 }
+
+
+def form_of(n: Document) -> str:
+    """Name of the form in which an effect was added: other forms of a mechanism have other parameters and units."""
+    return str(n.get("form") or n["name"])
 
 
 def title_of(d: Document, name: str) -> str:
@@ -59,7 +66,7 @@ def quantity(value: float, unit: str = "", std: float | None = None, digits: int
     if std is None or not (math.isfinite(std) and std > 0.0):
         if 0.0 < abs(value) < _SMALL and unit in ("m", "m/s"):
             value, unit = 1e3 * value, f"m{unit}"
-        text = f"{value:.{digits}g}" if abs(value) < 10.0**digits else f"{value:.0f}"
+        text = figure(value, digits)
     else:
         places = min(max(-math.floor(math.log10(std)), 0), 5)
         text = f"{value:.{places}f} ± {std:.{places}f}"
@@ -126,7 +133,9 @@ def meaning_of(parameter: Document, name: str) -> str:
 
 def size_of(d: Document, effect: Document) -> str:
     """The size of an addition: each parameter with its meaning, its standard deviation and its unit."""
-    meanings = d.get("about", {}).get(effect["name"], {}).get("parameters", {})
+    if effect.get("covariate"):
+        return _force(effect)
+    meanings = d.get("about", {}).get(form_of(effect), {}).get("parameters", {})
     stds = effect.get("parameters_std", {})
     parts, values = [], effect.get("parameters", {})
     for name in sorted(values, key=[*meanings, *values].index):
@@ -135,6 +144,15 @@ def size_of(d: Document, effect: Document) -> str:
             f"{meaning_of(meaning, name)}: {quantity(float(value), str(meaning.get('unit', '')), stds.get(name))}"
         )
     return "; ".join(parts)
+
+
+def _force(effect: Document) -> str:
+    """What a force without a name depends on, and how large it is."""
+    values = effect["parameters"]
+    force = [float(value) for name, value in values.items() if name.startswith("force_")]
+    along = str(effect["covariate"]).replace("_", " ")
+    ends = [quantity(float(values[end])) for end in ("first", "last")]
+    return f"{quantity(min(force))} to {quantity(max(force), 'm/s²')} along the {along}, from {ends[0]} to {ends[1]}"
 
 
 def chance(p_value: float | None) -> str:
@@ -147,6 +165,8 @@ def chance(p_value: float | None) -> str:
 def badge(d: Document) -> tuple[str, str]:
     """The outcome of a verdict: a sign, and words."""
     outcome, effects = d["verdict"].get("adequacy", {}).get("outcome", ""), d["verdict"]["effects"]
+    if effects and not any(map(is_supported, effects)) and outcome != "not_explained":
+        return "?", "Added as asked; the data do not ask for it"
     if outcome == "explained" and not any(map(is_confirmed, effects)):
         return "?", "Explained, but not confirmed"
     return _OUTCOMES.get(outcome, ("", "Diagnosis"))
@@ -154,7 +174,7 @@ def badge(d: Document) -> tuple[str, str]:
 
 def headline(d: Document) -> str:
     """The verdict as one plain sentence."""
-    effects = [title_of(d, n["name"]) for n in d["verdict"]["effects"]]
+    effects = [title_of(d, form_of(n)) for n in d["verdict"]["effects"]]
     outcome = d["verdict"].get("adequacy", {}).get("outcome")
     found = _and(effects) if len(effects) <= _FEW else f"{len(effects)} additions"
     if not effects:
@@ -163,6 +183,9 @@ def headline(d: Document) -> str:
         if outcome == "adequate":
             return "Nothing that is missing can be detected: nothing in these data speaks against the model as it is."
         return "Nothing that is missing can be detected in these data."
+    if not any(map(is_supported, d["verdict"]["effects"])):
+        added = f"This was added because you asked for it: {_and(effects)}. These data do not ask for it."
+        return f"{added} Something else is missing." if outcome == "not_explained" else added
     if outcome == "not_explained":
         helps = "helps, but does" if len(effects) == 1 else "help, but do"
         return f"The model lacks more than what was found: {found} {helps} not explain these data."
@@ -170,6 +193,11 @@ def headline(d: Document) -> str:
         return f"The model may lack this: {_and(effects)}. Unseen data do not confirm it."
     end = " With it, nothing in these data speaks against the model." if outcome == "explained" else ""
     return f"The model lacks this: {_and(effects)}.{end}"
+
+
+def is_supported(n: Document) -> bool:
+    """Whether the data ask for an addition; what somebody asks for is added even if they do not."""
+    return bool(n.get("is_supported", True))
 
 
 def is_confirmed(n: Document) -> bool:
@@ -208,16 +236,19 @@ def gain_in_words(d: Document, n: Document) -> str:
     """The name of an addition, and what it gains on unseen data, in a few words."""
     size = f"{float(n['heldout_gain_nats']):.0f} ± {float(n['heldout_gain_se']):.0f} nats"
     told = f"{size} better on unseen data" if is_confirmed(n) else f"unseen data do not confirm it ({size})"
-    return f"{title_of(d, n['name'])}: {told}"
+    return f"{title_of(d, form_of(n))}: {told}"
 
 
 def found_in_words(d: Document) -> list[str]:
     """What was added, how large it is and how certain, one line each."""
-    return [f"{title_of(d, n['name'])} ({size_of(d, n)}): {certainty(n)}" for n in d["verdict"]["effects"]]
+    return [f"{title_of(d, form_of(n))} ({size_of(d, n)}): {certainty(n)}" for n in d["verdict"]["effects"]]
 
 
 def not_told_apart(d: Document, n: Document) -> str:
-    """What an addition cannot be told apart from; empty if it can be told apart from everything that was searched."""
+    """What an addition cannot be told apart from; empty if it can be told apart from everything that was searched.
+
+    Nothing else is searched for where somebody has asked for names.
+    """
     return _and([title_of(d, other) for other in n["indistinguishable"]], "or")
 
 
@@ -232,10 +263,13 @@ def how_sure(d: Document) -> str:
         text += f", in its own simulations in {expected:.1f} on average"
         is_adequate = d["verdict"]["adequacy"]["outcome"] == "adequate"
         return f"{text}; this is within chance." if is_adequate else f"{text}."
+    if d["verdict"].get("asked"):
+        told = certainty(effects[0]) + "; nothing" if len(effects) == 1 else "Nothing"
+        return f"{told} else was searched for, so nothing is known of what explains the data as well."
     if len(effects) == 1:
         others = not_told_apart(d, effects[0])
         return certainty(effects[0]) + (f"; cannot be told apart from {others}." if others else ".")
-    certain = [title_of(d, n["name"]) for n in effects if not n["indistinguishable"]]
+    certain = [title_of(d, form_of(n)) for n in effects if not n["indistinguishable"]]
     if len(certain) == len(effects):
         return "Each name can be told apart from everything else that was searched for."
     if certain:
@@ -299,12 +333,23 @@ def what_to_do(d: Document) -> str:
             "Use the model as it is. The table of what these data would have shown says how small a missing effect may"
             " be."
         )
+    if not any(map(is_supported, effects)):
+        return "Leave it out, unless you know from elsewhere that the drivers have it."
     if not any(map(is_confirmed, effects)):
         return "Record more before you use it: unseen data do not confirm it."
-    text = "Add it: sugiyama diagnose FILE --add auto -o model.yaml, then give --model model.yaml to other commands."
+    text = _use(d)
     if effects[-1].get("worse_where"):
         text += " If you simulate, diagnose with --for simulation: it adds nothing that makes free runs worse."
     return text
+
+
+def _use(d: Document) -> str:
+    """How to use the model with what was added."""
+    if model := d.get("model_file"):
+        return f"Use the model with it: give --model {model} to sugiyama run, live, simulate or compare."
+    command = d.get("command") or "sugiyama diagnose FILE"
+    then = "then give --model model.yaml to sugiyama run, live, simulate or compare."
+    return f"Keep the model with it: {command} -o model.yaml; {then}"
 
 
 def _best_predictor(d: Document) -> str:

@@ -46,9 +46,6 @@ GIVEN: Mapping[str, Mapping[str, Callable[[Path], object]]] = {
 OWN_PARTS = tuple(f"docs/howto/{name}.md" for name in ("effect", "law", "format", "study"))
 #: Pages that compute for minutes: `make journeys` runs them.
 LONG = ("examples/tutorial.md",)
-#: Pages with a command whose next steps do not work yet.
-NOT_YET = ("docs/first_steps.md",)
-forget_the_ring = pytest.mark.xfail(reason="the next steps of a diagnosis leave out --ring", strict=False)
 
 
 def name_of(page: Path) -> str:
@@ -86,7 +83,7 @@ def with_blocks() -> Iterator[object]:
     for page in pages():
         name = name_of(page)
         if name not in OWN_PARTS and any(block.is_run for block in blocks(page)):
-            marks = [pytest.mark.slow] * (name in LONG) + [forget_the_ring] * (name in NOT_YET)
+            marks = [pytest.mark.slow] * (name in LONG)
             yield pytest.param(page, id=name, marks=marks)
 
 
@@ -198,7 +195,6 @@ STARTS = (
 )
 
 
-@forget_the_ring
 def test_the_next_steps_that_commands_print_work(forks: Forks, tmp_path: Path) -> None:
     wrong, done = [], set(STARTS)
     run = partial(forks.run_text, tmp_path)

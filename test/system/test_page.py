@@ -1112,7 +1112,7 @@ def test_the_recording_of_rerun_holds_all_drivers_and_the_verdict(recorded, page
 
 def test_without_rerun_one_line_says_how_to_install_it(monkeypatch):
     monkeypatch.setattr("sugiyama_ros.cli.view.find_spec", lambda name: None)
-    with pytest.raises(InputError, match=r"pip install 'sugiyama_ros\[view\]'"):
+    with pytest.raises(InputError, match=r"pip install rerun-sdk"):
         view(Path("run.mcap"))
 
 

@@ -92,5 +92,5 @@ def test_results_show_themselves_and_are_written(simulation, tmp_path):
 def test_options_that_contradict_each_other_are_refused(simulation):
     with pytest.raises(InputError, match="the paper's formulation knows none"):
         sg.calibrate(simulation.measured, "paper", effects=["drag"])
-    with pytest.raises(InputError, match="give 'auto' or None"):
+    with pytest.raises(InputError, match="'all': is not known"):
         sg.diagnose(simulation.measured, add="all")

@@ -11,7 +11,7 @@ import sugiyama_ros as sg
 from sugiyama_ros.cli.app import app
 from sugiyama_ros.diagnosis.bootstrap import resample, seeds
 from sugiyama_ros.diagnosis.candidates import candidates, not_searched
-from sugiyama_ros.diagnosis.compare import compare
+from sugiyama_ros.diagnosis.compare import SIMULATED, compare
 from sugiyama_ros.diagnosis.diagnosis import diagnose
 from sugiyama_ros.diagnosis.errors import errors_of
 from sugiyama_ros.diagnosis.use import Goal
@@ -153,7 +153,7 @@ def test_a_model_of_another_law_on_tracks_is_told(two_lanes):
     compared = compare(two_lanes, workers=2)
     names = [one.name for one in compared.models]
     assert names[0] == "base"
-    assert names[-1] == "floor"
+    assert names[-1] == SIMULATED
     assert compared.measured is None
     constant = compared.models[names.index("constant_speed")]
     assert constant.gain.nats < -2.0 * constant.gain.se

@@ -182,6 +182,7 @@ PLACES = {
     "page/report.py": "pages and figures",
     "results.py": "result.csv",
     "trajectories/tracks.py": "result.parquet",
+    "cli/diagnose.py": "pieces",
     "cli/study.py": "pieces",
     "cli/view.py": "pieces",
     "studies/away/__main__.py": "pieces",

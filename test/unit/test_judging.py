@@ -12,6 +12,7 @@ from sugiyama_ros.diagnosis.diagnosis import diagnose
 from sugiyama_ros.diagnosis.discover import Discovery, against_simulations
 from sugiyama_ros.diagnosis.screen import FULL, QUICK
 from sugiyama_ros.driver.parameters import defaults
+from sugiyama_ros.effects.discovered_force import COVARIATES
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.model import Model
@@ -126,7 +127,7 @@ def test_a_force_counts_by_what_it_gains_beyond_simulations(monkeypatch):
         return found.p_value
 
     by_chance, as_usual = p_value([2.0, 4.0]), p_value([7.0, 7.0])
-    # a chi-squared variable of the seven free knots, over eight covariates
-    assert by_chance == as_usual == pytest.approx(1.0 - (1.0 - chi2.sf(40.0, 7)) ** 8, rel=1e-6)
+    # a chi-squared variable of the seven free knots, over all covariates
+    assert by_chance == as_usual == pytest.approx(1.0 - (1.0 - chi2.sf(40.0, 7)) ** len(COVARIATES), rel=1e-6)
     assert as_usual < p_value([15.0, 15.0]) < p_value([25.0, 30.0])
     assert p_value([25.0, 30.0]) < 0.99 < p_value([40.0, 45.0])

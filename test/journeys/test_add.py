@@ -1,0 +1,173 @@
+"""A user diagnoses a CSV of a ring, adds what they know, and sees the page: one diagnosis is enough."""
+
+import json
+import re
+from functools import partial
+
+import numpy as np
+import pytest
+import yaml
+
+import sugiyama_ros as sg
+from journeys.forks import Forks
+from journeys.terminal import environment, follow
+from sugiyama_ros.errors import InputError
+
+pytestmark = [pytest.mark.system, pytest.mark.timeout(600)]
+#: What is added although nothing of it is in the data, one of each kind: an effect, a group of constants of each
+#: driver, a force without a name. Before them stands a form of what is in the data.
+ASKED = "clock_offset,drag,rationality,discovered_force:time_gap"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("add")
+
+
+@pytest.fixture(scope="module")
+def run(folder):
+    forks = Forks(folder, [], environment(folder))
+    yield partial(forks.run_text, folder)
+    forks.close()
+
+
+@pytest.fixture(scope="module")
+def added(run):
+    """What a user sees who adds effects by name to a CSV of a ring, whose drivers hold a gap that is off."""
+    hidden = "--effect gap_offset:offset=1.0"
+    made = run(f"sugiyama simulate --vehicles 5 --ring 56 --duration 50 --seed 3 {hidden} -o ring.csv")
+    assert made.code == 0, made.err
+    said = run(
+        f"sugiyama diagnose ring.csv --ring 56 --quick --refit 0 --seed 4 --add {ASKED} -o model.yaml --save found.json"
+    )
+    assert said.code == 0, said.err
+    return said
+
+
+def test_what_is_asked_for_is_added_and_the_data_say_what_they_think_of_it(added, folder):
+    document = json.loads((folder / "found.json").read_text())
+    effects = {one["form"]: one for one in document["verdict"]["effects"]}
+    forms = [form.removesuffix("_to_standstill") for form in effects]
+    assert forms == [name.partition(":")[0] for name in ASKED.split(",")]
+    assert document["verdict"]["asked"] == ASKED.split(",")
+    for form, one in effects.items():
+        assert np.isfinite([one["heldout_gain_nats"], one["heldout_gain_se"], one["p_value"]]).all()
+        line = next(line for line in added.out.splitlines() if line.startswith(f"{one['name']} ("))
+        assert f"held-out gain {one['heldout_gain_nats']:.0f} ± {one['heldout_gain_se']:.0f} nats" in line
+        assert f"+ {one['name']}" in added.out, form
+    assert effects["discovered_force"]["covariate"] == "time_gap"
+    assert not effects["rationality"]["is_supported"]
+    assert "the data do not ask for it" in added.out
+    assert added.out.count("asked for it") + added.out.count("The data ask for it") == len(effects)
+    assert document["verdict"]["adequacy"]["outcome"] != "explained" or any(e["is_supported"] for e in effects.values())
+    # each error after each addition
+    rows = [line for line in added.out.splitlines() if re.match(r"│ (base model|\+ )", line)]
+    assert len(rows) % (1 + len(effects)) == 0
+    model = yaml.safe_load((folder / "model.yaml").read_text())
+    assert {"clock_offset", "discovered_force"} < set(model["effects"])
+
+
+def test_the_next_steps_work_as_they_are_pasted(added, run, folder):
+    assert any("--ring 56" in step and "--seed 4" in step for step in added.steps)
+    steps = dict(follow(run, added, set()))
+    wrong = [f"{step}\n{answer.err}" for step, answer in steps.items() if answer.code != 0]
+    assert not wrong, "\n".join(wrong)
+    # the run also prints how to see its page without a diagnosis
+    assert run("sugiyama report run.mcap --diagnosis found.json -o asked.html").code == 0
+    page = (folder / "asked.html").read_text()
+    assert "Nothing else was searched for" in page
+    assert "time gap" in page
+
+
+def test_a_diagnosis_without_files_says_how_to_keep_it_with_its_options(run, added):
+    said = run("sugiyama diagnose ring.csv --ring 56 --quick --refit 0 --seed 5")
+    assert said.code == 0, said.err
+    (again,) = [step for step in said.steps if step.startswith("sugiyama diagnose")]
+    for option in ("--ring 56", "--quick", "--refit 0", "--seed 5", "--save diagnosis.json"):
+        assert option in again
+    found = "+ " in said.out
+    assert ("-o model.yaml" in again) == found
+    assert ("By driver, before and after" in said.out) == found
+    assert ("Without --add, up to three effects are added" in said.out) == found
+
+
+@pytest.mark.parametrize(
+    ("asked", "why"),
+    [
+        ("telepathy", "sugiyama effects"),
+        ("discovered_force:mood", "time_gap"),
+        ("auto,drag", "give auto alone"),
+        (",", "has no name"),
+    ],
+)
+def test_what_cannot_be_added_is_refused_at_once(run, added, asked, why):
+    said = run(f"sugiyama diagnose ring.csv --ring 56 --add {asked}")
+    assert said.code == 2
+    assert len(said.err.splitlines()) == 1
+    assert why in said.err
+
+
+def test_a_model_with_cautions_says_so_wherever_it_drives(run, added, folder):
+    model = yaml.safe_load((folder / "model.yaml").read_text())
+    caution = "15 cars collide in free runs into the last part instead of 3"
+    (folder / "careful.yaml").write_text(yaml.safe_dump(model | {"cautions": [caution]}))
+    for command in (
+        "run ring.csv --ring 56 --model careful.yaml -o careful.mcap",
+        "simulate --vehicles 5 --ring 56 --duration 10 --model careful.yaml -o careful.csv",
+    ):
+        said = run(f"sugiyama {command}")
+        assert said.code == 0, said.err
+        assert f"caution: careful.yaml: {caution}" in said.err
+    (folder / "wrong.yaml").write_text(yaml.safe_dump(model | {"cautions": 15}))
+    assert "cautions: give a list" in run("sugiyama run ring.csv --ring 56 --model wrong.yaml -o x.mcap").err
+
+
+def test_no_command_writes_to_a_file_that_it_was_given(run, added, folder):
+    run("sugiyama run ring.csv --ring 56 -o seen.mcap")
+    before = (folder / "found.json").read_bytes()
+    for command in (
+        "view seen.mcap --save found.json --diagnosis found.json --overwrite",
+        "diagnose ring.csv --ring 56 --quick -o model.yaml --save ring.json",
+    ):
+        (folder / "ring.json").write_text("{}")
+        said = run(f"sugiyama {command}")
+        assert said.code == 2
+        assert "give another name" in said.err or "exists already" in said.err
+    assert (folder / "found.json").read_bytes() == before
+    assert (folder / "ring.json").read_text() == "{}"
+
+
+def test_a_report_that_is_refused_leaves_no_page(run, added, folder):
+    (folder / "taken").write_text("mine")
+    said = run("sugiyama report seen.mcap --diagnosis found.json --figures taken -o refused.html")
+    assert said.code == 2
+    assert not (folder / "refused.html").exists()
+    assert (folder / "taken").read_text() == "mine"
+
+
+def test_a_run_prints_the_mean_over_drivers(run, added):
+    said = run("sugiyama run ring.csv --ring 56 -o mean.mcap")
+    lines = [line for line in said.out.splitlines() if re.match(r"│\s+(\d|mean)", line)]
+    rows = [re.split(r"\s*│\s*", line.strip("│ ")) for line in lines]
+    (mean,) = [row for row in rows if row[0] == "mean of 5"]
+    errors = [float(row[3]) for row in rows if row[0] != "mean of 5"]
+    assert float(mean[-2]) == pytest.approx(np.mean(errors), abs=1e-3)
+
+
+def test_python_adds_writes_and_reports_as_the_command_line(folder, added):
+    recording = sg.read(folder / "ring.csv", ring_m=56.0)
+    with pytest.raises(InputError, match="telepathy"):
+        sg.diagnose(recording, add=["telepathy"])
+    with pytest.raises(InputError, match="fun"):
+        sg.diagnose(recording, purpose="fun")
+    found = sg.diagnose(recording, quick=True, refit=0, seed=4, add="clock_offset")
+    first = json.loads((folder / "found.json").read_text())["verdict"]["effects"][0]
+    assert found.named[0].heldout.nats == pytest.approx(first["heldout_gain_nats"])
+    assert "clock_offset" in found.summary()
+    found.save(folder / "python.json")
+    for given in (found, folder / "python.json"):
+        page = sg.report(folder / "seen.mcap", folder / "python.html", given)
+        # the unit of the form, a time, not that of the mechanism, a length
+        card = page.read_text().split("<nav>")[0]
+        assert "clocks that differ" in card
+        assert re.search(r"How large</dt><dd>[^<]* s</dd>", card)

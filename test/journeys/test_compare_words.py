@@ -1,0 +1,74 @@
+"""A user compares models, and reads one sentence and about six rows; nobody who leads is counted."""
+
+import json
+import re
+from functools import partial
+
+import numpy as np
+import pytest
+
+import sugiyama_ros as sg
+from journeys.forks import Forks
+from journeys.terminal import environment
+
+pytestmark = [pytest.mark.system, pytest.mark.timeout(600)]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("compare")
+
+
+@pytest.fixture(scope="module")
+def run(folder):
+    forks = Forks(folder, [], environment(folder))
+    yield partial(forks.run_text, folder)
+    forks.close()
+
+
+def rows(text):
+    """Names of the models in the tables."""
+    return [line.split("│")[1].strip() for line in text.splitlines() if line.startswith("│")]
+
+
+def test_a_comparison_says_who_is_best_and_shows_six_rows(run, folder):
+    run("sugiyama simulate --vehicles 4 --ring 45 --duration 40 --seed 1 -o ring.csv")
+    run("sugiyama simulate --vehicles 4 --ring 45 --duration 40 --seed 2 -o other.csv")
+    assert run("sugiyama diagnose ring.csv --ring 45 --quick --refit 0 --add drag -o model.yaml").code == 0
+    said = run("sugiyama compare ring.csv --ring 45 --model model.yaml --seed 1")
+    assert said.code == 0, said.err
+    first = said.out.splitlines()[0]
+    assert first == "No model predicts held-out samples clearly better than the base model." or re.fullmatch(
+        r"\w+ predicts held-out samples best: \d+ ± \d+ nats better than the base model.*", first
+    )
+    shown = rows(said.out)
+    assert len(set(shown)) == 6
+    assert "base" in shown
+    (in_sample,) = {name for name in shown if name.endswith("(in sample)")}
+    assert "model.yaml was fitted to this recording, so its errors are in sample" in said.out
+    # the file's own effects, fitted without what they predict; and everything: both can be pasted
+    anew, everything = said.steps
+    assert "--model" not in anew
+    assert "--ring 45" in anew
+    assert "--seed 1" in anew
+    assert not in_sample.startswith(first.split()[0])
+    whole = run(everything)
+    assert whole.code == 0, whole.err
+    assert len(set(rows(whole.out))) > 12
+    assert "floor" not in whole.out  # a word of the report, where it is another model
+    elsewhere = run("sugiyama compare other.csv --ring 45 --model model.yaml --json")
+    kinds = {one["name"]: one["kind"] for one in json.loads(elsewhere.out)["models"]}
+    assert [name for name, kind in kinds.items() if kind == "asked"] == [in_sample.removesuffix(" (in sample)")]
+
+
+def test_one_step_ahead_counts_followers_as_gains_do(run, folder):
+    made = run("sugiyama simulate --vehicles 4 --ring 0 --duration 40 --seed 1 -o open.csv")
+    assert made.code == 0, made.err
+    base = sg.compare(sg.read(folder / "open.csv")).models[0]
+    samples = base.errors.samples
+    followers = np.isfinite(samples.log_likelihood).any(axis=1)
+    assert followers.sum() == 3
+    counted = np.isfinite(samples.log_likelihood)
+    expected = np.sqrt(np.mean(np.square(samples.innovation_m[counted])))
+    assert base.errors.summary()["one_step_rmse_m"] == pytest.approx(expected)
+    assert "mean of 3" in run("sugiyama run open.csv -o open.mcap").out
