@@ -1,0 +1,191 @@
+"""What may be missing from a model: freed constants, noises, faults of the measurement, physical effects, forces.
+
+Every candidate declares starts: values of its parameters at which it is scored.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.driver.parameters import index
+from sugiyama_ros.effects.discovered_force import COVARIATES, KNOTS
+from sugiyama_ros.effects.effect import MEASUREMENT, Effect, RecordingExtent
+from sugiyama_ros.effects.registry import EFFECTS, MECHANISM, ROW, index_of
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.fit.model import Model
+from sugiyama_ros.fit.population import LARGEST_STD
+from sugiyama_ros.fit.recording import Recorded
+
+#: What a candidate changes. Constants and noises never explain anything.
+Kind = Literal["effect", "measurement", "force", "constants", "noise"]
+#: Values by place in the rows: of all drivers, or of each driver, (N,).
+Start: TypeAlias = Mapping[int, float | Array]
+#: Effect that stands for a force along a covariate, and the prefix of such a candidate's name.
+FORCE, FORCE_ALONG = "discovered_force", "force_along_"
+# A recording on which every effect that is searched for at all has a start.
+_A_RING = RecordingExtent(0.0, 100.0, 100.0, 0.0, 100.0)
+# Constants that the paper fixes, in groups that act together: names, kind, whether each driver has individual values.
+_CONSTANTS: tuple[tuple[str, tuple[str, ...], Kind, bool], ...] = (
+    ("response_constants", ("kappa_c", "kappa_d", "kappa_1"), "constants", False),
+    ("noise_constants", ("rho", "sigma_x", "sigma_v"), "noise", False),
+    ("rationality", ("rationality",), "constants", True),
+    ("risk_constants", ("kappa_c", "kappa_d"), "constants", True),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """Something that can be added to a model.
+
+    Parameters
+    ----------
+    name : str
+        Name of the effect in one of its forms, of the group of constants, or of the force.
+    mechanism : str
+        Name of the mechanism, of which the candidate may be one form among others.
+    kind : {"effect", "measurement", "force", "constants", "noise"}
+        What the candidate changes.
+    places : tuple of int
+        Entries of the rows that become free.
+    starts : tuple of Start
+        Where the candidate is scored. A start without values is the model itself, with the entries free.
+    individual : bool
+        Whether every driver has individual values.
+    strengths : tuple of int
+        Places of several strengths, which are scored one at a time and fitted together.
+    has_sign : bool
+        Whether only positive strengths make sense.
+    is_random : bool
+        Whether the candidate changes how uncertain a forecast is, and not its mean: noises, and what wanders.
+    """
+
+    name: str
+    mechanism: str
+    kind: Kind
+    places: tuple[int, ...]
+    starts: tuple[Start, ...]
+    individual: bool = False
+    strengths: tuple[int, ...] = ()
+    has_sign: bool = False
+    is_random: bool = False
+
+    @property
+    def explains(self) -> bool:
+        """Whether the candidate can explain what was missing: it has a physical name."""
+        return self.kind in ("effect", "measurement")
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return tuple(ROW.declared[k].name for k in self.places)
+
+
+def candidates(data: Recorded) -> tuple[Candidate, ...]:
+    """Return all candidates that make sense for a recording, without forces.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+
+    Returns
+    -------
+    tuple of Candidate
+        Constants first, then effects.
+    """
+    constants = [
+        Candidate(name, name, kind, tuple(map(index, parameters)), ({},), individual)
+        for name, parameters, kind, individual in _CONSTANTS
+    ]
+    return (
+        *constants,
+        *(_of_effect(e, data) for e in EFFECTS.values() if e.starts(extent(data)) and not _why_not(e, data)),
+    )
+
+
+def _of_effect(e: Effect, data: Recorded) -> Candidate:
+    kind: Kind = "measurement" if e.stage == MEASUREMENT else "effect"
+    strengths = tuple(index_of(e.name, name) for name in e.switches)
+    return Candidate(
+        name=e.name,
+        mechanism=MECHANISM[e.name],
+        kind="noise" if e.is_noise and kind == "effect" else kind,
+        places=tuple(index_of(e.name, p.name) for p in e.parameters if p.name not in e.fixed),
+        starts=tuple({index_of(e.name, p): v for p, v in values.items()} for values in e.starts(extent(data))),
+        individual=e.individual,
+        strengths=strengths if len(strengths) > 1 and not e.individual else (),
+        has_sign=any(ROW.declared[k].lower >= 0.0 for k in strengths),
+        is_random=e.is_noise or bool(e.wanders),
+    )
+
+
+def force_along(covariate: str, first: float, last: float) -> Candidate:
+    """Return a force along a covariate, as a curve between knots from ``first`` to ``last``."""
+    places = [index_of(FORCE, name) for name in ("covariate", "first", "last")]
+    values = (COVARIATES.index(covariate) + 1.0, first, last)
+    knots = tuple(range(places[-1] + 1, places[-1] + 1 + KNOTS))
+    return Candidate(FORCE_ALONG + covariate, FORCE, "force", knots, (dict(zip(places, values, strict=True)),))
+
+
+def not_searched(data: Recorded) -> dict[str, str]:
+    """Return the effects that a recording cannot show, with the reason, by name."""
+    return {name: why for name, e in EFFECTS.items() if e.starts(_A_RING) and (why := _why_not(e, data))}
+
+
+def _why_not(e: Effect, data: Recorded) -> str:
+    """Why a search for an effect makes no sense for a recording; empty if it does."""
+    around, axes = data.vicinity, {p.axis for p in e.parameters}
+    if not e.starts(extent(data)):
+        return "the road is no ring"
+    if around.is_whole_road:
+        return "too few vehicles" if data.drivers <= e.reach else ""
+    ahead = np.median([chain.position_m.shape[1] - 1 for chain in data.chains])
+    reasons = {
+        "stretches of different drivers have no time in common": "time" in axes,
+        "recordings have no places in common": "place" in axes and not around.has_places,
+        "nothing is assumed of the vehicle behind": e.sees_rear,
+        "the leader's leader is not known": e.reach > ahead,
+    }
+    return next((reason for reason, holds in reasons.items() if holds), "")
+
+
+def chosen(possible: Sequence[Candidate], names: Sequence[str]) -> list[Candidate]:
+    """Return the candidates with these names, or of these mechanisms, in the order of the names.
+
+    Raises
+    ------
+    InputError
+        For a name that no candidate has.
+    """
+    found: list[Candidate] = []
+    for name in names:
+        mine = [c for c in possible if c.name == name] or [c for c in possible if c.mechanism == name]
+        if not mine:
+            known = ", ".join(dict.fromkeys(c.name for c in possible))
+            raise InputError(f"effect {name!r}: cannot be added here; choose among {known}")
+        found += mine[:1]
+    return found
+
+
+def extent(data: Recorded) -> RecordingExtent:
+    """Return what a search for an effect may know about a recording."""
+    around = data.vicinity
+    first, last = float(np.nanmin(around.position_m)), float(np.nanmax(around.position_m))
+    return RecordingExtent(*around.first_last_s, around.road.circumference_m, first, last)
+
+
+def with_candidate(model: Model, candidate: Candidate, start: Start) -> Model:
+    """Return a model at a start of a candidate, with the entries of the candidate free."""
+    rows = model.rows.copy()
+    for k, v in start.items():
+        rows[:, k] = v
+    new = tuple(k for k in candidate.places if k not in (*model.individual, *model.shared))
+    if not candidate.individual:
+        return replace(model, rows=rows, shared=model.shared + new)
+    new = tuple(k for k in candidate.places if k not in model.individual)
+    shared = tuple(k for k in model.shared if k not in new)
+    std = model.prior_std + (LARGEST_STD,) * len(new)
+    return replace(model, rows=rows, individual=model.individual + new, shared=shared, prior_std=std)

@@ -1,0 +1,131 @@
+"""What chance gives in the same procedure: one null distribution for everything that is scored.
+
+Recordings that the fitted model simulates are scored as the data are: the approximations of the filter shift scores
+even where nothing is missing. The rest is chance. Its distribution comes from a multiplier bootstrap: the scores that
+are left in each block after the best strength is taken out, times random signs and sizes. The largest gain of all
+candidates, in all their forms, starts and places, is compared with the largest one of each draw, so no factor for the
+number of tests is needed.
+
+References
+----------
+P. H. Westfall and S. S. Young, Resampling-Based Multiple Testing (1993). V. Chernozhukov, D. Chetverikov and K. Kato,
+Ann. Statist. 41 (2013) 2786.
+"""
+
+import math
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+from scipy.stats import norm
+
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.criticism.candidates import Candidate
+from sugiyama_ros.criticism.score import Score, scores
+from sugiyama_ros.fit.joint import JointFit
+from sugiyama_ros.fit.recording import Recorded
+
+# Draws from the null distribution: the smallest p-value is a thousandth.
+_DRAWS = 999
+# The score of a block counts up to so many standard deviations by chance: a filter that is far off at one moment, as
+# after hard braking, must not stand for all (Huber's psi function).
+_LARGEST = 3.0
+
+
+def p_values(data_scores: Sequence[Score], simulated: Sequence[Sequence[Score]], seed: int) -> dict[str, float]:
+    """Return how probable it is that any candidate shows as much by chance as each mechanism does.
+
+    Parameters
+    ----------
+    data_scores : sequence of Score
+        Scores of the recording.
+    simulated : sequence of sequence of Score
+        Scores of recordings that the model simulates.
+    seed : int
+        Seed of the draws.
+
+    Returns
+    -------
+    dict of str to float
+        The probabilities, by the name of the mechanism. By chance, the smallest one is uniform.
+    """
+    shifts = [{_key(one): one for one in each} for each in simulated]
+    rng = np.random.default_rng(seed)
+    largest: dict[str, float] = {}
+    by_chance = np.full(_DRAWS, -np.inf)
+    multipliers = rng.standard_normal((_DRAWS, len(data_scores[0].driver))) if data_scores else np.empty((0, 0))
+    for one in data_scores:
+        there = [known[_key(one)] for known in shifts if _key(one) in known]
+        observed, null = _standardised(one, there, multipliers)
+        name = one.candidate.mechanism
+        largest[name] = max(largest.get(name, -np.inf), observed)
+        by_chance = np.maximum(by_chance, null)
+    return {name: float((1 + np.count_nonzero(by_chance >= z)) / (1 + _DRAWS)) for name, z in largest.items()}
+
+
+def _key(one: Score) -> tuple[object, ...]:
+    """What identifies the score of a candidate at a start in another recording."""
+    start = () if one.candidate.kind == "force" else tuple(repr(v) for v in one.starts)
+    return one.candidate.name, *start
+
+
+def _standardised(one: Score, simulated: Sequence[Score], multipliers: Array) -> tuple[float, Array]:
+    """The gain of a score and its draws by chance, (B,), as nearly normal numbers of mean 0 and std 1."""
+    total = one.summed(_limited(one)[None])
+    shift = np.mean([_of_all(s, one) for s in simulated], axis=0) if simulated else 0.0
+    if one.information is None:
+        # by chance, a likelihood ratio is at least e^g with a probability of at most e^-g (Markov)
+        return _at_least(min(one.gain, float((total - shift)[0, 0]))), multipliers[:, 0]
+    wider = np.sqrt(1.0 + sum(one.drivers / s.drivers for s in simulated) / max(len(simulated), 1) ** 2)
+    draws = wider * one.summed(multipliers[:, :, None] * _left(one))
+    # a candidate must gain beside this model, and more than it gains in simulations
+    if one.is_one_sided:
+        spread = max(float(draws.std()), 1e-300)
+        return float(np.min([total, total - shift])) / spread, draws[:, 0] / spread
+    # the cube root of a chi-squared variable is nearly normal (Wilson and Hilferty 1931)
+    null, observed = np.cbrt(one.gains(draws)), np.cbrt(min(one.gains(total)[0], one.gains(total - shift)[0]))
+    spread = max(float(null.std()), 1e-300)
+    return float((observed - null.mean()) / spread), (null - null.mean()) / spread
+
+
+def _at_least(gain: float) -> float:
+    """The normal number that is exceeded with a probability of e^-gain."""
+    return float(norm.isf(math.exp(-max(gain, 0.0))))
+
+
+def _of_all(one: Score, like: Score) -> Array:
+    """Summed scores of some drivers, as many as all drivers of another score would have."""
+    total = one.summed(_limited(one)[None])
+    if one.candidate.individual and one.information is not None:
+        return np.broadcast_to(total.mean(axis=1, keepdims=True), (1, like.drivers, total.shape[2]))
+    return total * (like.drivers / one.drivers)
+
+
+def _left(one: Score) -> Array:
+    """What is left of the scores of all blocks (G, K) after the best strength is taken out."""
+    assert one.information is not None
+    fitted = one.score.shape[1]
+    if one.candidate.individual:
+        explained = np.einsum("gjk,gk->gj", one.information, one.strength[one.driver])
+        blocks = np.bincount(one.driver)[one.driver][:, None]
+    else:
+        explained, blocks = one.information @ one.strength, np.array(len(one.driver))
+    # blocks that are as many as the strengths have nothing left
+    left = (one.score - explained) * np.sqrt(blocks / np.maximum(blocks - fitted, 1))
+    return _limited(replace(one, score=left))
+
+
+def _limited(one: Score) -> Array:
+    """Scores (G, K) whose size is limited to what a block gives by chance, a few times."""
+    if one.information is None:
+        return one.score
+    std = np.sqrt(np.maximum(np.diagonal(one.information, axis1=1, axis2=2), 0.0))
+    return np.asarray(np.clip(one.score, -_LARGEST * std, _LARGEST * std))
+
+
+def simulated_scores(
+    simulations: Sequence[tuple[Recorded, JointFit]], candidates: Sequence[Candidate], work: ThreadPoolExecutor
+) -> list[list[Score]]:
+    """Score the same candidates in simulated recordings, with the fits to them, for half of the drivers."""
+    return [scores(data, fitted, candidates, work, range(0, data.drivers, 2)) for data, fitted in simulations]

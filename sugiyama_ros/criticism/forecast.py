@@ -1,0 +1,263 @@
+"""Forecasts: one step ahead by the filter, and up to ten seconds ahead by driving on from the filtered state.
+
+A forecast is a distribution. It is judged by proper scores: the logarithm of its density at what was measured [nats],
+and the continuous ranked probability score (CRPS) [m], which is in metres and does not punish a single surprise as
+much. A driver drives on behind the recorded leader (``single``); on a whole road, all drivers also drive on together
+(``road``). Each drives from states drawn from the filter's posterior, with noise, in pairs of opposite draws. All
+models get the same draws.
+
+References
+----------
+T. Gneiting and A. E. Raftery, J. Am. Stat. Assoc. 102 (2007) 359. J. M. Hammersley and K. W. Morton, Math. Proc. Camb.
+Philos. Soc. 52 (1956) 449.
+"""
+
+import math
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import gammaln, ndtr
+
+from sugiyama_ros.arrays import Array, Ints, Mask
+from sugiyama_ros.driver.parameters import SIGMA_NU, at_period, horizon_at, index
+from sugiyama_ros.driver.utility import ACTIONS
+from sugiyama_ros.effects.sensing import displacements
+from sugiyama_ros.filters.causal import Filtered, filter_chain
+from sugiyama_ros.filters.causal_kernel import SETTLING
+from sugiyama_ros.filters.chain import adaptation_of
+from sugiyama_ros.filters.state import STATE
+from sugiyama_ros.fit.model import Model
+from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.fit.score import between_measurements, filtered_states, jobs_of
+from sugiyama_ros.simulation.drive import Order, Setting
+from sugiyama_ros.simulation.free_run import run_coupled, run_single
+
+#: Times [s] after the start at which forecasts are judged.
+HORIZONS_S = (1.0, 2.0, 5.0, 10.0)
+# Time [s] between two starts; number of pairs of opposite draws.
+_EVERY_S, _PAIRS = 2.5, 4
+
+
+@dataclass(frozen=True, eq=False)
+class Runs:
+    """Forecasts by driving on, from S starts, at H horizons, of N drivers; NaN where nobody can be judged.
+
+    Parameters
+    ----------
+    log_score : ndarray, shape (S, H, N)
+        Logarithm of the forecast's density at the measured position [nats], without the term of 2 pi.
+    crps : ndarray, shape (S, H, N)
+        Continuous ranked probability score [m].
+    error : ndarray, shape (S, H, N)
+        Mean of the forecast minus the measured position [m].
+    normal : ndarray, shape (S, H, N)
+        The error over the standard deviation of the forecast.
+    """
+
+    log_score: Array
+    crps: Array
+    error: Array
+    normal: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Forecasts:
+    """Held-out forecasts of a model.
+
+    Parameters
+    ----------
+    one_step : ndarray, shape (N, T)
+        Log-likelihood of each sample, given those before [nats].
+    innovation_m, innovation_var : ndarray, shape (N, T)
+        Innovation [m] and its variance [m^2].
+    single : Runs
+        Drivers behind their recorded leaders.
+    road : Runs or None
+        All drivers of a whole road together.
+    start : ndarray of int, shape (S,)
+        Samples at which the runs start.
+    """
+
+    one_step: Array
+    innovation_m: Array
+    innovation_var: Array
+    single: Runs
+    road: Runs | None
+    start: Ints
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """The traffic in which a driver drives on, the same for all models: states of all vehicles, (T, V, 4).
+
+    starts: samples (S,); who: drivers who start there, (S, N); steps: samples to each horizon.
+    """
+
+    states: Array
+    starts: Ints
+    who: Mask
+    steps: Ints
+
+
+def surroundings(data: Recorded, model: Model, work: Executor) -> Surroundings:
+    """Return the traffic as a model's filter sees it, and where forecasts start: every 2.5 s."""
+    around = data.vicinity
+    steps = data.every * np.array([max(1, round(h / data.apart_s)) for h in HORIZONS_S])
+    apart = data.every * max(1, round(_EVERY_S / data.apart_s))
+    starts = np.arange(data.every * math.ceil((SETTLING + 4) / data.every), data.samples - steps[-1], apart)
+    unbroken = data.segment[:, starts - SETTLING] == data.segment[:, starts + steps[-1]]
+    unbroken &= data.scored[:, starts]
+    states = between_measurements(data, filtered_states(data, model, work))
+    led = np.array([around.leader[starts, i] >= 0 for i in range(data.drivers)])
+    if led.any():
+        unbroken &= led
+    some = unbroken.any(axis=0)
+    return Surroundings(np.ascontiguousarray(states[:, :, :STATE]), starts[some], unbroken[:, some].T, steps)
+
+
+def forecasts(data: Recorded, around: Surroundings, models: Sequence[Model], work: Executor) -> Forecasts:
+    """Forecast every sample, each with the model that was fitted without the sample's fold.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    around : Surroundings
+        The traffic, as of ``surroundings``.
+    models : sequence of Model
+        One for each fold.
+    work : Executor
+        Runs the filters and the drivers.
+
+    Returns
+    -------
+    Forecasts
+        The forecasts of all samples and starts.
+    """
+    parts = [_Fold(data, around, model, fold) for fold, model in enumerate(models)]
+    known = np.full((3, data.drivers, data.samples), np.nan)
+    shape = (len(around.starts), len(HORIZONS_S), data.drivers)
+    single = Runs(*np.full((4, *shape), np.nan))
+    road = Runs(*np.full((4, *shape), np.nan)) if data.vicinity.is_whole_road else None
+    for part in parts:
+        filtered = list(work.map(part.filtered, range(data.drivers)))
+        mask = data.fold == part.fold
+        for j, name in enumerate(("sample_log_likelihood", "innovation_m", "innovation_var")):
+            known[j][mask] = np.array([getattr(one, name) for one in filtered])[mask]
+        who = around.who & (data.fold.T[around.starts] == part.fold)
+        chosen = np.flatnonzero(who.any(axis=1))
+        jobs = [(int(s), who[s], filtered) for s in chosen]
+        for s, (alone, together) in zip(chosen, work.map(part.driven_on, jobs), strict=True):
+            for runs, found in ((single, alone), (road, together)):
+                if runs is not None and found is not None:
+                    for values, new in zip((runs.log_score, runs.crps, runs.error, runs.normal), found, strict=True):
+                        values[s][:, who[s]] = new[:, who[s]]
+    known[0][~data.scored] = np.nan
+    one_step, innovation_m, innovation_var = known
+    return Forecasts(one_step, innovation_m, innovation_var, single, road, around.starts)
+
+
+class _Fold(NamedTuple):
+    """The model that was fitted without a fold, and the traffic."""
+
+    data: Recorded
+    around: Surroundings
+    model: Model
+    fold: int
+
+    def filtered(self, i: int) -> Filtered:
+        """Filter one driver, with covariances."""
+        (job,) = jobs_of(self.data, self.model, [i])
+        return filter_chain(job.chain, job.parameters, ahead=job.ahead)
+
+    def driven_on(self, job: tuple[int, Mask, list[Filtered]]) -> tuple[tuple[Array, ...], tuple[Array, ...] | None]:
+        """Scores (H, N) of the runs of a start: of single drivers, and of the whole road or None."""
+        data, (number, who, filtered) = self.data, job
+        k, steps, around = int(self.around.starts[number]), self.around.steps, data.vicinity
+        recorded = self.around.states[k : k + steps[-1] + 1]
+        leader = np.where(np.isfinite(recorded[0, around.leader[k], 0]), around.leader[k], -1)
+        rows = _rows_at(at_period(self.model.rows, around.period_s), k, filtered)
+        everybody = np.resize(rows, (len(leader), rows.shape[1]))
+        ring = around.road.circumference_m
+        order = _order(ring, recorded[0], leader, around.length_m[k])
+        setting = Setting(around.period_s, horizon_at(around.period_s), ring)
+        rng, start_s = np.random.default_rng(k), float(around.time_s[k, np.argmax(who)])
+        mean, root = _posterior(filtered, k, recorded[0])
+        shape = (int(steps[-1]), len(leader))
+        both = (False, True) if around.is_whole_road else (False,)
+        ends = np.full((len(both), 2 * _PAIRS, len(steps), len(leader)), np.nan)
+        out, begun = np.empty((*shape, 2)), recorded.copy()
+        for pair in range(_PAIRS):
+            shock, off = rng.standard_normal(shape), rng.standard_normal((len(leader), STATE))
+            for half, sign in enumerate((1.0, -1.0)):
+                begun[0] = mean + sign * np.einsum("nij,nj->ni", root, off)
+                begun[0, :, 1] = np.maximum(begun[0, :, 1], 0.0)
+                for j, is_road in enumerate(both):
+                    if is_road:
+                        run_coupled(begun, order, everybody, ACTIONS, start_s, setting, sign * shock, out)
+                    else:
+                        run_single(
+                            np.flatnonzero(who), begun, order, everybody, ACTIONS, start_s, setting, sign * shock, out
+                        )
+                    at = np.ascontiguousarray(out[steps - 1, :, 0])
+                    ends[j, 2 * pair + half] = at + np.array([displacements(x, ring, everybody) for x in at])
+        measured = around.position_m[k + steps]
+        noise_var = np.square(everybody[:, SIGMA_NU])
+        scored = [_scored(around.road.difference(one, measured), noise_var) for one in ends]
+        return tuple(v[:, : data.drivers] for v in scored[0]), (
+            tuple(v[:, : data.drivers] for v in scored[1]) if len(both) > 1 else None
+        )
+
+
+def _scored(off: Array, noise_var: Array) -> tuple[Array, ...]:
+    """Log score, CRPS, error and normalised error (H, N) of ensembles of M errors, (M, H, N).
+
+    noise_var: variance of the measurements (N,). With few members the forecast is Student's t distribution.
+    """
+    members = len(off)
+    mean = off.mean(axis=0)
+    var = off.var(axis=0, ddof=1) * (1.0 + 1.0 / members) + noise_var
+    free, z = members - 1.0, mean / np.sqrt(var)
+    constant = gammaln(0.5 * (free + 1.0)) - gammaln(0.5 * free) - 0.5 * math.log(0.5 * free)
+    log_score = constant - 0.5 * np.log(var) - 0.5 * (free + 1.0) * np.log1p(np.square(z) / free)
+    density = np.exp(-0.5 * np.square(z)) / math.sqrt(2.0 * math.pi)
+    crps = np.sqrt(var) * (z * (2.0 * ndtr(z) - 1.0) + 2.0 * density - 1.0 / math.sqrt(math.pi))
+    # of the same variance as a normal number
+    return log_score, crps, mean, z * math.sqrt((free - 2.0) / free)
+
+
+def _posterior(filtered: Sequence[Filtered], k: int, recorded: Array) -> tuple[Array, Array]:
+    """Mean (V, 4) and a root of the covariance (V, 4, 4) of all vehicles at sample k; others are as recorded."""
+    mean, root = recorded.copy(), np.zeros((len(recorded), STATE, STATE))
+    for i, one in enumerate(filtered):
+        own = one.mean[k, :STATE]
+        if np.isfinite(own).all() and np.isfinite(mean[i]).all():
+            values, vectors = np.linalg.eigh(one.covariance[k, :STATE, :STATE])
+            mean[i], root[i] = own, vectors * np.sqrt(np.maximum(values, 0.0))
+    return mean, root
+
+
+def _rows_at(rows: Array, k: int, filtered: Sequence[Filtered]) -> Array:
+    """Rows (N, WIDTH) with the preferences that the filter expects halfway through the longest run.
+
+    Preferences that wander return to the driver's usual ones in their time constant.
+    """
+    now = rows.copy()
+    for row, one in zip(now, filtered, strict=True):
+        wandering = adaptation_of(row)
+        mood = one.mean[k, one.mean.shape[1] - len(wandering.names) :]
+        if len(mood) and np.isfinite(mood).all():
+            places = [index(name) for name in wandering.names]
+            left = math.exp(-0.5 * HORIZONS_S[-1] / wandering.relaxation_s)
+            row[places] *= np.exp(left * (mood - np.log(row[places])))
+    return now
+
+
+def _order(ring: float, start: Array, leader: Ints, length: Array) -> Order:
+    """Who follows whom from a state (V, 4) on, and how many turns of the ring the leader is ahead."""
+    headway = np.where(leader >= 0, start[leader, 0] - start[:, 0], 0.0)
+    turn = np.nan_to_num(ring * np.floor(headway / ring)) if ring else np.zeros(len(leader))
+    return Order(leader, turn, length)

@@ -1,0 +1,140 @@
+"""Fits of a model with candidates, and the same fits without each fold."""
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import replace
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.criticism.candidates import Candidate, with_candidate
+from sugiyama_ros.criticism.score import Score
+from sugiyama_ros.effects.registry import ROW
+from sugiyama_ros.fit.joint import JointFit, at_model, maximise, objective, renewed
+from sugiyama_ros.fit.model import Model, coordinate, value
+from sugiyama_ros.fit.recording import FOLDS, Recorded
+from sugiyama_ros.fit.slopes import no_density
+
+# Steps of a full fit, how often it computes its derivatives again, and steps of a fit without a fold, which is near.
+_STEPS, _RENEWALS, _STEPS_WITHOUT = 12, 2, 3
+
+
+def refined(data: Recorded, fitted: JointFit, best: Sequence[Score], work: Executor) -> JointFit:
+    """Add a candidate to a fitted model, and fit the new model in full.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    fitted : JointFit
+        The fitted model without the candidate.
+    best : sequence of Score
+        Scores of the candidate at its starts, the largest gain first.
+    work : Executor
+        Runs the filters.
+
+    Returns
+    -------
+    JointFit
+        The model with the candidate; the fit begins at the start, and the strength there, that fits the samples best.
+    """
+    tried = [model for one in best[:2] for model in _starts(fitted.model, one)]
+    there = [_beside(data, fitted, model, work) for model in tried]
+    start = max(there, key=lambda one: objective(one.slopes, one.model, range(FOLDS)))
+    return _maximised(data, start, work)
+
+
+def _maximised(data: Recorded, start: JointFit, work: Executor) -> JointFit:
+    """The full fit from a start; then the drivers ahead get the parameters that were found for them."""
+    everybody = np.ones(data.drivers, np.bool_)
+    found = maximise(
+        data.roughly, renewed(data.roughly, start, work, everybody), work, iterations=_STEPS, renewals=_RENEWALS
+    )
+    found = at_model(data, found, replace(found.model, ahead=found.model.rows), work, everybody)
+    return maximise(data, found, work, iterations=_STEPS_WITHOUT, renewals=1, fresh=False)
+
+
+def without_folds(data: Recorded, fitted: JointFit, work: Executor) -> tuple[Model, ...]:
+    """Return a model for every fold, fitted to the other folds from the fit to all folds."""
+    others = [[k for k in range(FOLDS) if k != f] for f in range(FOLDS)]
+    return tuple(
+        maximise(data, fitted, work, folds=folds, iterations=_STEPS_WITHOUT, renewals=0).model for folds in others
+    )
+
+
+def combined(data: Recorded, fitted: JointFit, added: Sequence[tuple[Candidate, JointFit]], work: Executor) -> JointFit:
+    """Fit a model with several candidates, from the values that each has alone."""
+    model = fitted.model
+    for candidate, own in added:
+        start = {k: own.model.rows[:, k] for k in _entries(candidate)}
+        model = with_candidate(model, candidate, start)
+    shift = sum((_moved_own(fitted, own) for _, own in added), np.zeros(()))
+    places = list(fitted.model.individual)
+    rows = model.rows.copy()
+    rows[:, places] = value(coordinate(fitted.model.rows[:, places], places) + shift, places)
+    return _maximised(data, _beside(data, fitted, replace(model, rows=rows), work), work)
+
+
+def without(data: Recorded, fitted: JointFit, candidate: Candidate, work: Executor) -> JointFit:
+    """Return a fitted model without one of its candidates; its parameters are still to be fitted again."""
+    model, entries = fitted.model, _entries(candidate)
+    rows, ahead = model.rows.copy(), model.ahead.copy()
+    rows[:, entries] = ahead[:, entries] = [ROW.declared[k].default for k in entries]
+    own = [j for j, k in enumerate(model.individual) if k not in candidate.places]
+    less = replace(
+        model,
+        rows=rows,
+        ahead=ahead,
+        individual=tuple(model.individual[j] for j in own),
+        prior_std=tuple(model.prior_std[j] for j in own),
+        shared=tuple(k for k in model.shared if k not in candidate.places),
+    )
+    return renewed(data, _beside(data, fitted, less, work), work, np.ones(data.drivers, np.bool_))
+
+
+def _entries(candidate: Candidate) -> list[int]:
+    """Entries of the rows that a candidate sets."""
+    return sorted({*candidate.places, *(k for start in candidate.starts for k in start)})
+
+
+def _moved_own(before: JointFit, after: JointFit) -> Array:
+    """How far the individual parameters of a model have moved by a candidate, in coordinates (N, I)."""
+    places = list(before.model.individual)
+    return coordinate(after.model.rows[:, places], places) - coordinate(before.model.rows[:, places], places)
+
+
+def _starts(model: Model, score: Score) -> list[Model]:
+    """The start of a score, with the strengths that the score predicts, and as it is declared."""
+    candidate, strength = score.candidate, score.strength
+    declared = with_candidate(model, candidate, score.starts[0])
+    if candidate.kind == "force":
+        rows = declared.rows.copy()
+        rows[:, candidate.places] = strength
+        return [replace(declared, rows=rows)]
+    if not score.starts[0] or score.information is None:
+        return [declared]
+    scaled: dict[int, float | Array] = dict(score.starts[0])
+    for j, start in enumerate(score.starts):
+        for k in candidate.strengths or candidate.places[:1]:
+            if np.any(start[k]):
+                size = strength[..., j] if candidate.individual else strength[j]
+                scaled[k] = np.clip(size * np.asarray(start[k]), ROW.declared[k].lower, ROW.declared[k].upper)
+    as_predicted = with_candidate(model, candidate, scaled)
+    return [as_predicted] if len(score.starts) > 1 else [as_predicted, declared]
+
+
+def _beside(data: Recorded, fitted: JointFit, model: Model, work: Executor) -> JointFit:
+    """A fit at a model with further parameters, whose slopes are still to be computed."""
+    known = [*fitted.model.individual, *fitted.model.shared]
+    zeros = no_density(data.samples)
+    nothing = (zeros, zeros, zeros)
+    slopes = tuple(
+        replace(
+            s,
+            columns=tuple(
+                s.columns[known.index(k)] if k in known else nothing for k in (*model.individual, *model.shared)
+            ),
+        )
+        for s in fitted.slopes
+    )
+    return at_model(data, JointFit(fitted.model, fitted.samples, slopes), model, work, np.ones(data.drivers, np.bool_))

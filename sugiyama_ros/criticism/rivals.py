@@ -1,0 +1,62 @@
+"""Other car-following laws on the same samples: what a model has to be ahead of."""
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from sugiyama_ros.criticism.forecast import Surroundings, forecasts
+from sugiyama_ros.criticism.refine import without_folds
+from sugiyama_ros.criticism.table import CLEARLY, Entry
+from sugiyama_ros.diagnosis.rivals import in_filter, start_of_drivers
+from sugiyama_ros.fit.cross_validation import sum_error
+from sugiyama_ros.fit.population import fit_nearly
+from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.fit.some_drivers import some_drivers
+from sugiyama_ros.laws.registry import RIVALS
+
+# Number of drivers to whom a law is fitted first, as many as filters run side by side.
+_FIRST = 8
+
+
+def laws(data: Recorded, around: Surroundings, final: Entry, work: ThreadPoolExecutor) -> tuple[Entry, ...]:
+    """Fit all other laws that are not far behind a model one step ahead.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    around : Surroundings
+        The traffic in which forecasts are made.
+    final : Entry
+        The model to be beaten.
+    work : ThreadPoolExecutor
+        Runs the filters.
+
+    Returns
+    -------
+    tuple of Entry
+        The laws that come near.
+    """
+    return tuple(_laws(data, around, final, work))
+
+
+def _laws(data: Recorded, around: Surroundings, final: Entry, work: ThreadPoolExecutor) -> Iterator[Entry]:
+    for law in RIVALS:
+        if _is_far_behind(data, law, final, work):
+            continue
+        fit = in_filter(data, law, work)
+        models = without_folds(data, fit, work)
+        yield Entry(law, (), fit, models, forecasts(data, around, models, work))
+
+
+def _is_far_behind(data: Recorded, law: str, final: Entry, work: ThreadPoolExecutor) -> bool:
+    """Whether a law predicts some drivers one step ahead clearly worse, although it was fitted to these samples."""
+    if data.drivers <= 2 * _FIRST:
+        return False
+    who = [k * data.drivers // _FIRST for k in range(_FIRST)]
+    some = some_drivers(data, who)
+    start = start_of_drivers(some, law)
+    fit = fit_nearly(some, start.individual, work, start)
+    ahead = np.nansum(final.forecasts.one_step[who], axis=1) - np.nansum(fit.samples.log_likelihood, axis=1)
+    return bool(ahead.sum() > 2.0 * CLEARLY * sum_error(ahead))

@@ -1,0 +1,324 @@
+"""Efficient scores: what every candidate would gain, before anything is fitted.
+
+The change of the samples from the fitted model to a start of a candidate is a derivative by the strength, as a secant:
+a derivative at zero says nothing of thresholds, limits, places and times. The score along it, less what the fitted
+parameters take up, is a sum over blocks of each driver's time. All that the diagnosis says before a fit comes from
+these sums: predicted gains, their distribution by chance, and who shows an effect.
+
+References
+----------
+C. R. Rao, Proc. Camb. Philos. Soc. 44 (1948) 50; P. J. Bickel et al., Efficient and Adaptive Estimation for
+Semiparametric Models (1993), chapter 2.
+"""
+
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.criticism.candidates import Candidate, Start, with_candidate
+from sugiyama_ros.criticism.covariates import forces
+from sugiyama_ros.effects.sensing import is_contaminated
+from sugiyama_ros.fit.joint import JointFit
+from sugiyama_ros.fit.model import Model, coordinate, value
+from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.fit.score import PointwiseDensity, evaluate_each
+from sugiyama_ros.fit.slopes import Column, column, density_slope, difference_steps, no_density
+
+# A direction whose information is a smaller part of the largest one of its candidate says nothing.
+_NOTHING = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """The score of one candidate along K directions that are fitted together.
+
+    Parameters
+    ----------
+    candidate : Candidate
+        The candidate.
+    starts : tuple of Start
+        The start at the end of each direction; the same one for all where the directions are derivatives.
+    score : ndarray, shape (G, K)
+        Efficient score of each of G blocks of a driver's time. Where ``information`` is None: gain [nats] at the start.
+    information : ndarray, shape (G, K, K), or None
+        Information of each block. None for a start that changes noises, whose gain is known there alone.
+    total : ndarray, shape (K, K) or (N, K, K)
+        Information of all blocks, less what shared parameters take up; of each driver for individual values.
+    driver : ndarray of int, shape (G,)
+        Number of each block's driver, among N that were scored.
+    """
+
+    candidate: Candidate
+    starts: tuple[Start, ...]
+    score: Array
+    information: Array | None
+    total: Array
+    driver: Ints
+
+    @property
+    def is_one_sided(self) -> bool:
+        """Whether only a positive score counts: for an effect that has a sign, along one start."""
+        return self.candidate.has_sign and not self.candidate.individual and self.score.shape[1] == 1
+
+    @property
+    def gain(self) -> float:
+        """Predicted gain [nats], in sample."""
+        return float(self.gains(self.summed(self.score[None]))[0])
+
+    @property
+    def strength(self) -> Array:
+        """Strengths along the directions that gain most, (K,); of each driver, (N, K), for individual values."""
+        if self.information is None:
+            return np.ones(1)
+        return np.asarray(np.einsum("...jk,...k->...j", _inverse(self.total), self.summed(self.score[None])[0]))
+
+    @property
+    def drivers(self) -> int:
+        """Number N of drivers that were scored."""
+        return int(self.driver.max()) + 1
+
+    def summed(self, parts: Array) -> Array:
+        """Sum scores (B, G, K) over the blocks: (B, K), or (B, N, K) for individual values."""
+        if not self.candidate.individual or self.information is None:
+            return np.asarray(parts.sum(axis=1))
+        total = np.zeros((len(parts), len(self.total), parts.shape[2]))
+        for k, driver in enumerate(self.driver.tolist()):
+            total[:, driver] += parts[:, k]
+        return total
+
+    def gains(self, totals: Array) -> Array:
+        """Return the gains (B,) [nats] that scores predict, (B, K) or (B, N, K)."""
+        if self.information is None:
+            return np.asarray(totals[:, 0])
+        if self.is_one_sided:
+            totals = np.maximum(totals, 0.0)
+        inverse = _inverse(self.total)
+        if self.candidate.individual:
+            return np.asarray(0.5 * np.einsum("bnj,njk,bnk->b", totals, inverse, totals))
+        return np.asarray(0.5 * np.einsum("bj,jk,bk->b", totals, inverse, totals))
+
+
+class _Probe(NamedTuple):
+    """A model at a distance ``step`` from the fitted one, along a direction of a candidate.
+
+    group: directions with the same one are fitted together.
+    """
+
+    candidate: Candidate
+    start: Start
+    model: Model
+    step: float
+    group: tuple[object, ...]
+
+
+class _Direction(NamedTuple):
+    """A direction of a candidate: derivatives of each driver's samples; for noises, the model and the samples there."""
+
+    candidate: Candidate
+    start: Start
+    columns: Sequence[Column]
+    group: tuple[object, ...]
+    there: tuple[Model, PointwiseDensity] | None
+
+
+def scores(
+    data: Recorded,
+    fitted: JointFit,
+    candidates: Sequence[Candidate],
+    work: Executor,
+    who: Sequence[int] | None = None,
+) -> list[Score]:
+    """Score candidates, and forces along all covariates, beside a fitted model.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    fitted : JointFit
+        The model, at a maximum of its likelihood.
+    candidates : sequence of Candidate
+        What to score.
+    work : Executor
+        Runs the filters.
+    who : sequence of int, optional
+        Numbers of the drivers to score; all by default.
+
+    Returns
+    -------
+    list of Score
+        One for each start of a candidate; one for all starts that differ only in which of several strengths they have.
+    """
+    chosen = range(data.drivers) if who is None else who
+    nuisance = _Nuisance(data, fitted, chosen)
+    together: dict[tuple[object, ...], list[_Direction]] = {}
+    for one in _directions(data, fitted, candidates, work, chosen):
+        together.setdefault(one.group, []).append(one)
+    found = [nuisance.gain(d) if (d := parts[0]).there else nuisance.score(parts) for parts in together.values()]
+    return [one for one in found if one is not None]
+
+
+def _directions(
+    data: Recorded, fitted: JointFit, candidates: Sequence[Candidate], work: Executor, who: Sequence[int]
+) -> Iterator[_Direction]:
+    """All directions of all candidates, then those of forces."""
+    probes = [probe for c in candidates for probe in _probes(data, fitted.model, c)]
+    there = evaluate_each(data.roughly, [probe.model for probe in probes], work, who)
+    for (c, start, model, step, group), at in zip(probes, there, strict=True):
+        columns = [column(fitted.samples.of(i), at.of(i), step, model.rows[i]) for i in who]
+        yield _Direction(c, start, columns, group, (model, at) if c.is_random and start else None)
+    zeros = no_density(data.samples)
+    for force in forces(data, fitted, work):
+        for change in force.change:
+            columns = [(change[i], zeros, zeros) for i in who]
+            yield _Direction(force.candidate, force.candidate.starts[0], columns, (force.candidate.name,), None)
+
+
+def _probes(data: Recorded, model: Model, c: Candidate) -> Iterator[_Probe]:
+    """Where the filters run for a candidate: at its starts, each with one strength at a time, or a step away."""
+    for number, start in enumerate(c.starts):
+        if not start:
+            steps = difference_steps(data, c.places)
+            for k, step in zip(c.places, steps.tolist(), strict=True):
+                rows = model.rows.copy()
+                rows[:, [k]] = value(coordinate(rows[:, [k]], [k]) + step, [k])
+                yield _Probe(c, {}, replace(with_candidate(model, c, {}), rows=rows), step, (c.name,))
+            continue
+        alone = [k for k in c.strengths if np.any(start[k])]
+        if c.is_random or not alone:
+            yield _Probe(c, start, with_candidate(model, c, start), 1.0, (c.name, number))
+            continue
+        where = tuple(repr(v) for place, v in start.items() if place not in c.strengths)
+        for k in alone:
+            one = {**start, **{other: 0.0 for other in c.strengths if other != k}}
+            yield _Probe(c, one, with_candidate(model, c, one), 1.0, (c.name, *where))
+
+
+class _Nuisance:
+    """The fitted parameters, which respond to every candidate."""
+
+    def __init__(self, data: Recorded, fitted: JointFit, who: Sequence[int]) -> None:
+        self._fitted = fitted
+        blocks = [np.unique(data.block[i][np.isfinite(fitted.samples.log_likelihood[i])]) for i in who]
+        self._driver = np.repeat(np.arange(len(blocks)), [len(b) for b in blocks])
+        self._known = [_Driver(data, fitted, i, own) for i, own in zip(who, blocks, strict=True)]
+        shared = sum((one.shared for one in self._known), np.zeros((len(fitted.model.shared),) * 2))
+        self._shared_inverse = np.linalg.pinv(shared)
+
+    def score(self, parts: Sequence[_Direction]) -> Score | None:
+        """The efficient score along directions that are fitted together; None where nothing is known of them."""
+        count = len(parts)
+        u, h, cross = [], [], []
+        for place, one in enumerate(self._known):
+            score, information, by_shared = one.efficient([p.columns[place] for p in parts])
+            u.append(score)
+            h.append(information)
+            cross.append(by_shared)
+        if not all(np.isfinite(one).all() for one in (*u, *h)):
+            return None
+        candidate = parts[0].candidate
+        information = np.concatenate(h)
+        gives_way = self._shared_inverse @ np.sum(cross, axis=0)
+        shared_score = np.concatenate([one.score_of_shared for one in self._known])
+        score = np.concatenate(u) - shared_score @ gives_way
+        total = information.sum(axis=0) - np.sum(cross, axis=0).T @ gives_way
+        if candidate.individual:
+            total = np.array([one.sum(axis=0) for one in h]) + np.eye(count)
+        size = np.diagonal(total, axis1=-2, axis2=-1)
+        if not (size > _NOTHING).any():
+            return None
+        return Score(candidate, tuple(p.start for p in parts), score, information, total, self._driver)
+
+    def gain(self, one: _Direction) -> Score | None:
+        """The gain at a start that changes noises, after the drivers' own parameters have responded."""
+        assert one.there is not None
+        model, at = one.there
+        found = []
+        for known in self._known:
+            gained = at.log_likelihood[known.number] - self._fitted.samples.log_likelihood[known.number]
+            by_block = known.over_blocks(gained[None])[:, 0]
+            found.append(by_block + known.response(at, model.rows[known.number]) / max(len(by_block), 1))
+        values = np.concatenate(found)[:, None]
+        if not np.isfinite(values).all():
+            return None
+        return Score(one.candidate, (one.start,), values, None, np.ones((1, 1)), self._driver)
+
+
+class _Driver:
+    """The samples of one driver, with the response of the driver's own parameters."""
+
+    def __init__(self, data: Recorded, fitted: JointFit, i: int, blocks: Ints) -> None:
+        self.number, model, self._own = i, fitted.model, len(fitted.model.individual)
+        self._columns = fitted.slopes[i].columns
+        self._row, self._at = model.rows[i], fitted.samples.of(i)
+        self._scored = np.isfinite(self._at.log_likelihood)
+        self._block = np.searchsorted(blocks, data.block[i][self._scored])
+        self._count = len(blocks)
+        has = np.concatenate([np.ones(self._own, np.bool_), model.has[i]])
+        self._slope, self._roots = self._derivatives(self._columns)
+        self._slope[~has] = 0.0
+        self._roots[~has] = 0.0
+        h = self._roots.reshape(len(has), -1) @ self._roots.reshape(len(has), -1).T
+        prior = np.diag(np.array(model.prior_std) ** -2.0)
+        own = self._own
+        self._inverse = np.linalg.inv(h[:own, :own] + prior)
+        self._takes = self._inverse @ h[:own, own:]
+        self.shared = h[own:, own:] - h[own:, :own] @ self._takes
+        # the prior counts evenly in all blocks
+        g = self.over_blocks(self._slope, is_scored=True)
+        away = model.away[i] / np.array(model.prior_std) / max(self._count, 1)
+        self._own_score = g[:, :own] - away
+        self.score_of_shared = g[:, own:] - self._own_score @ self._takes
+
+    def _derivatives(self, columns: Sequence[Column]) -> tuple[Array, Array]:
+        """Slopes of the log-likelihood (K, T'), and roots of the information (K, 2, T') of samples that count."""
+        dy, dvar, direct = (self._stacked(columns, part) for part in range(3))
+        y, var, _ = self._at
+        slope = (density_slope(y, var, dy, dvar, self._row) + direct)[:, self._scored]
+        if is_contaminated(self._row):
+            return slope, np.stack([slope, np.zeros_like(slope)], axis=1)
+        var = var[self._scored]
+        by_mean, by_var = dy[:, self._scored] / np.sqrt(var), dvar[:, self._scored] / (np.sqrt(2.0) * var)
+        return slope, np.stack([by_mean, by_var], axis=1)
+
+    def _stacked(self, columns: Sequence[Column], part: int) -> Array:
+        """One part of columns, (K, T)."""
+        return np.array([c[part] for c in columns], np.float64).reshape(len(columns), len(self._scored))
+
+    def over_blocks(self, values: Array, *, is_scored: bool = False) -> Array:
+        """Sum values (K, T) of samples that count over the blocks: (B, K)."""
+        kept = values if is_scored else values[:, self._scored]
+        return np.array([np.bincount(self._block, row, self._count) for row in kept]).reshape(len(kept), -1).T
+
+    def efficient(self, columns: Sequence[Column]) -> tuple[Array, Array, Array]:
+        """Score (B, K) and information (B, K, K) of each block, and information (S, K) shared with the parameters S."""
+        slope, roots = self._derivatives(columns)
+        count, own = len(columns), self._own
+        known, new = (r.reshape(len(r), -1) for r in (self._roots, roots))
+        cross = known @ new.T
+        takes = self._inverse @ cross[:own]
+        by_shared = cross[own:] - self._takes.T @ cross[:own]
+        # what is left of each direction, sample by sample
+        left = roots - np.einsum("ok,ojt->kjt", takes, self._roots[:own])
+        products = np.einsum("ajt,bjt->abt", left, left).reshape(count * count, -1)
+        information = self.over_blocks(products, is_scored=True).reshape(self._count, count, count)
+        return self.over_blocks(slope, is_scored=True) - self._own_score @ takes, information, by_shared
+
+    def response(self, at: PointwiseDensity, row: Array) -> float:
+        """Gain [nats] of the driver's own parameters at a start, to first order."""
+        y, var, density = at.of(self.number)
+        dy, dvar = (self._stacked(self._columns[: self._own], part) for part in range(2))
+        slope = density_slope(y, var, dy, dvar, row)[:, np.isfinite(density) & self._scored].sum(axis=1)
+        return 0.5 * float(slope @ self._inverse @ slope)
+
+
+def _inverse(information: Array) -> Array:
+    """Inverse of information (..., K, K), without directions of which nothing is known."""
+    size = np.diagonal(information, axis1=-2, axis2=-1)
+    scale = np.sqrt(np.maximum(size, _NOTHING * np.maximum(size.max(axis=-1, keepdims=True), 1e-300)))
+    relative = information / (scale[..., :, None] * scale[..., None, :])
+    inverse = np.linalg.inv(relative + 1e-6 * np.eye(information.shape[-1]))
+    return np.asarray(inverse / (scale[..., :, None] * scale[..., None, :]))

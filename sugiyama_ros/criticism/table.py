@@ -1,0 +1,131 @@
+"""The table of models: forecasts on the same held-out samples, as gains over the base model with standard errors.
+
+References
+----------
+A. Vehtari, A. Gelman and J. Gabry, Stat. Comput. 27 (2017) 1413. C. Varin, N. Reid and D. Firth, Stat. Sinica 21 (2011)
+5 (composite likelihood). L. Breiman et al., Classification and Regression Trees (1984), section 3.4.3.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.criticism.candidates import Candidate
+from sugiyama_ros.criticism.forecast import HORIZONS_S, Forecasts
+from sugiyama_ros.fit.cross_validation import sum_error
+from sugiyama_ros.fit.joint import JointFit
+from sugiyama_ros.fit.model import Model
+from sugiyama_ros.fit.recording import Recorded
+
+#: A difference counts from this number of standard errors on.
+CLEARLY = 2.0
+
+
+@dataclass(frozen=True)
+class Gain:
+    """How much more one model forecasts than another: a sum over blocks of time and drivers.
+
+    Parameters
+    ----------
+    nats : float
+        Difference of the log scores [nats].
+    se : float
+        Standard error: the larger one of two jackknives, over drivers and over blocks of time.
+    """
+
+    nats: float
+    se: float
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether the gain is above two standard errors."""
+        return self.nats > CLEARLY * self.se
+
+    @property
+    def is_worth_it(self) -> bool:
+        """Whether the gain is above one standard error: the rule of Breiman et al. (1984) for the size of a model."""
+        return self.nats > self.se
+
+    @property
+    def is_loss(self) -> bool:
+        """Whether the gain is below minus two standard errors."""
+        return self.nats < -CLEARLY * self.se
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """A fitted model in the table.
+
+    Parameters
+    ----------
+    name : str
+        Name of the model.
+    added : tuple of Candidate
+        What it has beyond the base model.
+    fit : JointFit or None
+        The fit to all samples.
+    models : tuple of Model
+        The fits without each fold.
+    forecasts : Forecasts
+        Held-out forecasts.
+    """
+
+    name: str
+    added: tuple[Candidate, ...]
+    fit: JointFit
+    models: tuple[Model, ...]
+    forecasts: Forecasts
+
+    @property
+    def explains(self) -> bool:
+        """Whether anything that was added can explain what was missing."""
+        return any(one.explains for one in self.added)
+
+
+def gains(data: Recorded, better: Forecasts, than: Forecasts) -> dict[str, Gain]:
+    """Return the gain of one model over another at each horizon, and over all of them together.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    better, than : Forecasts
+        Forecasts of both models.
+
+    Returns
+    -------
+    dict of str to Gain
+        By column: ``one_step``, ``1s`` and so on for single drivers, ``road_1s`` and so on where a whole road drives
+        on, and ``all``: one step and single drivers together. Each horizon counts as many nats as forecasts that do
+        not overlap would have.
+    """
+    parts = list(_differences(data, better, than))
+    found = {name: _gain(driver, block, nats) for name, driver, block, nats in parts}
+    single = [(driver, block, nats) for name, driver, block, nats in parts if not name.startswith("road")]
+    driver, block, nats = (np.concatenate(part) for part in zip(*single, strict=True))
+    return {**found, "all": _gain(driver, block, nats)}
+
+
+def _differences(data: Recorded, better: Forecasts, than: Forecasts) -> Iterator[tuple[str, Ints, Ints, Array]]:
+    """Each column: its name, and driver, block and difference of the log scores [nats] of each forecast."""
+    difference = better.one_step - than.one_step
+    driver, t = np.nonzero(np.isfinite(difference))
+    yield "one_step", driver, data.block[driver, t], difference[driver, t]
+    start, period_s = better.start, data.vicinity.period_s
+    apart_s = float(np.median(np.diff(start))) * period_s if len(start) > 1 else HORIZONS_S[-1]
+    for prefix, ours, theirs in (("", better.single, than.single), ("road_", better.road, than.road)):
+        if ours is None or theirs is None:
+            continue
+        for h, horizon_s in enumerate(HORIZONS_S):
+            difference = ours.log_score[:, h] - theirs.log_score[:, h]
+            s, driver = np.nonzero(np.isfinite(difference))
+            share = min(apart_s / horizon_s, 1.0)
+            yield f"{prefix}{horizon_s:g}s", driver, data.block[driver, start[s]], share * difference[s, driver]
+
+
+def _gain(driver: Ints, block: Ints, nats: Array) -> Gain:
+    """The sum, with the error of exchangeable drivers and of exchangeable blocks."""
+    sums = [np.bincount(np.unique(one, return_inverse=True)[1], nats) for one in (driver, block)]
+    return Gain(float(nats.sum()), max(map(sum_error, sums)))
