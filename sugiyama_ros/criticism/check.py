@@ -19,14 +19,14 @@ from scipy.stats import chi2
 from scipy.stats import t as student
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.criticism.forecast import HORIZONS_S, Forecasts
+from sugiyama_ros.criticism.forecast import HORIZONS_S, Forecasts, forecasts, surroundings
 from sugiyama_ros.criticism.table import Entry
 from sugiyama_ros.diagnosis.bootstrap import resample
 from sugiyama_ros.diagnosis.compare import collective_of
 from sugiyama_ros.diagnosis.locate import Located, locate
 from sugiyama_ros.effects.registry import EFFECTS, ROW
 from sugiyama_ros.fit.joint import JointFit
-from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import filtered_states
 from sugiyama_ros.simulation.collective import Collective
 
@@ -104,7 +104,10 @@ def checks(
         Runs the filters and the simulations.
     """
     yield from _innovations(data, final, simulated, work)
-    yield from _calibration(data, final.forecasts)
+    own = [
+        forecasts(one, surroundings(one, fitted.model, work), [fitted.model] * FOLDS, work) for one, fitted in simulated
+    ]
+    yield from _calibration(data, final.forecasts, own)
     if data.trajectories is not None:
         yield from _collective(data, final, seeds, work)
     yield from _signs(final)
@@ -156,15 +159,18 @@ def _two_sided(difference: float, error: float, count: int) -> float:
     return float(2.0 * student.sf(abs(difference) / max(error, 1e-12), max(count - 1, 1)))
 
 
-def _calibration(data: Recorded, ours: Forecasts) -> Iterator[Check]:
+def _calibration(data: Recorded, ours: Forecasts, simulated: Sequence[Forecasts]) -> Iterator[Check]:
     """Whether errors of free runs are as large as the forecasts say, at each horizon."""
     for h, horizon_s in enumerate(HORIZONS_S):
-        for name, runs in (("free_run", ours.single), ("road", ours.road)):
+        for name in ("single", "road"):
+            runs = getattr(ours, name)
             if runs is not None:
                 value, error = _by_driver(np.square(runs.normal[:, h]).T)
-                yield Check(
-                    f"{name}_spread_{horizon_s:g}s", value, 1.0, "1", _two_sided(value - 1.0, error, data.drivers)
-                )
+                own = [_by_driver(np.square(getattr(one, name).normal[:, h]).T) for one in simulated]
+                expected = float(np.mean([mean for mean, _ in own]))
+                error = math.hypot(error, math.sqrt(sum(e * e for _, e in own)) / len(own))
+                p = _two_sided(value - expected, error, data.drivers)
+                yield Check(f"spread_of_{name}_runs_{horizon_s:g}s", value, expected, "1", p)
 
 
 def _collective(

@@ -241,15 +241,16 @@ def _round(bench: _Bench, current: Entry) -> Round:
     open_ = [own for own in best if chance[own[0].candidate.mechanism] < ALPHA]
     # the score of constants says little: they respond to whatever is missing, far from where they start
     worth = [*open_[:_FITTED], *(own for own in open_[_FITTED:] if own[0].candidate.kind == "constants")]
-    # of the best mechanism with a name, all forms; the other forms of the others are no closer
-    first = next((own[0].candidate for own in worth if own[0].candidate.explains), None)
-    if first is not None:
-        forms = [own for own in found.values() if own[0].candidate.mechanism == first.mechanism and own not in worth]
-        worth += [own for own in forms if own[0].gain > 0.0]
     entries = []
     for number, own in enumerate(worth):
         bench.on_progress(f"round {len(current.added) + 1}: fitting", number, len(worth))
         entries.append(_fitted(bench, current, own))
+    # of the best mechanism with a name, all forms
+    named = [e for e in entries if e.added[-1].explains]
+    if named:
+        first = max(named, key=lambda e: gains(bench.data, e.forecasts, current.forecasts)["all"].nats).added[-1]
+        forms = [own for own in found.values() if own[0].candidate.mechanism == first.mechanism]
+        entries += [_fitted(bench, current, own) for own in forms if own[0].candidate.name != first.name]
     added, alike = _best(bench, current, entries)
     if added is not None and alike:
         entries += _together(bench, current, [added, *alike][:3])
