@@ -58,6 +58,8 @@ class Candidate:
         Places of several strengths, which are scored one at a time and fitted together.
     has_sign : bool
         Whether only positive strengths make sense.
+    drivers : tuple of int
+        Numbers of the drivers who have it; empty for all.
     is_random : bool
         Whether the candidate changes how uncertain a forecast is, and not its mean: noises, and what wanders.
     """
@@ -70,6 +72,7 @@ class Candidate:
     individual: bool = False
     strengths: tuple[int, ...] = ()
     has_sign: bool = False
+    drivers: tuple[int, ...] = ()
     is_random: bool = False
 
     @property
@@ -179,12 +182,13 @@ def extent(data: Recorded) -> RecordingExtent:
 
 def with_candidate(model: Model, candidate: Candidate, start: Start) -> Model:
     """Return a model at a start of a candidate, with the entries of the candidate free."""
-    rows = model.rows.copy()
+    rows, who = model.rows.copy(), list(candidate.drivers) or slice(None)
     for k, v in start.items():
-        rows[:, k] = v
+        rows[who, k] = v if np.ndim(v) == 0 else np.asarray(v)[who]
     new = tuple(k for k in candidate.places if k not in (*model.individual, *model.shared))
     if not candidate.individual:
-        return replace(model, rows=rows, shared=model.shared + new)
+        few = tuple((k, candidate.drivers) for k in new) if candidate.drivers else ()
+        return replace(model, rows=rows, shared=model.shared + new, few=model.few + few)
     new = tuple(k for k in candidate.places if k not in model.individual)
     shared = tuple(k for k in model.shared if k not in new)
     std = model.prior_std + (LARGEST_STD,) * len(new)

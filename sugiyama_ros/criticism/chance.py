@@ -97,7 +97,7 @@ def _at_least(gain: float) -> float:
 def _of_all(one: Score, like: Score) -> Array:
     """Summed scores of some drivers, as many as all drivers of another score would have."""
     total = one.summed(_limited(one)[None])
-    if one.candidate.individual and one.information is not None:
+    if one.is_by_driver:
         return np.broadcast_to(total.mean(axis=1, keepdims=True), (1, like.drivers, total.shape[2]))
     return total * (like.drivers / one.drivers)
 
@@ -106,7 +106,7 @@ def _left(one: Score) -> Array:
     """What is left of the scores of all blocks (G, K) after the best strength is taken out."""
     assert one.information is not None
     fitted = one.score.shape[1]
-    if one.candidate.individual:
+    if one.is_by_driver:
         explained = np.einsum("gjk,gk->gj", one.information, one.strength[one.driver])
         blocks = np.bincount(one.driver)[one.driver][:, None]
     else:

@@ -8,7 +8,7 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.criticism.candidates import Candidate, with_candidate
-from sugiyama_ros.criticism.score import Score
+from sugiyama_ros.criticism.score import Score, ScoreOfSome
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.joint import JointFit, at_model, maximise, objective, renewed
 from sugiyama_ros.fit.model import Model, coordinate, value
@@ -88,6 +88,7 @@ def without(data: Recorded, fitted: JointFit, candidate: Candidate, work: Execut
         individual=tuple(model.individual[j] for j in own),
         prior_std=tuple(model.prior_std[j] for j in own),
         shared=tuple(k for k in model.shared if k not in candidate.places),
+        few=tuple((k, who) for k, who in model.few if k not in candidate.places),
     )
     return renewed(data, _beside(data, fitted, less, work), work, np.ones(data.drivers, np.bool_))
 
@@ -117,7 +118,7 @@ def _starts(model: Model, score: Score) -> list[Model]:
     for j, start in enumerate(score.starts):
         for k in candidate.strengths or candidate.places[:1]:
             if np.any(start[k]):
-                size = strength[..., j] if candidate.individual else strength[j]
+                size = score.size if isinstance(score, ScoreOfSome) else strength[..., j]
                 scaled[k] = np.clip(size * np.asarray(start[k]), ROW.declared[k].lower, ROW.declared[k].upper)
     as_predicted = with_candidate(model, candidate, scaled)
     return [as_predicted] if len(score.starts) > 1 else [as_predicted, declared]

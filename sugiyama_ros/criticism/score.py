@@ -14,7 +14,7 @@ Semiparametric Models (1993), chapter 2.
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -30,6 +30,10 @@ from sugiyama_ros.fit.slopes import Column, column, density_slope, difference_st
 
 # A direction whose information is a smaller part of the largest one of its candidate says nothing.
 _NOTHING = 1e-9
+#: What is added to the name of a candidate that only some drivers have.
+OF_SOME = "_of_some"
+# Strengths of those who have it, in standard errors of a driver, and shares of drivers; two classes need some drivers.
+_SIZES, _SHARES, _FEWEST = (1.0, 1.5, 2.0, 3.0, 4.5, 7.0, 10.0), (0.05, 0.1, 0.2, 0.35, 0.5, 0.75), 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,11 +85,16 @@ class Score:
         """Number N of drivers that were scored."""
         return int(self.driver.max()) + 1
 
+    @property
+    def is_by_driver(self) -> bool:
+        """Whether the gain depends on the score of each driver, and not on the sum alone."""
+        return self.candidate.individual and self.information is not None
+
     def summed(self, parts: Array) -> Array:
-        """Sum scores (B, G, K) over the blocks: (B, K), or (B, N, K) for individual values."""
-        if not self.candidate.individual or self.information is None:
+        """Sum scores (B, G, K) over the blocks: (B, K), or (B, N, K) where the gain depends on each driver."""
+        if not self.is_by_driver:
             return np.asarray(parts.sum(axis=1))
-        total = np.zeros((len(parts), len(self.total), parts.shape[2]))
+        total = np.zeros((len(parts), self.drivers, parts.shape[2]))
         for k, driver in enumerate(self.driver.tolist()):
             total[:, driver] += parts[:, k]
         return total
@@ -100,6 +109,87 @@ class Score:
         if self.candidate.individual:
             return np.asarray(0.5 * np.einsum("bnj,njk,bnk->b", totals, inverse, totals))
         return np.asarray(0.5 * np.einsum("bj,jk,bk->b", totals, inverse, totals))
+
+
+@dataclass(frozen=True, eq=False)
+class ScoreOfSome(Score):
+    """The score of a candidate that only some drivers have, along one direction.
+
+    A driver has it with a probability that all share: a mixture of two classes (E. L. Scott, 1950s: see G. McLachlan
+    and D. Peel, Finite Mixture Models, 2000). The drivers of the candidate are those who more probably have it.
+    """
+
+    @property
+    def is_one_sided(self) -> bool:
+        """The mixture knows the sign itself."""
+        return False
+
+    @property
+    def is_by_driver(self) -> bool:
+        """The gain depends on the score of each driver."""
+        return True
+
+    @property
+    def size(self) -> float:
+        """Strength of the drivers who have it."""
+        return float(self._best(self.summed(self.score[None]))[1][0])
+
+    @property
+    def probability(self) -> Array:
+        """Probability that each driver has it, (N,)."""
+        totals = self.summed(self.score[None])
+        _, (size,), (share,) = self._best(totals)
+        ratio = np.exp(np.clip(self._ratios(totals[0, :, 0], size), -50.0, 50.0))
+        return np.asarray(share * ratio / (1.0 - share + share * ratio))
+
+    @property
+    def strength(self) -> Array:
+        """Expected strength of each driver, (N, 1)."""
+        return np.asarray((self.size * self.probability)[:, None])
+
+    def gains(self, totals: Array) -> Array:
+        """Return the gains (B,) [nats] of the mixtures that fit scores (B, N, 1) best."""
+        return self._best(totals)[0]
+
+    def _ratios(self, totals: Array, size: Any) -> Array:
+        """Logarithm of the likelihood ratio of drivers with a strength, for scores (..., N)."""
+        return np.asarray(size * totals - 0.5 * size**2 * self.total[:, 0, 0])
+
+    def _best(self, totals: Array) -> tuple[Array, Array, Array]:
+        """Gain, strength and share of drivers of the best mixture, for scores (B, N, 1); (B,) each."""
+        information = self.total[:, 0, 0]
+        usual = 1.0 / np.sqrt(max(float(np.mean(information)), 1e-300))
+        signs = (1.0,) if self.candidate.has_sign else (1.0, -1.0)
+        gain, size, share = np.full((3, len(totals)), -np.inf)
+        for one in (sign * k * usual for sign in signs for k in _SIZES):
+            ratio = np.clip(self._ratios(totals[:, :, 0], one), -50.0, 50.0)
+            for part in _SHARES:
+                there = np.log1p(part * np.expm1(ratio)).sum(axis=1)
+                better = there > gain
+                gain[better], size[better], share[better] = there[better], one, part
+        return gain, size, share
+
+
+def of_some(score: Score) -> Iterator[Score]:
+    """Yield the score of a candidate that only some drivers have, along each direction of its score."""
+    candidate = score.candidate
+    if score.information is None or candidate.individual or candidate.kind != "effect" or score.drivers < _FEWEST:
+        return
+    per_driver = np.zeros((score.drivers, *score.total.shape))
+    np.add.at(per_driver, score.driver, score.information)
+    for j, start in enumerate(score.starts):
+        part = slice(j, j + 1)
+        one = ScoreOfSome(
+            replace(candidate, name=candidate.name + OF_SOME),
+            (start,),
+            score.score[:, part],
+            score.information[:, part, part],
+            per_driver[:, part, part],
+            score.driver,
+        )
+        who = tuple(np.flatnonzero(one.probability > 0.5).tolist())
+        if 0 < len(who) < score.drivers:
+            yield replace(one, candidate=replace(one.candidate, drivers=who))
 
 
 class _Probe(NamedTuple):
@@ -150,15 +240,17 @@ def scores(
     Returns
     -------
     list of Score
-        One for each start of a candidate; one for all starts that differ only in which of several strengths they have.
+        One for each start of a candidate; one for all starts that differ only in which of several strengths they have;
+        and one for some of the drivers along each direction.
     """
     chosen = range(data.drivers) if who is None else who
     nuisance = _Nuisance(data, fitted, chosen)
     together: dict[tuple[object, ...], list[_Direction]] = {}
     for one in _directions(data, fitted, candidates, work, chosen):
         together.setdefault(one.group, []).append(one)
-    found = [nuisance.gain(d) if (d := parts[0]).there else nuisance.score(parts) for parts in together.values()]
-    return [one for one in found if one is not None]
+    asked = [nuisance.gain(d) if (d := parts[0]).there else nuisance.score(parts) for parts in together.values()]
+    found = [one for one in asked if one is not None]
+    return [*found, *(some for one in found for some in of_some(one))]
 
 
 def _directions(
