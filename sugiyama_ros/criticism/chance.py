@@ -108,7 +108,7 @@ def _left(one: Score) -> Array:
     fitted = one.score.shape[1]
     if one.is_by_driver:
         explained = np.einsum("gjk,gk->gj", one.information, one.strength[one.driver])
-        blocks = np.bincount(one.driver)[one.driver][:, None]
+        blocks = np.bincount(one.driver, minlength=one.drivers)[one.driver][:, None]
     else:
         explained, blocks = one.information @ one.strength, np.array(len(one.driver))
     # blocks that are as many as the strengths have nothing left

@@ -53,7 +53,9 @@ class Score:
     total : ndarray, shape (K, K) or (N, K, K)
         Information of all blocks, less what shared parameters take up; of each driver for individual values.
     driver : ndarray of int, shape (G,)
-        Number of each block's driver, among N that were scored.
+        Number of each block's driver, among those that were scored.
+    drivers : int
+        Number N of drivers that were scored.
     """
 
     candidate: Candidate
@@ -62,6 +64,7 @@ class Score:
     information: Array | None
     total: Array
     driver: Ints
+    drivers: int
 
     @property
     def is_one_sided(self) -> bool:
@@ -79,11 +82,6 @@ class Score:
         if self.information is None:
             return np.ones(1)
         return np.asarray(np.einsum("...jk,...k->...j", _inverse(self.total), self.summed(self.score[None])[0]))
-
-    @property
-    def drivers(self) -> int:
-        """Number N of drivers that were scored."""
-        return int(self.driver.max()) + 1
 
     @property
     def is_by_driver(self) -> bool:
@@ -186,6 +184,7 @@ def of_some(score: Score) -> Iterator[Score]:
             score.information[:, part, part],
             per_driver[:, part, part],
             score.driver,
+            score.drivers,
         )
         who = tuple(np.flatnonzero(one.probability > 0.5).tolist())
         if 0 < len(who) < score.drivers:
@@ -322,7 +321,7 @@ class _Nuisance:
         size = np.diagonal(total, axis1=-2, axis2=-1)
         if not (size > _NOTHING).any():
             return None
-        return Score(candidate, tuple(p.start for p in parts), score, information, total, self._driver)
+        return Score(candidate, tuple(p.start for p in parts), score, information, total, self._driver, len(self._known))
 
     def gain(self, one: _Direction) -> Score | None:
         """The gain at a start that changes noises, after the drivers' own parameters have responded."""
@@ -336,7 +335,7 @@ class _Nuisance:
         values = np.concatenate(found)[:, None]
         if not np.isfinite(values).all():
             return None
-        return Score(one.candidate, (one.start,), values, None, np.ones((1, 1)), self._driver)
+        return Score(one.candidate, (one.start,), values, None, np.ones((1, 1)), self._driver, len(self._known))
 
 
 class _Driver:
