@@ -54,7 +54,8 @@ def p_values(data_scores: Sequence[Score], simulated: Sequence[Sequence[Score]],
     rng = np.random.default_rng(seed)
     largest: dict[str, float] = {}
     by_chance = np.full(_DRAWS, -np.inf)
-    multipliers = rng.standard_normal((_DRAWS, len(data_scores[0].driver))) if data_scores else np.empty((0, 0))
+    blocks = len(data_scores[0].driver) if data_scores else 0
+    multipliers = rng.standard_normal((2, _DRAWS, blocks))
     for one in data_scores:
         there = [known[_key(one)] for known in shifts if _key(one) in known]
         observed, null = _standardised(one, there, multipliers)
@@ -71,20 +72,27 @@ def _key(one: Score) -> tuple[object, ...]:
 
 
 def _standardised(one: Score, simulated: Sequence[Score], multipliers: Array) -> tuple[float, Array]:
-    """The gain of a score and its draws by chance, (B,), as nearly normal numbers of mean 0 and std 1."""
+    """The gain of a score and its draws by chance, (B,), as nearly normal numbers of mean 0 and std 1.
+
+    A candidate must gain beside the model, and more than it gains in simulations: the smaller gain counts, for the
+    recording as for each draw.
+    """
     total = one.summed(_limited(one)[None])
-    shift = np.mean([_of_all(s, one) for s in simulated], axis=0) if simulated else 0.0
+    shift = np.mean([_of_all(s, one) for s in simulated], axis=0) if simulated else np.zeros_like(total)
     if one.information is None:
         # by chance, a likelihood ratio is at least e^g with a probability of at most e^-g (Markov)
-        return _at_least(min(one.gain, float((total - shift)[0, 0]))), multipliers[:, 0]
-    wider = np.sqrt(1.0 + sum(one.drivers / s.drivers for s in simulated) / max(len(simulated), 1) ** 2)
-    draws = wider * one.summed(multipliers[:, :, None] * _left(one))
-    # a candidate must gain beside this model, and more than it gains in simulations
-    if one.is_one_sided:
-        spread = max(float(draws.std()), 1e-300)
-        return float(np.min([total, total - shift])) / spread, draws[:, 0] / spread
+        return _at_least(min(one.gain, float((total - shift)[0, 0]))), multipliers[0, :, 0]
+    left = _left(one)
+    draws, shifts = (one.summed(part[:, :, None] * left) for part in multipliers)
+    if one.is_by_driver:
+        scored = sum(s.drivers for s in simulated)
+        shifts = shifts.mean(axis=1, keepdims=True) * math.sqrt(one.drivers / max(scored, 1))
+    else:
+        shifts = shifts * math.sqrt(sum(one.drivers / s.drivers for s in simulated)) / max(len(simulated), 1)
+    shifts *= bool(simulated)
     # the cube root of a chi-squared variable is nearly normal (Wilson and Hilferty 1931)
-    null, observed = np.cbrt(one.gains(draws)), np.cbrt(min(one.gains(total)[0], one.gains(total - shift)[0]))
+    observed = np.cbrt(np.minimum(one.gains(total), one.gains(total - shift)))[0]
+    null = np.cbrt(np.minimum(one.gains(draws), one.gains(draws - shifts)))
     spread = max(float(null.std()), 1e-300)
     return float((observed - null.mean()) / spread), (null - null.mean()) / spread
 

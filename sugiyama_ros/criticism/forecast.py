@@ -206,13 +206,13 @@ class _Fold(NamedTuple):
                     ends[j, 2 * pair + half] = at + np.array([displacements(x, ring, everybody) for x in at])
         measured = around.position_m[k + steps]
         noise_var = np.square(everybody[:, SIGMA_NU])
-        scored = [_scored(around.road.difference(one, measured), noise_var) for one in ends]
-        return tuple(v[:, : data.drivers] for v in scored[0]), (
-            tuple(v[:, : data.drivers] for v in scored[1]) if len(both) > 1 else None
+        found = [scored(around.road.difference(one, measured), noise_var) for one in ends]
+        return tuple(v[:, : data.drivers] for v in found[0]), (
+            tuple(v[:, : data.drivers] for v in found[1]) if len(both) > 1 else None
         )
 
 
-def _scored(off: Array, noise_var: Array) -> tuple[Array, ...]:
+def scored(off: Array, noise_var: Array) -> tuple[Array, ...]:
     """Log score, CRPS, error and normalised error (H, N) of ensembles of M errors, (M, H, N).
 
     noise_var: variance of the measurements (N,). With few members the forecast is Student's t distribution.

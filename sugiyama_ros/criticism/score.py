@@ -321,7 +321,9 @@ class _Nuisance:
         size = np.diagonal(total, axis1=-2, axis2=-1)
         if not (size > _NOTHING).any():
             return None
-        return Score(candidate, tuple(p.start for p in parts), score, information, total, self._driver, len(self._known))
+        return Score(
+            candidate, tuple(p.start for p in parts), score, information, total, self._driver, len(self._known)
+        )
 
     def gain(self, one: _Direction) -> Score | None:
         """The gain at a start that changes noises, after the drivers' own parameters have responded."""
