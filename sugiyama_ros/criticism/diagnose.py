@@ -19,7 +19,7 @@ from sugiyama_ros.criticism.forecast import Surroundings, forecasts, surrounding
 from sugiyama_ros.criticism.refine import combined, refined, without, without_folds
 from sugiyama_ros.criticism.rivals import laws
 from sugiyama_ros.criticism.score import Score, scores
-from sugiyama_ros.criticism.table import Entry, Gain, gains
+from sugiyama_ros.criticism.table import Difference, Entry, gains
 from sugiyama_ros.diagnosis.bootstrap import resampled_fits, seeds
 from sugiyama_ros.diagnosis.decisions import with_more_decisions
 from sugiyama_ros.diagnosis.noises import base_model
@@ -52,8 +52,8 @@ class Round:
         By mechanism, how probable it is that chance shows as much in any candidate.
     entries : tuple of Entry
         The models that were fitted, the best one first.
-    gains : tuple of dict of str to Gain
-        Gain of each over the current model, by column.
+    gains : tuple of dict of str to Difference
+        Difference of each over the current model, by column.
     added : Entry or None
         The model to go on with; None if no model is clearly better.
     alike : tuple of Entry
@@ -64,12 +64,12 @@ class Round:
     scores: tuple[Score, ...]
     p_values: dict[str, float]
     entries: tuple[Entry, ...]
-    gains: tuple[dict[str, Gain], ...]
+    gains: tuple[dict[str, Difference], ...]
     added: Entry | None
     alike: tuple[Entry, ...]
 
     @property
-    def closest_effect(self) -> tuple[Entry, dict[str, Gain]] | None:
+    def closest_effect(self) -> tuple[Entry, dict[str, Difference]] | None:
         """The best model with an effect that has a physical name, and its gain over the current model."""
         own = len(self.current.added)
         pairs = zip(self.entries, self.gains, strict=True)

@@ -24,7 +24,7 @@ CLEARLY = 2.0
 
 
 @dataclass(frozen=True)
-class Gain:
+class Difference:
     """How much more one model forecasts than another: a sum over blocks of time and drivers.
 
     Parameters
@@ -84,7 +84,7 @@ class Entry:
         return any(one.explains for one in self.added)
 
 
-def gains(data: Recorded, better: Forecasts, than: Forecasts) -> dict[str, Gain]:
+def gains(data: Recorded, better: Forecasts, than: Forecasts) -> dict[str, Difference]:
     """Return the gain of one model over another at each horizon, and over all of them together.
 
     Parameters
@@ -96,7 +96,7 @@ def gains(data: Recorded, better: Forecasts, than: Forecasts) -> dict[str, Gain]
 
     Returns
     -------
-    dict of str to Gain
+    dict of str to Difference
         By column: ``one_step``, ``1s`` and so on for single drivers, ``road_1s`` and so on where a whole road drives
         on, and ``all``: one step and single drivers together. Each horizon counts as many nats as forecasts that do
         not overlap would have.
@@ -125,7 +125,7 @@ def _differences(data: Recorded, better: Forecasts, than: Forecasts) -> Iterator
             yield f"{prefix}{horizon_s:g}s", driver, data.block[driver, start[s]], share * difference[s, driver]
 
 
-def _gain(driver: Ints, block: Ints, nats: Array) -> Gain:
+def _gain(driver: Ints, block: Ints, nats: Array) -> Difference:
     """The sum, with the error of exchangeable drivers and of exchangeable blocks."""
     sums = [np.bincount(np.unique(one, return_inverse=True)[1], nats) for one in (driver, block)]
-    return Gain(float(nats.sum()), max(map(sum_error, sums)))
+    return Difference(float(nats.sum()), max(map(sum_error, sums)))
