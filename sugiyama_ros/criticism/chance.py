@@ -28,6 +28,8 @@ from sugiyama_ros.fit.recording import Recorded
 
 # Draws from the null distribution: the smallest p-value is a thousandth.
 _DRAWS = 999
+# Part of the draws that shows how the tail falls.
+_TAIL = 0.1
 # The score of a block counts up to so many standard deviations by chance: a filter that is far off at one moment, as
 # after hard braking, must not stand for all (Huber's psi function).
 _LARGEST = 3.0
@@ -58,7 +60,7 @@ def p_values(data_scores: Sequence[Score], simulated: Sequence[Sequence[Score]],
     multipliers = rng.standard_normal((2, _DRAWS, blocks))
     for one in data_scores:
         there = [known[_key(one)] for known in shifts if _key(one) in known]
-        observed, null = _standardised(one, there, multipliers)
+        observed, null = _surprise(one, there, multipliers)
         name = one.candidate.mechanism
         largest[name] = max(largest.get(name, -np.inf), observed)
         by_chance = np.maximum(by_chance, null)
@@ -71,8 +73,8 @@ def _key(one: Score) -> tuple[object, ...]:
     return one.candidate.name, *start
 
 
-def _standardised(one: Score, simulated: Sequence[Score], multipliers: Array) -> tuple[float, Array]:
-    """The gain of a score and its draws by chance, (B,), as nearly normal numbers of mean 0 and std 1.
+def _surprise(one: Score, simulated: Sequence[Score], multipliers: Array) -> tuple[float, Array]:
+    """How improbable the gain of a score is by chance, -ln p, and the same for each draw, (B,).
 
     A candidate must gain beside the model, and more than it gains in simulations: the smaller gain counts, for the
     recording as for each draw.
@@ -81,7 +83,7 @@ def _standardised(one: Score, simulated: Sequence[Score], multipliers: Array) ->
     shift = np.mean([_of_all(s, one) for s in simulated], axis=0) if simulated else np.zeros_like(total)
     if one.information is None:
         # by chance, a likelihood ratio is at least e^g with a probability of at most e^-g (Markov)
-        return _at_least(min(one.gain, float((total - shift)[0, 0]))), multipliers[0, :, 0]
+        return max(min(one.gain, float((total - shift)[0, 0])), 0.0), -norm.logsf(multipliers[0, :, 0])
     left = _left(one)
     draws, shifts = (one.summed(part[:, :, None] * left) for part in multipliers)
     if one.is_by_driver:
@@ -90,16 +92,21 @@ def _standardised(one: Score, simulated: Sequence[Score], multipliers: Array) ->
     else:
         shifts = shifts * math.sqrt(sum(one.drivers / s.drivers for s in simulated)) / max(len(simulated), 1)
     shifts *= bool(simulated)
-    # the cube root of a chi-squared variable is nearly normal (Wilson and Hilferty 1931)
-    observed = np.cbrt(np.minimum(one.gains(total), one.gains(total - shift)))[0]
-    null = np.cbrt(np.minimum(one.gains(draws), one.gains(draws - shifts)))
-    spread = max(float(null.std()), 1e-300)
-    return float((observed - null.mean()) / spread), (null - null.mean()) / spread
+    null = np.minimum(one.gains(draws), one.gains(draws - shifts))
+    return float(_improbable(np.minimum(one.gains(total), one.gains(total - shift)), null)[0]), _improbable(null, null)
 
 
-def _at_least(gain: float) -> float:
-    """The normal number that is exceeded with a probability of e^-gain."""
-    return float(norm.isf(math.exp(-max(gain, 0.0))))
+def _improbable(gains: Array, null: Array) -> Array:
+    """Return -ln p of gains (B,), by draws of the null distribution.
+
+    Gains of likelihoods have exponential tails: so has the distribution beyond the largest tenth of the draws.
+    """
+    ordered = np.sort(null)
+    start = float(np.quantile(ordered, 1.0 - _TAIL))
+    excess = max(float(np.mean(ordered[ordered >= start] - start)), 1e-300)
+    rank = (1 + len(ordered) - np.searchsorted(ordered, gains, side="left")) / (1 + len(ordered))
+    beyond = (gains - start) / excess - math.log(_TAIL)
+    return np.where(gains > start, beyond, np.minimum(-np.log(np.minimum(rank, 1.0)), -math.log(_TAIL)))
 
 
 def _of_all(one: Score, like: Score) -> Array:
