@@ -118,16 +118,18 @@ def _of_all(one: Score, like: Score) -> Array:
 
 
 def _left(one: Score) -> Array:
-    """What is left of the scores of all blocks (G, K) after the best strength is taken out."""
+    """What is left of the scores of all blocks (G, K) after the best strength is taken out.
+
+    Individual strengths would leave nothing in a block that says most of its driver: their scores stay as they are.
+    """
     assert one.information is not None
-    fitted = one.score.shape[1]
-    if one.is_by_driver:
-        explained = np.einsum("gjk,gk->gj", one.information, one.strength[one.driver])
-        blocks = np.bincount(one.driver, minlength=one.drivers)[one.driver][:, None]
-    else:
-        explained, blocks = one.information @ one.strength, np.array(len(one.driver))
+    if one.candidate.individual:
+        return _limited(one)
+    strength = one.strength[one.driver] if one.is_by_driver else np.broadcast_to(one.strength, one.score.shape)
+    explained = np.einsum("gjk,gk->gj", one.information, strength)
+    blocks, fitted = one.score.shape
     # blocks that are as many as the strengths have nothing left
-    left = (one.score - explained) * np.sqrt(blocks / np.maximum(blocks - fitted, 1))
+    left = (one.score - explained) * math.sqrt(blocks / max(blocks - fitted, 1))
     return _limited(replace(one, score=left))
 
 
