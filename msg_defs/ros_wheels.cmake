@@ -14,6 +14,18 @@ execute_process(
 list(PREPEND CMAKE_PREFIX_PATH "${ros_prefix}")
 set(ENV{AMENT_PREFIX_PATH} "${ros_prefix}")
 
+# Nobody compiles C++ against these messages here: rclpy and Fast DDS load the type supports in C. The others would take
+# half of the time.
+set(needless_generators
+  rosidl_generator_cpp rosidl_typesupport_cpp rosidl_typesupport_fastrtps_cpp rosidl_typesupport_introspection_cpp)
+
+# To be called when all packages have been found, for each of them registers itself then.
+macro(leave_out_needless_generators)
+  foreach(generator IN LISTS needless_generators)
+    list(FILTER AMENT_EXTENSIONS_rosidl_generate_idl_interfaces EXCLUDE REGEX "^${generator}:")
+  endforeach()
+endmacro()
+
 # At the end of the project, when all targets have been imported.
 function(use_local_python_headers)
   get_directory_property(targets IMPORTED_TARGETS)

@@ -16,32 +16,36 @@ nogil         1.01        1.92
 
 Compiled code is kept where numba keeps it: in ``__pycache__`` beside the source, in NUMBA_CACHE_DIR if that is set, or
 in the user's cache folder. numba compiles a function anew when its own file changes, but not when a function that it
-calls changes in another file. So the stamp that numba compares is replaced by one of all files that the compiled code
-may be made of, effects and laws of other packages among them.
+calls changes in another file. Here it is compiled anew when its `fingerprint` changes: its own code, the code of
+everything that becomes part of it, or a constant in there. Comments and other functions of the same file do not matter.
+
+Functions that compiled code calls by their address (``by_address``) are no part of their callers: the effects, the laws
+and the mean actions. So the filter is compiled without them, and once for all of them.
+
+The filter of recordings is compiled in one version: numbers of vehicles, samples, adapted parameters and periods of
+look-ahead are values, one chain is a case of chains side by side, and the precision of the mean actions is chosen when
+they are called. The online filter has a version of the same functions of its own, for a state without gaps in memory.
 """
 
-import contextlib
-import hashlib
-from collections.abc import Callable
-from functools import cache, partial
-from importlib.util import find_spec
-from pathlib import Path
+import sys
+from collections.abc import Callable, Iterable
+from functools import cached_property
 from typing import Any, TypeVar, overload
 
-from numba import njit
+from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.codegen import CPUCodeLibrary
+from numba.core.compiler import Compiler
+from numba.core.registry import CPUDispatcher
+from numba.extending import register_jitable
 
-from sugiyama_ros.entry_points import entry_points
+from sugiyama_ros import progress
+from sugiyama_ros.fingerprint import fingerprint, kernels_in
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
-PACKAGE = Path(__file__).parent
-# Rooms with compiled code; none calls the compiled code of a room after it.
-_ROOMS = ("driver", "laws", "effects", "filters", "simulation", "fit")
-#: Files that compiled code is made of.
-MADE_OF = ("jit.py", "arrays.py", *(f"{room}/*.py" for room in _ROOMS))
-#: Groups of entry points whose functions are compiled into ours.
-GROUPS = ("sugiyama_ros.effects", "sugiyama_ros.laws")
 #: Options that the benchmark switches off, one after the other.
 OPTIONS = {"nogil", "nrt", "numpy", "inline", "into_callers"}
+# Options for a function that Python does not call.
+_ALONE = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 
 @overload
@@ -87,7 +91,7 @@ def kernel(
     if function is None:
         options = {"allocates": allocates, "vectorised": vectorised, "inline": inline, "cached": cached}
         return lambda one: kernel(one, **options)
-    given: dict[str, Any] = {"nogil": "nogil" in OPTIONS, "cache": cached}
+    given: dict[str, Any] = {"nogil": "nogil" in OPTIONS}
     if vectorised and "numpy" in OPTIONS:
         given["error_model"] = "numpy"
     if inline and "inline" in OPTIONS:
@@ -96,68 +100,182 @@ def kernel(
         given["forceinline"] = True
     if not allocates and "nrt" in OPTIONS:
         try:
-            return _kept(njit(function, _nrt=False, **given), cached)  # type: ignore[call-overload]
+            return Kernel(function, {"_nrt": False, **given}, cached)
         except (TypeError, KeyError):  # a numba without this option
             pass
-    return _kept(njit(function, **given), cached)
+    return Kernel(function, given, cached)
 
 
-def _kept(compiled: Any, cached: bool) -> Any:
-    """Make numba compile anew whenever one of all the files changes, or where it cannot read what it has kept."""
-    if cached:
-        with contextlib.suppress(AttributeError):  # a numba that keeps its code elsewhere: its own rules stay
-            file = compiled._cache._cache_file
-            stamp = state(compiled.py_func.__module__.removeprefix("sugiyama_ros.").partition(".")[0])
-            file._source_stamp, file._load_index = stamp, partial(_index, file._load_index)
-    return compiled
+def in_python_too(function: _Function) -> _Function:
+    """Let compiled code call a function that stays a function of Python for Python."""
+    registered: _Function = register_jitable(function)
+    return registered
 
 
-def _index(load: Callable[[], dict[Any, Any]]) -> dict[Any, Any]:
-    """Index of the code that numba has kept. An index may name a class that is gone, and then cannot be read."""
-    try:
-        return load()
-    except Exception:
-        return {}
+class _Progress:
+    """How far the compilation of a function is; numba compiles one at a time."""
+
+    def __init__(self) -> None:
+        self.what, self.done, self.total = "", 0, 0
+
+    def begin(self, function: Any) -> None:
+        """Begin with a function. What it calls comes first; then the machine code takes half as long."""
+        parts = sum(1 for _ in kernels_in(function))
+        self.what, self.done, self.total = function.py_func.__qualname__, 0, parts + parts // 2
+        self.tell()
+
+    def add(self) -> None:
+        """Go on after one function has become part of the function."""
+        self.done = min(self.done + 1, self.total * 2 // 3)
+        self.tell()
+
+    def end(self) -> None:
+        """End."""
+        self.done = self.total
+        self.tell()
+
+    def tell(self) -> None:
+        """Tell who wants to know."""
+        if progress.on_compiling is not None and self.total:
+            progress.on_compiling(self.what, self.done, self.total)
 
 
-@cache
-def state(room: str = "") -> str:
-    """Identify the files that compiled code is made of, by their times and sizes.
+_progress = _Progress()
+
+
+class _Part(CPUCodeLibrary):
+    """Code that becomes part of its callers. It is optimised with them, and needs no machine code of its own."""
+
+    def _optimize_final_module(self) -> None:
+        pass
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._verify_declare_only_symbols()
+        self._finalized = True
+
+    def _finalize_specific(self) -> None:
+        pass
+
+    def get_pointer_to_function(self, name: str) -> int:
+        """Return 0: there is no machine code."""
+        self._ensure_finalized()
+        return 0
+
+    @property
+    def codegen(self) -> "_Part":
+        """Who sets the environment."""
+        return self
+
+    def set_env(self, name: str, environment: Any) -> None:
+        """Do nothing: the environment is that of the callers."""
+
+
+class _Inside(Compiler):
+    """Compiles a function for its callers alone."""
+
+    def __init__(self, typingctx: Any, targetctx: Any, library: Any, *rest: Any) -> None:
+        super().__init__(typingctx, targetctx, library or _Part(targetctx.codegen(), "part"), *rest)
+
+
+class Kernel(CPUDispatcher):
+    """A compiled function. It becomes part of compiled code that calls it; Python calls another version, ``entry``.
+
+    A function that is called by compiled code alone is never compiled on its own: neither machine code nor the code
+    that unpacks Python's objects is made of it, which would take most of the time.
 
     Parameters
     ----------
-    room : str
-        Folder of the code, which is made of files in this folder and in those before it. Code from elsewhere may be
-        made of all files.
-
-    Returns
-    -------
-    str
-        A checksum.
+    py_func : function
+        The Python function.
+    targetoptions : dict
+        Options of numba.
+    cached : bool
+        Whether compiled code is kept.
+    made_of : iterable of object
+        What else the compiled code depends on, such as the class of an argument.
     """
-    own = f"{room}/*.py"
-    patterns = MADE_OF[: MADE_OF.index(own) + 1] if own in MADE_OF else MADE_OF
-    stats = [(path, path.stat()) for pattern in patterns for path in sorted(PACKAGE.glob(pattern))]
-    found: list[object] = [(str(path.relative_to(PACKAGE)), s.st_mtime_ns, s.st_size) for path, s in stats]
-    for group in GROUPS:
-        for point in entry_points(group):
-            found.append((group, point.name, point.value, _stat_of(point.module)))
-    found.append(sorted(OPTIONS))
-    return hashlib.sha256(repr(found).encode()).hexdigest()
+
+    def __init__(
+        self, py_func: Any, targetoptions: dict[str, Any], cached: bool = True, made_of: Iterable[Any] = (), **rest: Any
+    ) -> None:
+        self._given = {"nopython": True, "boundscheck": None, **targetoptions}
+        self._kept, self._made_of = cached, tuple(made_of)
+        super().__init__(py_func, targetoptions=self._given | _ALONE, pipeline_class=_Inside, **rest)
+
+    @cached_property
+    def entry(self) -> Any:
+        """The version that Python calls."""
+        return self._version("entry", {})
+
+    @cached_property
+    def alone(self) -> Any:
+        """The version that compiled code calls by its address; see ``by_address``."""
+        return self._version("alone", _ALONE)
+
+    def compile(self, sig: Any) -> Any:
+        """Compile a version for callers with these types of arguments, unless there is one."""
+        before = len(self.overloads)
+        compiled = super().compile(sig)
+        if len(self.overloads) > before:
+            _progress.add()
+        return compiled
+
+    def _version(self, use: str, options: dict[str, Any]) -> Any:
+        version: Any = CPUDispatcher(self.py_func, targetoptions=self._given | options)
+        if self._kept:
+            version._cache = _Cache(self.py_func, self, self._made_of, use)
+        return version
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self.entry(*arguments)
+
+    def __reduce__(self) -> Any:
+        return self.py_func.__qualname__  # pickled by its name, as a function of Python is
 
 
-def _stat_of(module: str) -> tuple[int, int] | None:
-    """Time and size of the file of another package's module, which is not imported; None if it cannot be found."""
-    package, *inner = module.split(".")
-    try:
-        spec = find_spec(package)
-        if spec is None or spec.origin is None:
-            return None
-        file = Path(spec.origin)
-        if inner:
-            place = file.parent.joinpath(*inner)
-            file = place / "__init__.py" if place.is_dir() else place.with_suffix(".py")
-        stat = file.stat()
-    except (OSError, ValueError):
-        return None
-    return stat.st_mtime_ns, stat.st_size
+class _Cache(FunctionCache):
+    """Where numba keeps the compiled code of one function, which goes out of date with what it is made of.
+
+    numba itself compares the time of the function's file alone, and the number of the line where the function begins.
+    """
+
+    def __init__(self, py_func: Any, function: Any, made_of: tuple[Any, ...], use: str) -> None:
+        self._name, self._py_func = repr(py_func), py_func
+        self._impl = self._impl_class(py_func)
+        self._cache_path = self._impl.locator.get_cache_path()
+        self._function, self._made_of, self._use = function, made_of, use
+        self.enable()
+
+    @cached_property
+    def _cache_file(self) -> "_File":  # type: ignore[override]
+        """The file, when the function is first called: now all constants that it refers to have their values."""
+        one = self._py_func
+        name = f"{one.__module__}.{one.__qualname__}.{self._use}.{sys.implementation.cache_tag}"
+        return _File(self._cache_path, name, fingerprint(self._function, self._made_of))
+
+    def _index_key(self, sig: Any, codegen: Any) -> Any:
+        return sig, codegen.magic_tuple()
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Load a version; where there is none, its compilation begins now."""
+        found = super().load_overload(sig, target_context)
+        if found is None:
+            _progress.begin(self._function)
+        return found
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep a version, whose compilation has just ended."""
+        _progress.end()
+        super().save_overload(sig, data)
+
+
+class _File(IndexDataCacheFile):
+    """The index of the compiled versions of one function, and their files."""
+
+    def _load_index(self) -> Any:
+        """Read the index. An index may name a class that is gone, and then cannot be read."""
+        try:
+            return super()._load_index()
+        except Exception:
+            return {}

@@ -1,6 +1,8 @@
 """How long work reports its progress: functions that a caller hands in, and bars that show it."""
 
+import math
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
@@ -9,6 +11,27 @@ from importlib.util import find_spec
 OnProgress = Callable[[int, int], None]
 #: Called with the name of the stage, how much of it is done, and how much there is in all.
 OnStage = Callable[[str, int, int], None]
+#: Called while a function is compiled, with its name; commands put a `CompilingTold` here.
+on_compiling: OnStage | None = None
+# Time [s] after which it is said that something is compiled, and after which it is said again.
+_LONG_S, _AGAIN_S = 1.0, 5.0
+
+
+class CompilingTold:
+    """Says on stderr that functions are compiled, where this takes long, and how far it is."""
+
+    def __init__(self) -> None:
+        self._began = self._told = -math.inf
+
+    def __call__(self, what: str, done: int, total: int) -> None:
+        """Say it, unless this function has begun a moment ago; arguments as of ``OnStage``."""
+        now = time.monotonic()
+        if done == 0:
+            self._began = now
+        if now - self._began > _LONG_S and now - self._told > _AGAIN_S:
+            self._told = now
+            share = f"{100 * done // total} % of {what}"
+            print(f"compiling, once after an installation or an edit: {share}", file=sys.stderr)
 
 
 @contextmanager

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand
 
-from sugiyama_ros import inputs
+from sugiyama_ros import inputs, progress
 from sugiyama_ros.cli import calibrate, catalogue, data, demo, diagnose, report, run, simulate, study, view
 from sugiyama_ros.cli.memory import check_limit, share_heap
 
@@ -67,3 +67,4 @@ def sugiyama(
     """Estimate how people drive, live or from recordings, and find out what the driver model lacks."""
     check_limit()
     share_heap()
+    progress.on_compiling = progress.CompilingTold()

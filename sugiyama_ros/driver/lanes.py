@@ -15,11 +15,13 @@ A block is one array with the rows of LANES lanes, one after the other, and then
 places in a block are constants. Compilers then know that two rows do not overlap, and make vector instructions.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numba import types
 
 from sugiyama_ros.arrays import Array
+from sugiyama_ros.by_address import LANES_AT, calling, offer, type_of
 from sugiyama_ros.driver.exponential import exponential, like, multiply_add
 from sugiyama_ros.driver.utility import FAR, Preferences, backward_penalty
 from sugiyama_ros.jit import kernel
@@ -287,3 +289,92 @@ def average_actions(block: Array, actions: Array) -> None:
             block[MEAN + t] = multiply_add(weight, actions[k], block[MEAN + t])
     for t in range(LANES):
         block[MEAN + t] /= block[_PARTITION + t]
+
+
+@kernel(allocates=False)
+def conclude_actions(block: Array, actions: Array, changed: bool) -> None:
+    """Call ``average_actions``, and ``find_best`` before it where something was added to utilities: ``changed``."""
+    if changed:
+        find_best(block, len(actions))
+    average_actions(block, actions)
+
+
+# Both filters call these functions by their address, in either precision: they are half of a filter's code.
+_VALUE, _VALUE_ROUGH, _CONCLUDE, _CONCLUDE_ROUGH = range(LANES_AT, LANES_AT + 4)
+_numbers, _roughly = types.float64[::1], types.float32[::1]
+_grid: Any = type_of(ActionGrid(np.zeros(1), np.zeros(1), 0))
+_of_value, _call_value = calling(types.void, _numbers, _grid, types.float64, types.int64)
+_of_value_rough, _call_value_rough = calling(types.void, _roughly, _grid, types.float64, types.int64)
+_of_conclude, _call_conclude = calling(types.void, _numbers, _numbers, types.boolean)
+_of_conclude_rough, _call_conclude_rough = calling(types.void, _roughly, _numbers, types.boolean)
+offer(_VALUE, lambda: value_actions, _of_value)
+offer(_VALUE_ROUGH, lambda: value_actions, _of_value_rough)
+offer(_CONCLUDE, lambda: conclude_actions, _of_conclude)
+offer(_CONCLUDE_ROUGH, lambda: conclude_actions, _of_conclude_rough)
+
+
+class Lanes(NamedTuple):
+    """Where drivers consider their actions.
+
+    Parameters
+    ----------
+    blocks, rough : ndarray
+        Blocks in double precision, and in single precision; one of them has length 0.
+    grid : ActionGrid
+        The actions.
+    added : ndarray, shape (K,)
+        Overwritten.
+    """
+
+    blocks: Array
+    rough: Any
+    grid: ActionGrid
+    added: Array
+
+
+@kernel
+def lanes_for(lanes: int, actions: Array, period: float, is_rough: bool) -> Lanes:
+    """Return lanes for actions (K,) [m/s^2], in double precision, or in single precision if ``is_rough``."""
+    blocks = blocks_for(0 if is_rough else lanes, actions)
+    rough = blocks_for(lanes if is_rough else 0, actions.astype(np.float32))
+    return Lanes(blocks, rough, grid_for(actions, period), np.zeros(len(actions)))
+
+
+@kernel(allocates=False)
+def put_into(lanes: Lanes, k: int, gap: float, speed: float, leader_speed: float, driver: Preferences) -> None:
+    """Put what a driver sees and prefers into lane k; the other arguments as for ``put``."""
+    if len(lanes.blocks) > 0:
+        put(lanes.blocks[k // LANES], k % LANES, gap, speed, leader_speed, driver)
+    else:
+        put(lanes.rough[k // LANES], k % LANES, gap, speed, leader_speed, driver)
+
+
+@kernel(allocates=False)
+def consider(used: int, period: float, horizon: int, lanes: Lanes) -> None:
+    """Let the drivers in the first ``used`` lanes value their actions."""
+    for b in range(-(-used // LANES)):
+        if len(lanes.blocks) > 0:
+            _call_value(_VALUE, lanes.blocks[b], lanes.grid, period, horizon)
+        else:
+            _call_value_rough(_VALUE_ROUGH, lanes.rough[b], lanes.grid, period, horizon)
+
+
+@kernel(allocates=False)
+def decide(used: int, lanes: Lanes, changed: bool) -> None:
+    """Let the drivers in the first ``used`` lanes decide on the mean of their actions.
+
+    changed: whether something was added to the utilities after ``consider``.
+    """
+    for b in range(-(-used // LANES)):
+        if len(lanes.blocks) > 0:
+            _call_conclude(_CONCLUDE, lanes.blocks[b], lanes.grid.actions, changed)
+        else:
+            _call_conclude_rough(_CONCLUDE_ROUGH, lanes.rough[b], lanes.grid.actions, changed)
+
+
+@kernel(allocates=False)
+def mean_in(lanes: Lanes, k: int) -> float:
+    """Return the mean action [m/s^2] in lane k, after ``decide``."""
+    if len(lanes.blocks) > 0:
+        return float(lanes.blocks[k // LANES, MEAN + k % LANES])
+    return float(lanes.rough[k // LANES, MEAN + k % LANES])

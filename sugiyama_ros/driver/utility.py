@@ -35,6 +35,8 @@ _NEVER = -1e300
 # Rows of the scratch array in which a driver considers the actions. Two rows have two uses.
 UTILITY_ROW, GRID_ROW, _HANDICAP, _GAP, _SCALE = range(5)
 _WEIGHT, _WEIGHTED = _GAP, _SCALE
+#: A row that is free between ``utilities`` and ``boltzmann_mean``.
+FREE_ROW = _GAP
 # The length of a row is a multiple of this number, and a row is summed in this number of lanes. A vector instruction
 # then adds several entries, in a fixed order. With fastmath, compilers would choose the order, and the rounding would
 # differ from one compilation to the next.
@@ -302,9 +304,10 @@ def scratch_for(actions: Array) -> Array:
     """
     count = len(actions)
     scratch = np.zeros((5, -(-count // _LANES) * _LANES))
-    scratch[GRID_ROW, :count] = actions
-    scratch[GRID_ROW, count:] = actions[count - 1]
-    scratch[_HANDICAP, count:] = _NEVER
+    for k in range(scratch.shape[1]):
+        scratch[GRID_ROW, k] = actions[min(k, count - 1)]
+        if k >= count:
+            scratch[_HANDICAP, k] = _NEVER
     return scratch
 
 

@@ -5,7 +5,9 @@ import math
 import numpy as np
 
 from sugiyama_ros.arrays import Array
+from sugiyama_ros.by_address import part_of
 from sugiyama_ros.driver.utility import (
+    FREE_ROW,
     GRID_ROW,
     UTILITY_ROW,
     Preferences,
@@ -13,58 +15,44 @@ from sugiyama_ros.driver.utility import (
     preferences,
     utilities,
 )
-from sugiyama_ros.effects import chains
-from sugiyama_ros.effects.chains import Hook, any_of, chain, having, switches
-from sugiyama_ros.effects.effect import ACTUATION, ENVIRONMENT, MEASUREMENT, PERCEPTION, PREFERENCE, UTILITY, Seen
+from sugiyama_ros.effects.effect import Seen, with_view
+from sugiyama_ros.effects.hooks import (
+    ACTUATE,
+    CHANGE,
+    EXPECT,
+    FEEL,
+    LAW,
+    LOOK_BACK,
+    NOISE,
+    PARAMETERS,
+    PERCEIVE,
+    PREFER,
+    PUSH,
+    VALUE,
+    WORDS,
+    acts,
+    call_actuate,
+    call_change,
+    call_expect,
+    call_law,
+    call_noise,
+    call_perceive,
+    call_prefer,
+    call_push,
+    call_value,
+    end_of,
+    first_of,
+    has_number,
+    is_on,
+    longest,
+)
 from sugiyama_ros.effects.registry import EFFECTS, ROW
 from sugiyama_ros.jit import kernel
-from sugiyama_ros.laws.law import LawFunction
-from sugiyama_ros.laws.registry import ADAPTIVE_SEEK, LAWS
+from sugiyama_ros.laws.registry import ADAPTIVE_SEEK
 
 _LAW = ROW.law
-_PERCEIVE, _PREFER = having("function", PERCEPTION, MEASUREMENT), having("function", PREFERENCE)
-_VALUE, _ACTUATE, _PUSH = (having("function", stage) for stage in (UTILITY, ACTUATION, ENVIRONMENT))
-_REMEMBER, _NOISE = having("memory"), having("noise_factor")
-# compiled code takes globals as constants, so the chains are complete before the functions below are compiled
-_perceived = chain(chains.nothing_perceived, chains.then_perceive, _PERCEIVE)
-_preferred = chain(chains.nothing_preferred, chains.then_prefer, _PREFER)
-_valued = chain(chains.nothing_valued, chains.then_value, _VALUE)
-_actuated = chain(chains.nothing_actuated, chains.then_actuate, _ACTUATE)
-_pushed = chain(chains.nothing_pushes, chains.then_push, _PUSH)
-_changed = chain(chains.all_changed, chains.then_change, _REMEMBER)
-_expected = chain(chains.all_expected, chains.then_expect, _REMEMBER)
-_factor = chain(chains.no_factor, chains.then_factor, _NOISE)
-_PERCEIVING, _PREFERRING, _VALUING = switches(_PERCEIVE), switches(_PREFER), switches(_VALUE)
-_ACTUATING, _PUSHING, _REMEMBERING, _NOISY = (switches(e) for e in (_ACTUATE, _PUSH, _REMEMBER, _NOISE))
-_FEELING = switches(e for e in (*_PERCEIVE, *_VALUE) if e.sees_accelerations)
 #: Places of the times that drivers look back.
 LOOKING_BACK = np.array([ROW.places[e.name].start for e in EFFECTS.values() if e.looks_back], dtype=np.int64)
-
-
-@kernel(cached=False)
-def _no_law(gap: float, speed: float, leader_speed: float, row: Array) -> float:
-    """Return NaN for a number that no law has."""
-    return math.nan
-
-
-def _then_law(before: Hook, number: float, name: str, law: LawFunction) -> Hook:
-    """Add a law to the chain of laws."""
-    first, last = ROW.law_places[name].start, ROW.law_places[name].stop
-
-    @kernel(cached=False)
-    def by_law(gap: float, speed: float, leader_speed: float, row: Array) -> float:
-        if row[_LAW] == number:
-            return float(law(gap, speed, leader_speed, row[first:last]))
-        return float(before(gap, speed, leader_speed, row))
-
-    return by_law
-
-
-_by_law: Hook = _no_law
-for _number, _name in reversed(list(enumerate(LAWS))):
-    if _number != ADAPTIVE_SEEK:
-        _by_law = _then_law(_by_law, float(_number), _name, LAWS[_name].function)
-_acceleration = _by_law
 
 
 @kernel(allocates=False)
@@ -83,17 +71,21 @@ def law_acceleration(gap: float, speed: float, leader_speed: float, row: Array) 
     float
         Acceleration [m/s^2]; NaN if no law has the number in the row.
     """
-    acceleration: float = _acceleration(gap, speed, leader_speed, row)
-    return acceleration
+    for f in range(first_of(LAW), end_of(LAW), WORDS):
+        if has_number(f, row[_LAW]):
+            acceleration: float = call_law(f, gap, speed, leader_speed, part_of(row, f + PARAMETERS))
+            return acceleration
+    return math.nan
 
 
 @kernel(allocates=False)
 def noise_factor(speed: float, row: Array) -> float:
     """Compute the factor of the std of the acceleration noise at a speed [m/s], for a row (width,)."""
-    if any_of(_NOISY, row):
-        factor: float = _factor(speed, row)
-        return factor
-    return 1.0
+    factor = 1.0
+    for f in range(first_of(NOISE), end_of(NOISE), WORDS):
+        if is_on(f, row):
+            factor *= call_noise(f, speed, part_of(row, f + PARAMETERS))
+    return factor
 
 
 @kernel(allocates=False)
@@ -105,28 +97,33 @@ def seeks(row: Array) -> bool:
 @kernel(allocates=False)
 def perceive(seen: Seen, row: Array) -> Seen:
     """Return what the driver of a row (width,) perceives of what can be seen."""
-    return _perceived(seen, row) if any_of(_PERCEIVING, row) else seen
+    for f in range(first_of(PERCEIVE), end_of(PERCEIVE), WORDS):
+        if is_on(f, row):
+            gap, speed, leader_speed = call_perceive(f, seen, part_of(row, f + PARAMETERS))
+            seen = with_view(seen, gap, speed, leader_speed)
+    return seen
 
 
 @kernel(allocates=False)
 def prefer(perceived: Seen, row: Array) -> Preferences:
     """Return what the driver of a row (width,) prefers, given what the driver perceives."""
     v_star, kappa_v, kappa_1, kappa_c, kappa_d, omega_2, rationality = preferences(row)
-    if any_of(_PREFERRING, row):
-        v_star, kappa_v = _preferred(v_star, kappa_v, perceived, row)
+    for f in range(first_of(PREFER), end_of(PREFER), WORDS):
+        if is_on(f, row):
+            v_star, kappa_v = call_prefer(f, v_star, kappa_v, perceived, part_of(row, f + PARAMETERS))
     return v_star, kappa_v, kappa_1, kappa_c, kappa_d, omega_2, rationality
 
 
 @kernel(allocates=False)
 def sees_as_it_is(row: Array) -> bool:
     """Whether no effect changes what the driver of a row (width,) perceives or prefers."""
-    return not (any_of(_PERCEIVING, row) or any_of(_PREFERRING, row))
+    return not (acts(PERCEIVE, row) or acts(PREFER, row))
 
 
 @kernel(allocates=False)
 def has_components(row: Array) -> bool:
     """Whether effects add components to the utility, for a row (width,)."""
-    return any_of(_VALUING, row)
+    return acts(VALUE, row)
 
 
 @kernel(allocates=False)
@@ -137,28 +134,38 @@ def add_components(
     horizon: int,
     row: Array,
     driver: Preferences,
+    added: Array,
     utility: Array,
     stride: int,
 ) -> None:
     """Add what effects add to the utilities of actions (K,) [m/s^2]; the other arguments as for ``intend``.
 
-    Every ``stride``-th entry of ``utility`` is the utility of an action.
+    Every ``stride``-th entry of ``utility`` is the utility of an action. ``added`` (K,) is overwritten.
     """
-    _valued(perceived, actions, period, horizon, row, driver, utility, stride)
+    for f in range(first_of(VALUE), end_of(VALUE), WORDS):
+        if is_on(f, row):
+            call_value(f, perceived, actions, period, horizon, part_of(row, f + PARAMETERS), driver, added)
+            for k in range(len(actions)):
+                utility[stride * k] += added[k]
 
 
 @kernel(allocates=False)
 def acts_on_intention(row: Array) -> bool:
     """Whether effects change the intended acceleration or add to it, for a row (width,)."""
-    return any_of(_ACTUATING, row) or any_of(_PUSHING, row)
+    return acts(ACTUATE, row) or acts(PUSH, row)
 
 
 @kernel(allocates=False)
 def act(action: float, seen: Seen, row: Array) -> tuple[float, float]:
     """Return what becomes of the acceleration [m/s^2] that the driver chooses; results as of ``intend``."""
-    if any_of(_ACTUATING, row):
-        action = _actuated(action, seen, row)
-    return action, _pushed(seen, row) if any_of(_PUSHING, row) else 0.0
+    for f in range(first_of(ACTUATE), end_of(ACTUATE), WORDS):
+        if is_on(f, row):
+            action = call_actuate(f, action, seen, part_of(row, f + PARAMETERS))
+    pushed = 0.0
+    for f in range(first_of(PUSH), end_of(PUSH), WORDS):
+        if is_on(f, row):
+            pushed += call_push(f, seen, part_of(row, f + PARAMETERS))
+    return action, pushed
 
 
 @kernel(allocates=False)
@@ -189,7 +196,8 @@ def intend(seen: Seen, row: Array, scratch: Array, period: float, horizon: int) 
         driver = prefer(perceived, row)
         utilities(gap, speed, leader_speed, driver, scratch, period, horizon)
         if has_components(row):
-            add_components(perceived, scratch[GRID_ROW], period, horizon, row, driver, scratch[UTILITY_ROW], 1)
+            actions, utility = scratch[GRID_ROW], scratch[UTILITY_ROW]
+            add_components(perceived, actions, period, horizon, row, driver, scratch[FREE_ROW], utility, 1)
         action = boltzmann_mean(scratch, driver[-1])
     else:
         action = law_acceleration(gap, speed, leader_speed, row)
@@ -214,9 +222,13 @@ def carry_out(meant: float, held: float, row: Array, period: float) -> float:
     float
         Acceleration [m/s^2].
     """
-    if not any_of(_REMEMBERING, row):
+    if not acts(CHANGE, row):
         return meant
-    return float(held + _changed(meant - held, period, row))
+    wanted = meant - held
+    for f in range(first_of(CHANGE), end_of(CHANGE), WORDS):
+        if is_on(f, row):
+            wanted = call_change(f, wanted, period, part_of(row, f + PARAMETERS))
+    return held + wanted
 
 
 @kernel(allocates=False)
@@ -238,26 +250,29 @@ def expect_change(wanted: float, variance: float, row: Array, period: float) -> 
         Mean [m/s^2] of the change that is carried out, its regression on the wanted change, and the variance [m^2/s^4]
         that the regression leaves.
     """
-    mean, slope, left = _expected(wanted, variance, period, row)
+    mean, slope, left = wanted, 1.0, 0.0
+    for f in range(first_of(EXPECT), end_of(EXPECT), WORDS):
+        if is_on(f, row):
+            # between two effects the change counts as normally distributed
+            spread = slope * slope * variance + left
+            mean, by_wanted, new = call_expect(f, mean, spread, period, part_of(row, f + PARAMETERS))
+            slope, left = by_wanted * slope, new + by_wanted * by_wanted * left
     return mean, slope, left
 
 
 @kernel(allocates=False)
 def remembers(row: Array) -> bool:
     """Whether the acceleration depends on the acceleration of the last period, for a row (width,)."""
-    return any_of(_REMEMBERING, row)
+    return acts(CHANGE, row)
 
 
 @kernel(allocates=False)
 def feels_accelerations(row: Array) -> bool:
     """Whether the driver reacts to accelerations, which a filter does not know exactly, for a row (width,)."""
-    return any_of(_FEELING, row)
+    return acts(FEEL, row)
 
 
 @kernel(allocates=False)
 def looks_back(row: Array) -> float:
     """Return how far the driver of a row (width,) looks back [s]; 0 for a driver who sees what there is now."""
-    longest = 0.0
-    for k in LOOKING_BACK:
-        longest = max(longest, row[k])
-    return longest
+    return longest(LOOK_BACK, row)

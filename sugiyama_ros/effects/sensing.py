@@ -3,16 +3,23 @@
 import numpy as np
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.effects import chains
-from sugiyama_ros.effects.chains import any_of, chain, having, switches
-from sugiyama_ros.effects.registry import ROW
+from sugiyama_ros.by_address import part_of
+from sugiyama_ros.effects.hooks import (
+    DISPLACE,
+    PARAMETERS,
+    UNEVEN,
+    WEIGH,
+    WORDS,
+    acts,
+    call_displace,
+    call_uneven,
+    call_weigh,
+    end_of,
+    first_of,
+    is_on,
+)
+from sugiyama_ros.effects.registry import EFFECTS, ROW
 from sugiyama_ros.jit import kernel
-
-_DISPLACE, _UNEVEN, _BAD = having("displacement"), having("measurement_noise_factor"), having("contamination")
-_displaced = chain(chains.no_displacement, chains.then_displace, _DISPLACE)
-_factor = chain(chains.no_measurement_factor, chains.then_measurement_factor, _UNEVEN)
-_weighed = chain(chains.never_bad, chains.then_weigh, _BAD)
-_DISPLACING, _CHANGING, _SPOILING = switches(_DISPLACE), switches(_UNEVEN), switches(_BAD)
 
 
 @kernel(allocates=False)
@@ -31,25 +38,28 @@ def displacement(position: float, circumference: float, row: Array) -> tuple[flo
     offset, slope : float
         Measured minus true position [m], and its derivative by the position.
     """
-    if not any_of(_DISPLACING, row):
-        return 0.0, 0.0
-    offset, slope = _displaced(position, circumference, row)
+    offset, slope = 0.0, 0.0
+    for f in range(first_of(DISPLACE), end_of(DISPLACE), WORDS):
+        if is_on(f, row):
+            more, steeper = call_displace(f, position, circumference, part_of(row, f + PARAMETERS))
+            offset, slope = offset + more, slope + steeper
     return offset, slope
 
 
 @kernel(allocates=False)
 def noise_std_factor(position: float, circumference: float, row: Array) -> float:
     """Compute the factor of the std of the measurement noise; arguments as for ``displacement``."""
-    if not any_of(_CHANGING, row):
-        return 1.0
-    factor: float = _factor(position, circumference, row)
+    factor = 1.0
+    for f in range(first_of(UNEVEN), end_of(UNEVEN), WORDS):
+        if is_on(f, row):
+            factor *= call_uneven(f, position, circumference, part_of(row, f + PARAMETERS))
     return factor
 
 
 @kernel(allocates=False)
 def is_contaminated(row: Array) -> bool:
     """Whether an effect in a row (width,) makes some measurements worse than others."""
-    return any_of(_SPOILING, row)
+    return acts(WEIGH, row)
 
 
 @kernel(allocates=False)
@@ -71,7 +81,10 @@ def weigh(innovation: float, variance: float, noise_var: float, row: Array) -> t
         Probability that the sample is bad, variance [m^2] of the innovation of a bad sample, and log-likelihood of the
         sample.
     """
-    probability, wide, density = _weighed(innovation, variance, noise_var, row)
+    probability, wide, density = 0.0, variance, 0.0
+    for f in range(first_of(WEIGH), end_of(WEIGH), WORDS):
+        if is_on(f, row):
+            probability, wide, density = call_weigh(f, innovation, variance, noise_var, part_of(row, f + PARAMETERS))
     return probability, wide, density
 
 
@@ -104,7 +117,7 @@ def spoil(noise: Array, rows: Array, rng: np.random.Generator) -> Array:
     ndarray, shape (N,)
         Measurement noise [m] with the bad measurements.
     """
-    for effect in _BAD:
+    for effect in EFFECTS.values():
         values = rows[:, ROW.places[effect.name]]
         if effect.contamination is not None and rows[:, ROW.index_of(effect.name, effect.switches[0])].any():
             noise = effect.contamination.sample(noise, values, rng)

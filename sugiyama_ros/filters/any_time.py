@@ -5,13 +5,13 @@ holds for the time that passes. The correlations become powers of the correlatio
 what they add up to: the acceleration noise its stationary variance, the others their variance per second.
 """
 
+from sugiyama_ros.driver.lanes import Lanes
 from sugiyama_ros.driver.parameters import RHO, SIGMA_V
 from sugiyama_ros.filters.linearisation import clear, conclude
 from sugiyama_ros.filters.state import (
     MOVING,
     STATE,
     Drivers,
-    Lanes,
     Linearised,
     Moment,
     Scene,

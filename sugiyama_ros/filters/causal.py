@@ -37,8 +37,6 @@ from sugiyama_ros.filters.vectors import ABREAST
 
 # Arrays of a chain, in the order of ``Observed``.
 _MEASURED = ("position_m", "identity", "length_m", "rear")
-# In the precision in which they are considered.
-_ROUGH_ACTIONS: Any = ACTIONS.astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,7 +201,8 @@ def _run(jobs: Sequence[ChainJob], adaptation: Adaptation, trace: Trace, ends: I
     run(
         Observed(position, identity, length, rear, start_s, ends),
         drivers_at(rows, *adaptation.arrays),
-        _ROUGH_ACTIONS if jobs[0].is_rough else ACTIONS,
+        ACTIONS,
+        jobs[0].is_rough,
         scene_at(one.period_s, one.circumference_m, adaptation.relaxation_s),
         periods_back(rows, one.period_s),
         predicted,

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.driver.lanes import Lanes, consider, decide, lanes_for
 from sugiyama_ros.driver.parameters import UTILITY
 from sugiyama_ros.effects.control import feels_accelerations, remembers
 from sugiyama_ros.effects.sensing import is_contaminated
@@ -26,7 +27,6 @@ from sugiyama_ros.filters.abreast import (
     state_of,
     take_in,
 )
-from sugiyama_ros.filters.expectation import consider, decide
 from sugiyama_ros.filters.linearisation import add_all_components, aim_all, conclude
 from sugiyama_ros.filters.measurement import log_density, measurement, noise_var_at, weights
 from sugiyama_ros.filters.past import begin_past, entries_of_past, forget_past
@@ -34,12 +34,10 @@ from sugiyama_ros.filters.state import (
     MOVING,
     STATE,
     Drivers,
-    Lanes,
     Moment,
     Scene,
     State,
     Workspace,
-    lanes_for,
     points_of,
     workspace_for,
 )
@@ -233,7 +231,7 @@ def _filter(
                 _put_adapted(c, filters, shared)
                 state, drivers, moment, workspace = _parts(c, t, period_s, observed, filters, shared)
                 used = aim_all(state, drivers, moment, scene, workspace, lanes, used)
-        consider(used, scene, lanes)
+        consider(used, period_s, scene.horizon, lanes)
         changed = False
         for c in range(count):
             if t < ends[c]:
@@ -255,6 +253,7 @@ def run(
     observed: Observed,
     drivers: Drivers,
     actions: Array,
+    is_rough: bool,
     scene: Scene,
     periods_back: int,
     predicted: Predicted,
@@ -272,7 +271,9 @@ def run(
         Of all chains: parameters (C, M, WIDTH), adapted (A,), prior_mean (C, A), prior_var (A,). Row 0 of a chain's
         parameters is overwritten with the adapted values.
     actions
-        Accelerations that the drivers consider [m/s^2], (K,), in the precision in which they consider them.
+        Accelerations that the drivers consider [m/s^2], (K,).
+    is_rough
+        Whether they consider them in single precision.
     scene
         Period and road.
     periods_back
@@ -302,7 +303,7 @@ def run(
             entry = STATE * vehicles + k
             filters.abreast.mean[entry, c] = drivers.prior_mean[c, k]
             filters.abreast.covariance[entry, entry, c] = drivers.prior_var[k]
-    lanes = lanes_for(count * points_of(vehicles, a), actions, scene.period_s)
+    lanes = lanes_for(count * points_of(vehicles, a), actions, scene.period_s, is_rough)
     shared = _Shared(lanes, one.chosen, one.slope, one.held_slope, adapted, drivers.prior_var)
     _filter(observed, filters, shared, scene, predicted, trace)
 

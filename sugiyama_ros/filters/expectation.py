@@ -10,7 +10,7 @@ These functions run for every driver and sample. They make no arrays.
 from typing import NamedTuple
 
 from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.driver.lanes import LANES, MEAN, UTILITIES, average_actions, find_best, value_actions
+from sugiyama_ros.driver.lanes import LANES, UTILITIES, Lanes, mean_in
 from sugiyama_ros.effects.control import (
     act,
     acts_on_intention,
@@ -23,7 +23,7 @@ from sugiyama_ros.effects.control import (
     seeks,
 )
 from sugiyama_ros.filters.points import KNOWN_VAR, look_around, rows_of, seen_at, side_of, surroundings, view_of
-from sugiyama_ros.filters.state import STATE, Drivers, Lanes, Moment, Scene, State, Workspace
+from sugiyama_ros.filters.state import STATE, Drivers, Moment, Scene, State, Workspace
 from sugiyama_ros.jit import kernel
 
 
@@ -67,13 +67,6 @@ def _variance_along(slope: Array, covariance: Array) -> float:
 
 
 @kernel(allocates=False)
-def consider(used: int, scene: Scene, lanes: Lanes) -> None:
-    """Let the drivers in the first ``used`` lanes value their actions."""
-    for b in range(-(-used // LANES)):
-        value_actions(lanes.blocks[b], lanes.grid, scene.period_s, scene.horizon)
-
-
-@kernel(allocates=False)
 def value_components(
     m: int, state: State, drivers: Drivers, moment: Moment, scene: Scene, workspace: Workspace, lanes: Lanes
 ) -> None:
@@ -88,20 +81,13 @@ def value_components(
         seen = seen_at(here, work, m, size, view, state.known, drivers.parameters, scene)
         perceived = perceive(seen, driver)
         preferences = prefer(perceived, driver)
-        block, lane = lanes.blocks[(first + point) // LANES], UTILITIES + (first + point) % LANES
-        add_components(perceived, actions, scene.period_s, scene.horizon, driver, preferences, block[lane:], LANES)
-
-
-@kernel(allocates=False)
-def decide(used: int, lanes: Lanes, changed: bool) -> None:
-    """Let the drivers in the first ``used`` lanes decide on the mean of their actions.
-
-    changed: whether something was added to the utilities after ``consider``.
-    """
-    for b in range(-(-used // LANES)):
-        if changed:
-            find_best(lanes.blocks[b], len(lanes.grid.actions))
-        average_actions(lanes.blocks[b], lanes.grid.actions)
+        block, lane, shared = (first + point) // LANES, UTILITIES + (first + point) % LANES, (actions, scene.period_s)
+        if len(lanes.blocks) > 0:
+            utility = lanes.blocks[block, lane:]
+            add_components(perceived, *shared, scene.horizon, driver, preferences, lanes.added, utility, LANES)
+        else:
+            rough = lanes.rough[block, lane:]
+            add_components(perceived, *shared, scene.horizon, driver, preferences, lanes.added, rough, LANES)
 
 
 @kernel(allocates=False)
@@ -135,7 +121,7 @@ def expected_action(
         _choose(m, state, drivers, moment, scene, workspace, lanes)
     else:
         for point in range(2 * size):
-            action = lanes.blocks[(first + point) // LANES, MEAN + (first + point) % LANES]
+            action = mean_in(lanes, first + point)
             chosen[0, point] = chosen[1, point] = action
     # below the root stand rows of their own
     cross = size + 2
@@ -169,7 +155,7 @@ def _choose(
             perceived = perceive(seen, driver)
             action = law_acceleration(perceived.gap, perceived.speed, perceived.leader_speed, driver)
         else:
-            action = lanes.blocks[(first + point) // LANES, MEAN + (first + point) % LANES]
+            action = mean_in(lanes, first + point)
         held, pushed = act(action, seen, driver)
         chosen[0, point], chosen[1, point] = held, held + pushed
 

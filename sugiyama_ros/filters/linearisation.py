@@ -3,16 +3,16 @@
 import math
 
 from sugiyama_ros.driver.advance import advance
+from sugiyama_ros.driver.lanes import Lanes, consider, decide
 from sugiyama_ros.driver.parameters import RHO, SIGMA_A, SIGMA_V, SIGMA_X
 from sugiyama_ros.effects.control import has_components, noise_factor, remembers
-from sugiyama_ros.filters.expectation import consider, decide, expected_action, value_components
+from sugiyama_ros.filters.expectation import expected_action, value_components
 from sugiyama_ros.filters.past import note_recalled, recalled_at, shift
 from sugiyama_ros.filters.points import ALONE, FEELING, RECALLING, aim, view_of
 from sugiyama_ros.filters.state import (
     MOVING,
     STATE,
     Drivers,
-    Lanes,
     Linearised,
     Moment,
     Scene,
@@ -53,7 +53,7 @@ def linearise(
         What the own driver means to do [m/s^2].
     """
     used = aim_all(state, drivers, moment, scene, workspace, lanes, 0)
-    consider(used, scene, lanes)
+    consider(used, scene.period_s, scene.horizon, lanes)
     changed = add_all_components(state, drivers, moment, scene, workspace, lanes)
     decide(used, lanes, changed)
     clear(out)

@@ -9,11 +9,11 @@ from typing import NamedTuple
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.driver.lanes import LANES, UTILITIES, ActionGrid
+from sugiyama_ros.driver.lanes import LANES, UTILITIES, ActionGrid, Lanes
 from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.effects.registry import ROW
-from sugiyama_ros.filters.state import STATE, Drivers, Lanes, Linearised, Scene, State, Workspace, points_of
-from sugiyama_ros.jit import kernel
+from sugiyama_ros.filters.state import STATE, Drivers, Linearised, Scene, State, Workspace, points_of
+from sugiyama_ros.jit import in_python_too
 
 #: Entries of ``Online.result`` before the covariance (3, 3); the first ones are the numbers of an ``Estimate``.
 (
@@ -176,7 +176,7 @@ def _shapes(sizes: Sizes) -> list[tuple[int, int]]:
     d = max(m - 1, 1)
     workspace = [(2 * d, most), (d * (3 + most), most), (d, 2), (2, 2 * most), (n, 1), (n, 1)]
     k = len(ACTIONS)
-    lanes = [(1, 1), (-(-points_of(m, a) // LANES), UTILITIES + LANES * k), (k, 1), (k, 1)]
+    lanes = [(1, 1), (-(-points_of(m, a) // LANES), UTILITIES + LANES * k), (k, 1), (k, 1), (k, 1)]
     noises = [(2, 1), (2, 2), (j, 1), (j, 2), (2 * j, 2), (2, n), (2 * n, n)]
     noises += [(j, 2), (2, 1), (2, 1), (1, 1), (2, 1), (j, 1), (j, 2), (2 * j, 2)]
     alarm = [(n, c), (n, c), (c, 1), (c, 1), (1, 1), (1, 1), (1, 1), (1, 1), (7, 1)]
@@ -198,35 +198,35 @@ def memory_for(layout: Ints) -> Array:
     return np.zeros(int(layout[-1, 0] + layout[-1, 1] * layout[-1, 2]))
 
 
-@kernel
+@in_python_too
 def _vector(memory: Array, layout: Ints, k: int) -> Array:
     start, rows, columns = layout[k, 0], layout[k, 1], layout[k, 2]
     return memory[start : start + rows * columns]
 
 
-@kernel
+@in_python_too
 def _integers(memory: Array, layout: Ints, k: int) -> Ints:
     return _vector(memory, layout, k).view(np.int64)
 
 
-@kernel
+@in_python_too
 def _matrix(memory: Array, layout: Ints, k: int) -> Array:
     return _vector(memory, layout, k).reshape((layout[k, 1], layout[k, 2]))
 
 
-@kernel
+@in_python_too
 def _integer_matrix(memory: Array, layout: Ints, k: int) -> Ints:
     return _integers(memory, layout, k).reshape((layout[k, 1], layout[k, 2]))
 
 
-@kernel
+@in_python_too
 def _stack(memory: Array, layout: Ints, k: int) -> Array:
     """Return square matrices that stand one below the other."""
     rows, columns = layout[k, 1], layout[k, 2]
     return _vector(memory, layout, k).reshape((rows // columns, columns, columns))
 
 
-@kernel
+@in_python_too
 def _noises(memory: Array, layout: Ints, k: int) -> Noises:
     """Return the arrays of the noises; the first one has number k."""
     return Noises(
@@ -248,7 +248,7 @@ def _noises(memory: Array, layout: Ints, k: int) -> Noises:
     )
 
 
-@kernel
+@in_python_too
 def _alarm(memory: Array, layout: Ints, k: int) -> Alarm:
     """Return the arrays of the alarm; the first one has number k."""
     return Alarm(
@@ -264,7 +264,7 @@ def _alarm(memory: Array, layout: Ints, k: int) -> Alarm:
     )
 
 
-@kernel
+@in_python_too
 def online_arrays(memory: Array, layout: Ints) -> Online:
     """Return the arrays that lie in a memory with a layout of ``layout_of``."""
     at, to = memory, layout
@@ -295,16 +295,18 @@ def online_arrays(memory: Array, layout: Ints) -> Online:
         integers(at, to, 31),
         Lanes(
             matrix(at, to, 32),
-            ActionGrid(vector(at, to, 33), vector(at, to, 34), _vector(at, to, 31).view(np.int64)[0]),
+            memory[:0].view(np.float32).reshape((0, 1)),
+            ActionGrid(vector(at, to, 33), vector(at, to, 34), integers(at, to, 31)[0]),
+            vector(at, to, 35),
         ),
         Scratch(
-            vector(at, to, 35),
             vector(at, to, 36),
-            matrix(at, to, 37),
-            vector(at, to, 38),
+            vector(at, to, 37),
+            matrix(at, to, 38),
             vector(at, to, 39),
             vector(at, to, 40),
+            vector(at, to, 41),
         ),
-        _noises(at, to, 41),
-        _alarm(at, to, 56),
+        _noises(at, to, 42),
+        _alarm(at, to, 57),
     )

@@ -13,13 +13,13 @@ import math
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.driver.lanes import LANES, put
+from sugiyama_ros.driver.lanes import Lanes, put_into
 from sugiyama_ros.driver.parameters import RHO, UTILITY
 from sugiyama_ros.driver.utility import preferences
 from sugiyama_ros.effects.control import feels_accelerations, looks_back, perceive, prefer, seeks, sees_as_it_is
 from sugiyama_ros.effects.effect import Seen
 from sugiyama_ros.filters.past import recall, recalled_at
-from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Lanes, Moment, Scene, State, Workspace, is_last
+from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Moment, Scene, State, Workspace, is_last
 from sugiyama_ros.jit import kernel
 
 #: Variance below which a direction of what the driver sees counts as known; keeps the Cholesky factor invertible.
@@ -141,10 +141,9 @@ def aim(
         look_around(work, size, point)
         for k in range(len(adapted)):
             driver[UTILITY[adapted[k]]] = math.exp(work[look, first_adapted + k])
-        block, lane = lanes.blocks[(free + point) // LANES], (free + point) % LANES
         perceived = perceive(seen_at(here, work, m, size, view, known, drivers.parameters, scene), driver)
         wanted = prefer(perceived, driver)
-        put(block, lane, perceived.gap, perceived.speed, perceived.leader_speed, wanted)
+        put_into(lanes, free + point, perceived.gap, perceived.speed, perceived.leader_speed, wanted)
     for k in range(len(adapted)):
         driver[UTILITY[adapted[k]]] = math.exp(mean[STATE * len(known) + k])
     return free + 2 * size
@@ -156,11 +155,10 @@ def _put_as_it_is(work: Array, size: int, view: int, driver: Array, lanes: Lanes
     look, wanted = size + 1, preferences(driver)
     for point in range(2 * size):
         look_around(work, size, point)
-        block, lane = lanes.blocks[(free + point) // LANES], (free + point) % LANES
         if view == ALONE:
-            put(block, lane, np.inf, work[look, 0], 0.0, wanted)
+            put_into(lanes, free + point, np.inf, work[look, 0], 0.0, wanted)
         else:
-            put(block, lane, work[look, 0], work[look, 1], work[look, 2], wanted)
+            put_into(lanes, free + point, work[look, 0], work[look, 1], work[look, 2], wanted)
 
 
 @kernel(allocates=False)

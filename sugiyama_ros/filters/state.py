@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.driver.lanes import ActionGrid, blocks_for, grid_for
+from sugiyama_ros.driver.lanes import Lanes, lanes_for
 from sugiyama_ros.driver.parameters import REFERENCE_HORIZON, UTILITY, horizon_at
 from sugiyama_ros.jit import kernel
 
@@ -155,19 +155,6 @@ class Workspace(NamedTuple):
     held_slope: Array
 
 
-class Lanes(NamedTuple):
-    """Where drivers consider their actions: blocks of ``driver.lanes``, and the actions."""
-
-    blocks: Array
-    grid: ActionGrid
-
-
-@kernel
-def lanes_for(points: int, actions: Array, period_s: float) -> Lanes:
-    """Return lanes for a number of points and for actions (K,) [m/s^2], whose precision they have."""
-    return Lanes(blocks_for(points, actions), grid_for(actions, period_s))
-
-
 @kernel
 def points_of(vehicles: int, adapted: int) -> int:
     """Return the largest number of points at which the drivers of a chain of M vehicles consider their actions."""
@@ -211,5 +198,5 @@ def arrays_for(vehicles: int, adapted: int, actions: Array, period_s: float) -> 
         As ``linearise`` takes them.
     """
     size = STATE * vehicles + adapted
-    lanes = lanes_for(points_of(vehicles, adapted), actions, period_s)
+    lanes = lanes_for(points_of(vehicles, adapted), actions, period_s, False)
     return workspace_for(vehicles, adapted, 0), lanes, linearised_for(np.arange(size), size)

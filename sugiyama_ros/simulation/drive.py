@@ -109,8 +109,9 @@ def begin(position: Array, speed: Array, held: Array, acceleration: Array, rows:
         periods = max(periods, math.ceil(looks_back(rows[i]) / period))
     past = np.empty((periods, 2, len(speed)))
     for k in range(periods):
-        past[k, 0] = position - (k + 1) * period * speed
-        past[k, 1] = speed
+        for i in range(len(speed)):
+            past[k, 0, i] = position[i] - (k + 1) * period * speed[i]
+            past[k, 1, i] = speed[i]
     return Traffic(position, speed, held, acceleration, past)
 
 
@@ -118,10 +119,10 @@ def begin(position: Array, speed: Array, held: Array, acceleration: Array, rows:
 def remember(traffic: Traffic) -> None:
     """Put what there is now into the past, one period before the vehicles move; changed in place."""
     past = traffic.past
-    for k in range(len(past) - 1, 0, -1):
-        past[k] = past[k - 1]
-    if len(past) > 0:
-        past[0, 0], past[0, 1] = traffic.position, traffic.speed
+    for i in range(past.shape[2] if len(past) > 0 else 0):
+        for k in range(len(past) - 1, 0, -1):
+            past[k, 0, i], past[k, 1, i] = past[k - 1, 0, i], past[k - 1, 1, i]
+        past[0, 0, i], past[0, 1, i] = traffic.position[i], traffic.speed[i]
 
 
 @kernel

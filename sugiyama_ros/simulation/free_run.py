@@ -72,7 +72,8 @@ def run_coupled(
             if ahead >= 0:
                 x[i], v[i] = _behind(x[i], v[i], x[ahead], max(v[ahead], 0.0), i, order)
         time += setting.period
-        out[k, :, 0], out[k, :, 1] = x, v
+        for i in range(vehicles):
+            out[k, i, 0], out[k, i, 1] = x[i], v[i]
 
 
 @kernel

@@ -236,7 +236,7 @@ def test_a_component_adds_the_same_to_each_utility_as_for_one_action(name, horiz
     seen = Seen(6.0, 5.0, 4.0, 10.0, 3.0, RING_M, 0.5, -0.5, 8.0, 4.5, 3.0, 6.0, 6.0, 5.0, 4.0)
     e, preferred, before = effect(name), preferences(row), np.linspace(-1.0, 1.0, len(ACTIONS))
     after = np.repeat(before, stride)
-    add_components(seen, ACTIONS, 1.0 / 3.0, horizon, row, preferred, after, stride)
+    add_components(seen, ACTIONS, 1.0 / 3.0, horizon, row, preferred, np.empty(len(ACTIONS)), after, stride)
     rest = (preferred,) if e.knows_preferences else ()
     p = row[ROW.places[name]]
     alone = np.array([e.function(seen, action, 1.0 / 3.0, horizon, p, *rest) for action in ACTIONS])

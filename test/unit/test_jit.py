@@ -1,91 +1,94 @@
-"""Code is compiled anew once a file that it was made of has changed. Importing changes nothing."""
+"""Code is compiled anew once something that it is made of has changed. Importing changes nothing."""
 
-import importlib
 import os
-import re
 import subprocess
 import sys
+from types import ModuleType
+from typing import Any
 
 import pytest
 
-from sugiyama_ros import jit
-from sugiyama_ros.entry_points import search_again
+from sugiyama_ros.effects.registry import EFFECTS
+from sugiyama_ros.filters import causal_kernel, online_kernel
+from sugiyama_ros.fingerprint import fingerprint, kernels_in
+from sugiyama_ros.laws.registry import LAWS, RIVALS
+from sugiyama_ros.simulation import drive, free_run
+
+CODE = """
+from typing import NamedTuple
+import numpy as np
+from sugiyama_ros.jit import kernel
+TABLE, FACTOR = np.arange(3.0), 2.0
+
+class Pair(NamedTuple):
+    first: float
+    second: float
+
+@kernel
+def inner(x):
+    return FACTOR * x
+
+@kernel
+def outer(pair: Pair) -> float:
+    return inner(pair.first) + TABLE[1]
+"""
 
 
-@pytest.fixture
-def package(tmp_path, monkeypatch):
-    (tmp_path / "driver").mkdir()
-    (tmp_path / "driver/utility.py").write_text("a = 1\n")
-    monkeypatch.setattr(jit, "PACKAGE", tmp_path)
-    yield tmp_path
-    search_again()
-    jit.state.cache_clear()
+def made(text: str) -> Any:
+    """The kernel ``outer`` of a module with this text."""
+    module = ModuleType("a_module")
+    exec(compile(text, __file__, "exec"), module.__dict__)
+    return module.outer
 
 
-def state():
-    search_again()
-    jit.state.cache_clear()
-    return jit.state()
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("def outer(pair: Pair) -> float:", 'def outer(pair: Pair) -> float:\n    """Say something."""'),
+        ("import numpy as np", "import numpy as np\n# a comment, and other lines\n\nOTHER = 3.0\n"),
+    ],
+)
+def test_comments_and_places_do_not_matter(old: str, new: str) -> None:
+    assert fingerprint(made(CODE)) == fingerprint(made(CODE.replace(old, new)))
 
 
-def test_a_change_in_a_called_file_changes_the_state(package):
-    first = state()
-    assert state() == first
-    (package / "driver/utility.py").write_text("a = 22\n")
-    assert state() != first
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("TABLE[1]", "TABLE[2]"),
+        ("FACTOR * x", "FACTOR + x"),
+        ("np.arange(3.0), 2.0", "np.arange(3.0), 2.5"),
+        ("np.arange(3.0), 2.0", "np.arange(4.0), 2.0"),
+        ("first: float\n    second: float", "second: float\n    first: float"),
+        ("@kernel\ndef inner", "@kernel(vectorised=True)\ndef inner"),
+    ],
+)
+def test_code_constants_fields_and_options_matter(old: str, new: str) -> None:
+    assert fingerprint(made(CODE)) != fingerprint(made(CODE.replace(old, new)))
 
 
-def test_other_files_do_not_matter(package):
-    first = state()
-    (package / "cli.py").write_text("")
-    assert state() == first
-
-
-def test_code_is_not_made_of_the_rooms_after_its_own(package):
-    (package / "fit").mkdir()
-    first, of_all = jit.state("driver"), state()
-    (package / "fit/slopes.py").write_text("a = 1\n")
-    assert state() != of_all
-    assert jit.state("driver") == first
-
-
-@pytest.mark.parametrize("name", jit.MADE_OF[2:])
-def test_no_room_uses_those_after_it(name):
-    later = [one.removesuffix("/*.py") for one in jit.MADE_OF[jit.MADE_OF.index(name) + 1 :]]
-    for path in jit.PACKAGE.glob(name):
-        used = set(re.findall(r"^from sugiyama_ros\.(\w+)", path.read_text(), re.MULTILINE))
-        assert used.isdisjoint({*later, "diagnosis"}), path
-
-
-def test_all_files_with_compiled_code_are_in_those_rooms():
-    rooms = {path for name in jit.MADE_OF for path in jit.PACKAGE.glob(name)}
-    kernels = {
-        p for p in jit.PACKAGE.rglob("*.py") if re.search(r"^@kernel($|\((?!cached=False))", p.read_text(), re.M)
-    }
-    assert kernels
-    assert kernels <= rooms
-
-
-@pytest.mark.parametrize("group", jit.GROUPS)
-def test_extensions_of_other_packages_matter(package, monkeypatch, tmp_path, group):
-    first = state()
-    (tmp_path / "site/mine-1.0.dist-info").mkdir(parents=True)
-    (tmp_path / "site/mine-1.0.dist-info/entry_points.txt").write_text(f"[{group}]\nsyrup = mine:EFFECT\n")
-    monkeypatch.syspath_prepend(tmp_path / "site")
-    without_file = state()
-    (tmp_path / "site/mine.py").write_text("a = 1\n")
-    importlib.invalidate_caches()
-    with_file = state()
-    (tmp_path / "site/mine.py").write_text("a = 22\n")
-    assert len({first, without_file, with_file, state()}) == 4
+@pytest.mark.parametrize(
+    "function", [causal_kernel.run, online_kernel.step, drive.drive, free_run.run_single], ids=lambda f: f.__name__
+)
+def test_no_effect_and_no_law_is_part_of_a_filter_or_of_a_simulation(function: Any) -> None:
+    """What is installed, edited or removed beside them, they need not be compiled anew."""
+    inside = {id(one) for one in kernels_in(function)}
+    assert len(inside) > 20
+    functions = [LAWS[name].function for name in RIVALS]
+    for effect in EFFECTS.values():
+        functions += [effect.function, effect.noise_factor, effect.displacement, effect.measurement_noise_factor]
+        functions += [effect.memory and effect.memory.change, effect.contamination and effect.contamination.weigh]
+    assert inside.isdisjoint(id(one) for one in functions if one is not None)
 
 
 def test_kernels_of_a_changed_file_are_compiled_anew(tmp_path):
     """A kernel that calls a function in another file must not go on with the old function."""
     (tmp_path / "callee.py").write_text("from sugiyama_ros.jit import kernel\n@kernel\ndef f(x):\n    return x + 1.0\n")
     (tmp_path / "caller.py").write_text(
-        "from sugiyama_ros import jit\nfrom pathlib import Path\njit.PACKAGE = Path(__file__).parent\n"
-        "jit.MADE_OF = ('*.py',)\nfrom callee import f\n@jit.kernel\ndef g(x):\n    return f(x)\nprint(g(1.0))\n"
+        "from sugiyama_ros import jit, progress\nfrom callee import f\n"
+        "@jit.kernel\ndef g(x):\n    return f(x)\n"
+        "told = []\nprogress.on_compiling = lambda what, done, total: told.append((done, total))\n"
+        "print(g(1.0), told[:1], told[-1:])\n"
     )
     environment = os.environ | {"PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "compiled")}
 
@@ -93,12 +96,13 @@ def test_kernels_of_a_changed_file_are_compiled_anew(tmp_path):
         command = [sys.executable, "-c", "import caller"]
         return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.strip()
 
-    assert [run(), run()] == ["2.0", "2.0"]
+    # the share that is done goes from nothing to all
+    assert [run(), run()] == ["2.0 [(0, 3)] [(3, 3)]", "2.0 [] []"]
     (tmp_path / "callee.py").write_text("from sugiyama_ros.jit import kernel\n@kernel\ndef f(x):\n    return x + 9.0\n")
-    assert run() == "10.0"
+    assert run() == "10.0 [(0, 3)] [(3, 3)]"
     for index in (tmp_path / "compiled").rglob("*.nbi"):
         index.write_bytes(b"this is no index")
-    assert run() == "10.0"
+    assert run() == "10.0 [(0, 3)] [(3, 3)]"
 
 
 IMPORT = """
