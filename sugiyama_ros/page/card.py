@@ -70,6 +70,8 @@ def _verdict(d: Mapping[str, Any] | None) -> str:
         )
     outcome = d["verdict"].get("adequacy", {}).get("outcome", "")
     sign, words = badge(d)
+    if sign == "?":  # nothing to be green about
+        outcome = ""
     effects = d["verdict"]["effects"]
     rows: list[tuple[str, str]] = []
     if len(effects) == 1:
@@ -167,7 +169,7 @@ def _tile(title: str, about: str, key: str, errors: Mapping[str, Any]) -> str:
     if known and (_value(errors, "floor", key) or 0.0) > _ABOVE * known[-1]:
         about += (
             ". ✗ A failed check: the floor lies above. In recordings that the model simulates itself, its errors are"
-            " larger than in the data, so its noise is too large"
+            " larger than in the data: its noise may be too large"
         )
     # a law that goes astray may leave the picture
     full = 1.5 * max([*known, 1e-9])

@@ -23,8 +23,8 @@ from sugiyama_ros.page.truth import SHOWN, AgainstTruth
 _ORANGE = "<p>Orange: added (▸), and what cannot be told apart from it in these data.</p>"
 _FLOOR = (
     '<p class="note">Floor: the errors of the final model on a few recordings that it simulates itself, which are noise'
-    " alone. Errors on the data that are clearly below say that the model's noise is too large. In the pictures, the"
-    " floor is dashed.</p>"
+    " alone. Errors on the data that are clearly below say that the model's noise may be too large. In the pictures,"
+    " the floor is dashed.</p>"
 )
 
 
