@@ -282,6 +282,16 @@ def live(options: LiveOptions) -> None:
     settings = RunSettings(rate_of(options.rate), options.ring, options.model, critic=True, overwrite=output.overwrite)
     domain = environment.isolate() if options.source is not None else environment.domain()
     print_note(f"{'starting the nodes' if options.source is not None else 'listening'} in ROS domain {domain}")
+    before = _time_of(output.path)
     serve(options.source, output.path, settings, host=options.host, port=options.port, on_ready=ready)
-    if options.source is not None:
+    if options.source is None:
+        return
+    if _time_of(output.path) == before:
+        print_note("nothing was recorded: the page ended before the first sample")
+    else:
         print_note(f"all topics are in {output.path}; look at it: sugiyama report {output.path} --open")
+
+
+def _time_of(path: Path) -> int | None:
+    """When a file was written [ns]; None if it is not there."""
+    return path.stat().st_mtime_ns if path.exists() else None

@@ -6,6 +6,7 @@ the live page in test/system/test_page.py, the measured experiment in test/syste
 
 import json
 import re
+import socket
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -57,6 +58,13 @@ def here(tmp_path: Path, forks: Forks) -> Here:
     return Here(tmp_path, forks)
 
 
+def free_port() -> str:
+    """A port that nothing holds at the moment."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return str(probe.getsockname()[1])
+
+
 def near_the_truth(drivers: "list[dict[str, Any]]", name: str, truth: float) -> None:
     """Estimates lie within four standard errors of the truth where the data identify them, which is somewhere so."""
     known = [d for d in drivers if d["identified"][name]]
@@ -96,7 +104,7 @@ def test_a_csv_of_a_ring_to_an_added_effect_and_back(here: Here) -> None:
     (here / "hill.json").write_text(json.dumps(told))
     here.says("report hill.mcap --diagnosis hill.json")
     card = (here / "hill.html").read_text().split("<nav>")[0]
-    assert "Road grade" in card or "road grade" in card
+    assert told["about"]["road_grade"]["title"] in card.lower()
     assert f"{effect['heldout_gain_nats']:.0f} ± {effect['heldout_gain_se']:.0f} nats" in card
 
 
@@ -199,6 +207,16 @@ def test_a_run_goes_on_with_what_another_has_learnt(here: Here) -> None:
     assert errors[0] < errors[1]
     said = here.says("report 1.mcap")
     assert re.search(r"page: 1\.html", said)
+
+
+def test_a_live_page_says_where_its_recording_is_if_there_is_one(here: Here, forks: Forks) -> None:
+    recordings.ring_csv(here / "ring.csv", duration_s=20.0)
+    port = free_port()
+    said = forks.run(here.folder, ["live", "ring.csv", "--ring", "45", "--rate", "max", "--port", port], "live page:")
+    assert said.code == 0
+    is_there = (here / "sugiyama-live.mcap").exists()
+    assert ("all topics are in sugiyama-live.mcap" in said.err) == is_there
+    assert ("nothing was recorded" in said.err) != is_there
 
 
 def test_a_cluster_finds_the_same_numbers(here: Here) -> None:
