@@ -182,6 +182,7 @@ def test_a_data_frame_to_a_comparison_and_a_model_file(tmp_path: Path) -> None:
     assert compared.loc["constant_speed", "free_run_10s_m"] > 2.0 * compared.loc["base", "free_run_10s_m"]
 
 
+@pytest.mark.slow
 def test_several_files_are_several_recordings(here: Here) -> None:
     for name, seed in (("a.mcap", 1), ("b.mcap", 2)):
         here.says(f"simulate --vehicles 3 --ring 40 --duration 60 --seed {seed} -o {name}")
@@ -219,15 +220,15 @@ def test_a_live_page_says_where_its_recording_is_if_there_is_one(here: Here, for
     assert ("nothing was recorded" in said.err) != is_there
 
 
+@pytest.mark.slow
 def test_a_cluster_finds_the_same_numbers(here: Here) -> None:
     distributed = pytest.importorskip("distributed", reason="Dask is not installed")
     recordings.ring_csv(here / "ring.csv")
-    with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, protocol="tcp://", dashboard_address=":0"
-    ) as cluster:
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0") as cluster:
         there = here.tells(f"calibrate ring.csv --ring 45 --scheduler {cluster.scheduler_address}")
         named = here.tells(f"diagnose ring.csv --ring 45 --quick --scheduler {cluster.scheduler_address}")
     assert there["drivers"] == here.tells("calibrate ring.csv --ring 45")["drivers"]
     alone = here.tells("diagnose ring.csv --ring 45 --quick")
     assert named["verdict"]["told"] == alone["verdict"]["told"]
+    assert named["errors"] == alone["errors"]
     assert alone["verdict"]["effects"] == []  # nothing is hidden in this recording

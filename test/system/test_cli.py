@@ -148,10 +148,7 @@ def test_bad_bags(sugiyama, here, kind, command):
         (("simulate", "-o", "out.csv", "--ring", "50"), ("ring of 50 m", "22 vehicles")),
         (("simulate", "-o", "nowhere/out.csv"), ("nowhere",)),
         (("live", "good.csv", "--host", ""), ("--host", "leave it out")),
-        (("simulate", "-o", "out.csv", "--view", "0,9"), ("--view", "add --lanes")),
         (("simulate", "-o", "out.csv", "--lanes", "2", "--view", "9,0"), ("--view 9,0", "100,500")),
-        (("simulate", "-o", "out.csv", "--lanes", "2", "--ring", "230"), ("--ring", "leave out")),
-        (("simulate", "-o", "out.mcap", "--lanes", "2"), ("out.mcap", ".parquet")),
         (("fetch", "sugiyama1999"), ("sugiyama1999", "sugiyama2008")),
         (("info", "missing.mcap"), ("missing.mcap",)),
         (("info", "missing.csv"), ("missing.csv",)),
@@ -286,20 +283,16 @@ def test_help_loads_nothing_heavy():
     assert told.stderr == "\n"
 
 
-CONTRADICTIONS = [
+#: Values of options that are refused; options that contradict each other are in test/journeys/test_option_pairs.py.
+REFUSED = [
     (("--formulation", "exact"), ("--formulation exact", "paper", "causal")),
     (("--output", "model.txt"), ("model.txt", ".yaml")),
-    (("--formulation", "paper", "--effects", "drag"), ("--effects", "--formulation causal")),
-    (("--effects", "drag", "--profile"), ("--profile", "--effects")),
-    (("--regularise", "--hops", "3"), ("--hops", "--regularise")),
-    (("--classes", "2", "--effects", "drag"), ("--classes", "--effects")),
-    (("--classes", "2", "--formulation", "paper", "--regularise"), ("--classes", "--regularise")),
     (("--parameters", "speed"), ("speed", "v_star")),
 ]
 
 
-@pytest.mark.parametrize(("arguments", "words"), CONTRADICTIONS)
-def test_options_that_contradict_each_other(sugiyama, here, arguments, words):
+@pytest.mark.parametrize(("arguments", "words"), REFUSED)
+def test_values_that_are_none(sugiyama, here, arguments, words):
     one_line(sugiyama("calibrate", "good.csv", *arguments), *words)
     assert sorted(p.name for p in here.iterdir()) == ["good.csv"]
 

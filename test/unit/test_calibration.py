@@ -163,7 +163,7 @@ def test_any_parameters_may_be_estimated(jam):
 def test_a_dask_cluster_gives_the_same_also_when_a_worker_dies(jam):
     distributed = pytest.importorskip("distributed")
     with (
-        distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster,
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0") as cluster,
         workers(22, cluster.scheduler_address) as work,
     ):
         pids = distributed.default_client().run(os.getpid)

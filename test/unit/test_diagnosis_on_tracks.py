@@ -12,19 +12,15 @@ from sugiyama_ros.cli.app import app
 from sugiyama_ros.diagnosis.bootstrap import resample, seeds
 from sugiyama_ros.diagnosis.candidates import candidates, not_searched
 from sugiyama_ros.diagnosis.compare import SIMULATED, compare
-from sugiyama_ros.diagnosis.diagnosis import diagnose
 from sugiyama_ros.diagnosis.errors import errors_of
-from sugiyama_ros.diagnosis.use import Goal
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import FOLDS, prepare
 from sugiyama_ros.fit.score import evaluate, filtered_states
 from sugiyama_ros.fit.stretched import LEAST_FOLLOWING_S, prepare_tracks
-from sugiyama_ros.results import plain
 from sugiyama_ros.trajectories.assemble import assemble
 from sugiyama_ros.trajectories.one_lane import tracks_of, whole_road
-from sugiyama_ros.workers import workers
 
 INDIVIDUAL = (V_STAR, KAPPA_V)
 PERIOD_S = 0.5
@@ -158,20 +154,6 @@ def test_a_model_of_another_law_on_tracks_is_told(two_lanes):
     constant = compared.models[names.index("constant_speed")]
     assert constant.gain.nats < -2.0 * constant.gain.se
     assert all(np.isfinite(one.errors.summary()["single_car_10s_m"]) for one in compared.models)
-
-
-def test_a_cluster_gives_the_same_numbers(ring, monkeypatch):
-    distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr("sugiyama_ros.diagnosis.rival_fits.RIVALS", ("idm", "constant_speed"))
-    tracks = tracks_of(ring.measured)
-    with (
-        distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster,
-        workers(2, cluster.scheduler_address) as there,
-    ):
-        spread = diagnose(tracks, quick=True, goal=Goal(most=0), workers=there)
-    alone = diagnose(tracks, quick=True, goal=Goal(most=0), workers=2)
-    assert plain(spread.rivals) == plain(alone.rivals)
-    assert spread.before.summary()["single_car_10s_m"] == alone.before.summary()["single_car_10s_m"]
 
 
 def test_drivers_need_to_follow_for_long_enough(ring):
