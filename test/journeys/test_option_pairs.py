@@ -64,6 +64,7 @@ VALUES: Mapping[str, Sequence[str]] = {
     "calibrate --classes": ("2",),
     "diagnose --add": ("auto", "drag"),
     "diagnose --output": ("new.yaml", "old.yaml"),
+    "diagnose --save": ("new.json", "old.json"),
     "diagnose --for": ("prediction", "simulation", "online"),
     "study NAME": ("", "spectrum", "highway", "measured", "simulated", "order"),
     "study SOURCE": ("ring.mcap", "ring.csv"),
@@ -149,7 +150,11 @@ CONTRADICTIONS: Mapping[str, Sequence[Sequence[str]]] = {
         *(("--regularise-strength", how) for how in ("no --regularise", *_CAUSAL)),
         *((several, name) for several in ("tracks.parquet", "ring.mcap second.mcap") for name in _ONE_LANE),
     ],
-    "diagnose": [("--output old.yaml", "no --overwrite"), ("ring.csv", "no --ring")],
+    "diagnose": [
+        ("--output old.yaml", "no --overwrite"),
+        ("--save old.json", "no --overwrite"),
+        ("ring.csv", "no --ring"),
+    ],
     "study": [
         ("--output old.pdf", "no --overwrite"),
         ("ring.csv", "no --ring"),

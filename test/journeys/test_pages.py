@@ -186,7 +186,7 @@ STARTS = (
     "sugiyama calibrate ring.csv --ring 45 -o base.yaml",
     "sugiyama run ring.csv --ring 45 -o run.mcap",
     "sugiyama diagnose ring.csv --ring 45 --quick --seed 2",
-    "sugiyama diagnose ring.mcap --quick --add auto -o model.yaml",
+    "sugiyama diagnose ring.mcap --quick --add drag -o model.yaml --save drag.json",
     "sugiyama diagnose tracks.parquet --quick",
     "sugiyama compare ring.mcap",
     "sugiyama demo --data ring.mcap -o demo.mcap",
