@@ -128,7 +128,7 @@ $(DONE)/requirements: $(DONE)/venv requirements.txt
 	$(call pip, requirements, -r requirements.txt)
 
 $(DONE)/messages: $(DONE)/requirements $(wildcard msg_defs/* msg_defs/*/*)
-	@echo "Compiling the messages: half a minute"
+	@echo "Compiling the messages: 112 files, most of them the code by which Python and Fast DDS read and write; half a minute"
 	$(call pip, messages, --no-deps --no-build-isolation --force-reinstall -v ./msg_defs)
 
 $(DONE)/package: $(DONE)/messages setup.py setup.cfg package.xml $(wildcard resource/* launch launch/*.py config config/*.yaml)

@@ -27,9 +27,11 @@ look-ahead are values, one chain is a case of chains side by side, and the preci
 they are called. The online filter has a version of the same functions of its own, for a state without gaps in memory.
 """
 
+import hashlib
 import sys
 from collections.abc import Callable, Iterable
 from functools import cached_property
+from pathlib import Path
 from typing import Any, TypeVar, overload
 
 from numba.core.caching import FunctionCache, IndexDataCacheFile
@@ -272,6 +274,15 @@ class _Cache(FunctionCache):
 
 class _File(IndexDataCacheFile):
     """The index of the compiled versions of one function, and their files."""
+
+    def save(self, key: Any, data: Any) -> None:
+        """Keep a version in a file of its own, and only then name it in the index.
+
+        numba numbers the files, so that two processes that keep different versions at the same time may exchange them.
+        """
+        name = f"{Path(self._index_name).stem}.{hashlib.sha256(repr(key).encode()).hexdigest()[:16]}.nbc"
+        self._save_data(name, data)
+        self._save_index(self._load_index() | {key: name})
 
     def _load_index(self) -> Any:
         """Read the index. An index may name a class that is gone, and then cannot be read."""
