@@ -195,6 +195,7 @@ STARTS = (
 )
 
 
+@pytest.mark.slow
 def test_the_next_steps_that_commands_print_work(forks: Forks, tmp_path: Path) -> None:
     wrong, done = [], set(STARTS)
     run = partial(forks.run_text, tmp_path)
