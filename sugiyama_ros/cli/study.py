@@ -56,6 +56,9 @@ def study(options: StudyOptions) -> None:
     from sugiyama_ros.studies.study import Asked
     from sugiyama_ros.workers import workers
 
+    if not options.name and options.as_json:
+        print_json([{"study": one.name, "question": one.question, "paper": one.paper} for one in STUDIES.values()])
+        return
     if not options.name:
         for one in STUDIES.values():
             print_line(f"{one.name:12} {one.question}")

@@ -124,6 +124,7 @@ CONTRADICTIONS: Mapping[str, Sequence[Sequence[str]]] = {
         ("--output old.mcap", "no --overwrite"),
         ("ring.csv", "no --ring"),
         ("--array", "--processes"),
+        ("--save-state state", "no --overwrite"),
         ("no SOURCE", "no --simulate"),
         *((source, "--simulate") for source in VALUES["SOURCES"][:3]),
         *(("no --simulate", name) for name in ("--vehicles", "--duration", "--spread", "--seed", "--set", "--effect")),
