@@ -123,6 +123,23 @@ def _word(_: Any, place: Any) -> Any:
 word: Any = intrinsic(_word)
 
 
+def _entry_of(_: Any, row: Any, place: Any) -> Any:
+    """Return the entry of an array (N,) at the index that a word of the table holds."""
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        data = context.make_array(row)(context, builder, values[0]).data
+        # the table holds no negative index, for which numba would look first
+        return builder.load(builder.gep(data, [builder.load(_place(builder, values[1]))], inbounds=True))
+
+    if not (isinstance(row, types.Array) and row.layout == "C" and row.ndim == 1):
+        raise TypingError(f"a row must be an array of one dimension without gaps, not {row}")
+    return row.dtype(row, types.int64), generate
+
+
+#: (row, place) -> entry of the row, for compiled code.
+entry_of: Any = intrinsic(_entry_of)
+
+
 def _part_of(_: Any, row: Any, place: Any) -> Any:
     """Return the part of an array (N,) from the index that a word of the table holds to the one in the next word.
 

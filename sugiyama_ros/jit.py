@@ -46,6 +46,8 @@ from sugiyama_ros.fingerprint import fingerprint, kernels_in
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 #: Options that the benchmark switches off, one after the other.
 OPTIONS = {"nogil", "nrt", "numpy", "inline", "into_callers"}
+# How everything is compiled follows from this file.
+_COMPILER = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
 # Options for a function that Python does not call.
 _ALONE = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
@@ -176,8 +178,23 @@ class _Part(CPUCodeLibrary):
 class _Inside(Compiler):
     """Compiles a function for its callers alone."""
 
+    part: type[_Part] = _Part
+
     def __init__(self, typingctx: Any, targetctx: Any, library: Any, *rest: Any) -> None:
-        super().__init__(typingctx, targetctx, library or _Part(targetctx.codegen(), "part"), *rest)
+        super().__init__(typingctx, targetctx, library or self.part(targetctx.codegen(), "part"), *rest)
+
+
+class _Loop(_Part):
+    """Code with a loop over numbers: it is made vector instructions before callers unroll it."""
+
+    def _optimize_final_module(self) -> None:
+        CPUCodeLibrary._optimize_final_module(self)
+
+
+class _InsideLoop(_Inside):
+    """Compiles a function with a loop over numbers for its callers alone."""
+
+    part = _Loop
 
 
 class Kernel(CPUDispatcher):
@@ -203,7 +220,8 @@ class Kernel(CPUDispatcher):
     ) -> None:
         self._given = {"nopython": True, "boundscheck": None, **targetoptions}
         self._kept, self._made_of = cached, tuple(made_of)
-        super().__init__(py_func, targetoptions=self._given | _ALONE, pipeline_class=_Inside, **rest)
+        inside = _InsideLoop if targetoptions.get("error_model") == "numpy" else _Inside
+        super().__init__(py_func, targetoptions=self._given | _ALONE, pipeline_class=inside, **rest)
 
     @cached_property
     def entry(self) -> Any:
@@ -254,7 +272,7 @@ class _Cache(FunctionCache):
         """The file, when the function is first called: now all constants that it refers to have their values."""
         one = self._py_func
         name = f"{one.__module__}.{one.__qualname__}.{self._use}.{sys.implementation.cache_tag}"
-        return _File(self._cache_path, name, fingerprint(self._function, self._made_of))
+        return _File(self._cache_path, name, _COMPILER + fingerprint(self._function, self._made_of))
 
     def _index_key(self, sig: Any, codegen: Any) -> Any:
         return sig, codegen.magic_tuple()

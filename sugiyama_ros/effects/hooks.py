@@ -16,7 +16,7 @@ from numba import types
 
 from sugiyama_ros import by_address
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.by_address import calling, type_of, word
+from sugiyama_ros.by_address import calling, entry_of, type_of, word
 from sugiyama_ros.driver.parameters import REFERENCE_HORIZON
 from sugiyama_ros.driver.utility import Preferences
 from sugiyama_ros.effects.effect import (
@@ -77,7 +77,7 @@ def end_of(hook: int) -> int:
 def acts(hook: int, row: Array) -> bool:
     """Whether an effect with a function of this hook is switched on in a row (width,)."""
     for place in range(word(_HEADS + 4 * hook + 2), word(_HEADS + 4 * hook + 3)):  # noqa: SIM110 (numba has no any())
-        if row[word(place)] != 0.0:
+        if entry_of(row, place) != 0.0:
             return True
     return False
 
@@ -86,7 +86,7 @@ def acts(hook: int, row: Array) -> bool:
 def is_on(function: int, row: Array) -> bool:
     """Whether the effect of a function in the table is switched on in a row (width,)."""
     for place in range(word(function + _SWITCH), word(function + _LAST_SWITCH)):  # noqa: SIM110
-        if row[word(place)] != 0.0:
+        if entry_of(row, place) != 0.0:
             return True
     return False
 
@@ -102,7 +102,7 @@ def longest(hook: int, row: Array) -> float:
     """Return the largest switch of a hook in a row (width,); at least 0."""
     largest = 0.0
     for place in range(word(_HEADS + 4 * hook + 2), word(_HEADS + 4 * hook + 3)):
-        largest = max(largest, row[word(place)])
+        largest = max(largest, entry_of(row, place))
     return largest
 
 
