@@ -182,14 +182,15 @@ def extent(data: Recorded) -> RecordingExtent:
 
 def with_candidate(model: Model, candidate: Candidate, start: Start) -> Model:
     """Return a model at a start of a candidate, with the entries of the candidate free."""
-    rows, who = model.rows.copy(), list(candidate.drivers) or slice(None)
+    rows, ahead, who = model.rows.copy(), model.ahead.copy(), list(candidate.drivers) or slice(None)
     for k, v in start.items():
-        rows[who, k] = v if np.ndim(v) == 0 else np.asarray(v)[who]
+        rows[who, k] = ahead[who, k] = v if np.ndim(v) == 0 else np.asarray(v)[who]
+    model = replace(model, rows=rows, ahead=ahead)
     new = tuple(k for k in candidate.places if k not in (*model.individual, *model.shared))
     if not candidate.individual:
         few = tuple((k, candidate.drivers) for k in new) if candidate.drivers else ()
-        return replace(model, rows=rows, shared=model.shared + new, few=model.few + few)
+        return replace(model, shared=model.shared + new, few=model.few + few)
     new = tuple(k for k in candidate.places if k not in model.individual)
     shared = tuple(k for k in model.shared if k not in new)
     std = model.prior_std + (LARGEST_STD,) * len(new)
-    return replace(model, rows=rows, individual=model.individual + new, shared=shared, prior_std=std)
+    return replace(model, individual=model.individual + new, shared=shared, prior_std=std)
