@@ -54,8 +54,8 @@ class Candidate:
         Where the candidate is scored. A start without values is the model itself, with the entries free.
     individual : bool
         Whether every driver has individual values.
-    strengths : tuple of int
-        Places of several strengths, which are scored one at a time and fitted together.
+    switches : tuple of int
+        Places of the strengths of an effect: where all of them are 0, the effect does nothing.
     has_sign : bool
         Whether only positive strengths make sense.
     drivers : tuple of int
@@ -70,7 +70,7 @@ class Candidate:
     places: tuple[int, ...]
     starts: tuple[Start, ...]
     individual: bool = False
-    strengths: tuple[int, ...] = ()
+    switches: tuple[int, ...] = ()
     has_sign: bool = False
     drivers: tuple[int, ...] = ()
     is_random: bool = False
@@ -79,6 +79,11 @@ class Candidate:
     def explains(self) -> bool:
         """Whether the candidate can explain what was missing: it has a physical name."""
         return self.kind in ("effect", "measurement")
+
+    @property
+    def strengths(self) -> tuple[int, ...]:
+        """Places of several strengths, which are scored one at a time and fitted together."""
+        return self.switches if len(self.switches) > 1 and not self.individual else ()
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -111,7 +116,7 @@ def candidates(data: Recorded) -> tuple[Candidate, ...]:
 
 def _of_effect(e: Effect, data: Recorded) -> Candidate:
     kind: Kind = "measurement" if e.stage == MEASUREMENT else "effect"
-    strengths = tuple(index_of(e.name, name) for name in e.switches)
+    switches = tuple(index_of(e.name, name) for name in e.switches)
     return Candidate(
         name=e.name,
         mechanism=MECHANISM[e.name],
@@ -119,8 +124,8 @@ def _of_effect(e: Effect, data: Recorded) -> Candidate:
         places=tuple(index_of(e.name, p.name) for p in e.parameters if p.name not in e.fixed),
         starts=tuple({index_of(e.name, p): v for p, v in values.items()} for values in e.starts(extent(data))),
         individual=e.individual,
-        strengths=strengths if len(strengths) > 1 and not e.individual else (),
-        has_sign=any(ROW.declared[k].lower >= 0.0 for k in strengths),
+        switches=switches,
+        has_sign=any(ROW.declared[k].lower >= 0.0 for k in switches),
         is_random=e.is_noise or bool(e.wanders),
     )
 
@@ -182,13 +187,16 @@ def extent(data: Recorded) -> RecordingExtent:
 
 def with_candidate(model: Model, candidate: Candidate, start: Start) -> Model:
     """Return a model at a start of a candidate, with the entries of the candidate free."""
-    rows, ahead, who = model.rows.copy(), model.ahead.copy(), list(candidate.drivers) or slice(None)
+    rows, ahead = model.rows.copy(), model.ahead.copy()
     for k, v in start.items():
-        rows[who, k] = ahead[who, k] = v if np.ndim(v) == 0 else np.asarray(v)[who]
+        rows[:, k] = ahead[:, k] = v
+    if candidate.drivers:
+        others = np.ix_(np.setdiff1d(np.arange(len(rows)), candidate.drivers), np.array(candidate.switches))
+        rows[others] = ahead[others] = 0.0
     model = replace(model, rows=rows, ahead=ahead)
     new = tuple(k for k in candidate.places if k not in (*model.individual, *model.shared))
     if not candidate.individual:
-        few = tuple((k, candidate.drivers) for k in new) if candidate.drivers else ()
+        few = tuple((k, candidate.drivers) for k in candidate.switches) if candidate.drivers else ()
         return replace(model, shared=model.shared + new, few=model.few + few)
     new = tuple(k for k in candidate.places if k not in model.individual)
     shared = tuple(k for k in model.shared if k not in new)
