@@ -8,8 +8,9 @@ The table is a block of memory with a name that the linker knows. Kept code hold
 where it likes, and fills in the addresses of its own. A function is compiled or loaded when its address is first asked
 for.
 
-Measured against numba's first-class functions (a tuple of ``FunctionType``, numba 0.68): the same time for a call; but
-a tuple has to be handed down to every caller, its length is part of its type, and numba calls them experimental.
+A call by address costs some 8 ns more than a direct call, a call of one of numba's first-class functions 2.4 ns more
+(numba 0.68, a function of two numbers); a mean action takes some 250 ns. But a tuple of first-class functions has to be
+handed down to every caller, its length is part of its type, and numba calls them experimental.
 """
 
 import _thread
