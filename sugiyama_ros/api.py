@@ -369,7 +369,7 @@ def compare(
 
 
 def diagnose(
-    trajectories: Trajectories | Tracks,
+    trajectories: Trajectories | Tracks | Simulation,
     *,
     quick: bool = False,
     add: str | Sequence[str] | None = None,
@@ -381,7 +381,7 @@ def diagnose(
 
     Parameters
     ----------
-    trajectories : Trajectories or Tracks
+    trajectories : Trajectories, Tracks or Simulation
         The recording, at least 8 s long; or tracks on which somebody follows a known vehicle for 15 s.
     quick : bool
         Whether to simulate fewer recordings: sooner, with rougher p-values.
@@ -409,15 +409,15 @@ def diagnose(
     Examples
     --------
     >>> import sugiyama_ros as sg
-    >>> recording = sg.simulate(vehicles=4, ring_m=45.0, duration_s=60.0, seed=1).measured
-    >>> found = sg.diagnose(recording, quick=True)
+    >>> simulated = sg.simulate(vehicles=4, ring_m=45.0, duration_s=60.0, seed=1)
+    >>> found = sg.diagnose(simulated, quick=True)
     >>> print(found.summary().splitlines()[0])
     The model is adequate: nothing in these data speaks against it.
     """
     goal = _goal(add, purpose)
     with stages() as advance:
         return diagnosis.diagnose(
-            trajectories,
+            _recorded(trajectories),
             seed=seed,
             quick=quick,
             goal=goal,

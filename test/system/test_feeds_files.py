@@ -609,6 +609,9 @@ def test_python_calibrates_tracks_and_simulations():
     simulated = sg.simulate(4, ring_m=45.0, duration_s=60.0, seed=1)
     found = sg.calibrate(simulated, "paper").to_frame()
     np.testing.assert_array_equal(found, sg.calibrate(simulated.measured, "paper").to_frame())
+    for function in (sg.diagnose, sg.compare):
+        with pytest.raises(InputError, match=r"recording: DataFrame is none; give what read, read_tracks or simulate"):
+            function(CARS)
     rng = np.random.default_rng(0)
     noisy = CARS.assign(position_m=CARS.position_m + rng.normal(0.0, 0.1, len(CARS)))
     longer = pd.concat(
