@@ -1,5 +1,7 @@
 """Who leads whom: the next vehicle ahead in the same recording, road, lane and at the same time."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints, Mask
@@ -10,6 +12,9 @@ from sugiyama_ros.trajectories.tracks import FREE, NOBODY, UNKNOWN, Tracks
 
 #: Two samples within a millisecond are of the same time.
 TICK_S = 1e-3
+#: Positions between two samples of a vehicle, at most (a GB). More are there only where vehicles do not share their
+#: times; leaders are found again when the tracks have been brought to a time base.
+MOST_UNSEEN = 10_000_000
 #: Share of rows that may have a gap below zero, and share of given leaders that must be found again.
 MOST_NEGATIVE, LEAST_AGREEMENT = 0.005, 0.98
 
@@ -20,7 +25,10 @@ def ticks(time_s: Array) -> Ints:
 
 
 def find_leaders(tracks: Tracks) -> Ints:
-    """Find the leader of every row: the next ahead at the same time; nothing is filled in.
+    """Find the leader of every row: the next ahead at the same time.
+
+    A vehicle without a sample at a time, or without a lane then, is still on the road between its last sample and its
+    next one: whoever drives behind it there has an unknown leader.
 
     Parameters
     ----------
@@ -34,33 +42,76 @@ def find_leaders(tracks: Tracks) -> Ints:
         road otherwise. A row without a lane, where others have one, has an unknown leader.
     """
     road = Road(tracks.about.ring_m)
-    group, there = _groups(tracks)
-    leader = np.full(len(tracks), UNKNOWN, dtype=np.int64)
-    order = np.lexsort((road.wrap(tracks.s_m), group))
-    order = order[there[order]]
-    sorted_group = group[order]
-    last = np.append(sorted_group[1:] != sorted_group[:-1], True) if len(order) else np.zeros(0, dtype=bool)
-    ahead = np.roll(order, -1)
+    place, there = _places(tracks)
+    tick = ticks(tracks.time_s)
+    span = int(tick.max(initial=0)) + 1
+    own = np.flatnonzero(there)
+    leader = np.full(len(tracks) + 1, UNKNOWN, dtype=np.int64)
+    if len(own) == 0:
+        return leader[:-1]
+    unseen = _unseen(tracks, place, own, tick)
+    row = np.concatenate((own, np.full(len(unseen.s_m), len(tracks))))
+    group = np.concatenate((place[own] * span + tick[own], unseen.place * span + unseen.tick))
+    order = np.lexsort((road.wrap(np.concatenate((tracks.s_m[own], unseen.s_m))), group))
+    sorted_group, row = group[order], row[order]
+    last = np.append(sorted_group[1:] != sorted_group[:-1], True)
+    ahead = np.roll(row, -1)
     if road.is_ring:
         first = np.flatnonzero(np.roll(last, 1))
-        ahead[last] = order[first]
-        leader[order] = np.where(ahead == order, FREE, ahead)
+        ahead[last] = row[first]
+        found = np.where(ahead == row, FREE, ahead)
     else:
-        leader[order] = np.where(last, FREE if tracks.about.view == "whole" else UNKNOWN, ahead)
-    return leader
+        found = np.where(last, FREE if tracks.about.view == "whole" else UNKNOWN, ahead)
+    leader[row] = np.where(found == len(tracks), UNKNOWN, found)
+    return leader[:-1]
 
 
-def _groups(tracks: Tracks) -> tuple[Ints, Mask]:
-    """A number for each recording, road, lane and time (R,), and whether the row has a lane and a road (R,)."""
+class _Unseen(NamedTuple):
+    """Where vehicles are between two samples when others have one: place, tick and position [m], shape (U,) each."""
+
+    place: Ints
+    tick: Ints
+    s_m: Array
+
+
+def _unseen(tracks: Tracks, place: Ints, own: Ints, tick: Ints) -> _Unseen:
+    """Positions between successive rows with a lane (own,) of a vehicle, in the lanes that it left and came to."""
+    before, after = own[:-1], own[1:]
+    same = tracks.run[before] == tracks.run[after]
+    if tracks.road is not None:
+        same &= tracks.road.code[before] == tracks.road.code[after]
+    before, after = before[same], after[same]
+    nothing = np.zeros(0, dtype=np.int64)
+    step = tick[after] - tick[before]
+    if len(step) == 0 or step.max() < 1.5 * step.min():
+        return _Unseen(nothing, nothing, np.zeros(0))
+    width = int(tick.max()) + 1
+    recording = tracks.recording.code.astype(np.int64) * width
+    times = np.unique(recording + tick)
+    low = np.searchsorted(times, (recording + tick)[before]) + 1
+    count = np.searchsorted(times, (recording + tick)[after]) - low
+    if count.sum() > MOST_UNSEEN:
+        return _Unseen(nothing, nothing, np.zeros(0))
+    hole = np.repeat(np.arange(len(count)), count)
+    at = times[low[hole] + np.arange(len(hole)) - np.repeat(np.cumsum(count) - count, count)] % width
+    begin, end = before[hole], after[hole]
+    way = Road(tracks.about.ring_m).difference(tracks.s_m[end], tracks.s_m[begin])
+    s = tracks.s_m[begin] + way * (at - tick[begin]) / np.maximum(tick[end] - tick[begin], 1)
+    moved = place[begin] != place[end]
+    places = np.concatenate((place[begin], place[end][moved]))
+    return _Unseen(places, np.concatenate((at, at[moved])), np.concatenate((s, s[moved])))
+
+
+def _places(tracks: Tracks) -> tuple[Ints, Mask]:
+    """A number for each recording, road and lane (R,), and whether the row has a lane and a road (R,)."""
     group = tracks.recording.code.astype(np.int64)
     there = np.ones(len(tracks), dtype=bool)
     for column in (tracks.road, tracks.lane):
         if column is not None:
             there &= column.code >= 0
             group = group * (len(column.text) + 1) + column.code
-    tick = ticks(tracks.time_s)
     _, group = np.unique(group, return_inverse=True)
-    return group * (int(tick.max(initial=0)) + 1) + tick, there
+    return group.astype(np.int64), there
 
 
 class RowIndex:

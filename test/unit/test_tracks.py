@@ -48,12 +48,31 @@ def test_the_leader_is_the_next_ahead_at_the_same_time_in_the_same_lane() -> Non
     np.testing.assert_allclose(gaps(tracks)[120:180], 36.0)
 
 
-def test_nothing_is_filled_in() -> None:
+@pytest.mark.parametrize("missing", ["row", "lane"])
+@pytest.mark.parametrize("ring_m", [0.0, 3000.0])
+def test_who_drives_behind_a_vehicle_without_a_sample_has_an_unknown_leader(missing: str, ring_m: float) -> None:
+    """One sample, several in a row, and a change of lanes meanwhile; nobody takes the vehicle for absent."""
+    table = columns(4, lane=np.full(240, "a", dtype=object))
+    gone = (table["vehicle"] == 2) & np.isin(np.arange(240) % 60, [10, 30, 31, 32])
+    moved = (table["vehicle"] == 2) & (np.arange(240) % 60 >= 33)
+    table["lane"][moved] = "b"
+    if missing == "lane":
+        table["lane"][gone] = None
+    keep = ~gone | (missing == "lane")
+    tracks = assemble({name: np.asarray(c)[keep] for name, c in table.items()}, About(ring_m=ring_m))
+    third = tracks.leader.values()[tracks.start[2] : tracks.start[3]]
+    assert np.flatnonzero(third == None).tolist() == [10, 30, 31, 32]  # noqa: E711
+    assert third[[9, 11, 29]].tolist() == ["2"] * 3
+    assert set(third[33:]) == {"1"}
+    assert set(tracks.leader.values()[tracks.start[3] :]) == {"3"}
+
+
+def test_a_vehicle_that_is_sampled_half_as_often_is_not_absent_in_between() -> None:
     table = columns(3)
-    keep = ~((table["vehicle"] == 2) & (np.arange(180) % 60 == 30))
+    keep = (table["vehicle"] != 2) | (np.arange(180) % 2 == 0)
     tracks = assemble({name: np.asarray(c)[keep] for name, c in table.items()})
-    assert tracks.leader.at(int(tracks.start[2]) + 29) == "2"
-    assert tracks.leader.at(int(tracks.start[2]) + 30) == "1"
+    third = tracks.leader.values()[tracks.start[2] :]
+    assert third[:59].tolist() == ["2", None] * 29 + ["2"]
 
 
 @pytest.mark.parametrize(("view", "first"), [("end", UNKNOWN), ("whole", FREE)])
