@@ -89,7 +89,8 @@ def _unseen(tracks: Tracks, place: Ints, own: Ints, tick: Ints) -> _Unseen:
     recording = tracks.recording.code.astype(np.int64) * width
     times = np.unique(recording + tick)
     low = np.searchsorted(times, (recording + tick)[before]) + 1
-    count = np.searchsorted(times, (recording + tick)[after]) - low
+    # two samples of a vehicle may be of the same tick
+    count = np.maximum(np.searchsorted(times, (recording + tick)[after]) - low, 0)
     if count.sum() > MOST_UNSEEN:
         return _Unseen(nothing, nothing, np.zeros(0))
     hole = np.repeat(np.arange(len(count)), count)

@@ -75,6 +75,13 @@ def test_a_vehicle_that_is_sampled_half_as_often_is_not_absent_in_between() -> N
     assert third[:59].tolist() == ["2", None] * 29 + ["2"]
 
 
+def test_two_samples_in_one_tick_leave_nothing_out_in_between() -> None:
+    table = columns(2)
+    table["time_s"][90] = table["time_s"][89] + 1e-4
+    table["s_m"][90] = table["s_m"][89] + 1e-3
+    assert names(assemble(table))[60:90] == ["1"] * 30
+
+
 @pytest.mark.parametrize(("view", "first"), [("end", UNKNOWN), ("whole", FREE)])
 def test_the_first_vehicle_has_a_free_road_only_if_the_view_has_no_end(view: str, first: int) -> None:
     tracks = assemble(columns(), About(view=view))
