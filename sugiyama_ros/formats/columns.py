@@ -72,6 +72,8 @@ def read_columns(sheet: Sheet, wanted: Mapping[str, Take], hint: str = "") -> di
         cure = "say which is which: sugiyama convert --columns map.yaml"
         if sheet.frame is not None:
             cure = "name them so, as by frame.rename(columns={'old': 'new'})"
+        if sheet.names[0].startswith("#"):
+            cure = "remove the lines before the one with the names, and the # before the names"
         there = ", ".join(sheet.names)[:200]
         raise InputError(f"{sheet.path}{line}: no column {', '.join(missing)}; the columns are {there}; {cure}{hint}")
     times = {place: wanted[name].factor for name, place in found.items() if name in ("time_s", "clock_s")}

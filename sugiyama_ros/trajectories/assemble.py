@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from sugiyama_ros.arrays import Array, Ints, Mask
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.trajectories.about import About, Reference
-from sugiyama_ros.trajectories.jumps import jumps_noted
+from sugiyama_ros.trajectories.jumps import FASTEST, jumps_noted
 from sugiyama_ros.trajectories.labels import Labels, labels, labels_of, matched, numbered, same_label
 from sugiyama_ros.trajectories.leaders import (
     LEAST_AGREEMENT,
@@ -75,8 +75,11 @@ def assemble(
         If no rows are left, many vehicles are in two places at once, vehicles overlap, or positions contradict speeds.
     """
     table = _table(columns, about or About())
-    for step in (_known, _sorted, _once, _lives):
+    for step in (_known, _sorted, _once):
         table = step(table)
+    if checked:
+        _check_units(table)
+    table = _lives(table)
     run = _run(table)
     table = _lengths(_speeds(table, run) if checked else table, starts(run))
     table = _along(table, run) if checked else table
@@ -233,6 +236,30 @@ def _once(table: _Table) -> _Table:
     about = table.about.without("second row of a vehicle at the same time", int(double.sum() - apart.sum()))
     about = about.without("second position of a vehicle at the same time", int(apart.sum()))
     return table.taken(~double)._replace(about=about)
+
+
+def _check_units(table: _Table) -> None:
+    """Raise InputError if vehicles are hardly ever seen, or faster all along than any vehicle is."""
+    time, s, run = table.number["time_s"], table.number["s_m"], _run(table)
+    step = np.diff(time)[np.diff(run) == 0]
+    if len(step) == 0:
+        return
+    if (usual := float(np.median(step))) > LONGEST_ABSENCE_S:
+        raise InputError(
+            f"{table.source}: a vehicle has a sample every {usual:.3g} s; check the unit of the times (--columns)"
+        )
+    broken = np.diff(run) != 0
+    if "road" in table.text:
+        # each road has a start of its own
+        broken |= np.diff(table.text["road"].code) != 0
+    cut = np.flatnonzero(broken)
+    first, last = np.append(0, cut + 1), np.append(cut, len(run) - 1)
+    first, last = first[last > first], last[last > first]
+    speed = float(np.median(np.abs(s[last] - s[first]) / (time[last] - time[first]))) if len(first) else 0.0
+    if speed > FASTEST:
+        raise InputError(
+            f"{table.source}: vehicles move at {speed:.3g} m/s; check the units of positions and times (--columns)"
+        )
 
 
 def _lives(table: _Table) -> _Table:

@@ -340,7 +340,7 @@ def test_several_files_are_recordings_of_one_table(tmp_path):
 def test_a_position_that_becomes_too_large_is_left_out(tmp_path: Path) -> None:
     file, chosen = tmp_path / "large.csv", tmp_path / "map.yaml"
     file.write_text("time_s,vehicle,a\n" + "".join(f"{t},1,{t}\n" for t in range(9)) + "9,1,1e308\n")
-    chosen.write_text("s_m: {column: a, factor: 1000.0}\ntime_s: time_s\nvehicle: vehicle\n")
+    chosen.write_text("s_m: {column: a, factor: 10.0}\ntime_s: time_s\nvehicle: vehicle\n")
     tracks = read_tracks(file, read_choices(chosen))
     assert len(tracks) == 9
     assert dict(tracks.about.dropped) == {"no position": 1}
