@@ -25,6 +25,8 @@ Kind = Literal["effect", "measurement", "force", "constants", "noise"]
 Start: TypeAlias = Mapping[int, float | Array]
 #: Effect that stands for a force along a covariate, and the prefix of such a candidate's name.
 FORCE, FORCE_ALONG = "discovered_force", "force_along_"
+#: What is added to the name of a candidate that only some drivers have.
+OF_SOME = "_of_some"
 # A recording on which every effect that is searched for at all has a start.
 _A_RING = RecordingExtent(0.0, 100.0, 100.0, 0.0, 100.0)
 # Constants that the paper fixes, in groups that act together: names, kind, whether each driver has individual values.
@@ -79,6 +81,11 @@ class Candidate:
     def explains(self) -> bool:
         """Whether the candidate can explain what was missing: it has a physical name."""
         return self.kind in ("effect", "measurement")
+
+    @property
+    def effect(self) -> str:
+        """Name of the effect, whoever has it."""
+        return self.name.removesuffix(OF_SOME)
 
     @property
     def strengths(self) -> tuple[int, ...]:

@@ -24,7 +24,6 @@ from sugiyama_ros.criticism.table import Entry
 from sugiyama_ros.diagnosis.bootstrap import resample
 from sugiyama_ros.diagnosis.compare import collective_of
 from sugiyama_ros.diagnosis.locate import Located, locate
-from sugiyama_ros.effects.registry import EFFECTS, ROW
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import filtered_states
@@ -192,16 +191,6 @@ def _collective(
 
 
 def _signs(final: Entry) -> Iterator[Check]:
-    """Whether what was added has values that make physical sense."""
-    for one in final.added:
-        least = EFFECTS[one.name].least if one.name in EFFECTS else {}
-        for place, name in zip(one.places, one.parameters, strict=True):
-            if name in least:
-                value = float(np.median(final.fit.model.rows[:, place]))
-                yield Check(
-                    f"sign_of_{one.name}.{name}",
-                    value,
-                    least[name],
-                    ROW.declared[place].unit,
-                    float(value >= least[name]),
-                )
+    """Whether what was added has values that make physical sense; by name, only what was asked for has others."""
+    for name, (value, least) in final.signs.items():
+        yield Check(f"sign_of_{name}", value, least, "1", float(value >= least))

@@ -299,7 +299,11 @@ def _best(bench: _Bench, current: Entry, entries: Sequence[Entry]) -> tuple[Entr
         return gains(bench.data, one.forecasts, other.forecasts)["all"].is_clear
 
     won = {id(one): gains(bench.data, one.forecasts, current.forecasts) for one in entries}
-    allowed = [e for e in entries if (g := won[id(e)])["all"].is_worth_it and not any(v.is_loss for v in g.values())]
+    allowed = [
+        e
+        for e in entries
+        if (g := won[id(e)])["all"].is_worth_it and not any(v.is_loss for v in g.values()) and e.makes_sense
+    ]
     if not allowed:
         return None, []
     first = max(allowed, key=lambda e: won[id(e)]["all"].nats)

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.criticism.candidates import Candidate, Start, with_candidate
+from sugiyama_ros.criticism.candidates import OF_SOME, Candidate, Start, with_candidate
 from sugiyama_ros.criticism.covariates import forces
 from sugiyama_ros.effects.sensing import is_contaminated
 from sugiyama_ros.fit.joint import JointFit
@@ -30,8 +30,6 @@ from sugiyama_ros.fit.slopes import Column, column, density_slope, difference_st
 
 # A direction whose information is a smaller part of the largest one of its candidate says nothing.
 _NOTHING = 1e-9
-#: What is added to the name of a candidate that only some drivers have.
-OF_SOME = "_of_some"
 # Strengths of those who have it, in standard errors of a driver, and shares of drivers; two classes need some drivers.
 _SIZES, _SHARES, _FEWEST = (1.0, 1.5, 2.0, 3.0, 4.5, 7.0, 10.0), (0.05, 0.1, 0.2, 0.35, 0.5, 0.75), 4
 

@@ -14,6 +14,7 @@ import numpy as np
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.criticism.candidates import Candidate
 from sugiyama_ros.criticism.forecast import HORIZONS_S, Forecasts
+from sugiyama_ros.effects.registry import EFFECTS
 from sugiyama_ros.fit.cross_validation import sum_error
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.model import Model
@@ -82,6 +83,23 @@ class Entry:
     def explains(self) -> bool:
         """Whether anything that was added can explain what was missing."""
         return any(one.explains for one in self.added)
+
+    @property
+    def signs(self) -> dict[str, tuple[float, float]]:
+        """Values of what was added that have a smallest value which makes physical sense, and this value, by name."""
+        found: dict[str, tuple[float, float]] = {}
+        for one in self.added:
+            rows = self.fit.model.rows[list(one.drivers) or slice(None)]
+            limits = EFFECTS[one.effect].least if one.effect in EFFECTS else {}
+            for place, name in zip(one.places, one.parameters, strict=True):
+                if name in limits:
+                    found[f"{one.name}.{name}"] = float(np.median(rows[:, place])), limits[name]
+        return found
+
+    @property
+    def makes_sense(self) -> bool:
+        """Whether all values of what was added make physical sense."""
+        return all(value >= least for value, least in self.signs.values())
 
 
 def gains(data: Recorded, better: Forecasts, than: Forecasts) -> dict[str, Difference]:
