@@ -1,18 +1,34 @@
-"""Ctrl-C while a program loads: a library may swallow the KeyboardInterrupt, but the signal is remembered."""
+"""Ctrl-C while a program loads: a library may swallow the KeyboardInterrupt, so it is raised again."""
 
 import signal
+import sys
 from types import FrameType
 
 #: Signals that have come since ``remember``.
 came: list[int] = []
+# Time [s] after which an interrupt that nobody handles is raised again.
+_AGAIN_S = 0.2
 
 
 def remember() -> None:
-    """Remember each SIGINT, which raises KeyboardInterrupt as before."""
+    """Remember each SIGINT, which raises KeyboardInterrupt until somebody handles it; see ``settled``."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _interrupt)
+        signal.signal(signal.SIGALRM, _again)
+
+
+def settled() -> None:
+    """Raise no interrupt again: the program ends, or somebody else watches ``came``."""
+    signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
     came.append(number)
+    signal.setitimer(signal.ITIMER_REAL, _AGAIN_S, _AGAIN_S)
     signal.default_int_handler(number, frame)
+
+
+def _again(number: int, frame: FrameType | None) -> None:
+    # an exception that is being handled may be the interrupt itself, on its way out
+    if sys.exc_info()[0] is None:
+        raise KeyboardInterrupt

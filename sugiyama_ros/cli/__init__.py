@@ -29,6 +29,7 @@ def main() -> None:
     except SugiyamaError as error:
         code = _refused(str(error))
     except KeyboardInterrupt:
+        interrupts.settled()
         code = _INTERRUPTED
     except BrokenPipeError:  # the program that reads the output has closed it
         code = _FAILED
@@ -37,6 +38,7 @@ def main() -> None:
         if reason is None:
             raise
         code = _refused(reason)
+    interrupts.settled()
     _flush_or_drop()
     # From here on nothing can be lost, and another Ctrl-C ends the program at once.
     signal.signal(signal.SIGINT, signal.SIG_DFL)

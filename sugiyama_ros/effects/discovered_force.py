@@ -73,7 +73,6 @@ def push(seen: Seen, p: Array) -> float:
     return float(p[3 + k] + (s - k) * (p[4 + k] - p[3 + k]))
 
 
-_NUMBERS = ", ".join(f"{k}: {name}" for k, name in enumerate(COVARIATES, 1))
 EFFECT = Effect(
     name="discovered_force",
     stage=ENVIRONMENT,
@@ -81,7 +80,7 @@ EFFECT = Effect(
     summary="a force learnt from the data as a curve over one covariate",
     source="Kristensen, Madsen and Jørgensen, Automatica 40 (2004) 225",
     parameters=(
-        Parameter("covariate", "", "1", 0.0, 1.0, float(len(COVARIATES)), f"what the force depends on ({_NUMBERS})"),
+        Parameter("covariate", "", "1", 0.0, 1.0, float(len(COVARIATES)), "number of one of " + ", ".join(COVARIATES)),
         Parameter("first", "", "1", 0.0, -1e12, 1e12, "covariate at the first knot"),
         Parameter("last", "", "1", 0.0, -1e12, 1e12, "covariate at the last knot"),
         *(Parameter(f"force_{k}", f"f_{k}", "m/s^2", 0.0, -10.0, 10.0, f"force at knot {k}") for k in range(KNOTS)),

@@ -36,13 +36,13 @@ def run(node: str) -> None:
     try:
         with ros_needed():
             main = import_module(f"sugiyama_ros.nodes.{node}").main
+        main()
     except Exception as error:
         reason = str(error) if isinstance(error, SugiyamaError) else nowhere_to_compile(error)
         if reason is None:
             raise
         print(reason, file=sys.stderr)
         sys.exit(2)
-    main()
 
 
 critic, drivers, estimator, keeper, recorder, replay, simulator, tracks = (partial(run, node) for node in NODES)

@@ -56,6 +56,7 @@ def ros() -> Iterator[Callable[[], bool]]:
         why = str(error).partition(", at /")[0]
         raise InputError(f"ROS does not start: {why}; correct the environment variables ROS_*") from None
     before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
+    interrupts.settled()
     try:
         yield lambda: bool(asked or interrupts.came)
     finally:
