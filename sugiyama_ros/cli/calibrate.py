@@ -136,6 +136,7 @@ def calibrate(options: CalibrateOptions) -> None:
         _calibrate_tracks(options)
         return
     trajectories = read_trajectories(source, options.ring)
+    print_warnings(trajectories)
     began = time.monotonic()
     with progress("calibrating") as advance, workers(len(trajectories.vehicle), options.scheduler) as work:
         is_kept = output is not None and not options.is_pooled and not options.classes

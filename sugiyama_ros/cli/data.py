@@ -206,6 +206,7 @@ def fetch(
 
 def info(
     file: Annotated[Path, typer.Argument(help="MCAP file, directory of rosbag2, or trajectories in any known format.")],
+    ring: Ring = None,
     as_json: Json = False,
 ) -> None:
     """Show what a file contains.
@@ -216,9 +217,10 @@ def info(
     from sugiyama_ros.formats.sheet import head_of
 
     if not BAG.recognise(head_of(file), file):
+        from sugiyama_ros.formats.choices import Choices
         from sugiyama_ros.formats.registry import format_of, read_tracks
 
-        document = {"format": format_of(file).name, **document_of(read_tracks(file))}
+        document = {"format": format_of(file).name, **document_of(read_tracks(file, Choices(ring_m=ring)))}
         if as_json:
             print_json(document)
             return
@@ -227,6 +229,8 @@ def info(
         return
     from sugiyama_ros.formats.bag_folder import recorded
 
+    if ring is not None:
+        raise InputError("--ring: a bag says itself which road it is about; leave out --ring")
     about = recorded(file).info()
     if as_json:
         print_json(dataclasses.asdict(about))

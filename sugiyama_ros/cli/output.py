@@ -43,9 +43,12 @@ def print_note(text: str) -> None:
 
 
 def print_warnings(recording: "Trajectories | Tracks") -> None:
-    """Print to stderr what a file of tracks needs attention for."""
-    about = getattr(recording, "about", None)
-    for note in about.notes if about is not None else ():
+    """Print to stderr what a recording needs attention for."""
+    from sugiyama_ros.trajectories.jumps import wrong_ring
+    from sugiyama_ros.trajectories.trajectories import Trajectories
+
+    notes = (wrong_ring(recording),) if isinstance(recording, Trajectories) else recording.about.notes
+    for note in notes:
         if note.startswith("warning"):
             print_note(note)
 

@@ -340,7 +340,9 @@ def _along(table: _Table, run: Ints) -> _Table:
     step = np.where((np.diff(run) == 0) & (np.diff(group) == 0), np.diff(s), 0.0)
     if about.ring_m > 0.0:
         step -= about.ring_m * np.round(step / about.ring_m)
-    turned = (np.bincount(group[1:], weights=step, minlength=int(group.max()) + 1) < -_BACKWARD_M)[group]
+    way, steps = (np.bincount(group[1:], weights=w, minlength=int(group.max()) + 1) for w in (step, np.sign(step)))
+    # on a ring that nobody has named, most steps go forward, and the jumps at its end go back
+    turned = ((way < -_BACKWARD_M) & (steps < 0.0))[group]
     if not turned.any():
         return table
     recording = table.text["recording"].code

@@ -62,4 +62,30 @@ def jumps_noted(tracks: Tracks) -> str:
         f"warning: vehicle {tracks.run_name(int(tracks.run[row]))} jumps by {step_m[row]:g} m between"
         f" {tracks.time_s[row]:g} s and {tracks.time_s[row + 1]:g} s{more}; correct or remove the rows, or give"
         " vehicles that share a name the column recording"
+        + ("" if tracks.about.ring_m else "; of a ring: --ring METRES")
+    )
+
+
+def wrong_ring(trajectories: Trajectories) -> str:
+    """Return a warning about the circumference of a ring on part of which nobody was ever seen; empty otherwise.
+
+    Vehicles that drive round pass every place, so no part that is longer than their steps stays empty.
+    """
+    ring_m = trajectories.road.circumference_m
+    if not trajectories.road.is_ring:
+        return ""
+    step_m = trajectories.road.difference(trajectories.position_m[1:], trajectories.position_m[:-1])
+    known = np.isfinite(step_m)
+    if not known.any() or step_m[known].sum() < ring_m:
+        return ""
+    seen = np.unique(trajectories.road.wrap(trajectories.position_m[np.isfinite(trajectories.position_m)]))
+    apart = np.diff(seen, append=seen[0] + ring_m)
+    widest = int(np.argmax(apart))
+    # the steps across the part that is too long are few
+    if apart[widest] <= 2.0 * float(np.quantile(np.abs(step_m[known]), 0.75)):
+        return ""
+    first, last = seen[widest], (seen[widest] + apart[widest]) % ring_m
+    return (
+        f"warning: vehicles drive round, but none was ever between {first:.4g} m and {last:.4g} m: is a circumference"
+        f" of {ring_m:g} m right?"
     )

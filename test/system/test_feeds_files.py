@@ -665,3 +665,30 @@ def test_reported_files(sugiyama, name, lines):
     assert (code, err) == (0, "")
     for one in lines:
         assert one in out
+
+
+def _ring(path: Path, ring_m: float) -> None:
+    """Ten cars that drive round at 6 m/s, 20 s a lap."""
+    rows = ["time_s,vehicle,position_m"]
+    for k in range(241):
+        rows += [f"{k / 3:.4f},{i},{(ring_m / 10 * i + 2.0 * k + 0.03 * (i % 3)) % ring_m:.3f}" for i in range(10)]
+    path.write_text("\n".join(rows) + "\n")
+
+
+def test_a_ring_that_is_not_named_is_not_turned_round(sugiyama, tmp_path):
+    """Its vehicles go forward, although each jumps back at the end of a lap; the cure is followed."""
+    _ring(tmp_path / "ring.csv", 120.0)
+    code, out, _ = sugiyama("info", "ring.csv")
+    assert code == 0
+    assert "turned round" not in out
+    assert "--ring METRES" in out
+    code, out, _ = sugiyama("info", "ring.csv", "--ring", "120")
+    assert code == 0
+    assert "Leaders:     100.0% in the table" in out
+    assert "warning" not in out
+
+
+def test_a_part_of_the_ring_where_nobody_was_is_told(sugiyama, tmp_path):
+    _ring(tmp_path / "ring.csv", 120.0)
+    assert "is a circumference of 130 m right?" in sugiyama("calibrate", "ring.csv", "--ring", "130")[2]
+    assert "circumference" not in sugiyama("calibrate", "ring.csv", "--ring", "120")[2]
