@@ -339,27 +339,40 @@ def _text_batches(sheet: Sheet, wanted: _Wanted) -> Iterator[Any]:
         strings_can_be_null=True,
         decimal_point=wanted.decimal,
     )
-    read = arrow_csv.ReadOptions(column_names=list(sheet.names), block_size=_BLOCK, use_threads=False)
+    read = arrow_csv.ReadOptions(column_names=list(sheet.names), block_size=2 * _BLOCK, use_threads=False)
     parse = arrow_csv.ParseOptions(delimiter="\t" if sheet.separator == _SPACES else sheet.separator)
-    with (
-        _body(sheet) as stream,
-        arrow_csv.open_csv(stream, read, parse, convert, pyarrow.system_memory_pool()) as reader,
-    ):
-        yield from reader
+    with _body(sheet) as stream:
+        for block in _blocks(stream):
+            # A thread of Arrow that still read from Python when Python ends would abort the program.
+            source = pyarrow.BufferReader(block)
+            yield from arrow_csv.read_csv(source, read, parse, convert, pyarrow.system_memory_pool()).to_batches()
+
+
+def _blocks(stream: Any) -> Iterator[bytes]:
+    """Whole lines, about `_BLOCK` bytes at a time; at least one block. Raises ValueError for a longer line."""
+    rest, is_first = b"", True
+    while more := stream.read(_BLOCK):
+        whole, end, after = (rest + more).rpartition(b"\n")
+        rest = after
+        if len(rest) > _BLOCK:
+            raise ValueError(f"a line is longer than {_BLOCK} bytes")
+        if whole.strip():
+            yield whole + end
+            is_first = False
+    if is_first or rest.strip():
+        yield rest
 
 
 @contextmanager
 def _body(sheet: Sheet) -> Iterator[Any]:
     """The lines below the names; blanks between fields are made tabs."""
-    import pyarrow
-
     with open_input(sheet.path) as file:
         if sheet.header == 0 and file.read(3) != b"\xef\xbb\xbf":
             file.seek(0)
         stream = unix_lines(file)
         for _ in range(sheet.header):
             stream.readline(1 << 20)
-        yield pyarrow.PythonFile(_Collapsed(stream) if sheet.separator == _SPACES else stream, mode="r")
+        yield _Collapsed(stream) if sheet.separator == _SPACES else stream
 
 
 class _Collapsed(RawIOBase):

@@ -234,6 +234,6 @@ def _cure(tracks: Tracks, gap: Array, followed: int) -> str:
     if tracks.lane is None:
         return (
             "several lanes, or recordings that have nothing to do with each other, or clocks that differ, share one"
-            " lane here; give the column lane or recording (--columns)"
+            " lane here, or positions are not metres; give the column lane or recording, or the unit (--columns)"
         )
     return "check units, lengths and the reference of the positions (--columns, --reference)"

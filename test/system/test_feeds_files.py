@@ -79,6 +79,25 @@ def test_decimal_commas_and_ends_of_lines(sugiyama, separator, end):
     assert sg.read("cars.csv").position_m.shape == (100, 3)
 
 
+@pytest.mark.parametrize("separator", [";", "  "])
+@pytest.mark.parametrize("block", [64, 1000])
+def test_lines_are_cut_nowhere(sugiyama, monkeypatch, separator, block):
+    """Tables are read in blocks; the last line may have no end, and lines in between may be empty."""
+    monkeypatch.setattr("sugiyama_ros.formats.sheet._BLOCK", block)
+    lines = german(CARS, separator).splitlines()
+    Path("cars.csv").write_text("\n".join([*lines[:200], "", *lines[200:]]))
+    is_the_cars(info(sugiyama, "cars.csv"))
+
+
+def test_comments_before_a_table_are_named_and_the_cure_works(sugiyama):
+    Path("cars.csv").write_text("# made by hand\n# " + CARS.to_csv(index=False))
+    code, _, err = sugiyama("info", "cars.csv")
+    assert code == 2
+    assert "remove the lines before the one with the names, and the # before the names" in err
+    Path("cars.csv").write_text(CARS.to_csv(index=False))
+    is_the_cars(info(sugiyama, "cars.csv"))
+
+
 def test_a_point_in_a_text_is_no_decimal_point(sugiyama):
     Path("cars.csv").write_text(german(CARS, ";").replace("\n", ";Kfz.\n").replace("Kfz.", "class", 1))
     is_the_cars(info(sugiyama, "cars.csv"))

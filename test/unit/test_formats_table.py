@@ -134,7 +134,7 @@ def test_overlaid_pairs_are_refused(tmp_path: Path) -> None:
     assert "vehicle 0 is at 120 m and at 180 m at 0 s" in refused(read_tracks, path, same)
     crossing = table(lambda k, i, t, s: (f"{t:.1f}", k, f"{s + 3 * t * (k // 2 % 2):.3f}", 4.5), vehicles=8)
     assert "give the column lane or recording" in refused(read_trajectories, path, crossing)
-    assert "give the column lane or recording (--columns)" in refused(read_tracks, path, crossing)
+    assert "give the column lane or recording, or the unit (--columns)" in refused(read_tracks, path, crossing)
     apart = table(
         lambda k, i, t, s: (f"{t:.1f}", k, f"{s + 3 * t * (k // 2 % 2):.3f}", 4.5, k // 2),
         vehicles=8,
