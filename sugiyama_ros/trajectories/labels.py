@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from sugiyama_ros.arrays import Ints, Mask
 
 _DIGITS = re.compile(r"(\d+)")
-_WHOLE, _POINT_ZERO = re.compile(r"-?\d+"), re.compile(r"-?\d+\.0+")
+_WHOLE, _POINT_ZERO = re.compile(r"-?\d+"), re.compile(r"-?\d+(\.0+|,0)")
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,9 +123,9 @@ def plain_text(value: object) -> str:
 def without_point_zero(column: Labels) -> Labels:
     """The column, whose whole numbers lose their ``.0`` where all texts are whole numbers and stay different.
 
-    Tables write whole numbers as 12.0 where some are missing. Names such as 3.0 and 3.1 stay as they are.
+    Tables write whole numbers as 12.0, or 12,0, where some are missing. Names such as 3.0 and 3.1 stay as they are.
     """
-    short = [text.partition(".")[0] if _POINT_ZERO.fullmatch(text) else text for text in column.text]
+    short = [re.split("[.,]", text)[0] if _POINT_ZERO.fullmatch(text) else text for text in column.text]
     if short == list(column.text) or len(set(short)) < len(short):
         return column
     if not all(_WHOLE.fullmatch(text) for text in short):

@@ -202,6 +202,15 @@ def test_whole_numbers_may_be_written_with_a_point(sugiyama):
     assert sg.read_tracks(text).leader.values()[::100].tolist() == ["5.1", "5.2", None]
 
 
+def test_whole_numbers_may_be_written_with_a_decimal_comma(sugiyama):
+    """As pandas writes a column in which a value is missing: 1,0 is vehicle 1, also as a leader."""
+    leader = CARS.vehicle.map({0: 1.0, 1: 2.0})
+    CARS.assign(vehicle=CARS.vehicle + 0.0, leader=leader).to_csv("cars.csv", sep=";", decimal=",", index=False)
+    tracks = sg.read_tracks("cars.csv")
+    assert tracks.vehicle.used() == ("0", "1", "2")
+    assert set(tracks.leader.values()[:100]) == {"1"}
+
+
 def test_a_vehicle_may_be_called_0():
     """Where ids start at 0, the leader 0 is a vehicle, and not nobody."""
     led = CARS.assign(vehicle=2 - CARS.vehicle, leader=CARS.vehicle.map({0: 1, 1: 0, 2: -1}))
