@@ -119,6 +119,7 @@ _ONE_LANE = ("--formulation paper", "--effects", "--regularise", "--hops", "--cl
 #: What is refused, by command: values that contradict each other. An option stands for each of its values, and "no
 #: --option" for its absence.
 CONTRADICTIONS: Mapping[str, Sequence[Sequence[str]]] = {
+    "info": [("run.mcap", "--ring")],
     "demo": [("--output old.mcap", "no --overwrite"), ("--data ring.csv", "no --ring")],
     "run": [
         ("--output old.mcap", "no --overwrite"),
