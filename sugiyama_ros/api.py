@@ -32,7 +32,7 @@ from sugiyama_ros.formats.frames import from_frame, tracks_of_frame
 from sugiyama_ros.formats.registry import read_tracks as tracks_of_file
 from sugiyama_ros.formats.registry import read_trajectories
 from sugiyama_ros.page import recording
-from sugiyama_ros.page.diagnosis import read_diagnosis
+from sugiyama_ros.page.diagnosis import check_same, read_diagnosis
 from sugiyama_ros.page.recording import Recording
 from sugiyama_ros.progress import stages
 from sugiyama_ros.results import plain
@@ -483,7 +483,7 @@ def report(run: str | Path, output: str | Path, diagnosis: Diagnosis | str | Pat
     Raises
     ------
     InputError
-        For a file that is no such bag, or no such document.
+        For a file that is no such bag, or no such document, or a diagnosis of another recording.
     OutputError
         If the page cannot be written.
 
@@ -503,5 +503,8 @@ def report(run: str | Path, output: str | Path, diagnosis: Diagnosis | str | Pat
         document = read_diagnosis(Path(diagnosis)) if diagnosis is not None else None
     bag, page = Path(run), Path(output)
     read = recording.read_recording(bag)
+    if document is not None:
+        name = "diagnosis" if isinstance(diagnosis, Diagnosis) else str(diagnosis)
+        check_same(document, name, read.trajectories, bag)
     write_report(read, document, page, against_truth(bag, read))
     return page

@@ -16,6 +16,7 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.calibration.drivers_ahead import DriversAhead
+from sugiyama_ros.calibration.result import NOT_IDENTIFIED, heading
 from sugiyama_ros.calibration.vehicle_classes import (
     BriefDriver,
     ClassMedians,
@@ -192,7 +193,7 @@ class TracksCalibration(Result):
             cells = [f"{few.parameters[index(n)]:.3g} (of the class)" for n in self.estimated]
             name = f"{few.recording} {few.vehicle}".strip()
             rows.append((name, few.vehicle_class, f"{few.following_s:.0f}", *cells, f"{few.nis:.2f}"))
-        headings = ("vehicle", "class", "following [s]", *self.estimated, "NIS")
+        headings = ("vehicle", "class", "following [s]", *map(heading, self.estimated), "NIS")
         return TextTable("Calibration on tracks", headings, tuple(rows), left=2)
 
     def draw(self, figure: "Figure") -> None:
@@ -208,7 +209,7 @@ class TracksCalibration(Result):
     def _cell(self, fit: Fit, name: str) -> str:
         k = index(name)
         known = "{:.3g} to {:.3g}".format(*fit.interval[k]) if self.profiled else f"± {fit.std[k]:.2g}"
-        return f"{fit.parameters[k]:.3g} {known if fit.identified(name) else '(not identified)'}"
+        return f"{fit.parameters[k]:.3g} {known}" if fit.identified(name) else NOT_IDENTIFIED
 
     def _medians(self, groups: Sequence[tuple[str, str | None]]) -> tuple[ClassMedians, ...]:
         return medians_of(groups, [d.fit for d in self.drivers], self.estimated)

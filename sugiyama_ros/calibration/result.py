@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import fmean
 from typing import TYPE_CHECKING, Any
 
 from sugiyama_ros.arrays import Array
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _VAGUE = "(not identified)"
+#: What stands in tables instead of the value of a parameter that the data do not determine.
+NOT_IDENTIFIED = "not identified"
 
 
 @dataclass(frozen=True)
@@ -210,18 +213,23 @@ class Calibration(Result):
         return found
 
     def table(self) -> TextTable:
-        """Make a table of each driver's parameters with their uncertainty, and of the means over the drivers."""
+        """Make a table of each driver's parameters with their uncertainty, and of means over drivers.
+
+        A parameter that is not identified has no value, and is not in the mean.
+        """
         names, profiled, rows = self.settings.estimated, self.settings.profiled, []
+        held: dict[str, list[float]] = {n: [] for n in names}
         for d in self._drivers():
             cells = []
             for n in names:
                 known = "{:.3f} to {:.3f}".format(*d["interval"][n]) if profiled else _within(d["std"][n], ".3f")
-                cells.append(f"{d[n]:.3f} {known if d['identified'][n] else _VAGUE}")
+                cells.append(f"{d[n]:.3f} {known}" if d["identified"][n] and known != _VAGUE else NOT_IDENTIFIED)
+                held[n] += [d[n]] if cells[-1] != NOT_IDENTIFIED else []
             rows.append((str(d["vehicle"]), *cells, f"{d['log_likelihood']:.1f}"))
-        means = self.rows[:, [index(name) for name in names]].mean(axis=0)
-        rows.append(("mean", *(f"{m:.3f}" for m in means), f"{float(self.log_likelihood.sum()):.1f}"))
+        means = [f"{fmean(held[n]):.3f}" if held[n] else "nan" for n in names]
+        rows.append(("mean", *means, f"{float(self.log_likelihood.mean()):.1f}"))
         title = f"Calibration, {self.settings.formulation} formulation"
-        return TextTable(title, ("vehicle", *names, "log-likelihood"), tuple(rows))
+        return TextTable(title, ("vehicle", *map(heading, names), "log-likelihood [nats]"), tuple(rows))
 
     def class_sentences(self) -> list[str]:
         """Say the share and the parameters of each class, and the information criterion.
@@ -272,6 +280,13 @@ class Calibration(Result):
             value = float(self.rows[0, ROW.entries.index(entry)])
             found.setdefault(effect or "constants", {})[parameter] = {"value": value, "std": std}
         return found
+
+
+def heading(name: str) -> str:
+    """Return the heading of a parameter's column: its name with its unit."""
+    unit = PARAMETERS[index(name)].unit
+    shown = "v*" if name == "v_star" else name
+    return shown if unit == "1" else f"{shown} [{unit}]"
 
 
 def _within(std: float, form: str) -> str:

@@ -73,6 +73,11 @@ def _cause_outside(error: Exception) -> str | None:
         return f"{where}: {error.strerror or error}; free some space, or choose another place"
     if (reason := nowhere_to_compile(error)) is not None:
         return reason
+    if isinstance(error, ZeroDivisionError) and (names := _effects_of_others()):
+        return (
+            f"an effect divides by zero; effects of other packages here: {', '.join(names)}; a function must"
+            " have a value for every speed and gap, such as 0 (docs/howto/effect.md)"
+        )
     if isinstance(error, MemoryError):
         return "not enough memory; give less data, or fewer vehicles"
     limit = limit_bytes()
@@ -81,6 +86,15 @@ def _cause_outside(error: Exception) -> str | None:
     # Without memory, libraries fail in ways of their own.
     said = (str(error).splitlines() or [""])[0]
     return f"ulimit -v: {limit >> 20} MB of memory may be too little ({type(error).__name__}: {said}); allow more"
+
+
+def _effects_of_others() -> list[str]:
+    """Names of the effects that come from other packages."""
+    from sugiyama_ros.effects.registry import GROUP
+    from sugiyama_ros.entry_points import entry_points
+    from sugiyama_ros.plugins import FAILED
+
+    return [point.name for point in entry_points(GROUP) if (GROUP, point.name) not in FAILED]
 
 
 def _refused(reason: str) -> int:

@@ -1,7 +1,6 @@
 """``sugiyama diagnose`` and ``sugiyama compare``."""
 
 import shlex
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -17,6 +16,7 @@ from sugiyama_ros.cli.options import (
     Seed,
     Sources,
     Wide,
+    bag_for,
     command_line,
     model_output,
     names,
@@ -30,6 +30,7 @@ from sugiyama_ros.progress import stages
 if TYPE_CHECKING:
     from sugiyama_ros.diagnosis.compare import Comparison
     from sugiyama_ros.diagnosis.diagnosis import Diagnosis
+    from sugiyama_ros.fit import model_file
 
 
 @dataclass(frozen=True)
@@ -111,7 +112,13 @@ def diagnose(options: DiagnoseOptions) -> None:
         )
     if to_write is not None:
         write_model(to_write, found.data, found.final, found.cautions())
-    everything = {**document(found), "command": _command(options), "model_file": options.output}
+    everything = {
+        **document(found),
+        "command": _command(options),
+        "model_file": options.output,
+        "file": options.save,
+        **_given(options),
+    }
     if to_save is not None:
         with writing(to_save) as stream:
             stream.write(to_json(everything).encode())
@@ -168,23 +175,34 @@ def _command(options: DiagnoseOptions, **changed: object) -> str:
     return command_line("diagnose", DiagnoseOptions, **{**vars(options), **changed})
 
 
+def _given(options: DiagnoseOptions) -> dict[str, object]:
+    """What a page needs to say how to run the same data."""
+    return {"sources": [str(one) for one in options.sources], "ring_m": options.ring}
+
+
 def _print_next(found: "Diagnosis", options: DiagnoseOptions) -> None:
     """Say what to do next, as commands that can be pasted."""
     from sugiyama_ros.cli.run import RunOptions
 
     sources, ring, model = options.sources, options.ring, options.output
+
+    def run() -> str:
+        return command_line("run", RunOptions, source=sources[0], ring=ring, model=model, output=bag)
+
+    bag = bag_for(sources[0])
     if model is not None:
         compared = command_line("compare", CompareOptions, sources=sources, model=model, ring=ring, seed=options.seed)
         print_line(f"model file: {model} (compare it: {compared})")
+        if options.save is None and len(sources) == 1:
+            print_line(f"use it: {run()}")
     forces = [force.can_be_added for force in found.discovered if force.can_be_added]
     if forces and not any(one.name == "discovered_force" for one in found.named):
         asked = ",".join((*(one.form for one in found.named), forces[0]))
         anew = {"output": model and model.with_stem(f"{model.stem}_force"), "save": None}
         print_line(f"to add a force that is left: {_command(options, add=asked, **anew)}")
     if options.save is not None and len(sources) == 1:
-        run = command_line("run", RunOptions, source=sources[0], ring=ring, output="run.mcap")
-        page = shlex.join(["sugiyama", "report", "run.mcap", "--diagnosis", str(options.save), "--open"])
-        print_line(f"look at it: {run}; {page}")
+        page = shlex.join(["sugiyama", "report", str(bag), "--diagnosis", str(options.save), "--open"])
+        print_line(f"look at it: {run()} && {page}")
     elif options.save is None:
         wanted = model or ("model.yaml" if found.named else None)
         kept = "the model and the page" if wanted and model is None else "the page"
@@ -231,11 +249,11 @@ def compare(options: CompareOptions) -> None:
     if options.as_json:
         print_json(document(compared))
         return
-    _print_compared(compared, options, given.effects_to_fit() if given is not None else ())
+    _print_compared(compared, options, given)
 
 
-def _print_compared(compared: "Comparison", options: CompareOptions, anew: Sequence[str]) -> None:
-    """Print which model predicts best, and the errors; ``anew``: effects of the model file that can be fitted anew."""
+def _print_compared(compared: "Comparison", options: CompareOptions, given: "model_file.ModelFile | None") -> None:
+    """Print which model predicts best, and the errors; ``given``: what the model file holds."""
     from sugiyama_ros.diagnosis import tables
     from sugiyama_ros.fit.recording import told_of
 
@@ -246,8 +264,17 @@ def _print_compared(compared: "Comparison", options: CompareOptions, anew: Seque
     if compared.left_out:
         print_line(told_of(compared.left_out, compared.vicinity.drivers))
     if any(one.kind == "in_sample" for one in compared.models):
+        anew = given.effects_to_fit() if given is not None else ()
         fit = f"; fitted anew without what is predicted: {again(effects=','.join(anew), model=None)}" if anew else ""
         print_line(f"{options.model} was fitted to this recording, so its errors are in sample{fit}")
+    elif given is not None:
+        drivers = compared.vicinity.numbers
+        same = sum(number in given.vehicle for number in drivers)
+        median = "" if same == len(drivers) else " and the others those of its median driver"
+        print_line(
+            f"{options.model} is taken as it is, while all other models are fitted to this recording: {same} of"
+            f" {len(drivers)} drivers have the parameters of the vehicle with their number{median}"
+        )
     if not options.show_all:
         print_table(tables.main_errors(compared), wide=options.wide)
         print_line(f"all {len(compared.models)} models, and further errors: {again(show_all=True)}")

@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import inspect
+import itertools
 import math
 import shlex
 from collections.abc import Callable, Sequence
@@ -140,6 +141,13 @@ def model_output(path: Path | None, overwrite: bool, sources: Sequence[Path]) ->
     output = Output(path, overwrite, tuple(sources))
     output.check()
     return output
+
+
+def bag_for(source: Path) -> Path:
+    """A name for the run of a file, here: that of the data, unless there is such a bag or its page already."""
+    ends = itertools.chain(("", "_run"), (f"_run_{k}" for k in itertools.count(2)))
+    bags = (Path(f"{source.stem or 'run'}{end}.mcap") for end in ends)
+    return next(bag for bag in bags if not bag.exists() and not bag.with_suffix(".html").exists())
 
 
 def own_output(given: Path | None, own: str, overwrite: bool, *inputs: Path | None) -> Output:

@@ -1,17 +1,20 @@
 """``sugiyama report``."""
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from sugiyama_ros.cli.options import Json, Overwrite, need_matplotlib
-from sugiyama_ros.cli.output import print_against, show_page, tell
+from sugiyama_ros.cli.output import print_against, print_note, show_page, tell
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.outputs import Output, make_directory
+
+if TYPE_CHECKING:
+    from sugiyama_ros.page.recording import Recording
 
 
 def report(
@@ -49,6 +52,7 @@ def report(
         need_matplotlib("--figures")
         make_directory(figures)
     found, recording = read_diagnosis(diagnosis) if diagnosis is not None else None, read_recording(source)
+    check_data(found, diagnosis, recording, source)
     against = against_truth(source, recording)
     written: list[Path] = []
     with showing(diagnosis):
@@ -67,6 +71,16 @@ def report(
     tell(document, text, as_json)
     if show:
         show_page(str(page))
+
+
+def check_data(found: Mapping[str, Any] | None, diagnosis: Path | None, recording: "Recording", source: Path) -> None:
+    """Check that a diagnosis is of the recording; print a note where it does not say. Raises InputError."""
+    from sugiyama_ros.page.diagnosis import check_same
+
+    if found is not None and diagnosis is not None:
+        doubt = check_same(found, diagnosis, recording.trajectories, source)
+        if doubt:
+            print_note(doubt)
 
 
 @contextmanager

@@ -18,6 +18,7 @@ from sugiyama_ros.cli.options import (
     Recording,
     Ring,
     SetParameter,
+    command_line,
     own_output,
     rate_of,
     takes,
@@ -32,6 +33,7 @@ from sugiyama_ros.cli.output import (
     progress,
     show_page,
 )
+from sugiyama_ros.cli.report import report
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.nodes.executables import ros_needed
 from sugiyama_ros.tables import TextTable
@@ -206,7 +208,9 @@ def print_run(result: "RunResult", as_json: bool) -> None:
         f" {result.messages_recorded} messages recorded, {result.messages_lost} lost."
     )
     print_line(f"All topics are in {result.output} (sugiyama info {result.output}).")
-    print_line(f"look at it: sugiyama report {result.output} --open")
+    anew = {"overwrite": True} if result.output.with_suffix(".html").exists() else {}
+    page = command_line("report", report, source=result.output, show=True, **anew)
+    print_line(f"look at it: {page}; with --diagnosis FILE, the page shows what diagnose --save FILE has found")
     if result.interrupted:
         print_note("The run was interrupted: the recording ends early, but it can be read.")
     _end(result)

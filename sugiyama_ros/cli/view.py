@@ -8,7 +8,7 @@ import typer
 
 from sugiyama_ros.cli.options import Overwrite
 from sugiyama_ros.cli.output import print_line
-from sugiyama_ros.cli.report import showing
+from sugiyama_ros.cli.report import check_data, showing
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.outputs import Output, writing
 
@@ -50,6 +50,7 @@ def view(
 
     found = read_diagnosis(diagnosis) if diagnosis is not None else None
     recording = read_recording(source)
+    check_data(found, diagnosis, recording, source)
     stream = rerun.RecordingStream("sugiyama")
     if output is None:
         stream.spawn()

@@ -40,6 +40,8 @@ if TYPE_CHECKING:
 Kind = Literal["base", "asked", "in_sample", "law", "simulated"]
 #: Name of the base model on a recording that it simulates itself.
 SIMULATED = "base, simulated"
+#: Ending of the name of a model file that was fitted to the recording.
+IN_SAMPLE = " (in sample)"
 # A model is better beyond doubt by this many standard errors of the paired gain.
 _CLEARLY = 2.0
 # Number of lags of the autocorrelation.
@@ -122,11 +124,21 @@ class Comparison(Result):
     left_out: int = 0
 
     def headline(self) -> str:
-        """Say which model predicts best, how much better than the base model, and which ones are not clearly behind."""
+        """Say which model predicts best, how much better than the base model, and which ones are not clearly behind.
+
+        A model file that was fitted to these samples comes first: it does not count.
+        """
+        own = [one.name.removesuffix(IN_SAMPLE) for one in self.models if one.kind == "in_sample"]
+        said = self._best()
+        return f"{own[0]} was fitted to these samples, so it does not count here. {said}" if own else said
+
+    def _best(self) -> str:
+        """The headline without the model that is in sample."""
         ranked = self.ranked()
         best, *others = ranked
         if best.gain is None or best.gain.nats <= _CLEARLY * best.gain.se:
-            return "No model predicts held-out samples clearly better than the base model."
+            other = " other" if any(one.kind == "in_sample" for one in self.models) else ""
+            return f"No{other} model predicts held-out samples clearly better than the base model."
         gained = f"{best.gain.nats:.0f} ± {best.gain.se:.0f} nats"
         behind = [(one, self._ahead(best, one)) for one in others]
         alike = [one.name for one, ahead in behind if ahead.nats <= _CLEARLY * ahead.se]
@@ -271,7 +283,7 @@ class _Models:
         given = Model(rows, (), (), (), rows)
         name, own = f"file: {', '.join(model.effects) or 'base'}", self._data.vicinity.sha256
         if own and own == model.sha256:
-            self._add(f"{name} (in sample)", "in_sample", [given] * FOLDS, given)
+            self._add(f"{name}{IN_SAMPLE}", "in_sample", [given] * FOLDS, given)
         else:
             self._add(name, "asked", [given] * FOLDS, given)
 

@@ -85,7 +85,12 @@ def main_errors(comparison: Comparison) -> TextTable:
         won = f"{one.gain.nats:.0f} ± {one.gain.se:.0f}" if one.gain else "0"
         rows.append((one.name, won, *_error_cells(one.errors.summary(), names)))
     headings = ("model", "gain [nats]", *(_MAIN[name] for name in names))
-    return TextTable("Held-out errors, the best model first", headings, tuple(rows), left=1)
+    return TextTable(f"{_title(shown)}, the best model first", headings, tuple(rows), left=1)
+
+
+def _title(shown: Sequence[Compared]) -> str:
+    """What the errors of these models are."""
+    return "Errors" if any(one.kind == "in_sample" for one in shown) else "Held-out errors"
 
 
 def held_out_errors(compared: Sequence[Compared]) -> TextTable:
@@ -96,7 +101,7 @@ def held_out_errors(compared: Sequence[Compared]) -> TextTable:
         nis = f"{one.nis_mean:.2f} ± {one.nis_std_error:.2f}"
         rows.append((one.name, *_error_cells(one.errors.summary(), names), gain, nis, f"{one.autocorrelation[0]:+.3f}"))
     headings = ("model", *(_ERRORS[name] for name in names), "gain [nats]", "mean NIS", "autocorr.")
-    return TextTable("Held-out errors", headings, tuple(rows), left=1)
+    return TextTable(_title(compared), headings, tuple(rows), left=1)
 
 
 def details(compared: Sequence[Compared]) -> TextTable:
@@ -110,7 +115,7 @@ def details(compared: Sequence[Compared]) -> TextTable:
             for name in _DETAILS.values()
         ]
         rows.append((one.name, *(f"{v:.2f}" if abs(v) < 10.0 else f"{v:.0f}" for v in values)))
-    title = "Held-out errors of 10-s free runs: " + ", and ".join(_RUNS[run] for run in runs)
+    title = f"{_title(compared)} of 10-s free runs: " + ", and ".join(_RUNS[run] for run in runs)
     return TextTable(title, ("model", *[*_DETAILS] * len(runs)), tuple(rows), left=1)
 
 

@@ -66,6 +66,7 @@ def document(d: Diagnosis) -> dict[str, Any]:
         "drivers": _drivers(d),
         "free_run": drives(d),
         "about": about(),
+        "data": {"source": d.data.vicinity.source, "sha256": d.data.vicinity.sha256},
         "vehicles": d.data.drivers,
         "drivers_left_out": d.data.left_out,
         "decision_period_s": d.data.vicinity.period_s,
@@ -187,9 +188,17 @@ def _told(b: Bin) -> str:
     return f"{b.shown} ({b.bias:+.2f} std)"
 
 
-def _quantity(value: float, unit: str) -> str:
-    """A value with its unit; a pure number has none."""
-    return figure(value) if unit in ("", "1") else f"{figure(value)} {unit}"
+def _quantity(value: float, unit: str, std: float | None = None) -> str:
+    """A value with its standard error, if it has one, and its unit; a pure number has none."""
+    known = f" ± {figure(std, 2)}" if std is not None and np.isfinite(std) and std > 0.0 else ""
+    return f"{figure(value)}{known}" if unit in ("", "1") else f"{figure(value)}{known} {unit}"
+
+
+def _values(n: Addition, stds: Mapping[str, float]) -> str:
+    """The parameters of an addition, with standard errors and units."""
+    units = {p.name: p.unit for p in EFFECTS[n.form].parameters} if n.form in EFFECTS else {}
+    units |= {p.name: p.unit for p in ROW.declared if p.name in n.parameters and p.name not in units}
+    return ", ".join(f"{k} {_quantity(v, units.get(k, ''), stds.get(k))}" for k, v in n.parameters.items())
 
 
 def _not_certain(d: Diagnosis) -> list[str]:
@@ -267,11 +276,8 @@ def sentences(d: Diagnosis) -> list[str]:
         listed = ", ".join(shown[:_SHOWN]) + more
         lines.append(f"Effects of this strength would usually have shown: {listed}." if shown else "")
     for n in d.named:
-        units = {p.name: p.unit for p in EFFECTS[n.form].parameters} if n.form in EFFECTS else {}
-        units |= {p.name: p.unit for p in ROW.declared if p.name in n.parameters and p.name not in units}
         form = f"as {n.form}: " if n.form != n.name else ""
-        values = ", ".join(f"{k} {_quantity(v, units.get(k, ''))}" for k, v in n.parameters.items())
-        values = force_in_words(n.parameters) if n.name == FORCE else values
+        values = force_in_words(n.parameters) if n.name == FORCE else _values(n, errors_of_parameters(n, d))
         lines.append(
             f"{n.name} ({form}{values}): held-out gain {n.heldout.nats:.0f} ± {n.heldout.se:.0f} nats,"
             f" p {n.p_value:.1g}; 10-s free run {n.before.free_run_10s_m:.2f} ->"

@@ -44,4 +44,17 @@ def read_effect(text: str, where: str) -> tuple[str, dict[str, float]]:
     try:
         return name, {k: float(v) for k, _, v in (pair.partition("=") for pair in pairs.split(","))}
     except ValueError:
-        raise InputError(f"{where} {text}: is not NAME:PARAMETER=VALUE[,PARAMETER=VALUE]") from None
+        raise InputError(f"{where} {text}: is not NAME:PARAMETER=VALUE[,PARAMETER=VALUE]{_parameters(name)}") from None
+
+
+def _parameters(name: str) -> str:
+    """The parameters that an effect has, for the error of one without values."""
+    from sugiyama_ros.effects.registry import EFFECTS
+
+    if name not in EFFECTS:
+        return ""
+    known = (
+        f"{p.name} ({p.lower:g} to {p.upper:g}{f' {p.unit}' if p.unit != '1' else ''})"
+        for p in EFFECTS[name].parameters
+    )
+    return f"; {name} has {', '.join(known)}"

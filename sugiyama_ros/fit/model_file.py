@@ -16,7 +16,7 @@ from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.documents import number, read_yaml
 from sugiyama_ros.driver.parameters import COUNT, NAMES, check_for_filter
 from sugiyama_ros.effects.effect import RecordingExtent
-from sugiyama_ros.effects.registry import ROW, active, effect, index_of, switch_on
+from sugiyama_ros.effects.registry import EFFECTS, GROUP, ROW, active, effect, index_of, switch_on
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.driver_types import DriverTypes
 from sugiyama_ros.fit.joint import JointFit
@@ -25,6 +25,7 @@ from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.sandwich import shared_stds
 from sugiyama_ros.fit.vicinity import Vicinity
 from sugiyama_ros.outputs import Target, writing
+from sugiyama_ros.plugins import FAILED
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 _FORMAT = 1
@@ -191,6 +192,7 @@ def read_model(path: Path) -> ModelFile:
         try:
             row[:COUNT] = [number(about["parameters"][name], name) for name in NAMES]
             for name, values in about.get("effects", {}).items():
+                _check_installed(str(name))
                 row = switch_on(row, str(name), {str(p): number(v, str(p)) for p, v in values.items()})
             check_for_filter(row[:COUNT])
             if type(vehicle) is not int or not 0 <= vehicle < 1 << 31:
@@ -218,6 +220,12 @@ def read_model(path: Path) -> ModelFile:
         types=types,
         cautions=tuple(cautions),
     )
+
+
+def _check_installed(name: str) -> None:
+    """Raise InputError for an effect that is not known here: a model file can outlive the package of an effect."""
+    if name not in EFFECTS and (GROUP, name) not in FAILED:
+        raise InputError(f"effect {name[:80]!r}: not known here; was its package uninstalled? install it again")
 
 
 def _types(path: Path, classes: Any) -> DriverTypes:

@@ -1,11 +1,14 @@
 """The document of a diagnosis, as the report needs it: read and checked field by field."""
 
 import re
+import shlex
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from sugiyama_ros.documents import number, read_json
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.trajectories.trajectories import Trajectories
 
 _NUMBER, _NUMBER_OR_NULL, _TEXT = "a number", "a number or null", "a text"
 #: Fields that the report shows. A list with one entry stands for any number of them, a mapping with the key "" for
@@ -65,6 +68,65 @@ def read_diagnosis(path: Path) -> dict[str, Any]:
     except InputError as error:
         raise InputError(f"{path}: is no diagnosis: {error}; give what `sugiyama diagnose --save` wrote") from None
     return document
+
+
+def check_same(document: Mapping[str, Any], name: Path | str, trajectories: Trajectories, bag: Path) -> str:
+    """Check that a diagnosis is of the recording in a bag.
+
+    Parameters
+    ----------
+    document : mapping
+        The diagnosis.
+    name : Path or str
+        What to call the diagnosis in the message.
+    trajectories : Trajectories
+        What was measured, as the bag has it.
+    bag : Path
+        The bag.
+
+    Returns
+    -------
+    str
+        A warning if the diagnosis does not say which recording it is of, else nothing.
+
+    Raises
+    ------
+    InputError
+        If the diagnosis is of another recording.
+    """
+    about = document.get("data")
+    data: Mapping[str, Any] = about if isinstance(about, dict) else {}
+    checksum, source = data.get("sha256"), str(data.get("source") or "another recording")[:200]
+    if not checksum or not trajectories.sha256:
+        return f"warning: {name}: does not say which recording it is of; a page needs that of {bag}"
+    if checksum == trajectories.sha256:
+        return ""
+    anew = run_command(document, source, None, bag.with_name(f"{Path(source).stem}_run.mcap"))
+    raise InputError(
+        f"{name}: is a diagnosis of {source}, but {bag} is a run of {trajectories.source or 'another file'}; give a run"
+        f" of the same file: {anew}"
+    )
+
+
+def run_command(document: Mapping[str, Any] | None, source: str, ring_m: float | None, output: Path) -> str:
+    """Return the command that runs a recording, as it can be pasted.
+
+    Parameters
+    ----------
+    document : mapping or None
+        Diagnosis of the recording, which may know where its file is.
+    source : str
+        Name of the file, if the diagnosis does not know.
+    ring_m : float or None
+        Circumference [m] to give, if the diagnosis does not know.
+    output : Path
+        Bag to write.
+    """
+    known = (document or {}).get("sources")
+    if isinstance(known, list) and len(known) == 1:
+        source, ring_m = str(known[0]), (document or {}).get("ring_m")
+    ring = ["--ring", f"{ring_m:.10g}"] if isinstance(ring_m, int | float) and ring_m else []
+    return shlex.join(["sugiyama", "run", source, *ring, "-o", str(output)])
 
 
 def _check(value: Any, wanted: Any, where: str) -> None:

@@ -1,12 +1,15 @@
 """Tables and texts of the report as HTML, out of the document of a diagnosis."""
 
 import platform
+import shlex
 from collections.abc import Mapping, Sequence
 from html import escape
 from importlib import metadata
+from pathlib import Path
 from typing import Any
 
 from sugiyama_ros.page.card import name_of
+from sugiyama_ros.page.diagnosis import run_command
 from sugiyama_ros.page.panels.base import colour_of
 from sugiyama_ros.page.recording import Recording
 from sugiyama_ros.page.words import (
@@ -165,15 +168,12 @@ def how(r: Recording, d: Document | None) -> str:
     rows = [
         ["measured", name_of(r)],
         ["checksum (SHA-256)", t.sha256 or "not known"],
-        ["commands", "sugiyama run FILE -o run.mcap; sugiyama report run.mcap"],
+        ["commands", " && ".join(_commands(r, d))],
     ]
     if d is not None:
-        quick = " --quick" if d.get("quick") else ""
-        own = f"sugiyama diagnose FILE{quick} --seed {d.get('seed', 0)} --save diagnosis.json"
         runs = d.get("bootstrap_runs", "?")
         chance = f"the gains in {runs} recordings that the model simulates without it" if runs else "what chance gives"
         rows += [
-            ["", f"{d.get('command') or own}; sugiyama report run.mcap --diagnosis diagnosis.json"],
             [
                 "p-values",
                 f"Student's t of the gain over {chance} (seed {d.get('seed', '?')}), corrected for the number of"
@@ -189,6 +189,21 @@ def how(r: Recording, d: Document | None) -> str:
         ["licences", "sugiyama_ros: MIT; Bokeh, in this page: BSD-3-Clause; the data: as their source says"],
     ]
     return table(["what", "how"], rows, left=True)
+
+
+def _commands(r: Recording, d: Document | None) -> list[str]:
+    """The commands that made the page, with the names of the files as far as they are known."""
+    t, bag = r.trajectories, r.path or Path("run.mcap")
+    done, report = [], ["sugiyama", "report", str(bag)]
+    if "." in t.source and t.source != bag.name:
+        run = run_command(d, t.source, t.road.circumference_m, bag)
+        done.append(f"{run} {shlex.join(['--model', r.model])}" if r.model else run)
+    if d is not None:
+        file, quick = str(d.get("file") or "diagnosis.json"), ["--quick"] if d.get("quick") else []
+        own = ["sugiyama", "diagnose", t.source or str(bag), *quick, "--seed", str(d.get("seed", 0)), "--save", file]
+        done.append(str(d.get("command") or shlex.join(own)))
+        report += ["--diagnosis", file]
+    return [*done, shlex.join(report)]
 
 
 def _version(name: str) -> str:

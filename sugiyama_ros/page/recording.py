@@ -70,6 +70,10 @@ class Recording(Result):
         Probabilities that a driver belongs to each class, at the end, by vehicle; empty without classes.
     truth : dict of dict
         True parameters of simulated drivers, by vehicle and name; empty where the bag does not say them.
+    path : Path, optional
+        The bag.
+    model : str
+        Model file that the estimators started from; empty without one.
     """
 
     trajectories: Trajectories
@@ -81,6 +85,8 @@ class Recording(Result):
     types: dict[int, Array] = field(default_factory=dict)
     truth: dict[int, dict[str, float]] = field(default_factory=dict)
     added: tuple[str, ...] = ()
+    path: Path | None = None
+    model: str = ""
 
     def headline(self) -> str:
         """Say what was recorded, and how large the one-step errors are."""
@@ -131,6 +137,7 @@ def read_recording(path: Path) -> Recording:
     t = read_trajectories(path, None)
     reading = _Reading(t)
     with Bag(path) as bag:
+        model = bag.info().metadata.get("sugiyama", {}).get("model", "")
         wanted = {topic.name for topic in bag.info().topics if topic.type in _KINDS}
         for _, type_name, _, message in bag.messages(wanted, skip_misfits=True) if wanted else ():
             reading.take(_KINDS[type_name], message)
@@ -147,6 +154,8 @@ def read_recording(path: Path) -> Recording:
         {v: np.array(p) for v, p in sorted(reading.types.items())},
         dict(sorted(reading.truth.items())),
         reading.added,
+        path,
+        model,
     )
 
 

@@ -55,6 +55,9 @@ def test_what_is_asked_for_is_added_and_the_data_say_what_they_think_of_it(added
         line = next(line for line in added.out.splitlines() if line.startswith(f"{one['name']} ("))
         assert f"held-out gain {one['heldout_gain_nats']:.0f} ± {one['heldout_gain_se']:.0f} nats" in line
         assert f"+ {one['name']}" in added.out, form
+    drag = effects["drag"]
+    if all(std > 0.0 for std in drag["parameters_std"].values()):
+        assert re.search(r"^drag \(c0 \S+ ± \S+ m/s\^2, c2 \S+ ± \S+ 1/m\)", added.out, re.MULTILINE)
     assert effects["discovered_force"]["covariate"] == "time_gap"
     assert not effects["rationality"]["is_supported"]
     assert "the data do not ask for it" in added.out
@@ -72,11 +75,38 @@ def test_the_next_steps_work_as_they_are_pasted(added, run, folder):
     steps = dict(follow(run, added, set()))
     wrong = [f"{step}\n{answer.err}" for step, answer in steps.items() if answer.code != 0]
     assert not wrong, "\n".join(wrong)
+    # the bag is called after the data, and the estimators start from the model that was written
+    assert "sugiyama run ring.csv --ring 56 --model model.yaml -o ring.mcap" in steps
     # the run also prints how to see its page without a diagnosis
-    assert run("sugiyama report run.mcap --diagnosis found.json -o asked.html").code == 0
+    assert run("sugiyama report ring.mcap --diagnosis found.json -o asked.html").code == 0
     page = (folder / "asked.html").read_text()
+    assert (
+        "sugiyama run ring.csv --ring 56 -o ring.mcap --model model.yaml &amp;&amp; sugiyama diagnose ring.csv" in page
+    )
+    assert "sugiyama report ring.mcap --diagnosis found.json" in page
     assert "Nothing else was searched for" in page
     assert "time gap" in page
+
+
+def test_a_diagnosis_of_another_recording_is_refused_with_the_run_that_it_needs(added, run, folder):
+    for command in (
+        "sugiyama simulate --vehicles 2 --ring 40 --duration 5 --seed 1 -o other.csv",
+        "sugiyama run other.csv --ring 40 -o other.mcap",
+    ):
+        assert run(command).code == 0
+    said = run("sugiyama report other.mcap --diagnosis found.json")
+    assert said.code == 2
+    (line,) = said.err.splitlines()
+    assert "is a diagnosis of ring.csv, but other.mcap is a run of other.csv" in line
+    assert said.steps == ["sugiyama run ring.csv --ring 56 -o ring_run.mcap"]
+    assert not (folder / "other.html").exists()
+    # a document of before, which does not say what it is of
+    document = json.loads((folder / "found.json").read_text())
+    del document["data"]
+    (folder / "before.json").write_text(json.dumps(document))
+    said = run("sugiyama report other.mcap --diagnosis before.json")
+    assert said.code == 0
+    assert said.err.startswith("warning: before.json: does not say which recording it is of")
 
 
 def test_a_diagnosis_without_files_says_how_to_keep_it_with_its_options(run, added):

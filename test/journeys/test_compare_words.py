@@ -37,10 +37,13 @@ def test_a_comparison_says_who_is_best_and_shows_six_rows(run, folder):
     assert run("sugiyama diagnose ring.csv --ring 45 --quick --refit 0 --add drag -o model.yaml").code == 0
     said = run("sugiyama compare ring.csv --ring 45 --model model.yaml --seed 1")
     assert said.code == 0, said.err
-    first = said.out.splitlines()[0]
-    assert first == "No model predicts held-out samples clearly better than the base model." or re.fullmatch(
+    own = "file: drag was fitted to these samples, so it does not count here. "
+    first = said.out.splitlines()[0].removeprefix(own)
+    assert said.out.startswith(own)
+    assert first == "No other model predicts held-out samples clearly better than the base model." or re.fullmatch(
         r"\w+ predicts held-out samples best: \d+ ± \d+ nats better than the base model.*", first
     )
+    assert "Errors, the best model first" in said.out
     shown = rows(said.out)
     assert len(set(shown)) == 6
     assert "base" in shown
@@ -56,6 +59,10 @@ def test_a_comparison_says_who_is_best_and_shows_six_rows(run, folder):
     assert whole.code == 0, whole.err
     assert len(set(rows(whole.out))) > 12
     assert "floor" not in whole.out  # a word of the report, where it is another model
+    assert "Held-out" not in whole.out
+    fresh = run("sugiyama compare other.csv --ring 45 --model model.yaml")
+    assert "Held-out errors, the best model first" in fresh.out
+    assert "model.yaml is taken as it is, while all other models are fitted to this recording: 4 of 4" in fresh.out
     elsewhere = run("sugiyama compare other.csv --ring 45 --model model.yaml --json")
     kinds = {one["name"]: one["kind"] for one in json.loads(elsewhere.out)["models"]}
     assert [name for name, kind in kinds.items() if kind == "asked"] == [in_sample.removesuffix(" (in sample)")]

@@ -142,6 +142,7 @@ def test_bad_bags(sugiyama, here, kind, command):
         (("run", "good.csv", "-o", "out.mcap", "--rate", "fast"), ("--rate fast",)),
         (("simulate", "-o", "out.txt"), ("out.txt", ".csv")),
         (("simulate", "-o", "out.csv", "--set", "v_star"), ("--set v_star", "NAME=VALUE")),
+        (("simulate", "-o", "out.csv", "--effect", "drag"), ("--effect drag", "drag has c0 (", "m/s^2")),
         (("simulate", "-o", "out.csv", "--set", "speed=3"), ("speed", "v_star")),
         (("simulate", "-o", "out.csv", "--set", "v_star=-3"), ("v_star", "bounds")),
         (("simulate", "-o", "out.csv", "--set", "v_star=nan"), ("v_star", "bounds")),

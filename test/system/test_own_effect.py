@@ -115,3 +115,26 @@ def test_a_function_that_cannot_be_compiled_is_named_with_its_package(installed)
     assert "error: effect syrup: mine.push cannot be compiled" in done.stderr
     assert "velocity" in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_an_effect_that_divides_by_zero_ends_the_command_with_one_line(tmp_path):
+    about = tmp_path / "mine-1.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: mine\nVersion: 1\n")
+    (about / "entry_points.txt").write_text("[sugiyama_ros.effects]\nsyrup = mine:SYRUP\n")
+    own = MODULE.replace("return -weaker(p[0] * seen.speed)", "return -p[0] * 1.0 / seen.speed")
+    (tmp_path / "mine.py").write_text(own)
+    arguments = ["simulate", "--vehicles", "2", "--ring", "20", "--duration", "5", "--effect", "syrup:k=1", "-o"]
+    said = subprocess.run(
+        [Path(sys.executable).parent / "sugiyama", *arguments, tmp_path / "out.csv"],
+        env=os.environ | {"PYTHONPATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert said.returncode == 2
+    line = said.stderr.splitlines()[-1]
+    assert line.startswith("error: an effect divides by zero; effects of other packages here: syrup;")
+    assert "docs/howto/effect.md" in line
+    assert "Traceback" not in said.stderr
+    assert not (tmp_path / "out.csv").exists()

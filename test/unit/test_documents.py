@@ -144,3 +144,10 @@ def test_crafted_json(tmp_path: Path, text: str) -> None:
     path.write_text(text)
     with pytest.raises(InputError, match="is no JSON"):
         read_diagnosis(path)
+
+
+def test_a_model_file_names_the_effect_that_is_not_installed(tmp_path):
+    path = tmp_path / "model.yaml"
+    path.write_text(yaml_of(MODEL).replace("drag", "syrup"))
+    with pytest.raises(InputError, match=r"model.yaml: drivers: 0: effect 'syrup': not known here; was its package"):
+        read_model(path)

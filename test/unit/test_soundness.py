@@ -7,6 +7,7 @@ import pytest
 
 import sugiyama_ros as sg
 from sugiyama_ros.calibration.soundness import cautions, mean_nis
+from sugiyama_ros.driver.parameters import V_STAR
 from sugiyama_ros.errors import InputError
 
 
@@ -55,11 +56,32 @@ def test_drivers_of_whom_nothing_is_known_are_told(calibrated, tmp_path):
     assert "inf" not in str(short)
 
 
+def test_the_table_has_units_and_means_of_what_is_identified(calibrated):
+    table = calibrated.table()
+    assert table.headings == (
+        "vehicle",
+        "sigma_nu [m]",
+        "sigma_a [m/s^2]",
+        "v* [m/s]",
+        "kappa_v [s]",
+        "log-likelihood [nats]",
+    )
+    assert table.rows[-1][-1] == f"{calibrated.log_likelihood.mean():.1f}"
+    first = {**calibrated.identified[0], "v_star": False}
+    rows = (
+        replace(calibrated, identified=(first, *({**one, "v_star": True} for one in calibrated.identified[1:])))
+        .table()
+        .rows
+    )
+    assert rows[0][3] == "not identified"
+    assert rows[-1][3] == f"{calibrated.rows[1:, V_STAR].mean():.3f}"
+
+
 def test_a_parameter_without_an_error_is_not_identified(calibrated):
     """Its standard error is infinite."""
     vague = replace(calibrated, std=tuple({**one, "kappa_v": np.inf} for one in calibrated.std))
     cells = [cell for row in vague.table().rows for cell in row]
     assert not any("inf" in cell for cell in cells)
-    assert sum("(not identified)" in cell for cell in cells) >= 4
+    assert sum(cell == "not identified" for cell in cells) >= 4
     (line,) = replace(calibrated, shared_std={"drag.c0": np.inf}).shared_sentences()
     assert line == "drag: c0 0 (not identified)"
