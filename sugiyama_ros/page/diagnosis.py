@@ -96,7 +96,7 @@ def check_same(document: Mapping[str, Any], name: Path | str, trajectories: Traj
     """
     about = document.get("data")
     data: Mapping[str, Any] = about if isinstance(about, dict) else {}
-    checksum, source = data.get("sha256"), str(data.get("source") or "another recording")[:200]
+    checksum, source = data.get("sha256"), file_of(document, str(data.get("source") or "another recording")[:200])
     if not checksum or not trajectories.sha256:
         return f"warning: {name}: does not say which recording it is of; a page needs that of {bag}"
     if checksum == trajectories.sha256:
@@ -106,6 +106,12 @@ def check_same(document: Mapping[str, Any], name: Path | str, trajectories: Traj
         f"{name}: is a diagnosis of {source}, but {bag} is a run of {trajectories.source or 'another file'}; give a run"
         f" of the same file: {anew}"
     )
+
+
+def file_of(document: Mapping[str, Any], source: str) -> str:
+    """The file that was diagnosed, as it was given; ``source`` if the document does not say, or there were several."""
+    known = document.get("sources")
+    return str(known[0]) if isinstance(known, list) and len(known) == 1 else source
 
 
 def run_command(document: Mapping[str, Any] | None, source: str, ring_m: float | None, output: Path) -> str:
@@ -122,9 +128,8 @@ def run_command(document: Mapping[str, Any] | None, source: str, ring_m: float |
     output : Path
         Bag to write.
     """
-    known = (document or {}).get("sources")
-    if isinstance(known, list) and len(known) == 1:
-        source, ring_m = str(known[0]), (document or {}).get("ring_m")
+    if document is not None and file_of(document, ""):
+        source, ring_m = file_of(document, source), document.get("ring_m")
     ring = ["--ring", f"{ring_m:.10g}"] if isinstance(ring_m, int | float) and ring_m else []
     return shlex.join(["sugiyama", "run", source, *ring, "-o", str(output)])
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from sugiyama_ros.page.card import name_of
-from sugiyama_ros.page.diagnosis import run_command
+from sugiyama_ros.page.diagnosis import file_of, run_command
 from sugiyama_ros.page.panels.base import colour_of
 from sugiyama_ros.page.recording import Recording
 from sugiyama_ros.page.words import (
@@ -195,8 +195,9 @@ def _commands(r: Recording, d: Document | None) -> list[str]:
     """The commands that made the page, with the names of the files as far as they are known."""
     t, bag = r.trajectories, r.path or Path("run.mcap")
     done, report = [], ["sugiyama", "report", str(bag)]
-    if "." in t.source and t.source != bag.name:
-        run = run_command(d, t.source, t.road.circumference_m, bag)
+    source = file_of(d, t.source) if d is not None else t.source
+    if "." in source and Path(source).name != bag.name:
+        run = run_command(d, source, t.road.circumference_m, bag)
         done.append(f"{run} {shlex.join(['--model', r.model])}" if r.model else run)
     if d is not None:
         file, quick = str(d.get("file") or "diagnosis.json"), ["--quick"] if d.get("quick") else []
