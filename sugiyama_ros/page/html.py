@@ -194,17 +194,20 @@ def how(r: Recording, d: Document | None) -> str:
 def _commands(r: Recording, d: Document | None) -> list[str]:
     """The commands that made the page, with the names of the files as far as they are known."""
     t, bag = r.trajectories, r.path or Path("run.mcap")
-    done, report = [], ["sugiyama", "report", str(bag)]
-    source = file_of(d, t.source) if d is not None else t.source
-    if "." in source and Path(source).name != bag.name:
-        run = run_command(d, source, t.road.circumference_m, bag)
-        done.append(f"{run} {shlex.join(['--model', r.model])}" if r.model else run)
+    given = file_of(d, t.source) if d is not None else t.source
+    of_bag = Path(given).name == bag.name
+    source = t.source if of_bag else given
+    report, run, found = ["sugiyama", "report", str(bag)], [], []
+    if "." in source and source != bag.name:
+        command = run_command(None if of_bag else d, source, t.road.circumference_m, bag)
+        run = [f"{command} {shlex.join(['--model', r.model])}" if r.model else command]
     if d is not None:
         file, quick = str(d.get("file") or "diagnosis.json"), ["--quick"] if d.get("quick") else []
-        own = ["sugiyama", "diagnose", t.source or str(bag), *quick, "--seed", str(d.get("seed", 0)), "--save", file]
-        done.append(str(d.get("command") or shlex.join(own)))
+        own = ["sugiyama", "diagnose", given or str(bag), *quick, "--seed", str(d.get("seed", 0)), "--save", file]
+        found = [str(d.get("command") or shlex.join(own))]
         report += ["--diagnosis", file]
-    return [*done, shlex.join(report)]
+    # the run may start from the model that the diagnosis writes
+    return [*(run + found if of_bag else found + run), shlex.join(report)]
 
 
 def _version(name: str) -> str:

@@ -102,8 +102,9 @@ def test_a_csv_of_a_ring_to_an_added_effect_and_back(here: Here) -> None:
     assert base["messages_lost"] == better["messages_lost"] == 0
     assert mean_error(better) < mean_error(base)
     (here / "hill.json").write_text(json.dumps(told))
-    here.says("report hill.mcap --diagnosis hill.json")
-    card = (here / "hill.html").read_text().split("<nav>")[0]
+    here.says("run monday.csv --ring 85 --model hill.yaml -o monday.mcap")
+    here.says("report monday.mcap --diagnosis hill.json")
+    card = (here / "monday.html").read_text().split("<nav>")[0]
     assert told["about"]["road_grade"]["title"] in card.lower()
     assert f"{effect['heldout_gain_nats']:.0f} ± {effect['heldout_gain_se']:.0f} nats" in card
 
