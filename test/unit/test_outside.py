@@ -1,0 +1,36 @@
+"""The generator of drivers outside the catalogue: its driver is the paper's, written down a second time."""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sugiyama_ros.driver.parameters import KAPPA_V, REFERENCE_HORIZON, REFERENCE_PERIOD_S, V_STAR, defaults
+from sugiyama_ros.driver.utility import ACTIONS, mean_action
+
+_FILE = Path(__file__).parents[2] / "benchmarks" / "outside.py"
+_SPEC = importlib.util.spec_from_file_location("outside", _FILE)
+outside = importlib.util.module_from_spec(_SPEC)
+_SPEC.loader.exec_module(outside)
+
+
+def test_both_drivers_mean_the_same():
+    rng = np.random.default_rng(0)
+    gap, speed, leader = rng.uniform(0.2, 40.0, 200), rng.uniform(0.0, 14.0, 200), rng.uniform(0.0, 14.0, 200)
+    v_star, kappa_v = rng.uniform(6.0, 14.0, 200), rng.uniform(0.1, 0.5, 200)
+    found = outside.mean_action(gap, speed, leader, v_star, kappa_v)
+    for k in range(200):
+        row = defaults()
+        row[V_STAR], row[KAPPA_V] = v_star[k], kappa_v[k]
+        own = mean_action(gap[k], speed[k], leader[k], row, ACTIONS, REFERENCE_PERIOD_S, REFERENCE_HORIZON)
+        assert found[k] == pytest.approx(own, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", ["nothing", "linear friction", "rounded speed"])
+def test_a_recording_repeats_and_nobody_collides(name):
+    first, second = (outside.record(name, 5, most=6, ring_m=70.0, duration_s=30.0) for _ in range(2))
+    assert np.array_equal(first, second)
+    ahead = np.roll(first, -1, axis=1) - first
+    ahead[:, -1] += 70.0
+    assert ahead.min() > outside.LENGTH_M - 1.5
