@@ -75,11 +75,8 @@ def assemble(
         If no rows are left, many vehicles are in two places at once, vehicles overlap, or positions contradict speeds.
     """
     table = _table(columns, about or About())
-    for step in (_known, _sorted, _once):
+    for step in (_known, _sorted, _once, *([_in_usual_units] if checked else []), _lives):
         table = step(table)
-    if checked:
-        _check_units(table)
-    table = _lives(table)
     run = _run(table)
     table = _lengths(_speeds(table, run) if checked else table, starts(run))
     table = _along(table, run) if checked else table
@@ -238,12 +235,12 @@ def _once(table: _Table) -> _Table:
     return table.taken(~double)._replace(about=about)
 
 
-def _check_units(table: _Table) -> None:
+def _in_usual_units(table: _Table) -> _Table:
     """Raise InputError if vehicles are hardly ever seen, or faster all along than any vehicle is."""
     time, s, run = table.number["time_s"], table.number["s_m"], _run(table)
     step = np.diff(time)[np.diff(run) == 0]
     if len(step) == 0:
-        return
+        return table
     if (usual := float(np.median(step))) > LONGEST_ABSENCE_S:
         raise InputError(
             f"{table.source}: a vehicle has a sample every {usual:.3g} s; check the unit of the times (--columns)"
@@ -260,6 +257,7 @@ def _check_units(table: _Table) -> None:
         raise InputError(
             f"{table.source}: vehicles move at {speed:.3g} m/s; check the units of positions and times (--columns)"
         )
+    return table
 
 
 def _lives(table: _Table) -> _Table:
