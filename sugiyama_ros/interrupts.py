@@ -1,4 +1,4 @@
-"""Ctrl-C while a program loads: a library may swallow the KeyboardInterrupt, so it is raised again."""
+"""Ctrl-C and SIGTERM while a program loads: a library may swallow the KeyboardInterrupt, so it is raised again."""
 
 import signal
 import sys
@@ -11,10 +11,13 @@ _AGAIN_S = 0.2
 
 
 def remember() -> None:
-    """Remember each SIGINT, which raises KeyboardInterrupt until somebody handles it; see ``settled``."""
+    """Remember SIGINT and SIGTERM, which raise KeyboardInterrupt until somebody handles it; see ``settled``."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _interrupt)
         signal.signal(signal.SIGALRM, _again)
+    if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+        # what has been begun is removed, as after Ctrl-C
+        signal.signal(signal.SIGTERM, _interrupt)
 
 
 def settled() -> None:
