@@ -10,9 +10,10 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from sugiyama_ros.arrays import Array
+from sugiyama_ros.diagnosis.candidates import recording_of, why_not
 from sugiyama_ros.driver.parameters import index
 from sugiyama_ros.effects.discovered_force import COVARIATES, KNOTS
-from sugiyama_ros.effects.effect import MEASUREMENT, Effect, RecordingExtent
+from sugiyama_ros.effects.effect import MEASUREMENT, Effect
 from sugiyama_ros.effects.registry import EFFECTS, MECHANISM, ROW, index_of
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.model import Model
@@ -27,8 +28,6 @@ Start: TypeAlias = Mapping[int, float | Array]
 FORCE, FORCE_ALONG = "discovered_force", "force_along_"
 #: What is added to the name of a candidate that only some drivers have.
 OF_SOME = "_of_some"
-# A recording on which every effect that is searched for at all has a start.
-_A_RING = RecordingExtent(0.0, 100.0, 100.0, 0.0, 100.0)
 # Constants that the paper fixes, in groups that act together: names, kind, whether each driver has individual values.
 _CONSTANTS: tuple[tuple[str, tuple[str, ...], Kind, bool], ...] = (
     ("response_constants", ("kappa_c", "kappa_d", "kappa_1"), "constants", False),
@@ -117,7 +116,7 @@ def candidates(data: Recorded) -> tuple[Candidate, ...]:
     ]
     return (
         *constants,
-        *(_of_effect(e, data) for e in EFFECTS.values() if e.starts(extent(data)) and not _why_not(e, data)),
+        *(_of_effect(e, data) for e in EFFECTS.values() if e.starts(recording_of(data)) and not why_not(e, data)),
     )
 
 
@@ -129,7 +128,7 @@ def _of_effect(e: Effect, data: Recorded) -> Candidate:
         mechanism=MECHANISM[e.name],
         kind="noise" if e.is_noise and kind == "effect" else kind,
         places=tuple(index_of(e.name, p.name) for p in e.parameters if p.name not in e.fixed),
-        starts=tuple({index_of(e.name, p): v for p, v in values.items()} for values in e.starts(extent(data))),
+        starts=tuple({index_of(e.name, p): v for p, v in values.items()} for values in e.starts(recording_of(data))),
         individual=e.individual,
         switches=switches,
         has_sign=any(ROW.declared[k].lower >= 0.0 for k in switches),
@@ -143,28 +142,6 @@ def force_along(covariate: str, first: float, last: float) -> Candidate:
     values = (COVARIATES.index(covariate) + 1.0, first, last)
     knots = tuple(range(places[-1] + 1, places[-1] + 1 + KNOTS))
     return Candidate(FORCE_ALONG + covariate, FORCE, "force", knots, (dict(zip(places, values, strict=True)),))
-
-
-def not_searched(data: Recorded) -> dict[str, str]:
-    """Return the effects that a recording cannot show, with the reason, by name."""
-    return {name: why for name, e in EFFECTS.items() if e.starts(_A_RING) and (why := _why_not(e, data))}
-
-
-def _why_not(e: Effect, data: Recorded) -> str:
-    """Why a search for an effect makes no sense for a recording; empty if it does."""
-    around, axes = data.vicinity, {p.axis for p in e.parameters}
-    if not e.starts(extent(data)):
-        return "the road is no ring"
-    if around.is_whole_road:
-        return "too few vehicles" if data.drivers <= e.reach else ""
-    ahead = np.median([chain.position_m.shape[1] - 1 for chain in data.chains])
-    reasons = {
-        "stretches of different drivers have no time in common": "time" in axes,
-        "recordings have no places in common": "place" in axes and not around.has_places,
-        "nothing is assumed of the vehicle behind": e.sees_rear,
-        "the leader's leader is not known": e.reach > ahead,
-    }
-    return next((reason for reason, holds in reasons.items() if holds), "")
 
 
 def chosen(possible: Sequence[Candidate], names: Sequence[str]) -> list[Candidate]:
@@ -183,13 +160,6 @@ def chosen(possible: Sequence[Candidate], names: Sequence[str]) -> list[Candidat
             raise InputError(f"effect {name!r}: cannot be added here; choose among {known}")
         found += mine[:1]
     return found
-
-
-def extent(data: Recorded) -> RecordingExtent:
-    """Return what a search for an effect may know about a recording."""
-    around = data.vicinity
-    first, last = float(np.nanmin(around.position_m)), float(np.nanmax(around.position_m))
-    return RecordingExtent(*around.first_last_s, around.road.circumference_m, first, last)
 
 
 def with_candidate(model: Model, candidate: Candidate, start: Start) -> Model:

@@ -111,7 +111,7 @@ class Score:
 class ScoreOfSome(Score):
     """The score of a candidate that only some drivers have, along one direction.
 
-    A driver has it with a probability that all share: a mixture of two classes (E. L. Scott, 1950s: see G. McLachlan
+    A driver has it with a probability that all share: a mixture of two classes (G. McLachlan
     and D. Peel, Finite Mixture Models, 2000). The drivers of the candidate are those who more probably have it.
     """
 

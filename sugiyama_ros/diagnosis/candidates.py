@@ -172,7 +172,7 @@ def candidates(data: Recorded) -> tuple[Candidate, ...]:
     ]
     for e in EFFECTS.values():
         starts = e.starts(extent)
-        if not starts or _why_not(e, data):
+        if not starts or why_not(e, data):
             continue
         strengths = tuple(index_of(e.name, name) for name in e.switches)
         has_signs = not e.individual and all(ROW.declared[k].lower < 0.0 for k in strengths)
@@ -195,11 +195,11 @@ def candidates(data: Recorded) -> tuple[Candidate, ...]:
 
 def not_searched(data: Recorded) -> dict[str, str]:
     """Return the effects that this recording cannot show, with the reason, by name."""
-    return {name: why for name, e in EFFECTS.items() if e.starts(_A_RING) and (why := _why_not(e, data))}
+    return {name: why for name, e in EFFECTS.items() if e.starts(_A_RING) and (why := why_not(e, data))}
 
 
-def _why_not(e: Effect, data: Recorded) -> str:
-    """Why a search for an effect makes no sense for a recording; empty if it does."""
+def why_not(e: Effect, data: Recorded) -> str:
+    """Return why a search for an effect makes no sense for a recording; empty if it does."""
     around, axes = data.vicinity, {p.axis for p in e.parameters}
     if not e.starts(recording_of(data)):
         return "the road is no ring"
