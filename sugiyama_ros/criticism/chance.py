@@ -16,6 +16,7 @@ import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from scipy.stats import norm
@@ -23,8 +24,10 @@ from scipy.stats import norm
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.criticism.candidates import Candidate
 from sugiyama_ros.criticism.score import Score, scores
+from sugiyama_ros.diagnosis.bootstrap import resampled_fits, seeds
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.progress import OnStage
 
 # Draws from the null distribution: the smallest p-value is a thousandth.
 _DRAWS = 999
@@ -79,13 +82,13 @@ def _surprise(one: Score, simulated: Sequence[Score], multipliers: Array) -> tup
     A candidate must gain beside the model, and more than it gains in simulations: the smaller gain counts, for the
     recording as for each draw.
     """
-    total = one.summed(_limited(one)[None])
+    total = one.summed(_limited(one))
     shift = np.mean([_of_all(s, one) for s in simulated], axis=0) if simulated else np.zeros_like(total)
     if one.information is None:
         # by chance, a likelihood ratio is at least e^g with a probability of at most e^-g (Markov)
         return max(min(one.gain, float((total - shift)[0, 0])), 0.0), -norm.logsf(multipliers[0, :, 0])
     left = _left(one)
-    draws, shifts = (one.summed(part[:, :, None] * left) for part in multipliers)
+    draws, shifts = (one.summed(left, part) for part in multipliers)
     if one.is_by_driver:
         scored = sum(s.drivers for s in simulated)
         shifts = shifts.mean(axis=1, keepdims=True) * math.sqrt(one.drivers / max(scored, 1))
@@ -111,7 +114,7 @@ def _improbable(gains: Array, null: Array) -> Array:
 
 def _of_all(one: Score, like: Score) -> Array:
     """Summed scores of some drivers, as many as all drivers of another score would have."""
-    total = one.summed(_limited(one)[None])
+    total = one.summed(_limited(one))
     if one.is_by_driver:
         return np.broadcast_to(total.mean(axis=1, keepdims=True), (1, like.drivers, total.shape[2]))
     return total * (like.drivers / one.drivers)
@@ -141,8 +144,27 @@ def _limited(one: Score) -> Array:
     return np.asarray(np.clip(one.score, -_LARGEST * std, _LARGEST * std))
 
 
-def simulated_scores(
-    simulations: Sequence[tuple[Recorded, JointFit]], candidates: Sequence[Candidate], work: ThreadPoolExecutor
-) -> list[list[Score]]:
-    """Score the same candidates in simulated recordings, with the fits to them, for half of the drivers."""
-    return [scores(data, fitted, candidates, work, range(0, data.drivers, 2)) for data, fitted in simulations]
+class Simulated:
+    """Recordings that a fitted model simulates, and the scores of candidates there; both are made when asked for."""
+
+    def __init__(
+        self, data: Recorded, fitted: JointFit, seed: int, count: int, work: ThreadPoolExecutor, on_progress: OnStage
+    ) -> None:
+        self._given = data, fitted, seeds(seed, count), work, on_progress
+        self._work = work
+        self._known: set[str] = set()
+        self._scores: list[list[Score]] = [[] for _ in range(count)]
+
+    @cached_property
+    def recordings(self) -> list[tuple[Recorded, JointFit]]:
+        """The recordings, with the fits to them."""
+        return resampled_fits(*self._given)
+
+    def scores(self, candidates: Sequence[Candidate]) -> list[list[Score]]:
+        """Scores of these and earlier candidates, and of forces, in each recording: of half of the drivers."""
+        new = [c for c in candidates if c.name not in self._known]
+        for own, (data, fitted) in zip(self._scores, self.recordings, strict=True):
+            who = range(0, data.drivers, 2)
+            own += scores(data, fitted, new, self._work, who, with_forces=not self._known)
+        self._known |= {c.name for c in new} | {""}
+        return self._scores

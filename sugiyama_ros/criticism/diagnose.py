@@ -13,14 +13,14 @@ from typing import Literal
 from scipy.stats import norm
 
 from sugiyama_ros.criticism.candidates import Candidate, candidates, chosen
-from sugiyama_ros.criticism.chance import p_values, simulated_scores
+from sugiyama_ros.criticism.chance import Simulated, p_values
 from sugiyama_ros.criticism.check import Check, checks, judged
 from sugiyama_ros.criticism.forecast import Surroundings, forecasts, surroundings
 from sugiyama_ros.criticism.refine import combined, refined, without, without_folds
 from sugiyama_ros.criticism.rivals import laws
 from sugiyama_ros.criticism.score import Score, scores
 from sugiyama_ros.criticism.table import Difference, Entry, gains
-from sugiyama_ros.diagnosis.bootstrap import resampled_fits, seeds
+from sugiyama_ros.diagnosis.bootstrap import seeds
 from sugiyama_ros.diagnosis.decisions import with_more_decisions
 from sugiyama_ros.diagnosis.noises import base_model
 from sugiyama_ros.fit.joint import JointFit, maximise
@@ -154,12 +154,13 @@ def diagnose(
         on_progress("fitting the base model", 0, 1)
         data, base = base_model(prepared(recording), work)
         bench = _bench(data, base, seed, simulations, work, on_progress)
-        rounds = _told(bench, base, add) if add else _searched(bench, base)
-        if rounds[0].added is not None and not add:
-            finer = with_more_decisions(recording, data, base, work, on_progress)
-            if finer is not None:
-                bench = _bench(*finer, seed, simulations, work, on_progress)
-                rounds = _searched(bench, finer[1])
+        found = _found(bench, base)
+        if found.is_open and (finer := with_more_decisions(recording, data, base, work, on_progress)) is not None:
+            base = finer[1]
+            bench = _bench(*finer, seed, simulations, work, on_progress)
+            found = _found(bench, base)
+        first = bench.entry("base", (), base)
+        rounds = _told(bench, first, found, add) if add else _searched(bench, first, found)
         return _concluded(bench, rounds, simulations)
 
 
@@ -170,7 +171,7 @@ class _Bench:
     data: Recorded
     possible: tuple[Candidate, ...]
     around: Surroundings
-    simulated: list[list[Score]]
+    simulated: Simulated
     seed: int
     work: ThreadPoolExecutor
     on_progress: OnStage
@@ -184,49 +185,69 @@ class _Bench:
 def _bench(
     data: Recorded, base: JointFit, seed: int, simulations: int, work: ThreadPoolExecutor, on_progress: OnStage
 ) -> _Bench:
-    possible = candidates(data)
-    simulated = resampled_fits(data, base, seeds(seed, simulations), work, on_progress)
-    on_progress("scoring simulations", 0, 1)
-    chance = simulated_scores(simulated, possible, work)
-    return _Bench(data, possible, surroundings(data, base.model, work), chance, seed, work, on_progress)
+    simulated = Simulated(data, base, seed, simulations, work, on_progress)
+    around = surroundings(data, base.model, work)
+    return _Bench(data, candidates(data), around, simulated, seed, work, on_progress)
 
 
-def _searched(bench: _Bench, base: JointFit) -> list[Round]:
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """Scores beside a model: of all candidates by name, best starts first; and what chance gives, by mechanism."""
+
+    by_name: dict[str, list[Score]]
+    p_values: dict[str, float]
+
+    @property
+    def best(self) -> tuple[Score, ...]:
+        """The best score of each mechanism, the largest gain first."""
+        best: dict[str, Score] = {}
+        for own in self.by_name.values():
+            best.setdefault(own[0].candidate.mechanism, own[0])
+        return tuple(best.values())
+
+    @property
+    def is_open(self) -> bool:
+        """Whether anything gains more than by chance."""
+        return min(self.p_values.values(), default=1.0) < ALPHA
+
+
+def _searched(bench: _Bench, first: Entry, found: _Found) -> list[Round]:
     """Add what the data support, one round after the other; the last round adds nothing."""
-    rounds = [_round(bench, bench.entry("base", (), base))]
+    rounds = [_round(bench, first, found)]
     while (added := rounds[-1].added) is not None:
-        rounds.append(_round(bench, added))
+        rounds.append(_round(bench, added, _found(bench, added.fit, added.added)))
     return rounds
 
 
-def _told(bench: _Bench, base: JointFit, names: Sequence[str]) -> list[Round]:
+def _told(bench: _Bench, first: Entry, found: _Found, names: Sequence[str]) -> list[Round]:
     """Add what was asked for, one after the other."""
     rounds: list[Round] = []
-    current = bench.entry("base", (), base)
-    best, found = _scored(bench, current)
-    for candidate in chosen([own[0].candidate for own in found.values()], names):
-        best, found = (best, found) if not rounds else _scored(bench, current)
-        entry = _fitted(bench, current, found[candidate.name])
+    current = first
+    for candidate in chosen([own[0].candidate for own in found.by_name.values()], names):
+        if rounds:
+            found = _found(bench, current.fit, current.added)
+        entry = _fitted(bench, current, found.by_name[candidate.name])
         won = gains(bench.data, entry.forecasts, current.forecasts)
-        chance = p_values([one for own in found.values() for one in own], bench.simulated, bench.seed)
-        rounds.append(Round(current, tuple(own[0] for own in best), chance, (entry,), (won,), entry, ()))
+        rounds.append(Round(current, found.best, found.p_values, (entry,), (won,), entry, ()))
         current = entry
     return rounds
 
 
-def _scored(bench: _Bench, current: Entry) -> tuple[list[list[Score]], dict[str, list[Score]]]:
-    """Scores beside a model: of the best form of each mechanism, and of all candidates by name, best starts first."""
-    bench.on_progress(f"round {len(current.added) + 1}: scoring", 0, 1)
-    known = {one.mechanism for one in current.added}
+def _found(bench: _Bench, fit: JointFit, added: tuple[Candidate, ...] = ()) -> _Found:
+    bench.on_progress(f"round {len(added) + 1}: scoring", 0, 1)
+    known = {one.mechanism for one in added}
     left = [c for c in bench.possible if c.mechanism not in known]
     by_name: dict[str, list[Score]] = {}
-    for one in sorted(scores(bench.data, current.fit, left, bench.work), key=lambda one: -one.gain):
+    for one in sorted(scores(bench.data, fit, left, bench.work), key=lambda one: -one.gain):
         if one.candidate.mechanism not in known:
             by_name.setdefault(one.candidate.name, []).append(one)
-    best: dict[str, list[Score]] = {}
-    for own in by_name.values():
-        best.setdefault(own[0].candidate.mechanism, own)
-    return list(best.values()), by_name
+    every = [one for own in by_name.values() for one in own]
+    found = _Found(by_name, p_values(every, [], bench.seed))
+    if not found.is_open:
+        return found
+    # what the filter's approximations do must be known only where there is something to explain
+    promising = [c for c in left if found.p_values.get(c.mechanism, 1.0) < ALPHA]
+    return _Found(by_name, p_values(every, bench.simulated.scores(promising), bench.seed))
 
 
 def _fitted(bench: _Bench, current: Entry, own: Sequence[Score]) -> Entry:
@@ -234,11 +255,9 @@ def _fitted(bench: _Bench, current: Entry, own: Sequence[Score]) -> Entry:
     return bench.entry(candidate.name, (*current.added, candidate), refined(bench.data, current.fit, own, bench.work))
 
 
-def _round(bench: _Bench, current: Entry) -> Round:
-    """Score all candidates beside a model, fit the best ones, and choose."""
-    best, found = _scored(bench, current)
-    chance = p_values([one for own in found.values() for one in own], bench.simulated, bench.seed)
-    open_ = [own for own in best if chance[own[0].candidate.mechanism] < ALPHA]
+def _round(bench: _Bench, current: Entry, found: _Found) -> Round:
+    """Fit the candidates with the best scores beside a model, and choose."""
+    open_ = [found.by_name[s.candidate.name] for s in found.best if found.p_values[s.candidate.mechanism] < ALPHA]
     # the score of constants says little: they respond to whatever is missing, far from where they start
     worth = [*open_[:_FITTED], *(own for own in open_[_FITTED:] if own[0].candidate.kind == "constants")]
     entries = []
@@ -249,18 +268,19 @@ def _round(bench: _Bench, current: Entry) -> Round:
     named = [e for e in entries if e.added[-1].explains]
     if named:
         first = max(named, key=lambda e: gains(bench.data, e.forecasts, current.forecasts)["all"].nats).added[-1]
-        forms = [own for own in found.values() if own[0].candidate.mechanism == first.mechanism]
+        forms = [own for own in found.by_name.values() if own[0].candidate.mechanism == first.mechanism]
         entries += [_fitted(bench, current, own) for own in forms if own[0].candidate.name != first.name]
     added, alike = _best(bench, current, entries)
     if added is not None and alike:
-        entries += _together(bench, current, [added, *alike][:3])
+        gaining = [e for e in alike if gains(bench.data, e.forecasts, current.forecasts)["all"].is_worth_it]
+        entries += _together(bench, current, [added, *gaining][:3])
         added, alike = _best(bench, current, entries)
     won = [gains(bench.data, one.forecasts, current.forecasts) for one in entries]
     order = sorted(range(len(entries)), key=lambda k: -won[k]["all"].nats)
     return Round(
         current,
-        tuple(own[0] for own in best),
-        chance,
+        found.best,
+        found.p_values,
         tuple(entries[k] for k in order),
         tuple(won[k] for k in order),
         None if added is None else _without_needless(bench, added),
@@ -321,8 +341,10 @@ def _concluded(bench: _Bench, rounds: list[Round], simulations: int) -> Diagnosi
     data, work = bench.data, bench.work
     final = rounds[-1].added or rounds[-1].current
     bench.on_progress("checking", 0, 1)
-    simulated = resampled_fits(data, final.fit, seeds(bench.seed + 1, simulations), work, bench.on_progress)
-    found = list(checks(data, final, simulated, seeds(bench.seed + 2, 12), work))
+    simulated = bench.simulated
+    if final.added:
+        simulated = Simulated(data, final.fit, bench.seed + 1, simulations, work, bench.on_progress)
+    found = list(checks(data, final, simulated.recordings, seeds(bench.seed + 2, 12), work))
     rivals = laws(data, bench.around, final, work)
     found += _left(rounds, data, final, rivals)
     return Diagnosis(data, tuple(rounds), rounds[0].current, final, rivals, judged(found), bench.seed)

@@ -16,7 +16,8 @@ import math
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import gammaln, ndtr
@@ -25,20 +26,20 @@ from sugiyama_ros.arrays import Array, Ints, Mask
 from sugiyama_ros.driver.parameters import SIGMA_NU, at_period, horizon_at, index
 from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.effects.sensing import displacements
-from sugiyama_ros.filters.causal import Filtered, filter_chain
+from sugiyama_ros.filters.causal import ChainJob, filter_each
 from sugiyama_ros.filters.causal_kernel import SETTLING
 from sugiyama_ros.filters.chain import adaptation_of
 from sugiyama_ros.filters.state import STATE
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import Recorded
-from sugiyama_ros.fit.score import between_measurements, filtered_states, jobs_of
+from sugiyama_ros.fit.score import between_measurements, filtered_states, jobs_of, together
 from sugiyama_ros.simulation.drive import Order, Setting
 from sugiyama_ros.simulation.free_run import run_coupled, run_single
 
 #: Times [s] after the start at which forecasts are judged.
 HORIZONS_S = (1.0, 2.0, 5.0, 10.0)
-# Time [s] between two starts; number of pairs of opposite draws.
-_EVERY_S, _PAIRS = 2.5, 4
+# Time [s] between two starts: half of the longest horizon; number of pairs of opposite draws.
+_EVERY_S, _PAIRS = 5.0, 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +104,7 @@ class Surroundings:
 
 
 def surroundings(data: Recorded, model: Model, work: Executor) -> Surroundings:
-    """Return the traffic as a model's filter sees it, and where forecasts start: every 2.5 s."""
+    """Return the traffic as a model's filter sees it, and where forecasts start: every 5 s."""
     around = data.vicinity
     steps = data.every * np.array([max(1, round(h / data.apart_s)) for h in HORIZONS_S])
     apart = data.every * max(1, round(_EVERY_S / data.apart_s))
@@ -143,21 +144,28 @@ def forecasts(data: Recorded, around: Surroundings, models: Sequence[Model], wor
     single = Runs(*np.full((4, *shape), np.nan))
     road = Runs(*np.full((4, *shape), np.nan)) if data.vicinity.is_whole_road else None
     for part in parts:
-        filtered = list(work.map(part.filtered, range(data.drivers)))
         mask = data.fold == part.fold
-        for j, name in enumerate(("sample_log_likelihood", "innovation_m", "innovation_var")):
-            known[j][mask] = np.array([getattr(one, name) for one in filtered])[mask]
         who = around.who & (data.fold.T[around.starts] == part.fold)
         chosen = np.flatnonzero(who.any(axis=1))
-        jobs = [(int(s), who[s], filtered) for s in chosen]
-        for s, (alone, together) in zip(chosen, work.map(part.driven_on, jobs), strict=True):
-            for runs, found in ((single, alone), (road, together)):
+        predicted, states = part.filtered(around.starts[chosen], work)
+        known[:, mask] = predicted[:, mask]
+        jobs = [(int(s), who[s], one) for s, one in zip(chosen, states, strict=True)]
+        for s, (alone, joined) in zip(chosen, work.map(part.driven_on, jobs), strict=True):
+            for runs, found in ((single, alone), (road, joined)):
                 if runs is not None and found is not None:
                     for values, new in zip((runs.log_score, runs.crps, runs.error, runs.normal), found, strict=True):
                         values[s][:, who[s]] = new[:, who[s]]
     known[0][~data.scored] = np.nan
     one_step, innovation_m, innovation_var = known
     return Forecasts(one_step, innovation_m, innovation_var, single, road, around.starts)
+
+
+class _States(NamedTuple):
+    """States of all drivers at one sample: mean (4,) and covariance (4, 4) of each, and the preferences that wander."""
+
+    mean: list[Any]
+    covariance: list[Any]
+    mood: list[Any]
 
 
 class _Fold(NamedTuple):
@@ -168,24 +176,32 @@ class _Fold(NamedTuple):
     model: Model
     fold: int
 
-    def filtered(self, i: int) -> Filtered:
-        """Filter one driver, with covariances."""
-        (job,) = jobs_of(self.data, self.model, [i])
-        return filter_chain(job.chain, job.parameters, ahead=job.ahead)
+    def filtered(self, at: Ints, work: Executor) -> tuple[Array, list[_States]]:
+        """Predictions (3, N, T) of all samples, and the states of all drivers at some samples."""
+        data = self.data
+        predicted = np.full((3, data.drivers, data.samples), np.nan)
+        states = [_States(*([None] * data.drivers for _ in range(3))) for _ in at]
+        jobs = list(enumerate(jobs_of(data, self.model, range(data.drivers))))
+        for part in work.map(partial(_filtered, at), together(jobs)):
+            for i, known, mean, covariance, mood in part:
+                predicted[:, i] = known
+                for k, one in enumerate(states):
+                    one.mean[i], one.covariance[i], one.mood[i] = mean[k], covariance[k], mood[k]
+        return predicted, states
 
-    def driven_on(self, job: tuple[int, Mask, list[Filtered]]) -> tuple[tuple[Array, ...], tuple[Array, ...] | None]:
+    def driven_on(self, job: tuple[int, Mask, _States]) -> tuple[tuple[Array, ...], tuple[Array, ...] | None]:
         """Scores (H, N) of the runs of a start: of single drivers, and of the whole road or None."""
-        data, (number, who, filtered) = self.data, job
+        data, (number, who, states) = self.data, job
         k, steps, around = int(self.around.starts[number]), self.around.steps, data.vicinity
         recorded = self.around.states[k : k + steps[-1] + 1]
         leader = np.where(np.isfinite(recorded[0, around.leader[k], 0]), around.leader[k], -1)
-        rows = _rows_at(at_period(self.model.rows, around.period_s), k, filtered)
+        rows = _rows_at(at_period(self.model.rows, around.period_s), states.mood)
         everybody = np.resize(rows, (len(leader), rows.shape[1]))
         ring = around.road.circumference_m
         order = _order(ring, recorded[0], leader, around.length_m[k])
         setting = Setting(around.period_s, horizon_at(around.period_s), ring)
         rng, start_s = np.random.default_rng(k), float(around.time_s[k, np.argmax(who)])
-        mean, root = _posterior(filtered, k, recorded[0])
+        mean, root = _posterior(states, recorded[0])
         shape = (int(steps[-1]), len(leader))
         both = (False, True) if around.is_whole_road else (False,)
         ends = np.full((len(both), 2 * _PAIRS, len(steps), len(leader)), np.nan)
@@ -229,27 +245,36 @@ def scored(off: Array, noise_var: Array) -> tuple[Array, ...]:
     return log_score, crps, mean, z * math.sqrt((free - 2.0) / free)
 
 
-def _posterior(filtered: Sequence[Filtered], k: int, recorded: Array) -> tuple[Array, Array]:
-    """Mean (V, 4) and a root of the covariance (V, 4, 4) of all vehicles at sample k; others are as recorded."""
+def _filtered(at: Ints, jobs: Sequence[tuple[int, ChainJob]]) -> list[tuple[int, Array, Array, Array, Array]]:
+    """Of some drivers: number, predictions (3, T), and at some samples the own state, its covariance, and the mood."""
+    found = []
+    for k, one in filter_each([job for _, job in jobs]):
+        known = np.array([one.sample_log_likelihood, one.innovation_m, one.innovation_var])
+        number, job = jobs[k]
+        mood = one.mean[at, STATE * job.chain.position_m.shape[1] :]
+        found.append((number, known, one.mean[at, :STATE].copy(), one.covariance[at, :STATE, :STATE].copy(), mood))
+    return found
+
+
+def _posterior(states: _States, recorded: Array) -> tuple[Array, Array]:
+    """Mean (V, 4) and a root of the covariance (V, 4, 4) of all vehicles; others than drivers are as recorded."""
     mean, root = recorded.copy(), np.zeros((len(recorded), STATE, STATE))
-    for i, one in enumerate(filtered):
-        own = one.mean[k, :STATE]
+    for i, (own, covariance) in enumerate(zip(states.mean, states.covariance, strict=True)):
         if np.isfinite(own).all() and np.isfinite(mean[i]).all():
-            values, vectors = np.linalg.eigh(one.covariance[k, :STATE, :STATE])
+            values, vectors = np.linalg.eigh(covariance)
             mean[i], root[i] = own, vectors * np.sqrt(np.maximum(values, 0.0))
     return mean, root
 
 
-def _rows_at(rows: Array, k: int, filtered: Sequence[Filtered]) -> Array:
+def _rows_at(rows: Array, moods: Sequence[Array]) -> Array:
     """Rows (N, WIDTH) with the preferences that the filter expects halfway through the longest run.
 
     Preferences that wander return to the driver's usual ones in their time constant.
     """
     now = rows.copy()
-    for row, one in zip(now, filtered, strict=True):
-        wandering = adaptation_of(row)
-        mood = one.mean[k, one.mean.shape[1] - len(wandering.names) :]
+    for row, mood in zip(now, moods, strict=True):
         if len(mood) and np.isfinite(mood).all():
+            wandering = adaptation_of(row)
             places = [index(name) for name in wandering.names]
             left = math.exp(-0.5 * HORIZONS_S[-1] / wandering.relaxation_s)
             row[places] *= np.exp(left * (mood - np.log(row[places])))

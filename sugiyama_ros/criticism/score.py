@@ -72,28 +72,30 @@ class Score:
     @property
     def gain(self) -> float:
         """Predicted gain [nats], in sample."""
-        return float(self.gains(self.summed(self.score[None]))[0])
+        return float(self.gains(self.summed(self.score))[0])
 
     @property
     def strength(self) -> Array:
         """Strengths along the directions that gain most, (K,); of each driver, (N, K), for individual values."""
         if self.information is None:
             return np.ones(1)
-        return np.asarray(np.einsum("...jk,...k->...j", _inverse(self.total), self.summed(self.score[None])[0]))
+        return np.asarray(np.einsum("...jk,...k->...j", _inverse(self.total), self.summed(self.score)[0]))
 
     @property
     def is_by_driver(self) -> bool:
         """Whether the gain depends on the score of each driver, and not on the sum alone."""
         return self.candidate.individual and self.information is not None
 
-    def summed(self, parts: Array) -> Array:
-        """Sum scores (B, G, K) over the blocks: (B, K), or (B, N, K) where the gain depends on each driver."""
+    def summed(self, score: Array, weights: Array | None = None) -> Array:
+        """Sum scores (G, K) over the blocks, B times with weights (B, G), or once without.
+
+        Returns (B, K), or (B, N, K) where the gain depends on each driver.
+        """
+        weights = np.ones((1, len(score))) if weights is None else weights
         if not self.is_by_driver:
-            return np.asarray(parts.sum(axis=1))
-        total = np.zeros((len(parts), self.drivers, parts.shape[2]))
-        for k, driver in enumerate(self.driver.tolist()):
-            total[:, driver] += parts[:, k]
-        return total
+            return np.asarray(weights @ score)
+        own = [self.driver == i for i in range(self.drivers)]
+        return np.stack([weights[:, mine] @ score[mine] for mine in own], axis=1)
 
     def gains(self, totals: Array) -> Array:
         """Return the gains (B,) [nats] that scores predict, (B, K) or (B, N, K)."""
@@ -128,12 +130,12 @@ class ScoreOfSome(Score):
     @property
     def size(self) -> float:
         """Strength of the drivers who have it."""
-        return float(self._best(self.summed(self.score[None]))[1][0])
+        return float(self._best(self.summed(self.score))[1][0])
 
     @property
     def probability(self) -> Array:
         """Probability that each driver has it, (N,)."""
-        totals = self.summed(self.score[None])
+        totals = self.summed(self.score)
         _, (size,), (share,) = self._best(totals)
         ratio = np.exp(np.clip(self._ratios(totals[0, :, 0], size), -50.0, 50.0))
         return np.asarray(share * ratio / (1.0 - share + share * ratio))
@@ -218,6 +220,8 @@ def scores(
     candidates: Sequence[Candidate],
     work: Executor,
     who: Sequence[int] | None = None,
+    *,
+    with_forces: bool = True,
 ) -> list[Score]:
     """Score candidates, and forces along all covariates, beside a fitted model.
 
@@ -233,6 +237,8 @@ def scores(
         Runs the filters.
     who : sequence of int, optional
         Numbers of the drivers to score; all by default.
+    with_forces : bool
+        Whether to score forces, too.
 
     Returns
     -------
@@ -243,7 +249,7 @@ def scores(
     chosen = range(data.drivers) if who is None else who
     nuisance = _Nuisance(data, fitted, chosen)
     together: dict[tuple[object, ...], list[_Direction]] = {}
-    for one in _directions(data, fitted, candidates, work, chosen):
+    for one in _directions(data, fitted, candidates, work, chosen, with_forces=with_forces):
         together.setdefault(one.group, []).append(one)
     asked = [nuisance.gain(d) if (d := parts[0]).there else nuisance.score(parts) for parts in together.values()]
     found = [one for one in asked if one is not None]
@@ -251,7 +257,13 @@ def scores(
 
 
 def _directions(
-    data: Recorded, fitted: JointFit, candidates: Sequence[Candidate], work: Executor, who: Sequence[int]
+    data: Recorded,
+    fitted: JointFit,
+    candidates: Sequence[Candidate],
+    work: Executor,
+    who: Sequence[int],
+    *,
+    with_forces: bool,
 ) -> Iterator[_Direction]:
     """All directions of all candidates, then those of forces."""
     probes = [probe for c in candidates for probe in _probes(data, fitted.model, c)]
@@ -260,7 +272,7 @@ def _directions(
         columns = [column(fitted.samples.of(i), at.of(i), step, model.rows[i]) for i in who]
         yield _Direction(c, start, columns, group, (model, at) if c.is_random and start else None)
     zeros = no_density(data.samples)
-    for force in forces(data, fitted, work):
+    for force in forces(data, fitted, work) if with_forces else ():
         for change in force.change:
             columns = [(change[i], zeros, zeros) for i in who]
             yield _Direction(force.candidate, force.candidate.starts[0], columns, (force.candidate.name,), None)

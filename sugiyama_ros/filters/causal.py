@@ -93,6 +93,23 @@ def filter_chain(
     return Filtered(*_first(predicted), trace.means[0], trace.covariances[0], motion[:, 0], motion[:, 1], total)
 
 
+def filter_each(jobs: Sequence["ChainJob"]) -> Iterator[tuple[int, Filtered]]:
+    """Yield the number of each job and what the filter says of its driver; filters run side by side where they can."""
+    for numbers, adaptation in _side_by_side(jobs):
+        some = [jobs[i] for i in numbers]
+        samples = max(len(job.chain.position_m) for job in some)
+        size = STATE * some[0].chain.position_m.shape[1] + len(adaptation.names)
+        shapes = ((size,), (size, size), (2,))
+        trace = Trace(*(np.zeros((len(some), samples, *shape)) for shape in shapes))
+        predicted = _run(some, adaptation, trace, np.array([job.chain.end for job in some]))
+        for k, (i, job) in enumerate(zip(numbers, some, strict=True)):
+            last = len(job.chain.position_m)
+            found = Predicted(*(values[k, :last] for values in predicted))
+            means, covariances, motion = (values[k, :last] for values in trace)
+            total = float(np.nansum(found.log_likelihood))
+            yield i, Filtered(*found, means, covariances, motion[:, 0], motion[:, 1], total)
+
+
 class ChainJob(NamedTuple):
     """One driver to filter: the chain, the driver's parameters and those of the drivers ahead, as ``filter_chain``.
 
