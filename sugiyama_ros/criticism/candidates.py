@@ -3,6 +3,7 @@
 Every candidate declares starts: values of its parameters at which it is scored.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
@@ -10,15 +11,15 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.diagnosis.candidates import recording_of, why_not
 from sugiyama_ros.driver.parameters import index
 from sugiyama_ros.effects.discovered_force import COVARIATES, KNOTS
-from sugiyama_ros.effects.effect import MEASUREMENT, Effect
+from sugiyama_ros.effects.effect import MEASUREMENT, Effect, RecordingExtent
 from sugiyama_ros.effects.registry import EFFECTS, MECHANISM, ROW, index_of
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.population import LARGEST_STD
 from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.fit.score import PointwiseDensity
 
 #: What a candidate changes. Constants and noises never explain anything.
 Kind = Literal["effect", "measurement", "force", "constants", "noise"]
@@ -26,14 +27,73 @@ Kind = Literal["effect", "measurement", "force", "constants", "noise"]
 Start: TypeAlias = Mapping[int, float | Array]
 #: Effect that stands for a force along a covariate, and the prefix of such a candidate's name.
 FORCE, FORCE_ALONG = "discovered_force", "force_along_"
+#: Effect that pushes one car at one moment.
+PUSH = "external_push"
+# Lengths of a run of innovations [s] that are tried for a push; acceleration [m/s^2] at which its search begins.
+_RUNS_S, _PUSH = (1.0, 2.0, 4.0), 0.5
 #: What is added to the name of a candidate that only some drivers have.
 OF_SOME = "_of_some"
-# Constants that the paper fixes, in groups that act together: names, kind, whether each driver has individual values.
-_CONSTANTS: tuple[tuple[str, tuple[str, ...], Kind, bool], ...] = (
-    ("response_constants", ("kappa_c", "kappa_d", "kappa_1"), "constants", False),
-    ("noise_constants", ("rho", "sigma_x", "sigma_v"), "noise", False),
-    ("rationality", ("rationality",), "constants", True),
-    ("risk_constants", ("kappa_c", "kappa_d"), "constants", True),
+# A recording on which every effect that is searched for at all has a start.
+_A_RING = RecordingExtent(0.0, 100.0, 100.0, 0.0, 100.0)
+
+
+@dataclass(frozen=True)
+class Constants:
+    """Constants that become free together.
+
+    Parameters
+    ----------
+    name : str
+        Name of the group.
+    parameters : tuple of str
+        Names of the constants.
+    title : str
+        Name for people.
+    summary : str
+        Explanation in one line.
+    individual : bool
+        Whether every driver has individual values.
+    is_noise : bool
+        Whether the constants change only noises and not the mean motion.
+    """
+
+    name: str
+    parameters: tuple[str, ...]
+    title: str
+    summary: str
+    individual: bool = False
+    is_noise: bool = False
+
+
+#: Constants that the paper fixes, in groups that act together.
+CONSTANTS = (
+    Constants(
+        "response_constants",
+        ("kappa_c", "kappa_d", "kappa_1"),
+        "softer or harder response",
+        "gap scales and the width of the desired-speed reward are fitted instead of the paper's constants",
+    ),
+    Constants(
+        "noise_constants",
+        ("rho", "sigma_x", "sigma_v"),
+        "other noise of the motion",
+        "noises of position, speed and acceleration are fitted instead of the paper's constants",
+        is_noise=True,
+    ),
+    Constants(
+        "rationality",
+        ("rationality",),
+        "sharper or looser choices",
+        "how sharply a driver prefers the best action is fitted for each driver",
+        individual=True,
+    ),
+    Constants(
+        "risk_constants",
+        ("kappa_c", "kappa_d"),
+        "own gap scales of each driver",
+        "gap scales at standstill and per closing speed are fitted for each driver",
+        individual=True,
+    ),
 )
 
 
@@ -63,6 +123,8 @@ class Candidate:
         Numbers of the drivers who have it; empty for all.
     is_random : bool
         Whether the candidate changes how uncertain a forecast is, and not its mean: noises, and what wanders.
+    elsewhere : float
+        Logarithm of the number of places, times and cars among which the start was chosen (look-elsewhere effect).
     """
 
     name: str
@@ -75,6 +137,7 @@ class Candidate:
     has_sign: bool = False
     drivers: tuple[int, ...] = ()
     is_random: bool = False
+    elsewhere: float = 0.0
 
     @property
     def explains(self) -> bool:
@@ -111,8 +174,10 @@ def candidates(data: Recorded) -> tuple[Candidate, ...]:
         Constants first, then effects.
     """
     constants = [
-        Candidate(name, name, kind, tuple(map(index, parameters)), ({},), individual)
-        for name, parameters, kind, individual in _CONSTANTS
+        Candidate(
+            c.name, c.name, "noise" if c.is_noise else "constants", tuple(map(index, c.parameters)), ({},), c.individual
+        )
+        for c in CONSTANTS
     ]
     return (
         *constants,
@@ -144,22 +209,52 @@ def force_along(covariate: str, first: float, last: float) -> Candidate:
     return Candidate(FORCE_ALONG + covariate, FORCE, "force", knots, (dict(zip(places, values, strict=True)),))
 
 
-def chosen(possible: Sequence[Candidate], names: Sequence[str]) -> list[Candidate]:
-    """Return the candidates with these names, or of these mechanisms, in the order of the names.
+def check_names(names: Sequence[str]) -> None:
+    """Check that names are those of effects, of their forms, of groups of constants, or of forces without a name.
+
+    Parameters
+    ----------
+    names : sequence of str
+        The names.
 
     Raises
     ------
     InputError
-        For a name that no candidate has.
+        For a name that is none of them. The message lists what can be given.
     """
-    found: list[Candidate] = []
+    constants = [one.name for one in CONSTANTS]
     for name in names:
-        mine = [c for c in possible if c.name == name] or [c for c in possible if c.mechanism == name]
-        if not mine:
-            known = ", ".join(dict.fromkeys(c.name for c in possible))
-            raise InputError(f"effect {name!r}: cannot be added here; choose among {known}")
-        found += mine[:1]
-    return found
+        effect, _, covariate = name.partition(":")
+        if effect == FORCE:
+            if covariate and covariate not in COVARIATES:
+                raise InputError(
+                    f"{name}: a force along {covariate!r} cannot be added; give {FORCE}: and one of"
+                    f" {', '.join(COVARIATES)}"
+                )
+        elif name not in (*EFFECTS, *MECHANISM.values(), *constants):
+            raise InputError(
+                f"effect {name!r}: is not known; give names that `sugiyama effects` lists, {', '.join(constants)}, or"
+                f" {FORCE}:COVARIATE"
+            )
+
+
+def chosen(data: Recorded, possible: Sequence[Candidate], name: str) -> Candidate:
+    """Return the candidate with a name, or the first one of a mechanism with this name.
+
+    Raises
+    ------
+    InputError
+        For a name that no candidate has; the message says why where an effect of that name cannot be added.
+    """
+    wanted = FORCE_ALONG + name.partition(":")[2] if name.startswith(f"{FORCE}:") else name
+    mine = [c for c in possible if c.name == wanted] or [c for c in possible if c.mechanism == wanted]
+    if mine:
+        return mine[0]
+    known = sorted({one for c in possible for one in (c.name, c.mechanism)})
+    why = not_searched(data).get(name, "")
+    raise InputError(
+        f"effect {name!r}: cannot be added here{f': {why}' if why else ''}; choose among {', '.join(known)}"
+    )
 
 
 def with_candidate(model: Model, candidate: Candidate, start: Start) -> Model:
@@ -179,3 +274,71 @@ def with_candidate(model: Model, candidate: Candidate, start: Start) -> Model:
     shared = tuple(k for k in model.shared if k not in new)
     std = model.prior_std + (LARGEST_STD,) * len(new)
     return replace(model, individual=model.individual + new, shared=shared, prior_std=std)
+
+
+def not_searched(data: Recorded) -> dict[str, str]:
+    """Return the effects that this recording cannot show, with the reason, by name."""
+    return {name: why for name, e in EFFECTS.items() if e.starts(_A_RING) and (why := why_not(e, data))}
+
+
+def why_not(e: Effect, data: Recorded) -> str:
+    """Return why a search for an effect makes no sense for a recording; empty if it does."""
+    around, axes = data.vicinity, {p.axis for p in e.parameters}
+    if not e.starts(recording_of(data)):
+        return "the road is no ring"
+    if around.is_whole_road:
+        return "too few vehicles" if data.drivers <= e.reach else ""
+    ahead = np.median([chain.position_m.shape[1] - 1 for chain in data.chains])
+    reasons = {
+        "stretches of different drivers have no time in common": "time" in axes,
+        "recordings have no places in common": "place" in axes and not around.has_places,
+        "nothing is assumed of the vehicle behind": e.sees_rear,
+        "the leader's leader is not known": e.reach > ahead,
+    }
+    return next((reason for reason, holds in reasons.items() if holds), "")
+
+
+def recording_of(data: Recorded) -> RecordingExtent:
+    """Return what a search may know about a recording."""
+    around = data.vicinity
+    first, last = float(np.nanmin(around.position_m)), float(np.nanmax(around.position_m))
+    return RecordingExtent(*around.first_last_s, around.road.circumference_m, first, last)
+
+
+def push_of_one(data: Recorded, samples: PointwiseDensity) -> Candidate | None:
+    """Return a push of the car and at the moment with the largest run of standardised innovations.
+
+    None where nothing is predicted, and on tracks, where a push would need a time that all stretches share.
+    """
+    around = data.vicinity
+    if not around.is_whole_road:
+        return None
+    scored = np.isfinite(samples.log_likelihood)
+    z = np.where(scored, samples.innovation_m / np.sqrt(samples.innovation_var), 0.0)
+    places, best = 1.0, (0.0, 0, 0, 0.0)
+    for run_s in _RUNS_S:
+        length = max(1, round(run_s / around.period_s))
+        if length >= z.shape[1]:
+            continue
+        total = np.cumsum(np.pad(z, ((0, 0), (1, 0))), axis=1)
+        sums = (total[:, length:] - total[:, :-length]) / math.sqrt(length)
+        car, at = divmod(int(np.argmax(np.abs(sums))), sums.shape[1])
+        # runs that overlap by half count as one place
+        places += 2.0 * scored.sum() / length
+        if abs(sums[car, at]) > abs(best[0]):
+            best = (float(sums[car, at]), car, at, run_s)
+    value, car, at, run_s = best
+    if not run_s:
+        return None
+    index = {p.name: index_of(PUSH, p.name) for p in EFFECTS[PUSH].parameters}
+    spared = np.ones(data.drivers)
+    spared[car] = 0.0
+    start: Start = {
+        index["strength"]: math.copysign(_PUSH, value),
+        # the innovations of a pushed car are of one sign from the push on, until the filter has understood
+        index["time"]: float(around.time_s[at, car]),
+        index["duration"]: 0.5 * run_s,
+        index["spared"]: spared,
+    }
+    own = tuple(index[name] for name in ("strength", "time", "duration"))
+    return Candidate(PUSH, PUSH, "effect", own, (start,), switches=own[:1], elsewhere=math.log(places))

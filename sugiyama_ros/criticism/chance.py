@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import norm
@@ -24,11 +25,13 @@ from scipy.stats import norm
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.criticism.candidates import Candidate
 from sugiyama_ros.criticism.score import Score, scores
-from sugiyama_ros.diagnosis.bootstrap import resampled_fits, seeds
+from sugiyama_ros.criticism.simulated import resampled_fits, seeds
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.progress import OnStage
 
+#: Level of significance: nothing is added that chance shows more often.
+ALPHA = 0.05
 # Draws from the null distribution: the smallest p-value is a thousandth.
 _DRAWS = 999
 # Part of the draws that shows how the tail falls.
@@ -38,8 +41,32 @@ _TAIL = 0.1
 _LARGEST = 3.0
 
 
-def p_values(data_scores: Sequence[Score], simulated: Sequence[Sequence[Score]], seed: int) -> dict[str, float]:
-    """Return how probable it is that any candidate shows as much by chance as each mechanism does.
+class Chance(NamedTuple):
+    """What chance gives.
+
+    Parameters
+    ----------
+    p_values : dict of str to float
+        How probable it is that any candidate shows as much by chance as each mechanism does; by chance, the smallest
+        one is uniform.
+    improbable : dict of str to float
+        -ln p of each candidate alone, by name.
+    needed : dict of str to float
+        Gain [nats] that each candidate needs for a p-value of ``ALPHA``, by name.
+    """
+
+    p_values: dict[str, float]
+    improbable: dict[str, float]
+    needed: dict[str, float]
+
+    @property
+    def shows_something(self) -> bool:
+        """Whether anything gains more than by chance."""
+        return min(self.p_values.values(), default=1.0) < ALPHA
+
+
+def chance_of(data_scores: Sequence[Score], simulated: Sequence[Sequence[Score]], seed: int) -> Chance:
+    """Return what chance gives in the scores of a recording.
 
     Parameters
     ----------
@@ -52,22 +79,29 @@ def p_values(data_scores: Sequence[Score], simulated: Sequence[Sequence[Score]],
 
     Returns
     -------
-    dict of str to float
-        The probabilities, by the name of the mechanism. By chance, the smallest one is uniform.
+    Chance
+        By mechanism and by candidate.
     """
     shifts = [{_key(one): one for one in each} for each in simulated]
     rng = np.random.default_rng(seed)
     largest: dict[str, float] = {}
+    alone: dict[str, float] = {}
+    tails: dict[str, _Tail] = {}
     by_chance = np.full(_DRAWS, -np.inf)
     blocks = len(data_scores[0].driver) if data_scores else 0
     multipliers = rng.standard_normal((2, _DRAWS, blocks))
     for one in data_scores:
         there = [known[_key(one)] for known in shifts if _key(one) in known]
-        observed, null = _surprise(one, there, multipliers)
-        name = one.candidate.mechanism
-        largest[name] = max(largest.get(name, -np.inf), observed)
-        by_chance = np.maximum(by_chance, null)
-    return {name: float((1 + np.count_nonzero(by_chance >= z)) / (1 + _DRAWS)) for name, z in largest.items()}
+        observed, null = _observed_and_null(one, there, multipliers)
+        tail = _Tail.of(null)
+        value, name, mechanism = float(tail.improbable(observed)), one.candidate.name, one.candidate.mechanism
+        alone[name] = max(alone.get(name, -np.inf), value)
+        largest[mechanism] = max(largest.get(mechanism, -np.inf), value)
+        tails.setdefault(name, tail)
+        by_chance = np.maximum(by_chance, tail.improbable(null))
+    p = {name: float((1 + np.count_nonzero(by_chance >= z)) / (1 + _DRAWS)) for name, z in largest.items()}
+    level = float(np.quantile(by_chance, 1.0 - ALPHA)) if largest else 0.0
+    return Chance(p, alone, {name: tail.gain_at(level) for name, tail in tails.items()})
 
 
 def _key(one: Score) -> tuple[object, ...]:
@@ -76,8 +110,8 @@ def _key(one: Score) -> tuple[object, ...]:
     return one.candidate.name, *start
 
 
-def _surprise(one: Score, simulated: Sequence[Score], multipliers: Array) -> tuple[float, Array]:
-    """How improbable the gain of a score is by chance, -ln p, and the same for each draw, (B,).
+def _observed_and_null(one: Score, simulated: Sequence[Score], multipliers: Array) -> tuple[float, Array]:
+    """The gain of a score, and the gains of draws from what chance gives, (B,).
 
     A candidate must gain beside the model, and more than it gains in simulations: the smaller gain counts, for the
     recording as for each draw.
@@ -96,20 +130,36 @@ def _surprise(one: Score, simulated: Sequence[Score], multipliers: Array) -> tup
         shifts = shifts * math.sqrt(sum(one.drivers / s.drivers for s in simulated)) / max(len(simulated), 1)
     shifts *= bool(simulated)
     null = np.minimum(one.gains(draws), one.gains(draws - shifts))
-    return float(_improbable(np.minimum(one.gains(total), one.gains(total - shift)), null)[0]), _improbable(null, null)
+    return float(np.minimum(one.gains(total), one.gains(total - shift))[0]), null
 
 
-def _improbable(gains: Array, null: Array) -> Array:
-    """Return -ln p of gains (B,), by draws of the null distribution.
+class _Tail(NamedTuple):
+    """The null distribution of a gain: its draws in order, and the exponential tail beyond the largest tenth of them.
 
-    Gains of likelihoods have exponential tails: so has the distribution beyond the largest tenth of the draws.
+    Gains of likelihoods have exponential tails.
     """
-    ordered = np.sort(null)
-    start = float(np.quantile(ordered, 1.0 - _TAIL))
-    excess = max(float(np.mean(ordered[ordered >= start] - start)), 1e-300)
-    rank = (1 + len(ordered) - np.searchsorted(ordered, gains, side="left")) / (1 + len(ordered))
-    beyond = (gains - start) / excess - math.log(_TAIL)
-    return np.where(gains > start, beyond, np.minimum(-np.log(np.minimum(rank, 1.0)), -math.log(_TAIL)))
+
+    ordered: Array
+    start: float
+    excess: float
+
+    @staticmethod
+    def of(null: Array) -> "_Tail":
+        """The distribution of draws (B,)."""
+        ordered = np.sort(null)
+        start = float(np.quantile(ordered, 1.0 - _TAIL))
+        return _Tail(ordered, start, max(float(np.mean(ordered[ordered >= start] - start)), 1e-300))
+
+    def improbable(self, gains: float | Array) -> Array:
+        """Return -ln p of gains."""
+        count = len(self.ordered)
+        rank = (1 + count - np.searchsorted(self.ordered, gains, side="left")) / (1 + count)
+        beyond = (gains - self.start) / self.excess - math.log(_TAIL)
+        return np.where(gains > self.start, beyond, np.minimum(-np.log(np.minimum(rank, 1.0)), -math.log(_TAIL)))
+
+    def gain_at(self, level: float) -> float:
+        """Return the gain of which -ln p is a level beyond the tail's start."""
+        return self.start + self.excess * max(level + math.log(_TAIL), 0.0)
 
 
 def _of_all(one: Score, like: Score) -> Array:
@@ -145,15 +195,13 @@ def _limited(one: Score) -> Array:
 
 
 class Simulated:
-    """Recordings that a fitted model simulates, and the scores of candidates there; both are made when asked for."""
+    """Recordings that a fitted model simulates, with the fits to them, made when asked for."""
 
     def __init__(
         self, data: Recorded, fitted: JointFit, seed: int, count: int, work: ThreadPoolExecutor, on_progress: OnStage
     ) -> None:
         self._given = data, fitted, seeds(seed, count), work, on_progress
         self._work = work
-        self._known: set[str] = set()
-        self._scores: list[list[Score]] = [[] for _ in range(count)]
 
     @cached_property
     def recordings(self) -> list[tuple[Recorded, JointFit]]:
@@ -161,10 +209,7 @@ class Simulated:
         return resampled_fits(*self._given)
 
     def scores(self, candidates: Sequence[Candidate]) -> list[list[Score]]:
-        """Scores of these and earlier candidates, and of forces, in each recording: of half of the drivers."""
-        new = [c for c in candidates if c.name not in self._known]
-        for own, (data, fitted) in zip(self._scores, self.recordings, strict=True):
-            who = range(0, data.drivers, 2)
-            own += scores(data, fitted, new, self._work, who, with_forces=not self._known)
-        self._known |= {c.name for c in new} | {""}
-        return self._scores
+        """Scores of candidates, and of forces, in each recording: of half of the drivers."""
+        return [
+            scores(data, fitted, candidates, self._work, range(0, data.drivers, 2)) for data, fitted in self.recordings
+        ]

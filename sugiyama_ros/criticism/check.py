@@ -18,16 +18,17 @@ import numpy as np
 from scipy.stats import chi2
 from scipy.stats import t as student
 
-from sugiyama_ros.arrays import Array
-from sugiyama_ros.criticism.forecast import HORIZONS_S, Forecasts, forecasts, surroundings
+from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.criticism.forecast import HORIZONS_S, Forecasts
+from sugiyama_ros.criticism.simulated import resample, seeds
 from sugiyama_ros.criticism.table import Entry
-from sugiyama_ros.diagnosis.bootstrap import resample
-from sugiyama_ros.diagnosis.compare import collective_of
-from sugiyama_ros.diagnosis.locate import Located, locate
+from sugiyama_ros.criticism.where import Located, locate
+from sugiyama_ros.filters.extract import chain_behind, track
 from sugiyama_ros.fit.joint import JointFit
-from sugiyama_ros.fit.recording import FOLDS, Recorded
+from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.score import filtered_states
-from sugiyama_ros.simulation.collective import Collective
+from sugiyama_ros.simulation.collective import Collective, collective
+from sugiyama_ros.trajectories.trajectories import Trajectories
 
 #: False-discovery rate over all checks of a model.
 RATE = 0.05
@@ -84,7 +85,8 @@ def checks(
     data: Recorded,
     final: Entry,
     simulated: Sequence[tuple[Recorded, JointFit]],
-    seeds: Sequence[np.random.Generator],
+    own: Sequence[Forecasts],
+    seed: int,
     work: ThreadPoolExecutor,
 ) -> Iterator[Check]:
     """Yield the checks of a model against its own simulations.
@@ -97,18 +99,17 @@ def checks(
         The model.
     simulated : sequence of (Recorded, JointFit)
         Recordings that the model simulates, with the fits to them.
-    seeds : sequence of numpy.random.Generator
-        Generators for the simulations of the whole road.
+    own : sequence of Forecasts
+        Forecasts of these recordings by the fits.
+    seed : int
+        Seed of the simulations of the whole road.
     work : ThreadPoolExecutor
         Runs the filters and the simulations.
     """
     yield from _innovations(data, final, simulated, work)
-    own = [
-        forecasts(one, surroundings(one, fitted.model, work), [fitted.model] * FOLDS, work) for one, fitted in simulated
-    ]
     yield from _calibration(data, final.forecasts, own)
     if data.trajectories is not None:
-        yield from _collective(data, final, seeds, work)
+        yield from _collective(data, final, seeds(seed, _SIMULATIONS), work)
     yield from _signs(final)
 
 
@@ -173,13 +174,13 @@ def _calibration(data: Recorded, ours: Forecasts, simulated: Sequence[Forecasts]
 
 
 def _collective(
-    data: Recorded, final: Entry, seeds: Sequence[np.random.Generator], work: ThreadPoolExecutor
+    data: Recorded, final: Entry, rngs: Sequence[np.random.Generator], work: ThreadPoolExecutor
 ) -> Iterator[Check]:
     """The traffic on the whole road: speeds, waves and queues of simulations that begin as the recording does."""
     assert data.trajectories is not None
     measured = collective_of(data.trajectories)
     states = filtered_states(data, final.fit.model, work)
-    runs = [resample(data, final.fit.model, states, rng).trajectories for rng in seeds[:_SIMULATIONS]]
+    runs = [resample(data, final.fit.model, states, rng).trajectories for rng in rngs]
     found: list[Collective] = list(work.map(collective_of, [run for run in runs if run is not None]))
     for name, unit in _COLLECTIVE.items():
         values = np.array([getattr(one, name) for one in found])
@@ -194,3 +195,18 @@ def _signs(final: Entry) -> Iterator[Check]:
     """Whether what was added has values that make physical sense; by name, only what was asked for has others."""
     for name, (value, least) in final.signs.items():
         yield Check(f"sign_of_{name}", value, least, "1", float(value >= least))
+
+
+def collective_of(trajectories: Trajectories) -> Collective:
+    """Return collective measures of trajectories; the speeds come from a filter without a driver model."""
+    return collective(*motion_of(trajectories))
+
+
+def motion_of(t: Trajectories) -> tuple[Array, Array, Ints, float]:
+    """Speeds, headways and leaders, each (T, N), and the period [s], without a driver model."""
+    tracks = [track(chain_behind(t, i, vehicles=1)) for i in range(len(t.vehicle))]
+    position, speed = (np.stack([one[:, k] for one in tracks], axis=1) for k in range(2))
+    led = t.leader >= 0
+    ahead = np.take_along_axis(position, np.maximum(t.leader, 0), axis=1)
+    headway = np.where(led, t.road.space_headway(ahead, position), np.nan)
+    return speed, headway, np.where(led, t.leader, -1), t.period_s

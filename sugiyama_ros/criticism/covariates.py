@@ -1,20 +1,19 @@
-"""Curves over a covariate: the forces that a model may lack, and how the samples respond to a force.
+"""What a missing force may depend on, the forces that a model may lack, and how the samples respond to a force.
 
 A push of one period moves the innovations of the next seconds, by nearly the same amounts at any speed. The filter
 shows these amounts once. The change of the samples by any small force is then the force convolved with them.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.signal import lfilter
 
-from sugiyama_ros.arrays import Array
+from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.criticism.candidates import FORCE, Candidate, force_along
-from sugiyama_ros.diagnosis.covariates import covariates_of, further_covariates
-from sugiyama_ros.effects.discovered_force import COVARIATES, KNOTS
+from sugiyama_ros.effects.discovered_force import COVARIATES, KNOTS, LONGEST_S, MOVING
 from sugiyama_ros.effects.registry import index_of
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.recording import Recorded
@@ -29,6 +28,8 @@ _SHOWS_S = 4.0
 _INNER = (0.02, 0.98)
 # Fewest samples at which a covariate must be known.
 _FEWEST = 100
+# Number of vehicles ahead whose mean speed is the speed of the flow.
+_FLOW = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,3 +99,83 @@ def _response(data: Recorded, fitted: JointFit, work: Executor) -> Array:
     seen, response = np.isfinite(known).any(axis=0), np.zeros(length)
     response[seen] = np.nanmedian(known[:, seen], axis=0)
     return response
+
+
+def covariates_of(data: Recorded, state: Array) -> dict[str, Array]:
+    """Return what filtered states say of the surroundings of the drivers at each sample.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    state : ndarray, shape (T, V, 4)
+        Filtered states.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (T, N)
+        Gaps [m], speed [m/s], and approach rates [m/s]: the driver's speed minus the speed of the vehicle ahead, and
+        the speed of the vehicle behind minus the driver's; place [m] and time [s]. NaN where unknown, and all NaN where
+        the recording cannot show a covariate.
+    """
+    around, drivers = data.vicinity, data.drivers
+    x, v = around.road.wrap(state[:, :, 0]), state[:, :, 1]
+    leader, length = around.leader, around.length_m
+    gap = around.road.space_headway(_ahead(x, leader), x) - 0.5 * (_ahead(length, leader) + length)
+    found = {
+        "gap": gap,
+        "speed": v,
+        "approach_rate": v - _ahead(v, leader),
+        "rear_gap": _behind(gap, leader),
+        "rear_approach_rate": _behind(v, leader) - v,
+        "second_gap": _ahead(gap, leader),
+        "second_approach_rate": v - _ahead(_ahead(v, leader), leader),
+        "place": x if around.has_places else np.full_like(x, np.nan),
+    }
+    return {**{name: values[:, :drivers] for name, values in found.items()}, "time": around.time_s}
+
+
+def further_covariates(data: Recorded, state: Array, seen: Mapping[str, Array]) -> dict[str, Array]:
+    """Return what else a force may depend on.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    state : ndarray, shape (T, V, 4)
+        Filtered states.
+    seen : mapping of str to ndarray, shape (T, N)
+        What ``covariates_of`` returns.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (T, N)
+        Time gap [s]; speed minus the mean speed of five vehicles ahead [m/s]; accelerations [m/s^2] of the vehicle
+        ahead and of the driver's own car in the last period. NaN where unknown.
+    """
+    around, drivers = data.vicinity, data.drivers
+    leader = around.leader
+    v, acceleration = state[:, :, 1], state[:, :, 2] + state[:, :, 3]
+    ahead, speeds = v, []
+    for _ in range(_FLOW):
+        ahead = _ahead(ahead, leader)
+        speeds.append(ahead)
+    return {
+        "time_gap": np.minimum(seen["gap"] / np.maximum(seen["speed"], MOVING), LONGEST_S),
+        "flow_approach_rate": (v - np.mean(speeds, axis=0))[:, :drivers],
+        "leader_acceleration": _ahead(acceleration, leader)[:, :drivers],
+        "acceleration": acceleration[:, :drivers],
+    }
+
+
+def _ahead(values: Array, leader: Ints) -> Array:
+    """Values (T, V) of the vehicle ahead; NaN where there is none."""
+    return np.where(leader >= 0, np.take_along_axis(values, np.maximum(leader, 0), axis=1), np.nan)
+
+
+def _behind(values: Array, leader: Ints) -> Array:
+    """Values (T, V) of the vehicle behind; NaN where there is none."""
+    found = np.full_like(values, np.nan)
+    samples, columns = np.nonzero(leader >= 0)
+    found[samples, leader[samples, columns]] = values[samples, columns]
+    return found

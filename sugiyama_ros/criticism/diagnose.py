@@ -4,36 +4,46 @@ Everything is a difference between two models on the same recording: of a proper
 standard error over blocks of time and drivers, and with what chance gives in the same procedure.
 """
 
-from collections.abc import Sequence
+import json
+import math
+import time
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from itertools import combinations
-from typing import Literal
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO, Literal
 
+import numpy as np
 from scipy.stats import norm
 
-from sugiyama_ros.criticism.candidates import Candidate, candidates, chosen
-from sugiyama_ros.criticism.chance import Simulated, p_values
+from sugiyama_ros.arrays import Array
+from sugiyama_ros.criticism.base import base_model, with_more_decisions
+from sugiyama_ros.criticism.candidates import Candidate, candidates, chosen, push_of_one
+from sugiyama_ros.criticism.chance import ALPHA, Chance, Simulated, chance_of
 from sugiyama_ros.criticism.check import Check, checks, judged
-from sugiyama_ros.criticism.forecast import Surroundings, forecasts, surroundings
-from sugiyama_ros.criticism.refine import combined, refined, without, without_folds
+from sugiyama_ros.criticism.forecast import HORIZONS_S, Surroundings, driven, forecasts, surroundings
+from sugiyama_ros.criticism.refine import refined, without, without_folds
 from sugiyama_ros.criticism.rivals import laws
 from sugiyama_ros.criticism.score import Score, scores
-from sugiyama_ros.criticism.table import Difference, Entry, gains
-from sugiyama_ros.diagnosis.bootstrap import seeds
-from sugiyama_ros.diagnosis.decisions import with_more_decisions
-from sugiyama_ros.diagnosis.noises import base_model
+from sugiyama_ros.criticism.table import Difference, Entry, errors, gains
+from sugiyama_ros.criticism.where import Located, locate
+from sugiyama_ros.effects.registry import EFFECTS, ROW
 from sugiyama_ros.fit.joint import JointFit, maximise
-from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.fit.model_file import write_model
+from sugiyama_ros.fit.recording import FOLDS, Recorded
+from sugiyama_ros.fit.sandwich import shared_stds
 from sugiyama_ros.fit.stretched import prepared
+from sugiyama_ros.plots import bars
 from sugiyama_ros.progress import OnStage
+from sugiyama_ros.results import Result, plain
 from sugiyama_ros.trajectories.tracks import Tracks
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 #: What the diagnosis concludes.
 Outcome = Literal["adequate", "explained", "not_explained"]
-#: Level of significance: nothing is added that chance shows more often.
-ALPHA = 0.05
 # Number of candidates that are fitted in a round: the truth has been the fifth by its score, never the sixth.
 _FITTED = 5
 
@@ -47,9 +57,9 @@ class Round:
     current : Entry
         The model at the beginning of the round.
     scores : tuple of Score
-        The best score of each mechanism, the largest gain first.
-    p_values : dict of str to float
-        By mechanism, how probable it is that chance shows as much in any candidate.
+        The best score of each mechanism, the most improbable one first.
+    chance : Chance
+        What chance gives.
     entries : tuple of Entry
         The models that were fitted, the best one first.
     gains : tuple of dict of str to Difference
@@ -62,22 +72,52 @@ class Round:
 
     current: Entry
     scores: tuple[Score, ...]
-    p_values: dict[str, float]
+    chance: Chance
     entries: tuple[Entry, ...]
     gains: tuple[dict[str, Difference], ...]
     added: Entry | None
     alike: tuple[Entry, ...]
 
     @property
-    def closest_effect(self) -> tuple[Entry, dict[str, Difference]] | None:
-        """The best model with an effect that has a physical name, and its gain over the current model."""
+    def closest_effect(self) -> Entry | None:
+        """The best model with an effect that has a physical name."""
         own = len(self.current.added)
-        pairs = zip(self.entries, self.gains, strict=True)
-        return next(((e, g) for e, g in pairs if any(c.explains for c in e.added[own:])), None)
+        return next((e for e in self.entries if any(c.explains for c in e.added[own:])), None)
 
 
 @dataclass(frozen=True, eq=False)
-class Diagnosis:
+class Step:
+    """What one round has added.
+
+    Parameters
+    ----------
+    before, after : Entry
+        The model before and after.
+    gain : dict of str to Difference
+        What it gains on unseen data, by column.
+    of : Round
+        The round.
+    """
+
+    before: Entry
+    after: Entry
+    gain: dict[str, Difference]
+    of: Round
+
+    @property
+    def new(self) -> tuple[Candidate, ...]:
+        """What was added."""
+        return tuple(c for c in self.after.added if c not in self.before.added)
+
+    @property
+    def is_supported(self) -> bool:
+        """Whether the data ask for it: chance rarely shows as much, and the gain is above its standard error."""
+        rare = all(self.of.chance.p_values.get(c.mechanism, 1.0) < ALPHA for c in self.new)
+        return rare and self.gain["all"].is_worth_it and not any(v.is_loss for v in self.gain.values())
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Diagnosis(Result):
     """The diagnosis of a recording, in numbers.
 
     Parameters
@@ -86,23 +126,52 @@ class Diagnosis:
         The recording.
     rounds : tuple of Round
         What was scored, fitted and added, in order.
+    steps : tuple of Step
+        What was added, in order.
     base, final : Entry
         The model without and with the additions.
     laws : tuple of Entry
-        Other car-following laws on the same samples; of a law that is far behind, on some drivers.
+        Other car-following laws on the same samples, but those that are far behind.
+    floor : dict of str to float
+        Errors of the final model on recordings that it simulates: no model can do better.
     checks : tuple of Check
         Where the final model is compared with what was measured.
+    where_before, where_after : Located
+        Where the base model and the final model fail.
+    driven_before, driven_after : ndarray, shape (T, N)
+        Positions [m] of free runs through each block of time with both models.
+    stds : dict of str to float
+        Standard errors of the shared parameters of the final model, by name.
+    smallest : tuple of dict
+        Strengths from which effects would have shown: ``name``, ``parameter`` and ``value``.
+    asked : tuple of str
+        Names that somebody asked to add; empty for a search.
+    simulations : int
+        Number of recordings that each model simulates.
     seed : int
         Seed of the simulations and of the draws by chance.
+    wall_s : float
+        Time that the diagnosis took [s].
     """
 
     data: Recorded
     rounds: tuple[Round, ...]
+    steps: tuple[Step, ...]
     base: Entry
     final: Entry
     laws: tuple[Entry, ...]
+    floor: dict[str, float]
     checks: tuple[Check, ...]
+    where_before: Located
+    where_after: Located
+    driven_before: Array
+    driven_after: Array
+    stds: dict[str, float]
+    smallest: tuple[dict[str, Any], ...]
+    asked: tuple[str, ...]
+    simulations: int
     seed: int
+    wall_s: float
 
     @property
     def outcome(self) -> Outcome:
@@ -113,11 +182,73 @@ class Diagnosis:
             return "adequate"
         return "explained" if self.final.explains else "not_explained"
 
+    def headline(self) -> str:
+        """Say what the diagnosis concludes."""
+        return self._sentences()[0]
+
+    def summary(self) -> str:
+        """Return the verdict in words, one line for each finding, as the command line prints it."""
+        return "\n".join(self._sentences())
+
+    def _sentences(self) -> list[str]:
+        from sugiyama_ros.criticism.document import document
+        from sugiyama_ros.page.words import sentences
+
+        return sentences(plain(document(self)))
+
+    def records(self) -> list[dict[str, Any]]:
+        """List the candidates of the first round, the best one first: gains [nats] and p-value."""
+        from sugiyama_ros.criticism.document import document
+
+        found: list[dict[str, Any]] = plain(document(self))["candidates"]
+        return found
+
+    def draw(self, figure: "Figure") -> None:
+        """Draw the held-out gains of the candidates, and the errors of free runs before and after."""
+        left, right = figure.subplots(1, 2)
+        best = [r for r in self.records() if r["heldout_gain_nats"] is not None][:12]
+        names, won = [r["name"] for r in best], [r["heldout_gain_nats"] for r in best]
+        bars(left, names, won, [r["heldout_gain_se"] for r in best], "held-out gain [nats]")
+        runs = "free_run" if self.data.vicinity.is_whole_road else "single_car"
+        for label, entry in (("before", self.base), ("after", self.final)):
+            found = errors(entry.forecasts)
+            values = [0.0, *(found[f"{runs}_{h:g}s_m"] for h in HORIZONS_S)]
+            right.plot([0.0, *HORIZONS_S], values, "o-", label=label)
+        right.set(xlabel="time ahead [s]", ylabel="error of free runs [m]", ylim=(0.0, None))
+        right.legend()
+
+    def save(self, path: str | Path) -> None:
+        """Write the diagnosis to a file.
+
+        Parameters
+        ----------
+        path : str or Path
+            ``.yaml`` for a model file with what was added; ``.json`` for the whole document, as ``sugiyama report
+            --diagnosis`` reads it; ``.csv`` for the candidates, ``.png`` and ``.pdf`` for the picture.
+
+        Raises
+        ------
+        InputError
+            For another suffix, or a library that is not installed.
+        OutputError
+            If the file cannot be written.
+        """
+        if Path(path).suffix == ".yaml":
+            write_model(Path(path), self.data, self.final.fit)
+            return
+        super().save(path)
+
+    def _save_json(self, stream: BinaryIO, _: str) -> None:
+        from sugiyama_ros.criticism.document import document
+
+        stream.write((json.dumps(plain(document(self)), indent=2, allow_nan=False) + "\n").encode())
+
 
 def diagnose(
     recording: Trajectories | Tracks,
     *,
     add: Sequence[str] = (),
+    most: int | None = None,
     seed: int = 0,
     simulations: int = 2,
     workers: int = 2,
@@ -131,6 +262,8 @@ def diagnose(
         The recording.
     add : sequence of str
         Names of what is added, whatever the data say; by default, what the data ask for.
+    most : int, optional
+        Largest number of steps that add what the data ask for; as many as they ask for if left out.
     seed : int
         Seed of the simulations and of the draws by chance.
     simulations : int
@@ -150,18 +283,21 @@ def diagnose(
     InputError
         If the recording is too short, or for a name that cannot be added.
     """
+    began = time.monotonic()
     with ThreadPoolExecutor(workers) as work:
         on_progress("fitting the base model", 0, 1)
         data, base = base_model(prepared(recording), work)
         bench = _bench(data, base, seed, simulations, work, on_progress)
-        found = _found(bench, base)
-        if found.is_open and (finer := with_more_decisions(recording, data, base, work, on_progress)) is not None:
-            base = finer[1]
-            bench = _bench(*finer, seed, simulations, work, on_progress)
-            found = _found(bench, base)
+        found = _scored(bench, base)
+        if found.chance.shows_something:
+            finer = with_more_decisions(recording, data, base, work, on_progress)
+            if finer is not None:
+                data, base = finer
+                bench = _bench(data, base, seed, simulations, work, on_progress)
+                found = _scored(bench, base)
         first = bench.entry("base", (), base)
-        rounds = _told(bench, first, found, add) if add else _searched(bench, first, found)
-        return _concluded(bench, rounds, simulations)
+        rounds = _told(bench, first, found, add) if add else _searched(bench, first, found, most)
+        return _concluded(bench, rounds, tuple(add), simulations, began)
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +307,7 @@ class _Bench:
     data: Recorded
     possible: tuple[Candidate, ...]
     around: Surroundings
-    simulated: Simulated
+    simulations: int
     seed: int
     work: ThreadPoolExecutor
     on_progress: OnStage
@@ -181,106 +317,106 @@ class _Bench:
         models = without_folds(self.data, fit, self.work)
         return Entry(name, added, fit, models, forecasts(self.data, self.around, models, self.work))
 
+    def simulated(self, fit: JointFit) -> Simulated:
+        """Recordings that a model simulates."""
+        return Simulated(self.data, fit, self.seed, self.simulations, self.work, self.on_progress)
+
 
 def _bench(
     data: Recorded, base: JointFit, seed: int, simulations: int, work: ThreadPoolExecutor, on_progress: OnStage
 ) -> _Bench:
-    simulated = Simulated(data, base, seed, simulations, work, on_progress)
     around = surroundings(data, base.model, work)
-    return _Bench(data, candidates(data), around, simulated, seed, work, on_progress)
+    return _Bench(data, candidates(data), around, simulations, seed, work, on_progress)
 
 
 @dataclass(frozen=True, eq=False)
-class _Found:
-    """Scores beside a model: of all candidates by name, best starts first; and what chance gives, by mechanism."""
+class _Scored:
+    """Scores beside a model, of all candidates by name, best starts first; what chance gives, and simulations."""
 
     by_name: dict[str, list[Score]]
-    p_values: dict[str, float]
+    chance: Chance
+    simulated: Simulated
 
     @property
     def best(self) -> tuple[Score, ...]:
-        """The best score of each mechanism, the largest gain first."""
+        """The score of each mechanism, in that form which chance explains least; the most improbable first."""
         best: dict[str, Score] = {}
-        for own in self.by_name.values():
-            best.setdefault(own[0].candidate.mechanism, own[0])
+        for name in sorted(self.by_name, key=lambda name: -self.chance.improbable[name]):
+            best.setdefault(self.by_name[name][0].candidate.mechanism, self.by_name[name][0])
         return tuple(best.values())
 
-    @property
-    def is_open(self) -> bool:
-        """Whether anything gains more than by chance."""
-        return min(self.p_values.values(), default=1.0) < ALPHA
 
-
-def _searched(bench: _Bench, first: Entry, found: _Found) -> list[Round]:
-    """Add what the data support, one round after the other; the last round adds nothing."""
-    rounds = [_round(bench, first, found)]
-    while (added := rounds[-1].added) is not None:
-        rounds.append(_round(bench, added, _found(bench, added.fit, added.added)))
-    return rounds
-
-
-def _told(bench: _Bench, first: Entry, found: _Found, names: Sequence[str]) -> list[Round]:
-    """Add what was asked for, one after the other."""
-    rounds: list[Round] = []
-    current = first
-    for candidate in chosen([own[0].candidate for own in found.by_name.values()], names):
-        if rounds:
-            found = _found(bench, current.fit, current.added)
-        entry = _fitted(bench, current, found.by_name[candidate.name])
-        won = gains(bench.data, entry.forecasts, current.forecasts)
-        rounds.append(Round(current, found.best, found.p_values, (entry,), (won,), entry, ()))
-        current = entry
-    return rounds
-
-
-def _found(bench: _Bench, fit: JointFit, added: tuple[Candidate, ...] = ()) -> _Found:
+def _scored(bench: _Bench, fit: JointFit, added: tuple[Candidate, ...] = ()) -> _Scored:
+    """Score everything that a model does not have yet."""
     bench.on_progress(f"round {len(added) + 1}: scoring", 0, 1)
     known = {one.mechanism for one in added}
-    left = [c for c in bench.possible if c.mechanism not in known]
+    push = push_of_one(bench.data, fit.samples)
+    left = [c for c in (*bench.possible, *((push,) if push else ())) if c.mechanism not in known]
     by_name: dict[str, list[Score]] = {}
     for one in sorted(scores(bench.data, fit, left, bench.work), key=lambda one: -one.gain):
         if one.candidate.mechanism not in known:
             by_name.setdefault(one.candidate.name, []).append(one)
     every = [one for own in by_name.values() for one in own]
-    found = _Found(by_name, p_values(every, [], bench.seed))
-    if not found.is_open:
-        return found
-    # what the filter's approximations do must be known only where there is something to explain
-    promising = [c for c in left if found.p_values.get(c.mechanism, 1.0) < ALPHA]
-    return _Found(by_name, p_values(every, bench.simulated.scores(promising), bench.seed))
+    chance, simulated = chance_of(every, [], bench.seed), bench.simulated(fit)
+    if chance.shows_something:
+        # what the filter's approximations do must be known only where there is something to explain
+        promising = [c for c in left if chance.p_values.get(c.mechanism, 1.0) < ALPHA]
+        chance = chance_of(every, simulated.scores(promising), bench.seed)
+    return _Scored(by_name, chance, simulated)
 
 
-def _fitted(bench: _Bench, current: Entry, own: Sequence[Score]) -> Entry:
-    candidate = own[0].candidate
-    return bench.entry(candidate.name, (*current.added, candidate), refined(bench.data, current.fit, own, bench.work))
+def _searched(bench: _Bench, first: Entry, found: _Scored, most: int | None) -> list[Round]:
+    """Add what the data support, one round after the other, until nothing is added."""
+    rounds = [_round(bench, first, found)]
+    while (added := rounds[-1].added) is not None and (most is None or len(rounds) < most):
+        rounds.append(_round(bench, added, _scored(bench, added.fit, added.added)))
+    return rounds
 
 
-def _round(bench: _Bench, current: Entry, found: _Found) -> Round:
+def _told(bench: _Bench, first: Entry, found: _Scored, names: Sequence[str]) -> list[Round]:
+    """Add what was asked for, one after the other."""
+    rounds: list[Round] = []
+    current = first
+    for name in names:
+        if rounds:
+            found = _scored(bench, current.fit, current.added)
+        scored = [own[0].candidate for own in found.by_name.values()]
+        candidate = chosen(bench.data, [*bench.possible, *scored], name)
+        entry = _fitted(bench, current, candidate, found)
+        won = gains(bench.data, entry.forecasts, current.forecasts)
+        rounds.append(Round(current, found.best, found.chance, (entry,), (won,), entry, ()))
+        current = entry
+    return rounds
+
+
+def _fitted(bench: _Bench, current: Entry, candidate: Candidate, found: _Scored) -> Entry:
+    """The model with a candidate."""
+    fit = refined(bench.data, current.fit, candidate, found.by_name.get(candidate.name, ()), bench.work)
+    return bench.entry(candidate.name, (*current.added, candidate), fit)
+
+
+def _round(bench: _Bench, current: Entry, found: _Scored) -> Round:
     """Fit the candidates with the best scores beside a model, and choose."""
-    open_ = [found.by_name[s.candidate.name] for s in found.best if found.p_values[s.candidate.mechanism] < ALPHA]
+    open_ = [s.candidate for s in found.best if found.chance.p_values[s.candidate.mechanism] < ALPHA]
     # the score of constants says little: they respond to whatever is missing, far from where they start
-    worth = [*open_[:_FITTED], *(own for own in open_[_FITTED:] if own[0].candidate.kind == "constants")]
+    worth = [*open_[:_FITTED], *(c for c in open_[_FITTED:] if c.kind == "constants")]
     entries = []
-    for number, own in enumerate(worth):
+    for number, candidate in enumerate(worth):
         bench.on_progress(f"round {len(current.added) + 1}: fitting", number, len(worth))
-        entries.append(_fitted(bench, current, own))
+        entries.append(_fitted(bench, current, candidate, found))
     # of the best mechanism with a name, all forms
     named = [e for e in entries if e.added[-1].explains]
     if named:
         first = max(named, key=lambda e: gains(bench.data, e.forecasts, current.forecasts)["all"].nats).added[-1]
-        forms = [own for own in found.by_name.values() if own[0].candidate.mechanism == first.mechanism]
-        entries += [_fitted(bench, current, own) for own in forms if own[0].candidate.name != first.name]
+        forms = [own[0].candidate for own in found.by_name.values() if own[0].candidate.mechanism == first.mechanism]
+        entries += [_fitted(bench, current, c, found) for c in forms if c.name != first.name]
     added, alike = _best(bench, current, entries)
-    if added is not None and alike:
-        gaining = [e for e in alike if gains(bench.data, e.forecasts, current.forecasts)["all"].is_worth_it]
-        entries += _together(bench, current, [added, *gaining][:3])
-        added, alike = _best(bench, current, entries)
     won = [gains(bench.data, one.forecasts, current.forecasts) for one in entries]
     order = sorted(range(len(entries)), key=lambda k: -won[k]["all"].nats)
     return Round(
         current,
         found.best,
-        found.p_values,
+        found.chance,
         tuple(entries[k] for k in order),
         tuple(won[k] for k in order),
         None if added is None else _without_needless(bench, added),
@@ -298,21 +434,11 @@ def _without_needless(bench: _Bench, entry: Entry) -> Entry:
     return entry
 
 
-def _together(bench: _Bench, current: Entry, entries: Sequence[Entry]) -> list[Entry]:
-    """Pairs of additions that cannot be told apart: each may be one half of what is missing."""
-    found, own = [], len(current.added)
-    for pair in combinations(entries, 2):
-        new = tuple(c for one in pair for c in one.added[own:])
-        fit = combined(bench.data, current.fit, [(one.added[-1], one.fit) for one in pair], bench.work)
-        found.append(bench.entry(" + ".join(c.name for c in new), (*current.added, *new), fit))
-    return found
-
-
 def _best(bench: _Bench, current: Entry, entries: Sequence[Entry]) -> tuple[Entry | None, list[Entry]]:
     """The model that gains most, more than its error, and is nowhere clearly worse; and what cannot be told apart.
 
-    Among models that cannot be told apart from it, one that can explain goes before one that cannot, and one addition
-    before two.
+    Among models that cannot be told apart from it, one that can explain goes before one that cannot, one addition
+    before two, and what all drivers have before what some have.
     """
 
     def leads(one: Entry, other: Entry) -> bool:
@@ -331,33 +457,85 @@ def _best(bench: _Bench, current: Entry, entries: Sequence[Entry]) -> tuple[Entr
     own = len(current.added)
     best = min(
         (e for e in alike if e in allowed),
-        key=lambda e: (not any(c.explains for c in e.added[own:]), len(e.added), -won[id(e)]["all"].nats),
+        key=lambda e: (
+            not any(c.explains for c in e.added[own:]),
+            len(e.added),
+            any(c.drivers for c in e.added[own:]),
+            -won[id(e)]["all"].nats,
+        ),
     )
     return best, [e for e in alike if e is not best]
 
 
-def _concluded(bench: _Bench, rounds: list[Round], simulations: int) -> Diagnosis:
+def _concluded(bench: _Bench, rounds: list[Round], asked: tuple[str, ...], simulations: int, began: float) -> Diagnosis:
     """The final model, other laws, and the checks."""
     data, work = bench.data, bench.work
-    final = rounds[-1].added or rounds[-1].current
-    bench.on_progress("checking", 0, 1)
-    simulated = bench.simulated
-    if final.added:
-        simulated = Simulated(data, final.fit, bench.seed + 1, simulations, work, bench.on_progress)
-    found = list(checks(data, final, simulated.recordings, seeds(bench.seed + 2, 12), work))
+    base, final = rounds[0].current, rounds[-1].added or rounds[-1].current
+    bench.on_progress("checking the final model", 0, 1)
+    simulated = bench.simulated(final.fit)
+    own = [
+        forecasts(one, surroundings(one, fitted.model, work), [fitted.model] * FOLDS, work)
+        for one, fitted in simulated.recordings
+    ]
     rivals = laws(data, bench.around, final, work)
-    found += _left(rounds, data, final, rivals)
-    return Diagnosis(data, tuple(rounds), rounds[0].current, final, rivals, judged(found), bench.seed)
+    found = [*checks(data, final, simulated.recordings, own, bench.seed, work), *_left(rounds, data, final, rivals)]
+    steps = [
+        Step(one.current, one.added, gains(data, one.added.forecasts, one.current.forecasts), one)
+        for one in rounds
+        if one.added is not None
+    ]
+    return Diagnosis(
+        data=data,
+        rounds=tuple(rounds),
+        steps=tuple(steps),
+        base=base,
+        final=final,
+        laws=rivals,
+        floor=_mean_of([errors(one) for one in own]),
+        checks=judged(found),
+        where_before=locate(data, base.fit.model, base.forecasts.samples, work),
+        where_after=locate(data, final.fit.model, final.forecasts.samples, work),
+        driven_before=driven(data, base.models, work),
+        driven_after=driven(data, final.models, work),
+        stds=shared_stds(data, final.fit, work),
+        smallest=() if steps else tuple(_smallest(rounds[0])),
+        asked=asked,
+        simulations=simulations,
+        seed=bench.seed,
+        wall_s=time.monotonic() - began,
+    )
+
+
+def _mean_of(several: Sequence[dict[str, float]]) -> dict[str, float]:
+    return {name: float(np.mean([one[name] for one in several])) for name in several[0]} if several else {}
+
+
+def _smallest(first: Round) -> Iterator[dict[str, Any]]:
+    """Yield from which strength on each effect would have shown: where its score would gain more than chance does."""
+    for one in first.scores:
+        c, needed = one.candidate, first.chance.needed.get(one.candidate.name)
+        if c.kind not in ("effect", "measurement") or c.individual or c.drivers or one.information is None:
+            continue
+        place = next((k for k in (*c.switches, *c.places) if np.any(one.starts[0].get(k, 0.0))), None)
+        known = float(np.diagonal(one.total, axis1=-2, axis2=-1).ravel()[0])
+        if needed is None or place is None or known <= 0.0 or EFFECTS[c.name].is_limit:
+            continue
+        value = math.sqrt(2.0 * needed / known) * float(np.max(np.asarray(one.starts[0][place])))
+        declared = ROW.declared[place]
+        if declared.lower <= value <= declared.upper:
+            yield {"name": c.mechanism, "parameter": declared.name, "value": value}
 
 
 def _left(rounds: Sequence[Round], data: Recorded, final: Entry, rivals: Sequence[Entry]) -> list[Check]:
     """Checks of what is left: the best candidate of the last round, and the best other law."""
     last = rounds[-1]
     left = []
-    if last.added is None and last.p_values:
-        name = min(last.p_values, key=lambda one: last.p_values[one])
-        score = max((one for one in last.scores if one.candidate.mechanism == name), key=lambda one: one.gain)
-        left.append(Check(f"left_for_{score.candidate.name}", score.gain, 0.0, "nats", last.p_values[name]))
+    if last.added is None and last.scores:
+        p_values = last.chance.p_values
+        best = min(last.scores, key=lambda one: (p_values[one.candidate.mechanism], -one.gain))
+        left.append(
+            Check(f"left_for_{best.candidate.name}", best.gain, 0.0, "nats", p_values[best.candidate.mechanism])
+        )
     for one in rivals:
         won = gains(data, one.forecasts, final.forecasts)["all"]
         left.append(Check(f"gain_of_{one.name}", won.nats, 0.0, "nats", float(norm.sf(won.nats / max(won.se, 1e-9)))))

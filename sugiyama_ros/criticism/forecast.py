@@ -25,14 +25,14 @@ from scipy.special import gammaln, ndtr
 from sugiyama_ros.arrays import Array, Ints, Mask
 from sugiyama_ros.driver.parameters import SIGMA_NU, at_period, horizon_at, index
 from sugiyama_ros.driver.utility import ACTIONS
-from sugiyama_ros.effects.sensing import displacements
+from sugiyama_ros.effects.sensing import displacements, is_contaminated, noise_std_factors, weigh
 from sugiyama_ros.filters.causal import ChainJob, filter_each
 from sugiyama_ros.filters.causal_kernel import SETTLING
 from sugiyama_ros.filters.chain import adaptation_of
 from sugiyama_ros.filters.state import STATE
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import Recorded
-from sugiyama_ros.fit.score import between_measurements, filtered_states, jobs_of, together
+from sugiyama_ros.fit.score import PointwiseDensity, between_measurements, filtered_states, jobs_of, together
 from sugiyama_ros.simulation.drive import Order, Setting
 from sugiyama_ros.simulation.free_run import run_coupled, run_single
 
@@ -88,6 +88,11 @@ class Forecasts:
     single: Runs
     road: Runs | None
     start: Ints
+
+    @property
+    def samples(self) -> PointwiseDensity:
+        """Predictions one step ahead."""
+        return PointwiseDensity(self.innovation_m, self.innovation_var, self.one_step)
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,6 +165,43 @@ def forecasts(data: Recorded, around: Surroundings, models: Sequence[Model], wor
     return Forecasts(one_step, innovation_m, innovation_var, single, road, around.starts)
 
 
+def driven(data: Recorded, models: Sequence[Model], work: Executor) -> Array:
+    """Let all vehicles of a road drive through each block of time, without noise, by the model that has not seen it.
+
+    Returns
+    -------
+    ndarray, shape (T, N)
+        Positions [m], wrapped on a ring; NaN while the filter settles, and for vehicles that were not there at the
+        start of the block. On tracks nobody says who drives before and after a stretch: all are NaN.
+    """
+    around = data.vicinity
+    position = np.full((data.samples, data.drivers), np.nan)
+    if data.trajectories is None:
+        return position
+    ring = around.road.circumference_m
+    setting = Setting(around.period_s, horizon_at(around.period_s), ring)
+    # on one road, all drivers have the same blocks, folds and segments
+    block, fold_at, segment = data.block[0], data.fold[0], data.segment[0]
+    parts = np.flatnonzero(np.diff(block) | np.diff(segment)) + 1
+    for fold, model in enumerate(models):
+        states = filtered_states(data, model, work)
+        rows = at_period(model.rows, around.period_s)
+        for first, end in zip((0, *parts.tolist()), (*parts.tolist(), len(position)), strict=True):
+            k = max(first, SETTLING + 4) if first == 0 else first
+            if k + 1 >= end or fold_at[first] != fold:
+                continue
+            recorded = np.ascontiguousarray(states[k:end])
+            leader = np.where(np.isfinite(recorded[0, around.leader[k], 0]), around.leader[k], -1)
+            order = _order(ring, recorded[0], leader, around.length_m[k])
+            out = np.empty((end - k - 1, data.drivers, 2))
+            start_s = float(around.time_s[k, 0])
+            run_coupled(recorded, order, rows, ACTIONS, start_s, setting, np.zeros(out.shape[:2]), out)
+            position[k] = recorded[0, :, 0]
+            places = np.ascontiguousarray(out[:, :, 0])
+            position[k + 1 : end] = places + [displacements(x, ring, rows) for x in places]
+    return np.where(data.trajectories.present, around.road.wrap(position), np.nan)
+
+
 class _States(NamedTuple):
     """States of all drivers at one sample: mean (4,) and covariance (4, 4) of each, and the preferences that wander."""
 
@@ -221,28 +263,49 @@ class _Fold(NamedTuple):
                     at = np.ascontiguousarray(out[steps - 1, :, 0])
                     ends[j, 2 * pair + half] = at + np.array([displacements(x, ring, everybody) for x in at])
         measured = around.position_m[k + steps]
-        noise_var = np.square(everybody[:, SIGMA_NU])
-        found = [scored(around.road.difference(one, measured), noise_var) for one in ends]
+        noise_var = np.square([everybody[:, SIGMA_NU] * noise_std_factors(x, ring, everybody) for x in measured])
+        found = [scored(around.road.difference(one, measured), noise_var, everybody) for one in ends]
         return tuple(v[:, : data.drivers] for v in found[0]), (
             tuple(v[:, : data.drivers] for v in found[1]) if len(both) > 1 else None
         )
 
 
-def scored(off: Array, noise_var: Array) -> tuple[Array, ...]:
+def scored(off: Array, noise_var: Array, rows: Array) -> tuple[Array, ...]:
     """Log score, CRPS, error and normalised error (H, N) of ensembles of M errors, (M, H, N).
 
-    noise_var: variance of the measurements (N,). With few members the forecast is Student's t distribution.
+    noise_var: variance of good measurements (H, N); rows: of the drivers (N, WIDTH), which say how many measurements
+    are bad. With few members the forecast is Student's t distribution.
     """
     members = len(off)
     mean = off.mean(axis=0)
     var = off.var(axis=0, ddof=1) * (1.0 + 1.0 / members) + noise_var
-    free, z = members - 1.0, mean / np.sqrt(var)
-    constant = gammaln(0.5 * (free + 1.0)) - gammaln(0.5 * free) - 0.5 * math.log(0.5 * free)
-    log_score = constant - 0.5 * np.log(var) - 0.5 * (free + 1.0) * np.log1p(np.square(z) / free)
+    log_score, all_var = _student(mean, var, members), var
+    if any(is_contaminated(row) for row in rows):
+        share, wide = _bad(var, noise_var, rows)
+        log_score = np.logaddexp(np.log1p(-share) + log_score, np.log(share + 1e-300) + _student(mean, wide, members))
+        all_var = (1.0 - share) * var + share * wide
+    z = mean / np.sqrt(var)
     density = np.exp(-0.5 * np.square(z)) / math.sqrt(2.0 * math.pi)
     crps = np.sqrt(var) * (z * (2.0 * ndtr(z) - 1.0) + 2.0 * density - 1.0 / math.sqrt(math.pi))
     # of the same variance as a normal number
-    return log_score, crps, mean, z * math.sqrt((free - 2.0) / free)
+    return log_score, crps, mean, mean / np.sqrt(all_var) * math.sqrt((members - 3.0) / (members - 1.0))
+
+
+def _student(off: Array, var: Array, members: int) -> Array:
+    """Logarithm of the density of Student's t distribution, without the term of 2 pi."""
+    free = members - 1.0
+    constant = gammaln(0.5 * (free + 1.0)) - gammaln(0.5 * free) - 0.5 * math.log(0.5 * free)
+    return np.asarray(constant - 0.5 * np.log(var) - 0.5 * (free + 1.0) * np.log1p(np.square(off) / (free * var)))
+
+
+def _bad(var: Array, noise_var: Array, rows: Array) -> tuple[Array, Array]:
+    """Share of bad measurements, and the variance [m^2] of a forecast of a bad one, (H, N) each."""
+    share, wide = np.zeros_like(var), var.copy()
+    for h, i in np.ndindex(var.shape):
+        if np.isfinite(var[h, i]) and is_contaminated(rows[i]):
+            bad, wide[h, i], density = weigh(0.0, var[h, i], noise_var[h, i], rows[i])
+            share[h, i] = bad * math.exp(density) * math.sqrt(wide[h, i])
+    return share, wide
 
 
 def _filtered(at: Ints, jobs: Sequence[tuple[int, ChainJob]]) -> list[tuple[int, Array, Array, Array, Array]]:

@@ -19,7 +19,7 @@ from sugiyama_ros.fit.slopes import no_density
 _STEPS, _RENEWALS, _STEPS_WITHOUT = 12, 2, 3
 
 
-def refined(data: Recorded, fitted: JointFit, best: Sequence[Score], work: Executor) -> JointFit:
+def refined(data: Recorded, fitted: JointFit, candidate: Candidate, found: Sequence[Score], work: Executor) -> JointFit:
     """Add a candidate to a fitted model, and fit the new model in full.
 
     Parameters
@@ -28,8 +28,10 @@ def refined(data: Recorded, fitted: JointFit, best: Sequence[Score], work: Execu
         The recording.
     fitted : JointFit
         The fitted model without the candidate.
-    best : sequence of Score
-        Scores of the candidate at its starts, the largest gain first.
+    candidate : Candidate
+        What is added.
+    found : sequence of Score
+        Scores of the candidate at its starts, the largest gain first; none where nothing is known of it.
     work : Executor
         Runs the filters.
 
@@ -38,7 +40,8 @@ def refined(data: Recorded, fitted: JointFit, best: Sequence[Score], work: Execu
     JointFit
         The model with the candidate; the fit begins at the start, and the strength there, that fits the samples best.
     """
-    tried = [model for one in best[:2] for model in _starts(fitted.model, one)]
+    tried = [model for one in found[:2] for model in _starts(fitted.model, one)]
+    tried = tried or [with_candidate(fitted.model, candidate, start) for start in candidate.starts]
     there = [_beside(data, fitted, model, work) for model in tried]
     start = max(there, key=lambda one: objective(one.slopes, one.model, range(FOLDS)))
     return _maximised(data, start, work)
@@ -51,7 +54,7 @@ def _maximised(data: Recorded, start: JointFit, work: Executor) -> JointFit:
         data.roughly, renewed(data.roughly, start, work, everybody), work, iterations=_STEPS, renewals=_RENEWALS
     )
     found = at_model(data, found, replace(found.model, ahead=found.model.rows), work, everybody)
-    return maximise(data, found, work, iterations=_STEPS_WITHOUT, renewals=1, fresh=False)
+    return maximise(data, found, work, iterations=_STEPS_WITHOUT, renewals=0, fresh=False)
 
 
 def without_folds(data: Recorded, fitted: JointFit, work: Executor) -> tuple[Model, ...]:

@@ -331,6 +331,10 @@ class _Nuisance:
         size = np.diagonal(total, axis1=-2, axis2=-1)
         if not (size > _NOTHING).any():
             return None
+        if candidate.elsewhere:
+            # what was chosen among many places must gain more than the best one of them does by chance
+            gain = 0.5 * float(score.sum()) ** 2 / float(total[0, 0]) - candidate.elsewhere
+            return Score(candidate, (parts[0].start,), np.array([[gain]]), None, total, np.zeros(1, int), 1)
         return Score(
             candidate, tuple(p.start for p in parts), score, information, total, self._driver, len(self._known)
         )

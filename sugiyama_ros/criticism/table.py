@@ -6,6 +6,7 @@ A. Vehtari, A. Gelman and J. Gabry, Stat. Comput. 27 (2017) 1413. C. Varin, N. R
 5 (composite likelihood). L. Breiman et al., Classification and Regression Trees (1984), section 3.4.3.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -124,6 +125,43 @@ def gains(data: Recorded, better: Forecasts, than: Forecasts) -> dict[str, Diffe
     single = [(driver, block, nats) for name, driver, block, nats in parts if not name.startswith("road")]
     driver, block, nats = (np.concatenate(part) for part in zip(*single, strict=True))
     return {**found, "all": _gain(driver, block, nats)}
+
+
+def errors(of: Forecasts) -> dict[str, float]:
+    """Return the held-out errors of a model.
+
+    Parameters
+    ----------
+    of : Forecasts
+        Its forecasts.
+
+    Returns
+    -------
+    dict of str to float
+        ``one_step_rmse_m`` [m], ``loglik_per_sample`` [nats], and after 1, 2, 5 and 10 s the root mean square of the
+        errors of free runs [m] and their continuous ranked probability scores [m]: ``single_car_1s_m``,
+        ``single_car_1s_crps_m``, and ``free_run_1s_m``, ``free_run_1s_crps_m`` where all cars of a road drive on
+        together, NaN on tracks.
+    """
+    known = np.isfinite(of.one_step)
+    found = {
+        "one_step_rmse_m": _rms(of.innovation_m[known]),
+        "loglik_per_sample": float(of.one_step[known].mean()) if known.any() else math.nan,
+    }
+    for name, runs in (("free_run", of.road), ("single_car", of.single)):
+        for h, horizon_s in enumerate(HORIZONS_S):
+            found[f"{name}_{horizon_s:g}s_m"] = _rms(runs.error[:, h]) if runs else math.nan
+            found[f"{name}_{horizon_s:g}s_crps_m"] = _mean(runs.crps[:, h]) if runs else math.nan
+    return found
+
+
+def _mean(values: Array) -> float:
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if known.size else math.nan
+
+
+def _rms(values: Array) -> float:
+    return math.sqrt(_mean(np.square(values)))
 
 
 def _differences(data: Recorded, better: Forecasts, than: Forecasts) -> Iterator[tuple[str, Ints, Ints, Array]]:

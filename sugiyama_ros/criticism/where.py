@@ -14,12 +14,11 @@ import numpy as np
 from scipy.stats import norm
 
 from sugiyama_ros.arrays import Array, Mask
-from sugiyama_ros.diagnosis.covariates import covariates_of
+from sugiyama_ros.criticism.covariates import covariates_of
 from sugiyama_ros.driver.parameters import RHO
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.score import PointwiseDensity, filtered_states
-from sugiyama_ros.tables import figure
 
 #: False-discovery rate of the flags.
 RATE = 0.05
@@ -27,8 +26,6 @@ RATE = 0.05
 _BINS, _FEWEST = 10, 30
 # A driver accelerates or brakes beyond this acceleration [m/s^2], and stands below this speed [m/s].
 _CHANGING, _STANDING = 0.3, 0.5
-#: Units of the covariates; a driver and a regime have none.
-UNITS = {"speed": "m/s", "approach_rate": "m/s", "gap": "m", "rear_gap": "m", "place": "m", "time": "s"}
 _COVARIATES = ("gap", "speed", "approach_rate", "rear_gap", "place", "time")
 _REGIMES = ("standing", "braking", "accelerating", "following")
 
@@ -66,12 +63,6 @@ class Bin:
     nis: float
     p_value: float
     flagged: bool = False
-
-    @property
-    def shown(self) -> str:
-        """Covariate and range with its unit, in words."""
-        unit = UNITS.get(self.covariate, "")
-        return f"{self.covariate} {self.label or f'{figure(self.low)} to {figure(self.high)} {unit}'.strip()}"
 
 
 @dataclass(frozen=True, eq=False)

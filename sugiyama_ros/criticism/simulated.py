@@ -1,6 +1,6 @@
 """Parametric bootstrap: recordings simulated from the fitted model, which show what chance alone gives."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -10,7 +10,6 @@ from scipy.signal import savgol_filter
 
 from sugiyama_ros.arrays import Array, Ints, Mask
 from sugiyama_ros.driver.parameters import at_period
-from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.joint import JointFit, maximise, start_fit
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import Recorded, prepare
@@ -137,40 +136,6 @@ def resampled_fits(
         return simulated, maximise(simulated, start, work, iterations=_FEW_STEPS, renewals=0)
 
     return at_once(one_run, rngs, "simulating the current model", on_progress)
-
-
-def widened(
-    stds: Mapping[str, float], fitted: JointFit, refitted: Sequence[JointFit], factor: float = 1.0
-) -> dict[str, float]:
-    """Widen standard errors by what fits to simulated recordings are off.
-
-    The filter approximates what drivers see, so that the fit of a parameter may be biased, and its likelihood is rough.
-    Both show in recordings that are simulated from known values.
-
-    Parameters
-    ----------
-    stds : mapping of str to float
-        Standard errors of the shared parameters of ``fitted``, by name.
-    fitted : JointFit
-        The fit from which the recordings were simulated.
-    refitted : sequence of JointFit
-        The fits to these recordings.
-    factor : float
-        Factor of the errors there.
-
-    Returns
-    -------
-    dict of str to float
-        The root mean square of the errors there times ``factor``, where it is larger.
-    """
-    model, found = fitted.model, dict(stds)
-    for k, has in zip(model.shared, model.has.T, strict=True):
-        driver = int(np.argmax(has))
-        off = [one.model.rows[driver, k] - model.rows[driver, k] for one in refitted]
-        if off:
-            name = ROW.entries[k]
-            found[name] = max(found[name], factor * float(np.sqrt(np.mean(np.square(off)))))
-    return found
 
 
 def _led(t: Trajectories, states: Array) -> tuple[Array, Array]:

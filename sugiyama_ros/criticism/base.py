@@ -1,0 +1,111 @@
+"""The model that a diagnosis begins with: which noises are fitted, and how often its drivers decide.
+
+The paper keeps the noises of position and speed at constants that suit its recording. Where vehicles move more evenly,
+the constants leave the driver model nothing to explain: the noise of the acceleration goes to 0, and the innovations
+are too small. And a camera with two or three pictures a second may see drivers who decide between its pictures.
+"""
+
+from concurrent.futures import Executor
+from dataclasses import replace
+
+from sugiyama_ros.criticism.candidates import Candidate
+from sugiyama_ros.criticism.score import scores
+from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, index
+from sugiyama_ros.fit.cross_validation import gain
+from sugiyama_ros.fit.joint import JointFit
+from sugiyama_ros.fit.population import fit_base
+from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.fit.sampling import ROUNDING
+from sugiyama_ros.fit.score import PointwiseDensity, unknown
+from sugiyama_ros.fit.smooth_positions import FREED
+from sugiyama_ros.fit.stretched import prepared
+from sugiyama_ros.progress import OnStage
+from sugiyama_ros.trajectories.tracks import Tracks
+from sugiyama_ros.trajectories.trajectories import Trajectories
+
+# Standard errors by which another base model must be better: a missing effect makes it a little better, too.
+_CLEAR = 5.0
+# A first look at other noises, the same for all drivers, that gains less than this [nats] promises nothing: a driver
+# has three of them, each of which gains one nat in sample.
+_PROMISE = 20.0
+# Shortest time [s] between two decisions that is tried: nobody decides ten times a second.
+_SHORTEST_S = 0.1
+_NOISES = Candidate("noises", "noises", "noise", tuple(map(index, FREED)), ({},))
+
+
+def base_model(data: Recorded, work: Executor) -> tuple[Recorded, JointFit]:
+    """Fit the base model, and fit the noises of position and speed as well if that is clearly better.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    work : Executor
+        Runs the filters.
+
+    Returns
+    -------
+    data : Recorded
+        The recording; it says which noises are fitted.
+    base : JointFit
+        The fitted base model.
+    """
+    base = fit_base(data, data.even.individual(V_STAR, KAPPA_V), work)
+    if data.even.frees_noises:
+        return data, base
+    look = scores(data, base, [_NOISES], work, with_forces=False)
+    if max((one.gain for one in look), default=0.0) < _PROMISE:
+        return data, base
+    freed = replace(data, even=data.even._replace(has_other_noises=True))
+    again = fit_base(freed, freed.even.individual(V_STAR, KAPPA_V), work)
+    # each parameter of each driver gains about one nat that held-out samples do not confirm
+    won = gain(data, again.samples, base.samples)
+    return (freed, again) if won.nats - len(FREED) * data.drivers > _CLEAR * won.se else (data, base)
+
+
+def with_more_decisions(
+    recording: Trajectories | Tracks, data: Recorded, base: JointFit, work: Executor, on_progress: OnStage
+) -> tuple[Recorded, JointFit] | None:
+    """Return the recording at the period from which the base model predicts its samples best, if that is clear.
+
+    Parameters
+    ----------
+    recording : Trajectories or Tracks
+        The recording.
+    data : Recorded
+        The same, prepared.
+    base : JointFit
+        The fitted model without effects.
+    work : Executor
+        Runs the filters.
+    on_progress : callable
+        Called with the name of the stage, the number of steps done, and the number of all steps.
+
+    Returns
+    -------
+    (Recorded, JointFit) or None
+        The recording with (more) empty samples in between, and the base model there; None if no shorter period is
+        clearly better, and where only some of the samples count because somebody has smoothed the positions.
+    """
+    if data.every > data.decisions:
+        return None
+    found, best = None, base.samples.total
+    most = int(data.apart_s / _SHORTEST_S * (1.0 + ROUNDING))
+    for parts in range(data.decisions + 1, most + 1):
+        on_progress("more decisions between samples", parts - data.decisions - 1, most - data.decisions)
+        finer, again = base_model(prepared(recording, parts), work)
+        if again.samples.total <= best:
+            break
+        found, best = (finer, again), again.samples.total
+    if found is None:
+        return None
+    finer, again = found
+    won = gain(data, _where_measured(data, again.samples, finer.every), _where_measured(data, base.samples, data.every))
+    return found if won.nats > _CLEAR * won.se else None
+
+
+def _where_measured(data: Recorded, samples: PointwiseDensity, every: int) -> PointwiseDensity:
+    """The predictions of one sample of so many, at the places of measured samples in ``data``."""
+    known = unknown(data.drivers, data.samples)
+    known.log_likelihood[:, :: data.every] = samples.log_likelihood[:, ::every]
+    return known

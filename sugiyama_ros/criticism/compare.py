@@ -1,0 +1,323 @@
+"""Comparison of models on the same held-out samples: the base model, what somebody adds or gives, and other laws."""
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from sugiyama_ros.criticism.base import base_model, with_more_decisions
+from sugiyama_ros.criticism.candidates import candidates, chosen
+from sugiyama_ros.criticism.check import motion_of
+from sugiyama_ros.criticism.forecast import Forecasts, Surroundings, forecasts, surroundings
+from sugiyama_ros.criticism.refine import refined, without_folds
+from sugiyama_ros.criticism.rivals import by_gaps, in_filter
+from sugiyama_ros.criticism.score import scores
+from sugiyama_ros.criticism.simulated import resample, seeds
+from sugiyama_ros.criticism.table import Difference, errors, gains
+from sugiyama_ros.fit.joint import JointFit, fit
+from sugiyama_ros.fit.model import Model
+from sugiyama_ros.fit.model_file import ModelFile
+from sugiyama_ros.fit.recording import FOLDS, Recorded
+from sugiyama_ros.fit.score import filtered_states
+from sugiyama_ros.fit.stretched import prepared
+from sugiyama_ros.fit.vicinity import Vicinity
+from sugiyama_ros.laws.registry import LAWS, RIVALS
+from sugiyama_ros.plots import bars
+from sugiyama_ros.progress import OnStage
+from sugiyama_ros.results import Result, plain
+from sugiyama_ros.simulation.collective import Collective, collective, wave_speed_error
+from sugiyama_ros.trajectories.tracks import Tracks
+from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.workers import here_or_there, send
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+#: The base model; what was asked for; a model file that was fitted to this recording; another law; or the base model
+#: on a recording that it simulates itself.
+Kind = Literal["base", "asked", "in_sample", "law", "simulated"]
+# Simulations of the whole road by each model, for the mean of what it does.
+_SIMULATIONS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """One model of a comparison.
+
+    Parameters
+    ----------
+    name : str
+        Name of the model.
+    kind : {"base", "asked", "in_sample", "law", "simulated"}
+        What the model is.
+    forecasts : Forecasts
+        Its forecasts, held out unless ``kind`` is ``in_sample``.
+    gain : dict of str to Difference
+        Gain over the base model [nats], by column; empty for the base model on its own simulation.
+    collective : dict of str to (float, float)
+        Mean and standard deviation of measures of the whole road, over simulations of the model; empty on tracks.
+    """
+
+    name: str
+    kind: Kind
+    forecasts: Forecasts
+    gain: dict[str, Difference]
+    collective: dict[str, tuple[float, float]]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Comparison(Result):
+    """Models on the same held-out samples.
+
+    Parameters
+    ----------
+    models : tuple of Compared
+        The base model first; last the base model on a recording that it simulates itself.
+    data : Recorded
+        The recording.
+    measured : Collective or None
+        Collective measures of the recording; None for tracks.
+    wave_speed_se : float
+        Standard error [m/s] of the speed of waves in the recording, over blocks of time; NaN without waves.
+    seed : int
+        Seed of the simulations.
+    """
+
+    models: tuple[Compared, ...]
+    data: Recorded
+    measured: Collective | None
+    wave_speed_se: float
+    seed: int
+
+    @property
+    def vicinity(self) -> Vicinity:
+        """The drivers that the models were compared on."""
+        return self.data.vicinity
+
+    def headline(self) -> str:
+        """Say which model predicts best, how much better than the base model, and which ones are not clearly behind."""
+        from sugiyama_ros.page.words import best_model
+
+        return best_model(plain(self.document()))
+
+    def document(self) -> dict[str, Any]:
+        """Return all results in plain types, in SI units.
+
+        Returns
+        -------
+        dict
+            ``models``, the base model first: ``name``, ``kind``, errors as of ``table.errors``, ``gains`` over the base
+            model by column (``nats`` and ``se``), ``heldout_gain_nats`` and ``heldout_gain_se`` over all columns,
+            ``behind``: how far the model is behind the best one, ``collective`` with means and standard deviations,
+            and ``drivers``. ``measured`` and ``wave_speed_se``: the traffic on the recorded road.
+            ``decision_period_s``, ``drivers_left_out`` and ``seed``.
+        """
+        held_out = [one for one in self.models if one.kind not in ("in_sample", "simulated")]
+        best = max(held_out, key=lambda one: one.gain["all"].nats)
+        return {
+            "models": [self._model(one, best) for one in self.models],
+            "measured": asdict(self.measured) if self.measured is not None else None,
+            "wave_speed_se": self.wave_speed_se,
+            "decision_period_s": self.vicinity.period_s,
+            "drivers_left_out": self.data.left_out,
+            "seed": self.seed,
+        }
+
+    def _model(self, one: Compared, best: Compared) -> dict[str, Any]:
+        compares = one.kind != "simulated"
+        behind = asdict(gains(self.data, best.forecasts, one.forecasts)["all"]) if compares else None
+        won = np.nansum(one.forecasts.one_step, axis=1)
+        ends = one.forecasts.single.error[:, -1]
+        return {
+            "name": one.name,
+            "kind": one.kind,
+            **errors(one.forecasts),
+            "gains": {name: asdict(value) for name, value in one.gain.items()},
+            "heldout_gain_nats": one.gain["all"].nats if compares else None,
+            "heldout_gain_se": one.gain["all"].se if compares else None,
+            "behind": behind,
+            "collective": {name: {"mean": mean, "std": std} for name, (mean, std) in one.collective.items()},
+            "drivers": [
+                {**name.document(), "log_likelihood": float(won[i]), "single_car_10s_m": _rms(ends[:, i])}
+                for i, name in enumerate(self.vicinity.names)
+            ]
+            if compares
+            else [],
+        }
+
+    def records(self) -> list[dict[str, Any]]:
+        """List the models: held-out errors, and the gain over the base model [nats]."""
+        left_out = ("gains", "behind", "collective", "drivers")
+        models = plain(self.document())["models"]
+        return [{name: value for name, value in one.items() if name not in left_out} for one in models]
+
+    def draw(self, figure: "Figure") -> None:
+        """Draw the errors of free runs after 10 s, and the gains over the base model."""
+        left, right = figure.subplots(1, 2)
+        rows = self.records()
+        run = "free_run" if self.vicinity.is_whole_road else "single_car"
+        ends = [one[f"{run}_10s_m"] or 0.0 for one in rows]
+        bars(left, [one["name"] for one in rows], ends, [0.0] * len(ends), "error after 10 s [m]")
+        known = [one for one in rows if one["heldout_gain_nats"] is not None]
+        won, se = ([one[f"heldout_gain_{what}"] for one in known] for what in ("nats", "se"))
+        bars(right, [one["name"] for one in known], won, se, "held-out gain [nats]")
+
+
+def _rms(values: Any) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(np.square(known)))) if len(known) else float("nan")
+
+
+def compare(
+    recording: Trajectories | Tracks,
+    effects: Sequence[str] = (),
+    model: ModelFile | None = None,
+    *,
+    seed: int = 0,
+    workers: int | Executor = 4,
+    on_progress: OnStage = lambda what, done, total: None,
+) -> Comparison:
+    """Compare models: the base model with and without effects, a model from a file, and other laws.
+
+    The last one is the base model on a recording that it simulates itself: the errors that its own noise makes.
+
+    Parameters
+    ----------
+    recording : Trajectories or Tracks
+        The recording: a whole road, or tracks of vehicles that come and go.
+    effects : sequence of str
+        Names of effects to add to the base model.
+    model : ModelFile, optional
+        A model to compare without a fit.
+    seed : int
+        Seed of the simulations.
+    workers : int or Executor
+        Number of threads; or the executor of a Dask cluster, whose workers then fit the other laws.
+    on_progress : callable
+        Called with the name of the stage, the number of steps done, and the number of all steps.
+
+    Returns
+    -------
+    Comparison
+        The models on the same held-out samples.
+
+    Raises
+    ------
+    InputError
+        For an unknown effect or a recording that is too short.
+    """
+    with here_or_there(workers) as (work, cluster):
+        steps = 3 + len(RIVALS) + (model is not None) + bool(effects)
+        on_progress("fitting the base model", 0, steps)
+        data, base = base_model(prepared(recording), work)
+        data, base = with_more_decisions(recording, data, base, work) or (data, base)
+        wanted = [chosen(data, candidates(data), name) for name in effects]
+        around = surroundings(data, base.model, work)
+        sent = send(cluster, _law_there, (data, around, seed), RIVALS) if cluster is not None else []
+        found = [_fitted("base", "base", data, around, base, seed, work)]
+        on_progress("the base model with effects", 1, steps)
+        current = base
+        for candidate in wanted:
+            looked = scores(data, current, [candidate], work, with_forces=False)
+            mine = sorted((s for s in looked if s.candidate.name == candidate.name), key=lambda s: -s.gain)
+            current = refined(data, current, candidate, mine, work)
+        if wanted:
+            found.append(_fitted(f"base + {' + '.join(effects)}", "asked", data, around, current, seed, work))
+        if model is not None:
+            found.append(_given(model, data, around, seed, work))
+        for k, law in enumerate(RIVALS):
+            on_progress(law, steps - 1 - len(RIVALS) + k, steps)
+            found += sent[k].result() if sent else _law(law, data, around, seed, work)
+        on_progress("the base model on its own simulation", steps - 1, steps)
+        first = found[0].forecasts
+        models = [
+            Compared(one.name, one.kind, one.forecasts, gains(data, one.forecasts, first), one.collective)
+            for one in found
+        ]
+        models.append(_simulated(data, base, seed, work))
+    return Comparison(tuple(models), data, *_measured(data), seed)
+
+
+def _fitted(
+    name: str, kind: Kind, data: Recorded, around: Surroundings, fitted: JointFit, seed: int, work: ThreadPoolExecutor
+) -> Compared:
+    """A fitted model, with its fits without each fold."""
+    return _held_out(name, kind, data, around, without_folds(data, fitted, work), fitted.model, seed, work)
+
+
+def _held_out(
+    name: str,
+    kind: Kind,
+    data: Recorded,
+    around: Surroundings,
+    models: Sequence[Model],
+    whole: Model | None,
+    seed: int,
+    work: ThreadPoolExecutor,
+) -> Compared:
+    """Models of all folds; ``whole``: what simulates the road, if it is to be simulated."""
+    of_road = _of_road(data, whole, seed, work) if whole is not None else {}
+    return Compared(name, kind, forecasts(data, around, models, work), {}, of_road)
+
+
+def _given(model: ModelFile, data: Recorded, around: Surroundings, seed: int, work: ThreadPoolExecutor) -> Compared:
+    """A model from a file, without a fit. What was fitted to this recording is in sample."""
+    rows = model.rows_of(np.array(data.vicinity.numbers))
+    own = data.vicinity.sha256
+    kind: Kind = "in_sample" if own and own == model.sha256 else "asked"
+    given = Model(rows, (), (), (), rows)
+    name = f"file: {', '.join(model.effects) or 'base'}"
+    return _held_out(name, kind, data, around, [given] * FOLDS, given, seed, work)
+
+
+def _law(law: str, data: Recorded, around: Surroundings, seed: int, work: ThreadPoolExecutor) -> list[Compared]:
+    """Another law, fitted in the filter and, if it has parameters, also by least squares on gaps."""
+    fit_ = in_filter(data, law, work)
+    found = [_fitted(law, "law", data, around, fit_, seed, work)]
+    if LAWS[law].parameters:
+        models = by_gaps(data, law, fit_, work)
+        found.append(_held_out(f"{law}_least_squares", "law", data, around, models, None, seed, work))
+    return found
+
+
+def _law_there(common: tuple[Recorded, Surroundings, int], law: str) -> list[Compared]:
+    """What ``_law`` returns, on a worker of a cluster; common: the recording, its traffic and the seed."""
+    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as work:
+        return _law(law, *common, work)
+
+
+def _simulated(data: Recorded, base: JointFit, seed: int, work: ThreadPoolExecutor) -> Compared:
+    """The base model on a recording that it simulates itself."""
+    one = resample(data, base.model, filtered_states(data, base.model, work), seeds(seed, 1)[0])
+    again = fit(one, base.model, work)
+    models = without_folds(one, again, work)
+    around = surroundings(one, again.model, work)
+    return Compared("base, simulated", "simulated", forecasts(one, around, models, work), {}, {})
+
+
+def _measured(data: Recorded) -> tuple[Collective | None, float]:
+    """Collective measures of the recording, and the standard error of the speed of waves; nothing for tracks."""
+    if data.trajectories is None:
+        return None, float("nan")
+    motion = motion_of(data.trajectories)
+    return collective(*motion), wave_speed_error(*motion)
+
+
+def _of_road(data: Recorded, model: Model, seed: int, work: ThreadPoolExecutor) -> dict[str, tuple[float, float]]:
+    """Mean and standard deviation of the collective measures, over simulations of a whole road; nothing for tracks."""
+    if data.trajectories is None:
+        return {}
+    states = filtered_states(data, model, work)
+    runs = [resample(data, model, states, rng).trajectories for rng in seeds(seed, _SIMULATIONS)]
+    found = [asdict(one) for one in work.map(lambda t: collective(*motion_of(t)), [r for r in runs if r is not None])]
+    return {name: _mean_and_std(np.array([one[name] for one in found])) for name in found[0]}
+
+
+def _mean_and_std(values: Any) -> tuple[float, float]:
+    """Mean and standard deviation of the values that are known; NaN for too few of them."""
+    known = values[np.isfinite(values)]
+    mean = float(np.mean(known)) if len(known) else float("nan")
+    return mean, float(np.std(known, ddof=1)) if len(known) > 1 else float("nan")
