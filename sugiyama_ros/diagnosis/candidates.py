@@ -1,87 +1,40 @@
-"""Candidates for what is missing from the model: freed constants, faults of the measurement, and physical effects."""
+"""What may be missing from a model: freed constants, noises, faults of the measurement, physical effects, forces.
 
+Every candidate declares starts: values of its parameters at which it is scored.
+"""
+
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import index
-from sugiyama_ros.effects.effect import MEASUREMENT, UTILITY, Effect, RecordingExtent
+from sugiyama_ros.effects.discovered_force import COVARIATES, KNOTS
+from sugiyama_ros.effects.effect import MEASUREMENT, Effect, RecordingExtent
 from sugiyama_ros.effects.registry import EFFECTS, MECHANISM, ROW, index_of
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.population import LARGEST_STD
 from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.fit.score import PointwiseDensity
 
-Kind = Literal["effect", "measurement", "constants"]
+#: What a candidate changes. Constants and noises never explain anything.
+Kind = Literal["effect", "measurement", "force", "constants", "noise"]
+#: Values by place in the rows: of all drivers, or of each driver, (N,).
+Start: TypeAlias = Mapping[int, float | Array]
+#: Effect that stands for a force along a covariate, and the prefix of such a candidate's name.
+FORCE, FORCE_ALONG = "discovered_force", "force_along_"
+#: Effect that pushes one car at one moment.
+PUSH = "external_push"
+# Lengths of a run of innovations [s] that are tried for a push; acceleration [m/s^2] at which its search begins.
+_RUNS_S, _PUSH = (1.0, 2.0, 4.0), 0.5
+#: What is added to the name of a candidate that only some drivers have.
+OF_SOME = "_of_some"
 # A recording on which every effect that is searched for at all has a start.
 _A_RING = RecordingExtent(0.0, 100.0, 100.0, 0.0, 100.0)
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """Something that the search can add to a model.
-
-    Parameters
-    ----------
-    name : str
-        Name of the effect or of the group of constants.
-    kind : {"effect", "measurement", "constants"}
-        What the candidate changes.
-    places : tuple of int
-        Entries of the rows that become free.
-    starts : tuple of dict of int to float or ndarray
-        Starts of the search: values by place, of all drivers or of each, (N,).
-    individual : bool
-        Whether every driver has individual values.
-    summary : str
-        Explanation in one line.
-    strengths : tuple of int
-        Places of parameters to which the change of the samples is proportional, to first order.
-    is_noise : bool
-        Whether the candidate changes only noises.
-    mechanism : str
-        Name of the mechanism, of which the candidate may be one form among others; ``name`` if left out.
-    is_variant : bool
-        Whether no smallest strength is told of it: another form of a mechanism, a part of the utility, a push.
-    elsewhere : float
-        Gain [nats] that the choice of a place or of a car brings by chance (look-elsewhere effect).
-    drivers : tuple of int
-        Columns of the drivers who have it; empty for all.
-    """
-
-    name: str
-    kind: Kind
-    places: tuple[int, ...]
-    starts: tuple[dict[int, float | Array], ...]
-    individual: bool = False
-    summary: str = ""
-    strengths: tuple[int, ...] = ()
-    is_noise: bool = False
-    mechanism: str = ""
-    is_variant: bool = False
-    elsewhere: float = 0.0
-    drivers: tuple[int, ...] = ()
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "mechanism", self.mechanism or self.name)
-
-    @property
-    def happens_once(self) -> bool:
-        """Whether the candidate acts in one place of the data only, which cannot be held out."""
-        return self.elsewhere > 0.0
-
-    @property
-    def entries(self) -> list[int]:
-        """Entries of the rows that the candidate sets: those that become free, and those that stay at their start."""
-        return sorted({*self.places, *self.starts[0]})
-
-    @property
-    def parameters(self) -> tuple[str, ...]:
-        """Names of the parameters."""
-        return tuple(ROW.declared[k].name for k in self.places)
 
 
 @dataclass(frozen=True)
@@ -144,8 +97,71 @@ CONSTANTS = (
 )
 
 
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """Something that can be added to a model.
+
+    Parameters
+    ----------
+    name : str
+        Name of the effect in one of its forms, of the group of constants, or of the force.
+    mechanism : str
+        Name of the mechanism, of which the candidate may be one form among others.
+    kind : {"effect", "measurement", "force", "constants", "noise"}
+        What the candidate changes.
+    places : tuple of int
+        Entries of the rows that become free.
+    starts : tuple of Start
+        Where the candidate is scored. A start without values is the model itself, with the entries free.
+    individual : bool
+        Whether every driver has individual values.
+    switches : tuple of int
+        Places of the strengths of an effect: where all of them are 0, the effect does nothing.
+    has_sign : bool
+        Whether only positive strengths make sense.
+    drivers : tuple of int
+        Numbers of the drivers who have it; empty for all.
+    is_random : bool
+        Whether the candidate changes how uncertain a forecast is, and not its mean: noises, and what wanders.
+    elsewhere : float
+        Logarithm of the number of places, times and cars among which the start was chosen (look-elsewhere effect).
+    """
+
+    name: str
+    mechanism: str
+    kind: Kind
+    places: tuple[int, ...]
+    starts: tuple[Start, ...]
+    individual: bool = False
+    switches: tuple[int, ...] = ()
+    has_sign: bool = False
+    drivers: tuple[int, ...] = ()
+    is_random: bool = False
+    elsewhere: float = 0.0
+
+    @property
+    def explains(self) -> bool:
+        """Whether the candidate can explain what was missing: it has a physical name."""
+        return self.kind in ("effect", "measurement")
+
+    @property
+    def effect(self) -> str:
+        """Name of the effect, whoever has it."""
+        return self.name.removesuffix(OF_SOME)
+
+    @property
+    def strengths(self) -> tuple[int, ...]:
+        """Places of several strengths, which are scored one at a time and fitted together."""
+        return self.switches if len(self.switches) > 1 and not self.individual else ()
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return tuple(ROW.declared[k].name for k in self.places)
+
+
 def candidates(data: Recorded) -> tuple[Candidate, ...]:
-    """Return all candidates that make sense for a recording.
+    """Return all candidates that make sense for a recording, without forces.
 
     Parameters
     ----------
@@ -155,42 +171,109 @@ def candidates(data: Recorded) -> tuple[Candidate, ...]:
     Returns
     -------
     tuple of Candidate
-        The constants first, then the effects.
+        Constants first, then effects.
     """
-    extent = recording_of(data)
-    found = [
+    constants = [
         Candidate(
-            name=c.name,
-            kind="constants",
-            places=tuple(index(p) for p in c.parameters),
-            starts=({},),
-            individual=c.individual,
-            summary=c.summary,
-            is_noise=c.is_noise,
+            c.name, c.name, "noise" if c.is_noise else "constants", tuple(map(index, c.parameters)), ({},), c.individual
         )
         for c in CONSTANTS
     ]
-    for e in EFFECTS.values():
-        starts = e.starts(extent)
-        if not starts or why_not(e, data):
-            continue
-        strengths = tuple(index_of(e.name, name) for name in e.switches)
-        has_signs = not e.individual and all(ROW.declared[k].lower < 0.0 for k in strengths)
-        found.append(
-            Candidate(
-                name=e.name,
-                kind="measurement" if e.stage == MEASUREMENT else "effect",
-                places=tuple(index_of(e.name, p.name) for p in e.parameters if p.name not in e.fixed),
-                starts=tuple({index_of(e.name, p): v for p, v in values.items()} for values in starts),
-                individual=e.individual,
-                summary=e.summary,
-                strengths=strengths if has_signs else (),
-                is_noise=e.is_noise,
-                mechanism=MECHANISM[e.name],
-                is_variant=e.stage == UTILITY or MECHANISM[e.name] != e.name,
+    return (
+        *constants,
+        *(_of_effect(e, data) for e in EFFECTS.values() if e.starts(recording_of(data)) and not why_not(e, data)),
+    )
+
+
+def _of_effect(e: Effect, data: Recorded) -> Candidate:
+    kind: Kind = "measurement" if e.stage == MEASUREMENT else "effect"
+    switches = tuple(index_of(e.name, name) for name in e.switches)
+    return Candidate(
+        name=e.name,
+        mechanism=MECHANISM[e.name],
+        kind="noise" if e.is_noise and kind == "effect" else kind,
+        places=tuple(index_of(e.name, p.name) for p in e.parameters if p.name not in e.fixed),
+        starts=tuple({index_of(e.name, p): v for p, v in values.items()} for values in e.starts(recording_of(data))),
+        individual=e.individual,
+        switches=switches,
+        has_sign=any(ROW.declared[k].lower >= 0.0 for k in switches),
+        is_random=e.is_noise or bool(e.wanders),
+    )
+
+
+def force_along(covariate: str, first: float, last: float) -> Candidate:
+    """Return a force along a covariate, as a curve between knots from ``first`` to ``last``."""
+    places = [index_of(FORCE, name) for name in ("covariate", "first", "last")]
+    values = (COVARIATES.index(covariate) + 1.0, first, last)
+    knots = tuple(range(places[-1] + 1, places[-1] + 1 + KNOTS))
+    return Candidate(FORCE_ALONG + covariate, FORCE, "force", knots, (dict(zip(places, values, strict=True)),))
+
+
+def check_names(names: Sequence[str]) -> None:
+    """Check that names are those of effects, of their forms, of groups of constants, or of forces without a name.
+
+    Parameters
+    ----------
+    names : sequence of str
+        The names.
+
+    Raises
+    ------
+    InputError
+        For a name that is none of them. The message lists what can be given.
+    """
+    constants = [one.name for one in CONSTANTS]
+    for name in names:
+        effect, _, covariate = name.partition(":")
+        if effect == FORCE:
+            if covariate and covariate not in COVARIATES:
+                raise InputError(
+                    f"{name}: a force along {covariate!r} cannot be added; give {FORCE}: and one of"
+                    f" {', '.join(COVARIATES)}"
+                )
+        elif name not in (*EFFECTS, *MECHANISM.values(), *constants):
+            raise InputError(
+                f"effect {name!r}: is not known; give names that `sugiyama effects` lists, {', '.join(constants)}, or"
+                f" {FORCE}:COVARIATE"
             )
-        )
-    return tuple(found)
+
+
+def chosen(data: Recorded, possible: Sequence[Candidate], name: str) -> Candidate:
+    """Return the candidate with a name, or the first one of a mechanism with this name.
+
+    Raises
+    ------
+    InputError
+        For a name that no candidate has; the message says why where an effect of that name cannot be added.
+    """
+    wanted = FORCE_ALONG + name.partition(":")[2] if name.startswith(f"{FORCE}:") else name
+    mine = [c for c in possible if c.name == wanted] or [c for c in possible if c.mechanism == wanted]
+    if mine:
+        return mine[0]
+    known = sorted({one for c in possible for one in (c.name, c.mechanism)})
+    why = not_searched(data).get(name, "")
+    raise InputError(
+        f"effect {name!r}: cannot be added here{f': {why}' if why else ''}; choose among {', '.join(known)}"
+    )
+
+
+def with_candidate(model: Model, candidate: Candidate, start: Start) -> Model:
+    """Return a model at a start of a candidate, with the entries of the candidate free."""
+    rows, ahead = model.rows.copy(), model.ahead.copy()
+    for k, v in start.items():
+        rows[:, k] = ahead[:, k] = v
+    if candidate.drivers:
+        others = np.ix_(np.setdiff1d(np.arange(len(rows)), candidate.drivers), np.array(candidate.switches))
+        rows[others] = ahead[others] = 0.0
+    model = replace(model, rows=rows, ahead=ahead)
+    new = tuple(k for k in candidate.places if k not in (*model.individual, *model.shared))
+    if not candidate.individual:
+        few = tuple((k, candidate.drivers) for k in candidate.switches) if candidate.drivers else ()
+        return replace(model, shared=model.shared + new, few=model.few + few)
+    new = tuple(k for k in candidate.places if k not in model.individual)
+    shared = tuple(k for k in model.shared if k not in new)
+    std = model.prior_std + (LARGEST_STD,) * len(new)
+    return replace(model, individual=model.individual + new, shared=shared, prior_std=std)
 
 
 def not_searched(data: Recorded) -> dict[str, str]:
@@ -215,55 +298,6 @@ def why_not(e: Effect, data: Recorded) -> str:
     return next((reason for reason, holds in reasons.items() if holds), "")
 
 
-def only_those(data: Recorded, possible: Sequence[Candidate], names: Sequence[str]) -> tuple[Candidate, ...]:
-    """Return the candidates with these names, or of these mechanisms; all of them if there are no names.
-
-    Raises
-    ------
-    InputError
-        For a name that no candidate has; the message says why where an effect of that name cannot be added.
-    """
-    for name in names:
-        if not any(name in (c.name, c.mechanism) for c in possible):
-            raise _cannot_be_added(data, possible, name)
-    return tuple(c for c in possible if not names or c.name in names or c.mechanism in names)
-
-
-def _cannot_be_added(data: Recorded, possible: Sequence[Candidate], name: str) -> InputError:
-    """The error for a name that no candidate has."""
-    known = sorted({name for c in possible for name in (c.name, c.mechanism)})
-    reason = not_searched(data).get(name, "")
-    why = f": {reason}" if reason else ""
-    return InputError(f"effect {name!r}: cannot be added here{why}; choose among {', '.join(known)}")
-
-
-def named(data: Recorded, names: Sequence[str]) -> list[Candidate]:
-    """Return the candidates with these names.
-
-    Parameters
-    ----------
-    data : Recorded
-        The recording.
-    names : sequence of str
-        Names of effects or groups of constants.
-
-    Returns
-    -------
-    list of Candidate
-        In the order of the names.
-
-    Raises
-    ------
-    InputError
-        For an unknown name.
-    """
-    possible = {c.name: c for c in candidates(data)}
-    for name in names:
-        if name not in possible:
-            raise _cannot_be_added(data, tuple(possible.values()), name)
-    return [possible[name] for name in names]
-
-
 def recording_of(data: Recorded) -> RecordingExtent:
     """Return what a search may know about a recording."""
     around = data.vicinity
@@ -271,30 +305,40 @@ def recording_of(data: Recorded) -> RecordingExtent:
     return RecordingExtent(*around.first_last_s, around.road.circumference_m, first, last)
 
 
-def added(model: Model, candidate: Candidate, start: Mapping[int, float | Array]) -> Model:
-    """Return the model with the entries of a candidate freed.
+def push_of_one(data: Recorded, samples: PointwiseDensity) -> Candidate | None:
+    """Return a push of the car and at the moment with the largest run of standardised innovations.
 
-    Parameters
-    ----------
-    model : Model
-        The model.
-    candidate : Candidate
-        What becomes free.
-    start : mapping of int to float or ndarray, shape (N,)
-        Start of the search: values by place, of all drivers or of each.
-
-    Returns
-    -------
-    Model
-        The model at the start, with the candidate among its parameters.
+    None where nothing is predicted, and on tracks, where a push would need a time that all stretches share.
     """
-    rows = model.rows.copy()
-    for k, v in start.items():
-        rows[:, k] = v
-    if candidate.individual:
-        new = tuple(k for k in candidate.places if k not in model.individual)
-        std = model.prior_std + (LARGEST_STD,) * len(new)
-        shared = tuple(k for k in model.shared if k not in new)
-        return replace(model, rows=rows, individual=model.individual + new, shared=shared, prior_std=std)
-    new = tuple(k for k in candidate.places if k not in model.shared and k not in model.individual)
-    return replace(model, rows=rows, shared=model.shared + new)
+    around = data.vicinity
+    if not around.is_whole_road:
+        return None
+    scored = np.isfinite(samples.log_likelihood)
+    z = np.where(scored, samples.innovation_m / np.sqrt(samples.innovation_var), 0.0)
+    places, best = 1.0, (0.0, 0, 0, 0.0)
+    for run_s in _RUNS_S:
+        length = max(1, round(run_s / around.period_s))
+        if length >= z.shape[1]:
+            continue
+        total = np.cumsum(np.pad(z, ((0, 0), (1, 0))), axis=1)
+        sums = (total[:, length:] - total[:, :-length]) / math.sqrt(length)
+        car, at = divmod(int(np.argmax(np.abs(sums))), sums.shape[1])
+        # runs that overlap by half count as one place
+        places += 2.0 * scored.sum() / length
+        if abs(sums[car, at]) > abs(best[0]):
+            best = (float(sums[car, at]), car, at, run_s)
+    value, car, at, run_s = best
+    if not run_s:
+        return None
+    index = {p.name: index_of(PUSH, p.name) for p in EFFECTS[PUSH].parameters}
+    spared = np.ones(data.drivers)
+    spared[car] = 0.0
+    start: Start = {
+        index["strength"]: math.copysign(_PUSH, value),
+        # the innovations of a pushed car are of one sign from the push on, until the filter has understood
+        index["time"]: float(around.time_s[at, car]),
+        index["duration"]: 0.5 * run_s,
+        index["spared"]: spared,
+    }
+    own = tuple(index[name] for name in ("strength", "time", "duration"))
+    return Candidate(PUSH, PUSH, "effect", own, (start,), switches=own[:1], elsewhere=math.log(places))

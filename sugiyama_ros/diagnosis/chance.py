@@ -1,77 +1,215 @@
-"""How far values by chance spread, known from a few simulated recordings."""
+"""What chance gives in the same procedure: one null distribution for everything that is scored.
+
+Recordings that the fitted model simulates are scored as the data are: the approximations of the filter shift scores
+even where nothing is missing. The rest is chance. Its distribution comes from a multiplier bootstrap: the scores that
+are left in each block after the best strength is taken out, times random signs and sizes. The largest gain of all
+candidates, in all their forms, starts and places, is compared with the largest one of each draw, so no factor for the
+number of tests is needed.
+
+References
+----------
+P. H. Westfall and S. S. Young, Resampling-Based Multiple Testing (1993). V. Chernozhukov, D. Chetverikov and K. Kato,
+Ann. Statist. 41 (2013) 2786.
+"""
 
 import math
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import norm
-from scipy.stats import t as student
 
 from sugiyama_ros.arrays import Array
+from sugiyama_ros.diagnosis.candidates import Candidate
+from sugiyama_ros.diagnosis.score import Score, scores
+from sugiyama_ros.diagnosis.simulated import resampled_fits, seeds
+from sugiyama_ros.fit.joint import JointFit
+from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.progress import OnStage
 
-#: Weight of the common std in the spread of one value, as a number of simulated recordings.
-COMMON = 4
-
-
-def spread_of_next(by_chance: Array, common: float) -> tuple[float, int]:
-    """Return how far the next value by chance lies from the mean of the known ones.
-
-    Parameters
-    ----------
-    by_chance : ndarray, shape (R,)
-        Values in R simulated recordings.
-    common : float
-        Std that all such values share.
-
-    Returns
-    -------
-    spread : float
-        Scale of Student's t distribution.
-    freedom : int
-        Its degrees of freedom.
-    """
-    runs = len(by_chance)
-    freedom = runs - 1 + COMMON
-    squares = float(np.square(by_chance - by_chance.mean()).sum())
-    return math.sqrt((squares + COMMON * common**2) / freedom * (1.0 + 1.0 / runs)), freedom
+#: Level of significance: nothing is added that chance shows more often.
+ALPHA = 0.05
+# Draws from the null distribution: the smallest p-value is a thousandth.
+_DRAWS = 999
+# Part of the draws that shows how the tail falls.
+_TAIL = 0.1
+# The score of a block counts up to so many standard deviations by chance: a filter that is far off at one moment, as
+# after hard braking, must not stand for all (Huber's psi function).
+_LARGEST = 3.0
 
 
-def widening(runs: int) -> float:
-    """Return how much wider a std must be, if it is known from so many values, for 95 % intervals of 1.96 stds to hold.
+class Chance(NamedTuple):
+    """What chance gives.
 
     Parameters
     ----------
-    runs : int
-        Number of values, whose mean is known.
-
-    Returns
-    -------
-    float
-        Student's t over the normal distribution; 1 without values.
+    p_values : dict of str to float
+        How probable it is that any candidate shows as much by chance as each mechanism does; by chance, the smallest
+        one is uniform.
+    improbable : dict of str to float
+        -ln p of each candidate alone, by name.
+    needed : dict of str to float
+        Gain [nats] that each candidate needs for a p-value of ``ALPHA``, by name.
     """
-    return float(student.ppf(0.975, runs) / norm.ppf(0.975)) if runs else 1.0
+
+    p_values: dict[str, float]
+    improbable: dict[str, float]
+    needed: dict[str, float]
+
+    @property
+    def shows_something(self) -> bool:
+        """Whether anything gains more than by chance."""
+        return min(self.p_values.values(), default=1.0) < ALPHA
 
 
-def of_best(p_alone: float, tests: float) -> float:
-    """Return the probability that the smallest of independent p-values is as small (Šidák's correction).
+def chance_of(data_scores: Sequence[Score], simulated: Sequence[Sequence[Score]], seed: int) -> Chance:
+    """Return what chance gives in the scores of a recording.
 
     Parameters
     ----------
-    p_alone : float
-        The smallest p-value.
-    tests : float
-        Number of p-values.
+    data_scores : sequence of Score
+        Scores of the recording.
+    simulated : sequence of sequence of Score
+        Scores of recordings that the model simulates.
+    seed : int
+        Seed of the draws.
 
     Returns
     -------
-    float
-        The probability; uniform by chance, and at most ``tests * p_alone``, Bonferroni's correction.
+    Chance
+        By mechanism and by candidate.
     """
-    return -math.expm1(tests * math.log1p(-p_alone)) if p_alone < 1.0 else 1.0
+    shifts = [{_key(one): one for one in each} for each in simulated]
+    rng = np.random.default_rng(seed)
+    largest: dict[str, float] = {}
+    alone: dict[str, float] = {}
+    tails: dict[str, _Tail] = {}
+    by_chance = np.full(_DRAWS, -np.inf)
+    blocks = len(data_scores[0].driver) if data_scores else 0
+    multipliers = rng.standard_normal((2, _DRAWS, blocks))
+    for one in data_scores:
+        there = [known[_key(one)] for known in shifts if _key(one) in known]
+        observed, null = _observed_and_null(one, there, multipliers)
+        tail = _Tail.of(null)
+        value, name, mechanism = float(tail.improbable(observed)), one.candidate.name, one.candidate.mechanism
+        alone[name] = max(alone.get(name, -np.inf), value)
+        largest[mechanism] = max(largest.get(mechanism, -np.inf), value)
+        tails.setdefault(name, tail)
+        by_chance = np.maximum(by_chance, tail.improbable(null))
+    p = {name: float((1 + np.count_nonzero(by_chance >= z)) / (1 + _DRAWS)) for name, z in largest.items()}
+    level = float(np.quantile(by_chance, 1.0 - ALPHA)) if largest else 0.0
+    return Chance(p, alone, {name: tail.gain_at(level) for name, tail in tails.items()})
 
 
-def p_value_of(value: float, by_chance: Sequence[float], common: float) -> float:
-    """Return the probability of a value as large by chance; parameters as for ``spread_of_next``."""
-    known = np.array(by_chance)
-    spread, freedom = spread_of_next(known, common)
-    return float(student.sf((value - float(known.mean())) / max(spread, 1e-9), freedom))
+def _key(one: Score) -> tuple[object, ...]:
+    """What identifies the score of a candidate at a start in another recording."""
+    start = () if one.candidate.kind == "force" else tuple(repr(v) for v in one.starts)
+    return one.candidate.name, *start
+
+
+def _observed_and_null(one: Score, simulated: Sequence[Score], multipliers: Array) -> tuple[float, Array]:
+    """The gain of a score, and the gains of draws from what chance gives, (B,).
+
+    A candidate must gain beside the model, and more than it gains in simulations: the smaller gain counts, for the
+    recording as for each draw.
+    """
+    total = one.summed(_limited(one))
+    shift = np.mean([_of_all(s, one) for s in simulated], axis=0) if simulated else np.zeros_like(total)
+    if one.information is None:
+        # by chance, a likelihood ratio is at least e^g with a probability of at most e^-g (Markov)
+        return max(min(one.gain, float((total - shift)[0, 0])), 0.0), -norm.logsf(multipliers[0, :, 0])
+    left = _left(one)
+    draws, shifts = (one.summed(left, part) for part in multipliers)
+    if one.is_by_driver:
+        scored = sum(s.drivers for s in simulated)
+        shifts = shifts.mean(axis=1, keepdims=True) * math.sqrt(one.drivers / max(scored, 1))
+    else:
+        shifts = shifts * math.sqrt(sum(one.drivers / s.drivers for s in simulated)) / max(len(simulated), 1)
+    shifts *= bool(simulated)
+    null = np.minimum(one.gains(draws), one.gains(draws - shifts))
+    return float(np.minimum(one.gains(total), one.gains(total - shift))[0]), null
+
+
+class _Tail(NamedTuple):
+    """The null distribution of a gain: its draws in order, and the exponential tail beyond the largest tenth of them.
+
+    Gains of likelihoods have exponential tails.
+    """
+
+    ordered: Array
+    start: float
+    excess: float
+
+    @staticmethod
+    def of(null: Array) -> "_Tail":
+        """The distribution of draws (B,)."""
+        ordered = np.sort(null)
+        start = float(np.quantile(ordered, 1.0 - _TAIL))
+        return _Tail(ordered, start, max(float(np.mean(ordered[ordered >= start] - start)), 1e-300))
+
+    def improbable(self, gains: float | Array) -> Array:
+        """Return -ln p of gains."""
+        count = len(self.ordered)
+        rank = (1 + count - np.searchsorted(self.ordered, gains, side="left")) / (1 + count)
+        beyond = (gains - self.start) / self.excess - math.log(_TAIL)
+        return np.where(gains > self.start, beyond, np.minimum(-np.log(np.minimum(rank, 1.0)), -math.log(_TAIL)))
+
+    def gain_at(self, level: float) -> float:
+        """Return the gain of which -ln p is a level beyond the tail's start."""
+        return self.start + self.excess * max(level + math.log(_TAIL), 0.0)
+
+
+def _of_all(one: Score, like: Score) -> Array:
+    """Summed scores of some drivers, as many as all drivers of another score would have."""
+    total = one.summed(_limited(one))
+    if one.is_by_driver:
+        return np.broadcast_to(total.mean(axis=1, keepdims=True), (1, like.drivers, total.shape[2]))
+    return total * (like.drivers / one.drivers)
+
+
+def _left(one: Score) -> Array:
+    """What is left of the scores of all blocks (G, K) after the best strength is taken out.
+
+    Individual strengths would leave nothing in a block that says most of its driver: their scores stay as they are.
+    """
+    assert one.information is not None
+    if one.candidate.individual:
+        return _limited(one)
+    strength = one.strength[one.driver] if one.is_by_driver else np.broadcast_to(one.strength, one.score.shape)
+    explained = np.einsum("gjk,gk->gj", one.information, strength)
+    blocks, fitted = one.score.shape
+    # blocks that are as many as the strengths have nothing left
+    left = (one.score - explained) * math.sqrt(blocks / max(blocks - fitted, 1))
+    return _limited(replace(one, score=left))
+
+
+def _limited(one: Score) -> Array:
+    """Scores (G, K) whose size is limited to what a block gives by chance, a few times."""
+    if one.information is None:
+        return one.score
+    std = np.sqrt(np.maximum(np.diagonal(one.information, axis1=1, axis2=2), 0.0))
+    return np.asarray(np.clip(one.score, -_LARGEST * std, _LARGEST * std))
+
+
+class Simulated:
+    """Recordings that a fitted model simulates, with the fits to them, made when asked for."""
+
+    def __init__(
+        self, data: Recorded, fitted: JointFit, seed: int, count: int, work: ThreadPoolExecutor, on_progress: OnStage
+    ) -> None:
+        self._given = data, fitted, seeds(seed, count), work, on_progress
+        self._work = work
+
+    @cached_property
+    def recordings(self) -> list[tuple[Recorded, JointFit]]:
+        """The recordings, with the fits to them."""
+        return resampled_fits(*self._given)
+
+    def scores(self, candidates: Sequence[Candidate]) -> list[list[Score]]:
+        """Scores of candidates, and of forces, in each recording: of half of the drivers."""
+        return [
+            scores(data, fitted, candidates, self._work, range(0, data.drivers, 2)) for data, fitted in self.recordings
+        ]

@@ -9,12 +9,12 @@ from scipy.stats import kstest, norm
 from scipy.stats import t as student
 
 import sugiyama_ros as sg
-from sugiyama_ros.criticism.candidates import Candidate
-from sugiyama_ros.criticism.chance import p_values
-from sugiyama_ros.criticism.check import Check, judged
-from sugiyama_ros.criticism.diagnose import Diagnosis, diagnose
-from sugiyama_ros.criticism.forecast import scored
-from sugiyama_ros.criticism.score import Score, ScoreOfSome, of_some
+from sugiyama_ros.diagnosis.candidates import Candidate
+from sugiyama_ros.diagnosis.chance import p_values
+from sugiyama_ros.diagnosis.check import Check, judged
+from sugiyama_ros.diagnosis.diagnose import Diagnosis, diagnose
+from sugiyama_ros.diagnosis.forecast import scored
+from sugiyama_ros.diagnosis.score import Score, ScoreOfSome, of_some
 
 _DRIVERS, _BLOCKS = 20, 10
 

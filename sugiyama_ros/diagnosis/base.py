@@ -8,8 +8,8 @@ are too small. And a camera with two or three pictures a second may see drivers 
 from concurrent.futures import Executor
 from dataclasses import replace
 
-from sugiyama_ros.criticism.candidates import Candidate
-from sugiyama_ros.criticism.score import scores
+from sugiyama_ros.diagnosis.candidates import Candidate
+from sugiyama_ros.diagnosis.score import scores
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, index
 from sugiyama_ros.fit.cross_validation import gain
 from sugiyama_ros.fit.joint import JointFit
@@ -64,7 +64,11 @@ def base_model(data: Recorded, work: Executor) -> tuple[Recorded, JointFit]:
 
 
 def with_more_decisions(
-    recording: Trajectories | Tracks, data: Recorded, base: JointFit, work: Executor, on_progress: OnStage
+    recording: Trajectories | Tracks,
+    data: Recorded,
+    base: JointFit,
+    work: Executor,
+    on_progress: OnStage = lambda what, done, total: None,
 ) -> tuple[Recorded, JointFit] | None:
     """Return the recording at the period from which the base model predicts its samples best, if that is clear.
 

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.criticism.candidates import CONSTANTS, Candidate, not_searched
-from sugiyama_ros.criticism.diagnose import Diagnosis, Round, Step
-from sugiyama_ros.criticism.table import Difference, Entry, errors, gains
-from sugiyama_ros.criticism.where import Located
+from sugiyama_ros.diagnosis.candidates import CONSTANTS, Candidate, not_searched
+from sugiyama_ros.diagnosis.diagnose import Diagnosis, Round, Step
+from sugiyama_ros.diagnosis.table import Difference, Entry, errors, gains
+from sugiyama_ros.diagnosis.where import Located
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, Parameter
 from sugiyama_ros.effects.discovered_force import COVARIATES
 from sugiyama_ros.effects.registry import EFFECTS, ROW
@@ -250,7 +250,8 @@ def _tried(first: Round) -> list[Tried]:
 def _one_tried(first: Round, c: Candidate, won: Difference | None) -> Tried:
     gain = next((s.gain for s in first.scores if s.candidate.mechanism == c.mechanism), 0.0)
     p = first.chance.p_values.get(c.mechanism, 1.0)
-    return Tried(c.mechanism, c.effect, c.kind, gain, p, won and won.nats, won and won.se)
+    nats, se = (won.nats, won.se) if won is not None else (None, None)
+    return Tried(c.mechanism, c.effect, c.kind, gain, p, nats, se)
 
 
 def _errors(d: Diagnosis) -> dict[str, Any]:

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.criticism.candidates import Candidate, with_candidate
-from sugiyama_ros.criticism.score import Score, ScoreOfSome
+from sugiyama_ros.diagnosis.candidates import Candidate, with_candidate
+from sugiyama_ros.diagnosis.score import Score, ScoreOfSome
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.joint import JointFit, at_model, maximise, objective, renewed
 from sugiyama_ros.fit.model import Model, coordinate, value

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.stats import norm
 
 from sugiyama_ros.arrays import Array, Mask
-from sugiyama_ros.criticism.covariates import covariates_of
+from sugiyama_ros.diagnosis.covariates import covariates_of
 from sugiyama_ros.driver.parameters import RHO
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import Recorded

@@ -19,10 +19,10 @@ from scipy.stats import chi2
 from scipy.stats import t as student
 
 from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.criticism.forecast import HORIZONS_S, Forecasts
-from sugiyama_ros.criticism.simulated import resample, seeds
-from sugiyama_ros.criticism.table import Entry
-from sugiyama_ros.criticism.where import Located, locate
+from sugiyama_ros.diagnosis.forecast import HORIZONS_S, Forecasts
+from sugiyama_ros.diagnosis.simulated import resample, seeds
+from sugiyama_ros.diagnosis.table import Entry
+from sugiyama_ros.diagnosis.where import Located, locate
 from sugiyama_ros.filters.extract import chain_behind, track
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.recording import Recorded

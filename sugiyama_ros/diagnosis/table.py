@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.criticism.candidates import Candidate
-from sugiyama_ros.criticism.forecast import HORIZONS_S, Forecasts
+from sugiyama_ros.diagnosis.candidates import Candidate
+from sugiyama_ros.diagnosis.forecast import HORIZONS_S, Forecasts
 from sugiyama_ros.effects.registry import EFFECTS
 from sugiyama_ros.fit.cross_validation import sum_error
 from sugiyama_ros.fit.joint import JointFit

@@ -11,9 +11,9 @@ from dataclasses import replace
 import numpy as np
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.criticism.forecast import Surroundings, forecasts
-from sugiyama_ros.criticism.refine import without_folds
-from sugiyama_ros.criticism.table import CLEARLY, Entry
+from sugiyama_ros.diagnosis.forecast import Surroundings, forecasts
+from sugiyama_ros.diagnosis.refine import without_folds
+from sugiyama_ros.diagnosis.table import CLEARLY, Entry
 from sugiyama_ros.driver.utility import FAR
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.cross_validation import sum_error

@@ -17,16 +17,16 @@ import numpy as np
 from scipy.stats import norm
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.criticism.base import base_model, with_more_decisions
-from sugiyama_ros.criticism.candidates import Candidate, candidates, chosen, push_of_one
-from sugiyama_ros.criticism.chance import ALPHA, Chance, Simulated, chance_of
-from sugiyama_ros.criticism.check import Check, checks, judged
-from sugiyama_ros.criticism.forecast import HORIZONS_S, Surroundings, driven, forecasts, surroundings
-from sugiyama_ros.criticism.refine import refined, without, without_folds
-from sugiyama_ros.criticism.rivals import laws
-from sugiyama_ros.criticism.score import Score, scores
-from sugiyama_ros.criticism.table import Difference, Entry, errors, gains
-from sugiyama_ros.criticism.where import Located, locate
+from sugiyama_ros.diagnosis.base import base_model, with_more_decisions
+from sugiyama_ros.diagnosis.candidates import Candidate, candidates, chosen, push_of_one
+from sugiyama_ros.diagnosis.chance import ALPHA, Chance, Simulated, chance_of
+from sugiyama_ros.diagnosis.check import Check, checks, judged
+from sugiyama_ros.diagnosis.forecast import HORIZONS_S, Surroundings, driven, forecasts, surroundings
+from sugiyama_ros.diagnosis.refine import refined, without, without_folds
+from sugiyama_ros.diagnosis.rivals import laws
+from sugiyama_ros.diagnosis.score import Score, scores
+from sugiyama_ros.diagnosis.table import Difference, Entry, errors, gains
+from sugiyama_ros.diagnosis.where import Located, locate
 from sugiyama_ros.effects.registry import EFFECTS, ROW
 from sugiyama_ros.fit.joint import JointFit, maximise
 from sugiyama_ros.fit.model_file import write_model
@@ -191,14 +191,14 @@ class Diagnosis(Result):
         return "\n".join(self._sentences())
 
     def _sentences(self) -> list[str]:
-        from sugiyama_ros.criticism.document import document
+        from sugiyama_ros.diagnosis.document import document
         from sugiyama_ros.page.words import sentences
 
         return sentences(plain(document(self)))
 
     def records(self) -> list[dict[str, Any]]:
         """List the candidates of the first round, the best one first: gains [nats] and p-value."""
-        from sugiyama_ros.criticism.document import document
+        from sugiyama_ros.diagnosis.document import document
 
         found: list[dict[str, Any]] = plain(document(self))["candidates"]
         return found
@@ -239,7 +239,7 @@ class Diagnosis(Result):
         super().save(path)
 
     def _save_json(self, stream: BinaryIO, _: str) -> None:
-        from sugiyama_ros.criticism.document import document
+        from sugiyama_ros.diagnosis.document import document
 
         stream.write((json.dumps(plain(document(self)), indent=2, allow_nan=False) + "\n").encode())
 

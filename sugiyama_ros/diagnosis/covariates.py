@@ -12,7 +12,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.criticism.candidates import FORCE, Candidate, force_along
+from sugiyama_ros.diagnosis.candidates import FORCE, Candidate, force_along
 from sugiyama_ros.effects.discovered_force import COVARIATES, KNOTS, LONGEST_S, MOVING
 from sugiyama_ros.effects.registry import index_of
 from sugiyama_ros.fit.joint import JointFit

@@ -19,8 +19,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.criticism.candidates import OF_SOME, Candidate, Start, with_candidate
-from sugiyama_ros.criticism.covariates import forces
+from sugiyama_ros.diagnosis.candidates import OF_SOME, Candidate, Start, with_candidate
+from sugiyama_ros.diagnosis.covariates import forces
 from sugiyama_ros.effects.sensing import is_contaminated
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.model import Model, coordinate, value
