@@ -145,6 +145,11 @@ class Candidate:
         return self.kind in ("effect", "measurement")
 
     @property
+    def has_times(self) -> bool:
+        """Whether the candidate acts at a time of the recording."""
+        return any(ROW.declared[k].axis == "time" for k in self.places)
+
+    @property
     def effect(self) -> str:
         """Name of the effect, whoever has it."""
         return self.name.removesuffix(OF_SOME)

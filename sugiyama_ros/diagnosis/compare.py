@@ -3,7 +3,7 @@
 import os
 from collections.abc import Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -59,6 +59,8 @@ class Compared:
         Gain over the base model [nats], by column; empty for the base model on its own simulation.
     collective : dict of str to (float, float)
         Mean and standard deviation of measures of the whole road, over simulations of the model; empty on tracks.
+    has_times : bool
+        Whether it has an effect that acts at one time.
     """
 
     name: str
@@ -66,6 +68,7 @@ class Compared:
     forecasts: Forecasts
     gain: dict[str, Difference]
     collective: dict[str, tuple[float, float]]
+    has_times: bool = False
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -128,7 +131,8 @@ class Comparison(Result):
 
     def _model(self, one: Compared, best: Compared) -> dict[str, Any]:
         compares = one.kind != "simulated"
-        behind = asdict(gains(self.data, best.forecasts, one.forecasts)["all"]) if compares else None
+        has_times = one.has_times != best.has_times
+        behind = gains(self.data, best.forecasts, one.forecasts, has_times=has_times)["all"] if compares else None
         won = np.nansum(one.forecasts.one_step, axis=1)
         ends = one.forecasts.single.error[:, -1]
         return {
@@ -138,7 +142,7 @@ class Comparison(Result):
             "gains": {name: asdict(value) for name, value in one.gain.items()},
             "heldout_gain_nats": one.gain["all"].nats if compares else None,
             "heldout_gain_se": one.gain["all"].se if compares else None,
-            "behind": behind,
+            "behind": asdict(behind) if behind is not None else None,
             "collective": {name: {"mean": mean, "std": std} for name, (mean, std) in one.collective.items()},
             "drivers": [
                 {**name.document(), "log_likelihood": float(won[i]), "single_car_10s_m": _rms(ends[:, i])}
@@ -225,7 +229,8 @@ def compare(
             mine = sorted((s for s in looked if s.candidate.name == candidate.name), key=lambda s: -s.gain)
             current = refined(data, current, candidate, mine, work)
         if wanted:
-            found.append(_fitted(f"base + {' + '.join(effects)}", "asked", data, around, current, seed, work))
+            asked = _fitted(f"base + {' + '.join(effects)}", "asked", data, around, current, seed, work)
+            found.append(replace(asked, has_times=any(c.has_times for c in wanted)))
         if model is not None:
             found.append(_given(model, data, around, seed, work))
         for k, law in enumerate(RIVALS):
@@ -233,10 +238,7 @@ def compare(
             found += sent[k].result() if sent else _law(law, data, around, seed, work)
         on_progress("the base model on its own simulation", steps - 1, steps)
         first = found[0].forecasts
-        models = [
-            Compared(one.name, one.kind, one.forecasts, gains(data, one.forecasts, first), one.collective)
-            for one in found
-        ]
+        models = [replace(one, gain=gains(data, one.forecasts, first, has_times=one.has_times)) for one in found]
         models.append(_simulated(data, base, seed, work))
     return Comparison(tuple(models), data, *_measured(data), seed)
 

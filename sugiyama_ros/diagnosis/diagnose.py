@@ -25,7 +25,7 @@ from sugiyama_ros.diagnosis.forecast import HORIZONS_S, Surroundings, driven, fo
 from sugiyama_ros.diagnosis.refine import refined, without, without_folds
 from sugiyama_ros.diagnosis.rivals import laws
 from sugiyama_ros.diagnosis.score import Score, scores
-from sugiyama_ros.diagnosis.table import Difference, Entry, errors, gains
+from sugiyama_ros.diagnosis.table import Difference, Entry, errors, gains, is_better
 from sugiyama_ros.diagnosis.where import Located, locate
 from sugiyama_ros.effects.registry import EFFECTS, ROW
 from sugiyama_ros.fit.joint import JointFit, maximise
@@ -111,9 +111,9 @@ class Step:
 
     @property
     def is_supported(self) -> bool:
-        """Whether the data ask for it: chance rarely shows as much, and the gain is above its standard error."""
+        """Whether the data ask for it: chance rarely shows as much, and unseen data are forecast better."""
         rare = all(self.of.chance.p_values.get(c.mechanism, 1.0) < ALPHA for c in self.new)
-        return rare and self.gain["all"].is_worth_it and not any(v.is_loss for v in self.gain.values())
+        return rare and is_better(self.gain)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -383,7 +383,7 @@ def _told(bench: _Bench, first: Entry, found: _Scored, names: Sequence[str]) -> 
         scored = [own[0].candidate for own in found.by_name.values()]
         candidate = chosen(bench.data, [*bench.possible, *scored], name)
         entry = _fitted(bench, current, candidate, found)
-        won = gains(bench.data, entry.forecasts, current.forecasts)
+        won = entry.over(bench.data, current)
         rounds.append(Round(current, found.best, found.chance, (entry,), (won,), entry, ()))
         current = entry
     return rounds
@@ -407,11 +407,11 @@ def _round(bench: _Bench, current: Entry, found: _Scored) -> Round:
     # of the best mechanism with a name, all forms
     named = [e for e in entries if e.added[-1].explains]
     if named:
-        first = max(named, key=lambda e: gains(bench.data, e.forecasts, current.forecasts)["all"].nats).added[-1]
+        first = max(named, key=lambda e: e.over(bench.data, current)["all"].nats).added[-1]
         forms = [own[0].candidate for own in found.by_name.values() if own[0].candidate.mechanism == first.mechanism]
         entries += [_fitted(bench, current, c, found) for c in forms if c.name != first.name]
     added, alike = _best(bench, current, entries)
-    won = [gains(bench.data, one.forecasts, current.forecasts) for one in entries]
+    won = [one.over(bench.data, current) for one in entries]
     order = sorted(range(len(entries)), key=lambda k: -won[k]["all"].nats)
     return Round(
         current,
@@ -429,27 +429,23 @@ def _without_needless(bench: _Bench, entry: Entry) -> Entry:
     for candidate in entry.added[:-1]:
         fit = maximise(bench.data, without(bench.data, entry.fit, candidate, bench.work), bench.work)
         less = bench.entry(entry.name, tuple(c for c in entry.added if c is not candidate), fit)
-        if not gains(bench.data, entry.forecasts, less.forecasts)["all"].is_worth_it:
+        if not is_better(entry.over(bench.data, less)):
             entry = less
     return entry
 
 
 def _best(bench: _Bench, current: Entry, entries: Sequence[Entry]) -> tuple[Entry | None, list[Entry]]:
-    """The model that gains most, more than its error, and is nowhere clearly worse; and what cannot be told apart.
+    """The model that gains most, of those that are better; and what cannot be told apart from it.
 
     Among models that cannot be told apart from it, one that can explain goes before one that cannot, one addition
     before two, and what all drivers have before what some have.
     """
 
     def leads(one: Entry, other: Entry) -> bool:
-        return gains(bench.data, one.forecasts, other.forecasts)["all"].is_clear
+        return one.over(bench.data, other)["all"].is_clear
 
-    won = {id(one): gains(bench.data, one.forecasts, current.forecasts) for one in entries}
-    allowed = [
-        e
-        for e in entries
-        if (g := won[id(e)])["all"].is_worth_it and not any(v.is_loss for v in g.values()) and e.makes_sense
-    ]
+    won = {id(one): one.over(bench.data, current) for one in entries}
+    allowed = [e for e in entries if is_better(won[id(e)]) and e.makes_sense]
     if not allowed:
         return None, []
     first = max(allowed, key=lambda e: won[id(e)]["all"].nats)
@@ -480,9 +476,7 @@ def _concluded(bench: _Bench, rounds: list[Round], asked: tuple[str, ...], simul
     rivals = laws(data, bench.around, final, work)
     found = [*checks(data, final, simulated.recordings, own, bench.seed, work), *_left(rounds, data, final, rivals)]
     steps = [
-        Step(one.current, one.added, gains(data, one.added.forecasts, one.current.forecasts), one)
-        for one in rounds
-        if one.added is not None
+        Step(one.current, one.added, one.added.over(data, one.current), one) for one in rounds if one.added is not None
     ]
     return Diagnosis(
         data=data,

@@ -13,7 +13,7 @@ import numpy as np
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.candidates import CONSTANTS, Candidate, not_searched
 from sugiyama_ros.diagnosis.diagnose import Diagnosis, Round, Step
-from sugiyama_ros.diagnosis.table import Difference, Entry, errors, gains
+from sugiyama_ros.diagnosis.table import Difference, Entry, errors
 from sugiyama_ros.diagnosis.where import Located
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, Parameter
 from sugiyama_ros.effects.discovered_force import COVARIATES
@@ -215,7 +215,7 @@ def _closest(d: Diagnosis, one: Step) -> dict[str, Any] | None:
     entry = one.of.closest_effect
     if entry is None:
         return None
-    behind = gains(d.data, one.after.forecasts, entry.forecasts)["all"]
+    behind = one.after.over(d.data, entry)["all"]
     return {"name": entry.added[-1].mechanism, "behind_nats": behind.nats, "behind_se": behind.se}
 
 
@@ -257,7 +257,7 @@ def _one_tried(first: Round, c: Candidate, won: Difference | None) -> Tried:
 def _errors(d: Diagnosis) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for name, entry in (("before", d.base), ("after", d.final), *((law.name, law) for law in d.laws)):
-        won = gains(d.data, entry.forecasts, d.base.forecasts)
+        won = entry.over(d.data, d.base)
         found[name] = {**errors(entry.forecasts), "gains": {k: asdict(v) for k, v in won.items()}}
     return {**found, "floor": d.floor} if d.floor else found
 

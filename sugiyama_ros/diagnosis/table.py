@@ -3,11 +3,11 @@
 References
 ----------
 A. Vehtari, A. Gelman and J. Gabry, Stat. Comput. 27 (2017) 1413. C. Varin, N. Reid and D. Firth, Stat. Sinica 21 (2011)
-5 (composite likelihood). L. Breiman et al., Classification and Regression Trees (1984), section 3.4.3.
+5 (composite likelihood).
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,7 +34,8 @@ class Difference:
     nats : float
         Difference of the log scores [nats].
     se : float
-        Standard error: the larger one of two jackknives, over drivers and over blocks of time.
+        Standard error: the larger one of two jackknives, over drivers and over blocks of time. Blocks are not
+        exchangeable where models differ by what happens at one time: then the jackknife over drivers.
     """
 
     nats: float
@@ -44,11 +45,6 @@ class Difference:
     def is_clear(self) -> bool:
         """Whether the gain is above two standard errors."""
         return self.nats > CLEARLY * self.se
-
-    @property
-    def is_worth_it(self) -> bool:
-        """Whether the gain is above one standard error: the rule of Breiman et al. (1984) for the size of a model."""
-        return self.nats > self.se
 
     @property
     def is_loss(self) -> bool:
@@ -80,6 +76,11 @@ class Entry:
     models: tuple[Model, ...]
     forecasts: Forecasts
 
+    def over(self, data: Recorded, other: "Entry") -> dict[str, Difference]:
+        """Gain over another model, as of ``gains``."""
+        has_times = any(c.has_times for c in {*self.added} ^ {*other.added})
+        return gains(data, self.forecasts, other.forecasts, has_times=has_times)
+
     @property
     def explains(self) -> bool:
         """Whether anything that was added can explain what was missing."""
@@ -103,7 +104,7 @@ class Entry:
         return all(value >= least for value, least in self.signs.values())
 
 
-def gains(data: Recorded, better: Forecasts, than: Forecasts) -> dict[str, Difference]:
+def gains(data: Recorded, better: Forecasts, than: Forecasts, *, has_times: bool = False) -> dict[str, Difference]:
     """Return the gain of one model over another at each horizon, and over all of them together.
 
     Parameters
@@ -112,6 +113,8 @@ def gains(data: Recorded, better: Forecasts, than: Forecasts) -> dict[str, Diffe
         The recording.
     better, than : Forecasts
         Forecasts of both models.
+    has_times : bool
+        Whether the models differ by what happens at one time.
 
     Returns
     -------
@@ -121,10 +124,15 @@ def gains(data: Recorded, better: Forecasts, than: Forecasts) -> dict[str, Diffe
         not overlap would have.
     """
     parts = list(_differences(data, better, than))
-    found = {name: _gain(driver, block, nats) for name, driver, block, nats in parts}
-    single = [(driver, block, nats) for name, driver, block, nats in parts if not name.startswith("road")]
-    driver, block, nats = (np.concatenate(part) for part in zip(*single, strict=True))
-    return {**found, "all": _gain(driver, block, nats)}
+    single = [part for part in parts if not part[0].startswith("road")]
+    together = [np.concatenate(column) for column in list(zip(*single, strict=True))[1:]]
+    return {name: _gain(*sums, has_times=has_times) for name, *sums in (*parts, ("all", *together))}
+
+
+def is_better(gain: Mapping[str, Difference]) -> bool:
+    """Whether a model is somewhere better by more than two standard errors, on the whole better, and nowhere worse."""
+    somewhere = any(one.is_clear for one in gain.values())
+    return somewhere and gain["all"].nats > 0.0 and not any(one.is_loss for one in gain.values())
 
 
 def errors(of: Forecasts) -> dict[str, float]:
@@ -181,7 +189,8 @@ def _differences(data: Recorded, better: Forecasts, than: Forecasts) -> Iterator
             yield f"{prefix}{horizon_s:g}s", driver, data.block[driver, start[s]], share * difference[s, driver]
 
 
-def _gain(driver: Ints, block: Ints, nats: Array) -> Difference:
+def _gain(driver: Ints, block: Ints, nats: Array, *, has_times: bool) -> Difference:
     """The sum, with the error of exchangeable drivers and of exchangeable blocks."""
-    sums = [np.bincount(np.unique(one, return_inverse=True)[1], nats) for one in (driver, block)]
+    units = (driver,) if has_times else (driver, block)
+    sums = [np.bincount(np.unique(unit, return_inverse=True)[1], nats) for unit in units]
     return Difference(float(nats.sum()), max(map(sum_error, sums)))
