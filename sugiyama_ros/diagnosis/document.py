@@ -341,7 +341,7 @@ def about() -> dict[str, Any]:
     dict
         For each name: ``kind`` (effect, constants or law), ``title``, ``summary``, and for each of the ``parameters``
         its unit, its meaning, and whether it is a ``place`` or a ``time``. An effect also has ``is_limit``: a smaller
-        value of its first parameter is a stronger effect.
+        value of its first parameter is a stronger effect; and its ``term`` in the equation of the model.
     """
     declared: dict[str, Any] = {p.name: p for p in ROW.declared}
     found = {
@@ -349,7 +349,7 @@ def about() -> dict[str, Any]:
         for c in CONSTANTS
     }
     effects = {
-        name: {**_explained(e.title, e.summary, e.parameters, "effect"), "is_limit": e.is_limit}
+        name: {**_explained(e.title, e.summary, e.parameters, "effect"), "is_limit": e.is_limit, "term": e.term}
         for name, e in EFFECTS.items()
     }
     laws = {name: _explained(law.title, law.summary, law.parameters, "law") for name, law in LAWS.items()}

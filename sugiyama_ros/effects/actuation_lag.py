@@ -32,6 +32,7 @@ EFFECT = Effect(
     stage=ACTUATION,
     title="slow response of the car",
     summary="the acceleration follows the intended acceleration with a first-order lag",
+    term="da/dt = (abar - a) / time_constant",
     source="Treiber and Kesting, Traffic Flow Dynamics (2013), section 12.3",
     parameters=(Parameter("time_constant", "T_l", "s", 0.0, 0.0, 5.0, "time constant"),),
     starts=at({"time_constant": 0.1}, {"time_constant": 0.4}),

@@ -21,6 +21,7 @@ EFFECT = Effect(
     stage=UTILITY,
     title="speed judged over the look-ahead",
     summary="a share of the reward of the desired speed is its mean over the look-ahead",
+    term="utility + share (mean reward of the speed over the look-ahead - reward after one period)",
     source="paper, section 3.2: the average of a component over the look-ahead",
     parameters=(Parameter("share", "w_a", "1", 0.0, 0.0, 1.0, "share of the mean over the look-ahead"),),
     starts=at({"share": 0.2}, {"share": 0.8}),

@@ -19,6 +19,7 @@ EFFECT = Effect(
     stage=ACTUATION,
     title="soft limits of acceleration",
     summary="a smooth saturation of acceleration and braking alike",
+    term="a -> limit tanh(a / limit)",
     source="Treiber and Kesting, Traffic Flow Dynamics (2013), section 11.3",
     parameters=(
         Parameter("limit", "A", "m/s^2", 0.0, 0.1, 50.0, "limit of the acceleration, never reached; 0 for no limit"),

@@ -78,6 +78,7 @@ EFFECT = Effect(
     stage=ENVIRONMENT,
     title="force without a name",
     summary="a force learnt from the data as a curve over one covariate",
+    term="+ force(covariate)",
     source="Kristensen, Madsen and Jørgensen, Automatica 40 (2004) 225",
     parameters=(
         Parameter("covariate", "", "1", 0.0, 1.0, float(len(COVARIATES)), "number of one of " + ", ".join(COVARIATES)),

@@ -162,6 +162,9 @@ class Effect:
         Name for people, such as "slower stretch of road".
     summary : str
         What the effect is, in one line.
+    term : str
+        The effect as part of the equation of the model, in the names of its parameters, such as "- c0 - c2 v|v|". A
+        term that begins with a sign is added to the acceleration. Empty if there is none.
     source : str
         Publication that describes the effect.
     parameters : tuple of Parameter
@@ -235,6 +238,7 @@ class Effect:
     source: str
     parameters: tuple[Parameter, ...]
     title: str = ""
+    term: str = ""
     function: Callable[..., Any] | None = None
     memory: Memory | None = None
     noise_factor: Callable[..., float] | None = None

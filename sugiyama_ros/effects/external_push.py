@@ -22,6 +22,7 @@ EFFECT = Effect(
     stage=ENVIRONMENT,
     title="push from outside",
     summary="one car is pushed or braked by something else at one moment",
+    term="+ strength exp(-((t - time) / duration)²/2)",
     source="as the perturbations of Tadaki et al., New J. Phys. 15 (2013) 103034",
     parameters=(
         Parameter("strength", "f", "m/s^2", 0.0, -20.0, 20.0, "acceleration at the peak of the push"),

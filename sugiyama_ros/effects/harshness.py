@@ -17,6 +17,7 @@ EFFECT = Effect(
     stage=UTILITY,
     title="dislike of hard braking",
     summary="a component of the utility: -w a²/16",
+    term="utility - weight a²/16",
     source="Naumann, Sun, Zhan and Tomizuka, ICRA (2020), as the paper proposes in section 3.2",
     parameters=(Parameter("weight", "w_h", "1", 0.0, 0.0, 100.0, "weight beside the reward of the desired speed"),),
     starts=at({"weight": 0.01}, {"weight": 0.1}),

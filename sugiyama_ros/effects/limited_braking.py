@@ -17,6 +17,7 @@ EFFECT = Effect(
     stage=ACTUATION,
     title="limited braking",
     summary="no harder braking than B",
+    term="a -> max(a, -limit)",
     source="Gipps, Transp. Res. B 15 (1981) 105",
     parameters=(Parameter("limit", "B", "m/s^2", 0.0, 0.1, 20.0, "hardest braking; 0 for no limit"),),
     starts=at({"limit": 1.0}, {"limit": 2.0}, {"limit": 3.5}),

@@ -17,6 +17,7 @@ EFFECT = Effect(
     stage=ACTUATION,
     title="limited engine power",
     summary="the engine gives no more than P/v",
+    term="a -> min(a, power / v)",
     source="Rakha and Lucic, J. Transp. Eng. 128 (2002) 161",
     parameters=(Parameter("power", "P", "m^2/s^3", 0.0, 0.2, 1e3, "power per mass of vehicle; 0 for no limit"),),
     starts=at({"power": 4.0}, {"power": 9.0}, {"power": 20.0}),

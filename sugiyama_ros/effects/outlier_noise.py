@@ -26,6 +26,7 @@ EFFECT = Effect(
     stage=MEASUREMENT,
     title="gross errors of measurement",
     summary="a share of the measurements is far off (heavy tails)",
+    term="sigma_nu -> factor sigma_nu in a share of the measurements",
     source="Tukey, in Contributions to Probability and Statistics (1960) 448",
     parameters=(
         Parameter("share", "ε", "1", 0.0, 0.0, 0.6, "share of outliers"),

@@ -61,6 +61,7 @@ EFFECT = Effect(
     stage=PERCEPTION,
     title="action points",
     summary="drivers hold their acceleration until a change exceeds a threshold (action points)",
+    term="a changes by threshold or more, or not at all",
     source="Todosiev and Barbosa, Traffic Eng. 34 (1963) 17; Wagner, Eur. Phys. J. B 84 (2011) 713",
     parameters=(Parameter("threshold", "θ", "m/s^2", 0.0, 0.0, 5.0, "smallest change of the acceleration"),),
     starts=at({"threshold": 0.3}, {"threshold": 0.8}),

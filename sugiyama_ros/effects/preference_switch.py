@@ -32,6 +32,7 @@ EFFECT = Effect(
     stage=PREFERENCE,
     title="sudden change of mind",
     summary="desired speed and risk premium change at one moment",
+    term="log v*, log kappa_v + v_star_change, kappa_v_change after time",
     source="Hamdar, Treiber, Mahmassani and Kesting, Transp. Res. Rec. 2088 (2008) 208",
     parameters=(
         Parameter("v_star_change", "Δv", "1", 0.0, -2.0, 2.0, "change of log v*"),

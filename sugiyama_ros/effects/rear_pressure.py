@@ -32,6 +32,7 @@ _UTILITY = Effect(
     stage=UTILITY,
     title="fear of the car behind",
     summary="a component of the utility: the risk that the car behind runs into the driver's car",
+    term="utility + weight risk(rear_gap, v_rear)",
     source="the paper's phi2, for the car behind",
     parameters=(Parameter("weight", "w_r", "1", 0.0, 0.0, 10.0, "weight beside the risk of the leader"),),
     starts=at({"weight": 0.003}, {"weight": 0.03}),
@@ -44,6 +45,7 @@ EFFECT = Effect(
     stage=ACTUATION,
     title="pressure from behind",
     summary="drivers accelerate away from a car close behind",
+    term="+ strength exp(-rear_gap / distance)",
     source="Nakayama, Sugiyama and Hasebe, Phys. Rev. E 65 (2001) 016112 (backward looking)",
     parameters=(
         Parameter("strength", "f_r", "m/s^2", 0.0, -10.0, 20.0, "push at contact"),

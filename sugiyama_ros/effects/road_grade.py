@@ -21,6 +21,7 @@ EFFECT = Effect(
     stage=ENVIRONMENT,
     title="hill",
     summary="gravity on a slope along part of the road",
+    term="- g grade bump(x - centre, width)",
     source="Treiber and Kesting, Traffic Flow Dynamics (2013), section 21.2",
     parameters=(Parameter("grade", "s", "1", 0.0, -0.3, 0.3, "slope in the middle, positive uphill"), *PLACE),
     starts=around({"grade": 0.01}),

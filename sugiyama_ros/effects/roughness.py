@@ -18,6 +18,7 @@ EFFECT = Effect(
     stage=UTILITY,
     title="dislike of a rough ride",
     summary="a component of the utility: -w (a - a of the last period)²/16",
+    term="utility - weight (a - a of the last period)²/16",
     source="Naumann, Sun, Zhan and Tomizuka, ICRA (2020), as the paper proposes in section 3.2",
     parameters=(Parameter("weight", "w_r", "1", 0.0, 0.0, 100.0, "weight beside the reward of the desired speed"),),
     starts=at({"weight": 0.01}, {"weight": 0.1}),

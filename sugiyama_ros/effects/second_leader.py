@@ -37,6 +37,7 @@ _UTILITY = Effect(
     stage=UTILITY,
     title="fear of the second vehicle ahead",
     summary="a component of the utility: the risk of the second vehicle ahead",
+    term="utility + weight risk(share (gap + gap_2), v_2)",
     source="the paper's phi2, for the second vehicle ahead",
     parameters=(
         Parameter("weight", "w_2", "1", 0.0, 0.0, 10.0, "weight beside the risk of the leader"),
@@ -52,6 +53,7 @@ EFFECT = Effect(
     stage=PERCEPTION,
     title="look past the leader",
     summary="drivers also react to the second vehicle ahead",
+    term="gap, v_lead -> (1 - weight) (gap, v_lead) + weight ((gap + gap_2) / 2, v_2)",
     source="Lenz, Wagner and Sollacher, Eur. Phys. J. B 7 (1999) 331",
     parameters=(Parameter("weight", "w_2", "1", 0.0, 0.0, 1.0, "share of attention for the second vehicle ahead"),),
     starts=at({"weight": 0.1}, {"weight": 0.4}),

@@ -45,6 +45,7 @@ _DISTORTION = Effect(
     stage=MEASUREMENT,
     title="distorted picture",
     summary="the camera's picture is distorted: positions are displaced by two and three waves around the ring",
+    term="measured x = x + two and three waves around the ring",
     source="geometry: a ring seen at an angle is an ellipse (two waves); a lens adds further harmonics",
     parameters=(
         Parameter("cosine_2", "e_c2", "m", 0.0, -20.0, 20.0, "displacement by two waves at position 0"),
@@ -62,6 +63,7 @@ EFFECT = Effect(
     stage=MEASUREMENT,
     title="camera beside the centre",
     summary="the camera stands off the centre of the ring: positions are displaced by one wave around it",
+    term="measured x = x + cosine cos(2 pi x / L) + sine sin(2 pi x / L)",
     source="geometry: an angle seen from a point beside the centre, to first order",
     parameters=(
         Parameter("cosine", "e_c", "m", 0.0, -20.0, 20.0, "displacement at position 0"),

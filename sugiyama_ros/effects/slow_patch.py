@@ -18,6 +18,7 @@ EFFECT = Effect(
     stage=PREFERENCE,
     title="slower stretch of road",
     summary="a lower desired speed on part of the road",
+    term="v* -> v* (1 - reduction bump(x - centre, width))",
     source="Treiber and Kesting, Traffic Flow Dynamics (2013), section 11.5 (flow-conserving bottlenecks)",
     parameters=(
         Parameter("reduction", "r", "1", 0.0, -1.0, 0.95, "share taken off v* in the middle of the patch"),

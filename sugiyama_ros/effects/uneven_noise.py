@@ -27,6 +27,7 @@ EFFECT = Effect(
     stage=MEASUREMENT,
     title="uneven measurement noise",
     summary="the measurement noise changes by one wave around the ring",
+    term="log sigma_nu + cosine cos(2 pi x / L) + sine sin(2 pi x / L)",
     source="the image scale and the light of one camera for the whole ring, to first order",
     parameters=(
         Parameter("cosine", "a_c", "1", 0.0, -2.0, 2.0, "logarithm of the factor of the noise's std at position 0"),
