@@ -14,12 +14,11 @@ from sugiyama_ros.calibration.calibrate import each_driver, in_classes, pooled
 from sugiyama_ros.calibration.on_tracks import TracksCalibration, calibrate_tracks
 from sugiyama_ros.calibration.result import Calibration, Settings
 from sugiyama_ros.diagnosis import compare as comparison
-from sugiyama_ros.diagnosis import diagnosis
-from sugiyama_ros.diagnosis.asked import check_names
+from sugiyama_ros.diagnosis import diagnose as diagnosis
+from sugiyama_ros.diagnosis.candidates import check_names
 from sugiyama_ros.diagnosis.compare import Comparison
-from sugiyama_ros.diagnosis.diagnosis import Diagnosis
-from sugiyama_ros.diagnosis.use import FEW_ADDITIONS, MANY_ADDITIONS, Goal, Purpose, purpose_of
-from sugiyama_ros.diagnosis.verdict import document as document_of
+from sugiyama_ros.diagnosis.diagnose import Diagnosis
+from sugiyama_ros.diagnosis.document import document as document_of
 from sugiyama_ros.driver.parameters import defaults
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
@@ -47,6 +46,8 @@ if TYPE_CHECKING:
     import pandas
 
 
+#: Largest number of steps of a diagnosis that add something, unless somebody asks for more.
+FEW_STEPS = 3
 #: Further settings of `calibrate`, and their defaults.
 _CALIBRATE: dict[str, Any] = {"classes": 0, "hops": 0, "seed": 0, "regularise_strength": 1.0, "scheduler": None}
 
@@ -371,10 +372,8 @@ def compare(
 def diagnose(
     trajectories: Trajectories | Tracks | Simulation,
     *,
-    quick: bool = False,
     add: str | Sequence[str] | None = None,
-    purpose: Purpose = "prediction",
-    refit: int | None = None,
+    simulations: int = 2,
     seed: int = 0,
 ) -> Diagnosis:
     """Find out which physical effect the model lacks.
@@ -383,16 +382,12 @@ def diagnose(
     ----------
     trajectories : Trajectories, Tracks or Simulation
         The recording, at least 8 s long; or tracks on which somebody follows a known vehicle for 15 s.
-    quick : bool
-        Whether to simulate fewer recordings: sooner, with rougher p-values.
     add : {None, "auto"} or sequence of str
-        By default, at most three effects are added that the data support. ``"auto"`` adds as many as they support, up
-        to eight, and a force without a name. Names, such as ``["drag"]``, are added whatever the data say of them:
-        effects, their forms, groups of constants such as ``"response_constants"``, or ``"discovered_force:speed"``.
-    purpose : {"prediction", "simulation", "online"}
-        What the model is for: nothing is added that makes it worse there.
-    refit : int
-        Number of simulated recordings to which the final model is fitted, for its standard errors.
+        By default, what the data ask for is added in at most three steps; with ``"auto"``, in as many as they ask for.
+        Names, such as ``["drag"]``, are added whatever the data say of them: effects, their forms, groups of constants
+        such as ``"response_constants"``, or ``"discovered_force:speed"``.
+    simulations : int
+        Number of recordings that each model simulates, which say what the approximations of the filter do.
     seed : int
         Seed of all random numbers.
 
@@ -410,29 +405,23 @@ def diagnose(
     --------
     >>> import sugiyama_ros as sg
     >>> simulated = sg.simulate(vehicles=4, ring_m=45.0, duration_s=60.0, seed=1)
-    >>> found = sg.diagnose(simulated, quick=True)
+    >>> found = sg.diagnose(simulated)
     >>> print(found.summary().splitlines()[0])
     The model is adequate: nothing in these data speaks against it.
     """
-    goal = _goal(add, purpose)
+    _check_within("simulations", simulations, 1, math.inf)
+    names = () if add in (None, "auto") else (add,) if isinstance(add, str) else tuple(add or ())
+    check_names(names)
     with stages() as advance:
         return diagnosis.diagnose(
             _recorded(trajectories),
+            add=names,
+            most=None if add else FEW_STEPS,
             seed=seed,
-            quick=quick,
-            goal=goal,
-            refit=refit,
+            simulations=simulations,
             workers=os.cpu_count() or 1,
             on_progress=advance,
         )
-
-
-def _goal(add: str | Sequence[str] | None, purpose: str) -> Goal:
-    """What may be added, and what the model is for. Raises InputError for unknown names."""
-    only = () if add in (None, "auto") else (add,) if isinstance(add, str) else tuple(add or ())
-    check_names(only)
-    most = MANY_ADDITIONS if add else FEW_ADDITIONS
-    return Goal(only=only, forces=add == "auto", purpose=purpose_of(purpose), most=most)
 
 
 def read_recording(path: str | Path) -> Recording:
