@@ -24,8 +24,7 @@ from sugiyama_ros.api import simulate
 from sugiyama_ros.calibration.calibrate import each_driver
 from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.diagnosis.compare import compare
-from sugiyama_ros.diagnosis.diagnosis import diagnose
-from sugiyama_ros.diagnosis.use import Goal
+from sugiyama_ros.diagnosis.diagnose import diagnose
 from sugiyama_ros.driver.parameters import NAMES, REFERENCE_PERIOD_S, defaults
 from sugiyama_ros.effects import hooks
 from sugiyama_ros.effects.registry import ROW, switch_on
@@ -62,7 +61,7 @@ def _work() -> dict[str, Callable[[], object]]:
         "the paper's calibration": lambda: each_driver(recording(), Settings("paper")),
         "the causal calibration": lambda: each_driver(recording(), Settings("causal")),
         "the comparison with other laws": lambda: compare(recording(), [_EFFECT]),
-        "the diagnosis": lambda: diagnose(recording(), quick=True, goal=Goal(most=1)),
+        "the diagnosis": lambda: diagnose(recording(), simulations=1, most=1),
     }
 
 

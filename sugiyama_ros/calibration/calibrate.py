@@ -190,8 +190,7 @@ def pooled(trajectories: Trajectories, settings: Settings, effects: Sequence[str
         For an unknown effect, or a recording that is too short.
     """
     # Imported here: drivers who are calibrated alone need no search for effects, which takes long to load.
-    from sugiyama_ros.diagnosis.candidates import named
-    from sugiyama_ros.diagnosis.screen import with_candidate
+    from sugiyama_ros.diagnosis.refine import with_named
     from sugiyama_ros.fit.model_file import own_stds
     from sugiyama_ros.fit.population import fit_base
     from sugiyama_ros.fit.recording import prepare
@@ -200,10 +199,8 @@ def pooled(trajectories: Trajectories, settings: Settings, effects: Sequence[str
 
     trajectories = with_short_periods(trajectories)
     data = prepare(trajectories)
-    chosen = named(data, effects)
-    fitted = fit_base(data, [index(name) for name in settings.estimated], work)
-    for candidate in chosen:
-        fitted = with_candidate(data, fitted, candidate, work)
+    base = fit_base(data, [index(name) for name in settings.estimated], work)
+    fitted, _ = with_named(data, base, effects, work)
     own, shared = own_stds(fitted), shared_stds(data, fitted, work)
     names = [ROW.entries[k] for k in fitted.model.individual]
     prior = np.array(fitted.model.prior_std)

@@ -9,12 +9,10 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from sugiyama_ros.diagnosis.base import base_model, with_more_decisions
-from sugiyama_ros.diagnosis.candidates import candidates, chosen
 from sugiyama_ros.diagnosis.check import motion_of
 from sugiyama_ros.diagnosis.forecast import Forecasts, Surroundings, forecasts, surroundings
-from sugiyama_ros.diagnosis.refine import refined, without_folds
+from sugiyama_ros.diagnosis.refine import with_named, without_folds
 from sugiyama_ros.diagnosis.rivals import by_gaps, in_filter
-from sugiyama_ros.diagnosis.score import scores
 from sugiyama_ros.diagnosis.simulated import resample, seeds
 from sugiyama_ros.diagnosis.table import Difference, errors, gains
 from sugiyama_ros.fit.joint import JointFit, fit
@@ -218,19 +216,14 @@ def compare(
         on_progress("fitting the base model", 0, steps)
         data, base = base_model(prepared(recording), work)
         data, base = with_more_decisions(recording, data, base, work) or (data, base)
-        wanted = [chosen(data, candidates(data), name) for name in effects]
         around = surroundings(data, base.model, work)
         sent = send(cluster, _law_there, (data, around, seed), RIVALS) if cluster is not None else []
         found = [_fitted("base", "base", data, around, base, seed, work)]
         on_progress("the base model with effects", 1, steps)
-        current = base
-        for candidate in wanted:
-            looked = scores(data, current, [candidate], work, with_forces=False)
-            mine = sorted((s for s in looked if s.candidate.name == candidate.name), key=lambda s: -s.gain)
-            current = refined(data, current, candidate, mine, work)
-        if wanted:
-            asked = _fitted(f"base + {' + '.join(effects)}", "asked", data, around, current, seed, work)
-            found.append(replace(asked, has_times=any(c.has_times for c in wanted)))
+        if effects:
+            asked, added = with_named(data, base, effects, work)
+            one = _fitted(f"base + {' + '.join(effects)}", "asked", data, around, asked, seed, work)
+            found.append(replace(one, has_times=any(c.has_times for c in added)))
         if model is not None:
             found.append(_given(model, data, around, seed, work))
         for k, law in enumerate(RIVALS):

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.diagnosis.candidates import Candidate, with_candidate
-from sugiyama_ros.diagnosis.score import Score, ScoreOfSome
+from sugiyama_ros.diagnosis.candidates import Candidate, candidates, chosen, with_candidate
+from sugiyama_ros.diagnosis.score import Score, ScoreOfSome, scores
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.joint import JointFit, at_model, maximise, objective, renewed
 from sugiyama_ros.fit.model import Model, coordinate, value
@@ -45,6 +45,43 @@ def refined(data: Recorded, fitted: JointFit, candidate: Candidate, found: Seque
     there = [_beside(data, fitted, model, work) for model in tried]
     start = max(there, key=lambda one: objective(one.slopes, one.model, range(FOLDS)))
     return _maximised(data, start, work)
+
+
+def with_named(
+    data: Recorded, fitted: JointFit, names: Sequence[str], work: Executor
+) -> tuple[JointFit, list[Candidate]]:
+    """Add candidates by their names to a fitted model, one after the other.
+
+    Parameters
+    ----------
+    data : Recorded
+        The recording.
+    fitted : JointFit
+        The fitted model without them.
+    names : sequence of str
+        Names of the candidates.
+    work : Executor
+        Runs the filters.
+
+    Returns
+    -------
+    fitted : JointFit
+        The model with all of them, fitted in full.
+    added : list of Candidate
+        What was added.
+
+    Raises
+    ------
+    InputError
+        For a name that cannot be added.
+    """
+    possible = candidates(data)
+    added = [chosen(data, possible, name) for name in names]
+    for candidate in added:
+        found = scores(data, fitted, [candidate], work, with_forces=False)
+        own = sorted((one for one in found if one.candidate.name == candidate.name), key=lambda one: -one.gain)
+        fitted = refined(data, fitted, candidate, own, work)
+    return fitted, added
 
 
 def _maximised(data: Recorded, start: JointFit, work: Executor) -> JointFit:

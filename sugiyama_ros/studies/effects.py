@@ -6,20 +6,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sugiyama_ros.diagnosis.bootstrap import widened
-from sugiyama_ros.diagnosis.candidates import named
-from sugiyama_ros.diagnosis.chance import widening
-from sugiyama_ros.diagnosis.placing import profiled
-from sugiyama_ros.diagnosis.refits import fit_from_nothing, refits
-from sugiyama_ros.diagnosis.screen import QUICK
+from sugiyama_ros.diagnosis.refine import with_named
+from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
 from sugiyama_ros.effects.registry import ROW, index_of
+from sugiyama_ros.fit.population import fit_base
 from sugiyama_ros.fit.recording import prepare
 from sugiyama_ros.fit.sandwich import shared_stds
 from sugiyama_ros.studies.hiding import RING_M, STRENGTHS, hide
 from sugiyama_ros.studies.study import Answer, Asked, Row, Study
 
-#: Number of simulated recordings from which standard errors follow, as in a quick diagnosis.
-REFITS = QUICK.refits
 # A normal error is within this many standard errors in 95 of 100 cases.
 _SURE = 1.96
 
@@ -53,11 +48,9 @@ def found_again(job: tuple[str, int]) -> list[FoundAgain]:
         return []
     with ThreadPoolExecutor(1) as work:
         data = prepare(run.measured)
-        hidden = named(data, [effect])
-        fitted = fit_from_nothing(data, hidden, work)
-        again = refits(data, fitted, hidden, seed, REFITS, work)
-        stds = widened(shared_stds(data, fitted, work), fitted, again, widening(len(again)))
-        stds = profiled(data, fitted, hidden, stds, work)
+        base = fit_base(data, data.even.individual(V_STAR, KAPPA_V), work)
+        fitted, _ = with_named(data, base, [effect], work)
+        stds = shared_stds(data, fitted, work)
     return [
         FoundAgain(
             f"{effect}.{name}", value, float(fitted.model.rows[0, index_of(effect, name)]), stds[f"{effect}.{name}"]

@@ -15,8 +15,9 @@ from dataclasses import asdict
 from multiprocessing import get_context
 from pathlib import Path
 
-from sugiyama_ros.diagnosis.diagnosis import diagnose
-from sugiyama_ros.diagnosis.use import Goal
+from sugiyama_ros.diagnosis.diagnose import diagnose
+from sugiyama_ros.diagnosis.document import additions
+from sugiyama_ros.diagnosis.table import Entry
 from sugiyama_ros.effects.discovered_force import COVARIATES
 from sugiyama_ros.effects.effect import Values
 from sugiyama_ros.outputs import writing
@@ -25,11 +26,11 @@ from sugiyama_ros.studies.judgement import FORM, FORMS, NONE, PAIR, PAIRS, Judge
 from sugiyama_ros.studies.judgement_report import report
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
-#: A recording to judge: what is hidden, its strength, the seed, and whether the diagnosis is quick.
-Job = tuple[str, str, int, bool]
+#: A recording to judge: what is hidden, its strength, and the seed.
+Job = tuple[str, str, int]
 
 
-def judge(hidden: str, strength: str, measured: Trajectories, seed: int, quick: bool) -> Judgement:
+def judge(hidden: str, strength: str, measured: Trajectories, seed: int) -> Judgement:
     """Diagnose one recording.
 
     Parameters
@@ -37,43 +38,41 @@ def judge(hidden: str, strength: str, measured: Trajectories, seed: int, quick: 
     hidden : str
         What the recording hides.
     strength : str
-        ``strong``, ``weak``, ``NONE``, ``PAIR`` or ``FORM``. For ``FORM``, forces without a name are searched for too.
+        ``strong``, ``weak``, ``NONE``, ``PAIR`` or ``FORM``.
     measured : Trajectories
         The recording.
     seed : int
         Seed of the diagnosis.
-    quick : bool
-        Whether the diagnosis is quick.
     """
-    d = diagnose(
-        measured,
-        seed=seed,
-        quick=quick,
-        goal=Goal(most=2 if strength in (PAIR, FORM) else 1),
-        verdict_only=strength != FORM,
-        refit=0,
-        workers=1,
-    )
-    first = d.named[0] if d.named else None
+    d = diagnose(measured, seed=seed, most=2 if strength in (PAIR, FORM) else 1, workers=1)
+    found, begin = additions(d), d.rounds[0]
+    first = found[0] if found else None
     return Judgement(
         hidden=hidden,
         strength=strength,
         seed=seed,
         first=first.name if first else NONE,
-        named=tuple(n.name for n in d.named),
-        indistinguishable=first.indistinguishable if first else (),
+        named=tuple(one.name for one in found),
+        indistinguishable=tuple(first.indistinguishable) if first else (),
         p_value=first.p_value if first else 1.0,
-        gain=first.heldout.nats if first else 0.0,
-        oracle_gain=next((one.gain for one in d.scored if one.candidate.name == hidden), 0.0),
-        oracle_heldout=d.heldout[hidden].nats if hidden in d.heldout else 0.0,
-        discovered=tuple(one.covariate for one in d.discovered),
+        gain=first.heldout_gain_nats if first else 0.0,
+        oracle_gain=max((s.gain for s in begin.scores if s.candidate.mechanism == hidden), default=0.0),
+        oracle_heldout=max(
+            (g["all"].nats for e, g in zip(begin.entries, begin.gains, strict=True) if _is_of(e, hidden)), default=0.0
+        ),
+        discovered=tuple(one.covariate for one in found if one.covariate),
         wall_s=d.wall_s,
     )
 
 
+def _is_of(entry: Entry, hidden: str) -> bool:
+    """Whether a model has what is hidden, and nothing else."""
+    return [one.mechanism for one in entry.added] == [hidden]
+
+
 def _one(job: Job) -> Judgement:
     """Simulate one recording and diagnose it."""
-    hidden, strength, seed, quick = job
+    hidden, strength, seed = job
     effects: dict[str, Values] = {}
     if strength == FORM:
         covariate, low, high, values = FORMS[hidden]
@@ -83,7 +82,7 @@ def _one(job: Job) -> Judgement:
     elif hidden != NONE:
         effects = {name: STRENGTHS[name][-1 if strength == "weak" else 0] for name in hidden.split("+")}
     run, _ = hide_all(effects, seed)
-    return judge(hidden, strength, run.measured, seed, quick)
+    return judge(hidden, strength, run.measured, seed)
 
 
 def _parsed() -> argparse.Namespace:
@@ -96,7 +95,6 @@ def _parsed() -> argparse.Namespace:
     parser.add_argument("--forms", type=int, default=2, help="recordings of each force that is not in the catalogue")
     parser.add_argument("--strength", choices=["strong", "weak", "both"], default="both", help="form of the effects")
     parser.add_argument("--effects", nargs="*", default=list(STRENGTHS), help="names of the effects")
-    parser.add_argument("--quick", action="store_true", help="quick diagnosis, but for forces not in the catalogue")
     parser.add_argument("--workers", type=int, default=4, help="number of processes")
     parser.add_argument("-o", "--output", type=Path, help="report to write (Markdown)")
     return parser.parse_args()
@@ -109,10 +107,10 @@ def _jobs(given: argparse.Namespace) -> list[Job]:
         return range(given.first_seed, given.first_seed + count)
 
     strengths = ["strong", "weak"] if given.strength == "both" else [given.strength]
-    jobs = [(e, s, seed, given.quick) for seed in seeds(given.seeds) for s in strengths for e in given.effects]
-    jobs += [("+".join(pair), PAIR, seed, given.quick) for seed in seeds(given.pairs) for pair in PAIRS]
-    jobs += [(form, FORM, seed, False) for seed in seeds(given.forms) for form in FORMS]
-    jobs += [(NONE, NONE, seed, given.quick) for seed in seeds(given.free)]
+    jobs = [(e, s, seed) for seed in seeds(given.seeds) for s in strengths for e in given.effects]
+    jobs += [("+".join(pair), PAIR, seed) for seed in seeds(given.pairs) for pair in PAIRS]
+    jobs += [(form, FORM, seed) for seed in seeds(given.forms) for form in FORMS]
+    jobs += [(NONE, NONE, seed) for seed in seeds(given.free)]
     return jobs
 
 

@@ -46,13 +46,13 @@ class Judgement:
     p_value : float
         p-value of the first addition.
     gain : float
-        Held-out gain of the first addition [nats].
+        Held-out gain of the first addition over all horizons together [nats].
     oracle_gain : float
-        Gain of the true effect, in sample [nats].
+        Gain that the score of the true effect predicts, in sample [nats].
     oracle_heldout : float
-        Held-out gain of the true effect [nats].
+        Held-out gain of the true effect alone, as ``gain``; 0 if it was not fitted.
     discovered : tuple of str
-        Covariates of the forces that were found outside the catalogue.
+        Covariates of the forces without a name that were added.
     wall_s : float
         Time that the diagnosis took [s].
     """

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.diagnosis.compare import collective_of
+from sugiyama_ros.diagnosis.check import collective_of
 from sugiyama_ros.studies.cases import compare
 from sugiyama_ros.studies.rings import FACTOR, FULL_NOISE_AT, PAPERS_FACTOR, Ring, alike, estimated, site_of
 from sugiyama_ros.studies.study import Answer, Asked, Study

@@ -105,10 +105,11 @@ def row(**changes):
         law="",
         vehicles=(),
         outcome="not_explained",
-        better_law="none",
-        reasons=("a force that depends on leader_acceleration is missing",),
+        failed=("bias_over_leader_acceleration",),
+        laws=(),
         named=("drag",),
         also=(),
+        forces=(),
         who=(),
         p_value=0.5,
         oracle=0.0,
@@ -117,7 +118,6 @@ def row(**changes):
         fresh=20.0,
         fresh_se=5.0,
         errors={"drag.c0": 1.0},
-        flagged=(),
         seconds=1.0,
     )
     return replace(base, **changes)
@@ -129,11 +129,15 @@ def test_what_counts_as_right():
     assert not row(outcome="explained").is_right
     assert row(outcome="explained").is_misleading
     assert row(named=("second_leader",), outcome="explained").is_right
-    assert row(covariates=("gap",), reasons=("a force that depends on gap or speed is missing",)).is_right
-    assert not row(covariates=("gap",), reasons=("a force that depends on rear_gap is missing",)).is_right
-    assert row(part="laws", law="idm", better_law="idm").is_right
-    assert not row(part="laws", law="idm", better_law="fvdm").is_right
-    assert row(part="conditions", named=(), outcome="adequate").is_right
+    assert row(covariates=("gap",), failed=("left_for_force_along_gap",)).is_right
+    assert row(failed=(), named=("discovered_force",), forces=("leader_acceleration",)).is_right
+    # "gap" is not "rear_gap"
+    assert not row(covariates=("gap",), failed=("bias_over_rear_gap", "spread_of_innovations")).is_right
+    assert row(part="laws", law="idm", laws=("fvdm", "idm")).is_right
+    assert not row(part="laws", law="idm", laws=("fvdm",)).is_right
+    assert not row(part="laws", law="idm", laws=("idm",), outcome="explained").is_right
+    assert row(part="conditions", right=(), named=(), outcome="adequate").is_right
+    assert not row(part="conditions", right=(), named=(), failed=("mean_speed",)).is_right
     few = row(part="few", vehicles=(1, 2), named=("second_leader",))
     assert not few.is_right
     assert replace(few, who=(1, 2, 5)).is_right

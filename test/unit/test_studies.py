@@ -38,7 +38,6 @@ def test_every_study_answers(name, jam, tmp_path, monkeypatch):
     monkeypatch.setattr(filters, "DURATION_S", 20.0)
     monkeypatch.setattr(followers, "PARTICLES", 5)
     monkeypatch.setattr(effects, "STRENGTHS", {"drag": effects.STRENGTHS["drag"]})
-    monkeypatch.setattr(effects, "REFITS", 1)
     monkeypatch.setattr(hiding, "DURATION_S", 60.0)
     with ThreadPoolExecutor(2) as work:
         answer = study(name).answer(Asked(jam, 1, 0, work))

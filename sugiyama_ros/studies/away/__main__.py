@@ -1,6 +1,6 @@
 """Benchmark of the diagnosis away from home: conditions, mechanisms, forms, laws and faults of another generator.
 
-    python -m sugiyama_ros.studies.away --part conditions forms --seeds 2 --first-seed 100 --quick -o rows.jsonl
+    python -m sugiyama_ros.studies.away --part conditions forms --seeds 2 --first-seed 100 -o rows.jsonl
 
 Each recording is one line of JSON in the output. Recordings that the output has already are not diagnosed again, so a
 run that was cut off goes on where it stopped. The table of all lines is printed at the end.
@@ -23,8 +23,8 @@ from sugiyama_ros.studies.away.cases import PARTS, STRENGTHS, Case, cases
 from sugiyama_ros.studies.away.judged import Judged, judge_named
 from sugiyama_ros.studies.away.report import report
 
-#: A recording: the case, the strength, the seed, and whether the diagnosis is quick.
-Job = tuple[Case, str, int, bool]
+#: A recording: the case, the strength, and the seed.
+Job = tuple[Case, str, int]
 
 
 def _parsed() -> argparse.Namespace:
@@ -35,7 +35,6 @@ def _parsed() -> argparse.Namespace:
     parser.add_argument("--seeds", type=int, default=1, help="recordings of each case")
     parser.add_argument("--first-seed", type=int, default=0, help="first seed")
     parser.add_argument("--strength", nargs="*", choices=list(STRENGTHS), default=["strong"], help="strengths")
-    parser.add_argument("--quick", action="store_true", help="quick diagnoses")
     parser.add_argument("--budget", type=float, default=float("inf"), help="seconds after which no recording begins")
     parser.add_argument("--workers", type=int, default=1, help="number of processes")
     parser.add_argument("-o", "--output", type=Path, help="lines of JSON, to which this run adds")
@@ -51,7 +50,7 @@ def _jobs(given: argparse.Namespace) -> Iterator[Job]:
                     continue
                 hides = bool(case.right or case.covariates)
                 for strength in given.strength if hides else given.strength[:1]:
-                    yield case, strength, seed, given.quick
+                    yield case, strength, seed
 
 
 def _read(path: Path | None) -> list[Judged]:
@@ -77,8 +76,8 @@ def main() -> None:
     with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn")) as pool:
         while left or running:
             while left and len(running) < given.workers and time.monotonic() - began < given.budget:
-                case, strength, seed, quick = left.pop(0)
-                running.add(pool.submit(judge_named, case.part, case.name, strength, seed, quick))
+                case, strength, seed = left.pop(0)
+                running.add(pool.submit(judge_named, case.part, case.name, strength, seed))
             if not running:
                 break
             done, running = wait(running, return_when=FIRST_COMPLETED)

@@ -1,17 +1,15 @@
 """What a diagnosis says of one recording of the benchmark, and whether it is right."""
 
-import re
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
-from sugiyama_ros.diagnosis.adequacy import who
-from sugiyama_ros.diagnosis.diagnosis import Diagnosis, diagnose
-from sugiyama_ros.fit.cross_validation import gain
+from sugiyama_ros.diagnosis.diagnose import Diagnosis, diagnose
+from sugiyama_ros.diagnosis.document import additions
+from sugiyama_ros.diagnosis.table import gains
+from sugiyama_ros.fit.cross_validation import Gain, gain
 from sugiyama_ros.fit.score import evaluate
 from sugiyama_ros.fit.stretched import prepared
 from sugiyama_ros.studies.away.cases import Case, Pair, cases, recorded
-
-NONE = "none"
 
 
 @dataclass(frozen=True)
@@ -24,22 +22,26 @@ class Judged:
         The recording.
     right, covariates, law, vehicles
         Right answers: names, covariates of a form without a name, law, and the vehicles that show it.
-    outcome, better_law, reasons
-        The verdict on adequacy.
+    outcome : str
+        What the diagnosis concludes.
+    failed : tuple of str
+        Names of the checks that fail.
+    laws : tuple of str
+        Other laws that are ahead of the final model, the best one first; the nearest one if none is ahead.
     named, also : tuple of str
         Additions, and what cannot be told apart from the first one.
+    forces : tuple of str
+        Covariates of the forces without a name that were added.
     who : tuple of int
         Vehicles that show the first addition; empty for all.
     p_value : float
         Smallest p-value of a candidate in the first round.
     oracle : float
-        In-sample gain of the right candidate in the first round [nats]; 0 without one.
+        Gain that the score of the right candidate predicts in the first round [nats]; 0 without one.
     heldout, heldout_se, fresh, fresh_se : float
-        Gain of all additions [nats]: held out, and on a fresh recording of the same drivers.
+        Gain of all additions one step ahead [nats]: held out, and on a fresh recording of the same drivers.
     errors : dict of str to float
         Estimate minus truth, in standard errors, by name of the parameter.
-    flagged : tuple of str
-        Covariates of the bins in which the final model is biased.
     seconds : float
         Time that the diagnosis took.
     """
@@ -53,10 +55,11 @@ class Judged:
     law: str
     vehicles: tuple[int, ...]
     outcome: str
-    better_law: str
-    reasons: tuple[str, ...]
+    failed: tuple[str, ...]
+    laws: tuple[str, ...]
     named: tuple[str, ...]
     also: tuple[str, ...]
+    forces: tuple[str, ...]
     who: tuple[int, ...]
     p_value: float
     oracle: float
@@ -65,7 +68,6 @@ class Judged:
     fresh: float
     fresh_se: float
     errors: dict[str, float]
-    flagged: tuple[str, ...]
     seconds: float
 
     @property
@@ -84,18 +86,22 @@ class Judged:
         return self.outcome == "not_explained"
 
     @property
+    def is_located(self) -> bool:
+        """Whether an added force, or a check that fails, names a covariate along which the form shows."""
+        checks = {f"{of}{c}" for of in ("bias_over_", "left_for_force_along_") for c in self.covariates}
+        return bool(set(self.forces) & set(self.covariates) or set(self.failed) & checks)
+
+    @property
     def is_right(self) -> bool:
         """Whether the verdict as a whole is right, by the rules of the part."""
         if self.part == "conditions":
             return not self.named and self.outcome == "adequate"
         if self.law:
-            return self.is_warned and self.better_law == self.law
+            return self.is_warned and self.law in self.laws
         if self.part == "few":
             return self.is_in_set and bool(self.who) and set(self.vehicles) <= set(self.who)
         if self.part == "forms":
-            # whole words: "gap" is not "rear_gap"
-            told = any(re.search(rf"\b{c}\b", reason) for c in self.covariates for reason in self.reasons)
-            return (bool(self.named) and self.is_in_set) or (self.is_warned and told)
+            return (bool(self.named) and self.is_in_set) or (self.is_warned and self.is_located)
         if self.part == "faults":
             return self.is_in_set or (not self.named and self.is_warned)
         if self.part == "three":
@@ -108,13 +114,13 @@ class Judged:
         return bool(self.named) and not self.is_in_set and not self.is_warned
 
 
-def judge(case: Case, strength: str, seed: int, quick: bool) -> Judged:
+def judge(case: Case, strength: str, seed: int) -> Judged:
     """Record a case and diagnose the recording."""
     pair = recorded(case, strength, seed)
-    d = diagnose(pair.first, seed=seed, quick=quick, workers=1)
-    heldout = gain(d.data, d.after.samples, d.before.samples)
-    fresh = _fresh(d, pair) if d.named else (0.0, 0.0)
-    first = who(d.named[0], d.data.vicinity.numbers) if d.named else "all"
+    d = diagnose(pair.first, seed=seed, workers=1)
+    found, first = additions(d), d.rounds[0]
+    heldout = gains(d.data, d.final.forecasts, d.base.forecasts)["one_step"]
+    fresh = _fresh(d, pair)
     return Judged(
         part=case.part,
         name=case.name,
@@ -124,49 +130,50 @@ def judge(case: Case, strength: str, seed: int, quick: bool) -> Judged:
         covariates=case.covariates,
         law=case.law,
         vehicles=pair.who,
-        outcome=d.adequacy.outcome,
-        better_law=d.adequacy.better_law or NONE,
-        reasons=d.adequacy.reasons,
-        named=tuple(n.name for n in d.named),
-        also=d.named[0].indistinguishable if d.named else (),
-        who=tuple(first) if isinstance(first, list) else (),
-        p_value=min(
-            [*(one.p_value for one in d.scored), *(one.p_value for one in d.left_out if one.p_value is not None), 1.0]
-        ),
-        oracle=max((one.gain for one in d.scored if one.candidate.mechanism in case.right), default=0.0),
-        heldout=heldout.nats if d.named else 0.0,
-        heldout_se=heldout.se if d.named else 0.0,
-        fresh=fresh[0],
-        fresh_se=fresh[1],
+        outcome=d.outcome,
+        failed=tuple(one.name for one in d.checks if one.failed),
+        laws=_laws(d),
+        named=tuple(one.name for one in found),
+        also=tuple(found[0].indistinguishable) if found else (),
+        forces=tuple(one.covariate for one in found if one.covariate),
+        who=tuple(found[0].vehicles) if found else (),
+        p_value=min(first.chance.p_values.values(), default=1.0),
+        oracle=max((one.gain for one in first.scores if one.candidate.mechanism in case.right), default=0.0),
+        heldout=heldout.nats,
+        heldout_se=heldout.se,
+        fresh=fresh.nats,
+        fresh_se=fresh.se,
         errors=_errors(d, pair),
-        flagged=tuple(sorted({b.covariate for b in d.where_after.flagged})),
         seconds=d.wall_s,
     )
 
 
-def judge_named(part: str, name: str, strength: str, seed: int, quick: bool) -> Judged:
+def judge_named(part: str, name: str, strength: str, seed: int) -> Judged:
     """Judge the case of a part that has this name."""
-    return judge(next(case for case in cases(part) if case.name == name), strength, seed, quick)
+    return judge(next(case for case in cases(part) if case.name == name), strength, seed)
 
 
-def _fresh(d: Diagnosis, pair: Pair) -> tuple[float, float]:
-    """Gain of the additions on a fresh recording of the same drivers, without a new fit, and its standard error."""
+def _laws(d: Diagnosis) -> tuple[str, ...]:
+    """Other laws that are ahead of the final model, the best one first; the nearest one if none is ahead."""
+    won = {law.name: gains(d.data, law.forecasts, d.final.forecasts)["all"].nats for law in d.laws}
+    ordered = sorted(won, key=lambda name: -won[name])
+    return tuple(name for k, name in enumerate(ordered) if k == 0 or won[name] > 0.0)
+
+
+def _fresh(d: Diagnosis, pair: Pair) -> Gain:
+    """Gain of the additions one step ahead on a fresh recording of the same drivers, without a new fit."""
     data = prepared(pair.second, d.data.decisions)
     with ThreadPoolExecutor(1) as work:
-        after, before = (evaluate(data, one.model, work) for one in (d.final, d.base))
-    found = gain(data, after, before)
-    return found.nats, found.se
+        after, before = (evaluate(data, one.fit.model, work) for one in (d.final, d.base))
+    return gain(data, after, before)
 
 
 def _errors(d: Diagnosis, pair: Pair) -> dict[str, float]:
     """Errors of the parameters of the right additions, in standard errors."""
     found: dict[str, float] = {}
-    if not d.named:
-        return found
-    stds = d.stds
-    for one in d.named:
-        for parameter, value in one.parameters.items():
-            name, std = f"{one.name}.{parameter}", stds.get(f"{one.form}.{parameter}", 0.0)
+    for one in additions(d):
+        for parameter, std in one.parameters_std.items():
+            name = f"{one.name}.{parameter}"
             if name in pair.truth and std > 0.0:
-                found[name] = (value - pair.truth[name]) / std
+                found[name] = (one.parameters[parameter] - pair.truth[name]) / std
     return found

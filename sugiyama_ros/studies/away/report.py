@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.stats import kstest
 
-from sugiyama_ros.studies.away.judged import NONE, Judged
+from sugiyama_ros.studies.away.judged import Judged
 
 _HEAD = "| part | recordings | right | first name right | in the set | named | not explained | misleading |"
 
@@ -29,9 +29,9 @@ def _row(label: str, rows: Sequence[Judged]) -> str:
 
 
 def _told(r: Judged) -> str:
-    better = f", {r.better_law} better" if r.better_law != NONE else ""
+    laws = f", near {' and '.join(r.laws)}" if r.laws and r.is_warned else ""
     who = f" of {', '.join(map(str, r.who))}" if r.who else ""
-    return f"{', '.join(r.named) or 'nothing'}{who}: {r.outcome.replace('_', ' ')}{better}"
+    return f"{', '.join(r.named) or 'nothing'}{who}: {r.outcome.replace('_', ' ')}{laws}"
 
 
 def _calibration(rows: Sequence[Judged]) -> list[str]:
@@ -50,7 +50,7 @@ def _calibration(rows: Sequence[Judged]) -> list[str]:
     p = [r.p_value for r in rows if r.part == "conditions"]
     if p:
         lines.append(
-            f"Smallest p-value where nothing is hidden, corrected for the number of candidates:"
+            f"Smallest p-value of the first round where nothing is hidden:"
             f" {_share([x <= 0.05 for x in p])} below 0.05; Kolmogorov-Smirnov against uniform"
             f" p = {kstest(p, 'uniform').pvalue:.2g}."
         )

@@ -50,7 +50,7 @@ _SIMULATE = (
     "syrup.csv",
     "--overwrite",
 )
-_DIAGNOSE = ("diagnose", "syrup.csv", "--ring", "84", "--quick")
+_DIAGNOSE = ("diagnose", "syrup.csv", "--ring", "84")
 
 
 def measure() -> tuple[SpeedFigure, ...]:
@@ -90,7 +90,7 @@ def _own_effect(folder: Path) -> tuple[SpeedFigure, ...]:
     return (
         SpeedFigure("own_effect_s", "`simulate` with an effect of one's own, the first time", first, "s of CPU time"),
         _ratio("own_simulate", "the same over the same command later", first / later, OWN_AT_MOST),
-        SpeedFigure("own_diagnose_s", "`diagnose --quick` with it, 8 drivers", first_diagnosis, "s of CPU time"),
+        SpeedFigure("own_diagnose_s", "`diagnose` with it, 8 drivers", first_diagnosis, "s of CPU time"),
         _ratio("own_diagnose", "the same over the same command later", first_diagnosis / later_diagnosis, OWN_AT_MOST),
         _ratio("own_removed", "`simulate` after it was removed, over later", without / later_without, OWN_AT_MOST),
     )

@@ -1,4 +1,4 @@
-"""The quick diagnosis of 94 measured drivers of NGSIM I-80, as a command."""
+"""The diagnosis of 94 measured drivers of NGSIM I-80, as a command."""
 
 import tempfile
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 from sugiyama_ros.studies.speed.figure import SpeedFigure
 from sugiyama_ros.studies.speed.ngsim import DRIVERS, used_on_drivers
 
-_COMMAND = ("diagnose", "drivers.parquet", "--quick", "--json")
+_COMMAND = ("diagnose", "drivers.parquet", "--json")
 
 
 def measure() -> tuple[SpeedFigure, ...]:
@@ -14,6 +14,6 @@ def measure() -> tuple[SpeedFigure, ...]:
     with tempfile.TemporaryDirectory() as name:
         used = used_on_drivers(Path(name), *_COMMAND)
     return (
-        SpeedFigure("ngsim_diagnose_s", f"quick diagnosis of {DRIVERS} drivers", used.cpu_s, "s of CPU time", 150),
+        SpeedFigure("ngsim_diagnose_s", f"diagnosis of {DRIVERS} drivers", used.cpu_s, "s of CPU time", 150),
         SpeedFigure("ngsim_diagnose_mb", "memory of this diagnosis", used.memory_mb, "MB", 700),
     )
