@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 from sugiyama_ros.diagnosis.diagnose import Diagnosis, diagnose
 from sugiyama_ros.diagnosis.document import additions
-from sugiyama_ros.diagnosis.table import gains
 from sugiyama_ros.fit.cross_validation import Gain, gain
 from sugiyama_ros.fit.score import evaluate
 from sugiyama_ros.fit.stretched import prepared
@@ -119,7 +118,7 @@ def judge(case: Case, strength: str, seed: int) -> Judged:
     pair = recorded(case, strength, seed)
     d = diagnose(pair.first, seed=seed, workers=1)
     found, first = additions(d), d.rounds[0]
-    heldout = gains(d.data, d.final.forecasts, d.base.forecasts)["one_step"]
+    heldout = d.final.over(d.data, d.base)["one_step"]
     fresh = _fresh(d, pair)
     return Judged(
         part=case.part,
@@ -155,7 +154,7 @@ def judge_named(part: str, name: str, strength: str, seed: int) -> Judged:
 
 def _laws(d: Diagnosis) -> tuple[str, ...]:
     """Other laws that are ahead of the final model, the best one first; the nearest one if none is ahead."""
-    won = {law.name: gains(d.data, law.forecasts, d.final.forecasts)["all"].nats for law in d.laws}
+    won = {law.name: law.over(d.data, d.final)["all"].nats for law in d.laws}
     ordered = sorted(won, key=lambda name: -won[name])
     return tuple(name for k, name in enumerate(ordered) if k == 0 or won[name] > 0.0)
 
