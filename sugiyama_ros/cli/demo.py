@@ -18,13 +18,11 @@ from sugiyama_ros.results import plain
 from sugiyama_ros.tables import TextTable
 
 if TYPE_CHECKING:
-    from sugiyama_ros.diagnosis.diagnosis import Diagnosis
+    from sugiyama_ros.diagnosis.diagnose import Diagnosis
     from sugiyama_ros.nodes.run import RunResult
     from sugiyama_ros.trajectories.trajectories import Trajectories
 
 _OWN = "sugiyama-demo.mcap"
-# Effects that are added to the model of measured drivers, at most.
-_MOST = 3
 
 
 def demo(
@@ -57,6 +55,8 @@ def demo(
     """
     recording = own_output(output, _OWN, overwrite, data)
     page = _page_beside(recording)
+    from sugiyama_ros.api import FEW_STEPS
+    from sugiyama_ros.diagnosis.document import document
     from sugiyama_ros.formats.registry import read_trajectories
     from sugiyama_ros.page.recording import read_recording
     from sugiyama_ros.page.report import write_report
@@ -67,8 +67,8 @@ def demo(
     else:
         trajectories, truth = _simulated(hidden, seed)
         print_note("22 simulated drivers on a ring of 230 m, for 250 s. They have an effect that the model lacks.")
-    before, found, after = _before_and_after(trajectories, recording, seed, _MOST if data is not None else 1)
-    told = {**truth, **plain(document_of(found))}
+    before, found, after = _before_and_after(trajectories, recording, seed, FEW_STEPS if data is not None else 1)
+    told = {**truth, **plain(document(found))}
     write_report(read_recording(recording.path), told, page)
     if show:
         show_page(str(page.path))
@@ -87,13 +87,6 @@ def demo(
     )
 
 
-def document_of(found: "Diagnosis") -> dict[str, Any]:
-    """The document of a diagnosis."""
-    from sugiyama_ros.diagnosis.verdict import document
-
-    return document(found)
-
-
 def _simulated(hidden: str, seed: int) -> tuple["Trajectories", dict[str, Any]]:
     """A simulated experiment with a hidden effect, and the truth for the document."""
     from sugiyama_ros.studies.hiding import DEMONSTRATED, STRENGTHS, hide
@@ -104,7 +97,9 @@ def _simulated(hidden: str, seed: int) -> tuple["Trajectories", dict[str, Any]]:
 
 
 def _print(told: dict[str, Any], rmse: list[float], recording: Output, page: Output) -> None:
-    for line in told["verdict"]["told"]:
+    from sugiyama_ros.page.words import sentences
+
+    for line in sentences(told):
         print_line(line)
     errors = told["errors"]
     # as in the report: on unseen data; the estimators learn as they go, and begin with the paper's parameters
@@ -149,8 +144,7 @@ def _before_and_after(
     trajectories: "Trajectories", output: Output, seed: int, most: int
 ) -> tuple["RunResult", "Diagnosis", "RunResult"]:
     """Replay with the base model, find what is missing, and replay with it."""
-    from sugiyama_ros.diagnosis.diagnosis import diagnose as find
-    from sugiyama_ros.diagnosis.use import Goal
+    from sugiyama_ros.diagnosis.diagnose import diagnose as find
     from sugiyama_ros.fit.model_file import write_model
     from sugiyama_ros.formats.convert import write_trajectories
 
@@ -159,15 +153,8 @@ def _before_and_after(
         write_trajectories(trajectories, source)
         before = _to_the_end(RunOptions(Path(directory) / "before.mcap", source))
         with stages() as advance:
-            found = find(
-                trajectories,
-                seed=seed,
-                quick=True,
-                goal=Goal(most=most),
-                workers=os.cpu_count() or 1,
-                on_progress=advance,
-            )
-        write_model(model, found.data, found.final)
+            found = find(trajectories, most=most, seed=seed, workers=os.cpu_count() or 1, on_progress=advance)
+        write_model(model, found.data, found.final.fit)
         return before, found, _to_the_end(RunOptions(output.path, source, output.overwrite, model=model))
 
 

@@ -146,14 +146,6 @@ def within(most: int | None, drivers: int, samples: int) -> range:
     return range(0, drivers, 1 if most is None else min(drivers, -(-drivers * samples // most)))
 
 
-def told_of(left_out: int, drivers: int) -> str:
-    """Return a sentence about drivers who were left out."""
-    return (
-        f"This is about {drivers} of {drivers + left_out} drivers, evenly spread over the recording: all of them would"
-        " take too much memory."
-    )
-
-
 def prepare(trajectories: Trajectories, segment: Ints | None = None, most: int | None = None) -> Recorded:
     """Prepare trajectories for a fit.
 

@@ -3,39 +3,32 @@
 import re
 import shlex
 from collections.abc import Mapping
+from dataclasses import is_dataclass
 from pathlib import Path
-from typing import Any
+from types import UnionType
+from typing import Any, get_args, get_origin, get_type_hints
 
 from sugiyama_ros.documents import number, read_json
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
-_NUMBER, _NUMBER_OR_NULL, _TEXT = "a number", "a number or null", "a text"
-#: Fields that the report shows. A list with one entry stands for any number of them, a mapping with the key "" for
-#: any names.
-_FIELDS: dict[str, Any] = {
-    "verdict": {
-        "effects": [
-            {
-                "name": _TEXT,
-                "heldout_gain_nats": _NUMBER,
-                "heldout_gain_se": _NUMBER,
-                "indistinguishable": [_TEXT],
-            }
-        ]
-    },
-    "candidates": [{"name": _TEXT, "heldout_gain_nats": _NUMBER_OR_NULL, "heldout_gain_se": _NUMBER_OR_NULL}],
-    "smallest_detectable": [{"name": _TEXT, "parameter": _TEXT, "value": _NUMBER}],
-    "errors": {"": {}},
-    "drivers": [
-        {
-            "vehicle": _NUMBER,
-            "single_car_10s_before_m": _NUMBER_OR_NULL,
-            "single_car_10s_after_m": _NUMBER_OR_NULL,
-        }
-    ],
-}
-_ERROR = re.compile(r"one_step_rmse_m|loglik_per_sample|(free_run|single_car)_\d+(\.\d+)?s_m")
+_KINDS = {str: "a text", bool: "true or false", dict: "a mapping", list: "a list"}
+_ERROR = re.compile(r"one_step_rmse_m|loglik_per_sample|(free_run|single_car)_\d+(\.\d+)?s(_crps)?_m")
+
+
+def _fields() -> dict[str, Any]:
+    """Types of the fields that the report shows. A mapping has these names, at least."""
+    from sugiyama_ros.diagnosis.check import Check
+    from sugiyama_ros.diagnosis.document import Addition, Tried
+
+    return {
+        "verdict": {"outcome": str, "effects": list[Addition]},
+        "candidates": list[Tried],
+        "checks": list[Check],
+        "smallest_detectable": list[dict[str, Any]],
+        "errors": {"before": dict[str, Any], "after": dict[str, Any]},
+        "drivers": list[dict[str, Any]],
+    }
 
 
 def read_diagnosis(path: Path) -> dict[str, Any]:
@@ -58,10 +51,16 @@ def read_diagnosis(path: Path) -> dict[str, Any]:
     """
     document: dict[str, Any] = read_json(path)
     try:
-        _check(document, _FIELDS, "document")
+        _check(document, _fields(), "document")
         for model, errors in document["errors"].items():
+            _check(errors, dict[str, Any], f"errors.{model}")
             for name in filter(_ERROR.fullmatch, errors):
-                _check(errors[name], _NUMBER_OR_NULL, f"errors.{model}.{name}")
+                _check(errors[name], float | None, f"errors.{model}.{name}")
+        for k, one in enumerate(document["drivers"]):
+            ends = dict.fromkeys((f"single_car_10s_{when}_m" for when in ("before", "after")), float | None)
+            _check(one, {"vehicle": float, **ends}, f"drivers[{k}]")
+        for k, one in enumerate(document["smallest_detectable"]):
+            _check(one, {"name": str, "parameter": str, "value": float}, f"smallest_detectable[{k}]")
         for group, name in (("candidates", "name"), ("drivers", "vehicle")):
             if len({one[name] for one in document[group]}) != len(document[group]):
                 raise InputError(f"{group}: a {name} occurs twice")
@@ -135,24 +134,30 @@ def run_command(document: Mapping[str, Any] | None, source: str, ring_m: float |
 
 
 def _check(value: Any, wanted: Any, where: str) -> None:
-    """Check a value of the document. Raises InputError, with the place, for another type."""
+    """Check a value against a type, or a mapping of names to types. Raises InputError, with the place."""
+    if is_dataclass(wanted):
+        wanted = get_type_hints(wanted)
     if isinstance(wanted, dict):
-        if not isinstance(value, dict):
-            raise InputError(f"{where[:80]}: is not a mapping")
+        _check(value, dict, where)
         for name, inner in wanted.items():
-            if name and name not in value:
+            if name not in value:
                 raise InputError(f"{where[:80]}: has no {name}")
-            for key in [name] if name else value:
-                _check(value[key], inner, f"{where}.{key}")
-    elif isinstance(wanted, list):
-        if not isinstance(value, list):
-            raise InputError(f"{where[:80]}: is not a list")
+            _check(value[name], inner, f"{where}.{name}")
+    elif isinstance(wanted, UnionType):
+        if value is not None:
+            _check(value, get_args(wanted)[0], where)
+    elif get_origin(wanted) is list:
+        _check(value, list, where)
         for k, one in enumerate(value):
-            _check(one, wanted[0], f"{where}[{k}]")
-    elif wanted == _TEXT:
-        if not isinstance(value, str):
-            raise InputError(f"{where[:80]}: is not a text")
-    elif isinstance(value, str) or (value is None and wanted == _NUMBER):
-        raise InputError(f"{where[:80]}: is not {wanted}")
-    elif value is not None:
+            _check(one, get_args(wanted)[0], f"{where}[{k}]")
+    elif get_origin(wanted) is dict:
+        _check(value, dict, where)
+        for name, one in value.items():
+            if one is not None:  # a number that is not known
+                _check(one, get_args(wanted)[1], f"{where}.{name}")
+    elif wanted in (float, int):
+        if isinstance(value, str) or value is None:
+            raise InputError(f"{where[:80]}: is not a number")
         number(value, where[:80])
+    elif wanted is not Any and not isinstance(value, wanted):
+        raise InputError(f"{where[:80]}: is not {_KINDS[wanted]}")

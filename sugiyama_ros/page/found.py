@@ -42,11 +42,17 @@ def found_in(axes: tuple[str, str], diagnosis: Mapping[str, Any], ring_m: float)
                 half = 0.5 * float(values.get("width", 0.0))
                 for shift in (-ring_m, 0.0, ring_m) if ring_m else (0.0,):
                     found.append(Found(title, "place", value + shift - half, value + shift + half))
-    for force in diagnosis["verdict"].get("discovered", []):
-        if force["covariate"] in axes:
-            knots, size = np.array(force["knots"]), np.abs(np.array(force["force"]))
-            if size.any():
-                strong = knots[size >= 0.5 * size.max()]
-                title = title_of(diagnosis, "discovered_force")
-                found.append(Found(title, force["covariate"], float(strong.min()), float(strong.max())))
+        if effect.get("covariate") in axes:
+            found += _force(title, effect)
     return found
+
+
+def _force(title: str, effect: Mapping[str, Any]) -> list[Found]:
+    """Where a force is at least half as large as at its largest; nothing for a force of no size."""
+    values = effect["parameters"]
+    size = np.abs([float(value) for name, value in values.items() if name.startswith("force_")])
+    knots = np.linspace(float(values["first"]), float(values["last"]), len(size))
+    if not size.any():
+        return []
+    strong = knots[size >= 0.5 * size.max()]
+    return [Found(title, str(effect["covariate"]), float(strong.min()), float(strong.max()))]

@@ -12,41 +12,35 @@ from sugiyama_ros.page.card import name_of
 from sugiyama_ros.page.diagnosis import file_of, run_command
 from sugiyama_ros.page.panels.base import colour_of
 from sugiyama_ros.page.recording import Recording
+from sugiyama_ros.page.tables import steps
 from sugiyama_ros.page.words import (
-    SMALL_M,
     Document,
+    addition,
+    bin_in_words,
     chance,
-    form_of,
-    model_name,
+    check_title,
+    check_values,
+    checks_hold,
+    equation,
     models,
     not_told_apart,
     on_unseen,
+    sentences,
     size_of,
     title_of,
-    worse_in_use,
+    worse_columns,
     would_have_shown,
 )
-from sugiyama_ros.tables import figure
 
-_COLUMNS = {
-    "one_step_rmse_m": "one step [m]",
-    "free_run_2s_m": "all cars 2 s [m]",
-    "free_run_10s_m": "all cars 10 s [m]",
-    "single_car_2s_m": "one car 2 s [m]",
-    "single_car_10s_m": "one car 10 s [m]",
-    "loglik_per_sample": "nats per sample",
-}
-_SMALL = ("one_step_rmse_m", "loglik_per_sample")
-_UNITS = {"speed": "m/s", "approach_rate": "m/s", "gap": "m", "rear_gap": "m", "place": "m", "time": "s"}
 _PACKAGES = ("sugiyama_ros", "numpy", "scipy", "numba", "bokeh")
 _EVIDENCE = (
     '<p class="note">Nats: logarithm of how much more probable the model makes the data; one nat is a factor of 2.7.'
-    " p: probability that chance gains as much on the fitted data, as in simulations where nothing is missing, with"
-    " regard to how many effects were tried. A gain with a large p is no evidence.</p>"
+    " p: probability that chance gains as much in any candidate.</p>"
 )
-_IN_USE = (
-    '<p class="note">Worse in use: than the base model, where both drive into a part of the recording to which neither'
-    " was fitted.</p>"
+_GUIDE = (
+    '<p class="note">Gains are differences of log scores on unseen data, in nats, with standard errors over blocks of'
+    " time and drivers; those of one car at 2, 5 and 10 s, and all of them together. CRPS: mean distance between what"
+    " was forecast, with its uncertainty, and what came.</p>"
 )
 # Bias [std] below which a regime is not worth a word.
 _SMALLEST = 0.02
@@ -61,31 +55,16 @@ def table(headings: Sequence[str], rows: Sequence[Sequence[str]], *, left: bool 
 
 
 def errors(d: Document) -> str:
-    """Held-out errors of all models, each with its colour in the pictures; without columns that nothing is known of."""
-    shown = models(d)
-    columns = {key: title for key, title in _COLUMNS.items() if any(one.get(key) is not None for one in shown.values())}
-    # positions that somebody has smoothed are predicted to the millimetre
-    largest = {key: max(one.get(key) or 0.0 for one in shown.values()) for key in columns if key.endswith("_m")}
-    in_mm = {key for key, value in largest.items() if value < SMALL_M}
+    """Gains and errors of all models, each with its colour in the pictures."""
+    shown = steps(d)
     rows = "".join(
-        f'<tr><td><i class="swatch" style="background:{colour_of(name, d)}"></i>{escape(_fitted(name, found))}</td>'
-        + "".join(f"<td>{_number(found.get(key), 1e3 if key in in_mm else 1.0, key)}</td>" for key in columns)
+        f'<tr><td><i class="swatch" style="background:{colour_of(name, d)}"></i>{escape(row[0])}</td>'
+        + "".join(f"<td>{escape(cell)}</td>" for cell in row[1:])
         + "</tr>"
-        for name, found in shown.items()
+        for name, row in zip(models(d), shown.rows, strict=True)
     )
-    titles = (title.replace("[m]", "[mm]") if key in in_mm else title for key, title in columns.items())
-    head = "".join(f"<th>{escape(h)}</th>" for h in ("errors on unseen data", *titles))
-    return f'<div class="scroll"><table><tr>{head}</tr>{rows}</table></div>'
-
-
-def _fitted(name: str, found: Mapping[str, Any]) -> str:
-    """A model, with the number of drivers to whom it was fitted if there are more in the recording."""
-    return f"{model_name(name)}, {found['drivers']} drivers" if "drivers" in found else model_name(name)
-
-
-def _number(value: Any, scale: float, key: str) -> str:
-    digits = 3 if key in _SMALL and scale == 1.0 else 2
-    return "" if value is None else f"{scale * float(value):.{digits}f}"
+    head = "".join(f"<th>{escape(h)}</th>" for h in shown.headings)
+    return f'<p>{escape(shown.title)}.</p><div class="scroll"><table><tr>{head}</tr>{rows}</table></div>{_GUIDE}'
 
 
 def additions(d: Document) -> str:
@@ -93,23 +72,37 @@ def additions(d: Document) -> str:
     if effects := d["verdict"]["effects"]:
         rows = [
             [
-                f"{title_of(d, form_of(n))} ({form_of(n)})",
+                addition(d, n),
                 size_of(d, n) or "a value of each driver",
                 on_unseen(n),
                 chance(n.get("p_value")).replace(" ", "\u00a0"),
-                not_told_apart(d, n) or ("not searched for" if d["verdict"].get("asked") else "nothing"),
-                "; ".join(worse_in_use(n)) or "nowhere",
+                not_told_apart(d, n) or ("not fitted" if d["verdict"].get("asked") else "nothing"),
+                "; ".join(worse_columns(n.get("gains", {}))) or "nowhere",
             ]
             for n in effects
         ]
-        headings = ["added", "how large", "unseen data", "fitted data", "cannot be told apart from", "worse in use"]
-        text = table(headings, rows, left=True) + (_IN_USE if any(map(worse_in_use, effects)) else "")
+        headings = ["added", "how large", "unseen data", "chance", "cannot be told apart from", "gets worse"]
+        text = table(headings, rows, left=True)
+        if model := equation(d):
+            text += f"<p>The model, with what is new in brackets: <code>{escape(model)}</code></p>"
     else:
         text = "<p>Nothing was added.</p>"
-    lines = "".join(f"<li>{escape(line.strip())}</li>" for line in d["verdict"].get("told", []))
-    return f"{text}{_EVIDENCE}" + (
-        f"<details><summary>What sugiyama diagnose prints</summary><ul>{lines}</ul></details>" if lines else ""
-    )
+    lines = "".join(f"<li>{escape(line.strip())}</li>" for line in sentences(d))
+    told = f"<details><summary>What sugiyama diagnose prints</summary><ul>{lines}</ul></details>"
+    return f"{text}{_EVIDENCE}{told}"
+
+
+def checks(d: Document) -> str:
+    """All checks of the final model: what was measured, what its own simulations give, and whether it holds."""
+    rows = [
+        [check_title(d, one), *check_values(one), "fails" if one["failed"] else "holds"]
+        for one in sorted(d["checks"], key=lambda one: float(one["p_value"]))
+    ]
+    if not rows:
+        return ""
+    headings = ["check", "measured", "model", "p", ""]
+    title = f"<h3>Checks of the final model: {escape(checks_hold(d))}</h3>"
+    return title + table(headings, rows, left=True)
 
 
 def failing(d: Document) -> str:
@@ -124,7 +117,7 @@ def failing(d: Document) -> str:
     lines = []
     for when in whens:
         flagged = where[when]["flagged"]
-        worst = "; ".join(_bin(b) for b in flagged[:3])
+        worst = "; ".join(bin_in_words(b) for b in flagged[:3])
         text = f"{says[when]} in {len(flagged)} of {len(where[when]['bins'])} bins"
         lines.append(text + (f", most of all: {worst}." if worst else "."))
     headings = ["regime", "before", "with what was added"] if len(whens) > 1 else ["regime", "bias"]
@@ -139,12 +132,6 @@ def _bias(b: Mapping[str, Any] | None) -> str:
         return "no bias"
     says = f"cars are {'ahead of' if bias > 0.0 else 'behind'} the prediction by {abs(bias):.2f} std"
     return says + (" (more than chance)" if b["flagged"] else "")
-
-
-def _bin(b: Mapping[str, Any]) -> str:
-    name = "while" if b["covariate"] == "regime" else str(b["covariate"]).replace("_", " ")
-    value = b["label"] or f"{figure(b['low'])} to {figure(b['high'])} {_UNITS.get(b['covariate'], '')}".strip()
-    return f"{name} {value} ({b['bias']:+.2f} std)"
 
 
 def detectable(d: Document) -> str:
@@ -171,13 +158,11 @@ def how(r: Recording, d: Document | None) -> str:
         ["commands", " && ".join(_commands(r, d))],
     ]
     if d is not None:
-        runs = d.get("bootstrap_runs", "?")
-        chance = f"the gains in {runs} recordings that the model simulates without it" if runs else "what chance gives"
         rows += [
             [
                 "p-values",
-                f"Student's t of the gain over {chance} (seed {d.get('seed', '?')}), corrected for the number of"
-                " candidates",
+                f"bootstrap of the scores over blocks of drivers and time, recentred by {d.get('simulations', '?')}"
+                f" recordings that the model simulates (seed {d.get('seed', '?')}); all candidates are judged together",
             ],
             ["held out", "five interleaved folds of 25-s blocks; no sample is predicted by a model that has seen it"],
         ]
@@ -202,8 +187,8 @@ def _commands(r: Recording, d: Document | None) -> list[str]:
         command = run_command(None if of_bag else d, source, t.road.circumference_m, bag)
         run = [f"{command} {shlex.join(['--model', r.model])}" if r.model else command]
     if d is not None:
-        file, quick = str(d.get("file") or "diagnosis.json"), ["--quick"] if d.get("quick") else []
-        own = ["sugiyama", "diagnose", given or str(bag), *quick, "--seed", str(d.get("seed", 0)), "--save", file]
+        file = str(d.get("file") or "diagnosis.json")
+        own = ["sugiyama", "diagnose", given or str(bag), "--seed", str(d.get("seed", 0)), "--save", file]
         found = [str(d.get("command") or shlex.join(own))]
         report += ["--diagnosis", file]
     # the run may start from the model that the diagnosis writes

@@ -23,8 +23,8 @@ from sugiyama_ros.page.truth import SHOWN, AgainstTruth
 _ORANGE = "<p>Orange: added (▸), and what cannot be told apart from it in these data.</p>"
 _FLOOR = (
     '<p class="note">Floor: the errors of the final model on a few recordings that it simulates itself, which are noise'
-    " alone. Errors on the data that are clearly below say that the model's noise may be too large. In the pictures,"
-    " the floor is dashed.</p>"
+    " alone. The checks say whether errors on the data are as large as this noise makes. In the pictures, the floor is"
+    " dashed.</p>"
 )
 
 
@@ -113,7 +113,7 @@ def _diagnosed(r: Recording, d: Mapping[str, Any], chosen: Chosen) -> list[Secti
         + (f" Dashed: {escape(', '.join(drawn))}." if drawn else "")
         + "</p>"
     )
-    text = html.failing(d)
+    text = html.failing(d) + html.checks(d)
     runs = {
         "free_run": "Free runs of all cars together",
         "single_car": "Free runs of one car behind its measured leader",

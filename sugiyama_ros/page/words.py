@@ -1,39 +1,61 @@
-"""A diagnosis in plain words, out of its document: what is missing, how large, how sure, and what to do."""
+"""All words of a diagnosis and of a comparison, out of their documents: what is missing, how sure, what to do."""
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from sugiyama_ros.tables import figure
 
 Document = Mapping[str, Any]
 _LAWS = {"idm": "IDM", "fvdm": "FVDM", "ovm": "OVM", "gipps": "Gipps", "newell": "Newell", "helly": "Helly"}
-# Additions that the card and its headline name one by one; of more, they say the number.
-_FEW = 2
-# A driver's single-car error has grown clearly, as `sugiyama diagnose` says it.
+# A single-car error of a driver that grows by this factor is told.
 _WORSE = 1.2
-# A gain of fewer standard errors is not clear.
+# A difference is clear from this number of standard errors on.
 _CLEAR = 2.0
 #: Errors [m] below this are told in millimetres.
 SMALL_M = 0.01
 # Lengths [m] and speeds [m/s] below this are told in millimetres.
 _SMALL = 1e-3
-# A name of a parameter, an effect or a law.
-_IDENTIFIER = r"[a-z][a-z0-9]*(?:_[a-z0-9]+)*"
+# Bins, and strengths that would have shown, that a sentence lists.
+_BINS, _SHOWN = 3, 5
 # Symbols in the meanings of parameters.
 _SYMBOLS = {"v*": "the desired speed", "κ_v": "the risk premium", "sigma_a": "the acceleration noise"}
-# Outcomes of a verdict: sign and words.
-_OUTCOMES = {
-    "adequate": ("✓", "The model is adequate"),
-    "explained": ("✓", "What was missing is explained"),
-    "not_explained": ("✗", "Not explained"),
+_BASE = "a = abar(gap, v, v_lead; v*, kappa_v)"
+_FORCE = "discovered_force"
+#: Names of the base model and of the final one, and of the final one on recordings that it simulates.
+MODELS = ("before", "after", "floor")
+#: Units of covariates.
+UNITS = {
+    "speed": "m/s",
+    "approach_rate": "m/s",
+    "gap": "m",
+    "rear_gap": "m",
+    "second_gap": "m",
+    "place": "m",
+    "time": "s",
+    "time_gap": "s",
 }
+# What checks compare, by name; further names are a prefix and what it is about.
+_CHECKS = {
+    "spread_of_innovations": "squared one-step errors over their predicted variance",
+    "correlation_of_innovations": "correlation of successive one-step errors",
+    "mean_speed": "mean speed",
+    "least_speed": "smallest speed",
+    "largest_speed": "largest speed",
+    "wave_speed": "speed of the waves",
+    "queue_vehicles": "vehicles in a queue",
+    "period_s": "time between two waves",
+}
+_RUNS = {"single": "one car", "road": "all cars"}
+
+
+# Names
 
 
 def form_of(n: Document) -> str:
-    """Name of the form in which an effect was added: other forms of a mechanism have other parameters and units."""
-    return str(n.get("form") or n["name"])
+    """Name that declares the parameters of an addition: forms of a mechanism have parameters of their own."""
+    return _FORCE if n.get("covariate") else str(n.get("form") or n["name"])
 
 
 def title_of(d: Document, name: str) -> str:
@@ -47,18 +69,53 @@ def summary_of(d: Document, name: str) -> str:
     return str(d.get("about", {}).get(name, {}).get("summary", ""))
 
 
+def named(d: Document, name: str) -> str:
+    """Name for people, with the identifier that is typed: slower stretch of road (slow_patch)."""
+    name = name.removesuffix("_of_some")
+    if name.startswith("force_along_"):
+        name = f"{_FORCE}:{name.removeprefix('force_along_')}"
+    effect, _, covariate = name.partition(":")
+    title = f"{title_of(d, effect)} along the {_spaced(covariate)}" if covariate else title_of(d, effect)
+    return title if title == name else f"{title} ({name})"
+
+
+def addition(d: Document, n: Document) -> str:
+    """Name of an addition for people, with its identifier."""
+    return named(d, f"{_FORCE}:{n['covariate']}" if n.get("covariate") else form_of(n))
+
+
 def model_name(name: str) -> str:
     """Name of a model in tables and legends."""
-    known = {"before": "base model", "after": "with what was added", "floor": "floor (simulated)"}
+    known = dict(zip(MODELS, ("base model", "with what was added", "floor (simulated)"), strict=True))
     if name in known:
         return known[name]
     law = name.removesuffix("_least_squares")
-    return _LAWS.get(law, law.replace("_", " ")) + (", fitted to gaps" if law != name else "")
+    if law not in _LAWS and law == name:
+        return name if name.startswith(("base", "file:")) else _spaced(name)
+    return _LAWS.get(law, _spaced(law)) + (", fitted to gaps" if law != name else "")
+
+
+def column_name(column: str) -> str:
+    """Name of a column of gains."""
+    if column in ("one_step", "all"):
+        return {"one_step": "one step ahead", "all": "over all horizons"}[column]
+    cars, seconds = ("all cars", column.removeprefix("road_")) if column.startswith("road_") else ("one car", column)
+    return f"{cars} at {seconds.removesuffix('s')} s"
 
 
 def models(d: Document) -> dict[str, Document]:
     """Errors of the models by name, without a model that equals the base model because nothing was added."""
     return {name: one for name, one in d["errors"].items() if name != "after" or d["verdict"]["effects"]}
+
+
+def meaning_of(parameter: Document, name: str) -> str:
+    """Meaning of a parameter in a few words; what follows a semicolon is where the declaration comes from."""
+    words = str(parameter.get("meaning", _spaced(name))).split(";")[0]
+    words = re.sub(r"\blog (\S+)", r"the logarithm of \1", words)
+    return re.sub("|".join(map(re.escape, _SYMBOLS)), lambda found: _SYMBOLS[found[0]], words)
+
+
+# Numbers
 
 
 def quantity(value: float, unit: str = "", std: float | None = None, digits: int = 3) -> str:
@@ -73,6 +130,11 @@ def quantity(value: float, unit: str = "", std: float | None = None, digits: int
     return f"{text} {unit.replace('^2', '²').replace('^3', '³')}".strip()
 
 
+def nats(value: float, se: float) -> str:
+    """A gain with its standard error, without the unit."""
+    return f"{value:.0f} ± {se:.0f}"
+
+
 def length(value_m: float) -> str:
     """A length [m] with three digits, so that lengths beside each other end alike."""
     return f"{value_m:#.3g}".rstrip(".") if value_m < 1e3 else f"{value_m:.0f}"
@@ -85,76 +147,6 @@ def distances(*values_m: float) -> list[str]:
     return [f"{length(1e3 * value)} mm" for value in values_m]
 
 
-def would_have_shown(d: Document) -> list[tuple[str, str]]:
-    """Effects that are not in the data, and how strong each would have to be to have usually shown."""
-    found = []
-    for one in d.get("smallest_detectable", ()):
-        if not one["value"]:
-            continue
-        declared = d.get("about", {}).get(one["name"], {}).get("parameters", {}).get(one["parameter"], {})
-        meaning = meaning_of(declared, one["parameter"])
-        value, unit = float(one["value"]), str(declared.get("unit", ""))
-        # a smaller limit is a stronger effect
-        end = "or less" if d.get("about", {}).get(one["name"], {}).get("is_limit") else "or more"
-        size = f"{quantity(value, unit, digits=2)} {end if value > 0.0 else 'or beyond'}"
-        found.append((title_of(d, one["name"]), f"{meaning}: {size}"))
-    return found
-
-
-def plain(d: Document, text: str) -> str:
-    """A sentence of the command line, with names for people instead of identifiers."""
-    about = d.get("about", {})
-    words = re.findall(_IDENTIFIER, text)
-    meanings = {
-        k: v
-        for word in words
-        for k, v in about.get(word, {}).get("parameters", {}).items()
-        if "_" in k or k[-1].isdigit()
-    }
-    for name, meaning in meanings.items():
-        unit = quantity(0.0, str(meaning.get("unit", "")))[1:]
-        text = re.sub(rf"\b({name} is -?\d+(?:\.\d+)?(?:e[+-]?\d+)?)\b", rf"\1{unit}", text)
-
-    def shown(found: re.Match[str]) -> str:
-        name = found[0]
-        if name in about:
-            return model_name(name) if about[name].get("kind") == "law" else title_of(d, name)
-        return meaning_of(meanings[name], name) if name in meanings else name.replace("_", " ")
-
-    return re.sub(_IDENTIFIER, shown, text)
-
-
-def meaning_of(parameter: Document, name: str) -> str:
-    """Meaning of a parameter in a few words; what follows a semicolon is where the declaration comes from."""
-    words = str(parameter.get("meaning", name.replace("_", " "))).split(";")[0]
-    words = re.sub(r"\blog (\S+)", r"the logarithm of \1", words)
-    return re.sub("|".join(map(re.escape, _SYMBOLS)), lambda found: _SYMBOLS[found[0]], words)
-
-
-def size_of(d: Document, effect: Document) -> str:
-    """The size of an addition: each parameter with its meaning, its standard deviation and its unit."""
-    if effect.get("covariate"):
-        return _force(effect)
-    meanings = d.get("about", {}).get(form_of(effect), {}).get("parameters", {})
-    stds = effect.get("parameters_std", {})
-    parts, values = [], effect.get("parameters", {})
-    for name in sorted(values, key=[*meanings, *values].index):
-        value, meaning = values[name], meanings.get(name, {})
-        parts.append(
-            f"{meaning_of(meaning, name)}: {quantity(float(value), str(meaning.get('unit', '')), stds.get(name))}"
-        )
-    return "; ".join(parts)
-
-
-def _force(effect: Document) -> str:
-    """What a force without a name depends on, and how large it is."""
-    values = effect["parameters"]
-    force = [float(value) for name, value in values.items() if name.startswith("force_")]
-    along = str(effect["covariate"]).replace("_", " ")
-    ends = [quantity(float(values[end])) for end in ("first", "last")]
-    return f"{quantity(min(force))} to {quantity(max(force), 'm/s²')} along the {along}, from {ends[0]} to {ends[1]}"
-
-
 def chance(p_value: float | None) -> str:
     """A p-value for people."""
     if p_value is None:
@@ -162,37 +154,7 @@ def chance(p_value: float | None) -> str:
     return "p < 0.001" if p_value < 1e-3 else f"p {p_value:.2g}"
 
 
-def badge(d: Document) -> tuple[str, str]:
-    """The outcome of a verdict: a sign, and words."""
-    outcome, effects = d["verdict"].get("adequacy", {}).get("outcome", ""), d["verdict"]["effects"]
-    if effects and not any(map(is_supported, effects)) and outcome != "not_explained":
-        return "?", "Added as asked; the data do not ask for it"
-    if outcome == "explained" and not any(map(is_confirmed, effects)):
-        return "?", "Explained, but not confirmed"
-    return _OUTCOMES.get(outcome, ("", "Diagnosis"))
-
-
-def headline(d: Document) -> str:
-    """The verdict as one plain sentence."""
-    effects = [title_of(d, form_of(n)) for n in d["verdict"]["effects"]]
-    outcome = d["verdict"].get("adequacy", {}).get("outcome")
-    found = _and(effects) if len(effects) <= _FEW else f"{len(effects)} additions"
-    if not effects:
-        if outcome == "not_explained":
-            return "The model fails, and nothing in the catalogue explains it."
-        if outcome == "adequate":
-            return "Nothing that is missing can be detected: nothing in these data speaks against the model as it is."
-        return "Nothing that is missing can be detected in these data."
-    if not any(map(is_supported, d["verdict"]["effects"])):
-        added = f"This was added because you asked for it: {_and(effects)}. These data do not ask for it."
-        return f"{added} Something else is missing." if outcome == "not_explained" else added
-    if outcome == "not_explained":
-        helps = "helps, but does" if len(effects) == 1 else "help, but do"
-        return f"The model lacks more than what was found: {found} {helps} not explain these data."
-    if not any(map(is_confirmed, d["verdict"]["effects"])):
-        return f"The model may lack this: {_and(effects)}. Unseen data do not confirm it."
-    end = " With it, nothing in these data speaks against the model." if outcome == "explained" else ""
-    return f"The model lacks this: {_and(effects)}.{end}"
+# What was added
 
 
 def is_supported(n: Document) -> bool:
@@ -200,87 +162,275 @@ def is_supported(n: Document) -> bool:
     return bool(n.get("is_supported", True))
 
 
-def is_confirmed(n: Document) -> bool:
-    """Whether the gain of an addition on unseen data is above its standard error."""
-    return float(n["heldout_gain_nats"]) > float(n["heldout_gain_se"])
+def explains(n: Document) -> bool:
+    """Whether an addition has a physical name and is supported. Constants, noises and forces explain nothing."""
+    return n.get("kind", "effect") in ("effect", "measurement") and is_supported(n)
 
 
-def is_clear(n: Document) -> bool:
-    """Whether the gain of an addition on unseen data is above two standard errors."""
-    return float(n["heldout_gain_nats"]) >= _CLEAR * float(n["heldout_gain_se"])
-
-
-def certainty(n: Document) -> str:
-    """How certain an addition is: its gain on data that no fit has seen, and its p-value on the fitted data."""
-    confirm = ("hardly confirm" if not is_clear(n) else "confirm") if is_confirmed(n) else "do not confirm"
-    text = f"unseen data {confirm} it: {on_unseen(n)}"
-    if p := chance(n.get("p_value")):
-        text += f"; on the fitted data, chance gains as much with {p}"
-    return text
+def size_of(d: Document, n: Document) -> str:
+    """The size of an addition: each parameter with its meaning, its standard error and its unit."""
+    values = n.get("parameters", {})
+    if n.get("covariate"):
+        force = [float(value) for name, value in values.items() if name.startswith("force_")]
+        unit = UNITS.get(str(n["covariate"]), "")
+        first, last = (quantity(float(values[end]), unit if end == "last" else "") for end in ("first", "last"))
+        size = f"{quantity(min(force), digits=2)} to {quantity(max(force), 'm/s²', digits=2)}"
+        return f"{size} along the {_spaced(n['covariate'])}, from {first} to {last}"
+    meanings, stds = d.get("about", {}).get(form_of(n), {}).get("parameters", {}), n.get("parameters_std", {})
+    parts = []
+    for name in sorted(values, key=[*meanings, *values].index):
+        meaning = meanings.get(name, {})
+        size = quantity(float(values[name]), str(meaning.get("unit", "")), stds.get(name))
+        parts.append(f"{meaning_of(meaning, name)}: {size}")
+    return "; ".join(parts)
 
 
 def on_unseen(n: Document) -> str:
     """What an addition gains on data that no fit has seen, and for whom."""
     gain, se = float(n["heldout_gain_nats"]), float(n["heldout_gain_se"])
-    text = f"{gain:.0f} ± {se:.0f} nats"
-    if not is_confirmed(n):
-        text += ", not above the standard error"
-    elif se > 0.0:
-        text += f" better ({'' if is_clear(n) else 'only '}{gain / se:.1f} standard errors)"
-    if isinstance(who := n.get("who"), list):
-        text += f"; shown by {_vehicles([str(v) for v in who])} only"
-    return text
+    text = f"{nats(gain, se)} nats"
+    if gain > 0.0 and se > 0.0:
+        text += f" better ({gain / se:.1f} standard errors)"
+    if gain <= _CLEAR * se and (best := _clearest(n)):
+        text += f", most clearly {best}"
+    return text + (f"; shown by {_vehicles([str(v) for v in n['vehicles']])} only" if n.get("vehicles") else "")
+
+
+def _clearest(n: Document) -> str:
+    """The column in which an addition gains most standard errors, if it gains clearly there."""
+    columns = {name: one for name, one in n.get("gains", {}).items() if name != "all" and one["se"] > 0.0}
+    name = max(columns, key=lambda name: columns[name]["nats"] / columns[name]["se"], default="")
+    if not name or columns[name]["nats"] <= _CLEAR * columns[name]["se"]:
+        return ""
+    return f"{column_name(name)}: {nats(**columns[name])}"
+
+
+def worse_columns(gains: Mapping[str, Mapping[str, float]], *, clearly: bool = False) -> list[str]:
+    """Columns in which a model is worse than another, or only those in which it is worse by two standard errors."""
+    found = []
+    for name, one in gains.items():
+        is_clear = one["nats"] < -_CLEAR * one["se"]
+        if is_clear or (one["nats"] < 0.0 and not clearly):
+            found.append(f"{column_name(name)}: {nats(**one)} nats{'' if is_clear else ', within chance'}")
+    return found
+
+
+def certainty(n: Document) -> str:
+    """How certain an addition is: its gain on data that no fit has seen, and its p-value."""
+    verb = "confirm" if is_supported(n) else "do not confirm"
+    p = chance(n.get("p_value"))
+    return f"unseen data {verb} it: {on_unseen(n)}" + (f"; chance gains as much with {p}" if p else "")
 
 
 def gain_in_words(d: Document, n: Document) -> str:
     """The name of an addition, and what it gains on unseen data, in a few words."""
-    size = f"{float(n['heldout_gain_nats']):.0f} ± {float(n['heldout_gain_se']):.0f} nats"
-    told = f"{size} better on unseen data" if is_confirmed(n) else f"unseen data do not confirm it ({size})"
-    return f"{title_of(d, form_of(n))}: {told}"
+    size = f"{nats(float(n['heldout_gain_nats']), float(n['heldout_gain_se']))} nats"
+    told = f"{size} better on unseen data" if is_supported(n) else f"the data do not ask for it ({size})"
+    return f"{addition(d, n)}: {told}"
 
 
 def found_in_words(d: Document) -> list[str]:
     """What was added, how large it is and how certain, one line each."""
-    return [f"{title_of(d, form_of(n))} ({size_of(d, n)}): {certainty(n)}" for n in d["verdict"]["effects"]]
+    return [f"{addition(d, n)}: {size_of(d, n)}; {certainty(n)}" for n in d["verdict"]["effects"]]
 
 
 def not_told_apart(d: Document, n: Document) -> str:
-    """What an addition cannot be told apart from; empty if it can be told apart from everything that was searched.
+    """What an addition cannot be told apart from; empty if it can be told apart from everything that was fitted.
 
-    Nothing else is searched for where somebody has asked for names.
+    Nothing else is fitted where somebody has asked for names.
     """
-    return _and([title_of(d, other) for other in n["indistinguishable"]], "or")
+    return _list([named(d, other) for other in n["indistinguishable"]], "or")
+
+
+def closest(d: Document, n: Document) -> str:
+    """The physical effect that comes closest to an addition that has no physical name; empty if there is none."""
+    one = n.get("closest_effect")
+    if not one:
+        return ""
+    name, behind, se = named(d, one["name"]), float(one["behind_nats"]), float(one["behind_se"])
+    if behind >= 0.0:
+        return f"the physical effect that comes closest, {name}, is {nats(behind, se)} nats behind"
+    return (
+        f"{name} gains {nats(-behind, se)} nats more, but cannot be added: some forecasts get worse, or its values make"
+        " no physical sense"
+    )
+
+
+def equation(d: Document) -> str:
+    """The model as an equation, with what is new in brackets, and the values; empty if nothing was added."""
+    sums, rules, values = "", [], []
+    for n in d["verdict"]["effects"]:
+        about, known, stds = (
+            d.get("about", {}).get(form_of(n), {}),
+            n.get("parameters", {}),
+            n.get("parameters_std", {}),
+        )
+        term = str(about.get("term") or "").replace("covariate", str(n.get("covariate")))
+        if term.startswith(("+", "-")):
+            sums += f" [{term}]"
+        else:
+            rules.append(f"[{term or _unwritten(n)}]")
+        units = {name: str(one.get("unit", "")) for name, one in about.get("parameters", {}).items()}
+        shown = known if not n.get("covariate") else {}
+        values += [f"{k} = {quantity(float(v), units.get(k, ''), stds.get(k))}" for k, v in shown.items()]
+    added = "; ".join([f"{_BASE}{sums}", *rules])
+    return ", ".join([added, *values]) if d["verdict"]["effects"] else ""
+
+
+def _unwritten(n: Document) -> str:
+    """What stands in the equation for constants that are free, and for an effect that declares no term."""
+    names = ", ".join(n.get("parameters", {}))
+    if n.get("kind") in ("constants", "noise"):
+        return f"{names} free" if names else f"{form_of(n)} of each driver free"
+    return f"{form_of(n)}({names})"
+
+
+# Checks
+
+
+def failed(d: Document) -> list[Document]:
+    """The checks that fail, the smallest p-value first."""
+    return sorted((one for one in d.get("checks", ()) if one["failed"]), key=lambda one: float(one["p_value"]))
+
+
+def checks_hold(d: Document) -> str:
+    """How many checks hold."""
+    every = len(d.get("checks", ()))
+    return f"{every - len(failed(d))} of {every} checks hold"
+
+
+def check_title(d: Document, check: Document) -> str:
+    """What a check compares."""
+    name = str(check["name"])
+    if name in _CHECKS:
+        return _CHECKS[name]
+    if found := re.fullmatch(r"bias_over_(\w+)", name):
+        return f"bias of the one-step errors over the {_spaced(found[1])}, in units of chance"
+    if found := re.fullmatch(r"spread_of_(single|road)_runs_([\d.]+)s", name):
+        return f"squared errors of {_RUNS[found[1]]} after {found[2]} s over their predicted variance"
+    if found := re.fullmatch(r"left_for_(\w+)", name):
+        return f"what {named(d, found[1])} would gain on the fitted data"
+    if found := re.fullmatch(r"gain_of_(\w+)", name):
+        return f"what {model_name(found[1])} gains over the model on unseen data"
+    if found := re.fullmatch(r"sign_of_(\w+)\.(\w+)", name):
+        return f"{found[2]} of {named(d, found[1])}"
+    return _spaced(name)
+
+
+def check_values(check: Document) -> tuple[str, str, str]:
+    """What was measured, what the model gives, and the p-value of a check."""
+    unit = str(check["unit"]) if check["unit"] != "1" else ""
+    numbers = (quantity(float(check[name]), unit) for name in ("value", "expected"))
+    return (*numbers, chance(check["p_value"]))  # type: ignore[return-value]
+
+
+def check_in_words(d: Document, check: Document) -> str:
+    """A check with its values: what was measured, and what the model's own simulations give."""
+    measured, given, p = check_values(check)
+    name, title = str(check["name"]), check_title(d, check)
+    if name.startswith(("left_for_", "gain_of_")):
+        return f"{title}: {measured} ({p})"
+    if name.startswith("sign_of_"):
+        return f"{title} is {measured}; below {given} it makes no physical sense"
+    return f"{title}: {measured}, in the model's own simulations {given} ({p})"
+
+
+def reasons(d: Document) -> list[str]:
+    """What speaks against the final model: its failed checks."""
+    return [check_in_words(d, one) for one in failed(d)]
+
+
+def laws_ahead(d: Document) -> list[str]:
+    """Other laws that gain more than the final model, without a clear lead."""
+    ahead = [one for one in d.get("checks", ()) if one["name"].startswith("gain_of_") and float(one["value"]) > 0.0]
+    return [check_in_words(d, one) for one in ahead if not one["failed"]]
+
+
+# The verdict
+
+
+def badge(d: Document) -> tuple[str, str]:
+    """The outcome of a verdict: a sign, and words."""
+    outcome, effects = d["verdict"].get("outcome", ""), d["verdict"]["effects"]
+    if effects and outcome != "adequate" and not any(map(is_supported, effects)) and not failed(d):
+        return "?", "Added as asked; the data do not ask for it"
+    if outcome == "adequate":
+        return "✓", "The model is adequate"
+    if outcome == "explained" and any(map(explains, effects)):
+        return "✓", "What was missing is explained"
+    return "✗", "Not explained"
+
+
+def headline(d: Document) -> str:
+    """The verdict as a few plain sentences; physics, constants and forces are told apart."""
+    effects, words = d["verdict"]["effects"], badge(d)[1]
+    if not effects:
+        if d["verdict"].get("outcome") == "adequate":
+            return f"{words}: nothing in these data speaks against it."
+        return f"{words}: the model fails{_but_holds(d)}, and nothing that was tried explains it."
+    asked = [n for n in effects if not is_supported(n)]
+    if len(asked) == len(effects):
+        end = f" The model fails{_but_holds(d)}: something else is missing." if failed(d) else ""
+        start = f"{words}: " if failed(d) else ""
+        return f"{start}{_of(d, asked)} was added because you asked for it; the data do not ask for it.{end}"
+    physical = [n for n in effects if explains(n)]
+    rest = [n for n in effects if is_supported(n) and not explains(n)]
+    if not physical:
+        return f"{words}: {_without_physics(d, rest)}{_still_fails(d)}"
+    more = f" Beside it, {_without_physics(d, rest)}" if rest else ""
+    if not failed(d):
+        return f"{words}: {_of(d, physical)}. With it, nothing in these data speaks against the model.{more}"
+    return f"{words}: {_of(d, physical)} is a part of what is missing.{more}{_still_fails(d)}"
+
+
+def _of(d: Document, effects: Sequence[Document]) -> str:
+    return _list([addition(d, n) for n in effects])
+
+
+def _without_physics(d: Document, effects: Sequence[Document]) -> str:
+    """What additions without a physical name mean, and the physical effect that comes closest."""
+    says = {
+        "force": "a force helps that has no name",
+        "constants": "these drivers do not have the paper's constants",
+        "noise": "these drivers do not have the paper's noises",
+    }
+    parts = []
+    for kind, words in says.items():
+        if mine := [n for n in effects if n["kind"] == kind]:
+            parts.append(f"{words}: {_of(d, mine)}")
+    near = next((text for n in effects if (text := closest(d, n))), "")
+    return "; ".join([*parts, *([near] if near else [])]) + "."
+
+
+def _but_holds(d: Document) -> str:
+    return f" {len(failed(d))} of {len(d.get('checks', ()))} checks"
+
+
+def _still_fails(d: Document) -> str:
+    return f" The model still fails{_but_holds(d)}." if failed(d) else ""
 
 
 def how_sure(d: Document) -> str:
     """How certain the names are, in one sentence."""
     effects = d["verdict"]["effects"]
     if not effects:
-        before, expected = d.get("where", {}).get("before"), d["verdict"].get("adequacy", {}).get("bins_expected")
-        if before is None or expected is None:
-            return ""
-        text = f"the model is biased in {len(before['flagged'])} of {len(before['bins'])} parts of the data (bins)"
-        text += f", in its own simulations in {expected:.1f} on average"
-        is_adequate = d["verdict"]["adequacy"]["outcome"] == "adequate"
-        return f"{text}; this is within chance." if is_adequate else f"{text}."
+        return f"{checks_hold(d)}; the model is biased in {_biased(d, 'before')}."
     if d["verdict"].get("asked"):
         told = certainty(effects[0]) + "; nothing" if len(effects) == 1 else "Nothing"
-        return f"{told} else was searched for, so nothing is known of what explains the data as well."
+        return f"{told} else was fitted, so nothing is known of what explains the data as well."
     if len(effects) == 1:
         others = not_told_apart(d, effects[0])
         return certainty(effects[0]) + (f"; cannot be told apart from {others}." if others else ".")
-    certain = [title_of(d, form_of(n)) for n in effects if not n["indistinguishable"]]
+    certain = [n for n in effects if not n["indistinguishable"]]
     if len(certain) == len(effects):
-        return "Each name can be told apart from everything else that was searched for."
+        return "Each name can be told apart from everything else that was fitted."
     if certain:
-        return f"Only {_and(certain)} can be told apart from everything else that was searched for."
-    unlisted = all("something that is not listed" in n["indistinguishable"] for n in effects)
-    end = ", nor from something that is not listed" if unlisted else ""
-    return f"No name is certain: these data cannot tell any of them apart from other effects{end}."
+        return f"Only {_of(d, certain)} can be told apart from everything else that was fitted."
+    return "No name is certain: these data cannot tell any of them apart from something else."
 
 
 def worse(d: Document) -> list[str]:
-    """What gets worse with the additions: where the final model does worse in use, and for which drivers."""
+    """What gets worse with the additions: for which drivers, and in which forecasts."""
     effects = d["verdict"]["effects"]
     if not effects:
         return []
@@ -291,43 +441,46 @@ def worse(d: Document) -> list[str]:
     if names:
         drivers = f"{len(names)} of {len(known)} drivers ({_vehicles(names)})"
         found.append(f"for {drivers}, one-car free runs get more than a fifth worse")
-    return found + worse_in_use(effects[-1])
+    return found + cautions(d)
 
 
-def worse_in_use(n: Document) -> list[str]:
-    """Where the model with an addition does worse than the base model beyond what both were fitted to."""
-    return [str(line).replace("the last part", "the unseen last 40 %") for line in n.get("worse_where", ())]
+def cautions(d: Document) -> list[str]:
+    """What a user of the final model must know: forecasts that are clearly worse than those of the base model."""
+    columns = worse_columns(d["errors"].get("after", {}).get("gains", {}), clearly=True)
+    return [f"forecasts get worse than those of the base model, {one}" for one in columns]
 
 
-def _number(driver: Document) -> str:
-    """The number of a vehicle as the pictures have it, with its name in the recording where that differs."""
-    number, name = str(driver["vehicle"]), str(driver.get("name", ""))
-    return f"{number} ({name})" if name not in ("", number) else number
+def fall(d: Document) -> str:
+    """How the error after 10 s falls, and how much of the fall physics brings; empty where it is not known."""
+    ends = [_after_10_s(d["errors"].get(when, {})) for when in ("before", "after")]
+    shares = d["verdict"].get("fall")
+    if not d["verdict"]["effects"] or None in ends or not shares:
+        return ""
+    before, after = (float(end) for end in ends if end is not None)
+    text = " -> ".join(distances(before, after))
+    if after >= before:
+        return f"The error after 10 s does not fall: {text}."
+    physics = ["physical effects bring" if float(shares["physics_m"]) > 0.0 else "physical effects bring none of it"]
+    if float(shares["physics_m"]) > 0.0:
+        physics.append(distances(float(shares["physics_m"]))[0] if float(shares["other_m"]) else "all of it")
+    return f"The error after 10 s falls, {text}; {' '.join(physics)}."
 
 
-def _vehicles(names: list[str]) -> str:
-    return f"vehicle{'s' if len(names) > 1 else ''} {_and(names)}"
-
-
-def reasons(d: Document) -> list[str]:
-    """What speaks against the final model."""
-    said = d["verdict"].get("adequacy", {}).get("reasons", [])
-    words = {"held-out samples": "unseen data", "the model without the additions": "the base model", ", by 0 m/s²": ""}
-    lines = [plain(d, str(reason)) for reason in said]
-    for old, new in words.items():
-        lines = [line.replace(old, new) for line in lines]
-    return lines
+def _after_10_s(errors: Document) -> float | None:
+    """Error after 10 s: of all cars together, or of single cars on tracks."""
+    known = (errors.get(f"{run}_10s_m") for run in ("free_run", "single_car"))
+    return next((float(one) for one in known if one is not None), None)
 
 
 def what_to_do(d: Document) -> str:
-    """What to do after the verdict."""
-    effects, adequacy = d["verdict"]["effects"], d["verdict"].get("adequacy", {})
-    advice = [text for n in effects for text in n.get("advice", ())]
-    if advice:
-        return f"To tell them apart, {'; '.join(advice)}."
-    if adequacy.get("outcome") == "not_explained":
-        names = "Do not take the names for causes. " if effects else ""
-        return f"{names}Look below where the model{' still' if effects else ''} fails.{_best_predictor(d)}"
+    """What to do after the verdict: the strongest lead first."""
+    effects = d["verdict"]["effects"]
+    advice = list(dict.fromkeys(text for n in effects for text in n.get("advice", ())))
+    left = failed(d)
+    if left:
+        lead = f"Look first at the strongest failed check: {check_in_words(d, left[0])}."
+        names = " Do not take the names for causes." if effects else ""
+        return f"{lead}{names}{_tell_apart(advice)}{_best_predictor(d)}"
     if not effects:
         return (
             "Use the model as it is. The table of what these data would have shown says how small a missing effect may"
@@ -335,12 +488,15 @@ def what_to_do(d: Document) -> str:
         )
     if not any(map(is_supported, effects)):
         return "Leave it out, unless you know from elsewhere that the drivers have it."
-    if not any(map(is_confirmed, effects)):
-        return "Record more before you use it: unseen data do not confirm it."
-    text = _use(d)
-    if effects[-1].get("worse_where"):
-        text += " If you simulate, diagnose with --for simulation: it adds nothing that makes free runs worse."
-    return text
+    if advice:
+        return _tell_apart(advice).strip()
+    if not any(map(explains, effects)):
+        return f"Do not take it for a cause. {_use(d)}"
+    return _use(d)
+
+
+def _tell_apart(advice: Sequence[str]) -> str:
+    return f" To tell apart what cannot be told apart, {'; '.join(advice)}." if advice else ""
 
 
 def _use(d: Document) -> str:
@@ -353,18 +509,197 @@ def _use(d: Document) -> str:
 
 
 def _best_predictor(d: Document) -> str:
-    """Which model to use where prediction counts, if another law predicts better than the base or the final model."""
-    better = d["verdict"].get("adequacy", {}).get("better_law")
-    if not better:
+    """Which law to use where prediction counts, if another law forecasts better than the final model."""
+    shown = models(d)
+    won = {name: float(one["gains"]["all"]["nats"]) for name, one in shown.items() if one.get("gains")}
+    best = max(won, key=lambda name: won[name], default="before")
+    if best in MODELS:
         return ""
-    law, final = (d["errors"].get(name, {}).get("loglik_per_sample") for name in (better, "after"))
-    if d["verdict"]["effects"] and None not in (law, final) and final > law:
-        return (
-            f" Where only prediction counts, the model with the additions is the best one ({final:.3f} nats per sample;"
-            f" {model_name(str(better))} {law:.3f})."
+    return f" {model_name(best)} forecasts these data better; use it where only prediction counts."
+
+
+def would_have_shown(d: Document) -> list[tuple[str, str]]:
+    """Effects that are not in the data, and how strong each would have to be to have usually shown."""
+    found = []
+    for one in d.get("smallest_detectable", ()):
+        if not one["value"]:
+            continue
+        about = d.get("about", {}).get(one["name"], {})
+        declared = about.get("parameters", {}).get(one["parameter"], {})
+        value, unit = float(one["value"]), str(declared.get("unit", ""))
+        # a smaller limit is a stronger effect
+        end = "or less" if about.get("is_limit") else "or more"
+        size = f"{quantity(value, unit, digits=2)} {end if value > 0.0 else 'or beyond'}"
+        found.append((title_of(d, one["name"]), f"{meaning_of(declared, one['parameter'])}: {size}"))
+    return found
+
+
+# What the command line prints
+
+
+def sentences(d: Document) -> list[str]:
+    """Return the verdict in words, one line for each finding, the strongest first.
+
+    Parameters
+    ----------
+    d : mapping
+        Document of a diagnosis.
+
+    Returns
+    -------
+    list of str
+        What ``sugiyama diagnose`` prints.
+    """
+    effects = d["verdict"]["effects"]
+    lines = [headline(d), fall(d)]
+    if not effects:
+        shown = [f"{title} ({size})" for title, size in would_have_shown(d)]
+        more = f", and {len(shown) - _SHOWN} more (in the report and in --json)" if len(shown) > _SHOWN else ""
+        listed = ", ".join(shown[:_SHOWN]) + more
+        lines.append(f"Effects of this strength would usually have shown: {listed}." if shown else "")
+    for n in effects:
+        lines += _added(d, n, lines[0])
+    model = equation(d)
+    lines.append(f"The model, with what is new in brackets: {model}" if model else "")
+    lines += [f"Fails: {one}." for one in reasons(d)]
+    lines.append(f"{checks_hold(d)}." if d.get("checks") else "")
+    lines += [f"{_capital(one)} but may be ahead by chance." for one in laws_ahead(d)]
+    lines += [f"{_capital(one)}." for one in worse(d)]
+    for when, of in (("before", "The base model"), ("after", "The model with the additions")):
+        if when in d.get("where", {}) and (effects or when == "before"):
+            lines.append(f"{of} is biased in {_biased(d, when)}.")
+    return [line for line in [*lines, *_data(d)] if line]
+
+
+def _added(d: Document, n: Document, told: str) -> list[str]:
+    """Lines about an addition; ``told``: what the first line says already."""
+    ends = distances(float(n["free_run_rmse_before_m"]), float(n["free_run_rmse_after_m"]))
+    size = size_of(d, n) or "a value of each driver"
+    lines = [
+        f"{addition(d, n)}: {size}. On unseen data {on_unseen(n)}; {chance(n['p_value'])}; error after 10 s"
+        f" {' -> '.join(ends)}."
+    ]
+    if d["verdict"].get("asked"):
+        lines.append("The data ask for it." if is_supported(n) else "You asked for it; the data do not ask for it.")
+    if columns := worse_columns(n.get("gains", {})):
+        lines.append(f"It gets worse: {'; '.join(columns)}.")
+    if others := not_told_apart(d, n):
+        advice = f" To tell them apart, {'; '.join(n['advice'])}." if n.get("advice") else ""
+        lines.append(f"It cannot be told apart from {others}.{advice}")
+    if (near := closest(d, n)) and near not in told:
+        lines.append(f"{_capital(near)}.")
+    return [lines[0], *(f"  {line}" for line in lines[1:])]
+
+
+def _biased(d: Document, when: str) -> str:
+    """In how many bins a model is biased, and where most of all."""
+    where = d.get("where", {}).get(when, {"flagged": [], "bins": []})
+    worst = "; ".join(map(bin_in_words, where["flagged"][:_BINS]))
+    return f"{len(where['flagged'])} of {len(where['bins'])} bins" + (f", most of all at {worst}" if worst else "")
+
+
+def bin_in_words(b: Document) -> str:
+    """A bin, and the bias in it."""
+    name = "while" if b["covariate"] == "regime" else _spaced(b["covariate"])
+    value = b["label"] or f"{figure(b['low'])} to {figure(b['high'])} {UNITS.get(b['covariate'], '')}".strip()
+    return f"{name} {value} ({b['bias']:+.2f} std)"
+
+
+def _data(d: Document) -> list[str]:
+    """What was done with the recording: smoothing, decisions between samples, other noises, drivers left out."""
+    lines = []
+    smoothed_s, apart_s = float(d.get("smoothed_s") or 0.0), float(d.get("counted_every_s") or 0.0)
+    period_s, decisions = float(d.get("decision_period_s") or 1.0), int(d.get("decisions_per_sample") or 1)
+    why = "Positions move more evenly than the model's noises let them"
+    if smoothed_s:
+        why = f"Third differences of the positions are correlated over about {smoothed_s:.2g} s, as by a smoother"
+    if round(apart_s / period_s) > decisions:
+        lines.append(f"{why}: only samples that are {apart_s:.2g} s apart count.")
+    elif smoothed_s:
+        lines.append(f"{why}: the ends of each record do not count.")
+    if d.get("has_other_noises"):
+        lines.append("The paper's noises of position and speed do not suit these vehicles: they are fitted for each.")
+    if decisions > 1:
+        lines.append(
+            f"Samples are {apart_s:.2g} s apart; the model's drivers decide {decisions} times from one to the next,"
+            f" every {period_s:.2g} s."
         )
-    return f" {model_name(str(better))} predicts these data better; use it where only prediction counts."
+    if d.get("drivers_left_out"):
+        lines.append(left_out(int(d["drivers_left_out"]), int(d["vehicles"])))
+    if (missed := d["verdict"].get("not_searched")) and d["errors"]["before"].get("free_run_10s_m") is None:
+        reasons = [f"{named(d, one['name'])}: {one['reason']}" for one in missed]
+        lines.append(f"Not searched for: {'; '.join(reasons)}.")
+    return lines
 
 
-def _and(names: list[str], word: str = "and") -> str:
+def left_out(number: int, drivers: int) -> str:
+    """A sentence about drivers who were left out."""
+    return (
+        f"This is about {drivers} of {drivers + number} drivers, evenly spread over the recording: all of them would"
+        " take too much memory."
+    )
+
+
+# Comparisons
+
+
+def ranked(c: Document) -> list[Document]:
+    """The models of a comparison that count, the largest gain first: none in sample, and none on other samples."""
+    counted = [one for one in c["models"] if one["kind"] not in ("in_sample", "simulated")]
+    return sorted(counted, key=lambda one: -float(one["heldout_gain_nats"]))
+
+
+def best_model(c: Document) -> str:
+    """Return which model forecasts best, and which ones cannot be told apart from it.
+
+    Parameters
+    ----------
+    c : mapping
+        Document of a comparison.
+
+    Returns
+    -------
+    str
+        The headline of the comparison. A model in sample does not count.
+    """
+    own = [model_name(one["name"]) for one in c["models"] if one["kind"] == "in_sample"]
+    before = f"{own[0]} was fitted to these samples, so it does not count here. " if own else ""
+    best, *others = ranked(c)
+    if best["kind"] == "base":
+        second = f"; {_behind(others[0])}" if others else ""
+        return f"{before}No other model forecasts unseen data better than the base model{second}."
+    gain = f"{nats(best['heldout_gain_nats'], best['heldout_gain_se'])} nats better than the base model"
+    text = f"{before}{model_name(best['name'])} forecasts unseen data best, {gain}"
+    alike = [model_name(one["name"]) for one in others if one["behind"]["nats"] <= _CLEAR * one["behind"]["se"]]
+    if alike:
+        return f"{text}. It cannot be told apart from {_list(alike, 'or')}."
+    return f"{text}; {_behind(others[0])}." if others[0]["kind"] != "base" else f"{text}."
+
+
+def _behind(one: Document) -> str:
+    return f"{model_name(one['name'])} is {nats(**one['behind'])} nats behind"
+
+
+# Lists
+
+
+def _spaced(name: object) -> str:
+    return str(name).replace("_", " ")
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _number(driver: Document) -> str:
+    """The number of a vehicle as the pictures have it, with its name in the recording where that differs."""
+    number, name = str(driver["vehicle"]), str(driver.get("name", ""))
+    return f"{number} ({name})" if name not in ("", number) else number
+
+
+def _vehicles(names: list[str]) -> str:
+    return f"vehicle{'s' if len(names) > 1 else ''} {_list(names)}"
+
+
+def _list(names: list[str], word: str = "and") -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {word} {names[-1]}" if names else ""
