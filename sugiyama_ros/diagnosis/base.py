@@ -25,9 +25,6 @@ from sugiyama_ros.trajectories.trajectories import Trajectories
 
 # Standard errors by which another base model must be better: a missing effect makes it a little better, too.
 _CLEAR = 5.0
-# A first look at other noises, the same for all drivers, that gains less than this [nats] promises nothing: a driver
-# has three of them, each of which gains one nat in sample.
-_PROMISE = 20.0
 # Shortest time [s] between two decisions that is tried: nobody decides ten times a second.
 _SHORTEST_S = 0.1
 _NOISES = Candidate("noises", "noises", "noise", tuple(map(index, FREED)), ({},))
@@ -53,14 +50,15 @@ def base_model(data: Recorded, work: Executor) -> tuple[Recorded, JointFit]:
     base = fit_base(data, data.even.individual(V_STAR, KAPPA_V), work)
     if data.even.frees_noises:
         return data, base
+    # each parameter of each driver gains about one nat that held-out samples do not confirm
+    by_chance = len(FREED) * data.drivers
     look = scores(data, base, [_NOISES], work, with_forces=False)
-    if max((one.gain for one in look), default=0.0) < _PROMISE:
+    if max((one.gain for one in look), default=0.0) < by_chance:
         return data, base
     freed = replace(data, even=data.even._replace(has_other_noises=True))
     again = fit_base(freed, freed.even.individual(V_STAR, KAPPA_V), work)
-    # each parameter of each driver gains about one nat that held-out samples do not confirm
     won = gain(data, again.samples, base.samples)
-    return (freed, again) if won.nats - len(FREED) * data.drivers > _CLEAR * won.se else (data, base)
+    return (freed, again) if won.nats - by_chance > _CLEAR * won.se else (data, base)
 
 
 def with_more_decisions(

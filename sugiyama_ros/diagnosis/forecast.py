@@ -8,7 +8,8 @@ models get the same draws.
 
 References
 ----------
-T. Gneiting and A. E. Raftery, J. Am. Stat. Assoc. 102 (2007) 359. J. M. Hammersley and K. W. Morton, Math. Proc. Camb.
+T. Gneiting and A. E. Raftery, J. Am. Stat. Assoc. 102 (2007) 359. T. Gneiting et al., Mon. Weather Rev. 133 (2005)
+1098. J. M. Hammersley and K. W. Morton, Math. Proc. Camb.
 Philos. Soc. 52 (1956) 449.
 """
 
@@ -31,7 +32,7 @@ from sugiyama_ros.filters.causal_kernel import SETTLING
 from sugiyama_ros.filters.chain import adaptation_of
 from sugiyama_ros.filters.state import STATE
 from sugiyama_ros.fit.model import Model
-from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import PointwiseDensity, between_measurements, filtered_states, jobs_of, together
 from sugiyama_ros.simulation.drive import Order, Setting
 from sugiyama_ros.simulation.free_run import run_coupled, run_single
@@ -145,9 +146,7 @@ def forecasts(data: Recorded, around: Surroundings, models: Sequence[Model], wor
     """
     parts = [_Fold(data, around, model, fold) for fold, model in enumerate(models)]
     known = np.full((3, data.drivers, data.samples), np.nan)
-    shape = (len(around.starts), len(HORIZONS_S), data.drivers)
-    single = Runs(*np.full((4, *shape), np.nan))
-    road = Runs(*np.full((4, *shape), np.nan)) if data.vicinity.is_whole_road else None
+    ends = np.full((2, 4, len(around.starts), len(HORIZONS_S), data.drivers), np.nan)
     for part in parts:
         mask = data.fold == part.fold
         who = around.who & (data.fold.T[around.starts] == part.fold)
@@ -155,14 +154,62 @@ def forecasts(data: Recorded, around: Surroundings, models: Sequence[Model], wor
         predicted, states = part.filtered(around.starts[chosen], work)
         known[:, mask] = predicted[:, mask]
         jobs = [(int(s), who[s], one) for s, one in zip(chosen, states, strict=True)]
-        for s, (alone, joined) in zip(chosen, work.map(part.driven_on, jobs), strict=True):
-            for runs, found in ((single, alone), (road, joined)):
-                if runs is not None and found is not None:
-                    for values, new in zip((runs.log_score, runs.crps, runs.error, runs.normal), found, strict=True):
-                        values[s][:, who[s]] = new[:, who[s]]
+        for s, found in zip(chosen, work.map(part.driven_on, jobs), strict=True):
+            ends[: len(found), :, s, :, who[s]] = np.moveaxis(found[..., who[s]], -1, 0)
     known[0][~data.scored] = np.nan
     one_step, innovation_m, innovation_var = known
-    return Forecasts(one_step, innovation_m, innovation_var, single, road, around.starts)
+    fold = data.fold.T[around.starts]
+    road = judged_runs(ends[1], fold) if data.vicinity.is_whole_road else None
+    return Forecasts(one_step, innovation_m, innovation_var, judged_runs(ends[0], fold), road, around.starts)
+
+
+def judged_runs(ends: Array, fold: Ints) -> Runs:
+    """Judge forecasts of S starts, H horizons and N drivers.
+
+    Their spread is recalibrated before (ensemble model output statistics): it counts times a factor for each horizon
+    that is fitted to the other folds. So a forecast is judged by its mean and by when it is uncertain, not by noises
+    that are too large or too small on the whole; a check looks at those.
+
+    Parameters
+    ----------
+    ends : ndarray, shape (4, S, H, N)
+        Mean of the forecast minus the measured position [m], its variance [m^2] for a good measurement, the share of
+        bad measurements, and its variance [m^2] for a bad one.
+    fold : ndarray of int, shape (S, N)
+        Fold of each start.
+
+    Returns
+    -------
+    Runs
+        The scores.
+    """
+    error, var, share, wide = ends
+    normal = error / np.sqrt((1.0 - share) * var + share * wide)
+    factor = np.ones_like(error)
+    for f in range(FOLDS):
+        mine = np.broadcast_to((fold == f)[:, None], error.shape)
+        for h in range(error.shape[1]):
+            others = np.square(normal[:, h][~mine[:, h]])
+            if np.isfinite(others).any():
+                factor[:, h][mine[:, h]] = np.nanmean(others)
+    good, bad = (factor * one for one in (var, wide))
+    log_score = np.logaddexp(np.log1p(-share) + _student(error, good), np.log(share + 1e-300) + _student(error, bad))
+    z = error / np.sqrt(good)
+    density = np.exp(-0.5 * np.square(z)) / math.sqrt(2.0 * math.pi)
+    crps = np.sqrt(good) * (z * (2.0 * ndtr(z) - 1.0) + 2.0 * density - 1.0 / math.sqrt(math.pi))
+    return Runs(log_score, crps, error, normal)
+
+
+def _student(off: Array, var: Array) -> Array:
+    """Logarithm of the density of Student's t distribution with a variance, without the term of 2 pi.
+
+    This is the forecast by few members, whose variance is not known better.
+    """
+    free = 2.0 * _PAIRS - 1.0
+    constant = gammaln(0.5 * (free + 1.0)) - gammaln(0.5 * free) - 0.5 * math.log(0.5 * (free - 2.0))
+    return np.asarray(
+        constant - 0.5 * np.log(var) - 0.5 * (free + 1.0) * np.log1p(np.square(off) / ((free - 2.0) * var))
+    )
 
 
 def driven(data: Recorded, models: Sequence[Model], work: Executor) -> Array:
@@ -231,8 +278,8 @@ class _Fold(NamedTuple):
                     one.mean[i], one.covariance[i], one.mood[i] = mean[k], covariance[k], mood[k]
         return predicted, states
 
-    def driven_on(self, job: tuple[int, Mask, _States]) -> tuple[tuple[Array, ...], tuple[Array, ...] | None]:
-        """Scores (H, N) of the runs of a start: of single drivers, and of the whole road or None."""
+    def driven_on(self, job: tuple[int, Mask, _States]) -> Array:
+        """Ends (1 or 2, 4, H, N) of the runs of a start, as of ``judged_runs``: of single drivers, and of a road."""
         data, (number, who, states) = self.data, job
         k, steps, around = int(self.around.starts[number]), self.around.steps, data.vicinity
         recorded = self.around.states[k : k + steps[-1] + 1]
@@ -264,47 +311,19 @@ class _Fold(NamedTuple):
                     ends[j, 2 * pair + half] = at + np.array([displacements(x, ring, everybody) for x in at])
         measured = around.position_m[k + steps]
         noise_var = np.square([everybody[:, SIGMA_NU] * noise_std_factors(x, ring, everybody) for x in measured])
-        found = [scored(around.road.difference(one, measured), noise_var, everybody) for one in ends]
-        return tuple(v[:, : data.drivers] for v in found[0]), (
-            tuple(v[:, : data.drivers] for v in found[1]) if len(both) > 1 else None
-        )
-
-
-def scored(off: Array, noise_var: Array, rows: Array) -> tuple[Array, ...]:
-    """Log score, CRPS, error and normalised error (H, N) of ensembles of M errors, (M, H, N).
-
-    noise_var: variance of good measurements (H, N); rows: of the drivers (N, WIDTH), which say how many measurements
-    are bad. With few members the forecast is Student's t distribution.
-    """
-    members = len(off)
-    mean = off.mean(axis=0)
-    var = off.var(axis=0, ddof=1) * (1.0 + 1.0 / members) + noise_var
-    log_score, all_var = _student(mean, var, members), var
-    if any(is_contaminated(row) for row in rows):
-        share, wide = _bad(var, noise_var, rows)
-        log_score = np.logaddexp(np.log1p(-share) + log_score, np.log(share + 1e-300) + _student(mean, wide, members))
-        all_var = (1.0 - share) * var + share * wide
-    z = mean / np.sqrt(var)
-    density = np.exp(-0.5 * np.square(z)) / math.sqrt(2.0 * math.pi)
-    crps = np.sqrt(var) * (z * (2.0 * ndtr(z) - 1.0) + 2.0 * density - 1.0 / math.sqrt(math.pi))
-    # of the same variance as a normal number
-    return log_score, crps, mean, mean / np.sqrt(all_var) * math.sqrt((members - 3.0) / (members - 1.0))
-
-
-def _student(off: Array, var: Array, members: int) -> Array:
-    """Logarithm of the density of Student's t distribution, without the term of 2 pi."""
-    free = members - 1.0
-    constant = gammaln(0.5 * (free + 1.0)) - gammaln(0.5 * free) - 0.5 * math.log(0.5 * free)
-    return np.asarray(constant - 0.5 * np.log(var) - 0.5 * (free + 1.0) * np.log1p(np.square(off) / (free * var)))
+        off = around.road.difference(ends, measured)
+        var = off.var(axis=1, ddof=1) * (1.0 + 0.5 / _PAIRS) + noise_var
+        share, wide = _bad(var, noise_var, everybody)
+        return np.stack([off.mean(axis=1), var, share, wide], axis=1)[..., : data.drivers]
 
 
 def _bad(var: Array, noise_var: Array, rows: Array) -> tuple[Array, Array]:
-    """Share of bad measurements, and the variance [m^2] of a forecast of a bad one, (H, N) each."""
+    """Share of bad measurements, and the variance [m^2] of a forecast of a bad one, of variances (K, H, N)."""
     share, wide = np.zeros_like(var), var.copy()
-    for h, i in np.ndindex(var.shape):
-        if np.isfinite(var[h, i]) and is_contaminated(rows[i]):
-            bad, wide[h, i], density = weigh(0.0, var[h, i], noise_var[h, i], rows[i])
-            share[h, i] = bad * math.exp(density) * math.sqrt(wide[h, i])
+    for i in np.flatnonzero([is_contaminated(row) for row in rows]):
+        for k, h in zip(*np.nonzero(np.isfinite(var[:, :, i])), strict=True):
+            bad, wide[k, h, i], density = weigh(0.0, var[k, h, i], noise_var[h, i], rows[i])
+            share[k, h, i] = bad * math.exp(density) * math.sqrt(wide[k, h, i])
     return share, wide
 
 

@@ -11,7 +11,7 @@ from sugiyama_ros.diagnosis.candidates import Candidate, candidates, chosen, wit
 from sugiyama_ros.diagnosis.score import Score, ScoreOfSome, scores
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.joint import JointFit, at_model, maximise, objective, renewed
-from sugiyama_ros.fit.model import Model, coordinate, value
+from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.slopes import no_density
 
@@ -96,23 +96,22 @@ def _maximised(data: Recorded, start: JointFit, work: Executor) -> JointFit:
 
 def without_folds(data: Recorded, fitted: JointFit, work: Executor) -> tuple[Model, ...]:
     """Return a model for every fold, fitted to the other folds from the fit to all folds."""
-    others = [[k for k in range(FOLDS) if k != f] for f in range(FOLDS)]
-    return tuple(
-        maximise(data, fitted, work, folds=folds, iterations=_STEPS_WITHOUT, renewals=0).model for folds in others
+    return tuple(_without_fold(data, fitted, [k for k in range(FOLDS) if k != f], work) for f in range(FOLDS))
+
+
+def _without_fold(data: Recorded, fitted: JointFit, folds: Sequence[int], work: Executor) -> Model:
+    """The fit to some folds: first each driver alone, so that no shared parameter keeps drivers where they are."""
+    own = len(fitted.model.individual)
+    slopes = tuple(
+        replace(s, score=s.score[:, :own], information=s.information[:, :own, :own], columns=s.columns[:own])
+        for s in fitted.slopes
     )
-
-
-def combined(data: Recorded, fitted: JointFit, added: Sequence[tuple[Candidate, JointFit]], work: Executor) -> JointFit:
-    """Fit a model with several candidates, from the values that each has alone."""
-    model = fitted.model
-    for candidate, own in added:
-        start = {k: own.model.rows[:, k] for k in _entries(candidate)}
-        model = with_candidate(model, candidate, start)
-    shift = sum((_moved_own(fitted, own) for _, own in added), np.zeros(()))
-    places = list(fitted.model.individual)
-    rows = model.rows.copy()
-    rows[:, places] = value(coordinate(fitted.model.rows[:, places], places) + shift, places)
-    return _maximised(data, _beside(data, fitted, replace(model, rows=rows), work), work)
+    alone = JointFit(replace(fitted.model, shared=(), few=()), fitted.samples, slopes)
+    found = maximise(data, alone, work, folds=folds, iterations=_STEPS_WITHOUT, renewals=0).model
+    if not fitted.model.shared:
+        return found
+    together = at_model(data, fitted, replace(fitted.model, rows=found.rows), work, np.ones(data.drivers, np.bool_))
+    return maximise(data, together, work, folds=folds, iterations=_STEPS_WITHOUT, renewals=0).model
 
 
 def without(data: Recorded, fitted: JointFit, candidate: Candidate, work: Executor) -> JointFit:
@@ -136,12 +135,6 @@ def without(data: Recorded, fitted: JointFit, candidate: Candidate, work: Execut
 def _entries(candidate: Candidate) -> list[int]:
     """Entries of the rows that a candidate sets."""
     return sorted({*candidate.places, *(k for start in candidate.starts for k in start)})
-
-
-def _moved_own(before: JointFit, after: JointFit) -> Array:
-    """How far the individual parameters of a model have moved by a candidate, in coordinates (N, I)."""
-    places = list(before.model.individual)
-    return coordinate(after.model.rows[:, places], places) - coordinate(before.model.rows[:, places], places)
 
 
 def _starts(model: Model, score: Score) -> list[Model]:

@@ -234,12 +234,12 @@ def _moved(asked: _Asked, individual: tuple[int, ...], shared: tuple[int, ...]) 
     """Return the driver with each parameter moved by its step; shared parameters move for the drivers ahead, too."""
     (chain, row, ahead, is_rough), places, jobs = asked.job, [*individual, *shared], []
     assert ahead is not None
-    coordinates = coordinate(row[places], places)
+    coordinates, linear = coordinate(row[places], places), is_linear(places)
     for k, step in enumerate(asked.steps):
-        moved = coordinates.copy()
-        moved[k] += step
         changed, changed_ahead = row.copy(), ahead
-        changed[places] = value(moved, places)
+        # a driver who does not have an effect stays without it: its logarithm has no step
+        if linear[k] or row[places[k]] != 0.0:
+            changed[places[k]] = value(coordinates[[k]] + step, [places[k]])[0]
         if k >= len(individual):
             changed_ahead = ahead.copy()
             # not for drivers ahead who do not have what only some drivers have
