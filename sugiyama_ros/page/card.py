@@ -7,24 +7,19 @@ from typing import Any
 
 import numpy as np
 
+from sugiyama_ros.page.names import SMALL_M, form_of, length, model_name, summary_of, title_of
 from sugiyama_ros.page.panels.measured import frame_mps
 from sugiyama_ros.page.recording import Recording
 from sugiyama_ros.page.thumbnail import thumbnail
 from sugiyama_ros.page.words import (
-    SMALL_M,
     badge,
     check_title,
     failed,
-    form_of,
     gain_in_words,
     headline,
     how_sure,
-    length,
-    model_name,
     reasons,
     size_of,
-    summary_of,
-    title_of,
     what_to_do,
     worse,
     would_have_shown,

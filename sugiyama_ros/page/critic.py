@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.page.words import Document, title_of
+from sugiyama_ros.page.names import Document, title_of
 
 #: Why a critic may say something else than a diagnosis.
 WHY = (

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sugiyama_ros.page.words import form_of, title_of
+from sugiyama_ros.page.names import form_of, title_of
 
 
 class Found(NamedTuple):

@@ -10,24 +10,20 @@ from typing import Any
 
 from sugiyama_ros.page.card import name_of
 from sugiyama_ros.page.diagnosis import file_of, run_command
+from sugiyama_ros.page.names import Document, addition, chance, models, title_of
 from sugiyama_ros.page.panels.base import colour_of
 from sugiyama_ros.page.recording import Recording
 from sugiyama_ros.page.tables import steps
 from sugiyama_ros.page.words import (
-    Document,
-    addition,
     bin_in_words,
-    chance,
     check_title,
     check_values,
     checks_hold,
     equation,
-    models,
     not_told_apart,
     on_unseen,
     sentences,
     size_of,
-    title_of,
     worse_columns,
     would_have_shown,
 )

@@ -25,6 +25,7 @@ from bokeh.models import (
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.page.feed import KEPT, Feed, Log
+from sugiyama_ros.page.names import distances
 from sugiyama_ros.page.panels.base import (
     BLUE,
     GREY,
@@ -42,7 +43,6 @@ from sugiyama_ros.page.panels.chosen import INPUT
 from sugiyama_ros.page.panels.critic_live import CriticPanel, title
 from sugiyama_ros.page.status import status_line
 from sugiyama_ros.page.style import LIVE, REPAINT
-from sugiyama_ros.page.words import distances
 from sugiyama_ros.trajectories.desired_speed import known_only
 
 #: Time [s] between two updates of the road, and between two updates of the curves.

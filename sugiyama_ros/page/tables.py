@@ -4,7 +4,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from sugiyama_ros.page.words import MODELS, Document, model_name, models, nats, ranked
+from sugiyama_ros.page.names import MODELS, Document, model_name, models, nats
+from sugiyama_ros.page.words import ranked
 from sugiyama_ros.tables import TextTable
 
 # Rows that a comparison shows first.

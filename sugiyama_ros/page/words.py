@@ -1,41 +1,37 @@
 """All words of a diagnosis and of a comparison, out of their documents: what is missing, how sure, what to do."""
 
-import math
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any
 
+from sugiyama_ros.page.names import (
+    MODELS,
+    UNITS,
+    Document,
+    addition,
+    chance,
+    column_name,
+    distances,
+    form_of,
+    gained,
+    listed,
+    meaning_of,
+    model_name,
+    models,
+    named,
+    nats,
+    quantity,
+    spaced,
+    title_of,
+)
 from sugiyama_ros.tables import figure
 
-Document = Mapping[str, Any]
-_LAWS = {"idm": "IDM", "fvdm": "FVDM", "ovm": "OVM", "gipps": "Gipps", "newell": "Newell", "helly": "Helly"}
 # A single-car error of a driver that grows by this factor is told.
 _WORSE = 1.2
 # A difference is clear from this number of standard errors on.
 _CLEAR = 2.0
-#: Errors [m] below this are told in millimetres.
-SMALL_M = 0.01
-# Lengths [m] and speeds [m/s] below this are told in millimetres.
-_SMALL = 1e-3
 # Bins, and strengths that would have shown, that a sentence lists.
 _BINS, _SHOWN = 3, 5
-# Symbols in the meanings of parameters.
-_SYMBOLS = {"v*": "the desired speed", "κ_v": "the risk premium", "sigma_a": "the acceleration noise"}
 _BASE = "a = abar(gap, v, v_lead; v*, kappa_v)"
-_FORCE = "discovered_force"
-#: Names of the base model and of the final one, and of the final one on recordings that it simulates.
-MODELS = ("before", "after", "floor")
-#: Units of covariates.
-UNITS = {
-    "speed": "m/s",
-    "approach_rate": "m/s",
-    "gap": "m",
-    "rear_gap": "m",
-    "second_gap": "m",
-    "place": "m",
-    "time": "s",
-    "time_gap": "s",
-}
 # What checks compare, by name; further names are a prefix and what it is about.
 _CHECKS = {
     "spread_of_innovations": "squared one-step errors over their predicted variance",
@@ -48,110 +44,6 @@ _CHECKS = {
     "period_s": "time between two waves",
 }
 _RUNS = {"single": "one car", "road": "all cars"}
-
-
-# Names
-
-
-def form_of(n: Document) -> str:
-    """Name that declares the parameters of an addition: forms of a mechanism have parameters of their own."""
-    return _FORCE if n.get("covariate") else str(n.get("form") or n["name"])
-
-
-def title_of(d: Document, name: str) -> str:
-    """Name for people of an effect, a group of constants or a law, or of the base model of a critic."""
-    explained = d.get("about", {}).get(name)
-    return str(explained["title"]) if explained else "the base model" if name == "base" else name.replace("_", " ")
-
-
-def summary_of(d: Document, name: str) -> str:
-    """Explanation of a name in one line; empty where the document has none."""
-    return str(d.get("about", {}).get(name, {}).get("summary", ""))
-
-
-def named(d: Document, name: str) -> str:
-    """Name for people, with the identifier that is typed: slower stretch of road (slow_patch)."""
-    name = name.removesuffix("_of_some")
-    if name.startswith("force_along_"):
-        name = f"{_FORCE}:{name.removeprefix('force_along_')}"
-    effect, _, covariate = name.partition(":")
-    title = f"{title_of(d, effect)} along the {_spaced(covariate)}" if covariate else title_of(d, effect)
-    return title if title == name else f"{title} ({name})"
-
-
-def addition(d: Document, n: Document) -> str:
-    """Name of an addition for people, with its identifier."""
-    return named(d, f"{_FORCE}:{n['covariate']}" if n.get("covariate") else form_of(n))
-
-
-def model_name(name: str) -> str:
-    """Name of a model in tables and legends."""
-    known = dict(zip(MODELS, ("base model", "with what was added", "floor (simulated)"), strict=True))
-    if name in known:
-        return known[name]
-    law = name.removesuffix("_least_squares")
-    if law not in _LAWS and law == name:
-        return name if name.startswith(("base", "file:")) else _spaced(name)
-    return _LAWS.get(law, _spaced(law)) + (", fitted to gaps" if law != name else "")
-
-
-def column_name(column: str) -> str:
-    """Name of a column of gains."""
-    if column in ("one_step", "all"):
-        return {"one_step": "one step ahead", "all": "over all horizons"}[column]
-    cars, seconds = ("all cars", column.removeprefix("road_")) if column.startswith("road_") else ("one car", column)
-    return f"{cars} at {seconds.removesuffix('s')} s"
-
-
-def models(d: Document) -> dict[str, Document]:
-    """Errors of the models by name, without a model that equals the base model because nothing was added."""
-    return {name: one for name, one in d["errors"].items() if name != "after" or d["verdict"]["effects"]}
-
-
-def meaning_of(parameter: Document, name: str) -> str:
-    """Meaning of a parameter in a few words; what follows a semicolon is where the declaration comes from."""
-    words = str(parameter.get("meaning", _spaced(name))).split(";")[0]
-    words = re.sub(r"\blog (\S+)", r"the logarithm of \1", words)
-    return re.sub("|".join(map(re.escape, _SYMBOLS)), lambda found: _SYMBOLS[found[0]], words)
-
-
-# Numbers
-
-
-def quantity(value: float, unit: str = "", std: float | None = None, digits: int = 3) -> str:
-    """A value with its standard deviation and its unit; without a standard deviation, with so many digits."""
-    if std is None or not (math.isfinite(std) and std > 0.0):
-        if 0.0 < abs(value) < _SMALL and unit in ("m", "m/s"):
-            value, unit = 1e3 * value, f"m{unit}"
-        text = figure(value, digits)
-    else:
-        places = min(max(-math.floor(math.log10(std)), 0), 5)
-        text = f"{value:.{places}f} ± {std:.{places}f}"
-    return f"{text} {unit.replace('^2', '²').replace('^3', '³')}".strip()
-
-
-def nats(value: float, se: float) -> str:
-    """A gain with its standard error, without the unit."""
-    return f"{value:.0f} ± {se:.0f}"
-
-
-def length(value_m: float) -> str:
-    """A length [m] with three digits, so that lengths beside each other end alike."""
-    return f"{value_m:#.3g}".rstrip(".") if value_m < 1e3 else f"{value_m:.0f}"
-
-
-def distances(*values_m: float) -> list[str]:
-    """Lengths [m] with their unit: millimetres where all are small, as where somebody has smoothed the positions."""
-    if any(abs(value) >= SMALL_M for value in values_m):
-        return [f"{length(value)} m" for value in values_m]
-    return [f"{length(1e3 * value)} mm" for value in values_m]
-
-
-def chance(p_value: float | None) -> str:
-    """A p-value for people."""
-    if p_value is None:
-        return ""
-    return "p < 0.001" if p_value < 1e-3 else f"p {p_value:.2g}"
 
 
 # What was added
@@ -175,7 +67,7 @@ def size_of(d: Document, n: Document) -> str:
         unit = UNITS.get(str(n["covariate"]), "")
         first, last = (quantity(float(values[end]), unit if end == "last" else "") for end in ("first", "last"))
         size = f"{quantity(min(force), digits=2)} to {quantity(max(force), 'm/s²', digits=2)}"
-        return f"{size} along the {_spaced(n['covariate'])}, from {first} to {last}"
+        return f"{size} along the {spaced(n['covariate'])}, from {first} to {last}"
     meanings, stds = d.get("about", {}).get(form_of(n), {}).get("parameters", {}), n.get("parameters_std", {})
     parts = []
     for name in sorted(values, key=[*meanings, *values].index):
@@ -202,7 +94,7 @@ def _clearest(n: Document) -> str:
     name = max(columns, key=lambda name: columns[name]["nats"] / columns[name]["se"], default="")
     if not name or columns[name]["nats"] <= _CLEAR * columns[name]["se"]:
         return ""
-    return f"{column_name(name)}: {nats(**columns[name])}"
+    return f"{column_name(name)}: {gained(columns[name])}"
 
 
 def worse_columns(gains: Mapping[str, Mapping[str, float]], *, clearly: bool = False) -> list[str]:
@@ -211,7 +103,7 @@ def worse_columns(gains: Mapping[str, Mapping[str, float]], *, clearly: bool = F
     for name, one in gains.items():
         is_clear = one["nats"] < -_CLEAR * one["se"]
         if is_clear or (one["nats"] < 0.0 and not clearly):
-            found.append(f"{column_name(name)}: {nats(**one)} nats{'' if is_clear else ', within chance'}")
+            found.append(f"{column_name(name)}: {gained(one)} nats{'' if is_clear else ', within chance'}")
     return found
 
 
@@ -239,7 +131,7 @@ def not_told_apart(d: Document, n: Document) -> str:
 
     Nothing else is fitted where somebody has asked for names.
     """
-    return _list([named(d, other) for other in n["indistinguishable"]], "or")
+    return listed([named(d, other) for other in n["indistinguishable"]], "or")
 
 
 def closest(d: Document, n: Document) -> str:
@@ -305,7 +197,7 @@ def check_title(d: Document, check: Document) -> str:
     if name in _CHECKS:
         return _CHECKS[name]
     if found := re.fullmatch(r"bias_over_(\w+)", name):
-        return f"bias of the one-step errors over the {_spaced(found[1])}, in units of chance"
+        return f"bias of the one-step errors over the {spaced(found[1])}, in units of chance"
     if found := re.fullmatch(r"spread_of_(single|road)_runs_([\d.]+)s", name):
         return f"squared errors of {_RUNS[found[1]]} after {found[2]} s over their predicted variance"
     if found := re.fullmatch(r"left_for_(\w+)", name):
@@ -314,7 +206,7 @@ def check_title(d: Document, check: Document) -> str:
         return f"what {model_name(found[1])} gains over the model on unseen data"
     if found := re.fullmatch(r"sign_of_(\w+)\.(\w+)", name):
         return f"{found[2]} of {named(d, found[1])}"
-    return _spaced(name)
+    return spaced(name)
 
 
 def check_values(check: Document) -> tuple[str, str, str]:
@@ -384,7 +276,7 @@ def headline(d: Document) -> str:
 
 
 def _of(d: Document, effects: Sequence[Document]) -> str:
-    return _list([addition(d, n) for n in effects])
+    return listed([addition(d, n) for n in effects])
 
 
 def _without_physics(d: Document, effects: Sequence[Document]) -> str:
@@ -555,8 +447,8 @@ def sentences(d: Document) -> list[str]:
     if not effects:
         shown = [f"{title} ({size})" for title, size in would_have_shown(d)]
         more = f", and {len(shown) - _SHOWN} more (in the report and in --json)" if len(shown) > _SHOWN else ""
-        listed = ", ".join(shown[:_SHOWN]) + more
-        lines.append(f"Effects of this strength would usually have shown: {listed}." if shown else "")
+        sizes = ", ".join(shown[:_SHOWN]) + more
+        lines.append(f"Effects of this strength would usually have shown: {sizes}." if shown else "")
     for n in effects:
         lines += _added(d, n, lines[0])
     model = equation(d)
@@ -595,12 +487,12 @@ def _biased(d: Document, when: str) -> str:
     """In how many bins a model is biased, and where most of all."""
     where = d.get("where", {}).get(when, {"flagged": [], "bins": []})
     worst = "; ".join(map(bin_in_words, where["flagged"][:_BINS]))
-    return f"{len(where['flagged'])} of {len(where['bins'])} bins" + (f", most of all at {worst}" if worst else "")
+    return f"{len(where['flagged'])} of {len(where['bins'])} bins" + (f", most of all: {worst}" if worst else "")
 
 
 def bin_in_words(b: Document) -> str:
     """A bin, and the bias in it."""
-    name = "while" if b["covariate"] == "regime" else _spaced(b["covariate"])
+    name = "while" if b["covariate"] == "regime" else spaced(b["covariate"])
     value = b["label"] or f"{figure(b['low'])} to {figure(b['high'])} {UNITS.get(b['covariate'], '')}".strip()
     return f"{name} {value} ({b['bias']:+.2f} std)"
 
@@ -672,19 +564,15 @@ def best_model(c: Document) -> str:
     text = f"{before}{model_name(best['name'])} forecasts unseen data best, {gain}"
     alike = [model_name(one["name"]) for one in others if one["behind"]["nats"] <= _CLEAR * one["behind"]["se"]]
     if alike:
-        return f"{text}. It cannot be told apart from {_list(alike, 'or')}."
+        return f"{text}. It cannot be told apart from {listed(alike, 'or')}."
     return f"{text}; {_behind(others[0])}." if others[0]["kind"] != "base" else f"{text}."
 
 
 def _behind(one: Document) -> str:
-    return f"{model_name(one['name'])} is {nats(**one['behind'])} nats behind"
+    return f"{model_name(one['name'])} is {gained(one['behind'])} nats behind"
 
 
 # Lists
-
-
-def _spaced(name: object) -> str:
-    return str(name).replace("_", " ")
 
 
 def _capital(text: str) -> str:
@@ -698,8 +586,4 @@ def _number(driver: Document) -> str:
 
 
 def _vehicles(names: list[str]) -> str:
-    return f"vehicle{'s' if len(names) > 1 else ''} {_list(names)}"
-
-
-def _list(names: list[str], word: str = "and") -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {word} {names[-1]}" if names else ""
+    return f"vehicle{'s' if len(names) > 1 else ''} {listed(names)}"

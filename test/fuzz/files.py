@@ -1,11 +1,11 @@
 """A small valid file of each format: three vehicles on one lane and one beside them, 20 m apart, at 10 m/s."""
 
 import io
-import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import diagnoses
 import numpy as np
 
 from sugiyama_ros.driver.parameters import PARAMETERS
@@ -212,14 +212,7 @@ def learnt() -> dict[str, object]:
 
 
 def diagnosis() -> dict[str, object]:
-    """The fields of a diagnosis that the report shows."""
-    errors = {"one_step_rmse_m": 0.34, "loglik_per_sample": 0.4, "free_run_10s_m": 4.0, "single_car_10s_m": 2.0}
-    named = {"name": "drag", "heldout_gain_nats": 90.0, "heldout_gain_se": 9.0}
-    driver = {"vehicle": 1, "single_car_10s_before_m": 2.0, "single_car_10s_after_m": None}
-    return {
-        "verdict": {"effects": [{**named, "indistinguishable": ["slow_patch"]}]},
-        "candidates": [named, {**named, "name": "slow_patch", "heldout_gain_nats": None, "heldout_gain_se": None}],
-        "smallest_detectable": [{"name": "drag", "parameter": "c2", "value": 0.01}],
-        "errors": {"base": errors, "final": json.loads(json.dumps(errors))},
-        "drivers": [driver, {**driver, "vehicle": 2}],
-    }
+    """A diagnosis, with something of everything that the report shows."""
+    d = diagnoses.document("not_explained", [diagnoses.addition(), diagnoses.force()], [diagnoses.fails("wave_speed")])
+    del d["where"], d["free_run"], d["about"]
+    return {**d, "drivers": d["drivers"][:2], "checks": d["checks"][-2:], "candidates": d["candidates"][:2]}

@@ -12,8 +12,9 @@ import pytest
 import yaml
 
 from sugiyama_ros.page.critic import WHY, beside_the_verdict, may_be_chance, preferred
+from sugiyama_ros.page.names import title_of
 from sugiyama_ros.page.recording import read_recording
-from sugiyama_ros.page.words import badge, headline, title_of
+from sugiyama_ros.page.words import badge, headline
 
 pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.timeout(3600)]
 SUGIYAMA = str(Path(sys.executable).with_name("sugiyama"))

@@ -36,23 +36,14 @@ from sugiyama_ros.page.feed import KEPT, Log, Status
 from sugiyama_ros.page.found import Found, found_in
 from sugiyama_ros.page.html import detectable
 from sugiyama_ros.page.layouts import lichtblick, plotjuggler
+from sugiyama_ros.page.names import distances, quantity
 from sugiyama_ros.page.panels.base import from_above
 from sugiyama_ros.page.panels.measured import frame_mps
 from sugiyama_ros.page.panels.worth import growth
 from sugiyama_ros.page.recording import read_recording
 from sugiyama_ros.page.report import report, write_report
 from sugiyama_ros.page.status import status_line
-from sugiyama_ros.page.words import (
-    badge,
-    certainty,
-    distances,
-    headline,
-    how_sure,
-    quantity,
-    size_of,
-    what_to_do,
-    worse,
-)
+from sugiyama_ros.page.words import badge, certainty, headline, how_sure, size_of, what_to_do, worse
 from sugiyama_ros.page.words import reasons as words_of_reasons
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.desired_speed import known_only

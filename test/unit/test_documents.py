@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from diagnoses import addition, document
 
 from sugiyama_ros.driver.parameters import NAMES, defaults
 from sugiyama_ros.errors import InputError
@@ -24,15 +25,10 @@ MODEL = {
 }
 ALIASES = "a: &a [x, x]\nb: &b [*a, *a, *a, *a, *a, *a, *a, *a]\nc: [*b, *b, *b, *b, *b, *b]\n"
 DIAGNOSIS: dict[str, Any] = {
-    "verdict": {
-        "effects": [
-            {"name": "drag", "heldout_gain_nats": 5.0, "heldout_gain_se": 1.0, "indistinguishable": ["limited_power"]}
-        ]
-    },
-    "candidates": [{"name": "drag", "heldout_gain_nats": 5.0, "heldout_gain_se": None}],
+    **{name: [one[0]] for name, one in document().items() if name in ("candidates", "checks", "drivers")},
+    "verdict": {"outcome": "explained", "effects": [addition()]},
     "smallest_detectable": [{"name": "reaction_delay", "parameter": "delay", "value": 0.05}],
     "errors": {"before": {"one_step_rmse_m": 0.4, "free_run_2s_m": 0.5}, "after": {"one_step_rmse_m": 0.39}},
-    "drivers": [{"vehicle": 0, "single_car_10s_before_m": 2.0, "single_car_10s_after_m": None}],
 }
 JUNK = (None, True, "text", 7, -1.5, math.nan, math.inf, 10**400, [], {}, [[]], {"a": 1}, ["x"] * 3)
 

@@ -8,11 +8,11 @@ import numpy as np
 from bokeh.models import ColumnDataSource, DataRange1d, HoverTool, UIElement
 
 from sugiyama_ros.arrays import Array
+from sugiyama_ros.page.names import title_of
 from sugiyama_ros.page.panels.base import BLUE, CHOSEN, GREEN, GREY, MOVING_S, ORANGE, SINGLE, SKY, legend_above, panel
 from sugiyama_ros.page.panels.chosen import Chosen
 from sugiyama_ros.page.panels.measured import naive_speeds
 from sugiyama_ros.page.recording import Recording
-from sugiyama_ros.page.words import title_of
 from sugiyama_ros.trajectories.desired_speed import known_only
 
 _NAMES = {"v_star": "desired speed v* [m/s]", "kappa_v": "risk premium κ_v [s]"}

@@ -7,8 +7,8 @@ import numpy as np
 from bokeh.models import ColumnDataSource, FactorRange, HoverTool, Range1d, Span, UIElement, Whisker
 
 from sugiyama_ros.arrays import Array
+from sugiyama_ros.page.names import chance, title_of
 from sugiyama_ros.page.panels.base import BLUE, GREY, HEIGHT, VERMILION, panel
-from sugiyama_ros.page.words import chance, title_of
 
 _MOST_SHOWN = 12
 

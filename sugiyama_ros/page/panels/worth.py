@@ -7,9 +7,9 @@ from typing import Any
 
 from bokeh.models import ColumnDataSource, FactorRange, HoverTool, Range1d, UIElement
 
+from sugiyama_ros.page.names import model_name, models
 from sugiyama_ros.page.panels.base import BLUE, GREY, VERMILION, colour_of, legend_above, panel
 from sugiyama_ros.page.panels.chosen import Chosen
-from sugiyama_ros.page.words import model_name, models
 
 # Models that the vertical axis shows whole; others may leave the picture.
 _WHOLE = ("before", "after", "floor", "fvdm")

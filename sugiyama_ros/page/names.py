@@ -1,0 +1,145 @@
+"""Names and numbers for people: of what a document of a diagnosis or of a comparison mentions."""
+
+import math
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from sugiyama_ros.tables import figure
+
+Document = Mapping[str, Any]
+_LAWS = {"idm": "IDM", "fvdm": "FVDM", "ovm": "OVM", "gipps": "Gipps", "newell": "Newell", "helly": "Helly"}
+#: Errors [m] below this are told in millimetres.
+SMALL_M = 0.01
+# Lengths [m] and speeds [m/s] below this are told in millimetres.
+_SMALL = 1e-3
+# Symbols in the meanings of parameters.
+_SYMBOLS = {"v*": "the desired speed", "κ_v": "the risk premium", "sigma_a": "the acceleration noise"}
+#: Effect that stands for a force along a covariate.
+FORCE = "discovered_force"
+#: Names of the base model and of the final one, and of the final one on recordings that it simulates.
+MODELS = ("before", "after", "floor")
+#: Units of covariates.
+UNITS = {
+    "speed": "m/s",
+    "approach_rate": "m/s",
+    "gap": "m",
+    "rear_gap": "m",
+    "second_gap": "m",
+    "place": "m",
+    "time": "s",
+    "time_gap": "s",
+}
+
+
+def form_of(n: Document) -> str:
+    """Name that declares the parameters of an addition: forms of a mechanism have parameters of their own."""
+    return FORCE if n.get("covariate") else str(n.get("form") or n["name"])
+
+
+def title_of(d: Document, name: str) -> str:
+    """Name for people of an effect, a group of constants or a law, or of the base model of a critic."""
+    explained = d.get("about", {}).get(name)
+    return str(explained["title"]) if explained else "the base model" if name == "base" else name.replace("_", " ")
+
+
+def summary_of(d: Document, name: str) -> str:
+    """Explanation of a name in one line; empty where the document has none."""
+    return str(d.get("about", {}).get(name, {}).get("summary", ""))
+
+
+def named(d: Document, name: str) -> str:
+    """Name for people, with the identifier that is typed: slower stretch of road (slow_patch)."""
+    name = name.removesuffix("_of_some")
+    if name.startswith("force_along_"):
+        name = f"{FORCE}:{name.removeprefix('force_along_')}"
+    effect, _, covariate = name.partition(":")
+    title = f"{title_of(d, effect)} along the {spaced(covariate)}" if covariate else title_of(d, effect)
+    return title if title == name else f"{title} ({name})"
+
+
+def addition(d: Document, n: Document) -> str:
+    """Name of an addition for people, with its identifier."""
+    return named(d, f"{FORCE}:{n['covariate']}" if n.get("covariate") else form_of(n))
+
+
+def model_name(name: str) -> str:
+    """Name of a model in tables and legends."""
+    known = dict(zip(MODELS, ("base model", "with what was added", "floor (simulated)"), strict=True))
+    if name in known:
+        return known[name]
+    law = name.removesuffix("_least_squares")
+    if law not in _LAWS and law == name:
+        return name if name.startswith(("base", "file:")) else spaced(name)
+    return _LAWS.get(law, spaced(law)) + (", fitted to gaps" if law != name else "")
+
+
+def column_name(column: str) -> str:
+    """Name of a column of gains."""
+    if column in ("one_step", "all"):
+        return {"one_step": "one step ahead", "all": "over all horizons"}[column]
+    cars, seconds = ("all cars", column.removeprefix("road_")) if column.startswith("road_") else ("one car", column)
+    return f"{cars} at {seconds.removesuffix('s')} s"
+
+
+def models(d: Document) -> dict[str, Document]:
+    """Errors of the models by name, without a model that equals the base model because nothing was added."""
+    return {name: one for name, one in d["errors"].items() if name != "after" or d["verdict"]["effects"]}
+
+
+def meaning_of(parameter: Document, name: str) -> str:
+    """Meaning of a parameter in a few words; what follows a semicolon is where the declaration comes from."""
+    words = str(parameter.get("meaning", spaced(name))).split(";")[0]
+    words = re.sub(r"\blog (\S+)", r"the logarithm of \1", words)
+    return re.sub("|".join(map(re.escape, _SYMBOLS)), lambda found: _SYMBOLS[found[0]], words)
+
+
+def quantity(value: float, unit: str = "", std: float | None = None, digits: int = 3) -> str:
+    """A value with its standard deviation and its unit; without a standard deviation, with so many digits."""
+    if std is None or not (math.isfinite(std) and std > 0.0):
+        if 0.0 < abs(value) < _SMALL and unit in ("m", "m/s"):
+            value, unit = 1e3 * value, f"m{unit}"
+        text = figure(value, digits)
+    else:
+        places = min(max(-math.floor(math.log10(std)), 0), 5)
+        text = f"{value:.{places}f} ± {std:.{places}f}"
+    return f"{text} {unit.replace('^2', '²').replace('^3', '³')}".strip()
+
+
+def nats(value: float, se: float) -> str:
+    """A gain with its standard error, without the unit."""
+    return f"{value:.0f} ± {se:.0f}"
+
+
+def length(value_m: float) -> str:
+    """A length [m] with three digits, so that lengths beside each other end alike."""
+    return f"{value_m:#.3g}".rstrip(".") if value_m < 1e3 else f"{value_m:.0f}"
+
+
+def distances(*values_m: float) -> list[str]:
+    """Lengths [m] with their unit: millimetres where all are small, as where somebody has smoothed the positions."""
+    if any(abs(value) >= SMALL_M for value in values_m):
+        return [f"{length(value)} m" for value in values_m]
+    return [f"{length(1e3 * value)} mm" for value in values_m]
+
+
+def chance(p_value: float | None) -> str:
+    """A p-value for people."""
+    if p_value is None:
+        return ""
+    return "p < 0.001" if p_value < 1e-3 else f"p {p_value:.2g}"
+
+
+def gained(one: Mapping[str, float]) -> str:
+    """A gain of a column with its standard error, without the unit."""
+    return nats(one["nats"], one["se"])
+
+
+def spaced(name: object) -> str:
+    """A name with blanks."""
+    return str(name).replace("_", " ")
+
+
+def listed(names: list[str], word: str = "and") -> str:
+    """Names as a sentence lists them."""
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {word} {names[-1]}" if names else ""
