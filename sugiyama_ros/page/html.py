@@ -33,6 +33,11 @@ _EVIDENCE = (
     '<p class="note">Nats: logarithm of how much more probable the model makes the data; one nat is a factor of 2.7.'
     " p: probability that chance gains as much in any candidate.</p>"
 )
+_UNITS = (
+    '<p class="note">Bias: mean square over what chance makes. Spread: mean square of the errors over the variance that'
+    " the model predicts. Model: what its own simulations give. All checks are judged together, at a false-discovery"
+    " rate of 5 %.</p>"
+)
 _GUIDE = (
     '<p class="note">Gains are differences of log scores on unseen data, in nats, with standard errors over blocks of'
     " time and drivers; those of one car at 2, 5 and 10 s, and all of them together. CRPS: mean distance between what"
@@ -98,7 +103,7 @@ def checks(d: Document) -> str:
         return ""
     headings = ["check", "measured", "model", "p", ""]
     title = f"<h3>Checks of the final model: {escape(checks_hold(d))}</h3>"
-    return title + table(headings, rows, left=True)
+    return title + table(headings, rows, left=True) + _UNITS
 
 
 def failing(d: Document) -> str:

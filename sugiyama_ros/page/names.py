@@ -48,14 +48,23 @@ def summary_of(d: Document, name: str) -> str:
     return str(d.get("about", {}).get(name, {}).get("summary", ""))
 
 
+def titled(d: Document, name: str) -> str:
+    """Name for people of anything that can be added: an effect, a form, constants, or a force along a covariate."""
+    effect, _, covariate = _typed(name).partition(":")
+    return f"{title_of(d, effect)} along the {spaced(covariate)}" if covariate else title_of(d, effect)
+
+
 def named(d: Document, name: str) -> str:
     """Name for people, with the identifier that is typed: slower stretch of road (slow_patch)."""
+    title, typed = titled(d, name), _typed(name)
+    return title if title == typed else f"{title} ({typed})"
+
+
+def _typed(name: str) -> str:
+    """What is typed for a candidate."""
     name = name.removesuffix("_of_some")
-    if name.startswith("force_along_"):
-        name = f"{FORCE}:{name.removeprefix('force_along_')}"
-    effect, _, covariate = name.partition(":")
-    title = f"{title_of(d, effect)} along the {spaced(covariate)}" if covariate else title_of(d, effect)
-    return title if title == name else f"{title} ({name})"
+    along = "force_along_"
+    return f"{FORCE}:{name.removeprefix(along)}" if name.startswith(along) else name
 
 
 def addition(d: Document, n: Document) -> str:

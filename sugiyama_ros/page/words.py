@@ -22,6 +22,7 @@ from sugiyama_ros.page.names import (
     quantity,
     spaced,
     title_of,
+    titled,
 )
 from sugiyama_ros.tables import figure
 
@@ -29,13 +30,15 @@ from sugiyama_ros.tables import figure
 _WORSE = 1.2
 # A difference is clear from this number of standard errors on.
 _CLEAR = 2.0
-# Bins, and strengths that would have shown, that a sentence lists.
-_BINS, _SHOWN = 3, 5
+# Additions that the headline names; of more, it says the number.
+_FEW = 3
+# Bins or columns, and strengths that would have shown, that a sentence lists.
+_WORST, _SHOWN = 3, 5
 _BASE = "a = abar(gap, v, v_lead; v*, kappa_v)"
 # What checks compare, by name; further names are a prefix and what it is about.
 _CHECKS = {
-    "spread_of_innovations": "squared one-step errors over their predicted variance",
-    "correlation_of_innovations": "correlation of successive one-step errors",
+    "spread_of_innovations": "spread of one-step errors",
+    "correlation_of_innovations": "correlation of one-step errors",
     "mean_speed": "mean speed",
     "least_speed": "smallest speed",
     "largest_speed": "largest speed",
@@ -197,13 +200,13 @@ def check_title(d: Document, check: Document) -> str:
     if name in _CHECKS:
         return _CHECKS[name]
     if found := re.fullmatch(r"bias_over_(\w+)", name):
-        return f"bias of the one-step errors over the {spaced(found[1])}, in units of chance"
+        return f"bias over the {spaced(found[1])}"
     if found := re.fullmatch(r"spread_of_(single|road)_runs_([\d.]+)s", name):
-        return f"squared errors of {_RUNS[found[1]]} after {found[2]} s over their predicted variance"
+        return f"spread of {_RUNS[found[1]]} after {found[2]} s"
     if found := re.fullmatch(r"left_for_(\w+)", name):
-        return f"what {named(d, found[1])} would gain on the fitted data"
+        return f"left for {titled(d, found[1])}"
     if found := re.fullmatch(r"gain_of_(\w+)", name):
-        return f"what {model_name(found[1])} gains over the model on unseen data"
+        return f"lead of {model_name(found[1])}"
     if found := re.fullmatch(r"sign_of_(\w+)\.(\w+)", name):
         return f"{found[2]} of {named(d, found[1])}"
     return spaced(name)
@@ -220,11 +223,15 @@ def check_in_words(d: Document, check: Document) -> str:
     """A check with its values: what was measured, and what the model's own simulations give."""
     measured, given, p = check_values(check)
     name, title = str(check["name"]), check_title(d, check)
-    if name.startswith(("left_for_", "gain_of_")):
-        return f"{title}: {measured} ({p})"
+    if name.startswith("left_for_"):
+        return f"{named(d, name.removeprefix('left_for_'))} would still gain {measured} on the fitted data ({p})"
+    if name.startswith("gain_of_"):
+        return f"{model_name(name.removeprefix('gain_of_'))} gains {measured} more on unseen data ({p})"
     if name.startswith("sign_of_"):
         return f"{title} is {measured}; below {given} it makes no physical sense"
-    return f"{title}: {measured}, in the model's own simulations {given} ({p})"
+    kind = name.partition("_")[0]
+    units = {"bias": " times what chance makes", "spread": " times the predicted variance"}.get(kind, "")
+    return f"{title}: {measured}{units}, in the model's own simulations {given} ({p})"
 
 
 def reasons(d: Document) -> list[str]:
@@ -264,19 +271,21 @@ def headline(d: Document) -> str:
     if len(asked) == len(effects):
         end = f" The model fails{_but_holds(d)}: something else is missing." if failed(d) else ""
         start = f"{words}: " if failed(d) else ""
-        return f"{start}{_of(d, asked)} was added because you asked for it; the data do not ask for it.{end}"
+        return f"{start}You asked for {_of(d, asked)}; the data do not.{end}"
     physical = [n for n in effects if explains(n)]
     rest = [n for n in effects if is_supported(n) and not explains(n)]
     if not physical:
         return f"{words}: {_without_physics(d, rest)}{_still_fails(d)}"
-    more = f" Beside it, {_without_physics(d, rest)}" if rest else ""
+    more = f" Besides, {_without_physics(d, rest)}" if rest else ""
     if not failed(d):
-        return f"{words}: {_of(d, physical)}. With it, nothing in these data speaks against the model.{more}"
-    return f"{words}: {_of(d, physical)} is a part of what is missing.{more}{_still_fails(d)}"
+        found = "it" if len(physical) == 1 else "them"
+        return f"{words}: {_of(d, physical)}. With {found}, nothing in these data speaks against the model.{more}"
+    return f"{words}: {_of(d, physical)} and more is missing.{more}{_still_fails(d)}"
 
 
 def _of(d: Document, effects: Sequence[Document]) -> str:
-    return listed([addition(d, n) for n in effects])
+    """The names of few additions, or the number of many."""
+    return listed([addition(d, n) for n in effects]) if len(effects) <= _FEW else f"{len(effects)} additions"
 
 
 def _without_physics(d: Document, effects: Sequence[Document]) -> str:
@@ -339,7 +348,8 @@ def worse(d: Document) -> list[str]:
 def cautions(d: Document) -> list[str]:
     """What a user of the final model must know: forecasts that are clearly worse than those of the base model."""
     columns = worse_columns(d["errors"].get("after", {}).get("gains", {}), clearly=True)
-    return [f"forecasts get worse than those of the base model, {one}" for one in columns]
+    more = f", and {len(columns) - _WORST} more" if len(columns) > _WORST else ""
+    return [f"forecasts get worse than the base model's: {'; '.join(columns[:_WORST])}{more}"] if columns else []
 
 
 def fall(d: Document) -> str:
@@ -370,7 +380,7 @@ def what_to_do(d: Document) -> str:
     advice = list(dict.fromkeys(text for n in effects for text in n.get("advice", ())))
     left = failed(d)
     if left:
-        lead = f"Look first at the strongest failed check: {check_in_words(d, left[0])}."
+        lead = f"Look first at the strongest failed check, {check_title(d, left[0])}."
         names = " Do not take the names for causes." if effects else ""
         return f"{lead}{names}{_tell_apart(advice)}{_best_predictor(d)}"
     if not effects:
@@ -455,7 +465,7 @@ def sentences(d: Document) -> list[str]:
     lines.append(f"The model, with what is new in brackets: {model}" if model else "")
     lines += [f"Fails: {one}." for one in reasons(d)]
     lines.append(f"{checks_hold(d)}." if d.get("checks") else "")
-    lines += [f"{_capital(one)} but may be ahead by chance." for one in laws_ahead(d)]
+    lines += [f"{_capital(one)}: it may be ahead by chance." for one in laws_ahead(d)]
     lines += [f"{_capital(one)}." for one in worse(d)]
     for when, of in (("before", "The base model"), ("after", "The model with the additions")):
         if when in d.get("where", {}) and (effects or when == "before"):
@@ -486,7 +496,7 @@ def _added(d: Document, n: Document, told: str) -> list[str]:
 def _biased(d: Document, when: str) -> str:
     """In how many bins a model is biased, and where most of all."""
     where = d.get("where", {}).get(when, {"flagged": [], "bins": []})
-    worst = "; ".join(map(bin_in_words, where["flagged"][:_BINS]))
+    worst = "; ".join(map(bin_in_words, where["flagged"][:_WORST]))
     return f"{len(where['flagged'])} of {len(where['bins'])} bins" + (f", most of all: {worst}" if worst else "")
 
 

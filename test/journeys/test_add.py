@@ -38,7 +38,7 @@ def added(run):
     made = run(f"sugiyama simulate --vehicles 5 --ring 56 --duration 50 --seed 3 {hidden} -o ring.csv")
     assert made.code == 0, made.err
     said = run(
-        f"sugiyama diagnose ring.csv --ring 56 --quick --refit 0 --seed 4 --add {ASKED} -o model.yaml --save found.json"
+        f"sugiyama diagnose ring.csv --ring 56 --simulations 1 --seed 4 --add {ASKED} -o model.yaml --save found.json"
     )
     assert said.code == 0, said.err
     return said
@@ -46,26 +46,26 @@ def added(run):
 
 def test_what_is_asked_for_is_added_and_the_data_say_what_they_think_of_it(added, folder):
     document = json.loads((folder / "found.json").read_text())
-    effects = {one["form"]: one for one in document["verdict"]["effects"]}
-    forms = [form.removesuffix("_to_standstill") for form in effects]
-    assert forms == [name.partition(":")[0] for name in ASKED.split(",")]
+    effects = {one["name"] if one["covariate"] else one["form"]: one for one in document["verdict"]["effects"]}
+    assert [*effects] == [name.partition(":")[0] for name in ASKED.split(",")]
     assert document["verdict"]["asked"] == ASKED.split(",")
     for form, one in effects.items():
         assert np.isfinite([one["heldout_gain_nats"], one["heldout_gain_se"], one["p_value"]]).all()
-        line = next(line for line in added.out.splitlines() if line.startswith(f"{one['name']} ("))
-        assert f"held-out gain {one['heldout_gain_nats']:.0f} ± {one['heldout_gain_se']:.0f} nats" in line
-        assert f"+ {one['name']}" in added.out, form
-    drag = effects["drag"]
-    if all(std > 0.0 for std in drag["parameters_std"].values()):
-        assert re.search(r"^drag \(c0 \S+ ± \S+ m/s\^2, c2 \S+ ± \S+ 1/m\)", added.out, re.MULTILINE)
+        typed = f"{form}:{one['covariate']}" if one["covariate"] else form
+        line = next(line for line in added.out.splitlines() if re.match(rf"(drag|[^:]*\({typed}\)): ", line))
+        assert f"On unseen data {one['heldout_gain_nats']:.0f} ± {one['heldout_gain_se']:.0f} nats" in line
     assert effects["discovered_force"]["covariate"] == "time_gap"
     assert not effects["rationality"]["is_supported"]
-    assert "the data do not ask for it" in added.out
-    assert added.out.count("asked for it") + added.out.count("The data ask for it") == len(effects)
-    assert document["verdict"]["adequacy"]["outcome"] != "explained" or any(e["is_supported"] for e in effects.values())
-    # each error after each addition
-    rows = [line for line in added.out.splitlines() if re.match(r"│ (base model|\+ )", line)]
-    assert len(rows) % (1 + len(effects)) == 0
+    lines = [line.strip() for line in added.out.splitlines()]
+    said = [lines.count(f"{start}the data do not ask for it.") for start in ("You asked for it; ",)]
+    assert said == [sum(not one["is_supported"] for one in effects.values())]
+    assert lines.count("The data ask for it.") == len(effects) - said[0]
+    # the equation has a bracket for each addition
+    (equation,) = [line for line in lines if line.startswith("The model, with what is new in brackets: a = abar(")]
+    assert equation.count("[") == len(effects)
+    assert lines[0].startswith("What was missing is explained") == any(
+        one["is_supported"] and one["kind"] in ("effect", "measurement") for one in effects.values()
+    ) or lines[0].startswith("Not explained")
     model = yaml.safe_load((folder / "model.yaml").read_text())
     assert {"clock_offset", "discovered_force"} < set(model["effects"])
 
@@ -82,7 +82,7 @@ def test_the_next_steps_work_as_they_are_pasted(added, run, folder):
     page = (folder / "asked.html").read_text()
     own = "sugiyama run ring.csv --ring 56 -o ring.mcap --model model.yaml"
     assert f" &amp;&amp; {own} &amp;&amp; sugiyama report ring.mcap --diagnosis found.json" in page
-    assert "Nothing else was searched for" in page
+    assert "Nothing else was fitted" in page
     assert "time gap" in page
 
 
@@ -108,15 +108,14 @@ def test_a_diagnosis_of_another_recording_is_refused_with_the_run_that_it_needs(
 
 
 def test_a_diagnosis_without_files_says_how_to_keep_it_with_its_options(run, added):
-    said = run("sugiyama diagnose ring.csv --ring 56 --quick --refit 0 --seed 5")
+    said = run("sugiyama diagnose ring.csv --ring 56 --simulations 1 --seed 5")
     assert said.code == 0, said.err
-    (again,) = [step for step in said.steps if step.startswith("sugiyama diagnose")]
-    for option in ("--ring 56", "--quick", "--refit 0", "--seed 5", "--save diagnosis.json"):
+    (again,) = [step for step in said.steps if step.startswith("sugiyama diagnose") and "--save" in step]
+    for option in ("--ring 56", "--simulations 1", "--seed 5", "--save diagnosis.json"):
         assert option in again
-    found = "+ " in said.out
+    found = "with what was added" in said.out
     assert ("-o model.yaml" in again) == found
     assert ("By driver, before and after" in said.out) == found
-    assert ("Without --add, up to three effects are added" in said.out) == found
 
 
 @pytest.mark.parametrize(
@@ -155,7 +154,7 @@ def test_no_command_writes_to_a_file_that_it_was_given(run, added, folder):
     before = (folder / "found.json").read_bytes()
     for command in (
         "view seen.mcap --save found.json --diagnosis found.json --overwrite",
-        "diagnose ring.csv --ring 56 --quick -o model.yaml --save ring.json",
+        "diagnose ring.csv --ring 56 -o model.yaml --save ring.json",
     ):
         (folder / "ring.json").write_text("{}")
         said = run(f"sugiyama {command}")
@@ -186,11 +185,11 @@ def test_python_adds_writes_and_reports_as_the_command_line(folder, added):
     recording = sg.read(folder / "ring.csv", ring_m=56.0)
     with pytest.raises(InputError, match="telepathy"):
         sg.diagnose(recording, add=["telepathy"])
-    with pytest.raises(InputError, match="fun"):
-        sg.diagnose(recording, purpose="fun")
-    found = sg.diagnose(recording, quick=True, refit=0, seed=4, add="clock_offset")
+    with pytest.raises(InputError, match="simulations: 0 is not possible"):
+        sg.diagnose(recording, simulations=0)
+    found = sg.diagnose(recording, simulations=1, seed=4, add="clock_offset")
     first = json.loads((folder / "found.json").read_text())["verdict"]["effects"][0]
-    assert found.named[0].heldout.nats == pytest.approx(first["heldout_gain_nats"])
+    assert found.steps[0].gain["all"].nats == pytest.approx(first["heldout_gain_nats"])
     assert "clock_offset" in found.summary()
     found.save(folder / "python.json")
     for given in (found, folder / "python.json"):

@@ -34,48 +34,47 @@ def rows(text):
 def test_a_comparison_says_who_is_best_and_shows_six_rows(run, folder):
     run("sugiyama simulate --vehicles 4 --ring 45 --duration 40 --seed 1 -o ring.csv")
     run("sugiyama simulate --vehicles 4 --ring 45 --duration 40 --seed 2 -o other.csv")
-    assert run("sugiyama diagnose ring.csv --ring 45 --quick --refit 0 --add drag -o model.yaml").code == 0
+    assert run("sugiyama diagnose ring.csv --ring 45 --simulations 1 --add drag -o model.yaml").code == 0
     said = run("sugiyama compare ring.csv --ring 45 --model model.yaml --seed 1")
     assert said.code == 0, said.err
     own = "file: drag was fitted to these samples, so it does not count here. "
     first = said.out.splitlines()[0].removeprefix(own)
     assert said.out.startswith(own)
-    assert first == "No other model predicts held-out samples clearly better than the base model." or re.fullmatch(
-        r"\w+ predicts held-out samples best: \d+ ± \d+ nats better than the base model.*", first
+    none = r"No other model forecasts unseen data better than the base model; .* is \d+ ± \d+ nats behind\."
+    assert re.fullmatch(none, first) or re.match(
+        r"[\w, ]+ forecasts unseen data best, \d+ ± \d+ nats better than the base model", first
     )
-    assert "Errors, the best model first" in said.out
+    assert "in sample" in said.out
     shown = rows(said.out)
     assert len(set(shown)) == 6
-    assert "base" in shown
-    (in_sample,) = {name for name in shown if name.endswith("(in sample)")}
+    assert {"base", "file: drag"} <= set(shown)
     assert "model.yaml was fitted to this recording, so its errors are in sample" in said.out
     # the file's own effects, fitted without what they predict; and everything: both can be pasted
     anew, everything = said.steps
     assert "--model" not in anew
     assert "--ring 45" in anew
     assert "--seed 1" in anew
-    assert not in_sample.startswith(first.split()[0])
     whole = run(everything)
     assert whole.code == 0, whole.err
     assert len(set(rows(whole.out))) > 12
     assert "floor" not in whole.out  # a word of the report, where it is another model
-    assert "Held-out" not in whole.out
+    assert "The whole road: recorded and simulated" in whole.out
     fresh = run("sugiyama compare other.csv --ring 45 --model model.yaml")
-    assert "Held-out errors, the best model first" in fresh.out
+    assert "in sample" not in fresh.out
     assert "model.yaml is taken as it is, while all other models are fitted to this recording: 4 of 4" in fresh.out
     elsewhere = run("sugiyama compare other.csv --ring 45 --model model.yaml --json")
-    kinds = {one["name"]: one["kind"] for one in json.loads(elsewhere.out)["models"]}
-    assert [name for name, kind in kinds.items() if kind == "asked"] == [in_sample.removesuffix(" (in sample)")]
+    document = json.loads(elsewhere.out)
+    assert [one["name"] for one in document["models"] if one["kind"] == "asked"] == ["file: drag"]
+    assert document["headline"] == fresh.out.splitlines()[0]
 
 
 def test_one_step_ahead_counts_followers_as_gains_do(run, folder):
     made = run("sugiyama simulate --vehicles 4 --ring 0 --duration 40 --seed 1 -o open.csv")
     assert made.code == 0, made.err
-    base = sg.compare(sg.read(folder / "open.csv")).models[0]
-    samples = base.errors.samples
-    followers = np.isfinite(samples.log_likelihood).any(axis=1)
-    assert followers.sum() == 3
-    counted = np.isfinite(samples.log_likelihood)
-    expected = np.sqrt(np.mean(np.square(samples.innovation_m[counted])))
-    assert base.errors.summary()["one_step_rmse_m"] == pytest.approx(expected)
+    base = sg.compare(sg.read(folder / "open.csv"))
+    forecasts = base.models[0].forecasts
+    known = np.isfinite(forecasts.one_step)
+    assert known.any(axis=1).sum() == 3
+    expected = np.sqrt(np.mean(np.square(forecasts.innovation_m[known])))
+    assert base.records()[0]["one_step_rmse_m"] == pytest.approx(expected)
     assert "mean of 3" in run("sugiyama run open.csv -o open.mcap").out

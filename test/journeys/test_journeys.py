@@ -83,7 +83,7 @@ def test_a_csv_of_a_ring_to_an_added_effect_and_back(here: Here) -> None:
     """Cars drive over a hill that the model lacks. It is found, added, and helps on another day's recording."""
     for name, seed in (("monday.csv", 3), ("tuesday.csv", 4)):
         here.says(f"simulate --vehicles 8 --ring 85 --duration 120 --seed {seed} {HILL} -o {name}")
-    told = here.tells("diagnose monday.csv --ring 85 --quick --add auto -o hill.yaml")
+    told = here.tells("diagnose monday.csv --ring 85 --add auto -o hill.yaml")
     (effect,) = told["verdict"]["effects"]
     assert effect["name"] == "road_grade"
     for name, truth in (("grade", 0.06), ("centre", 50.0)):
@@ -227,9 +227,9 @@ def test_a_cluster_finds_the_same_numbers(here: Here) -> None:
     recordings.ring_csv(here / "ring.csv")
     with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0") as cluster:
         there = here.tells(f"calibrate ring.csv --ring 45 --scheduler {cluster.scheduler_address}")
-        named = here.tells(f"diagnose ring.csv --ring 45 --quick --scheduler {cluster.scheduler_address}")
+        named = here.tells(f"diagnose ring.csv --ring 45 --scheduler {cluster.scheduler_address}")
     assert there["drivers"] == here.tells("calibrate ring.csv --ring 45")["drivers"]
-    alone = here.tells("diagnose ring.csv --ring 45 --quick")
+    alone = here.tells("diagnose ring.csv --ring 45")
     assert named["verdict"]["told"] == alone["verdict"]["told"]
     assert named["errors"] == alone["errors"]
     assert alone["verdict"]["effects"] == []  # nothing is hidden in this recording

@@ -65,7 +65,6 @@ VALUES: Mapping[str, Sequence[str]] = {
     "diagnose --add": ("auto", "drag"),
     "diagnose --output": ("new.yaml", "old.yaml"),
     "diagnose --save": ("new.json", "old.json"),
-    "diagnose --for": ("prediction", "simulation", "online"),
     "study NAME": ("", "spectrum", "highway", "measured", "simulated", "order"),
     "study SOURCE": ("ring.mcap", "ring.csv"),
     "study --runs": ("1",),
@@ -248,7 +247,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory, scheduler: str, url: str) -
     (folder / "map.yaml").write_text(MAP)
     (folder / "bridge.yaml").write_text(BRIDGE)
     ring = ["ring.csv", "--ring", "40"]
-    loading = [["calibrate", *ring], ["compare", *ring], ["diagnose", *ring, "--quick"]]
+    loading = [["calibrate", *ring], ["compare", *ring], ["diagnose", *ring]]
     forks = Forks(folder, [*loading, ["simulate", "--duration", "5", "-o", "loading.csv"]], environment(around))
     small = ["--vehicles", "3", "--duration", "40"]
     for command in (
@@ -260,7 +259,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory, scheduler: str, url: str) -
     ):
         said = forks.run(folder, command)
         assert said.code == 0, said.err
-    said = forks.run(folder, ["diagnose", "ring.mcap", "--quick", "--json"])
+    said = forks.run(folder, ["diagnose", "ring.mcap", "--json"])
     (folder / "diagnosis.json").write_text(said.out)
     (folder / "cut.mcap").write_bytes((folder / "run.mcap").read_bytes()[:100_000])
     for name in ("old.mcap", "old.yaml", "old.pdf", "old.html", "old.json"):

@@ -206,7 +206,7 @@ def answers(tmp_path_factory):
         "broken": ["simulate", "-o", "broken.csv", *base, "--effect", "broken:k=1"],
         "calibrate": ["calibrate", "syrup_1.csv", *ring, "--effects", "syrup,gentle"],
         "compare": ["compare", "syrup_1.csv", *ring, "--effects", "syrup"],
-        "diagnose": ["diagnose", "syrup_1.csv", *ring, "--quick", "--add", "auto", "-o", "model.yaml"],
+        "diagnose": ["diagnose", "syrup_1.csv", *ring, "--add", "auto", "-o", "model.yaml"],
         "convert": ["convert", "small.grid", "small.mcap", "--json"],
         "calibrate grid": ["calibrate", "small.grid", "--formulation", "paper", "--json"],
         "studies": ["study"],

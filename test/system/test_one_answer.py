@@ -12,9 +12,9 @@ import pytest
 import yaml
 
 from sugiyama_ros.page.critic import WHY, beside_the_verdict, may_be_chance, preferred
-from sugiyama_ros.page.names import title_of
+from sugiyama_ros.page.names import addition
 from sugiyama_ros.page.recording import read_recording
-from sugiyama_ros.page.words import badge, headline
+from sugiyama_ros.page.words import badge, headline, sentences
 
 pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.timeout(3600)]
 SUGIYAMA = str(Path(sys.executable).with_name("sugiyama"))
@@ -61,7 +61,7 @@ def recording(name, folder):
 @pytest.mark.parametrize("name", ["hidden", "nothing hidden", "case 1", "platoon"])
 def test_terminal_document_model_report_and_critic_agree_or_say_why_not(name, tmp_path):
     source = recording(name, tmp_path)
-    told = sugiyama("diagnose", *source, "--quick", "--add", "auto", "-o", tmp_path / "model.yaml", "--json")
+    told = sugiyama("diagnose", *source, "--add", "auto", "-o", tmp_path / "model.yaml", "--json")
     (tmp_path / "d.json").write_text(told)
     sugiyama("run", *source, "--critic", "-o", tmp_path / "run.mcap")
     sugiyama("report", tmp_path / "run.mcap", "--diagnosis", tmp_path / "d.json", "-o", tmp_path / "run.html")
@@ -76,7 +76,7 @@ def test_terminal_document_model_report_and_critic_agree_or_say_why_not(name, tm
         assert effects == ["slow_patch"]
     if name == "nothing hidden":
         assert effects == []
-    if name == "case 1":  # the documentation tells of a full diagnosis, and what a quick one ends at
+    if name == "case 1":
         rows = [line for line in (DOCS / "case1.md").read_text().splitlines() if line.startswith("| + ")]
         assert rows[0].startswith(f"| + {effects[0]} ")
 
@@ -85,19 +85,22 @@ def agree(document, bag, page):
     """Assert that the sentences of the terminal, the document, the report and the critic tell the same."""
     verdict, text = document["verdict"], page.read_text()
     card = text.split("<nav>")[0]
-    outcome, effects = verdict["adequacy"]["outcome"], verdict["effects"]
+    outcome, effects = verdict["outcome"], verdict["effects"]
     starts = {"adequate": "The model is adequate", "explained": "What was missing is", "not_explained": "Not explained"}
     assert verdict["told"][0].startswith(starts[outcome])
+    assert verdict["told"] == sentences(document)
     assert escape(badge(document)[1]) in card
     assert escape(headline(document)) in card
     for one in effects:
-        assert sum(line.startswith(f"{one['name']} (") for line in verdict["told"]) == 1
-        assert escape(f"{title_of(document, one['name'])} ({one['name']})") in text
+        assert sum(line.startswith(f"{addition(document, one)}: ") for line in verdict["told"]) == 1
+        assert escape(addition(document, one)) in text
     for when in ("before", "after"):
         flagged = f"{len(document['where'][when]['flagged'])} of {len(document['where'][when]['bins'])}"
         assert flagged in card
         if when == "before" or effects:
             assert any(f"is biased in {flagged} bins" in line for line in verdict["told"])
+    held = sum(not one["failed"] for one in document["checks"])
+    assert f"{held} of {len(document['checks'])}" in card
     r = read_recording(bag)
     best, lead = preferred(r.weights)
     said = beside_the_verdict(document, best, r.added, lead)

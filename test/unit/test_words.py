@@ -83,7 +83,7 @@ def test_constants_never_explain_and_the_closest_effect_stands_beside_them(behin
 def test_constants_beside_an_effect_are_told_apart_from_it() -> None:
     d = document("explained", [addition(), CONSTANTS], fall={"physics_m": 0.5, "other_m": 1.0})
     assert headline(d).startswith("What was missing is explained: slower stretch of road (slow_patch). ")
-    assert "Beside it, these drivers do not have the paper's constants: softer or harder" in headline(d)
+    assert "Besides, these drivers do not have the paper's constants: softer or harder" in headline(d)
     assert "3.00 m -> 1.50 m; physical effects bring 0.500 m." in sentences(d)[1]
 
 
@@ -104,7 +104,7 @@ def test_what_was_asked_for_and_is_not_supported_says_so_and_which_columns_get_w
     d = document("explained", [asked], asked=["drag"])
     assert badge(d) == ("?", "Added as asked; the data do not ask for it")
     told = "\n".join(sentences(d))
-    assert headline(d).startswith("drag was added because you asked for it; the data do not ask for it.")
+    assert headline(d).startswith("You asked for drag; the data do not.")
     assert "is explained" not in told
     assert "  It gets worse: one car at 5 s: -30 ± 6 nats; all cars at 10 s: -1 ± 6 nats, within chance." in told
     assert what_to_do(d).startswith("Leave it out")
@@ -131,22 +131,22 @@ def test_failed_checks_are_told_the_strongest_first_and_lead_to_what_to_do() -> 
         check("gain_of_idm", 3.0, 0.0, unit="nats", p_value=0.3),
     ]
     d = document("not_explained", [addition()], bad)
-    assert headline(d).startswith("Not explained: slower stretch of road (slow_patch) is a part of what is missing.")
+    assert headline(d).startswith("Not explained: slower stretch of road (slow_patch) and more is missing.")
     assert headline(d).endswith("The model still fails 3 of 6 checks.")
-    place = "bias of the one-step errors over the place, in units of chance: 6.3, in the model's own simulations 1.1"
-    assert reasons(d)[0] == f"{place} (p < 0.001)"
-    left = "what force without a name along the time gap (discovered_force:time_gap) would gain on the fitted data"
-    assert reasons(d)[1:] == [
-        f"{left}: 30 nats (p 0.002)",
-        "what Gipps gains over the model on unseen data: 40 nats (p 0.003)",
+    place = "bias over the place: 6.3 times what chance makes, in the model's own simulations 1.1"
+    assert reasons(d) == [
+        f"{place} (p < 0.001)",
+        "force without a name along the time gap (discovered_force:time_gap) would still gain 30 nats on the fitted"
+        " data (p 0.002)",
+        "Gipps gains 40 nats more on unseen data (p 0.003)",
     ]
     told = sentences(d)
     assert f"Fails: {reasons(d)[0]}." in told
     assert "3 of 6 checks hold." in told
     assert [line for line in told if "IDM" in line] == [
-        "What IDM gains over the model on unseen data: 3 nats (p 0.3) but may be ahead by chance."
+        "IDM gains 3 nats more on unseen data (p 0.3): it may be ahead by chance."
     ]
-    assert what_to_do(d).startswith(f"Look first at the strongest failed check: {place}")
+    assert what_to_do(d).startswith("Look first at the strongest failed check, bias over the place.")
     assert "Do not take the names for causes" in what_to_do(d)
 
 
@@ -177,7 +177,7 @@ def test_who_gets_worse_is_told_and_a_model_file_warns() -> None:
     assert worse(d) == ["for 1 of 6 drivers (vehicle 0), one-car free runs get more than a fifth worse"]
     assert cautions(d) == []
     d["errors"]["after"]["gains"] = gains(road_10s=(-20.0, 5.0), at_5s=(-3.0, 5.0))
-    assert cautions(d) == ["forecasts get worse than those of the base model, all cars at 10 s: -20 ± 5 nats"]
+    assert cautions(d) == ["forecasts get worse than the base model's: all cars at 10 s: -20 ± 5 nats"]
     assert worse(d)[1:] == cautions(d)
     assert len(by_driver(d).rows) == 6
 
