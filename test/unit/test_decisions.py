@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from sugiyama_ros.calibration.on_tracks import calibrate_tracks
-from sugiyama_ros.diagnosis.decisions import lead_needed, with_more_decisions
+from sugiyama_ros.diagnosis.base import with_more_decisions
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
-from sugiyama_ros.fit.cross_validation import Gain
 from sugiyama_ros.fit.each_driver import calibrate
 from sugiyama_ros.fit.population import fit_base
 from sugiyama_ros.fit.recording import prepare
@@ -82,11 +81,3 @@ def test_single_drivers_are_calibrated_with_the_decisions_between_their_samples(
     # 0.022. With one decision for each sample of 1 s, the median on tracks was 0.37.
     assert np.median(found) == pytest.approx(0.215, abs=0.022)
     assert np.median(on_tracks) == pytest.approx(0.215, abs=0.022)
-
-
-def test_of_two_searches_the_one_that_names_more_must_lead_clearly():
-    won = Gain(10.0, 15.0, (), ())
-    assert lead_needed(won, ["drag"], ["drag"]) == 0.0
-    assert lead_needed(won, ["drag", "road_grade"], ["drag"]) == pytest.approx(30.0)
-    # nothing named predicts as well within two standard errors: it stays
-    assert lead_needed(won, [], ["drag"]) == pytest.approx(-30.0)

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sugiyama_ros.diagnosis.diagnosis import diagnose
-from sugiyama_ros.diagnosis.verdict import document, sentences
+from sugiyama_ros.diagnosis.diagnose import diagnose
+from sugiyama_ros.diagnosis.document import document
 from sugiyama_ros.fit import stretched
 from sugiyama_ros.fit.population import start_model
 from sugiyama_ros.fit.recording import MOST_SAMPLES, prepare, within
@@ -72,6 +72,6 @@ def test_some_drivers_of_tracks(recording):
 
 def test_the_verdict_says_how_many_drivers_it_is_about(recording, monkeypatch):
     monkeypatch.setattr(stretched.prepared, "__defaults__", (None, CARS * len(recording.position_m) // 6))
-    found = diagnose(recording, quick=True, verdict_only=True, workers=2)
-    assert document(found)["drivers_left_out"] == CARS - document(found)["vehicles"] == 15
-    assert any("3 of 18 drivers" in line for line in sentences(found))
+    found = document(diagnose(recording, most=1, simulations=1, workers=2))
+    assert found["drivers_left_out"] == CARS - found["vehicles"] == 15
+    assert len(found["drivers"]) == 3

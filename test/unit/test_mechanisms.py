@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from sugiyama_ros.diagnosis.candidates import added
-from sugiyama_ros.diagnosis.push import push_candidate
+from sugiyama_ros.diagnosis.candidates import push_of_one, with_candidate
 from sugiyama_ros.driver.parameters import defaults, index
 from sugiyama_ros.driver.utility import ACTIONS, mean_action
 from sugiyama_ros.effects.registry import EFFECTS, MECHANISM, ROW, switch_on
@@ -148,13 +147,13 @@ def test_a_push_is_looked_for_where_the_innovations_run_to_one_side():
     rng = np.random.default_rng(4)
     y, shape = rng.standard_normal((CARS, len(measured.position_m))), (CARS, len(measured.position_m))
     y[6, 100:106] += 4.0
-    candidate = push_candidate(data, PointwiseDensity(y, np.ones(shape), np.zeros(shape)))
+    candidate = push_of_one(data, PointwiseDensity(y, np.ones(shape), np.zeros(shape)))
     assert candidate is not None
-    rows = added(start_model(data, ()), candidate, candidate.starts[0]).rows
+    rows = with_candidate(start_model(data, ()), candidate, candidate.starts[0]).rows
     push = {p.name: rows[:, ROW.index_of("external_push", p.name)] for p in EFFECTS["external_push"].parameters}
     assert np.flatnonzero(push["spared"] == 0.0).tolist() == [6]
     assert push["strength"][6] > 0.0
     assert push["time"][6] == pytest.approx(100 * PERIOD_S, abs=1.0)
     # half a nat of chance for each of about 5,000 places, of which the largest counts
     assert 5.0 < candidate.elsewhere < 10.0
-    assert push_candidate(data, unknown(*shape)) is None
+    assert push_of_one(data, unknown(*shape)) is None

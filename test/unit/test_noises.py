@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from sugiyama_ros.diagnosis.noises import base_model
+from sugiyama_ros.diagnosis.base import base_model
 from sugiyama_ros.driver.parameters import SIGMA_A, SIGMA_V, SIGMA_X
 from sugiyama_ros.fit.stretched import prepared
 from sugiyama_ros.studies.away.drivers import drawn

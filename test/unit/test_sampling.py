@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sugiyama_ros.diagnosis.bootstrap import resample
-from sugiyama_ros.diagnosis.free_runs import free_runs
+from sugiyama_ros.diagnosis.forecast import forecasts, surroundings
+from sugiyama_ros.diagnosis.simulated import resample
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, defaults
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.population import fit_base, start_model
-from sugiyama_ros.fit.recording import prepare
+from sugiyama_ros.fit.recording import FOLDS, prepare
 from sugiyama_ros.fit.sampling import apart_if_smoothed, measured, measured_every, with_short_periods
 from sugiyama_ros.fit.score import evaluate, filtered_states
 from sugiyama_ros.fit.smooth_positions import Evenness, smoothing_window
@@ -77,12 +77,12 @@ def test_simulated_recordings_miss_what_the_recording_misses(slow):
     with ThreadPoolExecutor(1) as work:
         states = filtered_states(data, model, work)
         simulated = resample(data, model, states, np.random.default_rng(3))
-        runs = free_runs(data, model, states, work)
+        runs = forecasts(data, surroundings(data, model, work), [model] * FOLDS, work)
     assert np.array_equal(np.isnan(simulated.trajectories.position_m), np.isnan(data.trajectories.position_m))
     assert (simulated.every, simulated.even.period_s) == (EVERY, data.even.period_s)
     # free runs start at and are compared with pictures
     assert (runs.start % EVERY == 0).all()
-    assert np.isfinite(runs.coupled).all()
+    assert np.isfinite(runs.road.error).all()
 
 
 def smoothed(noise, window):

@@ -1,19 +1,16 @@
 """Recordings that a fitted model simulates: behind a vehicle of which nobody knows what it follows."""
 
-import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from sugiyama_ros.diagnosis.bootstrap import resample, widened
-from sugiyama_ros.diagnosis.chance import widening
+from sugiyama_ros.diagnosis.simulated import resample
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, V_STAR, defaults
-from sugiyama_ros.effects.registry import ROW, index_of
+from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.filters.causal import filter_chain
 from sugiyama_ros.filters.extract import chain_behind
-from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import prepare
 from sugiyama_ros.fit.score import evaluate, filtered_states
@@ -91,30 +88,3 @@ def test_a_leader_with_nobody_ahead_ends_the_chain(behind_a_slow_car):
     one, other = (filter_chain(chain, model.rows[driver]) for chain in (of_three, of_two))
     np.testing.assert_allclose(one.innovation_m, other.innovation_m, rtol=0.0, atol=1e-9)
     assert one.log_likelihood == pytest.approx(other.log_likelihood, abs=1e-6)
-
-
-def test_errors_are_as_wide_as_fits_to_simulated_recordings_are_off():
-    """An effect of the second driver alone: its strength is 0.2 too small on average, its power hardly off at all."""
-    shared = (index_of("drag", "c0"), index_of("drag", "c2"))
-    rows = ROW.with_effects(defaults(3))
-    rows[1, shared] = 1.0, 0.01
-    fitted = JointFit(Model(rows, (), shared, (), rows, few=tuple((k, (1,)) for k in shared)), None, ())
-    refitted = []
-    for c0 in (0.9, 0.7):
-        there = rows.copy()
-        there[1, shared] = c0, 0.0101
-        refitted.append(replace(fitted, model=replace(fitted.model, rows=there)))
-    stds = {"drag.c0": 0.05, "drag.c2": 0.001}
-    wide = widened(stds, fitted, refitted)
-    assert wide == {"drag.c0": pytest.approx(math.sqrt((0.1**2 + 0.3**2) / 2)), "drag.c2": 0.001}
-    assert widened(stds, fitted, refitted, 3.0)["drag.c0"] == pytest.approx(3.0 * wide["drag.c0"])
-    assert widened(stds, fitted, []) == stds
-
-
-@pytest.mark.parametrize("runs", [2, 4, 6])
-def test_intervals_from_a_few_fits_hold(runs):
-    rng, trials = np.random.default_rng(runs), 20_000
-    known, one = rng.standard_normal((trials, runs)), rng.standard_normal(trials)
-    hold = np.abs(one) < 1.96 * widening(runs) * np.sqrt(np.mean(known**2, axis=1))
-    assert np.mean(hold) == pytest.approx(0.95, abs=4.0 * math.sqrt(0.95 * 0.05 / trials))
-    assert widening(0) == 1.0
