@@ -29,8 +29,6 @@ _FAR_AWAY = 3.5
 # A fit has settled if the log-likelihood rises by less than this for each driver, or for all of them [nats], when the
 # drivers ahead get the parameters that were found for them. Maximum number of fits until it has.
 _AGREES, _AGREE, _PASSES = 0.1, 2.0, 5
-# Further fits do not bring more than this for each driver [nats].
-_OUT_OF_REACH = 20.0
 
 
 def start_model(data: Recorded, individual: Sequence[int]) -> Model:
@@ -78,13 +76,7 @@ def fit_nearly(data: Recorded, individual: Sequence[int], work: Executor, start:
     return maximise(data, start_at, work, iterations=10 if near is None else 3, enough=_NEARLY)
 
 
-def fit_base(
-    data: Recorded,
-    individual: Sequence[int],
-    work: Executor,
-    start: Model | None = None,
-    to_beat: float | None = None,
-) -> JointFit:
+def fit_base(data: Recorded, individual: Sequence[int], work: Executor, start: Model | None = None) -> JointFit:
     """Fit every driver alone, then all drivers as draws from one population.
 
     The second fit uses the first fit's parameters for the drivers ahead. It is repeated, with its own parameters for
@@ -100,20 +92,14 @@ def fit_base(
         Runs the filters.
     start : Model, optional
         Where the search starts. By default it starts at the maximum of the paper's likelihood, which is cheap.
-    to_beat : float, optional
-        Log-likelihood of another model [nats]. The second fit is not repeated if it is so far behind that it could not
-        catch up.
 
     Returns
     -------
     JointFit
         The fitted base model.
     """
-    found = fit_nearly(data, individual, work, start)
-    found = _as_one_population(data, found, work)
-    if to_beat is not None and found.log_likelihood < to_beat - _OUT_OF_REACH * data.drivers:
-        return found
-    return _settled(data, found, work)
+    near = fit_nearly(data, individual, work, start)
+    return _settled(data, _as_one_population(data, near, work), work)
 
 
 def _as_one_population(data: Recorded, near: JointFit, work: Executor) -> JointFit:

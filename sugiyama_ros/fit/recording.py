@@ -13,8 +13,6 @@ from sugiyama_ros.filters.chain import CHAIN, Chain
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.fit.bounds import SMALLEST, fastest, lower_bounds, upper_bounds
 from sugiyama_ros.fit.sampling import (
-    LONGEST_APART_S,
-    ROUNDING,
     apart_if_smoothed,
     measured,
     measured_every,
@@ -109,18 +107,9 @@ class Recorded:
         return self.every * self.vicinity.period_s
 
     @property
-    def is_sparse(self) -> bool:
-        """Whether samples are so far apart that the filter knows too little of what drivers saw in between."""
-        return self.every > 1 and self.apart_s > LONGEST_APART_S * (1.0 + ROUNDING)
-
-    @property
     def roughly(self) -> "Recorded":
         """The recording for screening; see ``is_rough``."""
         return replace(self, is_rough=True)
-
-    def spread(self, least: int) -> range:
-        """Return the numbers of drivers who stand for all: at least ``least`` of them, less than twice as many."""
-        return range(0, self.drivers, max(1, self.drivers // least))
 
     @property
     def measured_samples(self) -> int:

@@ -140,7 +140,6 @@ def test_the_ends_of_a_smoothed_record_do_not_count(slow):
     assert (data.every, data.apart_s, data.smoothed_s) == (8, pytest.approx(0.8), pytest.approx(1.1))
     assert np.isfinite(data.trajectories.position_m[::8]).all()
     assert np.isnan(np.delete(data.trajectories.position_m, np.s_[::8], axis=0)).all()
-    assert not data.is_sparse
     # nobody is ahead of the last vehicle, which does not count at all
     assert (data.scored[:2, 11:-11]).all()
     assert not data.scored[:, :11].any()
