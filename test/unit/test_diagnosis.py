@@ -1,0 +1,250 @@
+"""Whole diagnoses and comparisons of small simulated rings whose truth is known."""
+
+import json
+import os
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+
+from sugiyama_ros.diagnosis.candidates import candidates
+from sugiyama_ros.diagnosis.diagnose import diagnose
+from sugiyama_ros.diagnosis.document import additions, document
+from sugiyama_ros.diagnosis.refine import refined
+from sugiyama_ros.diagnosis.score import scores
+from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, defaults
+from sugiyama_ros.effects.registry import ROW, index_of, switch_on
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.fit.model_file import read_model, write_model
+from sugiyama_ros.fit.population import fit_base
+from sugiyama_ros.fit.recording import prepare
+from sugiyama_ros.laws.registry import RIVALS, number_of
+from sugiyama_ros.results import plain
+from sugiyama_ros.road import Road
+from sugiyama_ros.simulation.simulator import Simulator, evenly, platoon, simulate
+
+CARS, RING_M, LENGTH_M = 7, 77.0, 4.33
+
+
+def recording(effect: str = "", duration_s: float = 150.0, **values: float):
+    """Drivers who differ by 10 %, with an effect."""
+    rng = np.random.default_rng(1)
+    rows = ROW.with_effects(defaults(CARS))
+    for k in (V_STAR, KAPPA_V):
+        rows[:, k] *= np.exp(0.1 * rng.standard_normal(CARS))
+    rows = switch_on(rows, effect, values) if effect else rows
+    length = np.full(CARS, LENGTH_M)
+    run = simulate(Simulator(rows, length, platoon(length, 4.0), Road(RING_M), rng), duration_s)
+    assert not run.collisions
+    return run
+
+
+@pytest.fixture(scope="module")
+def work():
+    with ThreadPoolExecutor(2) as pool:
+        yield pool
+
+
+@pytest.fixture(scope="module")
+def hidden():
+    run = recording("slow_patch", reduction=0.2, centre=20.0, width=25.0)
+    return run, diagnose(run.measured, most=1, workers=2, seed=3)
+
+
+@pytest.fixture(scope="module")
+def nothing():
+    run = recording()
+    return run, diagnose(run.measured, workers=2, seed=3)
+
+
+def test_a_hidden_effect_is_added_and_makes_forecasts_better(hidden):
+    _, d = hidden
+    (one,) = additions(d)
+    assert (one.name, one.kind, one.vehicles, one.is_supported) == ("slow_patch", "effect", [], True)
+    assert one.p_value < 0.01
+    assert one.parameters["reduction"] == pytest.approx(0.2, abs=5.0 * one.parameters_std["reduction"])
+    assert one.parameters["centre"] == pytest.approx(20.0, abs=5.0 * one.parameters_std["centre"])
+    assert one.heldout_gain_nats > one.heldout_gain_se
+    assert {"one_step", "1s", "2s", "5s", "10s", "road_10s", "all"} <= set(one.gains)
+    assert d.final.over(d.data, d.base)["all"].nats == pytest.approx(one.heldout_gain_nats)
+    assert d.outcome == ("not_explained" if any(check.failed for check in d.checks) else "explained")
+
+
+def test_the_model_fails_where_the_slow_patch_is(hidden):
+    _, d = hidden
+    places = [b for b in d.where_before.bins if b.covariate == "place"]
+    assert len(places) == 10
+    nearest = min(places, key=lambda b: abs(0.5 * (b.low + b.high) - 20.0))
+    assert nearest.bias < 0.0
+    before, after = (
+        [b for b in located.flagged if b.covariate == "place"] for located in (d.where_before, d.where_after)
+    )
+    assert len(after) < len(before)
+    assert [(m.first, m.second) for m in d.where_before.maps] == [("speed", "gap"), ("place", "time")]
+
+
+def test_the_document_is_plain_and_has_what_a_page_needs(hidden):
+    run, d = hidden
+    found = plain(document(d))
+    json.dumps(found, allow_nan=False)
+    assert found["verdict"]["outcome"] == d.outcome
+    for errors in (found["errors"][name] for name in ("before", "after", "floor")):
+        assert {f"free_run_{h}s_m" for h in (1, 2, 5, 10)} | {"one_step_rmse_m", "single_car_10s_crps_m"} < set(errors)
+    fall = found["verdict"]["fall"]
+    told = found["errors"]["before"]["free_run_10s_m"] - found["errors"]["after"]["free_run_10s_m"]
+    assert fall["physics_m"] + fall["other_m"] == pytest.approx(told)
+    assert found["candidates"][0]["name"] == "slow_patch"
+    assert {c["name"] for c in found["candidates"]} >= {"actuation_lag", "noise_constants", "discovered_force"}
+    assert [c["p_value"] for c in found["checks"]] == sorted(c["p_value"] for c in found["checks"])
+    shown = found["free_run"]
+    assert len(shown["time_s"]) == len(shown["block"]) == len(shown["before"]) == len(shown["after"])
+    assert all(len(row) == CARS for row in shown["after"])
+    assert found["about"]["slow_patch"]["parameters"]["centre"]["axis"] == "place"
+    for driver, row in zip(found["drivers"], run.parameters, strict=True):
+        # five standard deviations
+        assert abs(driver["v_star"] - row[V_STAR]) < 5.0 * max(driver["v_star_std"], 0.05)
+    for one in found["where"]["before"]["maps"]:
+        assert np.shape(one["flagged"]) == np.shape(one["bias"])
+
+
+def test_nothing_is_added_where_nothing_is_hidden(nothing):
+    _, d = nothing
+    assert additions(d) == []
+    assert (d.outcome, len(d.rounds)) == ("adequate", 1)
+    assert d.final is d.base
+    # a strong effect would have shown
+    assert {"drag", "slow_patch"} & {one["name"] for one in d.smallest}
+
+
+def test_what_is_asked_for_is_added_whatever_the_data_say(nothing):
+    run, _ = nothing
+    d = diagnose(run.measured, add=("second_leader", "discovered_force:speed"), workers=2, seed=3)
+    asked = additions(d)
+    assert [one.name for one in asked] == ["second_leader", "discovered_force"]
+    assert not any(one.is_supported for one in asked)
+    assert asked[1].covariate == "speed"
+    assert d.asked == ("second_leader", "discovered_force:speed")
+    with pytest.raises(InputError, match="magic"):
+        diagnose(run.measured, add=("magic",), workers=2)
+
+
+def test_the_same_seed_gives_the_same_verdict(hidden):
+    run, d = hidden
+    again = diagnose(run.measured, most=1, workers=1, seed=3)
+    assert additions(again) == additions(d)
+    assert again.checks == d.checks
+
+
+def test_drivers_of_another_law_are_not_explained():
+    rng, rows, places = np.random.default_rng(3), ROW.with_effects(defaults(8)), ROW.law_places["fvdm"]
+    rows[:, ROW.law] = number_of("fvdm")
+    rows[:, places] = [ROW.declared[k].default for k in range(places.start, places.stop)]
+    length, road = np.full(8, LENGTH_M), Road(84.0)
+    run = simulate(Simulator(rows, length, evenly(length, road), road, rng, speed=np.full(8, 4.0)), 150.0)
+    d = diagnose(run.measured, most=1, simulations=1, workers=2)
+    assert d.outcome == "not_explained"
+    assert "gain_of_fvdm" in {one.name for one in d.checks if one.failed}
+    ahead = {one.name: one.over(d.data, d.final)["all"].nats for one in d.laws}
+    assert max(ahead, key=lambda name: ahead[name]) == "fvdm"
+
+
+def test_a_change_of_preferences_is_found_at_its_time(work):
+    """The change lies between two starting points, and is a third as strong as they assume."""
+    change = {"v_star_change": -0.035, "kappa_v_change": 0.07, "time": 38.0}
+    data = prepare(recording("preference_switch", 100.0, **change).measured)
+    base = fit_base(data, data.even.individual(V_STAR, KAPPA_V), work)
+    switch = next(c for c in candidates(data) if c.name == "preference_switch")
+    best = max(scores(data, base, [switch], work, with_forces=False), key=lambda one: one.gain)
+    fitted = refined(data, base, best.candidate, [best], work)
+    found = dict(zip(switch.parameters, fitted.model.rows[0, switch.places], strict=True))
+    # Wilks: three parameters gain 7.8 nats by chance in one of 1000 recordings
+    assert fitted.log_likelihood - base.log_likelihood > 7.8
+    assert found["time"] == pytest.approx(38.0, abs=5.0)
+    assert found["v_star_change"] < -0.01
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.25, 0.5, 0.75])
+def test_a_camera_off_the_centre_scores_at_every_angle_what_a_fit_gains(work, phase):
+    """Sine and cosine are scored one at a time, and fitted together."""
+    angle = np.pi * (phase + 0.125)
+    run = recording("sensor_eccentricity", cosine=1.5 * np.cos(angle), sine=1.5 * np.sin(angle))
+    data = prepare(run.measured)
+    base = fit_base(data, data.even.individual(V_STAR, KAPPA_V), work)
+    camera = [c for c in candidates(data) if c.name == "sensor_eccentricity"]
+    (one,) = scores(data, base, camera, work, with_forces=False)
+    fitted = refined(data, base, one.candidate, [one], work)
+    gained = fitted.log_likelihood - base.log_likelihood
+    assert gained > 20.0
+    assert one.gain == pytest.approx(gained, rel=0.5)
+    found = fitted.model.rows[0, [index_of("sensor_eccentricity", name) for name in ("cosine", "sine")]]
+    assert np.arctan2(*found[::-1]) == pytest.approx(angle, abs=0.3)
+
+
+def test_a_model_file_gives_the_model_back(hidden, tmp_path):
+    run, d = hidden
+    path = tmp_path / "model.yaml"
+    d.save(path)
+    read = read_model(path)
+    assert read.effects == ("slow_patch",)
+    assert read.rows_of(run.measured.vehicle) == pytest.approx(d.final.fit.model.rows)
+    assert yaml.safe_load(path.read_text())["shared_std"]["slow_patch.reduction"] > 0.0
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("[1, 2", "model.yaml"),
+        ("nonsense: 3\n", "model file of format 1"),
+        ("!!python/object/apply:os.system ['true']\n", "model.yaml"),
+    ],
+)
+def test_a_bad_model_file_is_one_clear_line(tmp_path, text, says):
+    path = tmp_path / "model.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=says) as error:
+        read_model(path)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("classes", ["[]", "[{share: -1, parameters: {}}]", "3", "[{share: 1}]"])
+def test_bad_classes_in_a_model_file_are_one_clear_line(hidden, tmp_path, classes):
+    _, d = hidden
+    path = tmp_path / "model.yaml"
+    write_model(path, d.data, d.final.fit)
+    path.write_text(path.read_text() + f"classes: {classes}\n")
+    with pytest.raises(InputError, match=r"model\.yaml: classes: .*; give share and every parameter") as error:
+        read_model(path)
+    assert "\n" not in str(error.value)
+
+
+def test_compare_on_the_command_line(hidden, tmp_path):
+    run, d = hidden
+    d.save(tmp_path / "model.yaml")
+    t = replace(run.measured, position_m=run.measured.position_m[:151])
+    lines = ["time_s,vehicle,position_m,length_m"]
+    lines += [f"{k / 3.0:.6f},{v},{x:.5f},{LENGTH_M}" for k, row in enumerate(t.position_m) for v, x in enumerate(row)]
+    (tmp_path / "run.csv").write_text("\n".join(lines) + "\n")
+    command = [sys.executable, "-m", "sugiyama_ros.cli", "compare", "run.csv", "--ring", str(RING_M)]
+
+    def run_with(*arguments):
+        return subprocess.run(
+            [*command, *arguments], cwd=tmp_path, capture_output=True, text=True, check=False, env=os.environ
+        )
+
+    done = run_with("--model", "model.yaml", "--json")
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    rivals = [name for law in RIVALS for name in (law, f"{law}_least_squares")]
+    names = ["base", "file: slow_patch", *rivals, "base, simulated"]
+    assert [m["name"] for m in found["models"]] == [n for n in names if n != "constant_speed_least_squares"]
+    scored = {m["name"]: m["loglik_per_sample"] for m in found["models"]}
+    assert scored["file: slow_patch"] > scored["base"] > scored["constant_speed"]
+    assert found["measured"]["mean_speed"] > 0.0
+    done = run_with("--effects", "telepathy")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith("error: effect 'telepathy'")
+    assert done.stderr.count("\n") == 1
