@@ -11,42 +11,54 @@ from scipy.stats import t as student
 from sugiyama_ros.diagnosis.candidates import Candidate
 from sugiyama_ros.diagnosis.chance import chance_of
 from sugiyama_ros.diagnosis.check import Check, judged
-from sugiyama_ros.diagnosis.forecast import scored
+from sugiyama_ros.diagnosis.forecast import judged_runs
 from sugiyama_ros.diagnosis.score import Score, ScoreOfSome, of_some
-from sugiyama_ros.driver.parameters import defaults
-from sugiyama_ros.effects.registry import ROW, switch_on
+from sugiyama_ros.fit.recording import FOLDS
 
 _DRIVERS, _BLOCKS = 20, 10
-ROWS = ROW.with_effects(defaults(1))
 
 
-def test_the_density_of_an_ensemble_is_students_with_the_noise_of_the_measurement() -> None:
-    off = np.array([-1.2, 0.4, 0.1, -0.6, 1.1, 0.3])
-    noise_var = 0.04
-    log_score, *_ = scored(off[:, None, None], np.array([[noise_var]]), ROWS)
-    scale = math.sqrt(off.var(ddof=1) * (1.0 + 1.0 / len(off)) + noise_var)
-    expected = student(df=len(off) - 1, loc=off.mean(), scale=scale).logpdf(0.0) + 0.5 * math.log(2.0 * math.pi)
-    assert log_score[0, 0] == pytest.approx(expected, abs=1e-12)
+def ends_of(error: np.ndarray, var: float, share: float = 0.0, wide: float = 0.0) -> np.ndarray:
+    """Forecasts of starts (S,) of one driver at one horizon."""
+    known = np.stack([error, *(np.full_like(error, one) for one in (var, share, wide or var))])
+    return known[:, :, None, None]
+
+
+ERROR = np.random.default_rng(0).standard_normal(40)
+FOLD = (np.arange(40) % FOLDS)[:, None]
+
+
+#: Variance of each forecast, as large as the errors in the other folds.
+VARIANCE = np.array([np.mean(np.square(ERROR[FOLD[:, 0] != f])) for f in FOLD[:, 0]])
+
+
+def test_a_forecast_by_few_members_is_students_distribution() -> None:
+    found = judged_runs(ends_of(ERROR, 0.3), FOLD)
+    scale = np.sqrt(VARIANCE * 5.0 / 7.0)
+    expected = student(df=7, scale=scale).logpdf(ERROR) + 0.5 * math.log(2.0 * math.pi)
+    np.testing.assert_allclose(found.log_score.ravel(), expected, atol=1e-12)
+    np.testing.assert_allclose(found.normal.ravel(), ERROR / math.sqrt(0.3), atol=1e-12)
 
 
 def test_crps_is_the_integral_of_the_squared_difference_of_the_distributions() -> None:
-    off = np.random.default_rng(0).standard_normal(4000) * 0.7 + 0.3
-    _, crps, error, normal = scored(off[:, None, None], np.zeros((1, 1)), ROWS)
-    std = off.std(ddof=1)
-    expected, _ = quad(lambda x: (norm.cdf(x, off.mean(), std) - (x > 0.0)) ** 2, -8.0, 8.0, points=[0.0])
-    assert crps[0, 0] == pytest.approx(expected, rel=1e-3)
-    assert error[0, 0] == pytest.approx(off.mean(), abs=1e-12)
-    assert normal[0, 0] == pytest.approx(off.mean() / std, rel=1e-3)
+    found, std = judged_runs(ends_of(ERROR, 0.3), FOLD).crps.ravel(), np.sqrt(VARIANCE)
+    for k in range(5):
+        expected, _ = quad(lambda x, k=k: (norm.cdf(x, ERROR[k], std[k]) - (x > 0.0)) ** 2, -9.0, 9.0, points=[0.0])
+        assert found[k] == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_spread_that_is_wrong_everywhere_is_left_to_a_check() -> None:
+    usual, wider = (judged_runs(ends_of(ERROR, var), FOLD) for var in (0.3, 30.0))
+    np.testing.assert_allclose(wider.log_score, usual.log_score, atol=1e-12)
+    np.testing.assert_allclose(wider.crps, usual.crps, atol=1e-12)
+    np.testing.assert_allclose(10.0 * wider.normal, usual.normal, atol=1e-12)
 
 
 def test_a_gross_error_of_measurement_costs_little_where_the_model_knows_of_them() -> None:
-    off, noise_var = np.array([3.0, 3.1, 2.9, 3.05, 2.95, 3.0])[:, None, None], np.full((1, 1), 0.01)
-    bad = switch_on(ROWS, "outlier_noise", {"share": 0.05, "factor": 20.0})
-    usual, robust = (scored(off, noise_var, rows)[0][0, 0] for rows in (ROWS, bad))
-    assert robust > usual + 5.0
-    near = off - 3.0
-    # where nothing is off, the share of bad measurements is all that is lost
-    assert scored(near, noise_var, ROWS)[0][0, 0] - scored(near, noise_var, bad)[0][0, 0] < 0.1
+    error = np.where(np.arange(40) == 7, 25.0, ERROR)
+    usual, robust = (judged_runs(ends_of(error, 1.0, *bad), FOLD).log_score for bad in ((), (0.05, 400.0)))
+    assert robust[7] > usual[7] + 2.0
+    assert robust.sum() > usual.sum()
 
 
 def _score(rng: np.random.Generator, name: str, strength: float = 0.0, who: int = _DRIVERS, places: int = 1) -> Score:
