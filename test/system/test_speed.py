@@ -13,8 +13,7 @@ import pytest
 
 from sugiyama_ros.calibration.calibrate import each_driver
 from sugiyama_ros.calibration.result import Settings
-from sugiyama_ros.diagnosis.diagnosis import diagnose
-from sugiyama_ros.diagnosis.use import Goal
+from sugiyama_ros.diagnosis.diagnose import diagnose
 from sugiyama_ros.studies.speed.__main__ import main
 from sugiyama_ros.studies.speed.commands import HELP_AT_MOST
 from sugiyama_ros.studies.speed.figure import cpu_of_commands
@@ -30,7 +29,7 @@ ON_AMD, ON_INTEL = {"paper": 3.0, "causal": 22.5}, {"paper": 4.3, "causal": 28.5
 PROCESSOR = Path("/proc/cpuinfo")
 KNOWN = ON_INTEL if PROCESSOR.exists() and "GenuineIntel" in PROCESSOR.read_text() else ON_AMD
 #: Passes of the causal filter over one driver, for 6 drivers of 100 s.
-KNOWN_PASSES = {"calibration": 362, "diagnosis": 3277}
+KNOWN_PASSES = {"calibration": 362, "diagnosis": 4660}
 #: A slow-down by half exceeds this factor, and noise does not.
 SLOWER = 1.4
 TRIES = 3
@@ -50,7 +49,7 @@ def test_calibration_and_diagnosis_filter_no_more_often_than_they_did():
     t = jam(6, 100.0)
     passes = {
         "calibration": counted(lambda: each_driver(t, Settings()))[0],
-        "diagnosis": counted(lambda: diagnose(t, quick=True, goal=Goal(most=1), workers=2))[0],
+        "diagnosis": counted(lambda: diagnose(t, most=1, workers=2))[0],
     }
     for name, known in KNOWN_PASSES.items():
         assert 0 < passes[name] < SLOWER * known, passes

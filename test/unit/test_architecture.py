@@ -38,7 +38,6 @@ ORDER = (
     "workers",
     "fit",
     "diagnosis",
-    "criticism",
     "calibration",
     "studies",
     "page",
@@ -52,10 +51,26 @@ SMALL = {"entry_points", "inputs", "interrupts", "progress", "plugins", "picture
 #: Rooms that may import only these rooms, whatever the order allows.
 ALONE = {
     "page": set(
-        ["arrays", "documents", "formats", "outputs", "plots", "progress", "results", "road", "tables", "trajectories"]
+        [
+            "arrays",
+            "diagnosis",
+            "documents",
+            "formats",
+            "outputs",
+            "plots",
+            "progress",
+            "results",
+            "road",
+            "tables",
+            "trajectories",
+        ]
     ),
     "__init__": {"api", "effects", "laws"},
 }
+#: Rooms whose results make words when they are shown: from these rooms, imported only then.
+SHOWN_BY = {"diagnosis": {"page"}}
+#: Limits of a room: files besides ``__init__``, lines, and named numbers.
+LIMITS_OF_ROOMS = {"diagnosis": (15, 3_000, 20)}
 ROS = {"rclpy", "rcl_interfaces", "sugiyama_msgs", "std_srvs", "diagnostic_msgs", "visualization_msgs", "rosgraph_msgs"}
 FILES = sorted(PACKAGE.rglob("*.py"))
 LINES_OF_A_FILE = 600
@@ -67,9 +82,10 @@ def room(path: Path) -> str:
     return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
 
 
-def imported(path: Path) -> set[str]:
-    names = set()
-    for node in ast.walk(ast.parse(path.read_text())):
+def imported(path: Path, *, at_once: bool = False) -> set[str]:
+    """Names that a module imports; ``at_once``: when it is imported itself."""
+    names, tree = set(), ast.parse(path.read_text())
+    for node in tree.body if at_once else ast.walk(tree):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
@@ -83,7 +99,9 @@ def test_imports_run_one_way(path: Path) -> None:
     here = room(path)
     rooms = {name.split(".")[1] for name in imported(path) if name.startswith("sugiyama_ros.")}
     allowed = ALONE[here] if here in ALONE else set(ORDER[: ORDER.index(here)]) if here in ORDER else set()
-    assert rooms - {here, "errors"} <= allowed
+    assert rooms - {here, "errors"} - SHOWN_BY.get(here, set()) <= allowed
+    early = {name.split(".")[1] for name in imported(path, at_once=True) if name.startswith("sugiyama_ros.")}
+    assert not early & SHOWN_BY.get(here, set())
 
 
 @pytest.mark.parametrize("path", [p for p in FILES if room(p) != "nodes"], ids=lambda p: str(p.relative_to(PACKAGE)))
@@ -99,8 +117,7 @@ def test_readme_names_every_room() -> None:
 
 def test_class_names_are_unique() -> None:
     places = defaultdict(list)
-    # criticism/ takes over the names of diagnosis/, which it will replace
-    for path in (path for path in FILES if path.parent.name != "diagnosis"):
+    for path in FILES:
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.ClassDef):
                 places[node.name].append(str(path.relative_to(PACKAGE)))
@@ -135,3 +152,42 @@ def test_files_and_functions_are_short(path: Path) -> None:
         most_lines, most_arguments = LIMITS_OF_KERNELS if is_kernel(function) else LIMITS
         assert lines <= most_lines, f"{function.name} has {lines} lines"
         assert arguments <= most_arguments, f"{function.name} has {arguments} arguments"
+
+
+def named_numbers(tree: ast.Module) -> Iterator[str]:
+    """Names in capitals that a module gives to numbers, alone or in tuples."""
+    for node in tree.body:
+        if isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None:
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            names = [one.id for target in targets for one in ast.walk(target) if isinstance(one, ast.Name)]
+            values = (
+                node.value.elts if isinstance(node.value, ast.Tuple) and len(names) > 1 else [node.value] * len(names)
+            )
+            for name, value in zip(names, values, strict=True):
+                if name.isupper() and is_number(value):
+                    yield name
+
+
+def is_number(value: ast.expr) -> bool:
+    """Whether an expression is a number, or a tuple of numbers."""
+    if isinstance(value, ast.Tuple):
+        return all(map(is_number, value.elts))
+    if isinstance(value, ast.UnaryOp):
+        return is_number(value.operand)
+    return isinstance(value, ast.Constant) and isinstance(value.value, int | float)
+
+
+def test_named_numbers_are_counted_one_by_one() -> None:
+    tree = ast.parse("A = 1\n_B, _C = (1.0, 2.0), -3\nD = 'text'\ne = 4\nF: float = 5.0\nG = A\n")
+    assert list(named_numbers(tree)) == ["A", "_B", "_C", "F"]
+
+
+@pytest.mark.parametrize("name", LIMITS_OF_ROOMS)
+def test_a_room_stays_small(name: str) -> None:
+    files = [path for path in FILES if room(path) == name and path.name != "__init__.py"]
+    numbers = [f"{path.name}: {one}" for path in files for one in named_numbers(ast.parse(path.read_text()))]
+    lines = sum(len(path.read_text().splitlines()) for path in files)
+    most_files, most_lines, most_numbers = LIMITS_OF_ROOMS[name]
+    assert len(files) <= most_files
+    assert lines <= most_lines
+    assert len(numbers) <= most_numbers, numbers

@@ -41,7 +41,7 @@ def test_after_compiling_nothing_is_left_to_compile(monkeypatch: pytest.MonkeyPa
     sg.calibrate(recording)
     sg.calibrate(recording, effects=["drag"])
     sg.compare(recording)
-    sg.diagnose(recording, quick=True)
+    sg.diagnose(recording)
     row = switch_on(ROW.with_effects(defaults()), "sensor_eccentricity", {"cosine": 0.5, "sine": 0.3})
     for parameters in (None, row):
         online = OnlineFilter(recording.period_s, recording.road, parameters)
