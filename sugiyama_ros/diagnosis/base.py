@@ -31,22 +31,7 @@ _NOISES = Candidate("noises", "noises", "noise", tuple(map(index, FREED)), ({},)
 
 
 def base_model(data: Recorded, work: Executor) -> tuple[Recorded, JointFit]:
-    """Fit the base model, and fit the noises of position and speed as well if that is clearly better.
-
-    Parameters
-    ----------
-    data : Recorded
-        The recording.
-    work : Executor
-        Runs the filters.
-
-    Returns
-    -------
-    data : Recorded
-        The recording; it says which noises are fitted.
-    base : JointFit
-        The fitted base model.
-    """
+    """Fit the base model, and fit the noises of position and speed as well if that is clearly better."""
     base = fit_base(data, data.even.individual(V_STAR, KAPPA_V), work)
     if data.even.frees_noises:
         return data, base
@@ -68,26 +53,10 @@ def with_more_decisions(
     work: Executor,
     on_progress: OnStage = lambda what, done, total: None,
 ) -> tuple[Recorded, JointFit] | None:
-    """Return the recording at the period from which the base model predicts its samples best, if that is clear.
+    """Return the recording at the period from which the base model predicts its samples best, and the base model there.
 
-    Parameters
-    ----------
-    recording : Trajectories or Tracks
-        The recording.
-    data : Recorded
-        The same, prepared.
-    base : JointFit
-        The fitted model without effects.
-    work : Executor
-        Runs the filters.
-    on_progress : callable
-        Called with the name of the stage, the number of steps done, and the number of all steps.
-
-    Returns
-    -------
-    (Recorded, JointFit) or None
-        The recording with (more) empty samples in between, and the base model there; None if no shorter period is
-        clearly better, and where only some of the samples count because somebody has smoothed the positions.
+    None if no shorter period is clearly better, and where only some of the samples count because somebody has smoothed
+    the positions.
     """
     if data.every > data.decisions:
         return None

@@ -22,7 +22,7 @@ from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.diagnosis.forecast import HORIZONS_S, Forecasts
 from sugiyama_ros.diagnosis.simulated import resample, seeds
 from sugiyama_ros.diagnosis.table import Entry
-from sugiyama_ros.diagnosis.where import Located, locate
+from sugiyama_ros.diagnosis.where import Located, failing, locate
 from sugiyama_ros.filters.extract import chain_behind, track
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.recording import Recorded
@@ -30,8 +30,6 @@ from sugiyama_ros.fit.score import filtered_states
 from sugiyama_ros.simulation.collective import Collective, collective
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
-#: False-discovery rate over all checks of a model.
-RATE = 0.05
 # Number of simulations of the whole road: their spread is known to a fifth.
 _SIMULATIONS = 12
 _COLLECTIVE = {
@@ -75,9 +73,7 @@ class Check:
 def judged(checks: Sequence[Check]) -> tuple[Check, ...]:
     """Return checks with those marked that fail (Benjamini and Hochberg)."""
     known = [one for one in checks if math.isfinite(one.p_value)]
-    ordered = sorted(one.p_value for one in known)
-    passed = [p for k, p in enumerate(ordered, 1) if p <= RATE * k / len(ordered)]
-    level = max(passed, default=-1.0)
+    level = failing([one.p_value for one in known])
     return tuple(replace(one, failed=one.p_value <= level) for one in known)
 
 
@@ -89,23 +85,7 @@ def checks(
     seed: int,
     work: ThreadPoolExecutor,
 ) -> Iterator[Check]:
-    """Yield the checks of a model against its own simulations.
-
-    Parameters
-    ----------
-    data : Recorded
-        The recording.
-    final : Entry
-        The model.
-    simulated : sequence of (Recorded, JointFit)
-        Recordings that the model simulates, with the fits to them.
-    own : sequence of Forecasts
-        Forecasts of these recordings by the fits.
-    seed : int
-        Seed of the simulations of the whole road.
-    work : ThreadPoolExecutor
-        Runs the filters and the simulations.
-    """
+    """Yield the checks of a model against recordings that it simulates, and forecasts of these by the fits to them."""
     yield from _innovations(data, final, simulated, work)
     yield from _calibration(data, final.forecasts, own)
     if data.trajectories is not None:

@@ -230,10 +230,14 @@ def compare(
             on_progress(law, steps - 1 - len(RIVALS) + k, steps)
             found += sent[k].result() if sent else _law(law, data, around, seed, work)
         on_progress("the base model on its own simulation", steps - 1, steps)
-        first = found[0].forecasts
-        models = [replace(one, gain=gains(data, one.forecasts, first, has_times=one.has_times)) for one in found]
+        models = [_over(data, one, found[0]) for one in found]
         models.append(_simulated(data, base, seed, work))
     return Comparison(tuple(models), data, *_measured(data), seed)
+
+
+def _over(data: Recorded, one: Compared, base: Compared) -> Compared:
+    """A model with its gain over the base model."""
+    return replace(one, gain=gains(data, one.forecasts, base.forecasts, has_times=one.has_times))
 
 
 def _fitted(

@@ -28,21 +28,11 @@ _SHOWS_S = 4.0
 _INNER = (0.02, 0.98)
 # Fewest samples at which a covariate must be known.
 _FEWEST = 100
-# Number of vehicles ahead whose mean speed is the speed of the flow.
-_FLOW = 5
 
 
 @dataclass(frozen=True, eq=False)
 class Force:
-    """A force along a covariate.
-
-    Parameters
-    ----------
-    candidate : Candidate
-        What can be added.
-    change : ndarray, shape (K, N, T)
-        Change of the innovations [m] by 1 m/s^2 at each knot.
-    """
+    """A force along a covariate, and the change of the innovations [m] by 1 m/s^2 at each knot, (K, N, T)."""
 
     candidate: Candidate
     change: Array
@@ -102,21 +92,10 @@ def _response(data: Recorded, fitted: JointFit, work: Executor) -> Array:
 
 
 def covariates_of(data: Recorded, state: Array) -> dict[str, Array]:
-    """Return what filtered states say of the surroundings of the drivers at each sample.
+    """Return what filtered states (T, V, 4) say of the surroundings of the drivers at each sample, (T, N) by name.
 
-    Parameters
-    ----------
-    data : Recorded
-        The recording.
-    state : ndarray, shape (T, V, 4)
-        Filtered states.
-
-    Returns
-    -------
-    dict of str to ndarray, shape (T, N)
-        Gaps [m], speed [m/s], and approach rates [m/s]: the driver's speed minus the speed of the vehicle ahead, and
-        the speed of the vehicle behind minus the driver's; place [m] and time [s]. NaN where unknown, and all NaN where
-        the recording cannot show a covariate.
+    Gaps [m], speed [m/s], and approach rates [m/s]: the driver's speed minus the speed of the vehicle ahead, and the
+    speed of the vehicle behind minus the driver's; place [m] and time [s]. NaN where unknown.
     """
     around, drivers = data.vicinity, data.drivers
     x, v = around.road.wrap(state[:, :, 0]), state[:, :, 1]
@@ -136,33 +115,11 @@ def covariates_of(data: Recorded, state: Array) -> dict[str, Array]:
 
 
 def further_covariates(data: Recorded, state: Array, seen: Mapping[str, Array]) -> dict[str, Array]:
-    """Return what else a force may depend on.
-
-    Parameters
-    ----------
-    data : Recorded
-        The recording.
-    state : ndarray, shape (T, V, 4)
-        Filtered states.
-    seen : mapping of str to ndarray, shape (T, N)
-        What ``covariates_of`` returns.
-
-    Returns
-    -------
-    dict of str to ndarray, shape (T, N)
-        Time gap [s]; speed minus the mean speed of five vehicles ahead [m/s]; accelerations [m/s^2] of the vehicle
-        ahead and of the driver's own car in the last period. NaN where unknown.
-    """
-    around, drivers = data.vicinity, data.drivers
-    leader = around.leader
-    v, acceleration = state[:, :, 1], state[:, :, 2] + state[:, :, 3]
-    ahead, speeds = v, []
-    for _ in range(_FLOW):
-        ahead = _ahead(ahead, leader)
-        speeds.append(ahead)
+    """Return what else a force may depend on, (T, N): time gap [s], accelerations [m/s^2] in the last period."""
+    leader, drivers = data.vicinity.leader, data.drivers
+    acceleration = state[:, :, 2] + state[:, :, 3]
     return {
         "time_gap": np.minimum(seen["gap"] / np.maximum(seen["speed"], MOVING), LONGEST_S),
-        "flow_approach_rate": (v - np.mean(speeds, axis=0))[:, :drivers],
         "leader_acceleration": _ahead(acceleration, leader)[:, :drivers],
         "acceleration": acceleration[:, :drivers],
     }

@@ -33,24 +33,7 @@ _FIRST = 8
 
 
 def laws(data: Recorded, around: Surroundings, final: Entry, work: ThreadPoolExecutor) -> tuple[Entry, ...]:
-    """Fit all other laws that are not far behind a model one step ahead.
-
-    Parameters
-    ----------
-    data : Recorded
-        The recording.
-    around : Surroundings
-        The traffic in which forecasts are made.
-    final : Entry
-        The model to be beaten.
-    work : ThreadPoolExecutor
-        Runs the filters.
-
-    Returns
-    -------
-    tuple of Entry
-        The laws that come near.
-    """
+    """Fit all other laws that are not far behind a model one step ahead; ``around``: the traffic of the forecasts."""
     return tuple(_laws(data, around, final, work))
 
 
@@ -76,22 +59,7 @@ def _is_far_behind(data: Recorded, law: str, final: Entry, work: ThreadPoolExecu
 
 
 def in_filter(data: Recorded, law: str, work: Executor) -> JointFit:
-    """Fit the parameters and the noises of a law for every driver in the causal filter.
-
-    Parameters
-    ----------
-    data : Recorded
-        The recording.
-    law : str
-        Name of the law.
-    work : Executor
-        Runs the filters.
-
-    Returns
-    -------
-    JointFit
-        The fitted law.
-    """
+    """Fit the parameters and the noises of a law for every driver in the causal filter."""
     model = start_of_drivers(data, law)
     return fit_base(data, model.individual, work, model)
 
@@ -107,20 +75,10 @@ def start_of_drivers(data: Recorded, law: str) -> Model:
 
 
 def start_of(law: str, speed: float) -> Array:
-    """Return the parameters with which the search for a law's parameters begins.
+    """Return the parameters (K,) with which a search begins; ``speed``: a high one in the data [m/s].
 
-    Parameters
-    ----------
-    law : str
-        Name of the law.
-    speed : float
-        High speed in the data [m/s].
-
-    Returns
-    -------
-    ndarray, shape (K,)
-        The declared defaults. Where their free speed is below the speed in the data, all speeds among them are larger
-        in proportion: a driver far above the desired speed hardly says how much too small it is.
+    Where the free speed of the declared defaults is below the speed in the data, all speeds among them are larger in
+    proportion: a driver far above the desired speed hardly says how much too small it is.
     """
     one = LAWS[law]
     values = np.array([p.default for p in one.parameters])
@@ -134,24 +92,7 @@ def start_of(law: str, speed: float) -> Array:
 
 
 def by_gaps(data: Recorded, law: str, fitted: JointFit, work: Executor) -> tuple[Model, ...]:
-    """Fit a rival law by least squares to the gaps outside each fold.
-
-    Parameters
-    ----------
-    data : Recorded
-        The recording.
-    law : str
-        Name of the law.
-    fitted : JointFit
-        The law fitted in the filter, for the noises and the starts.
-    work : Executor
-        Carries out the fits.
-
-    Returns
-    -------
-    tuple of Model
-        One model for each fold, fitted without the fold.
-    """
+    """Fit a law by least squares to the gaps outside each fold; ``fitted``: the law in the filter."""
     states = filtered_states(data, fitted.model, work)
     places = ROW.law_places[law]
     jobs = [(data, law, states, i, fitted.model.rows[i, places]) for i in range(data.drivers)]

@@ -32,28 +32,12 @@ _FEW_STEPS = 4
 
 
 def resample(data: Recorded, model: Model, states: Array, rng: np.random.Generator) -> Recorded:
-    """Simulate a recording with the road, the vehicles and the times of a given recording.
+    """Simulate a recording with the road, the vehicles and the times of a given recording; states: filtered, (T, V, 4).
 
     On tracks, each driver drives anew behind the measured vehicles ahead. On a whole road, the simulation starts from
     the first state of the recording. Vehicles without a leader move as recorded. After a collision, or where vehicles
     enter, leave or change their order, the simulation restarts from the recorded state, and the new recording has a
     break there. The last seconds of vehicles that collide do not count.
-
-    Parameters
-    ----------
-    data : Recorded
-        The recording.
-    model : Model
-        The model fitted to the recording.
-    states : ndarray, shape (T, V, 4)
-        Filtered states, as ``fit.score.filtered_states`` returns them.
-    rng : numpy.random.Generator
-        Generator of all noises.
-
-    Returns
-    -------
-    Recorded
-        The simulated recording.
     """
     t = data.trajectories
     if t is None:
@@ -108,26 +92,7 @@ def resampled_fits(
     work: ThreadPoolExecutor,
     on_progress: OnStage,
 ) -> list[tuple[Recorded, JointFit]]:
-    """Simulate recordings from a fit, and fit the model to each by a few steps from the truth.
-
-    Parameters
-    ----------
-    data : Recorded
-        The recording.
-    fitted : JointFit
-        The fit to the recording.
-    rngs : sequence of numpy.random.Generator
-        Generators of all noises, one for each simulated recording.
-    work : ThreadPoolExecutor
-        Runs the filters.
-    on_progress : callable
-        Called with the name of the stage, the number of steps done, and the number of all steps.
-
-    Returns
-    -------
-    list of (Recorded, JointFit)
-        The simulated recordings, for screening, with the fits to them.
-    """
+    """Simulate recordings from a fit, and fit the model to each by a few steps from the truth."""
     states = filtered_states(data, fitted.model, work)
 
     def one_run(rng: np.random.Generator) -> tuple[Recorded, JointFit]:

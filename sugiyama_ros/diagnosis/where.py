@@ -20,7 +20,7 @@ from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.score import PointwiseDensity, filtered_states
 
-#: False-discovery rate of the flags.
+#: False-discovery rate of flags and of checks.
 RATE = 0.05
 # Number of bins of a covariate, and smallest number of samples in a bin.
 _BINS, _FEWEST = 10, 30
@@ -67,19 +67,7 @@ class Bin:
 
 @dataclass(frozen=True, eq=False)
 class Map:
-    """Bias over two covariates, in A by B bins.
-
-    Parameters
-    ----------
-    first, second : str
-        Names of the covariates.
-    first_edges, second_edges : ndarray, shape (A + 1,) and (B + 1,)
-        Edges of the bins, SI units.
-    bias : ndarray, shape (A, B)
-        Mean of the normalised innovations; NaN where there are too few samples.
-    flagged : ndarray of bool, shape (A, B)
-        Whether the bias counts as a failure, at the false-discovery rate RATE over the bins of the map.
-    """
+    """Bias over two covariates, in A by B bins; edges in SI units. NaN where there are too few samples."""
 
     first: str
     second: str
@@ -91,15 +79,7 @@ class Map:
 
 @dataclass(frozen=True, eq=False)
 class Located:
-    """All bins and all maps of a model.
-
-    Parameters
-    ----------
-    bins : tuple of Bin
-        Bins of all covariates, drivers and regimes.
-    maps : tuple of Map
-        Maps over speed and gap, and over place and time.
-    """
+    """All bins of covariates, drivers and regimes, and maps over speed and gap, and over place and time."""
 
     bins: tuple[Bin, ...]
     maps: tuple[Map, ...]
@@ -111,24 +91,7 @@ class Located:
 
 
 def locate(data: Recorded, model: Model, samples: PointwiseDensity, work: Executor) -> Located:
-    """Find where the samples differ from what a model predicts.
-
-    Parameters
-    ----------
-    data : Recorded
-        The recording.
-    model : Model
-        The model.
-    samples : PointwiseDensity
-        Predictions of the model, preferably held out.
-    work : Executor
-        Runs the filters.
-
-    Returns
-    -------
-    Located
-        Bins and maps.
-    """
+    """Find where samples differ from what a model predicts."""
     states = filtered_states(data, model, work)
     normal = samples.innovation_m / np.sqrt(samples.innovation_var)
     after = np.where(np.isfinite(samples.log_likelihood), normal, np.nan)[:, 1:]
@@ -187,12 +150,12 @@ def _bin(name: str, label: str, low: float, high: float, values: Array, after: A
 
 
 def _with_flags(bins: list[Bin]) -> list[Bin]:
-    threshold = _threshold([b.p_value for b in bins])
+    threshold = failing([b.p_value for b in bins])
     return [replace(b, flagged=b.p_value <= threshold) for b in bins]
 
 
-def _threshold(p_values: Sequence[float]) -> float:
-    """Largest p-value that passes Benjamini and Hochberg's step-up procedure; -1 if none does."""
+def failing(p_values: Sequence[float]) -> float:
+    """Return the largest p-value that fails, by Benjamini and Hochberg's step-up procedure; -1 if none does."""
     passed = [p for k, p in enumerate(sorted(p_values), 1) if p <= RATE * k / len(p_values)]
     return max(passed, default=-1.0)
 
@@ -209,5 +172,5 @@ def _map(first: str, second: str, before: dict[str, Array], after: Array) -> Map
         full = count >= _FEWEST
         bias[full] = total[full] / count[full]
         p_value = 2.0 * norm.sf(np.abs(bias[full]) * np.sqrt(count[full]))
-        flagged[full] = p_value <= _threshold(p_value.tolist())
+        flagged[full] = p_value <= failing(p_value.tolist())
     return Map(first, second, edges[0], edges[1], bias, flagged)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.fit.model import Model, Step, moved
+from sugiyama_ros.fit.model import Model, NewtonStep, moved
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import PointwiseDensity, predict_drivers
 from sugiyama_ros.fit.scoring import Damping, damped, damped_step
@@ -150,7 +150,9 @@ def maximise(
     return here
 
 
-def _next_step(here: JointFit, folds: Sequence[int], damping: Array, enough: float) -> tuple[Step, NDArray[np.bool_]]:
+def _next_step(
+    here: JointFit, folds: Sequence[int], damping: Array, enough: float
+) -> tuple[NewtonStep, NDArray[np.bool_]]:
     """The next step, and the drivers (N,) that it moves: those with enough predicted gain, and those whom a shared
     parameter moves.
     """
@@ -159,7 +161,7 @@ def _next_step(here: JointFit, folds: Sequence[int], damping: Array, enough: flo
     return step, shared | (step.predicted_gains > enough / len(here.slopes))
 
 
-def _risen(here: JointFit, there: JointFit, step: Step, folds: Sequence[int]) -> tuple[Array, Array]:
+def _risen(here: JointFit, there: JointFit, step: NewtonStep, folds: Sequence[int]) -> tuple[Array, Array]:
     """Rise of each driver's objective from one model to another, and the predicted rise; (N,) each.
 
     With shared parameters the drivers rise and fall together, so each driver gets the mean.
@@ -176,7 +178,7 @@ def solve(
     folds: Sequence[int],
     damping: float | Array,
     curvature: Sequence[int] | None = None,
-) -> Step:
+) -> NewtonStep:
     """Return the damped Newton step of a model; the prior counts in proportion to the number of folds.
 
     Parameters
@@ -194,7 +196,7 @@ def solve(
 
     Returns
     -------
-    Step
+    NewtonStep
         The step with its predicted gains.
     """
     curved, own = list(folds if curvature is None else curvature), len(model.individual)
@@ -217,7 +219,7 @@ def solve(
     of_shared = damped_step(reduced, rest, of_driver.max() + 1e-9, 1e-6)
     of_own: Array = np.einsum("nij,nj->ni", inverse, g_own - cross @ of_shared)
     predicted_gains: Array = 0.5 * np.einsum("ni,nij,nj->n", g_own, inverse, g_own)
-    return Step(of_own, of_shared, predicted_gains, 0.5 * float(rest @ of_shared) + float(predicted_gains.sum()))
+    return NewtonStep(of_own, of_shared, predicted_gains, 0.5 * float(rest @ of_shared) + float(predicted_gains.sum()))
 
 
 def at_model(data: Recorded, here: JointFit, model: Model, work: Executor, who: NDArray[np.bool_]) -> JointFit:

@@ -63,7 +63,7 @@ class Model:
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class NewtonStep:
     """A step of the search.
 
     Parameters
@@ -131,7 +131,7 @@ def is_linear(places: Sequence[int]) -> NDArray[np.bool_]:
     return np.asarray(_SIGN[list(places)] == 0.0)
 
 
-def moved(data: Recorded, model: Model, step: Step, share: float = 1.0) -> Model:
+def moved(data: Recorded, model: Model, step: NewtonStep, share: float = 1.0) -> Model:
     """Return the model after a step, or after a ``share`` of the step, within the bounds of the search."""
     rows = model.rows.copy()
     own, shared = list(model.individual), list(model.shared)

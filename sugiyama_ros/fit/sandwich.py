@@ -19,7 +19,7 @@ import numpy as np
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.joint import JointFit, at_model, objective
-from sugiyama_ros.fit.model import Step, is_linear, moved
+from sugiyama_ros.fit.model import NewtonStep, is_linear, moved
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.slopes import density_slope
 
@@ -90,7 +90,7 @@ def _stretch(data: Recorded, fitted: JointFit, direction: Array, lifts: Array, w
         share *= 2.0
         falls = []
         for sign in (-share, share):
-            step = Step(-sign * lifts @ direction, sign * direction, np.zeros(data.drivers), 0.0)
+            step = NewtonStep(-sign * lifts @ direction, sign * direction, np.zeros(data.drivers), 0.0)
             there = at_model(data, fitted, moved(data, fitted.model, step), work, everyone)
             falls.append(here - objective(there.slopes, there.model, everywhere))
         fall = float(np.mean(falls))

@@ -97,5 +97,3 @@ def test_what_is_around_a_driver(plain, work):
     np.testing.assert_array_equal(seen["second_gap"], np.roll(seen["gap"], -1, axis=1))
     second = seen["approach_rate"] + np.roll(seen["approach_rate"], -1, axis=1)
     np.testing.assert_allclose(seen["second_approach_rate"], second, atol=1e-12)
-    ahead = np.mean([np.roll(seen["speed"], -k, axis=1) for k in range(1, 6)], axis=0)
-    np.testing.assert_allclose(seen["flow_approach_rate"], seen["speed"] - ahead, atol=1e-12)
