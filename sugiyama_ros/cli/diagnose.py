@@ -110,7 +110,7 @@ def diagnose(options: DiagnoseOptions) -> None:
         return
     _print_found(everything, options)
     _print_next(everything, options)
-    print_note(f"{found.simulations} simulated recordings; {found.wall_s:.0f} s")
+    print_note(f"simulated recordings of each model: {found.simulations}; {found.wall_s:.0f} s")
 
 
 def _found(recording: "Trajectories | Tracks", **settings: Any) -> "Diagnosis":

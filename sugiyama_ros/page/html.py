@@ -24,7 +24,7 @@ from sugiyama_ros.page.words import (
     on_unseen,
     sentences,
     size_of,
-    worse_columns,
+    worse_in_words,
     would_have_shown,
 )
 
@@ -74,11 +74,11 @@ def additions(d: Document) -> str:
         rows = [
             [
                 addition(d, n),
-                size_of(d, n) or "a value of each driver",
+                size_of(d, n),
                 on_unseen(n),
                 chance(n.get("p_value")).replace(" ", "\u00a0"),
                 not_told_apart(d, n) or ("not fitted" if d["verdict"].get("asked") else "nothing"),
-                "; ".join(worse_columns(n.get("gains", {}))) or "nowhere",
+                worse_in_words(n) or "nowhere",
             ]
             for n in effects
         ]

@@ -13,6 +13,10 @@ _LAWS = {"idm": "IDM", "fvdm": "FVDM", "ovm": "OVM", "gipps": "Gipps", "newell":
 SMALL_M = 0.01
 # Lengths [m] and speeds [m/s] below this are told in millimetres.
 _SMALL = 1e-3
+#: A difference is clear from this number of standard errors on.
+CLEAR = 2.0
+# A loss [nats] that rounds to nothing is not told.
+_LEAST = -0.5
 # Symbols in the meanings of parameters.
 _SYMBOLS = {"v*": "the desired speed", "κ_v": "the risk premium", "sigma_a": "the acceleration noise"}
 #: Effect that stands for a force along a covariate.
@@ -117,7 +121,7 @@ def quantity(value: float, unit: str = "", std: float | None = None, digits: int
 
 def nats(value: float, se: float) -> str:
     """A gain with its standard error, without the unit."""
-    return f"{value:.0f} ± {se:.0f}"
+    return f"{round(value)} ± {round(se)}"
 
 
 def length(value_m: float) -> str:
@@ -142,6 +146,14 @@ def chance(p_value: float | None) -> str:
 def gained(one: Mapping[str, float]) -> str:
     """A gain of a column with its standard error, without the unit."""
     return nats(one["nats"], one["se"])
+
+
+def worse_columns(gains: Mapping[str, Mapping[str, float]], *, clearly: bool = True) -> list[str]:
+    """Columns in which a model is worse than another by two standard errors; or those in which it is less worse."""
+    found = {name: one for name, one in gains.items() if one["nats"] < -CLEAR * one["se"]}
+    if not clearly:
+        found = {name: one for name, one in gains.items() if name not in found and one["nats"] <= _LEAST}
+    return [f"{column_name(name)} {gained(one)} nats" for name, one in found.items()]
 
 
 def spaced(name: object) -> str:

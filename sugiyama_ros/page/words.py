@@ -1,9 +1,10 @@
 """All words of a diagnosis and of a comparison, out of their documents: what is missing, how sure, what to do."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from sugiyama_ros.page.names import (
+    CLEAR,
     MODELS,
     UNITS,
     Document,
@@ -23,13 +24,12 @@ from sugiyama_ros.page.names import (
     spaced,
     title_of,
     titled,
+    worse_columns,
 )
 from sugiyama_ros.tables import figure
 
 # A single-car error of a driver that grows by this factor is told.
 _WORSE = 1.2
-# A difference is clear from this number of standard errors on.
-_CLEAR = 2.0
 # Additions that the headline names; of more, it says the number.
 _FEW = 3
 # Bins or columns, and strengths that would have shown, that a sentence lists.
@@ -77,7 +77,7 @@ def size_of(d: Document, n: Document) -> str:
         meaning = meanings.get(name, {})
         size = quantity(float(values[name]), str(meaning.get("unit", "")), stds.get(name))
         parts.append(f"{meaning_of(meaning, name)}: {size}")
-    return "; ".join(parts)
+    return "; ".join(parts) or "a value of each driver"
 
 
 def on_unseen(n: Document) -> str:
@@ -86,7 +86,7 @@ def on_unseen(n: Document) -> str:
     text = f"{nats(gain, se)} nats"
     if gain > 0.0 and se > 0.0:
         text += f" better ({gain / se:.1f} standard errors)"
-    if gain <= _CLEAR * se and (best := _clearest(n)):
+    if gain <= CLEAR * se and (best := _clearest(n)):
         text += f", most clearly {best}"
     return text + (f"; shown by {_vehicles([str(v) for v in n['vehicles']])} only" if n.get("vehicles") else "")
 
@@ -95,19 +95,15 @@ def _clearest(n: Document) -> str:
     """The column in which an addition gains most standard errors, if it gains clearly there."""
     columns = {name: one for name, one in n.get("gains", {}).items() if name != "all" and one["se"] > 0.0}
     name = max(columns, key=lambda name: columns[name]["nats"] / columns[name]["se"], default="")
-    if not name or columns[name]["nats"] <= _CLEAR * columns[name]["se"]:
+    if not name or columns[name]["nats"] <= CLEAR * columns[name]["se"]:
         return ""
     return f"{column_name(name)}: {gained(columns[name])}"
 
 
-def worse_columns(gains: Mapping[str, Mapping[str, float]], *, clearly: bool = False) -> list[str]:
-    """Columns in which a model is worse than another, or only those in which it is worse by two standard errors."""
-    found = []
-    for name, one in gains.items():
-        is_clear = one["nats"] < -_CLEAR * one["se"]
-        if is_clear or (one["nats"] < 0.0 and not clearly):
-            found.append(f"{column_name(name)}: {gained(one)} nats{'' if is_clear else ', within chance'}")
-    return found
+def worse_in_words(n: Document) -> str:
+    """Every forecast that an addition makes worse; empty if it makes none worse."""
+    clear, others = (worse_columns(n.get("gains", {}), clearly=one) for one in (True, False))
+    return "; ".join([*clear, *([f"within chance: {', '.join(others)}"] if others else [])])
 
 
 def certainty(n: Document) -> str:
@@ -347,7 +343,7 @@ def worse(d: Document) -> list[str]:
 
 def cautions(d: Document) -> list[str]:
     """What a user of the final model must know: forecasts that are clearly worse than those of the base model."""
-    columns = worse_columns(d["errors"].get("after", {}).get("gains", {}), clearly=True)
+    columns = worse_columns(d["errors"].get("after", {}).get("gains", {}))
     more = f", and {len(columns) - _WORST} more" if len(columns) > _WORST else ""
     return [f"forecasts get worse than the base model's: {'; '.join(columns[:_WORST])}{more}"] if columns else []
 
@@ -476,15 +472,14 @@ def sentences(d: Document) -> list[str]:
 def _added(d: Document, n: Document, told: str) -> list[str]:
     """Lines about an addition; ``told``: what the first line says already."""
     ends = distances(float(n["free_run_rmse_before_m"]), float(n["free_run_rmse_after_m"]))
-    size = size_of(d, n) or "a value of each driver"
     lines = [
-        f"{addition(d, n)}: {size}. On unseen data {on_unseen(n)}; {chance(n['p_value'])}; error after 10 s"
+        f"{addition(d, n)}: {size_of(d, n)}. On unseen data {on_unseen(n)}; {chance(n['p_value'])}; error after 10 s"
         f" {' -> '.join(ends)}."
     ]
     if d["verdict"].get("asked"):
         lines.append("The data ask for it." if is_supported(n) else "You asked for it; the data do not ask for it.")
-    if columns := worse_columns(n.get("gains", {})):
-        lines.append(f"It gets worse: {'; '.join(columns)}.")
+    if text := worse_in_words(n):
+        lines.append(f"Gets worse: {text}.")
     if others := not_told_apart(d, n):
         advice = f" To tell them apart, {'; '.join(n['advice'])}." if n.get("advice") else ""
         lines.append(f"It cannot be told apart from {others}.{advice}")
@@ -572,7 +567,7 @@ def best_model(c: Document) -> str:
         return f"{before}No other model forecasts unseen data better than the base model{second}."
     gain = f"{nats(best['heldout_gain_nats'], best['heldout_gain_se'])} nats better than the base model"
     text = f"{before}{model_name(best['name'])} forecasts unseen data best, {gain}"
-    alike = [model_name(one["name"]) for one in others if one["behind"]["nats"] <= _CLEAR * one["behind"]["se"]]
+    alike = [model_name(one["name"]) for one in others if one["behind"]["nats"] <= CLEAR * one["behind"]["se"]]
     if alike:
         return f"{text}. It cannot be told apart from {listed(alike, 'or')}."
     return f"{text}; {_behind(others[0])}." if others[0]["kind"] != "base" else f"{text}."

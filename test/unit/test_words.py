@@ -56,7 +56,7 @@ def test_an_effect_that_explains_has_its_name_its_size_and_its_doubts() -> None:
         " 30 m. On unseen data 50 ± 9 nats better (5.6 standard errors); p < 0.001; error after 10 s 3.00 m -> 1.50 m."
     )
     assert "  It cannot be told apart from hill (road_grade). To tell them apart, survey the road." in rest
-    assert "  It gets worse: one car at 1 s: -2 ± 6 nats, within chance." in rest
+    assert "  Gets worse: within chance: one car at 1 s -2 ± 6 nats." in rest
     assert not any("asked" in one for one in rest)
     assert what_to_do(d) == "To tell apart what cannot be told apart, survey the road."
     assert how_sure(d).endswith("; cannot be told apart from hill (road_grade).")
@@ -106,7 +106,7 @@ def test_what_was_asked_for_and_is_not_supported_says_so_and_which_columns_get_w
     told = "\n".join(sentences(d))
     assert headline(d).startswith("You asked for drag; the data do not.")
     assert "is explained" not in told
-    assert "  It gets worse: one car at 5 s: -30 ± 6 nats; all cars at 10 s: -1 ± 6 nats, within chance." in told
+    assert "  Gets worse: one car at 5 s -30 ± 6 nats; within chance: all cars at 10 s -1 ± 6 nats." in told
     assert what_to_do(d).startswith("Leave it out")
     assert "nothing else was fitted" in how_sure(d)
     # the same on a model that fails: still no name
@@ -177,7 +177,7 @@ def test_who_gets_worse_is_told_and_a_model_file_warns() -> None:
     assert worse(d) == ["for 1 of 6 drivers (vehicle 0), one-car free runs get more than a fifth worse"]
     assert cautions(d) == []
     d["errors"]["after"]["gains"] = gains(road_10s=(-20.0, 5.0), at_5s=(-3.0, 5.0))
-    assert cautions(d) == ["forecasts get worse than the base model's: all cars at 10 s: -20 ± 5 nats"]
+    assert cautions(d) == ["forecasts get worse than the base model's: all cars at 10 s -20 ± 5 nats"]
     assert worse(d)[1:] == cautions(d)
     assert len(by_driver(d).rows) == 6
 
