@@ -16,6 +16,9 @@ from typer.main import get_command
 
 import sugiyama_ros as sg
 from sugiyama_ros.cli.app import app as commands_app
+from sugiyama_ros.diagnosis.check import Check
+from sugiyama_ros.diagnosis.document import Addition, Tried
+from sugiyama_ros.diagnosis.where import Bin
 from sugiyama_ros.driver.parameters import PARAMETERS, Parameter
 from sugiyama_ros.formats.registry import formats
 from sugiyama_ros.studies.registry import STUDIES
@@ -193,6 +196,16 @@ def python() -> str:
         "   :members: to_frame, plot, save",
         "",
         *(f".. autoclass:: {name}\n" for name in results),
+        "Document of a diagnosis",
+        "-----------------------",
+        "",
+        "``sugiyama diagnose --json`` prints it, ``--save`` keeps it.",
+        "",
+        ".. autofunction:: sugiyama_ros.diagnosis.document.document",
+        "",
+        *(f".. autoclass:: {one.__module__}.{one.__qualname__}\n" for one in (Addition, Tried, Check, Bin)),
+        ".. autofunction:: sugiyama_ros.diagnosis.table.errors",
+        "",
     ]
     return "\n".join(lines)
 
