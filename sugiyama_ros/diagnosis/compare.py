@@ -14,7 +14,7 @@ from sugiyama_ros.diagnosis.forecast import Forecasts, Surroundings, forecasts, 
 from sugiyama_ros.diagnosis.refine import with_named, without_folds
 from sugiyama_ros.diagnosis.rivals import by_gaps, in_filter
 from sugiyama_ros.diagnosis.simulated import resample, seeds
-from sugiyama_ros.diagnosis.table import Difference, errors, gains
+from sugiyama_ros.diagnosis.table import Difference, Unit, errors, exchangeable, gains
 from sugiyama_ros.fit.joint import JointFit, fit
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.model_file import ModelFile
@@ -57,8 +57,8 @@ class Compared:
         Gain over the base model [nats], by column; empty for the base model on its own simulation.
     collective : dict of str to (float, float)
         Mean and standard deviation of measures of the whole road, over simulations of the model; empty on tracks.
-    has_times : bool
-        Whether it has an effect that acts at one time.
+    over : tuple of {"driver", "block"}
+        What is exchangeable where it differs from the base model.
     """
 
     name: str
@@ -66,7 +66,7 @@ class Compared:
     forecasts: Forecasts
     gain: dict[str, Difference]
     collective: dict[str, tuple[float, float]]
-    has_times: bool = False
+    over: tuple[Unit, ...] = ("driver", "block")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -129,8 +129,8 @@ class Comparison(Result):
 
     def _model(self, one: Compared, best: Compared) -> dict[str, Any]:
         compares = one.kind != "simulated"
-        has_times = one.has_times != best.has_times
-        behind = gains(self.data, best.forecasts, one.forecasts, has_times=has_times)["all"] if compares else None
+        over = one.over if best.kind == "base" else best.over
+        behind = gains(self.data, best.forecasts, one.forecasts, over)["all"] if compares else None
         won = np.nansum(one.forecasts.one_step, axis=1)
         ends = one.forecasts.single.error[:, -1]
         return {
@@ -223,7 +223,7 @@ def compare(
         if effects:
             asked, added = with_named(data, base, effects, work)
             one = _fitted(f"base + {' + '.join(effects)}", "asked", data, around, asked, seed, work)
-            found.append(replace(one, has_times=any(c.has_times for c in added)))
+            found.append(replace(one, over=exchangeable(added)))
         if model is not None:
             found.append(_given(model, data, around, seed, work))
         for k, law in enumerate(RIVALS):
@@ -237,7 +237,7 @@ def compare(
 
 def _over(data: Recorded, one: Compared, base: Compared) -> Compared:
     """A model with its gain over the base model."""
-    return replace(one, gain=gains(data, one.forecasts, base.forecasts, has_times=one.has_times))
+    return replace(one, gain=gains(data, one.forecasts, base.forecasts, one.over))
 
 
 def _fitted(

@@ -68,6 +68,8 @@ class Round:
         The model to go on with; None if no model is clearly better.
     alike : tuple of Entry
         Models that cannot be told apart from the one that was added.
+    simulated : Simulated
+        Recordings that the model at the beginning of the round simulates.
     """
 
     current: Entry
@@ -77,12 +79,12 @@ class Round:
     gains: tuple[dict[str, Difference], ...]
     added: Entry | None
     alike: tuple[Entry, ...]
+    simulated: Simulated
 
     @property
     def closest_effect(self) -> Entry | None:
         """The best model with an effect that has a physical name."""
-        own = len(self.current.added)
-        return next((e for e in self.entries if any(c.explains for c in e.added[own:])), None)
+        return next((e for e in self.entries if e.added[-1].explains), None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -346,10 +348,11 @@ class _Scored:
         return tuple(best.values())
 
 
-def _scored(bench: _Bench, fit: JointFit, added: tuple[Candidate, ...] = ()) -> _Scored:
-    """Score everything that a model does not have yet."""
-    bench.on_progress(f"round {len(added) + 1}: scoring", 0, 1)
-    known = {one.mechanism for one in added}
+def _scored(bench: _Bench, fit: JointFit, rounds: Sequence[Round] = ()) -> _Scored:
+    """Score everything that no round has added. What was dropped again does not come back, so a search ends."""
+    bench.on_progress(f"round {len(rounds) + 1}: scoring", 0, 1)
+    known = {c.mechanism for one in rounds if one.added is not None for c in one.added.added}
+    known |= {c.mechanism for one in rounds for c in one.current.added}
     push = push_of_one(bench.data, fit.samples)
     left = [c for c in (*bench.possible, *((push,) if push else ())) if c.mechanism not in known]
     by_name: dict[str, list[Score]] = {}
@@ -369,7 +372,7 @@ def _searched(bench: _Bench, first: Entry, found: _Scored, most: int | None) -> 
     """Add what the data support, one round after the other, until nothing is added."""
     rounds = [_round(bench, first, found)]
     while (added := rounds[-1].added) is not None and (most is None or len(rounds) < most):
-        rounds.append(_round(bench, added, _scored(bench, added.fit, added.added)))
+        rounds.append(_round(bench, added, _scored(bench, added.fit, rounds)))
     return rounds
 
 
@@ -379,12 +382,12 @@ def _told(bench: _Bench, first: Entry, found: _Scored, names: Sequence[str]) -> 
     current = first
     for name in names:
         if rounds:
-            found = _scored(bench, current.fit, current.added)
+            found = _scored(bench, current.fit, rounds)
         scored = [own[0].candidate for own in found.by_name.values()]
         candidate = chosen(bench.data, [*bench.possible, *scored], name)
         entry = _fitted(bench, current, candidate, found)
         won = entry.over(bench.data, current)
-        rounds.append(Round(current, found.best, found.chance, (entry,), (won,), entry, ()))
+        rounds.append(Round(current, found.best, found.chance, (entry,), (won,), entry, (), found.simulated))
         current = entry
     return rounds
 
@@ -421,6 +424,7 @@ def _round(bench: _Bench, current: Entry, found: _Scored) -> Round:
         tuple(won[k] for k in order),
         None if added is None else _without_needless(bench, added),
         tuple(alike),
+        found.simulated,
     )
 
 
@@ -437,8 +441,8 @@ def _without_needless(bench: _Bench, entry: Entry) -> Entry:
 def _best(bench: _Bench, current: Entry, entries: Sequence[Entry]) -> tuple[Entry | None, list[Entry]]:
     """The model that gains most, of those that are better; and what cannot be told apart from it.
 
-    Among models that cannot be told apart from it, one that can explain goes before one that cannot, one addition
-    before two, and what all drivers have before what some have.
+    Among models that cannot be told apart from it, one that can explain goes before one that cannot, and what all
+    drivers have before what some have.
     """
 
     def leads(one: Entry, other: Entry) -> bool:
@@ -450,15 +454,9 @@ def _best(bench: _Bench, current: Entry, entries: Sequence[Entry]) -> tuple[Entr
         return None, []
     first = max(allowed, key=lambda e: won[id(e)]["all"].nats)
     alike = [e for e in entries if e is first or not leads(first, e)]
-    own = len(current.added)
     best = min(
         (e for e in alike if e in allowed),
-        key=lambda e: (
-            not any(c.explains for c in e.added[own:]),
-            len(e.added),
-            any(c.drivers for c in e.added[own:]),
-            -won[id(e)]["all"].nats,
-        ),
+        key=lambda e: (not e.added[-1].explains, bool(e.added[-1].drivers), -won[id(e)]["all"].nats),
     )
     return best, [e for e in alike if e is not best]
 
@@ -468,7 +466,7 @@ def _concluded(bench: _Bench, rounds: list[Round], asked: tuple[str, ...], simul
     data, work = bench.data, bench.work
     base, final = rounds[0].current, rounds[-1].added or rounds[-1].current
     bench.on_progress("checking the final model", 0, 1)
-    simulated = bench.simulated(final.fit)
+    simulated = rounds[-1].simulated if rounds[-1].added is None else bench.simulated(final.fit)
     own = [
         forecasts(one, surroundings(one, fitted.model, work), [fitted.model] * FOLDS, work)
         for one, fitted in simulated.recordings

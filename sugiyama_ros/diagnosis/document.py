@@ -167,8 +167,7 @@ def additions(d: Diagnosis) -> list[Addition]:
     for step, one in enumerate(d.steps):
         before, after = (_after_10_s(errors(e.forecasts)) for e in (one.before, one.after))
         names = {c.mechanism for c in one.new}
-        alike = [e.added[-1].mechanism for e in one.of.alike if len(e.added) == len(one.before.added) + 1]
-        alike = [name for name in dict.fromkeys(alike) if name not in names]
+        alike = [name for name in dict.fromkeys(e.added[-1].mechanism for e in one.of.alike) if name not in names]
         for c in (c for c in one.new if c in d.final.added):
             parameters = {} if c.individual else _values(d.final, c)
             stds = {name: d.stds[key] for name in parameters for key in (f"{c.effect}.{name}", name) if key in d.stds}
@@ -240,7 +239,7 @@ def _tried(first: Round) -> list[Tried]:
     found: dict[str, Tried] = {}
     for entry in first.entries:
         c = entry.added[-1]
-        if len(entry.added) == len(first.current.added) + 1 and c.mechanism not in found:
+        if c.mechanism not in found:
             found[c.mechanism] = _one_tried(first, c, fitted.get(c.name))
     for score in first.scores:
         found.setdefault(score.candidate.mechanism, _one_tried(first, score.candidate, None))

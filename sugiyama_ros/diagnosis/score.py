@@ -269,7 +269,10 @@ def _directions(
     probes = [probe for c in candidates for probe in _probes(data, fitted.model, c)]
     there = evaluate_each(data.roughly, [probe.model for probe in probes], work, who)
     for (c, start, model, step, group), at in zip(probes, there, strict=True):
-        columns = [column(fitted.samples.of(i), at.of(i), step, model.rows[i]) for i in who]
+        # a change of the mean or of the variance; what changes bad measurements is judged by its gain
+        columns = [
+            (*column(fitted.samples.of(i), at.of(i), step, model.rows[i])[:2], no_density(data.samples)) for i in who
+        ]
         yield _Direction(c, start, columns, group, (model, at) if c.is_random and start else None)
     zeros = no_density(data.samples)
     for force in forces(data, fitted, work) if with_forces else ():

@@ -7,8 +7,9 @@ A. Vehtari, A. Gelman and J. Gabry, Stat. Comput. 27 (2017) 1413. C. Varin, N. R
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -21,6 +22,8 @@ from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import Recorded
 
+#: What sums of forecasts are taken over.
+Unit: TypeAlias = Literal["driver", "block"]
 #: A difference counts from this number of standard errors on.
 CLEARLY = 2.0
 
@@ -35,7 +38,8 @@ class Difference:
         Difference of the log scores [nats].
     se : float
         Standard error: the larger one of two jackknives, over drivers and over blocks of time. Blocks are not
-        exchangeable where models differ by what happens at one time: then the jackknife over drivers.
+        exchangeable where models differ by what happens at one time, nor drivers where they differ by what some drivers
+        have: then the other jackknife counts alone.
     """
 
     nats: float
@@ -78,8 +82,7 @@ class Entry:
 
     def over(self, data: Recorded, other: "Entry") -> dict[str, Difference]:
         """Gain over another model, as of ``gains``."""
-        has_times = any(c.has_times for c in {*self.added} ^ {*other.added})
-        return gains(data, self.forecasts, other.forecasts, has_times=has_times)
+        return gains(data, self.forecasts, other.forecasts, exchangeable({*self.added} ^ {*other.added}))
 
     @property
     def explains(self) -> bool:
@@ -104,7 +107,9 @@ class Entry:
         return all(value >= least for value, least in self.signs.values())
 
 
-def gains(data: Recorded, better: Forecasts, than: Forecasts, *, has_times: bool = False) -> dict[str, Difference]:
+def gains(
+    data: Recorded, better: Forecasts, than: Forecasts, over: Sequence[Unit] = ("driver", "block")
+) -> dict[str, Difference]:
     """Return the gain of one model over another at each horizon, and over all of them together.
 
     Parameters
@@ -113,8 +118,8 @@ def gains(data: Recorded, better: Forecasts, than: Forecasts, *, has_times: bool
         The recording.
     better, than : Forecasts
         Forecasts of both models.
-    has_times : bool
-        Whether the models differ by what happens at one time.
+    over : sequence of {"driver", "block"}
+        What is exchangeable; nothing but single blocks of single drivers where it is empty.
 
     Returns
     -------
@@ -125,14 +130,24 @@ def gains(data: Recorded, better: Forecasts, than: Forecasts, *, has_times: bool
     """
     parts = list(_differences(data, better, than))
     single = [part for part in parts if not part[0].startswith("road")]
-    together = [np.concatenate(column) for column in list(zip(*single, strict=True))[1:]]
-    return {name: _gain(*sums, has_times=has_times) for name, *sums in (*parts, ("all", *together))}
+    driver, block, nats = (np.concatenate(column) for column in list(zip(*single, strict=True))[1:])
+    columns = (*parts, ("all", driver, block, nats))
+    return {name: _gain(who, when, won, over) for name, who, when, won in columns}
+
+
+def exchangeable(by: Iterable[Candidate]) -> tuple[Unit, ...]:
+    """Return what is exchangeable where models differ by some candidates."""
+    units: list[Unit] = []
+    if not any(c.drivers for c in by):
+        units.append("driver")
+    if not any(c.has_times for c in by):
+        units.append("block")
+    return tuple(units)
 
 
 def is_better(gain: Mapping[str, Difference]) -> bool:
-    """Whether a model is somewhere better by more than two standard errors, on the whole better, and nowhere worse."""
-    somewhere = any(one.is_clear for one in gain.values())
-    return somewhere and gain["all"].nats > 0.0 and not any(one.is_loss for one in gain.values())
+    """Whether a model is better by more than two standard errors on the whole, and nowhere worse by as much."""
+    return gain["all"].is_clear and not any(one.is_loss for one in gain.values())
 
 
 def errors(of: Forecasts) -> dict[str, float]:
@@ -189,8 +204,9 @@ def _differences(data: Recorded, better: Forecasts, than: Forecasts) -> Iterator
             yield f"{prefix}{horizon_s:g}s", driver, data.block[driver, start[s]], share * difference[s, driver]
 
 
-def _gain(driver: Ints, block: Ints, nats: Array, *, has_times: bool) -> Difference:
-    """The sum, with the error of exchangeable drivers and of exchangeable blocks."""
-    units = (driver,) if has_times else (driver, block)
+def _gain(driver: Ints, block: Ints, nats: Array, over: Sequence[Unit]) -> Difference:
+    """The sum, with the larger error over what is exchangeable."""
+    cell = driver * (block.max(initial=0) + 1) + block
+    units = [{"driver": driver, "block": block}[unit] for unit in over] or [cell]
     sums = [np.bincount(np.unique(unit, return_inverse=True)[1], nats) for unit in units]
     return Difference(float(nats.sum()), max(map(sum_error, sums)))
