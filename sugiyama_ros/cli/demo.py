@@ -60,6 +60,7 @@ def demo(
     from sugiyama_ros.formats.registry import read_trajectories
     from sugiyama_ros.page.recording import read_recording
     from sugiyama_ros.page.report import write_report
+    from sugiyama_ros.page.words import sentences
 
     truth: dict[str, Any] = {}
     if data is not None:
@@ -69,6 +70,7 @@ def demo(
         print_note("22 simulated drivers on a ring of 230 m, for 250 s. They have an effect that the model lacks.")
     before, found, after = _before_and_after(trajectories, recording, seed, FEW_STEPS if data is not None else 1)
     told = {**truth, **plain(document(found))}
+    told["verdict"]["told"] = sentences(told)
     write_report(read_recording(recording.path), told, page)
     if show:
         show_page(str(page.path))
@@ -97,9 +99,7 @@ def _simulated(hidden: str, seed: int) -> tuple["Trajectories", dict[str, Any]]:
 
 
 def _print(told: dict[str, Any], rmse: list[float], recording: Output, page: Output) -> None:
-    from sugiyama_ros.page.words import sentences
-
-    for line in sentences(told):
+    for line in told["verdict"]["told"]:
         print_line(line)
     errors = told["errors"]
     # as in the report: on unseen data; the estimators learn as they go, and begin with the paper's parameters

@@ -65,6 +65,7 @@ def _verdict(d: Mapping[str, Any] | None) -> str:
         )
     sign, words = badge(d)
     outcome = {"✓": "explained", "✗": "not_explained"}.get(sign, "")
+    said = headline(d).removeprefix(f"{words}: ")
     effects = d["verdict"]["effects"]
     rows: list[tuple[str, str]] = []
     if len(effects) == 1:
@@ -86,7 +87,7 @@ def _verdict(d: Mapping[str, Any] | None) -> str:
     listed = "".join(f"<dt>{escape(what)}</dt><dd>{escape(text[:1].upper() + text[1:])}</dd>" for what, text in rows)
     return (
         f'<div class="verdict {escape(outcome)}"><p class="badge">{sign} {escape(words)}</p>'
-        f'<p class="headline">{escape(headline(d))}</p><dl>{listed}</dl></div>'
+        f'<p class="headline">{escape(said[:1].upper() + said[1:])}</p><dl>{listed}</dl></div>'
     )
 
 

@@ -60,7 +60,7 @@ def errors(d: Document) -> str:
     shown = steps(d)
     rows = "".join(
         f'<tr><td><i class="swatch" style="background:{colour_of(name, d)}"></i>{escape(row[0])}</td>'
-        + "".join(f"<td>{escape(cell)}</td>" for cell in row[1:])
+        + "".join(f"<td>{escape(cell)}</td>".replace(" ± ", "\u00a0±\u00a0") for cell in row[1:])
         + "</tr>"
         for name, row in zip(models(d), shown.rows, strict=True)
     )
@@ -101,9 +101,9 @@ def checks(d: Document) -> str:
     ]
     if not rows:
         return ""
-    headings = ["check", "measured", "model", "p", ""]
-    title = f"<h3>Checks of the final model: {escape(checks_hold(d))}</h3>"
-    return title + table(headings, rows, left=True) + _UNITS
+    listed = table(["check", "measured", "model", "chance", ""], rows, left=True) + _UNITS
+    is_open = " open" if any(one["failed"] for one in d["checks"]) else ""
+    return f"<details{is_open}><summary>Checks of the final model: {escape(checks_hold(d))}</summary>{listed}</details>"
 
 
 def failing(d: Document) -> str:

@@ -16,8 +16,9 @@ def tell_alike(said, page):
     (found,) = said["verdict"]["effects"]
     ends = [f"{said['errors'][when]['free_run_10s_m']:.2f}" for when in ("before", "after")]
     reduction = found["parameters"]["reduction"]
-    pairs = [(" -> ".join(ends), " → ".join(ends)), (f"reduction {reduction:.3g}", f"{reduction:.3f} ±")]
-    pairs.append((f"{found['heldout_gain_nats']:.0f} ± {found['heldout_gain_se']:.0f} nats",) * 2)
+    pairs = [(" -> ".join(f"{end} m" for end in ends), " → ".join(ends))]
+    pairs.append((f"reduction = {reduction:.3f} ±", f"{reduction:.3f} ±"))
+    pairs.append((f"{round(found['heldout_gain_nats'])} ± {round(found['heldout_gain_se'])} nats",) * 2)
     for when in ("before", "after"):
         pairs.append((f"{len(said['where'][when]['flagged'])} of {len(said['where'][when]['bins'])}",) * 2)
     for of_terminal, of_card in pairs:

@@ -90,7 +90,8 @@ def agree(document, bag, page):
     assert verdict["told"][0].startswith(starts[outcome])
     assert verdict["told"] == sentences(document)
     assert escape(badge(document)[1]) in card
-    assert escape(headline(document)) in card
+    said = headline(document).removeprefix(f"{badge(document)[1]}: ")
+    assert escape(said[1:]) in card
     for one in effects:
         assert sum(line.startswith(f"{addition(document, one)}: ") for line in verdict["told"]) == 1
         assert escape(addition(document, one)) in text

@@ -109,7 +109,7 @@ def test_the_card_says_what_how_much_how_sure_and_what_to_do(recorded):
     card = text.split("<nav>")[0]
     for words in (
         "What was missing is explained",
-        "slower stretch of road (slow_patch). With it, nothing in these data speaks against the model.",
+        "Slower stretch of road (slow_patch). With it, nothing in these data speaks against the model.",
         "Share taken off the desired speed: 0.20 ± 0.01; middle: 5 m; length: 30 m",
         "Unseen data confirm it: 50 ± 9 nats better (5.6 standard errors); chance gains as much with p &lt; 0.001",
         "cannot be told apart from hill",
@@ -337,7 +337,7 @@ def test_the_report_in_a_browser(browser, page):
     shown.keyboard.press("ArrowLeft")
     shown.wait_for_function(f"{slider} < {start}")
     # what is folded opens by the keyboard; the links of the top lead to their sections
-    shown.locator("summary").first.focus()
+    shown.locator("#missing summary").first.focus()
     shown.keyboard.press("Enter")
     assert shown.get_by_text("The error after 10 s falls").is_visible()
     shown.get_by_role("link", name="What it is worth").focus()
