@@ -166,18 +166,7 @@ class Candidate:
 
 
 def candidates(data: Recorded) -> tuple[Candidate, ...]:
-    """Return all candidates that make sense for a recording, without forces.
-
-    Parameters
-    ----------
-    data : Recorded
-        The recording.
-
-    Returns
-    -------
-    tuple of Candidate
-        Constants first, then effects.
-    """
+    """Return all candidates that make sense for a recording, without forces."""
     constants = [
         Candidate(
             c.name, c.name, "noise" if c.is_noise else "constants", tuple(map(index, c.parameters)), ({},), c.individual
@@ -244,13 +233,7 @@ def check_names(names: Sequence[str]) -> None:
 
 
 def chosen(data: Recorded, possible: Sequence[Candidate], name: str) -> Candidate:
-    """Return the candidate with a name, or the first one of a mechanism with this name.
-
-    Raises
-    ------
-    InputError
-        For a name that no candidate has; the message says why where an effect of that name cannot be added.
-    """
+    """Return the candidate with a name, or the first one of a mechanism with this name."""
     wanted = FORCE_ALONG + name.partition(":")[2] if name.startswith(f"{FORCE}:") else name
     mine = [c for c in possible if c.name == wanted] or [c for c in possible if c.mechanism == wanted]
     if mine:

@@ -66,22 +66,7 @@ class Chance(NamedTuple):
 
 
 def chance_of(data_scores: Sequence[Score], simulated: Sequence[Sequence[Score]], seed: int) -> Chance:
-    """Return what chance gives in the scores of a recording.
-
-    Parameters
-    ----------
-    data_scores : sequence of Score
-        Scores of the recording.
-    simulated : sequence of sequence of Score
-        Scores of recordings that the model simulates.
-    seed : int
-        Seed of the draws.
-
-    Returns
-    -------
-    Chance
-        By mechanism and by candidate.
-    """
+    """Return what chance gives in the scores of a recording."""
     shifts = [{_key(one): one for one in each} for each in simulated]
     rng = np.random.default_rng(seed)
     largest: dict[str, float] = {}

@@ -126,24 +126,7 @@ def surroundings(data: Recorded, model: Model, work: Executor) -> Surroundings:
 
 
 def forecasts(data: Recorded, around: Surroundings, models: Sequence[Model], work: Executor) -> Forecasts:
-    """Forecast every sample, each with the model that was fitted without the sample's fold.
-
-    Parameters
-    ----------
-    data : Recorded
-        The recording.
-    around : Surroundings
-        The traffic, as of ``surroundings``.
-    models : sequence of Model
-        One for each fold.
-    work : Executor
-        Runs the filters and the drivers.
-
-    Returns
-    -------
-    Forecasts
-        The forecasts of all samples and starts.
-    """
+    """Forecast every sample, each with the model that was fitted without the sample's fold."""
     parts = [_Fold(data, around, model, fold) for fold, model in enumerate(models)]
     known = np.full((3, data.drivers, data.samples), np.nan)
     ends = np.full((2, 4, len(around.starts), len(HORIZONS_S), data.drivers), np.nan)
@@ -169,19 +152,6 @@ def judged_runs(ends: Array, fold: Ints) -> Runs:
     Their spread is recalibrated before (ensemble model output statistics): it counts times a factor for each horizon
     that is fitted to the other folds. So a forecast is judged by its mean and by when it is uncertain, not by noises
     that are too large or too small on the whole; a check looks at those.
-
-    Parameters
-    ----------
-    ends : ndarray, shape (4, S, H, N)
-        Mean of the forecast minus the measured position [m], its variance [m^2] for a good measurement, the share of
-        bad measurements, and its variance [m^2] for a bad one.
-    fold : ndarray of int, shape (S, N)
-        Fold of each start.
-
-    Returns
-    -------
-    Runs
-        The scores.
     """
     error, var, share, wide = ends
     normal = error / np.sqrt((1.0 - share) * var + share * wide)
@@ -213,14 +183,7 @@ def _student(off: Array, var: Array) -> Array:
 
 
 def driven(data: Recorded, models: Sequence[Model], work: Executor) -> Array:
-    """Let all vehicles of a road drive through each block of time, without noise, by the model that has not seen it.
-
-    Returns
-    -------
-    ndarray, shape (T, N)
-        Positions [m], wrapped on a ring; NaN while the filter settles, and for vehicles that were not there at the
-        start of the block. On tracks nobody says who drives before and after a stretch: all are NaN.
-    """
+    """Let all vehicles of a road drive through each block of time, without noise, by the model that has not seen it."""
     around = data.vicinity
     position = np.full((data.samples, data.drivers), np.nan)
     if data.trajectories is None:

@@ -20,26 +20,7 @@ _STEPS, _RENEWALS, _STEPS_WITHOUT = 12, 2, 3
 
 
 def refined(data: Recorded, fitted: JointFit, candidate: Candidate, found: Sequence[Score], work: Executor) -> JointFit:
-    """Add a candidate to a fitted model, and fit the new model in full.
-
-    Parameters
-    ----------
-    data : Recorded
-        The recording.
-    fitted : JointFit
-        The fitted model without the candidate.
-    candidate : Candidate
-        What is added.
-    found : sequence of Score
-        Scores of the candidate at its starts, the largest gain first; none where nothing is known of it.
-    work : Executor
-        Runs the filters.
-
-    Returns
-    -------
-    JointFit
-        The model with the candidate; the fit begins at the start, and the strength there, that fits the samples best.
-    """
+    """Add a candidate to a fitted model, and fit the new model in full."""
     tried = [model for one in found[:2] for model in _starts(fitted.model, one)]
     tried = tried or [with_candidate(fitted.model, candidate, start) for start in candidate.starts]
     there = [_beside(data, fitted, model, work) for model in tried]
@@ -50,31 +31,7 @@ def refined(data: Recorded, fitted: JointFit, candidate: Candidate, found: Seque
 def with_named(
     data: Recorded, fitted: JointFit, names: Sequence[str], work: Executor
 ) -> tuple[JointFit, list[Candidate]]:
-    """Add candidates by their names to a fitted model, one after the other.
-
-    Parameters
-    ----------
-    data : Recorded
-        The recording.
-    fitted : JointFit
-        The fitted model without them.
-    names : sequence of str
-        Names of the candidates.
-    work : Executor
-        Runs the filters.
-
-    Returns
-    -------
-    fitted : JointFit
-        The model with all of them, fitted in full.
-    added : list of Candidate
-        What was added.
-
-    Raises
-    ------
-    InputError
-        For a name that cannot be added.
-    """
+    """Add candidates by their names to a fitted model, one after the other."""
     possible = candidates(data)
     added = [chosen(data, possible, name) for name in names]
     for candidate in added:

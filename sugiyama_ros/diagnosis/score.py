@@ -223,29 +223,7 @@ def scores(
     *,
     with_forces: bool = True,
 ) -> list[Score]:
-    """Score candidates, and forces along all covariates, beside a fitted model.
-
-    Parameters
-    ----------
-    data : Recorded
-        The recording.
-    fitted : JointFit
-        The model, at a maximum of its likelihood.
-    candidates : sequence of Candidate
-        What to score.
-    work : Executor
-        Runs the filters.
-    who : sequence of int, optional
-        Numbers of the drivers to score; all by default.
-    with_forces : bool
-        Whether to score forces, too.
-
-    Returns
-    -------
-    list of Score
-        One for each start of a candidate; one for all starts that differ only in which of several strengths they have;
-        and one for some of the drivers along each direction.
-    """
+    """Score candidates, and forces along all covariates, beside a fitted model."""
     chosen = range(data.drivers) if who is None else who
     nuisance = _Nuisance(data, fitted, chosen)
     together: dict[tuple[object, ...], list[_Direction]] = {}

@@ -110,24 +110,7 @@ class Entry:
 def gains(
     data: Recorded, better: Forecasts, than: Forecasts, over: Sequence[Unit] = ("driver", "block")
 ) -> dict[str, Difference]:
-    """Return the gain of one model over another at each horizon, and over all of them together.
-
-    Parameters
-    ----------
-    data : Recorded
-        The recording.
-    better, than : Forecasts
-        Forecasts of both models.
-    over : sequence of {"driver", "block"}
-        What is exchangeable; nothing but single blocks of single drivers where it is empty.
-
-    Returns
-    -------
-    dict of str to Difference
-        By column: ``one_step``, ``1s`` and so on for single drivers, ``road_1s`` and so on where a whole road drives
-        on, and ``all``: one step and single drivers together. Each horizon counts as many nats as forecasts that do
-        not overlap would have.
-    """
+    """Return the gain of one model over another at each horizon, and over all of them together."""
     parts = list(_differences(data, better, than))
     single = [part for part in parts if not part[0].startswith("road")]
     driver, block, nats = (np.concatenate(column) for column in list(zip(*single, strict=True))[1:])
@@ -151,21 +134,7 @@ def is_better(gain: Mapping[str, Difference]) -> bool:
 
 
 def errors(of: Forecasts) -> dict[str, float]:
-    """Return the held-out errors of a model.
-
-    Parameters
-    ----------
-    of : Forecasts
-        Its forecasts.
-
-    Returns
-    -------
-    dict of str to float
-        ``one_step_rmse_m`` [m], ``loglik_per_sample`` [nats], and after 1, 2, 5 and 10 s the root mean square of the
-        errors of free runs [m] and their continuous ranked probability scores [m]: ``single_car_1s_m``,
-        ``single_car_1s_crps_m``, and ``free_run_1s_m``, ``free_run_1s_crps_m`` where all cars of a road drive on
-        together, NaN on tracks.
-    """
+    """Return the held-out errors of a model."""
     known = np.isfinite(of.one_step)
     found = {
         "one_step_rmse_m": _rms(of.innovation_m[known]),
