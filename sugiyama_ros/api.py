@@ -18,7 +18,6 @@ from sugiyama_ros.diagnosis import diagnose as diagnosis
 from sugiyama_ros.diagnosis.candidates import check_names
 from sugiyama_ros.diagnosis.compare import Comparison
 from sugiyama_ros.diagnosis.diagnose import Diagnosis
-from sugiyama_ros.diagnosis.document import document as document_of
 from sugiyama_ros.driver.parameters import defaults
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
@@ -32,6 +31,7 @@ from sugiyama_ros.formats.registry import read_tracks as tracks_of_file
 from sugiyama_ros.formats.registry import read_trajectories
 from sugiyama_ros.page import recording
 from sugiyama_ros.page.diagnosis import check_same, read_diagnosis
+from sugiyama_ros.page.document import document as document_of
 from sugiyama_ros.page.recording import Recording
 from sugiyama_ros.progress import stages
 from sugiyama_ros.results import plain

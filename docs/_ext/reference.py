@@ -17,10 +17,10 @@ from typer.main import get_command
 import sugiyama_ros as sg
 from sugiyama_ros.cli.app import app as commands_app
 from sugiyama_ros.diagnosis.check import Check
-from sugiyama_ros.diagnosis.document import Addition, Tried
 from sugiyama_ros.diagnosis.where import Bin
 from sugiyama_ros.driver.parameters import PARAMETERS, Parameter
 from sugiyama_ros.formats.registry import formats
+from sugiyama_ros.page.document import Addition, Tried
 from sugiyama_ros.studies.registry import STUDIES
 
 DOCS = Path(__file__).parents[1]
@@ -201,7 +201,7 @@ def python() -> str:
         "",
         "``sugiyama diagnose --json`` prints it, ``--save`` keeps it.",
         "",
-        ".. autofunction:: sugiyama_ros.diagnosis.document.document",
+        ".. autofunction:: sugiyama_ros.page.document.document",
         "",
         *(f".. autoclass:: {one.__module__}.{one.__qualname__}\n" for one in (Addition, Tried, Check, Bin)),
         ".. autofunction:: sugiyama_ros.diagnosis.table.errors",

@@ -56,8 +56,8 @@ def demo(
     recording = own_output(output, _OWN, overwrite, data)
     page = _page_beside(recording)
     from sugiyama_ros.api import FEW_STEPS
-    from sugiyama_ros.diagnosis.document import document
     from sugiyama_ros.formats.registry import read_trajectories
+    from sugiyama_ros.page.document import document
     from sugiyama_ros.page.recording import read_recording
     from sugiyama_ros.page.report import write_report
     from sugiyama_ros.page.words import sentences

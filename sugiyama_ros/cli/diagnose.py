@@ -80,10 +80,10 @@ def diagnose(options: DiagnoseOptions) -> None:
     to_write = model_output(options.output, options.overwrite, options.sources)
     to_save = _document_output(options)
     from sugiyama_ros.api import FEW_STEPS
-    from sugiyama_ros.diagnosis.document import document
     from sugiyama_ros.fit.model_file import write_model
     from sugiyama_ros.formats.registry import read_recordings
     from sugiyama_ros.outputs import writing
+    from sugiyama_ros.page.document import document
     from sugiyama_ros.page.words import cautions, sentences
     from sugiyama_ros.workers import helpers
 

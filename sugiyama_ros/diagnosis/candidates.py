@@ -41,20 +41,9 @@ _A_RING = RecordingExtent(0.0, 100.0, 100.0, 0.0, 100.0)
 class Constants:
     """Constants that become free together.
 
-    Parameters
-    ----------
-    name : str
-        Name of the group.
-    parameters : tuple of str
-        Names of the constants.
-    title : str
-        Name for people.
-    summary : str
-        Explanation in one line.
-    individual : bool
-        Whether every driver has individual values.
-    is_noise : bool
-        Whether the constants change only noises and not the mean motion.
+    name: Name of the group; parameters: Names of the constants; title: Name for people; summary: Explanation in one
+    line; individual: Whether every driver has individual values; is_noise: Whether the constants change only noises
+    and not the mean motion.
     """
 
     name: str
@@ -101,30 +90,14 @@ CONSTANTS = (
 class Candidate:
     """Something that can be added to a model.
 
-    Parameters
-    ----------
-    name : str
-        Name of the effect in one of its forms, of the group of constants, or of the force.
-    mechanism : str
-        Name of the mechanism, of which the candidate may be one form among others.
-    kind : {"effect", "measurement", "force", "constants", "noise"}
-        What the candidate changes.
-    places : tuple of int
-        Entries of the rows that become free.
-    starts : tuple of Start
-        Where the candidate is scored. A start without values is the model itself, with the entries free.
-    individual : bool
-        Whether every driver has individual values.
-    switches : tuple of int
-        Places of the strengths of an effect: where all of them are 0, the effect does nothing.
-    has_sign : bool
-        Whether only positive strengths make sense.
-    drivers : tuple of int
-        Numbers of the drivers who have it; empty for all.
-    is_random : bool
-        Whether the candidate changes how uncertain a forecast is, and not its mean: noises, and what wanders.
-    elsewhere : float
-        Logarithm of the number of places, times and cars among which the start was chosen (look-elsewhere effect).
+    name: Name of the effect in one of its forms, of the group of constants, or of the force; mechanism: Name of the
+    mechanism, of which the candidate may be one form among others; kind: What the candidate changes; places:
+    Entries of the rows that become free; starts: Where the candidate is scored. A start without values is the model
+    itself, with the entries free; individual: Whether every driver has individual values; switches: Places of the
+    strengths of an effect: where all of them are 0, the effect does nothing; has_sign: Whether only positive
+    strengths make sense; drivers: Numbers of the drivers who have it; empty for all; is_random: Whether the
+    candidate changes how uncertain a forecast is, and not its mean: noises, and what wanders; elsewhere: Logarithm
+    of the number of places, times and cars among which the start was chosen (look-elsewhere effect).
     """
 
     name: str

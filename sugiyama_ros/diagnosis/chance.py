@@ -44,15 +44,9 @@ _LARGEST = 3.0
 class Chance(NamedTuple):
     """What chance gives.
 
-    Parameters
-    ----------
-    p_values : dict of str to float
-        How probable it is that any candidate shows as much by chance as each mechanism does; by chance, the smallest
-        one is uniform.
-    improbable : dict of str to float
-        -ln p of each candidate alone, by name.
-    needed : dict of str to float
-        Gain [nats] that each candidate needs for a p-value of ``ALPHA``, by name.
+    p_values: How probable it is that any candidate shows as much by chance as each mechanism does; by chance, the
+    smallest one is uniform; improbable: -ln p of each candidate alone, by name; needed: Gain [nats] that each
+    candidate needs for a p-value of ``ALPHA``, by name.
     """
 
     p_values: dict[str, float]

@@ -45,20 +45,10 @@ _SIMULATIONS = 4
 class Compared:
     """One model of a comparison.
 
-    Parameters
-    ----------
-    name : str
-        Name of the model.
-    kind : {"base", "asked", "in_sample", "law", "simulated"}
-        What the model is.
-    forecasts : Forecasts
-        Its forecasts, held out unless ``kind`` is ``in_sample``.
-    gain : dict of str to Difference
-        Gain over the base model [nats], by column; empty for the base model on its own simulation.
-    collective : dict of str to (float, float)
-        Mean and standard deviation of measures of the whole road, over simulations of the model; empty on tracks.
-    over : tuple of {"driver", "block"}
-        What is exchangeable where it differs from the base model.
+    name: Name of the model; kind: What the model is; forecasts: Its forecasts, held out unless ``kind`` is
+    ``in_sample``; gain: Gain over the base model [nats], by column; empty for the base model on its own simulation;
+    collective: Mean and standard deviation of measures of the whole road, over simulations of the model; empty on
+    tracks; over: What is exchangeable where it differs from the base model.
     """
 
     name: str

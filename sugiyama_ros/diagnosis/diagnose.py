@@ -52,24 +52,11 @@ _FITTED = 5
 class Round:
     """One round: what was scored and fitted beside a model, and what was added to it.
 
-    Parameters
-    ----------
-    current : Entry
-        The model at the beginning of the round.
-    scores : tuple of Score
-        The best score of each mechanism, the most improbable one first.
-    chance : Chance
-        What chance gives.
-    entries : tuple of Entry
-        The models that were fitted, the best one first.
-    gains : tuple of dict of str to Difference
-        Difference of each over the current model, by column.
-    added : Entry or None
-        The model to go on with; None if no model is clearly better.
-    alike : tuple of Entry
-        Models that cannot be told apart from the one that was added.
-    simulated : Simulated
-        Recordings that the model at the beginning of the round simulates.
+    current: The model at the beginning of the round; scores: The best score of each mechanism, the most improbable
+    one first; chance: What chance gives; entries: The models that were fitted, the best one first; gains:
+    Difference of each over the current model, by column; added: The model to go on with; None if no model is
+    clearly better; alike: Models that cannot be told apart from the one that was added; simulated: Recordings that
+    the model at the beginning of the round simulates.
     """
 
     current: Entry
@@ -91,14 +78,7 @@ class Round:
 class Step:
     """What one round has added.
 
-    Parameters
-    ----------
-    before, after : Entry
-        The model before and after.
-    gain : dict of str to Difference
-        What it gains on unseen data, by column.
-    of : Round
-        The round.
+    before, after: The model before and after; gain: What it gains on unseen data, by column; of: The round.
     """
 
     before: Entry
@@ -193,14 +173,14 @@ class Diagnosis(Result):
         return "\n".join(self._sentences())
 
     def _sentences(self) -> list[str]:
-        from sugiyama_ros.diagnosis.document import document
+        from sugiyama_ros.page.document import document
         from sugiyama_ros.page.words import sentences
 
         return sentences(plain(document(self)))
 
     def records(self) -> list[dict[str, Any]]:
         """List the candidates of the first round, the best one first: gains [nats] and p-value."""
-        from sugiyama_ros.diagnosis.document import document
+        from sugiyama_ros.page.document import document
 
         found: list[dict[str, Any]] = plain(document(self))["candidates"]
         return found
@@ -241,7 +221,7 @@ class Diagnosis(Result):
         super().save(path)
 
     def _save_json(self, stream: BinaryIO, _: str) -> None:
-        from sugiyama_ros.diagnosis.document import document
+        from sugiyama_ros.page.document import document
 
         stream.write((json.dumps(plain(document(self)), indent=2, allow_nan=False) + "\n").encode())
 

@@ -47,16 +47,9 @@ _EVERY_S, _PAIRS = 5.0, 4
 class Runs:
     """Forecasts by driving on, from S starts, at H horizons, of N drivers; NaN where nobody can be judged.
 
-    Parameters
-    ----------
-    log_score : ndarray, shape (S, H, N)
-        Logarithm of the forecast's density at the measured position [nats], without the term of 2 pi.
-    crps : ndarray, shape (S, H, N)
-        Continuous ranked probability score [m].
-    error : ndarray, shape (S, H, N)
-        Mean of the forecast minus the measured position [m].
-    normal : ndarray, shape (S, H, N)
-        The error over the standard deviation of the forecast.
+    log_score: Logarithm of the forecast's density at the measured position [nats], without the term of 2 pi, (S, H,
+    N); crps: Continuous ranked probability score [m], (S, H, N); error: Mean of the forecast minus the measured
+    position [m], (S, H, N); normal: The error over the standard deviation of the forecast, (S, H, N).
     """
 
     log_score: Array
@@ -69,18 +62,9 @@ class Runs:
 class Forecasts:
     """Held-out forecasts of a model.
 
-    Parameters
-    ----------
-    one_step : ndarray, shape (N, T)
-        Log-likelihood of each sample, given those before [nats].
-    innovation_m, innovation_var : ndarray, shape (N, T)
-        Innovation [m] and its variance [m^2].
-    single : Runs
-        Drivers behind their recorded leaders.
-    road : Runs or None
-        All drivers of a whole road together.
-    start : ndarray of int, shape (S,)
-        Samples at which the runs start.
+    one_step: Log-likelihood of each sample, given those before [nats], (N, T); innovation_m, innovation_var:
+    Innovation [m] and its variance [m^2], (N, T); single: Drivers behind their recorded leaders; road: All drivers
+    of a whole road together; start: Samples at which the runs start, (S,).
     """
 
     one_step: Array

@@ -38,22 +38,12 @@ _SIZES, _SHARES, _FEWEST = (1.0, 1.5, 2.0, 3.0, 4.5, 7.0, 10.0), (0.05, 0.1, 0.2
 class Score:
     """The score of one candidate along K directions that are fitted together.
 
-    Parameters
-    ----------
-    candidate : Candidate
-        The candidate.
-    starts : tuple of Start
-        The start at the end of each direction; the same one for all where the directions are derivatives.
-    score : ndarray, shape (G, K)
-        Efficient score of each of G blocks of a driver's time. Where ``information`` is None: gain [nats] at the start.
-    information : ndarray, shape (G, K, K), or None
-        Information of each block. None for a start that changes noises, whose gain is known there alone.
-    total : ndarray, shape (K, K) or (N, K, K)
-        Information of all blocks, less what shared parameters take up; of each driver for individual values.
-    driver : ndarray of int, shape (G,)
-        Number of each block's driver, among those that were scored.
-    drivers : int
-        Number N of drivers that were scored.
+    candidate: The candidate; starts: The start at the end of each direction; the same one for all where the
+    directions are derivatives; score: Efficient score of each of G blocks of a driver's time. Where ``information``
+    is None: gain [nats] at the start, (G, K); information: Information of each block. None for a start that changes
+    noises, whose gain is known there alone, (G, K, K); total: Information of all blocks, less what shared
+    parameters take up; of each driver for individual values, (K, K) or (N, K, K); driver: Number of each block's
+    driver, among those that were scored, (G,); drivers: Number N of drivers that were scored.
     """
 
     candidate: Candidate

@@ -32,14 +32,9 @@ CLEARLY = 2.0
 class Difference:
     """How much more one model forecasts than another: a sum over blocks of time and drivers.
 
-    Parameters
-    ----------
-    nats : float
-        Difference of the log scores [nats].
-    se : float
-        Standard error: the larger one of two jackknives, over drivers and over blocks of time. Blocks are not
-        exchangeable where models differ by what happens at one time, nor drivers where they differ by what some drivers
-        have: then the other jackknife counts alone.
+    nats: Difference of the log scores [nats]; se: Standard error: the larger one of two jackknives, over drivers
+    and over blocks of time. Blocks are not exchangeable where models differ by what happens at one time, nor
+    drivers where they differ by what some drivers have: then the other jackknife counts alone.
     """
 
     nats: float
@@ -60,18 +55,8 @@ class Difference:
 class Entry:
     """A fitted model in the table.
 
-    Parameters
-    ----------
-    name : str
-        Name of the model.
-    added : tuple of Candidate
-        What it has beyond the base model.
-    fit : JointFit or None
-        The fit to all samples.
-    models : tuple of Model
-        The fits without each fold.
-    forecasts : Forecasts
-        Held-out forecasts.
+    name: Name of the model; added: What it has beyond the base model; fit: The fit to all samples; models: The fits
+    without each fold; forecasts: Held-out forecasts.
     """
 
     name: str

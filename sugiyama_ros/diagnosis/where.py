@@ -34,24 +34,10 @@ _REGIMES = ("standing", "braking", "accelerating", "following")
 class Bin:
     """Innovations while a covariate is in [low, high), SI units.
 
-    Parameters
-    ----------
-    covariate : str
-        Name of the covariate.
-    label : str
-        Name of the driver or the regime; empty for other covariates.
-    low, high : float
-        Ends of the bin.
-    samples : int
-        Number of samples in the bin.
-    bias : float
-        Mean of the normalised innovations.
-    nis : float
-        Mean of their squares; 1 for a model that knows its own uncertainty.
-    p_value : float
-        Probability of such a bias by chance.
-    flagged : bool
-        Whether the bias counts as a failure, at the false-discovery rate RATE.
+    covariate: Name of the covariate; label: Name of the driver or the regime; empty for other covariates; low,
+    high: Ends of the bin; samples: Number of samples in the bin; bias: Mean of the normalised innovations; nis:
+    Mean of their squares; 1 for a model that knows its own uncertainty; p_value: Probability of such a bias by
+    chance; flagged: Whether the bias counts as a failure, at the false-discovery rate RATE.
     """
 
     covariate: str

@@ -16,11 +16,11 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from sugiyama_ros.diagnosis.diagnose import diagnose
-from sugiyama_ros.diagnosis.document import additions
 from sugiyama_ros.diagnosis.table import Entry
 from sugiyama_ros.effects.discovered_force import COVARIATES
 from sugiyama_ros.effects.effect import Values
 from sugiyama_ros.outputs import writing
+from sugiyama_ros.page.document import additions
 from sugiyama_ros.studies.hiding import STRENGTHS, hide_all
 from sugiyama_ros.studies.judgement import FORM, FORMS, NONE, PAIR, PAIRS, Judgement
 from sugiyama_ros.studies.judgement_report import report

@@ -13,7 +13,6 @@ import yaml
 
 from sugiyama_ros.diagnosis.candidates import candidates
 from sugiyama_ros.diagnosis.diagnose import diagnose
-from sugiyama_ros.diagnosis.document import additions, document
 from sugiyama_ros.diagnosis.refine import refined
 from sugiyama_ros.diagnosis.score import scores
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, defaults
@@ -23,6 +22,7 @@ from sugiyama_ros.fit.model_file import read_model, write_model
 from sugiyama_ros.fit.population import fit_base
 from sugiyama_ros.fit.recording import prepare
 from sugiyama_ros.laws.registry import RIVALS, number_of
+from sugiyama_ros.page.document import additions, document
 from sugiyama_ros.results import plain
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, evenly, platoon, simulate
