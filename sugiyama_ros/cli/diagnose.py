@@ -219,6 +219,7 @@ def compare(options: CompareOptions) -> None:
     from sugiyama_ros.diagnosis.compare import compare as compare_models
     from sugiyama_ros.fit.model_file import read_model
     from sugiyama_ros.formats.registry import read_recordings
+    from sugiyama_ros.page.document import comparison_document
     from sugiyama_ros.workers import helpers
 
     given = read_model(options.model) if options.model is not None else None
@@ -228,7 +229,7 @@ def compare(options: CompareOptions) -> None:
         compared = compare_models(
             recording, names(options.effects), given, seed=options.seed, workers=workers, on_progress=advance
         )
-    document = plain(compared.document())
+    document = plain(comparison_document(compared))
     if options.as_json:
         print_json({"headline": compared.headline(), **document})
         return

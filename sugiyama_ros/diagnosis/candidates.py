@@ -11,6 +11,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from sugiyama_ros.arrays import Array
+from sugiyama_ros.driver.constants import CONSTANTS
 from sugiyama_ros.driver.parameters import index
 from sugiyama_ros.effects.discovered_force import COVARIATES, KNOTS
 from sugiyama_ros.effects.effect import MEASUREMENT, Effect, RecordingExtent
@@ -35,55 +36,6 @@ _RUNS_S, _PUSH = (1.0, 2.0, 4.0), 0.5
 OF_SOME = "_of_some"
 # A recording on which every effect that is searched for at all has a start.
 _A_RING = RecordingExtent(0.0, 100.0, 100.0, 0.0, 100.0)
-
-
-@dataclass(frozen=True)
-class Constants:
-    """Constants that become free together.
-
-    name: Name of the group; parameters: Names of the constants; title: Name for people; summary: Explanation in one
-    line; individual: Whether every driver has individual values; is_noise: Whether the constants change only noises
-    and not the mean motion.
-    """
-
-    name: str
-    parameters: tuple[str, ...]
-    title: str
-    summary: str
-    individual: bool = False
-    is_noise: bool = False
-
-
-#: Constants that the paper fixes, in groups that act together.
-CONSTANTS = (
-    Constants(
-        "response_constants",
-        ("kappa_c", "kappa_d", "kappa_1"),
-        "softer or harder response",
-        "gap scales and the width of the desired-speed reward are fitted instead of the paper's constants",
-    ),
-    Constants(
-        "noise_constants",
-        ("rho", "sigma_x", "sigma_v"),
-        "other noise of the motion",
-        "noises of position, speed and acceleration are fitted instead of the paper's constants",
-        is_noise=True,
-    ),
-    Constants(
-        "rationality",
-        ("rationality",),
-        "sharper or looser choices",
-        "how sharply a driver prefers the best action is fitted for each driver",
-        individual=True,
-    ),
-    Constants(
-        "risk_constants",
-        ("kappa_c", "kappa_d"),
-        "own gap scales of each driver",
-        "gap scales at standstill and per closing speed are fitted for each driver",
-        individual=True,
-    ),
-)
 
 
 @dataclass(frozen=True, eq=False)

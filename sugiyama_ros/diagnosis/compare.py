@@ -12,10 +12,10 @@ from sugiyama_ros.diagnosis.base import base_model, with_more_decisions
 from sugiyama_ros.diagnosis.check import motion_of
 from sugiyama_ros.diagnosis.forecast import Forecasts, Surroundings, forecasts, surroundings
 from sugiyama_ros.diagnosis.refine import with_named, without_folds
-from sugiyama_ros.diagnosis.rivals import by_gaps, in_filter
 from sugiyama_ros.diagnosis.simulated import resample, seeds
-from sugiyama_ros.diagnosis.table import Difference, Unit, errors, exchangeable, gains
+from sugiyama_ros.diagnosis.table import Difference, Unit, exchangeable, gains
 from sugiyama_ros.fit.joint import JointFit, fit
+from sugiyama_ros.fit.law import by_gaps, in_filter
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.model_file import ModelFile
 from sugiyama_ros.fit.recording import FOLDS, Recorded
@@ -90,60 +90,17 @@ class Comparison(Result):
 
     def headline(self) -> str:
         """Say which model predicts best, how much better than the base model, and which ones are not clearly behind."""
+        from sugiyama_ros.page.document import comparison_document
         from sugiyama_ros.page.words import best_model
 
-        return best_model(plain(self.document()))
-
-    def document(self) -> dict[str, Any]:
-        """Return all results in plain types, in SI units.
-
-        Returns
-        -------
-        dict
-            ``models``, the base model first: ``name``, ``kind``, errors as of ``table.errors``, ``gains`` over the base
-            model by column (``nats`` and ``se``), ``heldout_gain_nats`` and ``heldout_gain_se`` over all columns,
-            ``behind``: how far the model is behind the best one, ``collective`` with means and standard deviations,
-            and ``drivers``. ``measured`` and ``wave_speed_se``: the traffic on the recorded road.
-            ``decision_period_s``, ``drivers_left_out`` and ``seed``.
-        """
-        held_out = [one for one in self.models if one.kind not in ("in_sample", "simulated")]
-        best = max(held_out, key=lambda one: one.gain["all"].nats)
-        return {
-            "models": [self._model(one, best) for one in self.models],
-            "measured": asdict(self.measured) if self.measured is not None else None,
-            "wave_speed_se": self.wave_speed_se,
-            "decision_period_s": self.vicinity.period_s,
-            "drivers_left_out": self.data.left_out,
-            "seed": self.seed,
-        }
-
-    def _model(self, one: Compared, best: Compared) -> dict[str, Any]:
-        compares = one.kind != "simulated"
-        over = one.over if best.kind == "base" else best.over
-        behind = gains(self.data, best.forecasts, one.forecasts, over)["all"] if compares else None
-        won = np.nansum(one.forecasts.one_step, axis=1)
-        ends = one.forecasts.single.error[:, -1]
-        return {
-            "name": one.name,
-            "kind": one.kind,
-            **errors(one.forecasts),
-            "gains": {name: asdict(value) for name, value in one.gain.items()},
-            "heldout_gain_nats": one.gain["all"].nats if compares else None,
-            "heldout_gain_se": one.gain["all"].se if compares else None,
-            "behind": asdict(behind) if behind is not None else None,
-            "collective": {name: {"mean": mean, "std": std} for name, (mean, std) in one.collective.items()},
-            "drivers": [
-                {**name.document(), "log_likelihood": float(won[i]), "single_car_10s_m": _rms(ends[:, i])}
-                for i, name in enumerate(self.vicinity.names)
-            ]
-            if compares
-            else [],
-        }
+        return best_model(plain(comparison_document(self)))
 
     def records(self) -> list[dict[str, Any]]:
         """List the models: held-out errors, and the gain over the base model [nats]."""
+        from sugiyama_ros.page.document import comparison_document
+
         left_out = ("gains", "behind", "collective", "drivers")
-        models = plain(self.document())["models"]
+        models = plain(comparison_document(self))["models"]
         return [{name: value for name, value in one.items() if name not in left_out} for one in models]
 
     def draw(self, figure: "Figure") -> None:
@@ -156,11 +113,6 @@ class Comparison(Result):
         known = [one for one in rows if one["heldout_gain_nats"] is not None]
         won, se = ([one[f"heldout_gain_{what}"] for one in known] for what in ("nats", "se"))
         bars(right, [one["name"] for one in known], won, se, "held-out gain [nats]")
-
-
-def _rms(values: Any) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(np.square(known)))) if len(known) else float("nan")
 
 
 def compare(

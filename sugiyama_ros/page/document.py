@@ -1,6 +1,7 @@
-"""The document of a diagnosis: numbers and names in SI units, as ``--json`` prints them and pages read them.
+"""The documents of a diagnosis and of a comparison: numbers and names in SI units.
 
-The classes declare what a document holds; `read_diagnosis` of the page checks files against them.
+``--json`` prints them, and pages read them. The classes declare what a document holds; `read_diagnosis` of the page
+checks files against them.
 """
 
 import math
@@ -11,10 +12,12 @@ from typing import Any
 import numpy as np
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.diagnosis.candidates import CONSTANTS, Candidate, not_searched
+from sugiyama_ros.diagnosis.candidates import Candidate, not_searched
+from sugiyama_ros.diagnosis.compare import Compared, Comparison
 from sugiyama_ros.diagnosis.diagnose import Diagnosis, Round, Step
-from sugiyama_ros.diagnosis.table import Difference, Entry, errors
+from sugiyama_ros.diagnosis.table import Difference, Entry, errors, gains
 from sugiyama_ros.diagnosis.where import Located
+from sugiyama_ros.driver.constants import CONSTANTS
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, Parameter
 from sugiyama_ros.effects.discovered_force import COVARIATES
 from sugiyama_ros.effects.registry import EFFECTS, ROW
@@ -364,4 +367,58 @@ def _explained(title: str, summary: str, parameters: Sequence[Parameter], kind: 
             p.name: {"unit": "" if p.unit == "1" else p.unit, "meaning": p.description, "axis": p.axis}
             for p in parameters
         },
+    }
+
+
+def comparison_document(c: Comparison) -> dict[str, Any]:
+    """Return all results of a comparison in plain types, in SI units.
+
+    Parameters
+    ----------
+    c : Comparison
+        The comparison.
+
+    Returns
+    -------
+    dict
+        ``models``, the base model first: ``name``, ``kind``, errors as of ``table.errors``, ``gains`` over the base
+        model by column (``nats`` and ``se``), ``heldout_gain_nats`` and ``heldout_gain_se`` over all columns,
+        ``behind``: how far the model is behind the best one, ``collective`` with means and standard deviations,
+        and ``drivers``. ``measured`` and ``wave_speed_se``: the traffic on the recorded road.
+        ``decision_period_s``, ``drivers_left_out`` and ``seed``.
+    """
+    held_out = [one for one in c.models if one.kind not in ("in_sample", "simulated")]
+    best = max(held_out, key=lambda one: one.gain["all"].nats)
+    return {
+        "models": [_compared(c, one, best) for one in c.models],
+        "measured": asdict(c.measured) if c.measured is not None else None,
+        "wave_speed_se": c.wave_speed_se,
+        "decision_period_s": c.vicinity.period_s,
+        "drivers_left_out": c.data.left_out,
+        "seed": c.seed,
+    }
+
+
+def _compared(c: Comparison, one: Compared, best: Compared) -> dict[str, Any]:
+    found = {
+        "name": one.name,
+        "kind": one.kind,
+        **errors(one.forecasts),
+        "gains": {name: asdict(value) for name, value in one.gain.items()},
+        "collective": {name: {"mean": mean, "std": std} for name, (mean, std) in one.collective.items()},
+    }
+    if one.kind == "simulated":
+        return {**found, "heldout_gain_nats": None, "heldout_gain_se": None, "behind": None, "drivers": []}
+    over = one.over if best.kind == "base" else best.over
+    won = np.nansum(one.forecasts.one_step, axis=1)
+    ends = _of_each(one.forecasts.single.error[:, -1])
+    return {
+        **found,
+        "heldout_gain_nats": one.gain["all"].nats,
+        "heldout_gain_se": one.gain["all"].se,
+        "behind": asdict(gains(c.data, best.forecasts, one.forecasts, over)["all"]),
+        "drivers": [
+            {**name.document(), "log_likelihood": float(won[i]), "single_car_10s_m": ends[i]}
+            for i, name in enumerate(c.vicinity.names)
+        ],
     }
