@@ -15,10 +15,10 @@ from sugiyama_ros.diagnosis.errors import errors_of
 from sugiyama_ros.diagnosis.screen import refine, with_candidate
 
 from sugiyama_ros.diagnosis.candidates import candidates
-from sugiyama_ros.fit.law import in_filter
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
 from sugiyama_ros.effects.discovered_force import COVARIATES
 from sugiyama_ros.fit.joint import JointFit
+from sugiyama_ros.fit.law import in_filter
 from sugiyama_ros.fit.population import fit_base
 from sugiyama_ros.fit.recording import FOLDS, Recorded, prepare
 from sugiyama_ros.formats.registry import read_trajectories

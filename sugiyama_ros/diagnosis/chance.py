@@ -26,12 +26,11 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.candidates import Candidate
 from sugiyama_ros.diagnosis.score import Score, scores
 from sugiyama_ros.diagnosis.simulated import resampled_fits, seeds
+from sugiyama_ros.diagnosis.table import ALPHA
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.progress import OnStage
 
-#: Level of significance: nothing is added that chance shows more often.
-ALPHA = 0.05
 # Draws from the null distribution: the smallest p-value is a thousandth.
 _DRAWS = 999
 # Part of the draws that shows how the tail falls.

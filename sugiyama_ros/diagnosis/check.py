@@ -18,12 +18,12 @@ import numpy as np
 from scipy.stats import chi2
 from scipy.stats import t as student
 
-from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.forecast import HORIZONS_S, Forecasts
 from sugiyama_ros.diagnosis.simulated import resample, seeds
 from sugiyama_ros.diagnosis.table import Entry
 from sugiyama_ros.diagnosis.where import Located, failing, locate
-from sugiyama_ros.filters.extract import chain_behind, track
+from sugiyama_ros.filters.extract import motion_of
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.score import filtered_states
@@ -180,13 +180,3 @@ def _signs(final: Entry) -> Iterator[Check]:
 def collective_of(trajectories: Trajectories) -> Collective:
     """Return collective measures of trajectories; the speeds come from a filter without a driver model."""
     return collective(*motion_of(trajectories))
-
-
-def motion_of(t: Trajectories) -> tuple[Array, Array, Ints, float]:
-    """Speeds, headways and leaders, each (T, N), and the period [s], without a driver model."""
-    tracks = [track(chain_behind(t, i, vehicles=1)) for i in range(len(t.vehicle))]
-    position, speed = (np.stack([one[:, k] for one in tracks], axis=1) for k in range(2))
-    led = t.leader >= 0
-    ahead = np.take_along_axis(position, np.maximum(t.leader, 0), axis=1)
-    headway = np.where(led, t.road.space_headway(ahead, position), np.nan)
-    return speed, headway, np.where(led, t.leader, -1), t.period_s

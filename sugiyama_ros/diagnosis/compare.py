@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from sugiyama_ros.diagnosis.base import base_model, with_more_decisions
-from sugiyama_ros.diagnosis.check import motion_of
 from sugiyama_ros.diagnosis.forecast import Forecasts, Surroundings, forecasts, surroundings
 from sugiyama_ros.diagnosis.refine import with_named, without_folds
 from sugiyama_ros.diagnosis.simulated import resample, seeds
 from sugiyama_ros.diagnosis.table import Difference, Unit, exchangeable, gains
+from sugiyama_ros.filters.extract import motion_of
 from sugiyama_ros.fit.joint import JointFit, fit
 from sugiyama_ros.fit.law import by_gaps, in_filter
 from sugiyama_ros.fit.model import Model
@@ -172,14 +172,10 @@ def compare(
             on_progress(law, steps - 1 - len(RIVALS) + k, steps)
             found += sent[k].result() if sent else _law(law, data, around, seed, work)
         on_progress("the base model on its own simulation", steps - 1, steps)
-        models = [_over(data, one, found[0]) for one in found]
+        first = found[0].forecasts
+        models = [replace(one, gain=gains(data, one.forecasts, first, one.over)) for one in found]
         models.append(_simulated(data, base, seed, work))
     return Comparison(tuple(models), data, *_measured(data), seed)
-
-
-def _over(data: Recorded, one: Compared, base: Compared) -> Compared:
-    """A model with its gain over the base model."""
-    return replace(one, gain=gains(data, one.forecasts, base.forecasts, one.over))
 
 
 def _fitted(
@@ -200,8 +196,7 @@ def _held_out(
     work: ThreadPoolExecutor,
 ) -> Compared:
     """Models of all folds; ``whole``: what simulates the road, if it is to be simulated."""
-    of_road = _of_road(data, whole, seed, work) if whole is not None else {}
-    return Compared(name, kind, forecasts(data, around, models, work), {}, of_road)
+    return Compared(name, kind, forecasts(data, around, models, work), {}, _of_road(data, whole, seed, work))
 
 
 def _given(model: ModelFile, data: Recorded, around: Surroundings, seed: int, work: ThreadPoolExecutor) -> Compared:
@@ -247,9 +242,11 @@ def _measured(data: Recorded) -> tuple[Collective | None, float]:
     return collective(*motion), wave_speed_error(*motion)
 
 
-def _of_road(data: Recorded, model: Model, seed: int, work: ThreadPoolExecutor) -> dict[str, tuple[float, float]]:
+def _of_road(
+    data: Recorded, model: Model | None, seed: int, work: ThreadPoolExecutor
+) -> dict[str, tuple[float, float]]:
     """Mean and standard deviation of the collective measures, over simulations of a whole road; nothing for tracks."""
-    if data.trajectories is None:
+    if data.trajectories is None or model is None:
         return {}
     states = filtered_states(data, model, work)
     runs = [resample(data, model, states, rng).trajectories for rng in seeds(seed, _SIMULATIONS)]
@@ -260,5 +257,4 @@ def _of_road(data: Recorded, model: Model, seed: int, work: ThreadPoolExecutor) 
 def _mean_and_std(values: Any) -> tuple[float, float]:
     """Mean and standard deviation of the values that are known; NaN for too few of them."""
     known = values[np.isfinite(values)]
-    mean = float(np.mean(known)) if len(known) else float("nan")
-    return mean, float(np.std(known, ddof=1)) if len(known) > 1 else float("nan")
+    return (float(known.mean()), float(known.std(ddof=1))) if len(known) > 1 else (float("nan"), float("nan"))

@@ -19,13 +19,13 @@ from scipy.stats import norm
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.base import base_model, with_more_decisions
 from sugiyama_ros.diagnosis.candidates import Candidate, candidates, chosen, push_of_one
-from sugiyama_ros.diagnosis.chance import ALPHA, Chance, Simulated, chance_of
+from sugiyama_ros.diagnosis.chance import Chance, Simulated, chance_of
 from sugiyama_ros.diagnosis.check import Check, checks, judged
 from sugiyama_ros.diagnosis.forecast import HORIZONS_S, Surroundings, driven, forecasts, surroundings
 from sugiyama_ros.diagnosis.refine import refined, without, without_folds
 from sugiyama_ros.diagnosis.rivals import laws
 from sugiyama_ros.diagnosis.score import Score, scores
-from sugiyama_ros.diagnosis.table import Difference, Entry, errors, gains, is_better
+from sugiyama_ros.diagnosis.table import ALPHA, Difference, Entry, errors, gains, is_better
 from sugiyama_ros.diagnosis.where import Located, locate
 from sugiyama_ros.effects.registry import EFFECTS, ROW
 from sugiyama_ros.fit.joint import JointFit, maximise
@@ -272,8 +272,7 @@ def diagnose(
         bench = _bench(data, base, seed, simulations, work, on_progress)
         found = _scored(bench, base)
         if found.chance.shows_something:
-            finer = with_more_decisions(recording, data, base, work, on_progress)
-            if finer is not None:
+            if (finer := with_more_decisions(recording, data, base, work, on_progress)) is not None:
                 data, base = finer
                 bench = _bench(data, base, seed, simulations, work, on_progress)
                 found = _scored(bench, base)

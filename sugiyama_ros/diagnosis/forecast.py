@@ -9,8 +9,7 @@ models get the same draws.
 References
 ----------
 T. Gneiting and A. E. Raftery, J. Am. Stat. Assoc. 102 (2007) 359. T. Gneiting et al., Mon. Weather Rev. 133 (2005)
-1098. J. M. Hammersley and K. W. Morton, Math. Proc. Camb.
-Philos. Soc. 52 (1956) 449.
+1098. J. M. Hammersley and K. W. Morton, Math. Proc. Camb. Philos. Soc. 52 (1956) 449.
 """
 
 import math

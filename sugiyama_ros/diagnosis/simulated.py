@@ -21,8 +21,7 @@ from sugiyama_ros.simulation.simulator import Clock, Simulator
 from sugiyama_ros.trajectories.trajectories import Trajectories
 from sugiyama_ros.workers import at_once
 
-# Time [s] over which the track of a vehicle without a leader is smoothed (Savitzky and Golay, Anal. Chem. 36 (1964)
-# 1627).
+# Time [s] over which the track of a vehicle without a leader is smoothed (Savitzky, Golay, Anal. Chem. 36 (1964) 1627).
 _SMOOTHED_S = 2.0
 # Samples of a driver do not count from so long [s] before a collision: real drivers do not get there, and the penalty
 # is flat within another vehicle.

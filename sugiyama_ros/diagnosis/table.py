@@ -24,6 +24,8 @@ from sugiyama_ros.fit.recording import Recorded
 
 #: What sums of forecasts are taken over.
 Unit: TypeAlias = Literal["driver", "block"]
+#: Level of significance, and false-discovery rate: nothing is added that chance shows more often.
+ALPHA = 0.05
 #: A difference counts from this number of standard errors on.
 CLEARLY = 2.0
 

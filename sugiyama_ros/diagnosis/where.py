@@ -1,5 +1,4 @@
-"""Where a model fails: bins of covariates in which innovations have a bias, or a spread that the model does not
-predict.
+"""Where a model fails: bins of covariates in which innovations have a bias.
 
 If nothing is missing from a model, its innovations do not depend on anything that was known before. In any bin of any
 covariate, the mean of the normalised innovations is then a normal variable with a variance of one over their number.
@@ -15,13 +14,12 @@ from scipy.stats import norm
 
 from sugiyama_ros.arrays import Array, Mask
 from sugiyama_ros.diagnosis.covariates import covariates_of
+from sugiyama_ros.diagnosis.table import ALPHA
 from sugiyama_ros.driver.parameters import RHO
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.score import PointwiseDensity, filtered_states
 
-#: False-discovery rate of flags and of checks.
-RATE = 0.05
 # Number of bins of a covariate, and smallest number of samples in a bin.
 _BINS, _FEWEST = 10, 30
 # A driver accelerates or brakes beyond this acceleration [m/s^2], and stands below this speed [m/s].
@@ -37,7 +35,7 @@ class Bin:
     covariate: Name of the covariate; label: Name of the driver or the regime; empty for other covariates; low,
     high: Ends of the bin; samples: Number of samples in the bin; bias: Mean of the normalised innovations; nis:
     Mean of their squares; 1 for a model that knows its own uncertainty; p_value: Probability of such a bias by
-    chance; flagged: Whether the bias counts as a failure, at the false-discovery rate RATE.
+    chance; flagged: Whether the bias counts as a failure, at the false-discovery rate ALPHA.
     """
 
     covariate: str
@@ -142,7 +140,7 @@ def _with_flags(bins: list[Bin]) -> list[Bin]:
 
 def failing(p_values: Sequence[float]) -> float:
     """Return the largest p-value that fails, by Benjamini and Hochberg's step-up procedure; -1 if none does."""
-    passed = [p for k, p in enumerate(sorted(p_values), 1) if p <= RATE * k / len(p_values)]
+    passed = [p for k, p in enumerate(sorted(p_values), 1) if p <= ALPHA * k / len(p_values)]
     return max(passed, default=-1.0)
 
 

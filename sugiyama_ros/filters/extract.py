@@ -88,3 +88,13 @@ def track(alone: Chain) -> Array:
     tracked = np.column_stack([filtered.mean[:, :2], alone.length_m[:, 0]])
     tracked[~np.isfinite(filtered.innovation_var)] = np.nan
     return tracked
+
+
+def motion_of(t: Trajectories) -> tuple[Array, Array, Ints, float]:
+    """Speeds, headways and leaders, each (T, N), and the period [s], without a driver model."""
+    tracks = [track(chain_behind(t, i, vehicles=1)) for i in range(len(t.vehicle))]
+    position, speed = (np.stack([one[:, k] for one in tracks], axis=1) for k in range(2))
+    led = t.leader >= 0
+    ahead = np.take_along_axis(position, np.maximum(t.leader, 0), axis=1)
+    headway = np.where(led, t.road.space_headway(ahead, position), np.nan)
+    return speed, headway, np.where(led, t.leader, -1), t.period_s

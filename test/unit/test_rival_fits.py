@@ -8,8 +8,9 @@ import pytest
 
 from sugiyama_ros.diagnosis.forecast import forecasts, surroundings
 from sugiyama_ros.diagnosis.refine import without_folds
-from sugiyama_ros.fit.law import in_filter, laws, start_of, start_of_drivers
+from sugiyama_ros.diagnosis.rivals import laws
 from sugiyama_ros.diagnosis.table import Entry
+from sugiyama_ros.fit.law import in_filter, start_of, start_of_drivers
 from sugiyama_ros.fit.population import fit_base, fit_nearly, start_model
 from sugiyama_ros.fit.recording import prepare
 from sugiyama_ros.fit.score import evaluate, follow
