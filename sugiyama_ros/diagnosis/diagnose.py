@@ -271,11 +271,11 @@ def diagnose(
         data, base = base_model(prepared(recording), work)
         bench = _bench(data, base, seed, simulations, work, on_progress)
         found = _scored(bench, base)
-        if found.chance.shows_something:
-            if (finer := with_more_decisions(recording, data, base, work, on_progress)) is not None:
-                data, base = finer
-                bench = _bench(data, base, seed, simulations, work, on_progress)
-                found = _scored(bench, base)
+        is_open = found.chance.shows_something
+        if is_open and (finer := with_more_decisions(recording, data, base, work, on_progress)) is not None:
+            data, base = finer
+            bench = _bench(data, base, seed, simulations, work, on_progress)
+            found = _scored(bench, base)
         first = bench.entry("base", (), base)
         rounds = _told(bench, first, found, add) if add else _searched(bench, first, found, most)
         return _concluded(bench, rounds, tuple(add), simulations, began)
