@@ -10,7 +10,7 @@ from scipy.signal import savgol_filter
 
 from sugiyama_ros.arrays import Array, Ints, Mask
 from sugiyama_ros.driver.parameters import at_period
-from sugiyama_ros.fit.joint import JointFit, maximise, start_fit
+from sugiyama_ros.fit.joint import JointFit, fit
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import Recorded, prepare
 from sugiyama_ros.fit.score import between_measurements, filtered_states
@@ -26,8 +26,6 @@ _SMOOTHED_S = 2.0
 # Samples of a driver do not count from so long [s] before a collision: real drivers do not get there, and the penalty
 # is flat within another vehicle.
 _BEFORE_COLLISION_S = 3.0
-# Number of steps of a search that starts at the truth.
-_FEW_STEPS = 4
 
 
 def resample(data: Recorded, model: Model, states: Array, rng: np.random.Generator) -> Recorded:
@@ -91,13 +89,15 @@ def resampled_fits(
     work: ThreadPoolExecutor,
     on_progress: OnStage,
 ) -> list[tuple[Recorded, JointFit]]:
-    """Simulate recordings from a fit, and fit the model to each by a few steps from the truth."""
+    """Simulate recordings from a fit, and fit the model to each from the truth.
+
+    The fits end at a maximum, as the fit to the data does: elsewhere scores have another mean.
+    """
     states = filtered_states(data, fitted.model, work)
 
     def one_run(rng: np.random.Generator) -> tuple[Recorded, JointFit]:
         simulated = resample(data, fitted.model, states, rng).roughly
-        start = start_fit(simulated, fitted.model, work)
-        return simulated, maximise(simulated, start, work, iterations=_FEW_STEPS, renewals=0)
+        return simulated, fit(simulated, fitted.model, work)
 
     return at_once(one_run, rngs, "simulating the current model", on_progress)
 
