@@ -59,27 +59,45 @@ class Chance(NamedTuple):
 
 
 def chance_of(data_scores: Sequence[Score], simulated: Sequence[Sequence[Score]], seed: int) -> Chance:
-    """Return what chance gives in the scores of a recording."""
-    shifts = [{_key(one): one for one in each} for each in simulated]
-    rng = np.random.default_rng(seed)
+    """Return what chance gives in the scores of a recording; simulated: scores of recordings that the model simulates.
+
+    Nothing is missing from a simulation. If the largest score there, beside the other simulations, is less probable
+    than a draw from its own distribution, so is that of the data: all count by this factor less.
+    """
+    alone, tails, by_chance = _beside(data_scores, simulated, seed)
+    excess = [1.0]
+    for k, own in enumerate(simulated):
+        there, _, null = _beside(own, [*simulated[:k], *simulated[k + 1 :]], seed)
+        excess.append(max(there.values(), default=0.0) / float(np.mean(null)))
+    factor = max(1.0, float(np.mean(excess[1:]))) if simulated else 1.0
     largest: dict[str, float] = {}
+    for one in data_scores:
+        mechanism, name = one.candidate.mechanism, one.candidate.name
+        largest[mechanism] = max(largest.get(mechanism, -np.inf), alone[name] / factor)
+    p = {name: float((1 + np.count_nonzero(by_chance >= z)) / (1 + _DRAWS)) for name, z in largest.items()}
+    level = factor * float(np.quantile(by_chance, 1.0 - ALPHA)) if largest else 0.0
+    return Chance(p, alone, {name: tail.gain_at(level) for name, tail in tails.items()})
+
+
+def _beside(
+    scored: Sequence[Score], simulated: Sequence[Sequence[Score]], seed: int
+) -> tuple[dict[str, float], dict[str, "_Tail"], Array]:
+    """-ln p of each candidate alone, its null distribution, and draws of the largest one of all candidates, (B,)."""
+    shifts = [{_key(one): one for one in each} for each in simulated]
+    blocks = len(scored[0].driver) if scored else 0
+    multipliers = np.random.default_rng(seed).standard_normal((1 + len(simulated), _DRAWS, blocks))
     alone: dict[str, float] = {}
     tails: dict[str, _Tail] = {}
     by_chance = np.full(_DRAWS, -np.inf)
-    blocks = len(data_scores[0].driver) if data_scores else 0
-    multipliers = rng.standard_normal((2, _DRAWS, blocks))
-    for one in data_scores:
+    for one in scored:
         there = [known[_key(one)] for known in shifts if _key(one) in known]
         observed, null = _observed_and_null(one, there, multipliers)
         tail = _Tail.of(null)
-        value, name, mechanism = float(tail.improbable(observed)), one.candidate.name, one.candidate.mechanism
-        alone[name] = max(alone.get(name, -np.inf), value)
-        largest[mechanism] = max(largest.get(mechanism, -np.inf), value)
+        name = one.candidate.name
+        alone[name] = max(alone.get(name, -np.inf), float(tail.improbable(observed)))
         tails.setdefault(name, tail)
         by_chance = np.maximum(by_chance, tail.improbable(null))
-    p = {name: float((1 + np.count_nonzero(by_chance >= z)) / (1 + _DRAWS)) for name, z in largest.items()}
-    level = float(np.quantile(by_chance, 1.0 - ALPHA)) if largest else 0.0
-    return Chance(p, alone, {name: tail.gain_at(level) for name, tail in tails.items()})
+    return alone, tails, by_chance
 
 
 def _key(one: Score) -> tuple[object, ...]:
@@ -91,24 +109,21 @@ def _key(one: Score) -> tuple[object, ...]:
 def _observed_and_null(one: Score, simulated: Sequence[Score], multipliers: Array) -> tuple[float, Array]:
     """The gain of a score, and the gains of draws from what chance gives, (B,).
 
-    A candidate must gain beside the model, and more than it gains in simulations: the smaller gain counts, for the
-    recording as for each draw.
+    A candidate must gain beside the model, and more than it gains in each simulation: the smallest gain counts, for the
+    recording as for each draw. What the filter's approximations do differs from one recording to the next.
     """
     total = one.summed(_limited(one))
-    shift = np.mean([_of_all(s, one) for s in simulated], axis=0) if simulated else np.zeros_like(total)
+    shifts = [other.summed(_limited(other)) for other in simulated]
     if one.information is None:
         # by chance, a likelihood ratio is at least e^g with a probability of at most e^-g (Markov)
-        return max(min(one.gain, float((total - shift)[0, 0])), 0.0), -norm.logsf(multipliers[0, :, 0])
+        return max(min(one.gain, *(one.gain - s.gain for s in simulated), np.inf), 0.0), -norm.logsf(
+            multipliers[0, :, 0]
+        )
     left = _left(one)
-    draws, shifts = (one.summed(left, part) for part in multipliers)
-    if one.is_by_driver:
-        scored = sum(s.drivers for s in simulated)
-        shifts = shifts.mean(axis=1, keepdims=True) * math.sqrt(one.drivers / max(scored, 1))
-    else:
-        shifts = shifts * math.sqrt(sum(one.drivers / s.drivers for s in simulated)) / max(len(simulated), 1)
-    shifts *= bool(simulated)
-    null = np.minimum(one.gains(draws), one.gains(draws - shifts))
-    return float(np.minimum(one.gains(total), one.gains(total - shift))[0]), null
+    draws, *others = (one.summed(left, part) for part in multipliers[: 1 + len(shifts)])
+    observed = [one.gains(total), *(one.gains(total - shift) for shift in shifts)]
+    null = [one.gains(draws), *(one.gains(draws - other) for other in others)]
+    return float(np.min(observed)), np.min(null, axis=0)
 
 
 class _Tail(NamedTuple):
@@ -140,14 +155,6 @@ class _Tail(NamedTuple):
         return self.start + self.excess * max(level + math.log(_TAIL), 0.0)
 
 
-def _of_all(one: Score, like: Score) -> Array:
-    """Summed scores of some drivers, as many as all drivers of another score would have."""
-    total = one.summed(_limited(one))
-    if one.is_by_driver:
-        return np.broadcast_to(total.mean(axis=1, keepdims=True), (1, like.drivers, total.shape[2]))
-    return total * (like.drivers / one.drivers)
-
-
 def _left(one: Score) -> Array:
     """What is left of the scores of all blocks (G, K) after the best strength is taken out.
 
@@ -161,7 +168,23 @@ def _left(one: Score) -> Array:
     blocks, fitted = one.score.shape
     # blocks that are as many as the strengths have nothing left
     left = (one.score - explained) * math.sqrt(blocks / max(blocks - fitted, 1))
-    return _limited(replace(one, score=left))
+    return _limited(replace(one, score=left)) * math.sqrt(_clustered(one, left))
+
+
+def _clustered(one: Score, left: Array) -> float:
+    """By what factor scores vary more than independent blocks do: the larger one over drivers and over times, or 1.
+
+    The same camera sees all drivers, leaders and followers see each other, and a driver is the same at all times.
+    """
+    assert one.information is not None
+    size = np.sqrt(np.maximum(np.einsum("gjj->j", one.information), 1e-300))
+    alone = float(np.square(left / size).sum())
+    factors = [1.0]
+    for unit in (one.driver, one.time):
+        sums = [np.bincount(np.unique(unit, return_inverse=True)[1], column) for column in (left / size).T]
+        if len(sums[0]) > 1:
+            factors.append(len(sums[0]) * float(np.var(sums, axis=1, ddof=1).sum()) / max(alone, 1e-300))
+    return max(factors)
 
 
 def _limited(one: Score) -> Array:
@@ -187,7 +210,5 @@ class Simulated:
         return resampled_fits(*self._given)
 
     def scores(self, candidates: Sequence[Candidate]) -> list[list[Score]]:
-        """Scores of candidates, and of forces, in each recording: of half of the drivers."""
-        return [
-            scores(data, fitted, candidates, self._work, range(0, data.drivers, 2)) for data, fitted in self.recordings
-        ]
+        """Scores of candidates, and of forces, in each recording."""
+        return [scores(data, fitted, candidates, self._work) for data, fitted in self.recordings]

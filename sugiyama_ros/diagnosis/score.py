@@ -42,8 +42,8 @@ class Score:
     directions are derivatives; score: Efficient score of each of G blocks of a driver's time. Where ``information``
     is None: gain [nats] at the start, (G, K); information: Information of each block. None for a start that changes
     noises, whose gain is known there alone, (G, K, K); total: Information of all blocks, less what shared
-    parameters take up; of each driver for individual values, (K, K) or (N, K, K); driver: Number of each block's
-    driver, among those that were scored, (G,); drivers: Number N of drivers that were scored.
+    parameters take up; of each driver for individual values, (K, K) or (N, K, K); driver, time: Numbers of each
+    block's driver, among those that were scored, and of its time, (G,); drivers: Number N of drivers that were scored.
     """
 
     candidate: Candidate
@@ -52,6 +52,7 @@ class Score:
     information: Array | None
     total: Array
     driver: Ints
+    time: Ints
     drivers: int
 
     @property
@@ -174,6 +175,7 @@ def of_some(score: Score) -> Iterator[Score]:
             score.information[:, part, part],
             per_driver[:, part, part],
             score.driver,
+            score.time,
             score.drivers,
         )
         who = tuple(np.flatnonzero(one.probability > 0.5).tolist())
@@ -275,7 +277,7 @@ class _Nuisance:
     def __init__(self, data: Recorded, fitted: JointFit, who: Sequence[int]) -> None:
         self._fitted = fitted
         blocks = [np.unique(data.block[i][np.isfinite(fitted.samples.log_likelihood[i])]) for i in who]
-        self._driver = np.repeat(np.arange(len(blocks)), [len(b) for b in blocks])
+        self._of = np.repeat(np.arange(len(blocks)), [len(b) for b in blocks]), np.concatenate(blocks)
         self._known = [_Driver(data, fitted, i, own) for i, own in zip(who, blocks, strict=True)]
         shared = sum((one.shared for one in self._known), np.zeros((len(fitted.model.shared),) * 2))
         self._shared_inverse = np.linalg.pinv(shared)
@@ -305,9 +307,17 @@ class _Nuisance:
         if candidate.elsewhere:
             # what was chosen among many places must gain more than the best one of them does by chance
             gain = 0.5 * float(score.sum()) ** 2 / float(total[0, 0]) - candidate.elsewhere
-            return Score(candidate, (parts[0].start,), np.array([[gain]]), None, total, np.zeros(1, int), 1)
+            where = np.zeros(1, np.int64)
+            return Score(candidate, (parts[0].start,), np.array([[gain]]), None, total, where, where, 1)
         return Score(
-            candidate, tuple(p.start for p in parts), score, information, total, self._driver, len(self._known)
+            candidate,
+            tuple(p.start for p in parts),
+            score,
+            information,
+            total,
+            self._of[0],
+            self._of[1],
+            len(self._known),
         )
 
     def gain(self, one: _Direction) -> Score | None:
@@ -322,7 +332,7 @@ class _Nuisance:
         values = np.concatenate(found)[:, None]
         if not np.isfinite(values).all():
             return None
-        return Score(one.candidate, (one.start,), values, None, np.ones((1, 1)), self._driver, len(self._known))
+        return Score(one.candidate, (one.start,), values, None, np.ones((1, 1)), *self._of, len(self._known))
 
 
 class _Driver:

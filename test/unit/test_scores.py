@@ -68,7 +68,7 @@ def _score(rng: np.random.Generator, name: str, strength: float = 0.0, who: int 
     score = rng.standard_normal((len(driver), places)) + strength * (driver < who)[:, None]
     information = np.tile(np.eye(places), (len(driver), 1, 1))
     starts = tuple({0: 1.0 + k} for k in range(places))
-    return Score(candidate, starts, score, information, information.sum(axis=0), driver, _DRIVERS)
+    return Score(candidate, starts, score, information, information.sum(axis=0), driver, driver, _DRIVERS)
 
 
 def test_the_smallest_p_value_is_uniform_by_chance() -> None:
