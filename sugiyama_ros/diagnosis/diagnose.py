@@ -160,9 +160,10 @@ class Diagnosis(Result):
         """What the table and the checks say together. Freed constants and noises explain nothing."""
         if any(one.failed for one in self.checks):
             return "not_explained"
-        if not self.final.added:
+        supported = [c for step in self.steps if step.is_supported for c in step.new]
+        if not supported:
             return "adequate"
-        return "explained" if self.final.explains else "not_explained"
+        return "explained" if any(c.explains for c in supported) else "not_explained"
 
     def headline(self) -> str:
         """Say what the diagnosis concludes."""

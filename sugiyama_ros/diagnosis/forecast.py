@@ -146,7 +146,10 @@ def judged_runs(ends: Array, fold: Ints) -> Runs:
             if np.isfinite(others).any():
                 factor[:, h][mine[:, h]] = np.nanmean(others)
     good, bad = (factor * one for one in (var, wide))
-    log_score = np.logaddexp(np.log1p(-share) + _student(error, good), np.log(share + 1e-300) + _student(error, bad))
+    with np.errstate(invalid="ignore"):
+        log_score = np.logaddexp(
+            np.log1p(-share) + _student(error, good), np.log(share + 1e-300) + _student(error, bad)
+        )
     z = error / np.sqrt(good)
     density = np.exp(-0.5 * np.square(z)) / math.sqrt(2.0 * math.pi)
     crps = np.sqrt(good) * (z * (2.0 * ndtr(z) - 1.0) + 2.0 * density - 1.0 / math.sqrt(math.pi))
@@ -240,7 +243,7 @@ class _Fold(NamedTuple):
         shape = (int(steps[-1]), len(leader))
         both = (False, True) if around.is_whole_road else (False,)
         ends = np.full((len(both), 2 * _PAIRS, len(steps), len(leader)), np.nan)
-        out, begun = np.empty((*shape, 2)), recorded.copy()
+        out, begun = np.full((*shape, 2), np.nan), recorded.copy()
         for pair in range(_PAIRS):
             shock, off = rng.standard_normal(shape), rng.standard_normal((len(leader), STATE))
             for half, sign in enumerate((1.0, -1.0)):

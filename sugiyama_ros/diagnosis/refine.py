@@ -21,7 +21,9 @@ _STEPS, _RENEWALS, _STEPS_WITHOUT = 12, 2, 3
 
 def refined(data: Recorded, fitted: JointFit, candidate: Candidate, found: Sequence[Score], work: Executor) -> JointFit:
     """Add a candidate to a fitted model, and fit the new model in full."""
-    tried = [model for one in found[:2] for model in _starts(fitted.model, one)]
+    # another start of what some drivers have would be of other drivers
+    near = [one for one in found[:2] if one.candidate.drivers == candidate.drivers]
+    tried = [model for one in near for model in _starts(fitted.model, one)]
     tried = tried or [with_candidate(fitted.model, candidate, start) for start in candidate.starts]
     there = [_beside(data, fitted, model, work) for model in tried]
     start = max(there, key=lambda one: objective(one.slopes, one.model, range(FOLDS)))
