@@ -25,10 +25,10 @@ from scipy.stats import norm
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.candidates import Candidate
 from sugiyama_ros.diagnosis.score import Score, scores
-from sugiyama_ros.diagnosis.simulated import resampled_fits, seeds
 from sugiyama_ros.diagnosis.table import ALPHA
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.fit.simulated import resampled_fits, seeds
 from sugiyama_ros.progress import OnStage
 
 # Draws from the null distribution: the smallest p-value is a thousandth.

@@ -20,13 +20,13 @@ from scipy.stats import t as student
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.diagnosis.forecast import HORIZONS_S, Forecasts
-from sugiyama_ros.diagnosis.simulated import resample, seeds
 from sugiyama_ros.diagnosis.table import Entry
 from sugiyama_ros.diagnosis.where import Located, failing, locate
 from sugiyama_ros.filters.extract import motion_of
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.score import filtered_states
+from sugiyama_ros.fit.simulated import resample, seeds
 from sugiyama_ros.simulation.collective import Collective, collective
 from sugiyama_ros.trajectories.trajectories import Trajectories
 

@@ -11,7 +11,6 @@ import numpy as np
 from sugiyama_ros.diagnosis.base import base_model, with_more_decisions
 from sugiyama_ros.diagnosis.forecast import Forecasts, Surroundings, forecasts, surroundings
 from sugiyama_ros.diagnosis.refine import with_named, without_folds
-from sugiyama_ros.diagnosis.simulated import resample, seeds
 from sugiyama_ros.diagnosis.table import Difference, Unit, exchangeable, gains
 from sugiyama_ros.filters.extract import motion_of
 from sugiyama_ros.fit.joint import JointFit, fit
@@ -20,6 +19,7 @@ from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.model_file import ModelFile
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import filtered_states
+from sugiyama_ros.fit.simulated import resample, seeds
 from sugiyama_ros.fit.stretched import prepared
 from sugiyama_ros.fit.vicinity import Vicinity
 from sugiyama_ros.laws.registry import LAWS, RIVALS

@@ -11,13 +11,13 @@ from sugiyama_ros.cli.app import app
 from sugiyama_ros.diagnosis.candidates import candidates, not_searched
 from sugiyama_ros.diagnosis.compare import compare
 from sugiyama_ros.diagnosis.forecast import forecasts, surroundings
-from sugiyama_ros.diagnosis.simulated import resample, seeds
 from sugiyama_ros.diagnosis.table import errors
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import FOLDS, prepare
 from sugiyama_ros.fit.score import evaluate, filtered_states
+from sugiyama_ros.fit.simulated import resample, seeds
 from sugiyama_ros.fit.stretched import LEAST_FOLLOWING_S, prepare_tracks
 from sugiyama_ros.trajectories.assemble import assemble
 from sugiyama_ros.trajectories.one_lane import tracks_of, whole_road

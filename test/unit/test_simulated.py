@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sugiyama_ros.diagnosis.simulated import resample
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, V_STAR, defaults
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.filters.causal import filter_chain
@@ -14,6 +13,7 @@ from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import prepare
 from sugiyama_ros.fit.score import evaluate, filtered_states
+from sugiyama_ros.fit.simulated import resample
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, platoon, simulate
 
