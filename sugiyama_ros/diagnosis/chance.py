@@ -129,7 +129,7 @@ def _observed_and_null(one: Score, simulated: Sequence[Score], multipliers: Arra
 class _Tail(NamedTuple):
     """The null distribution of a gain: its draws in order, and the exponential tail beyond the largest tenth of them.
 
-    Gains of likelihoods have exponential tails.
+    Gains of likelihoods have exponential tails, and none falls faster than e^-gain (Wilks).
     """
 
     ordered: Array
@@ -141,7 +141,7 @@ class _Tail(NamedTuple):
         """The distribution of draws (B,)."""
         ordered = np.sort(null)
         start = float(np.quantile(ordered, 1.0 - _TAIL))
-        return _Tail(ordered, start, max(float(np.mean(ordered[ordered >= start] - start)), 1e-300))
+        return _Tail(ordered, start, max(float(np.mean(ordered[ordered >= start] - start)), 1.0))
 
     def improbable(self, gains: float | Array) -> Array:
         """Return -ln p of gains."""
