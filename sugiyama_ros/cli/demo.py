@@ -57,10 +57,8 @@ def demo(
     page = _page_beside(recording)
     from sugiyama_ros.api import FEW_STEPS
     from sugiyama_ros.formats.registry import read_trajectories
-    from sugiyama_ros.page.document import document
     from sugiyama_ros.page.recording import read_recording
     from sugiyama_ros.page.report import write_report
-    from sugiyama_ros.page.words import sentences
 
     truth: dict[str, Any] = {}
     if data is not None:
@@ -69,8 +67,7 @@ def demo(
         trajectories, truth = _simulated(hidden, seed)
         print_note("22 simulated drivers on a ring of 230 m, for 250 s. They have an effect that the model lacks.")
     before, found, after = _before_and_after(trajectories, recording, seed, FEW_STEPS if data is not None else 1)
-    told = {**truth, **plain(document(found))}
-    told["verdict"]["told"] = sentences(told)
+    told = _document(found, truth)
     write_report(read_recording(recording.path), told, page)
     if show:
         show_page(str(page.path))
@@ -87,6 +84,16 @@ def demo(
             "report": str(page.path),
         }
     )
+
+
+def _document(found: "Diagnosis", truth: dict[str, Any]) -> dict[str, Any]:
+    """The document of a diagnosis, with its sentences and the truth."""
+    from sugiyama_ros.page.document import document
+    from sugiyama_ros.page.words import sentences
+
+    told = {**truth, **plain(document(found))}
+    told["verdict"]["told"] = sentences(told)
+    return told
 
 
 def _simulated(hidden: str, seed: int) -> tuple["Trajectories", dict[str, Any]]:

@@ -172,8 +172,7 @@ def compare(
             on_progress(law, steps - 1 - len(RIVALS) + k, steps)
             found += sent[k].result() if sent else _law(law, data, around, seed, work)
         on_progress("the base model on its own simulation", steps - 1, steps)
-        first = found[0].forecasts
-        models = [replace(one, gain=gains(data, one.forecasts, first, one.over)) for one in found]
+        models = [replace(one, gain=gains(data, one.forecasts, found[0].forecasts, one.over)) for one in found]
         models.append(_simulated(data, base, seed, work))
     return Comparison(tuple(models), data, *_measured(data), seed)
 

@@ -274,7 +274,7 @@ def test_the_commands_of_the_pages_work(answers):
         assert code == 0, f"{words}: {err}"
     out = {words.split()[1]: answer[1] for words, answer in said.items()}
     assert "syrup" in out["diagnose"]
-    assert "follow_least_squares" in out["compare"]
+    assert "follow, fitted to gaps" in out["compare"]
     assert "Vehicles:    2" in out["info"]
     assert "What does one slow driver do to a ring?" in " ".join(out["study"].split())
     assert "slow_drivers" in answers["studies"][1]
