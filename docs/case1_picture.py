@@ -1,6 +1,6 @@
 """The picture in docs/case1.md, from the measured experiment's diagnosis.
 
-sugiyama diagnose case1.data --add auto --json > case1.json
+sugiyama diagnose case1.data --ring 230 --add auto --json > case1.json
 python docs/case1_picture.py case1.json docs/case1.png
 """
 
@@ -19,7 +19,7 @@ FIGURES = {
     "single_car_10s_m": "single car, 10 s [m]",
     "loglik_per_sample": "log-likelihood per sample [nats]",
 }
-MODELS = {"before": "base", "after": "with additions", "fvdm": "FVDM", "idm": "IDM", "constant_speed": "constant speed"}
+MODELS = {"before": "base", "after": "with additions", "fvdm": "FVDM", "idm": "IDM", "gipps": "Gipps"}
 COVARIATES = {"speed": "speed [m/s]", "gap": "gap [m]", "approach_rate": "approach rate [m/s]"}
 
 

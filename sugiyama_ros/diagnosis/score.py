@@ -23,7 +23,7 @@ from sugiyama_ros.diagnosis.candidates import OF_SOME, Candidate, Start, with_ca
 from sugiyama_ros.diagnosis.covariates import forces
 from sugiyama_ros.effects.sensing import is_contaminated
 from sugiyama_ros.fit.joint import JointFit
-from sugiyama_ros.fit.model import Model, coordinate, value
+from sugiyama_ros.fit.model import Model, NewtonStep, coordinate, moved, value
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.score import PointwiseDensity, evaluate_each
 from sugiyama_ros.fit.slopes import Column, column, density_slope, difference_steps, no_density
@@ -221,7 +221,11 @@ def scores(
     together: dict[tuple[object, ...], list[_Direction]] = {}
     for one in _directions(data, fitted, candidates, work, chosen, with_forces=with_forces):
         together.setdefault(one.group, []).append(one)
-    asked = [nuisance.gain(d) if (d := parts[0]).there else nuisance.score(parts) for parts in together.values()]
+    random = [parts[0] for parts in together.values() if parts[0].there]
+    responded = [nuisance.responded(data, *one.there) for one in random if one.there]
+    asked = [nuisance.score(parts) for parts in together.values() if not parts[0].there]
+    for one, at in zip(random, evaluate_each(data.roughly, responded, work, chosen), strict=True):
+        asked.append(nuisance.gain(one, at))
     found = [one for one in asked if one is not None]
     return [*found, *(some for one in found for some in of_some(one))]
 
@@ -320,15 +324,23 @@ class _Nuisance:
             len(self._known),
         )
 
-    def gain(self, one: _Direction) -> Score | None:
-        """The gain at a start that changes noises, after the drivers' own parameters have responded."""
+    def responded(self, data: Recorded, model: Model, at: PointwiseDensity) -> Model:
+        """A model at a start that changes noises, after one step of the drivers' own parameters."""
+        change = np.zeros((data.drivers, len(model.individual)))
+        for known in self._known:
+            change[known.number, : known.own] = known.response(at, model.rows[known.number])
+        nothing = np.zeros(data.drivers)
+        return moved(data, model, NewtonStep(change, np.zeros(len(model.shared)), nothing, 0.0))
+
+    def gain(self, one: _Direction, responded: PointwiseDensity) -> Score | None:
+        """The gain at a start that changes noises: of each driver there, or after the own parameters have responded."""
         assert one.there is not None
-        model, at = one.there
         found = []
         for known in self._known:
-            gained = at.log_likelihood[known.number] - self._fitted.samples.log_likelihood[known.number]
-            by_block = known.over_blocks(gained[None])[:, 0]
-            found.append(by_block + known.response(at, model.rows[known.number]) / max(len(by_block), 1))
+            before = self._fitted.samples.log_likelihood[known.number]
+            ways = [at.log_likelihood[known.number] - before for at in (one.there[1], responded)]
+            by_block = [known.over_blocks(way[None])[:, 0] for way in ways]
+            found.append(max(by_block, key=lambda sums: float(np.nan_to_num(sums, nan=-np.inf).sum())))
         values = np.concatenate(found)[:, None]
         if not np.isfinite(values).all():
             return None
@@ -339,19 +351,19 @@ class _Driver:
     """The samples of one driver, with the response of the driver's own parameters."""
 
     def __init__(self, data: Recorded, fitted: JointFit, i: int, blocks: Ints) -> None:
-        self.number, model, self._own = i, fitted.model, len(fitted.model.individual)
+        self.number, model, self.own = i, fitted.model, len(fitted.model.individual)
         self._columns = fitted.slopes[i].columns
         self._row, self._at = model.rows[i], fitted.samples.of(i)
         self._scored = np.isfinite(self._at.log_likelihood)
         self._block = np.searchsorted(blocks, data.block[i][self._scored])
         self._count = len(blocks)
-        has = np.concatenate([np.ones(self._own, np.bool_), model.has[i]])
+        has = np.concatenate([np.ones(self.own, np.bool_), model.has[i]])
         self._slope, self._roots = self._derivatives(self._columns)
         self._slope[~has] = 0.0
         self._roots[~has] = 0.0
         h = self._roots.reshape(len(has), -1) @ self._roots.reshape(len(has), -1).T
         prior = np.diag(np.array(model.prior_std) ** -2.0)
-        own = self._own
+        own = self.own
         self._inverse = np.linalg.inv(h[:own, :own] + prior)
         self._takes = self._inverse @ h[:own, own:]
         self.shared = h[own:, own:] - h[own:, :own] @ self._takes
@@ -384,7 +396,7 @@ class _Driver:
     def efficient(self, columns: Sequence[Column]) -> tuple[Array, Array, Array]:
         """Score (B, K) and information (B, K, K) of each block, and information (S, K) shared with the parameters S."""
         slope, roots = self._derivatives(columns)
-        count, own = len(columns), self._own
+        count, own = len(columns), self.own
         known, new = (r.reshape(len(r), -1) for r in (self._roots, roots))
         cross = known @ new.T
         takes = self._inverse @ cross[:own]
@@ -395,12 +407,12 @@ class _Driver:
         information = self.over_blocks(products, is_scored=True).reshape(self._count, count, count)
         return self.over_blocks(slope, is_scored=True) - self._own_score @ takes, information, by_shared
 
-    def response(self, at: PointwiseDensity, row: Array) -> float:
-        """Gain [nats] of the driver's own parameters at a start, to first order."""
+    def response(self, at: PointwiseDensity, row: Array) -> Array:
+        """Change of the coordinates of the driver's own parameters (I,) at a start, to first order."""
         y, var, density = at.of(self.number)
-        dy, dvar = (self._stacked(self._columns[: self._own], part) for part in range(2))
+        dy, dvar = (self._stacked(self._columns[: self.own], part) for part in range(2))
         slope = density_slope(y, var, dy, dvar, row)[:, np.isfinite(density) & self._scored].sum(axis=1)
-        return 0.5 * float(slope @ self._inverse @ slope)
+        return np.asarray(self._inverse @ slope)
 
 
 def _inverse(information: Array) -> Array:
