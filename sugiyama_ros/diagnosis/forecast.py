@@ -40,6 +40,8 @@ from sugiyama_ros.simulation.free_run import run_coupled, run_single
 HORIZONS_S = (1.0, 2.0, 5.0, 10.0)
 # Time [s] between two starts: half of the longest horizon; number of pairs of opposite draws.
 _EVERY_S, _PAIRS = 5.0, 4
+# Turns of a fixed point that halves its distance in each.
+_TURNS = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,8 +145,7 @@ def judged_runs(ends: Array, fold: Ints) -> Runs:
         mine = np.broadcast_to((fold == f)[:, None], error.shape)
         for h in range(error.shape[1]):
             others = np.square(normal[:, h][~mine[:, h]])
-            if np.isfinite(others).any():
-                factor[:, h][mine[:, h]] = np.nanmean(others)
+            factor[:, h][mine[:, h]] = _scale(others[np.isfinite(others)])
     good, bad = (factor * one for one in (var, wide))
     with np.errstate(invalid="ignore"):
         log_score = np.logaddexp(
@@ -154,6 +155,17 @@ def judged_runs(ends: Array, fold: Ints) -> Runs:
     density = np.exp(-0.5 * np.square(z)) / math.sqrt(2.0 * math.pi)
     crps = np.sqrt(good) * (z * (2.0 * ndtr(z) - 1.0) + 2.0 * density - 1.0 / math.sqrt(math.pi))
     return Runs(log_score, crps, error, normal)
+
+
+def _scale(squares: Array) -> float:
+    """The factor of the variance that makes squared errors (n,) most probable, by Student's t distribution; 1 of none.
+
+    The fixed point is the EM algorithm's. Drivers of whom nothing is known do not count as much as a mean lets them.
+    """
+    free, factor = 2.0 * _PAIRS - 1.0, float(np.median(squares)) if len(squares) else 0.0
+    for _ in range(_TURNS if factor > 0.0 else 0):
+        factor = float(np.mean((free + 1.0) * squares / (free - 2.0 + squares / factor)))
+    return factor or 1.0
 
 
 def _student(off: Array, var: Array) -> Array:
