@@ -144,7 +144,7 @@ def judged_runs(ends: Array, fold: Ints) -> Runs:
     for f in range(FOLDS):
         mine = np.broadcast_to((fold == f)[:, None], error.shape)
         for h in range(error.shape[1]):
-            others = np.square(normal[:, h][~mine[:, h]])
+            others = np.square(error[:, h][~mine[:, h]]) / var[:, h][~mine[:, h]]
             factor[:, h][mine[:, h]] = _scale(others[np.isfinite(others)])
     good, bad = (factor * one for one in (var, wide))
     with np.errstate(invalid="ignore"):
