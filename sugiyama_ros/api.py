@@ -29,6 +29,8 @@ from sugiyama_ros.formats.folder import read_files
 from sugiyama_ros.formats.frames import from_frame, tracks_of_frame
 from sugiyama_ros.formats.registry import read_tracks as tracks_of_file
 from sugiyama_ros.formats.registry import read_trajectories
+from sugiyama_ros.laws.registry import PAPERS
+from sugiyama_ros.laws.registry import law as law_of
 from sugiyama_ros.page import recording
 from sugiyama_ros.page.diagnosis import check_same, read_diagnosis
 from sugiyama_ros.page.document import document as document_of
@@ -373,6 +375,7 @@ def diagnose(
     trajectories: Trajectories | Tracks | Simulation,
     *,
     add: str | Sequence[str] | None = None,
+    law: str = PAPERS,
     simulations: int = 2,
     seed: int = 0,
 ) -> Diagnosis:
@@ -386,6 +389,8 @@ def diagnose(
         By default, what the data ask for is added in at most three steps; with ``"auto"``, in as many as they ask for.
         Names, such as ``["drag"]``, are added whatever the data say of them: effects, their forms, groups of constants
         such as ``"response_constants"``, or ``"discovered_force:speed"``.
+    law : str
+        Name of the law by which the drivers of the base model drive, such as ``"idm"``; the paper's by default.
     simulations : int
         Number of recordings that each model simulates, which say what the approximations of the filter do.
     seed : int
@@ -412,11 +417,13 @@ def diagnose(
     _check_within("simulations", simulations, 1, math.inf)
     names = () if add in (None, "auto") else (add,) if isinstance(add, str) else tuple(add or ())
     check_names(names)
+    law_of(law)
     with stages() as advance:
         return diagnosis.diagnose(
             _recorded(trajectories),
             add=names,
             most=None if add else FEW_STEPS,
+            law=law,
             seed=seed,
             simulations=simulations,
             workers=os.cpu_count() or 1,

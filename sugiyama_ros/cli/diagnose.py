@@ -64,6 +64,9 @@ class DiagnoseOptions:
     ] = 2
     overwrite: Overwrite = False
     ring: Ring = None
+    law: Annotated[
+        str, typer.Option("--law", help="Law by which the drivers of the base model drive: sugiyama laws lists them.")
+    ] = "adaptive_seek"
     seed: Seed = 0
     scheduler: Scheduler = None
     wide: Wide = False
@@ -82,15 +85,17 @@ def diagnose(options: DiagnoseOptions) -> None:
     from sugiyama_ros.api import FEW_STEPS
     from sugiyama_ros.fit.model_file import write_model
     from sugiyama_ros.formats.registry import read_recordings
+    from sugiyama_ros.laws.registry import law
     from sugiyama_ros.outputs import writing
     from sugiyama_ros.page.document import document
     from sugiyama_ros.page.words import cautions, sentences
     from sugiyama_ros.workers import helpers
 
+    law(options.law)
     recording = read_recordings(options.sources, options.ring)
     print_warnings(recording)
     most = None if options.add else FEW_STEPS
-    settings = {"add": add, "most": most, "seed": options.seed, "simulations": options.simulations}
+    settings = {"add": add, "most": most, "law": options.law, "seed": options.seed, "simulations": options.simulations}
     with stages() as advance, helpers(options.scheduler) as workers:
         if isinstance(workers, int):
             found = _found(recording, workers=workers, on_progress=advance, **settings)

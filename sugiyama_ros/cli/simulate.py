@@ -52,6 +52,12 @@ class SimulateOptions:
         typer.Option(min=0.0, max=1.0, help="Relative standard deviation of v_star and kappa_v over the drivers."),
     ] = 0.0
     start: Start = "jam"
+    law: Annotated[
+        str,
+        typer.Option(
+            "--law", help="Law by which the drivers drive, with its usual parameters, instead of the paper's."
+        ),
+    ] = ""
     parameter: SetParameter = None
     effect: AddEffect = None
     model: ModelFile = None
@@ -183,12 +189,16 @@ def _rows(options: SimulateOptions, vehicles: int) -> "Array":
     from sugiyama_ros.driver.parameters import defaults
     from sugiyama_ros.effects.registry import ROW
     from sugiyama_ros.effects.texts import read_effect, read_parameter
-    from sugiyama_ros.fit.model_file import read_model
+    from sugiyama_ros.fit.model_file import drive_by, read_model
+    from sugiyama_ros.laws.registry import law
     from sugiyama_ros.simulation.experiment import changed
 
     rows = ROW.with_effects(defaults(vehicles))
     if options.model is not None:
         rows = read_model(options.model).rows_of(np.arange(vehicles))
+    if options.law:
+        drivers = law(options.law).parameters
+        rows = np.array([drive_by(row, options.law, {p.name: p.default for p in drivers}) for row in rows])
     for text in options.parameter or ():
         rows = changed(rows, dict([read_parameter(text, "--set")]), {})
     for text in options.effect or ():

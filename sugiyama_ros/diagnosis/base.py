@@ -10,15 +10,16 @@ from dataclasses import replace
 
 from sugiyama_ros.diagnosis.candidates import Candidate
 from sugiyama_ros.diagnosis.score import scores
-from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, index
+from sugiyama_ros.driver.parameters import index
 from sugiyama_ros.fit.cross_validation import gain
 from sugiyama_ros.fit.joint import JointFit
-from sugiyama_ros.fit.population import fit_base
+from sugiyama_ros.fit.law import in_filter
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.sampling import ROUNDING
 from sugiyama_ros.fit.score import PointwiseDensity, unknown
 from sugiyama_ros.fit.smooth_positions import FREED
 from sugiyama_ros.fit.stretched import prepared
+from sugiyama_ros.laws.registry import PAPERS
 from sugiyama_ros.progress import OnStage
 from sugiyama_ros.trajectories.tracks import Tracks
 from sugiyama_ros.trajectories.trajectories import Trajectories
@@ -30,9 +31,9 @@ _SHORTEST_S = 0.1
 _NOISES = Candidate("noises", "noises", "noise", tuple(map(index, FREED)), ({},))
 
 
-def base_model(data: Recorded, work: Executor) -> tuple[Recorded, JointFit]:
+def base_model(data: Recorded, work: Executor, law: str = PAPERS) -> tuple[Recorded, JointFit]:
     """Fit the base model, and fit the noises of position and speed as well if that is clearly better."""
-    base = fit_base(data, data.even.individual(V_STAR, KAPPA_V), work)
+    base = in_filter(data, law, work)
     if data.even.frees_noises:
         return data, base
     # each parameter of each driver gains about one nat that held-out samples do not confirm
@@ -41,7 +42,7 @@ def base_model(data: Recorded, work: Executor) -> tuple[Recorded, JointFit]:
     if max((one.gain for one in look), default=0.0) < by_chance:
         return data, base
     freed = replace(data, even=data.even._replace(has_other_noises=True))
-    again = fit_base(freed, freed.even.individual(V_STAR, KAPPA_V), work)
+    again = in_filter(freed, law, work)
     won = gain(data, again.samples, base.samples)
     return (freed, again) if won.nats - by_chance > _CLEAR * won.se else (data, base)
 
@@ -52,6 +53,7 @@ def with_more_decisions(
     base: JointFit,
     work: Executor,
     on_progress: OnStage = lambda what, done, total: None,
+    law: str = PAPERS,
 ) -> tuple[Recorded, JointFit] | None:
     """Return the recording at the period from which the base model predicts its samples best, and the base model there.
 
@@ -64,7 +66,7 @@ def with_more_decisions(
     most = int(data.apart_s / _SHORTEST_S * (1.0 + ROUNDING))
     for parts in range(data.decisions + 1, most + 1):
         on_progress("more decisions between samples", parts - data.decisions - 1, most - data.decisions)
-        finer, again = base_model(prepared(recording, parts), work)
+        finer, again = base_model(prepared(recording, parts), work, law)
         if again.samples.total <= best:
             break
         found, best = (finer, again), again.samples.total

@@ -33,6 +33,7 @@ from sugiyama_ros.fit.model_file import write_model
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.sandwich import shared_stds
 from sugiyama_ros.fit.stretched import prepared
+from sugiyama_ros.laws.registry import PAPERS
 from sugiyama_ros.plots import bars
 from sugiyama_ros.progress import OnStage
 from sugiyama_ros.results import Result, plain
@@ -232,6 +233,7 @@ def diagnose(
     *,
     add: Sequence[str] = (),
     most: int | None = None,
+    law: str = PAPERS,
     seed: int = 0,
     simulations: int = 2,
     workers: int = 2,
@@ -247,6 +249,8 @@ def diagnose(
         Names of what is added, whatever the data say; by default, what the data ask for.
     most : int, optional
         Largest number of steps that add what the data ask for; as many as they ask for if left out.
+    law : str
+        Name of the law by which the drivers of the base model drive.
     seed : int
         Seed of the simulations and of the draws by chance.
     simulations : int
@@ -269,11 +273,11 @@ def diagnose(
     began = time.monotonic()
     with ThreadPoolExecutor(workers) as work:
         on_progress("fitting the base model", 0, 1)
-        data, base = base_model(prepared(recording), work)
+        data, base = base_model(prepared(recording), work, law)
         bench = _bench(data, base, seed, simulations, work, on_progress)
         found = _scored(bench, base)
         is_open = found.chance.shows_something
-        if is_open and (finer := with_more_decisions(recording, data, base, work, on_progress)) is not None:
+        if is_open and (finer := with_more_decisions(recording, data, base, work, on_progress, law)) is not None:
             data, base = finer
             bench = _bench(data, base, seed, simulations, work, on_progress)
             found = _scored(bench, base)

@@ -8,12 +8,13 @@ import numpy as np
 from sugiyama_ros.diagnosis.forecast import Surroundings, forecasts
 from sugiyama_ros.diagnosis.refine import without_folds
 from sugiyama_ros.diagnosis.table import CLEARLY, Entry
+from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.cross_validation import sum_error
 from sugiyama_ros.fit.law import in_filter, start_of_drivers
 from sugiyama_ros.fit.population import fit_nearly
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.some_drivers import some_drivers
-from sugiyama_ros.laws.registry import RIVALS
+from sugiyama_ros.laws.registry import LAWS
 
 # Number of drivers to whom a law is fitted first, as many as filters run side by side.
 _FIRST = 8
@@ -25,8 +26,9 @@ def laws(data: Recorded, around: Surroundings, final: Entry, work: ThreadPoolExe
 
 
 def _laws(data: Recorded, around: Surroundings, final: Entry, work: ThreadPoolExecutor) -> Iterator[Entry]:
-    for law in RIVALS:
-        if _is_far_behind(data, law, final, work):
+    own, by_number = round(float(final.fit.model.rows[0, ROW.law])), list(LAWS.values())
+    for law in LAWS:
+        if LAWS[law] is by_number[own] or _is_far_behind(data, law, final, work):
             continue
         fit = in_filter(data, law, work)
         models = without_folds(data, fit, work)

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from sugiyama_ros.arrays import Array
+from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
 from sugiyama_ros.driver.utility import FAR
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.joint import JointFit
@@ -18,7 +19,7 @@ from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.population import fit_base, start_model
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import filtered_states
-from sugiyama_ros.laws.registry import LAWS, number_of
+from sugiyama_ros.laws.registry import LAWS, PAPERS, number_of
 
 # The gaps of a driver are fitted only if there are more samples than this.
 _FEWEST = 50
@@ -27,11 +28,13 @@ _FEWEST = 50
 def in_filter(data: Recorded, law: str, work: Executor) -> JointFit:
     """Fit the parameters and the noises of a law for every driver in the causal filter."""
     model = start_of_drivers(data, law)
-    return fit_base(data, model.individual, work, model)
+    return fit_base(data, model.individual, work, None if law == PAPERS else model)
 
 
 def start_of_drivers(data: Recorded, law: str) -> Model:
     """Return the model in which every driver drives by a law, with the parameters with which the search begins."""
+    if law == PAPERS:
+        return start_model(data, data.even.individual(V_STAR, KAPPA_V))
     places = ROW.law_places[law]
     model = start_model(data, data.even.individual(*range(places.start, places.stop)))
     for rows in (model.rows, model.ahead):

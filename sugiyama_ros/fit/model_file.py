@@ -24,6 +24,7 @@ from sugiyama_ros.fit.model import coordinate
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.sandwich import shared_stds
 from sugiyama_ros.fit.vicinity import Vicinity
+from sugiyama_ros.laws.registry import LAWS, PAPERS, law, number_of
 from sugiyama_ros.outputs import Target, writing
 from sugiyama_ros.plugins import FAILED
 from sugiyama_ros.trajectories.trajectories import Trajectories
@@ -163,10 +164,43 @@ def _driver(row: Array, std: Mapping[str, float]) -> dict[str, Any]:
     return {
         "parameters": {name: float(v) for name, v in zip(NAMES, row, strict=False)},
         "std": dict(std),
+        **_law(row),
         "effects": {
             name: {p.name: float(row[index_of(name, p.name)]) for p in effect(name).parameters} for name in active(row)
         },
     }
+
+
+def _law(row: Array) -> dict[str, Any]:
+    """The law of a driver who does not drive by the paper's, with its parameters."""
+    name = tuple(LAWS)[round(float(row[ROW.law]))]
+    if name == PAPERS:
+        return {}
+    values = row[ROW.law_places[name]].tolist()
+    return {"law": {name: {p.name: v for p, v in zip(LAWS[name].parameters, values, strict=True)}}}
+
+
+def drive_by(row: Array, name: str, values: Mapping[str, float]) -> Array:
+    """Return the row (WIDTH,) of a driver who drives by a law.
+
+    Raises
+    ------
+    InputError
+        For an unknown law or parameter, or a value that is missing or out of bounds.
+    """
+    declared, found = law(name).parameters, row.copy()
+    found[ROW.law] = number_of(name)
+    if name == PAPERS:
+        return found
+    if set(values) != {p.name for p in declared}:
+        raise InputError(f"law {name}: give {', '.join(p.name for p in declared)}")
+    for place, p in zip(range(ROW.width)[ROW.law_places[name]], declared, strict=True):
+        if not p.lower <= values[p.name] <= p.upper:
+            raise InputError(
+                f"law {name}: {p.name} {values[p.name]:g} is out of bounds; give {p.lower:g} to {p.upper:g}"
+            )
+        found[place] = values[p.name]
+    return found
 
 
 def read_model(path: Path) -> ModelFile:
@@ -191,6 +225,8 @@ def read_model(path: Path) -> ModelFile:
         row: Array = np.zeros(ROW.width)
         try:
             row[:COUNT] = [number(about["parameters"][name], name) for name in NAMES]
+            for name, values in about.get("law", {}).items():
+                row = drive_by(row, str(name), {str(p): number(v, str(p)) for p, v in values.items()})
             for name, values in about.get("effects", {}).items():
                 _check_installed(str(name))
                 row = switch_on(row, str(name), {str(p): number(v, str(p)) for p, v in values.items()})

@@ -26,8 +26,9 @@ LAWS: Mapping[str, Law] = plugins.registered(
     ),
     "LAW",
 )
-#: Number of the paper's driver model. The other laws are compared with it.
+#: Number and name of the paper's driver model. The other laws are compared with it.
 ADAPTIVE_SEEK = 0
+PAPERS = "adaptive_seek"
 #: Names of all laws except adaptiveSeek.
 RIVALS: tuple[str, ...] = tuple(LAWS)[1:]
 

@@ -150,6 +150,7 @@ def document(d: Diagnosis) -> dict[str, Any]:
         "free_run": _drives(d),
         "about": about(),
         "data": {"source": around.source, "sha256": around.sha256},
+        "law": law_of(d.base.fit.model.rows[0]),
         "vehicles": d.data.drivers,
         "drivers_left_out": d.data.left_out,
         "decision_period_s": around.period_s,
@@ -333,6 +334,11 @@ def _drives(d: Diagnosis) -> dict[str, Any]:
 
 def _rows(position_m: Array) -> list[list[float | None]]:
     return [[round(x, 1) if np.isfinite(x) else None for x in row] for row in position_m.tolist()]
+
+
+def law_of(row: Array) -> str:
+    """Name of the law by which a driver drives."""
+    return tuple(LAWS)[round(float(row[ROW.law]))]
 
 
 def about() -> dict[str, Any]:

@@ -8,7 +8,15 @@ from typing import Any
 from sugiyama_ros.tables import figure
 
 Document = Mapping[str, Any]
-_LAWS = {"idm": "IDM", "fvdm": "FVDM", "ovm": "OVM", "gipps": "Gipps", "newell": "Newell", "helly": "Helly"}
+_LAWS = {
+    "adaptive_seek": "adaptiveSeek",
+    "idm": "IDM",
+    "fvdm": "FVDM",
+    "ovm": "OVM",
+    "gipps": "Gipps",
+    "newell": "Newell",
+    "helly": "Helly",
+}
 #: Errors [m] below this are told in millimetres.
 SMALL_M = 0.01
 # Lengths [m] and speeds [m/s] below this are told in millimetres.

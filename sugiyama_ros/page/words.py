@@ -164,7 +164,9 @@ def equation(d: Document) -> str:
         units = {name: str(one.get("unit", "")) for name, one in about.get("parameters", {}).items()}
         shown = known if not n.get("covariate") else {}
         values += [f"{k} = {quantity(float(v), units.get(k, ''), stds.get(k))}" for k, v in shown.items()]
-    added = "; ".join([f"{_BASE}{sums}", *rules])
+    law = str(d.get("law") or "adaptive_seek")
+    base = _BASE if law == "adaptive_seek" else f"a = {model_name(law)}(gap, v, v_lead)"
+    added = "; ".join([f"{base}{sums}", *rules])
     return ", ".join([added, *values]) if d["verdict"]["effects"] else ""
 
 
