@@ -56,8 +56,7 @@ class Round:
     current: The model at the beginning of the round; scores: The best score of each mechanism, the most improbable
     one first; chance: What chance gives; entries: The models that were fitted, the best one first; gains:
     Difference of each over the current model, by column; added: The model to go on with; None if no model is
-    clearly better; alike: Models that cannot be told apart from the one that was added; simulated: Recordings that
-    the model at the beginning of the round simulates.
+    clearly better; alike: Models that cannot be told apart from the one that was added.
     """
 
     current: Entry
@@ -67,7 +66,6 @@ class Round:
     gains: tuple[dict[str, Difference], ...]
     added: Entry | None
     alike: tuple[Entry, ...]
-    simulated: Simulated
 
     @property
     def closest_effect(self) -> Entry | None:
@@ -297,6 +295,7 @@ class _Bench:
     seed: int
     work: ThreadPoolExecutor
     on_progress: OnStage
+    known: dict[int, Simulated]
 
     def entry(self, name: str, added: tuple[Candidate, ...], fit: JointFit) -> Entry:
         """A fitted model with its held-out forecasts."""
@@ -304,24 +303,24 @@ class _Bench:
         return Entry(name, added, fit, models, forecasts(self.data, self.around, models, self.work))
 
     def simulated(self, fit: JointFit) -> Simulated:
-        """Recordings that a model simulates."""
-        return Simulated(self.data, fit, self.seed, self.simulations, self.work, self.on_progress)
+        """Recordings that a model simulates, made once."""
+        made = Simulated(self.data, fit, self.seed, self.simulations, self.work, self.on_progress)
+        return self.known.setdefault(id(fit), made)
 
 
 def _bench(
     data: Recorded, base: JointFit, seed: int, simulations: int, work: ThreadPoolExecutor, on_progress: OnStage
 ) -> _Bench:
     around = surroundings(data, base.model, work)
-    return _Bench(data, candidates(data), around, simulations, seed, work, on_progress)
+    return _Bench(data, candidates(data), around, simulations, seed, work, on_progress, {})
 
 
 @dataclass(frozen=True, eq=False)
 class _Scored:
-    """Scores beside a model, of all candidates by name, best starts first; what chance gives, and simulations."""
+    """Scores beside a model, of all candidates by name, best starts first; and what chance gives."""
 
     by_name: dict[str, list[Score]]
     chance: Chance
-    simulated: Simulated
 
     @property
     def best(self) -> tuple[Score, ...]:
@@ -349,7 +348,7 @@ def _scored(bench: _Bench, fit: JointFit, rounds: Sequence[Round] = ()) -> _Scor
         # what the filter's approximations do must be known only where there is something to explain
         promising = [c for c in left if chance.p_values.get(c.mechanism, 1.0) < ALPHA]
         chance = chance_of(every, simulated.scores(promising), bench.seed)
-    return _Scored(by_name, chance, simulated)
+    return _Scored(by_name, chance)
 
 
 def _searched(bench: _Bench, first: Entry, found: _Scored, most: int | None) -> list[Round]:
@@ -371,7 +370,7 @@ def _told(bench: _Bench, first: Entry, found: _Scored, names: Sequence[str]) -> 
         candidate = chosen(bench.data, [*bench.possible, *scored], name)
         entry = _fitted(bench, current, candidate, found)
         won = entry.over(bench.data, current)
-        rounds.append(Round(current, found.best, found.chance, (entry,), (won,), entry, (), found.simulated))
+        rounds.append(Round(current, found.best, found.chance, (entry,), (won,), entry, ()))
         current = entry
     return rounds
 
@@ -408,7 +407,6 @@ def _round(bench: _Bench, current: Entry, found: _Scored) -> Round:
         tuple(won[k] for k in order),
         None if added is None else _without_needless(bench, added),
         tuple(alike),
-        found.simulated,
     )
 
 
@@ -450,7 +448,7 @@ def _concluded(bench: _Bench, rounds: list[Round], asked: tuple[str, ...], simul
     data, work = bench.data, bench.work
     base, final = rounds[0].current, rounds[-1].added or rounds[-1].current
     bench.on_progress("checking the final model", 0, 1)
-    simulated = rounds[-1].simulated if rounds[-1].added is None else bench.simulated(final.fit)
+    simulated = bench.simulated(final.fit)
     own = [
         forecasts(one, surroundings(one, fitted.model, work), [fitted.model] * FOLDS, work)
         for one, fitted in simulated.recordings

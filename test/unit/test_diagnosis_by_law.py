@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import sugiyama_ros as sg
-from sugiyama_ros.driver.parameters import defaults
+from sugiyama_ros.driver.parameters import SIGMA_A, defaults
 from sugiyama_ros.effects.registry import ROW, switch_on
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.model_file import drive_by, read_model
@@ -17,9 +17,10 @@ _IDM = {p.name: p.default for p in LAWS["idm"].parameters}
 def followers(vehicles, delay_s, seed):
     """Drivers of the IDM on a ring, perhaps with a reaction time."""
     rows = np.array([drive_by(row, "idm", _IDM) for row in ROW.with_effects(defaults(vehicles))])
+    rows[:, SIGMA_A] = 0.2
     if delay_s:
         rows = switch_on(rows, "reaction_delay", {"delay": delay_s})
-    return carry_out(Experiment(ring_m=12.0 * vehicles, duration_s=120.0, seed=seed), rows).measured
+    return carry_out(Experiment(ring_m=20.0 * vehicles, start="equal", seed=seed), rows).measured
 
 
 @pytest.fixture(scope="module")
