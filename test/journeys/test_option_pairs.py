@@ -65,6 +65,8 @@ VALUES: Mapping[str, Sequence[str]] = {
     "diagnose --add": ("auto", "drag"),
     "diagnose --output": ("new.yaml", "old.yaml"),
     "diagnose --save": ("new.json", "old.json"),
+    "diagnose --law": ("idm",),
+    "simulate --law": ("idm",),
     "study NAME": ("", "spectrum", "highway", "measured", "simulated", "order"),
     "study SOURCE": ("ring.mcap", "ring.csv"),
     "study --runs": ("1",),
