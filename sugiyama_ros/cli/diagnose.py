@@ -64,9 +64,9 @@ class DiagnoseOptions:
     ] = 2
     overwrite: Overwrite = False
     ring: Ring = None
-    law: Annotated[
-        str, typer.Option("--law", help="Law by which the drivers of the base model drive: sugiyama laws lists them.")
-    ] = "adaptive_seek"
+    law: Annotated[str, typer.Option("--law", help="Name of the law by which the drivers of the base model drive.")] = (
+        "adaptive_seek"
+    )
     seed: Seed = 0
     scheduler: Scheduler = None
     wide: Wide = False

@@ -14,7 +14,7 @@ from sugiyama_ros.fit.law import in_filter, start_of_drivers
 from sugiyama_ros.fit.population import fit_nearly
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.some_drivers import some_drivers
-from sugiyama_ros.laws.registry import LAWS
+from sugiyama_ros.laws.registry import LAWS, name_of
 
 # Number of drivers to whom a law is fitted first, as many as filters run side by side.
 _FIRST = 8
@@ -26,9 +26,9 @@ def laws(data: Recorded, around: Surroundings, final: Entry, work: ThreadPoolExe
 
 
 def _laws(data: Recorded, around: Surroundings, final: Entry, work: ThreadPoolExecutor) -> Iterator[Entry]:
-    own, by_number = round(float(final.fit.model.rows[0, ROW.law])), list(LAWS.values())
+    own = name_of(float(final.fit.model.rows[0, ROW.law]))
     for law in LAWS:
-        if LAWS[law] is by_number[own] or _is_far_behind(data, law, final, work):
+        if law == own or _is_far_behind(data, law, final, work):
             continue
         fit = in_filter(data, law, work)
         models = without_folds(data, fit, work)

@@ -24,7 +24,7 @@ from sugiyama_ros.fit.model import coordinate
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.sandwich import shared_stds
 from sugiyama_ros.fit.vicinity import Vicinity
-from sugiyama_ros.laws.registry import LAWS, PAPERS, law, number_of
+from sugiyama_ros.laws.registry import LAWS, PAPERS, law, name_of, number_of
 from sugiyama_ros.outputs import Target, writing
 from sugiyama_ros.plugins import FAILED
 from sugiyama_ros.trajectories.trajectories import Trajectories
@@ -173,7 +173,7 @@ def _driver(row: Array, std: Mapping[str, float]) -> dict[str, Any]:
 
 def _law(row: Array) -> dict[str, Any]:
     """The law of a driver who does not drive by the paper's, with its parameters."""
-    name = tuple(LAWS)[round(float(row[ROW.law]))]
+    name = name_of(float(row[ROW.law]))
     if name == PAPERS:
         return {}
     values = row[ROW.law_places[name]].tolist()

@@ -54,6 +54,11 @@ def law(name: str) -> Law:
     return plugins.find(LAWS, GROUP, name, "law")
 
 
+def name_of(number: float) -> str:
+    """Name of the law with a number in a driver's row."""
+    return tuple(LAWS)[round(number)]
+
+
 def number_of(name: str) -> int:
     """Look up the number of a law in a driver's row.
 

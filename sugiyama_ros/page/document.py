@@ -22,7 +22,7 @@ from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, Parameter
 from sugiyama_ros.effects.discovered_force import COVARIATES
 from sugiyama_ros.effects.registry import EFFECTS, ROW
 from sugiyama_ros.fit.model_file import own_stds
-from sugiyama_ros.laws.registry import LAWS
+from sugiyama_ros.laws.registry import LAWS, name_of
 
 # Time between two samples of a picture [s], and largest number of points of one run in the document.
 _EVERY_S, _MOST = 0.6, 20_000
@@ -150,7 +150,7 @@ def document(d: Diagnosis) -> dict[str, Any]:
         "free_run": _drives(d),
         "about": about(),
         "data": {"source": around.source, "sha256": around.sha256},
-        "law": law_of(d.base.fit.model.rows[0]),
+        "law": name_of(float(d.base.fit.model.rows[0, ROW.law])),
         "vehicles": d.data.drivers,
         "drivers_left_out": d.data.left_out,
         "decision_period_s": around.period_s,
@@ -334,11 +334,6 @@ def _drives(d: Diagnosis) -> dict[str, Any]:
 
 def _rows(position_m: Array) -> list[list[float | None]]:
     return [[round(x, 1) if np.isfinite(x) else None for x in row] for row in position_m.tolist()]
-
-
-def law_of(row: Array) -> str:
-    """Name of the law by which a driver drives."""
-    return tuple(LAWS)[round(float(row[ROW.law]))]
 
 
 def about() -> dict[str, Any]:

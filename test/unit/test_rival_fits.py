@@ -74,9 +74,9 @@ def test_only_laws_that_may_be_better_are_fitted_to_all_drivers(data, base, work
     """The cars drive by the model of the paper, so that a constant speed is far behind. Then the IDM has to beat it."""
     around, names = surroundings(data, base.model, work), ("constant_speed", "idm")
     assert set(names) < set(RIVALS) < set(registry.LAWS)
-    monkeypatch.setattr("sugiyama_ros.diagnosis.rivals.RIVALS", names[:1])
+    monkeypatch.setattr("sugiyama_ros.diagnosis.rivals.LAWS", {names[0]: registry.LAWS[names[0]]})
     assert laws(data, around, entry(data, around, "base", base, work), work) == ()
-    monkeypatch.setattr("sugiyama_ros.diagnosis.rivals.RIVALS", names[1:])
+    monkeypatch.setattr("sugiyama_ros.diagnosis.rivals.LAWS", {names[1]: registry.LAWS[names[1]]})
     slow = entry(data, around, "constant_speed", in_filter(data, "constant_speed", work), work)
     (idm,) = laws(data, around, slow, work)
     assert idm.name == "idm"
