@@ -33,6 +33,7 @@ from sugiyama_ros.filters.state import STATE
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import PointwiseDensity, between_measurements, filtered_states, jobs_of, together
+from sugiyama_ros.fit.vicinity import Vicinity
 from sugiyama_ros.simulation.drive import Order, Setting
 from sugiyama_ros.simulation.free_run import run_coupled, run_single
 
@@ -199,8 +200,7 @@ def driven(data: Recorded, models: Sequence[Model], work: Executor) -> Array:
             if k + 1 >= end or fold_at[first] != fold:
                 continue
             recorded = np.ascontiguousarray(states[k:end])
-            leader = np.where(np.isfinite(recorded[0, around.leader[k], 0]), around.leader[k], -1)
-            order = _order(ring, recorded[0], leader, around.length_m[k])
+            order = _order(around, k, recorded[0])
             out = np.empty((end - k - 1, data.drivers, 2))
             start_s = float(around.time_s[k, 0])
             run_coupled(recorded, order, rows, ACTIONS, start_s, setting, np.zeros(out.shape[:2]), out)
@@ -244,20 +244,20 @@ class _Fold(NamedTuple):
         data, (number, who, states) = self.data, job
         k, steps, around = int(self.around.starts[number]), self.around.steps, data.vicinity
         recorded = self.around.states[k : k + steps[-1] + 1]
-        leader = np.where(np.isfinite(recorded[0, around.leader[k], 0]), around.leader[k], -1)
+        order = _order(around, k, recorded[0])
         rows = _rows_at(at_period(self.model.rows, around.period_s), states.mood)
-        everybody = np.resize(rows, (len(leader), rows.shape[1]))
+        vehicles = len(order.leader)
+        everybody = np.resize(rows, (vehicles, rows.shape[1]))
         ring = around.road.circumference_m
-        order = _order(ring, recorded[0], leader, around.length_m[k])
         setting = Setting(around.period_s, horizon_at(around.period_s), ring)
         rng, start_s = np.random.default_rng(k), float(around.time_s[k, np.argmax(who)])
         mean, root = _posterior(states, recorded[0])
-        shape = (int(steps[-1]), len(leader))
+        shape = (int(steps[-1]), vehicles)
         both = (False, True) if around.is_whole_road else (False,)
-        ends = np.full((len(both), 2 * _PAIRS, len(steps), len(leader)), np.nan)
+        ends = np.full((len(both), 2 * _PAIRS, len(steps), vehicles), np.nan)
         out, begun = np.full((*shape, 2), np.nan), recorded.copy()
         for pair in range(_PAIRS):
-            shock, off = rng.standard_normal(shape), rng.standard_normal((len(leader), STATE))
+            shock, off = rng.standard_normal(shape), rng.standard_normal((vehicles, STATE))
             for half, sign in enumerate((1.0, -1.0)):
                 begun[0] = mean + sign * np.einsum("nij,nj->ni", root, off)
                 begun[0, :, 1] = np.maximum(begun[0, :, 1], 0.0)
@@ -324,8 +324,10 @@ def _rows_at(rows: Array, moods: Sequence[Array]) -> Array:
     return now
 
 
-def _order(ring: float, start: Array, leader: Ints, length: Array) -> Order:
-    """Who follows whom from a state (V, 4) on, and how many turns of the ring the leader is ahead."""
+def _order(around: Vicinity, k: int, start: Array) -> Order:
+    """Who follows whom from sample k on, from a state (V, 4), and how many turns of the ring the leader is ahead."""
+    ring = around.road.circumference_m
+    leader = np.where(np.isfinite(start[around.leader[k], 0]), around.leader[k], -1)
     headway = np.where(leader >= 0, start[leader, 0] - start[:, 0], 0.0)
     turn = np.nan_to_num(ring * np.floor(headway / ring)) if ring else np.zeros(len(leader))
-    return Order(leader, turn, length)
+    return Order(leader, turn, around.length_m[k])

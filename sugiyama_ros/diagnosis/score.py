@@ -211,20 +211,18 @@ def scores(
     fitted: JointFit,
     candidates: Sequence[Candidate],
     work: Executor,
-    who: Sequence[int] | None = None,
     *,
     with_forces: bool = True,
 ) -> list[Score]:
     """Score candidates, and forces along all covariates, beside a fitted model."""
-    chosen = range(data.drivers) if who is None else who
-    nuisance = _Nuisance(data, fitted, chosen)
+    nuisance = _Nuisance(data, fitted)
     together: dict[tuple[object, ...], list[_Direction]] = {}
-    for one in _directions(data, fitted, candidates, work, chosen, with_forces=with_forces):
+    for one in _directions(data, fitted, candidates, work, with_forces=with_forces):
         together.setdefault(one.group, []).append(one)
     random = [parts[0] for parts in together.values() if parts[0].there]
     responded = [nuisance.responded(data, *one.there) for one in random if one.there]
     asked = [nuisance.score(parts) for parts in together.values() if not parts[0].there]
-    for one, at in zip(random, evaluate_each(data.roughly, responded, work, chosen), strict=True):
+    for one, at in zip(random, evaluate_each(data.roughly, responded, work), strict=True):
         asked.append(nuisance.gain(one, at))
     found = [one for one in asked if one is not None]
     return [*found, *(some for one in found for some in of_some(one))]
@@ -235,23 +233,24 @@ def _directions(
     fitted: JointFit,
     candidates: Sequence[Candidate],
     work: Executor,
-    who: Sequence[int],
     *,
     with_forces: bool,
 ) -> Iterator[_Direction]:
     """All directions of all candidates, then those of forces."""
     probes = [probe for c in candidates for probe in _probes(data, fitted.model, c)]
-    there = evaluate_each(data.roughly, [probe.model for probe in probes], work, who)
+    drivers = range(data.drivers)
+    there = evaluate_each(data.roughly, [probe.model for probe in probes], work)
     for (c, start, model, step, group), at in zip(probes, there, strict=True):
         # a change of the mean or of the variance; what changes bad measurements is judged by its gain
         columns = [
-            (*column(fitted.samples.of(i), at.of(i), step, model.rows[i])[:2], no_density(data.samples)) for i in who
+            (*column(fitted.samples.of(i), at.of(i), step, model.rows[i])[:2], no_density(data.samples))
+            for i in drivers
         ]
         yield _Direction(c, start, columns, group, (model, at) if c.is_random and start else None)
     zeros = no_density(data.samples)
     for force in forces(data, fitted, work) if with_forces else ():
         for change in force.change:
-            columns = [(change[i], zeros, zeros) for i in who]
+            columns = [(change[i], zeros, zeros) for i in drivers]
             yield _Direction(force.candidate, force.candidate.starts[0], columns, (force.candidate.name,), None)
 
 
@@ -278,11 +277,13 @@ def _probes(data: Recorded, model: Model, c: Candidate) -> Iterator[_Probe]:
 class _Nuisance:
     """The fitted parameters, which respond to every candidate."""
 
-    def __init__(self, data: Recorded, fitted: JointFit, who: Sequence[int]) -> None:
+    def __init__(self, data: Recorded, fitted: JointFit) -> None:
         self._fitted = fitted
-        blocks = [np.unique(data.block[i][np.isfinite(fitted.samples.log_likelihood[i])]) for i in who]
+        blocks = [
+            np.unique(own[np.isfinite(at)]) for own, at in zip(data.block, fitted.samples.log_likelihood, strict=True)
+        ]
         self._of = np.repeat(np.arange(len(blocks)), [len(b) for b in blocks]), np.concatenate(blocks)
-        self._known = [_Driver(data, fitted, i, own) for i, own in zip(who, blocks, strict=True)]
+        self._known = [_Driver(data, fitted, i, own) for i, own in enumerate(blocks)]
         shared = sum((one.shared for one in self._known), np.zeros((len(fitted.model.shared),) * 2))
         self._shared_inverse = np.linalg.pinv(shared)
 
