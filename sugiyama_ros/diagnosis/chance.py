@@ -112,13 +112,12 @@ def _observed_and_null(one: Score, simulated: Sequence[Score], multipliers: Arra
     A candidate must gain beside the model, and more than it gains in each simulation: the smallest gain counts, for the
     recording as for each draw. What the filter's approximations do differs from one recording to the next.
     """
-    total = one.summed(_limited(one))
-    shifts = [other.summed(_limited(other)) for other in simulated]
     if one.information is None:
         # by chance, a likelihood ratio is at least e^g with a probability of at most e^-g (Markov)
-        return max(min(one.gain, *(one.gain - s.gain for s in simulated), np.inf), 0.0), -norm.logsf(
-            multipliers[0, :, 0]
-        )
+        beyond = min((one.gain, *(one.gain - other.gain for other in simulated)))
+        return max(beyond, 0.0), -norm.logsf(multipliers[0, :, 0])
+    total = one.summed(_limited(one))
+    shifts = [other.summed(_limited(other)) for other in simulated]
     left = _left(one)
     draws, *others = (one.summed(left, part) for part in multipliers[: 1 + len(shifts)])
     observed = [one.gains(total), *(one.gains(total - shift) for shift in shifts)]

@@ -295,7 +295,7 @@ class _Bench:
     seed: int
     work: ThreadPoolExecutor
     on_progress: OnStage
-    known: dict[int, Simulated]
+    known: dict[JointFit, Simulated]
 
     def entry(self, name: str, added: tuple[Candidate, ...], fit: JointFit) -> Entry:
         """A fitted model with its held-out forecasts."""
@@ -305,7 +305,7 @@ class _Bench:
     def simulated(self, fit: JointFit) -> Simulated:
         """Recordings that a model simulates, made once."""
         made = Simulated(self.data, fit, self.seed, self.simulations, self.work, self.on_progress)
-        return self.known.setdefault(id(fit), made)
+        return self.known.setdefault(fit, made)
 
 
 def _bench(
@@ -386,25 +386,26 @@ def _round(bench: _Bench, current: Entry, found: _Scored) -> Round:
     open_ = [s.candidate for s in found.best if found.chance.p_values[s.candidate.mechanism] < ALPHA]
     # the score of constants says little: they respond to whatever is missing, far from where they start
     worth = [*open_[:_FITTED], *(c for c in open_[_FITTED:] if c.kind == "constants")]
-    entries = []
+    won: dict[Entry, dict[str, Difference]] = {}
     for number, candidate in enumerate(worth):
         bench.on_progress(f"round {len(current.added) + 1}: fitting", number, len(worth))
-        entries.append(_fitted(bench, current, candidate, found))
+        entry = _fitted(bench, current, candidate, found)
+        won[entry] = entry.over(bench.data, current)
     # of the best mechanism with a name, all forms
-    named = [e for e in entries if e.added[-1].explains]
+    named = [e for e in won if e.added[-1].explains]
     if named:
-        first = max(named, key=lambda e: e.over(bench.data, current)["all"].nats).added[-1]
+        first = max(named, key=lambda e: won[e]["all"].nats).added[-1]
         forms = [own[0].candidate for own in found.by_name.values() if own[0].candidate.mechanism == first.mechanism]
-        entries += [_fitted(bench, current, c, found) for c in forms if c.name != first.name]
-    added, alike = _best(bench, current, entries)
-    won = [one.over(bench.data, current) for one in entries]
-    order = sorted(range(len(entries)), key=lambda k: -won[k]["all"].nats)
+        others = [_fitted(bench, current, c, found) for c in forms if c.name != first.name]
+        won |= {e: e.over(bench.data, current) for e in others}
+    added, alike = _best(bench, won)
+    entries = sorted(won, key=lambda e: -won[e]["all"].nats)
     return Round(
         current,
         found.best,
         found.chance,
-        tuple(entries[k] for k in order),
-        tuple(won[k] for k in order),
+        tuple(entries),
+        tuple(won[e] for e in entries),
         None if added is None else _without_needless(bench, added),
         tuple(alike),
     )
@@ -420,8 +421,8 @@ def _without_needless(bench: _Bench, entry: Entry) -> Entry:
     return entry
 
 
-def _best(bench: _Bench, current: Entry, entries: Sequence[Entry]) -> tuple[Entry | None, list[Entry]]:
-    """The model that gains most, of those that are better; and what cannot be told apart from it.
+def _best(bench: _Bench, won: dict[Entry, dict[str, Difference]]) -> tuple[Entry | None, list[Entry]]:
+    """The model that gains most, of those that are better; and what cannot be told apart from it; won: gain of each.
 
     Among models that cannot be told apart from it, one that can explain goes before one that cannot, and what all
     drivers have before what some have.
@@ -430,15 +431,14 @@ def _best(bench: _Bench, current: Entry, entries: Sequence[Entry]) -> tuple[Entr
     def leads(one: Entry, other: Entry) -> bool:
         return one.over(bench.data, other)["all"].is_clear
 
-    won = {id(one): one.over(bench.data, current) for one in entries}
-    allowed = [e for e in entries if is_better(won[id(e)]) and e.makes_sense]
+    allowed = [e for e in won if is_better(won[e]) and e.makes_sense]
     if not allowed:
         return None, []
-    first = max(allowed, key=lambda e: won[id(e)]["all"].nats)
-    alike = [e for e in entries if e is first or not leads(first, e)]
+    first = max(allowed, key=lambda e: won[e]["all"].nats)
+    alike = [e for e in won if e is first or not leads(first, e)]
     best = min(
         (e for e in alike if e in allowed),
-        key=lambda e: (not e.added[-1].explains, bool(e.added[-1].drivers), -won[id(e)]["all"].nats),
+        key=lambda e: (not e.added[-1].explains, bool(e.added[-1].drivers), -won[e]["all"].nats),
     )
     return best, [e for e in alike if e is not best]
 

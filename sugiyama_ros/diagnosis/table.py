@@ -72,11 +72,6 @@ class Entry:
         return gains(data, self.forecasts, other.forecasts, exchangeable({*self.added} ^ {*other.added}))
 
     @property
-    def explains(self) -> bool:
-        """Whether anything that was added can explain what was missing."""
-        return any(one.explains for one in self.added)
-
-    @property
     def signs(self) -> dict[str, tuple[float, float]]:
         """Values of what was added that have a smallest value which makes physical sense, and this value, by name."""
         found: dict[str, tuple[float, float]] = {}
@@ -97,7 +92,11 @@ class Entry:
 def gains(
     data: Recorded, better: Forecasts, than: Forecasts, over: Sequence[Unit] = ("driver", "block")
 ) -> dict[str, Difference]:
-    """Return the gain of one model over another at each horizon, and over all of them together."""
+    """Return the gain of one model over another at each horizon, and over all of them together.
+
+    Columns: ``one_step``; ``1s``, ``2s``, ``5s``, ``10s`` of single cars; ``road_1s`` and so on of all cars of a whole
+    road; ``all``, the sum of all but those of the road.
+    """
     parts = list(_differences(data, better, than))
     single = [part for part in parts if not part[0].startswith("road")]
     driver, block, nats = (np.concatenate(column) for column in list(zip(*single, strict=True))[1:])
@@ -121,7 +120,11 @@ def is_better(gain: Mapping[str, Difference]) -> bool:
 
 
 def errors(of: Forecasts) -> dict[str, float]:
-    """Return the held-out errors of a model."""
+    """Return the held-out errors of a model.
+
+    Names: ``one_step_rmse_m``; ``loglik_per_sample`` [nats]; ``free_run_10s_m`` and ``free_run_10s_crps_m`` of all cars
+    of a whole road, and ``single_car_10s_m`` and ``single_car_10s_crps_m``, for each horizon; NaN where there is none.
+    """
     known = np.isfinite(of.one_step)
     found = {
         "one_step_rmse_m": _rms(of.innovation_m[known]),
