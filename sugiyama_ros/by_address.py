@@ -16,6 +16,7 @@ handed down to every caller, its length is part of its type, and numba calls the
 import _thread
 import ctypes
 import sys
+import threading
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -32,6 +33,8 @@ from numba.np.arrayobj import populate_array
 LANES_AT, HOOKS_AT, _FREE_FROM = 1, 16, 128
 _NAME, _WORDS = "sugiyama_ros_table", 8192
 _WORD = ir.IntType(64)
+# Time [s] after which an interrupt that came while a function was compiled is raised again.
+_LATER_S = 0.05
 # The first word is the address of `_resolve`, for compiled code that finds no address.
 _TABLE = np.zeros(_WORDS, np.int64)
 _functions: dict[int, Callable[[], int]] = {}
@@ -99,7 +102,8 @@ def _resolve(place: int) -> int:
             sys.excepthook(*sys.exc_info())
             break
     if interrupted:
-        _thread.interrupt_main()
+        # raised at once, it would leave this function without a result, and its caller would call what is no address
+        threading.Timer(_LATER_S, _thread.interrupt_main).start()
     return int(_TABLE[place])
 
 

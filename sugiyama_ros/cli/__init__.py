@@ -59,8 +59,9 @@ def _run() -> int | str | None:
 
 
 def _say_unless_half_made(error: "sys.UnraisableHookArgs") -> None:
-    """Say nothing of an object that was half made when Ctrl-C came, and fails while it is deleted."""
-    if not (isinstance(error.exc_value, AttributeError) and getattr(error.object, "__name__", "") == "__del__"):
+    """Say nothing of an object that was half made when Ctrl-C came, nor of a Ctrl-C that is raised again."""
+    half_made = isinstance(error.exc_value, AttributeError) and getattr(error.object, "__name__", "") == "__del__"
+    if not half_made and not isinstance(error.exc_value, KeyboardInterrupt):
         sys.__unraisablehook__(error)
 
 

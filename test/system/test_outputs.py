@@ -154,6 +154,10 @@ def test_nothing_is_said_of_an_object_that_ctrl_c_has_left_half_made(capsys, mon
         def __del__(self):
             self.file.close()
 
+    class Interrupted:
+        def __del__(self):
+            raise KeyboardInterrupt
+
     class Broken:
         def __del__(self):
             raise RuntimeError("is no half-made object")
@@ -161,10 +165,12 @@ def test_nothing_is_said_of_an_object_that_ctrl_c_has_left_half_made(capsys, mon
     # the test runner has a hook of its own
     monkeypatch.setattr(sys, "unraisablehook", cli._say_unless_half_made)
     Loaded()
+    Interrupted()
     Broken()
     said = capsys.readouterr().err
     assert "no half-made object" in said
     assert "AttributeError" not in said
+    assert "KeyboardInterrupt" not in said
 
 
 def test_a_full_stdout_is_one_line(here):

@@ -121,3 +121,26 @@ def test_importing_the_package_changes_nothing_and_loads_little(tmp_path):
     done = subprocess.run([sys.executable, "-c", IMPORT], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert not list(tmp_path.iterdir())
+
+
+def test_ctrl_c_while_a_function_is_compiled_comes_after_its_address_is_known() -> None:
+    code = """
+import os, signal, time
+from sugiyama_ros import by_address
+
+def compiled(pending=[signal.SIGINT]):
+    if pending:
+        os.kill(os.getpid(), pending.pop())
+        time.sleep(5.0)
+    return 7
+
+place = by_address.reserve(1)
+by_address._functions[place] = compiled
+try:
+    print(by_address._resolve(place))
+    time.sleep(5.0)
+except KeyboardInterrupt:
+    print("interrupted")
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert (done.stdout, done.stderr) == ("7\ninterrupted\n", "")
