@@ -21,6 +21,7 @@ from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.population import LARGEST_STD
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.score import PointwiseDensity
+from sugiyama_ros.fit.smooth_positions import NOISES
 
 #: What a candidate changes. Constants and noises never explain anything.
 Kind = Literal["effect", "measurement", "force", "constants", "noise"]
@@ -68,6 +69,16 @@ class Candidate:
     def explains(self) -> bool:
         """Whether the candidate can explain what was missing: it has a physical name."""
         return self.kind in ("effect", "measurement")
+
+    @property
+    def rank(self) -> int:
+        """What is added first: 0 for what changes how drivers act or what is measured, 1 for forces, freed constants
+        and moods, 2 for noises.
+        """
+        if self.kind == "noise":
+            return 2
+        is_mood = self.kind == "effect" and self.is_random
+        return 0 if self.explains and not is_mood else 1
 
     @property
     def has_times(self) -> bool:
@@ -171,14 +182,20 @@ def chosen(data: Recorded, possible: Sequence[Candidate], name: str) -> Candidat
 
 
 def with_candidate(model: Model, candidate: Candidate, start: Start) -> Model:
-    """Return a model at a start of a candidate, with the entries of the candidate free."""
+    """Return a model at a start of a candidate, with the entries of the candidate free.
+
+    Noises are fitted to what the mean action leaves, which keeps its parameters: noise with a long memory would
+    otherwise take over what drivers do.
+    """
     rows, ahead = model.rows.copy(), model.ahead.copy()
     for k, v in start.items():
         rows[:, k] = ahead[:, k] = v
     if candidate.drivers:
         others = np.ix_(np.setdiff1d(np.arange(len(rows)), candidate.drivers), np.array(candidate.switches))
         rows[others] = ahead[others] = 0.0
-    model = replace(model, rows=rows, ahead=ahead)
+    fitted = (*model.individual, *model.shared) if candidate.kind == "noise" else ()
+    held = tuple(k for k in fitted if k not in (*NOISES, *candidate.places))
+    model = replace(model, rows=rows, ahead=ahead, held=held)
     new = tuple(k for k in candidate.places if k not in (*model.individual, *model.shared))
     if not candidate.individual:
         few = tuple((k, candidate.drivers) for k in candidate.switches) if candidate.drivers else ()

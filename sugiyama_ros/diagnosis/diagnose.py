@@ -352,9 +352,11 @@ def _scored(bench: _Bench, fit: JointFit, rounds: Sequence[Round] = ()) -> _Scor
 
 
 def _searched(bench: _Bench, first: Entry, found: _Scored, most: int | None) -> list[Round]:
-    """Add what the data support, one round after the other, until nothing is added."""
+    """Add what the data support, one round after the other, until nothing is added; noise is the last thing."""
     rounds = [_round(bench, first, found)]
     while (added := rounds[-1].added) is not None and (most is None or len(rounds) < most):
+        if added.added[-1].kind == "noise":
+            break
         rounds.append(_round(bench, added, _scored(bench, added.fit, rounds)))
     return rounds
 
@@ -384,19 +386,21 @@ def _fitted(bench: _Bench, current: Entry, candidate: Candidate, found: _Scored)
 def _round(bench: _Bench, current: Entry, found: _Scored) -> Round:
     """Fit the candidates with the best scores beside a model, and choose."""
     open_ = [s.candidate for s in found.best if found.chance.p_values[s.candidate.mechanism] < ALPHA]
+    acting = [c for c in open_ if c.rank == 0][:_FITTED]
     # the score of constants says little: they respond to whatever is missing, far from where they start
-    worth = [*open_[:_FITTED], *(c for c in open_[_FITTED:] if c.kind == "constants")]
+    worth = [c for c in open_ if c in acting or c in open_[:_FITTED] or c.kind == "constants"]
     won: dict[Entry, dict[str, Difference]] = {}
     for number, candidate in enumerate(worth):
         bench.on_progress(f"round {len(current.added) + 1}: fitting", number, len(worth))
         entry = _fitted(bench, current, candidate, found)
         won[entry] = entry.over(bench.data, current)
-    # of the best mechanism with a name, all forms
-    named = [e for e in won if e.added[-1].explains]
-    if named:
-        first = max(named, key=lambda e: won[e]["all"].nats).added[-1]
-        forms = [own[0].candidate for own in found.by_name.values() if own[0].candidate.mechanism == first.mechanism]
-        others = [_fitted(bench, current, c, found) for c in forms if c.name != first.name]
+    # of the best mechanism, all forms
+    if won:
+        first = _best(bench, won)[0] or max(won, key=lambda e: (-e.added[-1].rank, won[e]["all"].nats))
+        tried = {e.added[-1].name for e in won}
+        forms = [own[0].candidate for own in found.by_name.values()]
+        forms = [c for c in forms if c.mechanism == first.added[-1].mechanism and c.name not in tried]
+        others = [_fitted(bench, current, c, found) for c in forms]
         won |= {e: e.over(bench.data, current) for e in others}
     added, alike = _best(bench, won)
     entries = sorted(won, key=lambda e: -won[e]["all"].nats)
@@ -413,6 +417,8 @@ def _round(bench: _Bench, current: Entry, found: _Scored) -> Round:
 
 def _without_needless(bench: _Bench, entry: Entry) -> Entry:
     """A model without the additions that it does not need any more beside the last one."""
+    if entry.fit.beside is not None:
+        return entry
     for candidate in entry.added[:-1]:
         fit = maximise(bench.data, without(bench.data, entry.fit, candidate, bench.work), bench.work)
         less = bench.entry(entry.name, tuple(c for c in entry.added if c is not candidate), fit)
@@ -424,8 +430,9 @@ def _without_needless(bench: _Bench, entry: Entry) -> Entry:
 def _best(bench: _Bench, won: dict[Entry, dict[str, Difference]]) -> tuple[Entry | None, list[Entry]]:
     """The model that gains most, of those that are better; and what cannot be told apart from it; won: gain of each.
 
-    Among models that cannot be told apart from it, one that can explain goes before one that cannot, and what all
-    drivers have before what some have.
+    What changes how drivers act goes before freed constants, forces and moods, and these before noises: whatever
+    else is missing shows in them, too. Among models that cannot be told apart, what all drivers have goes before what
+    some have, and then come the better free runs.
     """
 
     def leads(one: Entry, other: Entry) -> bool:
@@ -434,11 +441,13 @@ def _best(bench: _Bench, won: dict[Entry, dict[str, Difference]]) -> tuple[Entry
     allowed = [e for e in won if is_better(won[e]) and e.makes_sense]
     if not allowed:
         return None, []
+    rank = min(e.added[-1].rank for e in allowed)
+    allowed = [e for e in allowed if e.added[-1].rank == rank]
     first = max(allowed, key=lambda e: won[e]["all"].nats)
     alike = [e for e in won if e is first or not leads(first, e)]
     best = min(
         (e for e in alike if e in allowed),
-        key=lambda e: (not e.added[-1].explains, bool(e.added[-1].drivers), -won[e]["all"].nats),
+        key=lambda e: (bool(e.added[-1].drivers), won[e]["one_step"].nats - won[e]["all"].nats),
     )
     return best, [e for e in alike if e is not best]
 

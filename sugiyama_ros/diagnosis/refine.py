@@ -27,7 +27,7 @@ def refined(data: Recorded, fitted: JointFit, candidate: Candidate, found: Seque
     tried = tried or [with_candidate(fitted.model, candidate, start) for start in candidate.starts]
     there = [_beside(data, fitted, model, work) for model in tried]
     start = max(there, key=lambda one: objective(one.slopes, one.model, range(FOLDS)))
-    return _maximised(data, start, work)
+    return replace(_maximised(data, start, work), beside=fitted if start.model.held else None)
 
 
 def with_named(
@@ -54,8 +54,20 @@ def _maximised(data: Recorded, start: JointFit, work: Executor) -> JointFit:
 
 
 def without_folds(data: Recorded, fitted: JointFit, work: Executor) -> tuple[Model, ...]:
-    """Return a model for every fold, fitted to the other folds from the fit to all folds."""
-    return tuple(_without_fold(data, fitted, [k for k in range(FOLDS) if k != f], work) for f in range(FOLDS))
+    """Return a model for every fold, fitted to the other folds from the fit to all folds.
+
+    What a model holds comes from a fit that has not seen the fold, either.
+    """
+    others = [[k for k in range(FOLDS) if k != f] for f in range(FOLDS)]
+    if fitted.beside is None:
+        return tuple(_without_fold(data, fitted, folds, work) for folds in others)
+    places, found = list(fitted.model.held), []
+    for model, folds in zip(without_folds(data, fitted.beside, work), others, strict=True):
+        rows = fitted.model.rows.copy()
+        rows[:, places] = model.rows[:, places]
+        start = at_model(data, fitted, replace(fitted.model, rows=rows), work, np.ones(data.drivers, np.bool_))
+        found.append(maximise(data, start, work, folds=folds, iterations=_STEPS_WITHOUT, renewals=0).model)
+    return tuple(found)
 
 
 def _without_fold(data: Recorded, fitted: JointFit, folds: Sequence[int], work: Executor) -> Model:

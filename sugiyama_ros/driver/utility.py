@@ -97,7 +97,7 @@ def collision_penalty(ratio: float) -> float:
 
 @kernel(vectorised=True)
 def anticipate(
-    action: float, tau: int, gap: float, speed: float, leader_speed: float, period: float
+    action: float, tau: float, gap: float, speed: float, leader_speed: float, period: float
 ) -> tuple[float, float]:
     """Predict the gap and the speed if the driver holds an action and the leader keeps their speed.
 
@@ -107,7 +107,7 @@ def anticipate(
     ----------
     action : float
         Acceleration [m/s^2] that the driver holds.
-    tau : int
+    tau : float
         Number of periods ahead.
     gap, speed, leader_speed : float
         Gap [m] and speeds [m/s] now.
@@ -139,7 +139,7 @@ def preferences(parameters: Array) -> Preferences:
 
 @kernel(vectorised=True)
 def gap_and_scale(
-    action: float, tau: int, gap: float, speed: float, leader_speed: float, driver: Preferences, period: float
+    action: float, tau: float, gap: float, speed: float, leader_speed: float, driver: Preferences, period: float
 ) -> tuple[float, float]:
     """Predict the gap [m] and its scale sigma [m] ``tau`` periods ahead; arguments as for ``anticipate``."""
     _, kappa_v, _, kappa_c, kappa_d, _, _ = driver

@@ -33,6 +33,8 @@ EFFECTS: Mapping[str, Effect] = {
             "harshness",
             "roughness",
             "averaged_reward",
+            "look_ahead",
+            "keeping_up",
             "rear_pressure",
             "comfort_limits",
             "limited_power",

@@ -40,11 +40,14 @@ class JointFit:
         Predictions of all samples.
     slopes : tuple of Slopes
         Score and information of each driver.
+    beside : JointFit, optional
+        The fit from which the model has the parameters that it holds.
     """
 
     model: Model
     samples: PointwiseDensity
     slopes: tuple[Slopes, ...]
+    beside: "JointFit | None" = None
 
     @property
     def log_likelihood(self) -> float:
@@ -211,6 +214,11 @@ def solve(
         h[:, own:, own:] = np.where(has[:, :, None] & has[:, None], h[:, own:, own:], 0.0)
     g_own, h_own, cross = g[:, :own] - share * model.away / std, h[:, :own, :own], h[:, :own, own:]
     h_own = h_own + len(curved) / FOLDS * np.diag(1.0 / std**2)
+    if model.held:
+        is_held = np.isin((*model.individual, *model.shared), model.held)
+        g_own[:, is_held[:own]], g[:, own + np.flatnonzero(is_held[own:])] = 0.0, 0.0
+        # parameters that do not move take up nothing of what the others do
+        cross = np.where(is_held[:own, None] | is_held[own:], 0.0, cross)
     inverse = np.linalg.inv(damped(h_own, of_driver))
     # response of the individual parameters to a change of each shared parameter
     gives_way = inverse @ cross

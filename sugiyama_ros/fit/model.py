@@ -38,6 +38,8 @@ class Model:
         Parameters of each driver as the leader of another driver. Shared entries follow ``rows``.
     few : tuple of (int, tuple of int)
         Shared places that only some drivers have, with the columns of these drivers; the entry is 0 for the others.
+    held : tuple of int
+        Fitted places that a search leaves as they are.
     """
 
     rows: Array
@@ -46,6 +48,7 @@ class Model:
     prior_std: tuple[float, ...]
     ahead: Array
     few: tuple[tuple[int, tuple[int, ...]], ...] = ()
+    held: tuple[int, ...] = ()
 
     @property
     def has(self) -> Mask:
