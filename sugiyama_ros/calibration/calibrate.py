@@ -200,7 +200,7 @@ def pooled(trajectories: Trajectories, settings: Settings, effects: Sequence[str
     trajectories = with_short_periods(trajectories)
     data = prepare(trajectories)
     base = fit_base(data, [index(name) for name in settings.estimated], work)
-    fitted, _ = with_named(data, base, effects, work)
+    fitted = with_named(data, base, effects, work)
     own, shared = own_stds(fitted), shared_stds(data, fitted, work)
     names = [ROW.entries[k] for k in fitted.model.individual]
     prior = np.array(fitted.model.prior_std)

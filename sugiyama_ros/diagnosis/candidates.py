@@ -81,11 +81,6 @@ class Candidate:
         return 0 if self.explains and not is_mood else 1
 
     @property
-    def has_times(self) -> bool:
-        """Whether the candidate acts at a time of the recording."""
-        return any(ROW.declared[k].axis == "time" for k in self.places)
-
-    @property
     def effect(self) -> str:
         """Name of the effect, whoever has it."""
         return self.name.removesuffix(OF_SOME)

@@ -1,10 +1,10 @@
 """What chance gives in the same procedure: one null distribution for everything that is scored.
 
 Recordings that the fitted model simulates are scored as the data are: the approximations of the filter shift scores
-even where nothing is missing. The rest is chance. Its distribution comes from a multiplier bootstrap: the scores that
-are left in each block after the best strength is taken out, times random signs and sizes. The largest gain of all
-candidates, in all their forms, starts and places, is compared with the largest one of each draw, so no factor for the
-number of tests is needed.
+even where nothing is missing, and what they give on average is taken off. The rest is chance. Its distribution comes
+from a multiplier bootstrap: the scores that are left in each block after the best strength is taken out, times random
+signs and sizes. The largest gain of all candidates, in all their forms, starts and places, is compared with the largest
+one of each draw, so no factor for the number of tests is needed.
 
 References
 ----------
@@ -59,45 +59,25 @@ class Chance(NamedTuple):
 
 
 def chance_of(data_scores: Sequence[Score], simulated: Sequence[Sequence[Score]], seed: int) -> Chance:
-    """Return what chance gives in the scores of a recording; simulated: scores of recordings that the model simulates.
-
-    Nothing is missing from a simulation. If the largest score there, beside the other simulations, is less probable
-    than a draw from its own distribution, so is that of the data: all count by this factor less.
-    """
-    alone, tails, by_chance = _beside(data_scores, simulated, seed)
-    excess = [1.0]
-    for k, own in enumerate(simulated):
-        there, _, null = _beside(own, [*simulated[:k], *simulated[k + 1 :]], seed)
-        excess.append(max(there.values(), default=0.0) / float(np.mean(null)))
-    factor = max(1.0, float(np.mean(excess[1:]))) if simulated else 1.0
-    largest: dict[str, float] = {}
-    for one in data_scores:
-        mechanism, name = one.candidate.mechanism, one.candidate.name
-        largest[mechanism] = max(largest.get(mechanism, -np.inf), alone[name] / factor)
-    p = {name: float((1 + np.count_nonzero(by_chance >= z)) / (1 + _DRAWS)) for name, z in largest.items()}
-    level = factor * float(np.quantile(by_chance, 1.0 - ALPHA)) if largest else 0.0
-    return Chance(p, alone, {name: tail.gain_at(level) for name, tail in tails.items()})
-
-
-def _beside(
-    scored: Sequence[Score], simulated: Sequence[Sequence[Score]], seed: int
-) -> tuple[dict[str, float], dict[str, "_Tail"], Array]:
-    """-ln p of each candidate alone, its null distribution, and draws of the largest one of all candidates, (B,)."""
+    """Return what chance gives in the scores of a recording; simulated: scores of simulated recordings."""
     shifts = [{_key(one): one for one in each} for each in simulated]
-    blocks = len(scored[0].driver) if scored else 0
+    blocks = len(data_scores[0].driver) if data_scores else 0
     multipliers = np.random.default_rng(seed).standard_normal((1 + len(simulated), _DRAWS, blocks))
     alone: dict[str, float] = {}
+    largest: dict[str, float] = {}
     tails: dict[str, _Tail] = {}
     by_chance = np.full(_DRAWS, -np.inf)
-    for one in scored:
+    for one in data_scores:
         there = [known[_key(one)] for known in shifts if _key(one) in known]
         observed, null = _observed_and_null(one, there, multipliers)
-        tail = _Tail.of(null)
-        name = one.candidate.name
+        tail, name, mechanism = _Tail.of(null), one.candidate.name, one.candidate.mechanism
         alone[name] = max(alone.get(name, -np.inf), float(tail.improbable(observed)))
+        largest[mechanism] = max(largest.get(mechanism, -np.inf), alone[name])
         tails.setdefault(name, tail)
         by_chance = np.maximum(by_chance, tail.improbable(null))
-    return alone, tails, by_chance
+    p = {name: float((1 + np.count_nonzero(by_chance >= z)) / (1 + _DRAWS)) for name, z in largest.items()}
+    level = float(np.quantile(by_chance, 1.0 - ALPHA)) if largest else 0.0
+    return Chance(p, alone, {name: tail.gain_at(level) for name, tail in tails.items()})
 
 
 def _key(one: Score) -> tuple[object, ...]:
@@ -107,22 +87,15 @@ def _key(one: Score) -> tuple[object, ...]:
 
 
 def _observed_and_null(one: Score, simulated: Sequence[Score], multipliers: Array) -> tuple[float, Array]:
-    """The gain of a score, and the gains of draws from what chance gives, (B,).
-
-    A candidate must gain beside the model, and more than it gains in each simulation: the smallest gain counts, for the
-    recording as for each draw. What the filter's approximations do differs from one recording to the next.
-    """
+    """The gain of a score beyond what simulations give on average, and the gains of draws by chance, (B,)."""
     if one.information is None:
         # by chance, a likelihood ratio is at least e^g with a probability of at most e^-g (Markov)
         beyond = min((one.gain, *(one.gain - other.gain for other in simulated)))
         return max(beyond, 0.0), -norm.logsf(multipliers[0, :, 0])
-    total = one.summed(_limited(one))
-    shifts = [other.summed(_limited(other)) for other in simulated]
-    left = _left(one)
-    draws, *others = (one.summed(left, part) for part in multipliers[: 1 + len(shifts)])
-    observed = [one.gains(total), *(one.gains(total - shift) for shift in shifts)]
-    null = [one.gains(draws), *(one.gains(draws - other) for other in others)]
-    return float(np.min(observed)), np.min(null, axis=0)
+    left, count = _left(one), max(len(simulated), 1)
+    total = one.summed(_limited(one)) - sum(other.summed(_limited(other)) / count for other in simulated)
+    draws, *others = (one.summed(left, part) for part in multipliers[: 1 + len(simulated)])
+    return float(one.gains(total)[0]), one.gains(draws - sum(other / count for other in others))
 
 
 class _Tail(NamedTuple):
@@ -155,34 +128,32 @@ class _Tail(NamedTuple):
 
 
 def _left(one: Score) -> Array:
-    """What is left of the scores of all blocks (G, K) after the best strength is taken out.
+    """What is left of the scores of all blocks (G, K) after the best strength is taken out, as large as by chance.
 
     Individual strengths would leave nothing in a block that says most of its driver: their scores stay as they are.
     """
     assert one.information is not None
-    if one.candidate.individual:
-        return _limited(one)
-    strength = one.strength[one.driver] if one.is_by_driver else np.broadcast_to(one.strength, one.score.shape)
-    explained = np.einsum("gjk,gk->gj", one.information, strength)
-    blocks, fitted = one.score.shape
-    # blocks that are as many as the strengths have nothing left
-    left = (one.score - explained) * math.sqrt(blocks / max(blocks - fitted, 1))
-    return _limited(replace(one, score=left)) * math.sqrt(_clustered(one, left))
+    left, information = one.score, np.maximum(np.einsum("gjj->gj", one.information), 1e-300)
+    if not one.candidate.individual:
+        strength = one.strength[one.driver] if one.is_by_driver else np.broadcast_to(one.strength, one.score.shape)
+        left = left - np.einsum("gjk,gk->gj", one.information, strength)
+    limited = _limited(replace(one, score=left))
+    size = _dispersion(one, left, information) * information.sum(axis=0)
+    return np.asarray(limited * np.sqrt(size / np.maximum(np.square(limited).sum(axis=0), 1e-300)))
 
 
-def _clustered(one: Score, left: Array) -> float:
-    """By what factor scores vary more than independent blocks do: the larger one over drivers and over times, or 1.
+def _dispersion(one: Score, left: Array, information: Array) -> float:
+    """By what factor scores vary more than the model says: the largest one over blocks, drivers and times, or 1.
 
-    The same camera sees all drivers, leaders and followers see each other, and a driver is the same at all times.
+    The same camera sees all drivers, leaders and followers see each other, and a driver is the same at all times. The
+    median keeps out what few drivers or few moments have: that may be the effect.
     """
-    assert one.information is not None
-    size = np.sqrt(np.maximum(np.einsum("gjj->j", one.information), 1e-300))
-    alone = float(np.square(left / size).sum())
     factors = [1.0]
-    for unit in (one.driver, one.time):
-        sums = [np.bincount(np.unique(unit, return_inverse=True)[1], column) for column in (left / size).T]
-        if len(sums[0]) > 1:
-            factors.append(len(sums[0]) * float(np.var(sums, axis=1, ddof=1).sum()) / max(alone, 1e-300))
+    for unit in (np.arange(len(left)), one.driver, one.time):
+        number = np.unique(unit, return_inverse=True)[1]
+        sums, known = (np.stack([np.bincount(number, c) for c in values.T]) for values in (left, information))
+        typical = np.median(np.abs(sums) / np.sqrt(np.maximum(known, 1e-300)), axis=1)
+        factors.append(float(np.mean(np.square(typical / norm.ppf(0.75)))))
     return max(factors)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from sugiyama_ros.diagnosis.base import base_model, with_more_decisions
 from sugiyama_ros.diagnosis.forecast import Forecasts, Surroundings, forecasts, surroundings
 from sugiyama_ros.diagnosis.refine import with_named, without_folds
-from sugiyama_ros.diagnosis.table import Difference, Unit, exchangeable, gains
+from sugiyama_ros.diagnosis.table import Difference, gains
 from sugiyama_ros.filters.extract import motion_of
 from sugiyama_ros.fit.joint import JointFit, fit
 from sugiyama_ros.fit.law import by_gaps, in_filter
@@ -48,7 +48,7 @@ class Compared:
     name: Name of the model; kind: What the model is; forecasts: Its forecasts, held out unless ``kind`` is
     ``in_sample``; gain: Gain over the base model [nats], by column; empty for the base model on its own simulation;
     collective: Mean and standard deviation of measures of the whole road, over simulations of the model; empty on
-    tracks; over: What is exchangeable where it differs from the base model.
+    tracks.
     """
 
     name: str
@@ -56,7 +56,6 @@ class Compared:
     forecasts: Forecasts
     gain: dict[str, Difference]
     collective: dict[str, tuple[float, float]]
-    over: tuple[Unit, ...] = ("driver", "block")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -163,16 +162,15 @@ def compare(
         found = [_fitted("base", "base", data, around, base, seed, work)]
         on_progress("the base model with effects", 1, steps)
         if effects:
-            asked, added = with_named(data, base, effects, work)
-            one = _fitted(f"base + {' + '.join(effects)}", "asked", data, around, asked, seed, work)
-            found.append(replace(one, over=exchangeable(added)))
+            asked = with_named(data, base, effects, work)
+            found.append(_fitted(f"base + {' + '.join(effects)}", "asked", data, around, asked, seed, work))
         if model is not None:
             found.append(_given(model, data, around, seed, work))
         for k, law in enumerate(RIVALS):
             on_progress(law, steps - 1 - len(RIVALS) + k, steps)
             found += sent[k].result() if sent else _law(law, data, around, seed, work)
         on_progress("the base model on its own simulation", steps - 1, steps)
-        models = [replace(one, gain=gains(data, one.forecasts, found[0].forecasts, one.over)) for one in found]
+        models = [replace(one, gain=gains(data, one.forecasts, found[0].forecasts)) for one in found]
         models.append(_simulated(data, base, seed, work))
     return Comparison(tuple(models), data, *_measured(data), seed)
 

@@ -30,17 +30,14 @@ def refined(data: Recorded, fitted: JointFit, candidate: Candidate, found: Seque
     return replace(_maximised(data, start, work), beside=fitted if start.model.held else None)
 
 
-def with_named(
-    data: Recorded, fitted: JointFit, names: Sequence[str], work: Executor
-) -> tuple[JointFit, list[Candidate]]:
+def with_named(data: Recorded, fitted: JointFit, names: Sequence[str], work: Executor) -> JointFit:
     """Add candidates by their names to a fitted model, one after the other."""
     possible = candidates(data)
-    added = [chosen(data, possible, name) for name in names]
-    for candidate in added:
+    for candidate in [chosen(data, possible, name) for name in names]:
         found = scores(data, fitted, [candidate], work, with_forces=False)
         own = sorted((one for one in found if one.candidate.name == candidate.name), key=lambda one: -one.gain)
         fitted = refined(data, fitted, candidate, own, work)
-    return fitted, added
+    return fitted
 
 
 def _maximised(data: Recorded, start: JointFit, work: Executor) -> JointFit:

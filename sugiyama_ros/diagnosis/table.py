@@ -7,11 +7,11 @@ A. Vehtari, A. Gelman and J. Gabry, Stat. Comput. 27 (2017) 1413. C. Varin, N. R
 """
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
 
 import numpy as np
+from scipy.stats import norm
 
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.diagnosis.candidates import Candidate
@@ -22,8 +22,6 @@ from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.recording import Recorded
 
-#: What sums of forecasts are taken over.
-Unit: TypeAlias = Literal["driver", "block"]
 #: Level of significance, and false-discovery rate: nothing is added that chance shows more often.
 ALPHA = 0.05
 #: A difference counts from this number of standard errors on.
@@ -34,9 +32,8 @@ CLEARLY = 2.0
 class Difference:
     """How much more one model forecasts than another: a sum over blocks of time and drivers.
 
-    nats: Difference of the log scores [nats]; se: Standard error: the larger one of two jackknives, over drivers
-    and over blocks of time. Blocks are not exchangeable where models differ by what happens at one time, nor
-    drivers where they differ by what some drivers have: then the other jackknife counts alone.
+    nats: Difference of the log scores [nats]; se: Standard error: a jackknife over the blocks of time of each driver;
+    of whole roads, whose drivers depend on one another, over blocks of time.
     """
 
     nats: float
@@ -47,10 +44,12 @@ class Difference:
         """Whether the gain is above two standard errors."""
         return self.nats > CLEARLY * self.se
 
-    @property
-    def is_loss(self) -> bool:
-        """Whether the gain is below minus two standard errors."""
-        return self.nats < -CLEARLY * self.se
+    def is_loss(self, among: int) -> bool:
+        """Whether the gain is less than chance lets the smallest one ``among`` several columns be.
+
+        As improbable as two standard errors of a single one (Bonferroni).
+        """
+        return self.nats < -float(norm.isf(norm.sf(CLEARLY) / among)) * self.se
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +68,7 @@ class Entry:
 
     def over(self, data: Recorded, other: "Entry") -> dict[str, Difference]:
         """Gain over another model, as of ``gains``."""
-        return gains(data, self.forecasts, other.forecasts, exchangeable({*self.added} ^ {*other.added}))
+        return gains(data, self.forecasts, other.forecasts)
 
     @property
     def signs(self) -> dict[str, tuple[float, float]]:
@@ -89,9 +88,7 @@ class Entry:
         return all(value >= least for value, least in self.signs.values())
 
 
-def gains(
-    data: Recorded, better: Forecasts, than: Forecasts, over: Sequence[Unit] = ("driver", "block")
-) -> dict[str, Difference]:
+def gains(data: Recorded, better: Forecasts, than: Forecasts) -> dict[str, Difference]:
     """Return the gain of one model over another at each horizon, and over all of them together.
 
     Columns: ``one_step``; ``1s``, ``2s``, ``5s``, ``10s`` of single cars; ``road_1s`` and so on of all cars of a whole
@@ -101,22 +98,15 @@ def gains(
     single = [part for part in parts if not part[0].startswith("road")]
     driver, block, nats = (np.concatenate(column) for column in list(zip(*single, strict=True))[1:])
     columns = (*parts, ("all", driver, block, nats))
-    return {name: _gain(who, when, won, over) for name, who, when, won in columns}
-
-
-def exchangeable(by: Iterable[Candidate]) -> tuple[Unit, ...]:
-    """Return what is exchangeable where models differ by some candidates."""
-    units: list[Unit] = []
-    if not any(c.drivers for c in by):
-        units.append("driver")
-    if not any(c.has_times for c in by):
-        units.append("block")
-    return tuple(units)
+    blocks = int(data.block.max()) + 1
+    return {
+        name: _gain(when if name.startswith("road") else who * blocks + when, won) for name, who, when, won in columns
+    }
 
 
 def is_better(gain: Mapping[str, Difference]) -> bool:
-    """Whether a model is better by more than two standard errors on the whole, and nowhere worse by as much."""
-    return gain["all"].is_clear and not any(one.is_loss for one in gain.values())
+    """Whether a model is better by more than two standard errors on the whole, and in no column worse but by chance."""
+    return gain["all"].is_clear and not any(one.is_loss(len(gain)) for one in gain.values())
 
 
 def errors(of: Forecasts) -> dict[str, float]:
@@ -163,9 +153,6 @@ def _differences(data: Recorded, better: Forecasts, than: Forecasts) -> Iterator
             yield f"{prefix}{horizon_s:g}s", driver, data.block[driver, start[s]], share * difference[s, driver]
 
 
-def _gain(driver: Ints, block: Ints, nats: Array, over: Sequence[Unit]) -> Difference:
-    """The sum, with the larger error over what is exchangeable."""
-    cell = driver * (block.max(initial=0) + 1) + block
-    units = [{"driver": driver, "block": block}[unit] for unit in over] or [cell]
-    sums = [np.bincount(np.unique(unit, return_inverse=True)[1], nats) for unit in units]
-    return Difference(float(nats.sum()), max(map(sum_error, sums)))
+def _gain(unit: Ints, nats: Array) -> Difference:
+    """The sum, with its error over units."""
+    return Difference(float(nats.sum()), sum_error(np.bincount(np.unique(unit, return_inverse=True)[1], nats)))

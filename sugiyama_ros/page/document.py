@@ -410,14 +410,13 @@ def _compared(c: Comparison, one: Compared, best: Compared) -> dict[str, Any]:
     }
     if one.kind == "simulated":
         return {**found, "heldout_gain_nats": None, "heldout_gain_se": None, "behind": None, "drivers": []}
-    over = one.over if best.kind == "base" else best.over
     won = np.nansum(one.forecasts.one_step, axis=1)
     ends = _of_each(one.forecasts.single.error[:, -1])
     return {
         **found,
         "heldout_gain_nats": one.gain["all"].nats,
         "heldout_gain_se": one.gain["all"].se,
-        "behind": asdict(gains(c.data, best.forecasts, one.forecasts, over)["all"]),
+        "behind": asdict(gains(c.data, best.forecasts, one.forecasts)["all"]),
         "drivers": [
             {**name.document(), "log_likelihood": float(won[i]), "single_car_10s_m": ends[i]}
             for i, name in enumerate(c.vicinity.names)

@@ -49,7 +49,7 @@ def found_again(job: tuple[str, int]) -> list[FoundAgain]:
     with ThreadPoolExecutor(1) as work:
         data = prepare(run.measured)
         base = fit_base(data, data.even.individual(V_STAR, KAPPA_V), work)
-        fitted, _ = with_named(data, base, [effect], work)
+        fitted = with_named(data, base, [effect], work)
         stds = shared_stds(data, fitted, work)
     return [
         FoundAgain(

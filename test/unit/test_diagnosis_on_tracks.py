@@ -151,7 +151,7 @@ def test_a_model_of_another_law_on_tracks_is_told(two_lanes):
     assert names[-1] == "base, simulated"
     assert compared.measured is None
     constant = compared.models[names.index("constant_speed")]
-    assert constant.gain["all"].is_loss
+    assert constant.gain["all"].is_loss(1)
     assert all(np.isfinite(one["single_car_10s_m"]) for one in compared.records())
 
 

@@ -73,7 +73,7 @@ def test_a_model_gains_over_a_worse_one_at_every_horizon(ring, work):
     assert all(one.nats > 0.0 for one in won.values())
     assert won["all"].is_clear
     lost = gains(data, worse, best)
-    assert lost["all"].is_loss
+    assert lost["all"].is_loss(1)
     assert {name: -one.nats for name, one in lost.items()} == pytest.approx({n: one.nats for n, one in won.items()})
     assert all(one.nats == one.se == 0.0 for one in gains(data, best, best).values())
 
