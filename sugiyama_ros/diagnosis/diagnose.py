@@ -410,19 +410,19 @@ def _round(bench: _Bench, current: Entry, found: _Scored) -> Round:
         found.chance,
         tuple(entries),
         tuple(won[e] for e in entries),
-        None if added is None else _without_needless(bench, added),
+        None if added is None else _without_needless(bench, current, added),
         tuple(alike),
     )
 
 
-def _without_needless(bench: _Bench, entry: Entry) -> Entry:
-    """A model without the additions that it does not need any more beside the last one."""
+def _without_needless(bench: _Bench, current: Entry, entry: Entry) -> Entry:
+    """A model without the additions that it does not need any more beside the last one, to be better than ``current``."""
     if entry.fit.beside is not None:
         return entry
     for candidate in entry.added[:-1]:
         fit = maximise(bench.data, without(bench.data, entry.fit, candidate, bench.work), bench.work)
         less = bench.entry(entry.name, tuple(c for c in entry.added if c is not candidate), fit)
-        if not is_better(entry.over(bench.data, less)):
+        if not is_better(entry.over(bench.data, less)) and is_better(less.over(bench.data, current)):
             entry = less
     return entry
 

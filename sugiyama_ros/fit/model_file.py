@@ -67,9 +67,9 @@ class ModelFile:
     cautions: tuple[str, ...] = ()
 
     def effects_to_fit(self) -> tuple[str, ...]:
-        """Return the effects if a fit can find all of them; none if one has no start for a search."""
-        can_be_found = all(effect(name).starts(_A_RING) for name in self.effects)
-        return self.effects if can_be_found else ()
+        """Return the effects if a fit can find all of them; none if one has no start, or for another law."""
+        have_starts = all(effect(name).starts(_A_RING) for name in self.effects)
+        return self.effects if have_starts and (self.rows[:, ROW.law] == number_of(PAPERS)).all() else ()
 
     def rows_of(self, vehicles: Ints) -> Array:
         """Return the rows (N, WIDTH) of some vehicles; the row of the median driver for a vehicle that is not in the
