@@ -87,15 +87,19 @@ def _key(one: Score) -> tuple[object, ...]:
 
 
 def _observed_and_null(one: Score, simulated: Sequence[Score], multipliers: Array) -> tuple[float, Array]:
-    """The gain of a score beyond what simulations give on average, and the gains of draws by chance, (B,)."""
+    """The gain of a score, and the gains of draws by chance, (B,): the smaller one of two.
+
+    A candidate must gain beside the model, and beyond what simulations give on average.
+    """
     if one.information is None:
         # by chance, a likelihood ratio is at least e^g with a probability of at most e^-g (Markov)
         beyond = min((one.gain, *(one.gain - other.gain for other in simulated)))
         return max(beyond, 0.0), -norm.logsf(multipliers[0, :, 0])
     left, count = _left(one), max(len(simulated), 1)
-    total = one.summed(_limited(one)) - sum(other.summed(_limited(other)) / count for other in simulated)
+    total, shift = one.summed(_limited(one)), sum(other.summed(_limited(other)) / count for other in simulated)
     draws, *others = (one.summed(left, part) for part in multipliers[: 1 + len(simulated)])
-    return float(one.gains(total)[0]), one.gains(draws - sum(other / count for other in others))
+    observed = np.minimum(one.gains(total), one.gains(total - shift))
+    return float(observed[0]), np.minimum(one.gains(draws), one.gains(draws - sum(other / count for other in others)))
 
 
 class _Tail(NamedTuple):

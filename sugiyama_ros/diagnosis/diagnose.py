@@ -416,7 +416,7 @@ def _round(bench: _Bench, current: Entry, found: _Scored) -> Round:
 
 
 def _without_needless(bench: _Bench, current: Entry, entry: Entry) -> Entry:
-    """A model without the additions that it does not need any more beside the last one, to be better than ``current``."""
+    """A model without the additions that it does not need any more beside the last one; better than ``current``."""
     if entry.fit.beside is not None:
         return entry
     for candidate in entry.added[:-1]:
