@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -109,6 +110,10 @@ def simulate(options: SimulateOptions) -> None:
     print_line(f"{options.vehicles} vehicles, {simulated.measured.duration_s:.1f} s, in {output}")
     shown = ", ".join(f"{name} {value:.2f}" for name, value in second_half.items())
     print_line(f"second half: {shown} m/s")
+    if output.suffix == ".csv" and simulated.measured.road.is_ring:
+        # a table says nothing of the road
+        ring = f"{simulated.measured.road.circumference_m:g}"
+        print_line(f"look at it: {shlex.join(['sugiyama', 'info', str(output), '--ring', ring])}")
     for c in simulated.collisions:
         print_note(f"collision: vehicle {c.vehicle} into {c.leader} at {c.time_s:.1f} s; the run ends there")
 
