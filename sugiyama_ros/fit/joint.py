@@ -218,7 +218,8 @@ def solve(
         is_held = np.isin((*model.individual, *model.shared), model.held)
         g_own[:, is_held[:own]], g[:, own + np.flatnonzero(is_held[own:])] = 0.0, 0.0
         # parameters that do not move take up nothing of what the others do
-        cross = np.where(is_held[:own, None] | is_held[own:], 0.0, cross)
+        h = np.where(is_held[:, None] != is_held, 0.0, h)
+        h_own, cross = np.where(is_held[:own, None] != is_held[:own], 0.0, h_own), h[:, :own, own:]
     inverse = np.linalg.inv(damped(h_own, of_driver))
     # response of the individual parameters to a change of each shared parameter
     gives_way = inverse @ cross

@@ -13,9 +13,9 @@ import yaml
 
 from sugiyama_ros.diagnosis.candidates import candidates
 from sugiyama_ros.diagnosis.diagnose import diagnose
-from sugiyama_ros.diagnosis.refine import refined
+from sugiyama_ros.diagnosis.refine import refined, without_folds
 from sugiyama_ros.diagnosis.score import scores
-from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, defaults
+from sugiyama_ros.driver.parameters import KAPPA_V, RHO, V_STAR, defaults
 from sugiyama_ros.effects.registry import ROW, index_of, switch_on
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.model_file import read_model, write_model
@@ -59,6 +59,23 @@ def hidden():
 def nothing():
     run = recording()
     return run, diagnose(run.measured, workers=2, seed=3)
+
+
+def test_noises_are_fitted_to_what_the_mean_action_leaves(work):
+    """Held out as well: what the mean action does in a fold comes from a fit that has not seen the fold."""
+    rows, length = ROW.with_effects(defaults(CARS)), np.full(CARS, LENGTH_M)
+    rows[:, RHO] = 0.95
+    run = simulate(Simulator(rows, length, platoon(length, 4.0), Road(RING_M), np.random.default_rng(1)), 150.0)
+    assert not run.collisions
+    data = prepare(run.measured)
+    base = fit_base(data, data.even.individual(V_STAR, KAPPA_V), work)
+    (noises,) = (c for c in candidates(data) if c.name == "noise_constants")
+    fitted = refined(data, base, noises, (), work)
+    own, noisy = [V_STAR, KAPPA_V], list(noises.places)
+    assert np.array_equal(fitted.model.rows[:, own], base.model.rows[:, own])
+    assert not np.array_equal(fitted.model.rows[:, noisy], base.model.rows[:, noisy])
+    for before, after in zip(without_folds(data, base, work), without_folds(data, fitted, work), strict=True):
+        assert np.array_equal(after.rows[:, own], before.rows[:, own])
 
 
 def test_a_hidden_effect_is_added_and_makes_forecasts_better(hidden):

@@ -4,8 +4,17 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from sugiyama_ros.driver.parameters import COUNT, KAPPA_V, REFERENCE_HORIZON, SIGMA_NU, V_STAR, defaults
-from sugiyama_ros.driver.utility import ACTIONS, preferences
+from sugiyama_ros.driver.parameters import (
+    COUNT,
+    KAPPA_V,
+    RATIONALITY,
+    REFERENCE_HORIZON,
+    REFERENCE_PERIOD_S,
+    SIGMA_NU,
+    V_STAR,
+    defaults,
+)
+from sugiyama_ros.driver.utility import ACTIONS, UTILITY_ROW, boltzmann_mean, preferences, scratch_for, utilities
 from sugiyama_ros.effects import perception_threshold
 from sugiyama_ros.effects.control import add_components
 from sugiyama_ros.effects.effect import STAGES, UTILITY, RecordingExtent, Seen
@@ -246,6 +255,38 @@ def test_a_component_adds_the_same_to_each_utility_as_for_one_action(name, horiz
     assert after[::stride] == pytest.approx(before + alone, abs=1e-14)
     others = np.arange(len(after)) % stride > 0
     assert np.array_equal(after[others], np.repeat(before, stride)[others])
+
+
+def mean_action_with(name: str, gap: float, leader_speed: float, horizon: int = 4, **values: float) -> float:
+    """Mean action [m/s^2] of the paper's driver at 8 m/s with an effect, at the reference period."""
+    row, scratch = defaults(), scratch_for(ACTIONS)
+    seen = Seen(*[0.0] * len(Seen._fields))._replace(gap=gap, speed=8.0, leader_speed=leader_speed)
+    utilities(gap, 8.0, leader_speed, preferences(row), scratch, REFERENCE_PERIOD_S, horizon)
+    if name:
+        p = np.array([values[one.name] for one in effect(name).parameters])
+        more = (preferences(row),) if effect(name).knows_preferences else ()
+        for k, action in enumerate(ACTIONS):
+            scratch[UTILITY_ROW, k] += effect(name).function(
+                seen, action, REFERENCE_PERIOD_S, REFERENCE_HORIZON, p, *more
+            )
+    return boltzmann_mean(scratch, float(row[RATIONALITY]))
+
+
+@pytest.mark.parametrize(("gap", "leader_speed"), [(8.0, 6.0), (3.0, 9.0), (30.0, 4.0)])
+@pytest.mark.parametrize("periods", [-2, 1, 5])
+def test_a_look_ahead_of_other_length_is_that_of_as_many_periods(gap, leader_speed, periods):
+    longer = mean_action_with("look_ahead", gap, leader_speed, extra=periods * REFERENCE_PERIOD_S)
+    assert longer == pytest.approx(mean_action_with("", gap, leader_speed, REFERENCE_HORIZON + periods), abs=1e-9)
+
+
+def test_who_keeps_up_drives_as_fast_as_the_car_ahead_near_it_and_as_they_like_far_from_it():
+    strong = {"weight": 50.0, "range": 50.0}
+    for leader_speed in (7.0, 9.0):
+        # with nothing else that counts, the speeds are equal at the end of the look-ahead
+        wanted = (leader_speed - 8.0) / (REFERENCE_HORIZON * REFERENCE_PERIOD_S)
+        assert mean_action_with("keeping_up", 40.0, leader_speed, **strong) == pytest.approx(wanted, abs=0.05)
+        alone = mean_action_with("", 2000.0, leader_speed)
+        assert mean_action_with("keeping_up", 2000.0, leader_speed, **strong) == pytest.approx(alone, abs=1e-9)
 
 
 def test_any_set_of_effects_combines():
