@@ -434,17 +434,13 @@ def _best(bench: _Bench, won: dict[Entry, dict[str, Difference]]) -> tuple[Entry
     else is missing shows in them, too. Among models that cannot be told apart, what all drivers have goes before what
     some have, and then come the better free runs.
     """
-
-    def leads(one: Entry, other: Entry) -> bool:
-        return one.over(bench.data, other)["all"].is_clear
-
     allowed = [e for e in won if is_better(won[e]) and e.makes_sense]
     if not allowed:
         return None, []
     rank = min(e.added[-1].rank for e in allowed)
     allowed = [e for e in allowed if e.added[-1].rank == rank]
     first = max(allowed, key=lambda e: won[e]["all"].nats)
-    alike = [e for e in won if e is first or not leads(first, e)]
+    alike = [e for e in won if e is first or not is_better(first.over(bench.data, e))]
     best = min(
         (e for e in alike if e in allowed),
         key=lambda e: (bool(e.added[-1].drivers), won[e]["one_step"].nats - won[e]["all"].nats),
