@@ -92,8 +92,8 @@ def _measured(r: Recording, d: Mapping[str, Any] | None, chosen: Chosen) -> list
     about = (
         "<p>Colours are speeds, the same in all pictures. The model starts anew from the measured state at each dotted"
         " line, and then drives all cars on its own; it was fitted without the block that it drives. These pictures are"
-        " without noise. The errors of free runs in tables and tiles are those of the mean of two runs with opposite"
-        " noise, so they are not the distance between the pictures.</p>"
+        " without noise. The errors of free runs in tables and tiles are those of the mean of eight runs, four"
+        " pairs with opposite noise, so they are not the distance between the pictures.</p>"
     )
     columns = {3: "three", 2: ""}.get(1 + len(driven), "one")
     found = [Section("seen", "Measured and simulated" if driven else "What was measured",
