@@ -24,7 +24,7 @@ from sugiyama_ros.diagnosis.table import Entry
 from sugiyama_ros.diagnosis.where import Located, failing, locate
 from sugiyama_ros.filters.extract import motion_of
 from sugiyama_ros.fit.joint import JointFit
-from sugiyama_ros.fit.recording import Recorded
+from sugiyama_ros.fit.recording import BLOCK_S, Recorded
 from sugiyama_ros.fit.score import filtered_states
 from sugiyama_ros.fit.simulated import resample, seeds
 from sugiyama_ros.simulation.collective import Collective, collective
@@ -156,12 +156,15 @@ def _calibration(data: Recorded, ours: Forecasts, simulated: Sequence[Forecasts]
 def _collective(
     data: Recorded, final: Entry, rngs: Sequence[np.random.Generator], work: ThreadPoolExecutor
 ) -> Iterator[Check]:
-    """The traffic on the whole road: speeds, waves and queues of simulations that begin as the recording does."""
+    """The traffic on the whole road: speeds, waves and queues of simulations that begin as the recording does.
+
+    The first block of time, in which they have hardly left its course, does not count.
+    """
     assert data.trajectories is not None
-    measured = collective_of(data.trajectories)
+    measured = _settled(data.trajectories)
     states = filtered_states(data, final.fit.model, work)
     runs = [resample(data, final.fit.model, states, rng).trajectories for rng in rngs]
-    found: list[Collective] = list(work.map(collective_of, [run for run in runs if run is not None]))
+    found: list[Collective] = list(work.map(_settled, [run for run in runs if run is not None]))
     for name, unit in _COLLECTIVE.items():
         values = np.array([getattr(one, name) for one in found])
         known, value = values[np.isfinite(values)], getattr(measured, name)
@@ -175,6 +178,13 @@ def _signs(final: Entry) -> Iterator[Check]:
     """Whether what was added has values that make physical sense; by name, only what was asked for has others."""
     for name, (value, least) in final.signs.items():
         yield Check(f"sign_of_{name}", value, least, "1", float(value >= least))
+
+
+def _settled(t: Trajectories) -> Collective:
+    """Collective measures without the first block of time."""
+    speed, headway_m, leader, period_s = motion_of(t)
+    first = min(round(BLOCK_S / period_s), len(speed) // 2)
+    return collective(speed[first:], headway_m[first:], leader[first:], period_s)
 
 
 def collective_of(trajectories: Trajectories) -> Collective:
