@@ -2,14 +2,23 @@
 
 import dataclasses
 import math
-import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sugiyama_ros.cli.options import AddEffect, Json, ModelFile, Overwrite, Seed, SetParameter, Start, takes
+from sugiyama_ros.cli.options import (
+    AddEffect,
+    Json,
+    ModelFile,
+    Overwrite,
+    Seed,
+    SetParameter,
+    Start,
+    command_line,
+    takes,
+)
 from sugiyama_ros.cli.output import print_cautions, print_json, print_line, print_note
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.outputs import Output
@@ -112,8 +121,10 @@ def simulate(options: SimulateOptions) -> None:
     print_line(f"second half: {shown} m/s")
     if output.suffix == ".csv" and simulated.measured.road.is_ring:
         # a table says nothing of the road
-        ring = f"{simulated.measured.road.circumference_m:g}"
-        print_line(f"look at it: {shlex.join(['sugiyama', 'info', str(output), '--ring', ring])}")
+        from sugiyama_ros.cli.data import info
+
+        ring = simulated.measured.road.circumference_m
+        print_line(f"look at it: {command_line('info', info, file=output, ring=ring)}")
     for c in simulated.collisions:
         print_note(f"collision: vehicle {c.vehicle} into {c.leader} at {c.time_s:.1f} s; the run ends there")
 

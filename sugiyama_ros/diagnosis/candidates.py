@@ -77,8 +77,7 @@ class Candidate:
         """
         if self.kind == "noise":
             return 2
-        is_mood = self.kind == "effect" and self.is_random
-        return 0 if self.explains and not is_mood else 1
+        return 0 if self.kind == "measurement" or (self.kind == "effect" and not self.is_random) else 1
 
     @property
     def effect(self) -> str:

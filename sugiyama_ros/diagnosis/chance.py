@@ -95,11 +95,15 @@ def _observed_and_null(one: Score, simulated: Sequence[Score], multipliers: Arra
         # by chance, a likelihood ratio is at least e^g with a probability of at most e^-g (Markov)
         beyond = min((one.gain, *(one.gain - other.gain for other in simulated)))
         return max(beyond, 0.0), -norm.logsf(multipliers[0, :, 0])
-    left, count = _left(one), max(len(simulated), 1)
-    total, shift = one.summed(_limited(one)), sum(other.summed(_limited(other)) / count for other in simulated)
+    left, count = _left(one), len(simulated)
+    total = one.summed(_limited(one))
     draws, *others = (one.summed(left, part) for part in multipliers[: 1 + len(simulated)])
-    observed = np.minimum(one.gains(total), one.gains(total - shift))
-    return float(observed[0]), np.minimum(one.gains(draws), one.gains(draws - sum(other / count for other in others)))
+    observed, null = one.gains(total), one.gains(draws)
+    if simulated:
+        shift = sum(other.summed(_limited(other)) / count for other in simulated)
+        observed = np.minimum(observed, one.gains(total - shift))
+        null = np.minimum(null, one.gains(draws - sum(other / count for other in others)))
+    return float(observed[0]), null
 
 
 class _Tail(NamedTuple):
@@ -152,12 +156,12 @@ def _dispersion(one: Score, left: Array, information: Array) -> float:
     The same camera sees all drivers, leaders and followers see each other, and a driver is the same at all times. The
     median keeps out what few drivers or few moments have: that may be the effect.
     """
-    factors = [1.0]
+    factors, usual = [1.0], norm.ppf(0.75)
     for unit in (np.arange(len(left)), one.driver, one.time):
         number = np.unique(unit, return_inverse=True)[1]
         sums, known = (np.stack([np.bincount(number, c) for c in values.T]) for values in (left, information))
         typical = np.median(np.abs(sums) / np.sqrt(np.maximum(known, 1e-300)), axis=1)
-        factors.append(float(np.mean(np.square(typical / norm.ppf(0.75)))))
+        factors.append(float(np.mean(np.square(typical / usual))))
     return max(factors)
 
 

@@ -13,6 +13,7 @@ import math
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.stats import chi2
@@ -161,10 +162,11 @@ def _collective(
     The first block of time, in which they have hardly left its course, does not count.
     """
     assert data.trajectories is not None
-    measured = _settled(data.trajectories)
+    settled = partial(collective_of, from_s=BLOCK_S)
+    measured = settled(data.trajectories)
     states = filtered_states(data, final.fit.model, work)
     runs = [resample(data, final.fit.model, states, rng).trajectories for rng in rngs]
-    found: list[Collective] = list(work.map(_settled, [run for run in runs if run is not None]))
+    found: list[Collective] = list(work.map(settled, [run for run in runs if run is not None]))
     for name, unit in _COLLECTIVE.items():
         values = np.array([getattr(one, name) for one in found])
         known, value = values[np.isfinite(values)], getattr(measured, name)
@@ -180,13 +182,11 @@ def _signs(final: Entry) -> Iterator[Check]:
         yield Check(f"sign_of_{name}", value, least, "1", float(value >= least))
 
 
-def _settled(t: Trajectories) -> Collective:
-    """Collective measures without the first block of time."""
-    speed, headway_m, leader, period_s = motion_of(t)
-    first = min(round(BLOCK_S / period_s), len(speed) // 2)
+def collective_of(trajectories: Trajectories, from_s: float = 0.0) -> Collective:
+    """Return collective measures of trajectories; the speeds come from a filter without a driver model.
+
+    from_s: Time [s] at the beginning that does not count, at most half of all.
+    """
+    speed, headway_m, leader, period_s = motion_of(trajectories)
+    first = min(round(from_s / period_s), len(speed) // 2)
     return collective(speed[first:], headway_m[first:], leader[first:], period_s)
-
-
-def collective_of(trajectories: Trajectories) -> Collective:
-    """Return collective measures of trajectories; the speeds come from a filter without a driver model."""
-    return collective(*motion_of(trajectories))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from sugiyama_ros.diagnosis.base import base_model, with_more_decisions
+from sugiyama_ros.diagnosis.check import collective_of
 from sugiyama_ros.diagnosis.forecast import Forecasts, Surroundings, forecasts, surroundings
 from sugiyama_ros.diagnosis.refine import with_named, without_folds
 from sugiyama_ros.diagnosis.table import Difference, gains
@@ -247,7 +248,7 @@ def _of_road(
         return {}
     states = filtered_states(data, model, work)
     runs = [resample(data, model, states, rng).trajectories for rng in seeds(seed, _SIMULATIONS)]
-    found = [asdict(one) for one in work.map(lambda t: collective(*motion_of(t)), [r for r in runs if r is not None])]
+    found = [asdict(one) for one in work.map(collective_of, [r for r in runs if r is not None])]
     return {name: _mean_and_std(np.array([one[name] for one in found])) for name in found[0]}
 
 

@@ -29,6 +29,7 @@ from sugiyama_ros.diagnosis.table import ALPHA, Difference, Entry, errors, gains
 from sugiyama_ros.diagnosis.where import Located, locate
 from sugiyama_ros.effects.registry import EFFECTS, ROW
 from sugiyama_ros.fit.joint import JointFit, maximise
+from sugiyama_ros.fit.model import Model
 from sugiyama_ros.fit.model_file import write_model
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.sandwich import shared_stds
@@ -297,9 +298,9 @@ class _Bench:
     on_progress: OnStage
     known: dict[JointFit, Simulated]
 
-    def entry(self, name: str, added: tuple[Candidate, ...], fit: JointFit) -> Entry:
-        """A fitted model with its held-out forecasts."""
-        models = without_folds(self.data, fit, self.work)
+    def entry(self, name: str, added: tuple[Candidate, ...], fit: JointFit, beside: Sequence[Model] = ()) -> Entry:
+        """A fitted model with its held-out forecasts; ``beside``: models without folds of the fit that it extends."""
+        models = without_folds(self.data, fit, self.work, beside)
         return Entry(name, added, fit, models, forecasts(self.data, self.around, models, self.work))
 
     def simulated(self, fit: JointFit) -> Simulated:
@@ -380,7 +381,7 @@ def _told(bench: _Bench, first: Entry, found: _Scored, names: Sequence[str]) -> 
 def _fitted(bench: _Bench, current: Entry, candidate: Candidate, found: _Scored) -> Entry:
     """The model with a candidate."""
     fit = refined(bench.data, current.fit, candidate, found.by_name.get(candidate.name, ()), bench.work)
-    return bench.entry(candidate.name, (*current.added, candidate), fit)
+    return bench.entry(candidate.name, (*current.added, candidate), fit, current.models)
 
 
 def _round(bench: _Bench, current: Entry, found: _Scored) -> Round:

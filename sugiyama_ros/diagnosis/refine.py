@@ -50,20 +50,19 @@ def _maximised(data: Recorded, start: JointFit, work: Executor) -> JointFit:
     return maximise(data, found, work, iterations=_STEPS_WITHOUT, renewals=0, fresh=False)
 
 
-def without_folds(data: Recorded, fitted: JointFit, work: Executor) -> tuple[Model, ...]:
+def without_folds(data: Recorded, fitted: JointFit, work: Executor, beside: Sequence[Model] = ()) -> tuple[Model, ...]:
     """Return a model for every fold, fitted to the other folds from the fit to all folds.
 
-    What a model holds comes from a fit that has not seen the fold, either.
+    What a model holds comes from a fit that has not seen the fold, either; ``beside``: this fit's models, if known.
     """
     others = [[k for k in range(FOLDS) if k != f] for f in range(FOLDS)]
     if fitted.beside is None:
         return tuple(_without_fold(data, fitted, folds, work) for folds in others)
     places, found = list(fitted.model.held), []
-    for model, folds in zip(without_folds(data, fitted.beside, work), others, strict=True):
+    for model, folds in zip(beside or without_folds(data, fitted.beside, work), others, strict=True):
         rows = fitted.model.rows.copy()
         rows[:, places] = model.rows[:, places]
-        start = at_model(data, fitted, replace(fitted.model, rows=rows), work, np.ones(data.drivers, np.bool_))
-        found.append(maximise(data, start, work, folds=folds, iterations=_STEPS_WITHOUT, renewals=0).model)
+        found.append(_from_rows(data, fitted, rows, folds, work))
     return tuple(found)
 
 
@@ -78,8 +77,13 @@ def _without_fold(data: Recorded, fitted: JointFit, folds: Sequence[int], work: 
     found = maximise(data, alone, work, folds=folds, iterations=_STEPS_WITHOUT, renewals=0).model
     if not fitted.model.shared:
         return found
-    together = at_model(data, fitted, replace(fitted.model, rows=found.rows), work, np.ones(data.drivers, np.bool_))
-    return maximise(data, together, work, folds=folds, iterations=_STEPS_WITHOUT, renewals=0).model
+    return _from_rows(data, fitted, found.rows, folds, work)
+
+
+def _from_rows(data: Recorded, fitted: JointFit, rows: Array, folds: Sequence[int], work: Executor) -> Model:
+    """The fit of all drivers together to some folds, from rows (N, WIDTH) near those of a fit."""
+    start = at_model(data, fitted, replace(fitted.model, rows=rows), work, np.ones(data.drivers, np.bool_))
+    return maximise(data, start, work, folds=folds, iterations=_STEPS_WITHOUT, renewals=0).model
 
 
 def without(data: Recorded, fitted: JointFit, candidate: Candidate, work: Executor) -> JointFit:

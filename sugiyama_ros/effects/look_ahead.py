@@ -31,7 +31,8 @@ def component(seen: Seen, action: float, period: float, horizon: int, p: Array, 
         if ahead * least_scale < least_gap * scale:
             least_gap, least_scale = ahead, scale
     risk = collision_penalty(least_gap / least_scale) - collision_penalty(usual_gap / usual_scale)
-    return float(driver[5] * risk)
+    _, _, _, _, _, omega_2, _ = driver
+    return float(omega_2 * risk)
 
 
 EFFECT = Effect(
