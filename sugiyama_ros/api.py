@@ -51,7 +51,14 @@ if TYPE_CHECKING:
 #: Largest number of steps of a diagnosis that add something, unless somebody asks for more.
 FEW_STEPS = 3
 #: Further settings of `calibrate`, and their defaults.
-_CALIBRATE: dict[str, Any] = {"classes": 0, "hops": 0, "seed": 0, "regularise_strength": 1.0, "scheduler": None}
+_CALIBRATE: dict[str, Any] = {
+    "classes": 0,
+    "hops": 0,
+    "seed": 0,
+    "regularise_strength": 1.0,
+    "law": PAPERS,
+    "scheduler": None,
+}
 
 
 def read(source: "str | Path | pandas.DataFrame", ring_m: float | None = None) -> Trajectories:
@@ -232,7 +239,8 @@ def calibrate(
     **settings
         classes: number of classes of drivers who share all parameters, 0 for parameters of each driver; hops: number
         of hops of basinhopping before the search; regularise_strength: factor of the weights of the paper's penalty;
-        seed: seed of all random numbers; scheduler: address of a Dask scheduler whose workers do the work.
+        law: name of the law by which the drivers drive, all of whose parameters are estimated, one lane only; seed:
+        seed of all random numbers; scheduler: address of a Dask scheduler whose workers do the work.
 
     Returns
     -------
@@ -255,7 +263,16 @@ def calibrate(
     _check_names("calibrate", settings, _CALIBRATE)
     said = {**_CALIBRATE, **settings}
     classes, hops, scheduler = said["classes"], said["hops"], said["scheduler"]
-    asked = (formulation, tuple(parameters), regularise, profile, hops, said["seed"], said["regularise_strength"])
+    asked = (
+        formulation,
+        tuple(parameters),
+        regularise,
+        profile,
+        hops,
+        said["seed"],
+        said["regularise_strength"],
+        said["law"],
+    )
     _check_calibration(Settings(*asked), bool(effects), classes)
     return _calibrated(_recorded(trajectories), Settings(*asked), effects, classes, scheduler)
 
@@ -265,7 +282,7 @@ def _calibrated(
 ) -> Calibration | TracksCalibration:
     """Drivers on tracks, together, in classes, or one by one."""
     is_paper = asked.formulation == "paper"
-    is_pooled = bool(effects) or (asked.is_regularised and not is_paper)
+    is_pooled = bool(effects) or asked.law != PAPERS or (asked.is_regularised and not is_paper)
     if isinstance(recording, Tracks) and (is_paper or is_pooled or classes or asked.hops):
         recording = one_lane(recording, recording.about.source or "tracks")
     if isinstance(recording, Tracks):
@@ -313,6 +330,12 @@ def _check_calibration(chosen: Settings, effects: bool, classes: int) -> None:
     counts = {"classes": classes, "hops": chosen.hops, "seed": chosen.seed, "regularise_strength": chosen.strength}
     for name, value in counts.items():
         _check_within(name, value, 0, math.inf)
+    law_of(chosen.law)
+    if chosen.law != PAPERS and (is_paper or chosen.estimated or alone or classes):
+        raise InputError(
+            "law: all parameters of the law are estimated together, with the causal formulation; leave out parameters,"
+            " profile, hops and classes"
+        )
     if effects and is_paper:
         raise InputError("effects: the paper's formulation knows none; use the causal formulation")
     if (effects or (chosen.is_regularised and not is_paper)) and alone:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from sugiyama_ros.calibration.result import Calibration, Settings
-from sugiyama_ros.driver.parameters import NAMES, index
+from sugiyama_ros.driver.parameters import index
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.checkpoint import Checkpoint
@@ -19,6 +19,7 @@ from sugiyama_ros.fit.classes import find_classes
 from sugiyama_ros.fit.driver import Fit, SearchOptions
 from sugiyama_ros.fit.each_driver import JobMaker, each_of
 from sugiyama_ros.fit.intervals import quadratic
+from sugiyama_ros.laws.registry import PAPERS
 from sugiyama_ros.progress import OnProgress
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
@@ -173,7 +174,8 @@ def pooled(trajectories: Trajectories, settings: Settings, effects: Sequence[str
     trajectories : Trajectories
         The recording of N drivers.
     settings : Settings
-        Parameters to estimate. The other settings do not change the fit.
+        Parameters to estimate, and the law by which the drivers drive; of another law than the paper's, all of its
+        parameters and the noises are estimated. The other settings do not change the fit.
     effects : sequence of str
         Names of the effects that are fitted together with the parameters.
     work : Executor
@@ -191,6 +193,7 @@ def pooled(trajectories: Trajectories, settings: Settings, effects: Sequence[str
     """
     # Imported here: drivers who are calibrated alone need no search for effects, which takes long to load.
     from sugiyama_ros.diagnosis.refine import with_named
+    from sugiyama_ros.fit.law import in_filter
     from sugiyama_ros.fit.model_file import own_stds
     from sugiyama_ros.fit.population import fit_base
     from sugiyama_ros.fit.recording import prepare
@@ -199,24 +202,28 @@ def pooled(trajectories: Trajectories, settings: Settings, effects: Sequence[str
 
     trajectories = with_short_periods(trajectories)
     data = prepare(trajectories)
-    base = fit_base(data, [index(name) for name in settings.estimated], work)
+    if settings.law == PAPERS:
+        base = fit_base(data, [index(name) for name in settings.estimated], work)
+    else:
+        base = in_filter(data, settings.law, work)
     fitted = with_named(data, base, effects, work)
     own, shared = own_stds(fitted), shared_stds(data, fitted, work)
     names = [ROW.entries[k] for k in fitted.model.individual]
+    settings = settings if settings.law == PAPERS else replace(settings, estimated=tuple(names))
     prior = np.array(fitted.model.prior_std)
     # a parameter is identified if the data hold more than three times the prior's information
     known = [
         np.array([s.information.sum(axis=0)[k, k] for k in range(len(names))]) > 3.0 / np.square(prior)
         for s in fitted.slopes
     ]
-    stds = np.array([[s.get(name, 0.0) for name in NAMES] for s in own])
+    stds = np.array([[s.get(name, 0.0) for name in ROW.entries] for s in own])
     return Calibration(
         trajectories=trajectories,
         settings=settings,
         rows=fitted.model.rows,
         std=tuple(own),
         identified=tuple({n: bool(k) for n, k in zip(names, one, strict=True)} for one in known),
-        interval=quadratic(fitted.model.rows[:, : len(NAMES)], stds),
+        interval=quadratic(fitted.model.rows, stds),
         log_likelihood=np.nansum(fitted.samples.log_likelihood, axis=1),
         shared_std=shared,
     )

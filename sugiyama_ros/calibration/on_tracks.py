@@ -16,7 +16,7 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.calibration.drivers_ahead import DriversAhead
-from sugiyama_ros.calibration.result import NOT_IDENTIFIED, heading
+from sugiyama_ros.calibration.result import NOT_IDENTIFIED
 from sugiyama_ros.calibration.vehicle_classes import (
     BriefDriver,
     ClassMedians,
@@ -26,6 +26,7 @@ from sugiyama_ros.calibration.vehicle_classes import (
 )
 from sugiyama_ros.driver.parameters import PARAMETERS, SIGMA_A, index
 from sugiyama_ros.drives import Drive
+from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.bounds import lower_bounds, upper_bounds
 from sugiyama_ros.fit.driver import START_SIGMA_A, Fit, Job, SearchOptions, carry_out
 from sugiyama_ros.fit.driver_score import DriverChains, predicted
@@ -193,7 +194,7 @@ class TracksCalibration(Result):
             cells = [f"{few.parameters[index(n)]:.3g} (of the class)" for n in self.estimated]
             name = f"{few.recording} {few.vehicle}".strip()
             rows.append((name, few.vehicle_class, f"{few.following_s:.0f}", *cells, f"{few.nis:.2f}"))
-        headings = ("vehicle", "class", "following [s]", *map(heading, self.estimated), "NIS")
+        headings = ("vehicle", "class", "following [s]", *map(ROW.heading, self.estimated), "NIS")
         return TextTable("Calibration on tracks", headings, tuple(rows), left=2)
 
     def draw(self, figure: "Figure") -> None:

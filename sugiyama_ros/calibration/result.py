@@ -8,12 +8,13 @@ from statistics import fmean
 from typing import TYPE_CHECKING, Any
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.driver.parameters import PARAMETERS, index
+from sugiyama_ros.driver.parameters import index
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.classes import Classes
 from sugiyama_ros.fit.driver import Formulation
 from sugiyama_ros.fit.driver_types import DriverTypes
 from sugiyama_ros.fit.smooth_positions import ESTIMATED
+from sugiyama_ros.laws.registry import PAPERS
 from sugiyama_ros.outputs import Target
 from sugiyama_ros.plots import BLUE
 from sugiyama_ros.results import Result
@@ -48,6 +49,8 @@ class Settings:
         Seed of the random numbers.
     strength : float
         Factor of the penalty's weights.
+    law : str
+        Name of the law by which the drivers drive.
     """
 
     formulation: Formulation = "causal"
@@ -57,6 +60,7 @@ class Settings:
     hops: int = 0
     seed: int = 0
     strength: float = 1.0
+    law: str = PAPERS
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -75,8 +79,8 @@ class Calibration(Result):
         Standard deviations of each driver's estimated parameters, by name, in the declared units.
     identified : tuple of dict of str to bool
         Whether the data determine each driver's estimated parameters, by name.
-    interval : ndarray, shape (N, P, 2)
-        Ends of the 95 % intervals of the parameters of ``driver.parameters``.
+    interval : ndarray, shape (N, P, 2) or (N, width, 2)
+        Ends of the 95 % intervals of the first P entries of a row, which are the paper's parameters, or of all.
     log_likelihood : ndarray, shape (N,)
         Log-likelihood of each driver [nats], without the 2 pi term.
     shared_std : mapping of str to float
@@ -160,7 +164,7 @@ class Calibration(Result):
                 held = d["identified"][name]
                 spread = d["std"][name] if held else None
                 axes.errorbar(k, d[name], yerr=spread, fmt="o", color=BLUE, mfc=BLUE if held else "none", ms=4)
-            axes.set(ylabel=f"{name} [{PARAMETERS[index(name)].unit}]")
+            axes.set(ylabel=ROW.heading(name))
         axes.set_xticks(range(len(rows)), [str(d["vehicle"]) for d in rows])
         axes.set(xlabel="vehicle")
 
@@ -195,12 +199,13 @@ class Calibration(Result):
         Returns
         -------
         dict
-            ``formulation``, ``drivers``, ``effects``, ``log_likelihood`` and ``wall_s``. With classes of drivers, also
-            ``classes`` and ``bic``.
+            ``formulation``, ``law``, ``drivers``, ``effects``, ``log_likelihood`` and ``wall_s``. With classes of
+            drivers, also ``classes`` and ``bic``.
         """
         drivers = self._drivers()
         found: dict[str, Any] = {
             "formulation": self.settings.formulation,
+            "law": self.settings.law,
             "drivers": drivers,
             "effects": self._shared(),
             "log_likelihood": float(self.log_likelihood.sum()),
@@ -229,7 +234,7 @@ class Calibration(Result):
         means = [f"{fmean(held[n]):.3f}" if held[n] else "nan" for n in names]
         rows.append(("mean", *means, f"{float(self.log_likelihood.mean()):.1f}"))
         title = f"Calibration, {self.settings.formulation} formulation"
-        return TextTable(title, ("vehicle", *map(heading, names), "log-likelihood [nats]"), tuple(rows))
+        return TextTable(title, ("vehicle", *map(ROW.heading, names), "log-likelihood [nats]"), tuple(rows))
 
     def class_sentences(self) -> list[str]:
         """Say the share and the parameters of each class, and the information criterion.
@@ -255,7 +260,7 @@ class Calibration(Result):
     def _drivers(self) -> list[dict[str, Any]]:
         """Collect the results of each driver in plain types."""
         names = self.settings.estimated
-        places = [index(name) for name in names]
+        places = [ROW.entries.index(name) for name in names]
         columns = (self.trajectories.vehicle, self.rows, self.log_likelihood, self.std, self.interval, self.identified)
         return [
             {
@@ -280,13 +285,6 @@ class Calibration(Result):
             value = float(self.rows[0, ROW.entries.index(entry)])
             found.setdefault(effect or "constants", {})[parameter] = {"value": value, "std": std}
         return found
-
-
-def heading(name: str) -> str:
-    """Return the heading of a parameter's column: its name with its unit."""
-    unit = PARAMETERS[index(name)].unit
-    shown = "v*" if name == "v_star" else name
-    return shown if unit == "1" else f"{shown} [{unit}]"
 
 
 def _within(std: float, form: str) -> str:

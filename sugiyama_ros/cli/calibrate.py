@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sugiyama_ros.cli.options import (
+    PAPERS,
     Json,
+    Law,
     Overwrite,
     RegulariseStrength,
     Ring,
@@ -72,6 +74,7 @@ class CalibrateOptions:
             "--hops", min=0, help="Hops of basinhopping before the search; the paper uses 100. Not with --effects."
         ),
     ] = 0
+    law: Law = PAPERS
     classes: Annotated[
         int,
         typer.Option(
@@ -89,7 +92,7 @@ class CalibrateOptions:
     @property
     def is_pooled(self) -> bool:
         """Whether all drivers are calibrated together, as one population."""
-        return bool(names(self.effects)) or (self.regularise and self.formulation == "causal")
+        return bool(names(self.effects)) or self.law != PAPERS or (self.regularise and self.formulation == "causal")
 
     @property
     def needs_one_lane(self) -> bool:
@@ -101,18 +104,21 @@ class CalibrateOptions:
         """Raise InputError for options that contradict each other."""
         if self.formulation not in ("paper", "causal"):
             raise InputError(f"--formulation {self.formulation}: give paper or causal")
-        if names(self.effects) and self.formulation == "paper":
-            raise InputError("--effects: the paper's formulation has no effects; use --formulation causal")
+        for name, given in (("--effects", bool(names(self.effects))), ("--law", self.law != PAPERS)):
+            if given and self.formulation == "paper":
+                raise InputError(f"{name}: the paper's formulation is the paper's driver; use --formulation causal")
+        if self.law != PAPERS and names(self.parameters):
+            raise InputError("--parameters: with --law, all parameters of the law are estimated; leave it out")
         if self.is_pooled and (self.profile or self.hops):
             raise InputError(
-                "--profile and --hops: are for drivers calibrated one by one; leave out --effects and --regularise"
+                "--profile and --hops: are for drivers calibrated one by one; leave out --effects, --law, --regularise"
             )
         if self.regularise_strength != 1.0 and not (self.regularise and self.formulation == "paper"):
             raise InputError("--regularise-strength: give --regularise and --formulation paper, too")
         if self.classes and (self.is_pooled or self.profile or self.hops or self.regularise):
             raise InputError(
-                "--classes: the drivers of a class share all parameters; leave out --effects, --regularise, --profile"
-                " and --hops"
+                "--classes: the drivers of a class share all parameters; leave out --effects, --law, --regularise,"
+                " --profile and --hops"
             )
 
 
@@ -125,12 +131,14 @@ def calibrate(options: CalibrateOptions) -> None:
     options.check()
     output = model_output(options.output, options.overwrite, options.sources)
     from sugiyama_ros.formats.registry import format_of, read_trajectories
+    from sugiyama_ros.laws.registry import law
     from sugiyama_ros.workers import workers
 
+    law(options.law)
     source, *others = options.sources
     if others and options.needs_one_lane:
         raise InputError(
-            f"{others[0]}: -o, --effects and other options need one lane that all drivers share; give one file"
+            f"{others[0]}: -o, --effects, --law and other options need one lane that all drivers share; give one file"
         )
     if others or (not options.needs_one_lane and format_of(source).is_of_tracks):
         _calibrate_tracks(options)
@@ -199,6 +207,7 @@ def _calibrated(
         hops=options.hops,
         seed=options.seed,
         strength=options.regularise_strength,
+        law=options.law,
     )
     if options.is_pooled:
         return pooled(trajectories, settings, names(options.effects), work)

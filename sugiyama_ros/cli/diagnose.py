@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sugiyama_ros.cli.options import (
+    PAPERS,
     Json,
+    Law,
     ModelFile,
     Overwrite,
     Ring,
@@ -64,9 +66,7 @@ class DiagnoseOptions:
     ] = 2
     overwrite: Overwrite = False
     ring: Ring = None
-    law: Annotated[str, typer.Option("--law", help="Name of the law by which the drivers of the base model drive.")] = (
-        "adaptive_seek"
-    )
+    law: Law = PAPERS
     seed: Seed = 0
     scheduler: Scheduler = None
     wide: Wide = False

@@ -39,6 +39,9 @@ Rate = Annotated[
 ModelFile = Annotated[
     Path | None, typer.Option("--model", help="Model file (YAML), written by diagnose -o or calibrate -o.")
 ]
+#: The paper's law: the default of ``--law``.
+PAPERS = "adaptive_seek"
+Law = Annotated[str, typer.Option("--law", help="Name of the law by which the drivers drive; see `sugiyama laws`.")]
 RegulariseStrength = Annotated[
     float,
     typer.Option(

@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sugiyama_ros.cli.options import (
+    PAPERS,
     AddEffect,
     Json,
+    Law,
     ModelFile,
     Overwrite,
     Rate,
@@ -73,6 +75,7 @@ class RunOptions:
     processes: Annotated[bool, typer.Option("--processes", help="Run each node in a process of its own.")] = False
     ring: Ring = None
     model: ModelFile = None
+    law: Law = PAPERS
     critic: Annotated[bool, typer.Option("--critic", help="Start a critic, which publishes /verdict.")] = False
     save_state: Annotated[
         Path | None, typer.Option("--save-state", help="Directory to save what the estimators learn of each driver.")
@@ -129,6 +132,7 @@ def replay(options: RunOptions) -> "RunResult":
             processes=options.processes,
             ring_m=options.ring,
             model=options.model,
+            law=options.law,
             critic=options.critic,
             save_state=options.save_state,
             resume=options.resume,
@@ -177,6 +181,7 @@ def _source(options: RunOptions) -> "Path | FromSimulator":
 
 def print_run(result: "RunResult", as_json: bool) -> None:
     """Print what the estimators know at the end of a run."""
+    from sugiyama_ros.effects.registry import ROW
     from sugiyama_ros.page.truth import against_truth
 
     try:
@@ -189,18 +194,19 @@ def print_run(result: "RunResult", as_json: bool) -> None:
         print_json({**dataclasses.asdict(result), **truth})
         _end(result)
         return
-    headings = ("vehicle", "v* [m/s]", "kappa_v [s]", "one-step RMSE [m]", "mean NIS")
+    names = sorted({name for d in result.drivers for name in d.law}, key=ROW.entries.index) or ["v_star", "kappa_v"]
+    known = [{"v_star": d.v_star, "kappa_v": d.kappa_v, **d.law} for d in result.drivers]
     rows = tuple(
         (
             str(d.vehicle),
-            f"{d.v_star:.2f}" if "v_star" in d.identified else _VAGUE,
-            f"{d.kappa_v:.3f}" if "kappa_v" in d.identified else _VAGUE,
+            *(f"{values[name]:.3g}" if name in values and name in d.identified else _VAGUE for name in names),
             f"{d.one_step_rmse_m:.3f}",
             f"{d.nis_mean:.2f}",
         )
-        for d in result.drivers
+        for d, values in zip(result.drivers, known, strict=True)
     )
-    print_table(TextTable("What the estimators know at the end", headings, (*rows, *_mean(result))))
+    headings = ("vehicle", *map(ROW.heading, names), "one-step RMSE [m]", "mean NIS")
+    print_table(TextTable("What the estimators know at the end", headings, (*rows, *_mean(result, len(names)))))
     if against is not None:
         print_against(against)
     print_line(
@@ -216,7 +222,7 @@ def print_run(result: "RunResult", as_json: bool) -> None:
     _end(result)
 
 
-def _mean(result: "RunResult") -> list[tuple[str, ...]]:
+def _mean(result: "RunResult", parameters: int) -> list[tuple[str, ...]]:
     """The last row: the mean over the drivers who follow somebody; none for a single one."""
     from sugiyama_ros.formats.registry import read_trajectories
 
@@ -230,7 +236,7 @@ def _mean(result: "RunResult") -> list[tuple[str, ...]]:
     if len(drivers) < 2:
         return []
     error, nis = (sum(getattr(d, name) for d in drivers) / len(drivers) for name in ("one_step_rmse_m", "nis_mean"))
-    return [(f"mean of {len(drivers)}", "", "", f"{error:.3f}", f"{nis:.2f}")]
+    return [(f"mean of {len(drivers)}", *[""] * parameters, f"{error:.3f}", f"{nis:.2f}")]
 
 
 def _end(result: "RunResult") -> None:

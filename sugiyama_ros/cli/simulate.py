@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sugiyama_ros.cli.options import (
+    PAPERS,
     AddEffect,
     Json,
+    Law,
     ModelFile,
     Overwrite,
     Seed,
@@ -62,12 +64,7 @@ class SimulateOptions:
         typer.Option(min=0.0, max=1.0, help="Relative standard deviation of v_star and kappa_v over the drivers."),
     ] = 0.0
     start: Start = "jam"
-    law: Annotated[
-        str,
-        typer.Option(
-            "--law", help="Law by which the drivers drive, with its usual parameters, instead of the paper's."
-        ),
-    ] = ""
+    law: Law = PAPERS
     parameter: SetParameter = None
     effect: AddEffect = None
     model: ModelFile = None
@@ -212,7 +209,7 @@ def _rows(options: SimulateOptions, vehicles: int) -> "Array":
     rows = ROW.with_effects(defaults(vehicles))
     if options.model is not None:
         rows = read_model(options.model).rows_of(np.arange(vehicles))
-    if options.law:
+    if options.law != PAPERS:
         drivers = law(options.law).parameters
         rows = np.array([drive_by(row, options.law, {p.name: p.default for p in drivers}) for row in rows])
     for text in options.parameter or ():

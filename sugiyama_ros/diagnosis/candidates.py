@@ -214,7 +214,7 @@ def why_not(e: Effect, data: Recorded) -> str:
         return "too few vehicles" if data.drivers <= e.reach else ""
     ahead = np.median([chain.position_m.shape[1] - 1 for chain in data.chains])
     reasons = {
-        "stretches of different drivers have no time in common": "time" in axes,
+        "each stretch of a track counts time from its own start": "time" in axes,
         "recordings have no places in common": "place" in axes and not around.has_places,
         "nothing is assumed of the vehicle behind": e.sees_rear,
         "the leader's leader is not known": e.reach > ahead,

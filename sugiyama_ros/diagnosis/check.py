@@ -108,6 +108,8 @@ def _innovations(
         yield Check(f"bias_over_{covariate}", squares / max(bins, 1), wider, "1", float(chi2.sf(squares / wider, bins)))
     for name, of in (("spread_of_innovations", _spread), ("correlation_of_innovations", _correlation)):
         value, error = of(final.fit.samples.innovation_m, final.fit.samples.innovation_var, data)
+        if not math.isfinite(value):
+            continue
         own = [of(fitted.samples.innovation_m, fitted.samples.innovation_var, one)[0] for one, fitted in simulated]
         expected = float(np.mean(own))
         yield Check(name, value, expected, "1", _two_sided(value - expected, error, data.drivers))
@@ -122,6 +124,8 @@ def _squares(located: Located, covariate: str) -> tuple[float, int]:
 def _by_driver(values: Array) -> tuple[float, float]:
     """Mean over drivers of the mean of each, (N, T), and its standard error over drivers."""
     known = values[np.isfinite(values).any(axis=1)]
+    if not len(known):
+        return math.nan, math.inf
     means = np.nanmean(known, axis=1)
     return float(means.mean()), float(means.std(ddof=1) / math.sqrt(len(means))) if len(means) > 1 else math.inf
 

@@ -25,7 +25,7 @@ from sugiyama_ros.diagnosis.forecast import HORIZONS_S, Surroundings, driven, fo
 from sugiyama_ros.diagnosis.refine import refined, without, without_folds
 from sugiyama_ros.diagnosis.rivals import laws
 from sugiyama_ros.diagnosis.score import Score, scores
-from sugiyama_ros.diagnosis.table import ALPHA, Difference, Entry, errors, gains, is_better
+from sugiyama_ros.diagnosis.table import ALPHA, Difference, Entry, errors, is_better
 from sugiyama_ros.diagnosis.where import Located, locate
 from sugiyama_ros.effects.registry import EFFECTS, ROW
 from sugiyama_ros.fit.joint import JointFit, maximise
@@ -115,7 +115,7 @@ class Diagnosis(Result):
     laws : tuple of Entry
         Other car-following laws on the same samples, but those that are far behind.
     floor : dict of str to float
-        Errors of the final model on recordings that it simulates: no model can do better.
+        Errors of the final model on recordings that it simulates itself, which are noise alone.
     checks : tuple of Check
         Where the final model is compared with what was measured.
     where_before, where_after : Located
@@ -363,25 +363,33 @@ def _searched(bench: _Bench, first: Entry, found: _Scored, most: int | None) -> 
 
 
 def _told(bench: _Bench, first: Entry, found: _Scored, names: Sequence[str]) -> list[Round]:
-    """Add what was asked for, one after the other."""
+    """Add what was asked for, one after the other; and score what is left, which nobody asked for."""
     rounds: list[Round] = []
     current = first
     for name in names:
-        if rounds:
-            found = _scored(bench, current.fit, rounds)
         scored = [own[0].candidate for own in found.by_name.values()]
         candidate = chosen(bench.data, [*bench.possible, *scored], name)
         entry = _fitted(bench, current, candidate, found)
-        won = entry.over(bench.data, current)
-        rounds.append(Round(current, found.best, found.chance, (entry,), (won,), entry, ()))
+        entries = (entry, *_other_forms(bench, current, found, [entry]))
+        won = tuple(e.over(bench.data, current) for e in entries)
+        rounds.append(Round(current, found.best, found.chance, entries, won, entry, ()))
         current = entry
-    return rounds
+        found = _scored(bench, current.fit, rounds)
+    return [*rounds, Round(current, found.best, found.chance, (), (), None, ())]
 
 
 def _fitted(bench: _Bench, current: Entry, candidate: Candidate, found: _Scored) -> Entry:
     """The model with a candidate."""
     fit = refined(bench.data, current.fit, candidate, found.by_name.get(candidate.name, ()), bench.work)
     return bench.entry(candidate.name, (*current.added, candidate), fit, current.models)
+
+
+def _other_forms(bench: _Bench, current: Entry, found: _Scored, fitted: Sequence[Entry]) -> list[Entry]:
+    """The models with those forms of the first one's mechanism that are not among those fitted."""
+    mechanism, tried = fitted[0].added[-1].mechanism, {e.added[-1].name for e in fitted}
+    forms = [own[0].candidate for own in found.by_name.values()]
+    forms = [c for c in forms if c.mechanism == mechanism and c.name not in tried]
+    return [_fitted(bench, current, c, found) for c in forms]
 
 
 def _round(bench: _Bench, current: Entry, found: _Scored) -> Round:
@@ -398,11 +406,8 @@ def _round(bench: _Bench, current: Entry, found: _Scored) -> Round:
     # of the best mechanism, all forms
     if won:
         first = _best(bench, won)[0] or max(won, key=lambda e: (-e.added[-1].rank, won[e]["all"].nats))
-        tried = {e.added[-1].name for e in won}
-        forms = [own[0].candidate for own in found.by_name.values()]
-        forms = [c for c in forms if c.mechanism == first.added[-1].mechanism and c.name not in tried]
-        others = [_fitted(bench, current, c, found) for c in forms]
-        won |= {e: e.over(bench.data, current) for e in others}
+        fitted = [first, *(e for e in won if e is not first)]
+        won |= {e: e.over(bench.data, current) for e in _other_forms(bench, current, found, fitted)}
     added, alike = _best(bench, won)
     entries = sorted(won, key=lambda e: -won[e]["all"].nats)
     return Round(
@@ -507,7 +512,7 @@ def _smallest(first: Round) -> Iterator[dict[str, Any]]:
 
 
 def _left(rounds: Sequence[Round], data: Recorded, final: Entry, rivals: Sequence[Entry]) -> list[Check]:
-    """Checks of what is left: the best candidate of the last round, and the best other law."""
+    """Checks of what is left: the best candidate of the last round, other forms of what was added, other laws."""
     last = rounds[-1]
     left = []
     if last.added is None and last.scores:
@@ -516,7 +521,16 @@ def _left(rounds: Sequence[Round], data: Recorded, final: Entry, rivals: Sequenc
         left.append(
             Check(f"left_for_{best.candidate.name}", best.gain, 0.0, "nats", p_values[best.candidate.mechanism])
         )
-    for one in rivals:
-        won = gains(data, one.forecasts, final.forecasts)["all"]
-        left.append(Check(f"gain_of_{one.name}", won.nats, 0.0, "nats", float(norm.sf(won.nats / max(won.se, 1e-9)))))
-    return left
+    for one in rounds:
+        # the best other form of what was added: unseen data may prefer it
+        new = one.added.added[-1] if one.added is not None else None
+        forms = [e for e in one.entries if new and e.added[-1].mechanism == new.mechanism and e.added[-1] is not new]
+        found = [_gain_of(e, one.added, data) for e in forms if one.added is not None]
+        left += sorted(found, key=lambda check: check.value)[-1:]
+    return left + [_gain_of(one, final, data) for one in rivals]
+
+
+def _gain_of(entry: Entry, final: Entry, data: Recorded) -> Check:
+    """A check of what another model gains on unseen data."""
+    won = entry.over(data, final)["all"]
+    return Check(f"gain_of_{entry.name}", won.nats, 0.0, "nats", float(norm.sf(won.nats / max(won.se, 1e-9))))

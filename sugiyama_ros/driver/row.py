@@ -86,6 +86,12 @@ class RowLayout:
             raise InputError(f"effect {effect}: has no parameter {parameter!r}; it has {', '.join(names)}")
         return int(places.start) + names.index(parameter)
 
+    def heading(self, name: str) -> str:
+        """Return the heading of an entry's column in a table: its name with its unit."""
+        unit = self.declared[self.entries.index(name)].unit
+        shown = "v*" if name == "v_star" else name
+        return shown if unit == "1" else f"{shown} [{unit}]"
+
     def with_effects(self, parameters: Array) -> Array:
         """Make rows from parameters, with every effect switched off.
 

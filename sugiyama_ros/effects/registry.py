@@ -12,7 +12,7 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.row import RowLayout
 from sugiyama_ros.effects.effect import STAGES, Effect, Values
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.laws.registry import LAWS
+from sugiyama_ros.laws.registry import LAWS, PAPERS
 
 #: Group of the entry points by which other packages add effects.
 GROUP = "sugiyama_ros.effects"
@@ -60,7 +60,7 @@ MECHANISM: Mapping[str, str] = {name: name for name in EFFECTS} | {
 }
 #: Where every parameter stands in a driver's row.
 ROW = RowLayout.of(
-    {name: law.parameters for name, law in LAWS.items() if name != "adaptive_seek"},
+    {name: law.parameters for name, law in LAWS.items() if name != PAPERS},
     {name: effect.parameters for name, effect in EFFECTS.items()},
 )
 

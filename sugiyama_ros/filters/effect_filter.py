@@ -1,4 +1,4 @@
-"""One driver's filter that also learns parameters of effects, with their uncertainty."""
+"""One driver's filter that also learns parameters of effects and of a law, with their uncertainty."""
 
 from collections.abc import Sequence
 from copy import deepcopy
@@ -19,7 +19,7 @@ from sugiyama_ros.road import Road
 
 
 class EffectFilter(OnlineFilter):
-    """An `OnlineFilter` that learns parameters of the effects in its model too.
+    """An `OnlineFilter` that learns parameters of the effects in its model and of its law too.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ class EffectFilter(OnlineFilter):
         As for `OnlineFilter`. The values of the effects in ``parameters`` are the means of their priors.
     names
         Parameters to be learnt while their effect is in the model, such as ``drag.c0``; ``effects`` stands for the
-        strengths of all effects.
+        strengths of all effects, and ``law`` for all parameters of the driver's law.
 
     Raises
     ------

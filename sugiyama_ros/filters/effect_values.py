@@ -1,6 +1,6 @@
-"""Parameters of effects learnt online: their values follow the likelihood of the samples.
+"""Parameters of effects and laws learnt online: their values follow the likelihood of the samples.
 
-A filter cannot hold every parameter of an effect in its state, since many of them act on noises, times or
+A filter cannot hold every such parameter in its state, since many of them act on noises, times or
 measurements. Their values follow the likelihood instead, by recursive prediction error. Beside the filter runs a copy
 for each value, in which the value is a little larger. The differences of the innovations and of their variances give
 the score of the value and its information; the difference of the states says how the state changes with the value.
@@ -24,9 +24,10 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.engine import Estimate
 from sugiyama_ros.filters.online import ADAPT, OnlineFilter
 from sugiyama_ros.filters.vehicles import GROSS
+from sugiyama_ros.laws.registry import LAWS, PAPERS, name_of
 
-#: The word that stands for the strengths of all effects in the model.
-STRENGTHS = "effects"
+#: The words that stand for the strengths of all effects, and for all parameters of the driver's law.
+STRENGTHS, OF_LAW = "effects", "law"
 #: Time [s] between two changes of the values.
 EVERY_S = 1.0
 # How much larger a value is in its copy, and how far a value moves at most in a second, both in prior stds.
@@ -35,7 +36,7 @@ _STEP, _FAR = 0.01, 0.5
 
 @dataclass(eq=False)
 class Values:
-    """What is known of K parameters of effects: a normal distribution within the declared bounds.
+    """What is known of K parameters of effects or a law: a normal distribution within the declared bounds.
 
     names: of the parameters, such as ``drag.c0``; places: (K,) in a driver's row; prior_mean, prior_std: (K,); mean,
     covariance: (K,) and (K, K); score, information: (K,) and (K, K), collected since the last ``move``.
@@ -89,24 +90,25 @@ class Values:
 
 
 def check_names(names: Sequence[str]) -> None:
-    """Check names of effects' parameters that are to be learnt. Raises InputError for an unknown one."""
-    known = [name for name in ROW.entries if name.split(".")[0] in EFFECTS]
+    """Check names of parameters of effects and laws that are to be learnt. Raises InputError for an unknown one."""
+    known = {name for name in ROW.entries if "." in name}
     for name in names:
-        if name != STRENGTHS and name not in known:
+        if name not in {STRENGTHS, OF_LAW} | known:
             raise InputError(
-                f"adapt: {name!r} cannot be learnt online; give parameters of effects such as drag.c0, or {STRENGTHS}"
+                f"adapt: {name!r} cannot be learnt online; give parameters of effects or laws such as drag.c0 and"
+                f" idm.T, or {STRENGTHS}, or {OF_LAW}"
             )
 
 
 def values_of(row: Array, names: Sequence[str], std: Mapping[str, float] = MappingProxyType({})) -> Values | None:
-    """Return the priors of the parameters to be learnt, of the effects that act; None if there are none.
+    """Return the priors of the parameters to be learnt, of the law and the effects that act; None if there are none.
 
     Parameters
     ----------
     row
         Row (WIDTH,) of the driver. The values in it are the means of the priors.
     names
-        Of the parameters; ``effects`` stands for the strengths of all effects.
+        Of the parameters; ``effects`` stands for the strengths of all effects, ``law`` for the law's parameters.
     std
         Prior standard deviations by name, where they are not what the effect declares as typical.
 
@@ -116,9 +118,12 @@ def values_of(row: Array, names: Sequence[str], std: Mapping[str, float] = Mappi
         For an unknown name.
     """
     check_names(names)
-    acting = active(row)
-    chosen = [f"{one}.{switch}" for one in acting for switch in effect(one).switches if STRENGTHS in names]
-    chosen += [name for name in names if name != STRENGTHS and name.split(".")[0] in acting and name not in chosen]
+    effects, own_law = active(row), LAWS[name_of(row[ROW.law])]
+    of_law = [f"{own_law.name}.{p.name}" for p in own_law.parameters if own_law.name != PAPERS]
+    chosen = of_law if OF_LAW in names else []
+    chosen += [f"{one}.{switch}" for one in effects for switch in effect(one).switches if STRENGTHS in names]
+    acting = (*effects, own_law.name)
+    chosen += [name for name in names if "." in name and name.split(".")[0] in acting and name not in chosen]
     if not chosen:
         return None
     places = [ROW.entries.index(name) for name in chosen]
@@ -129,8 +134,13 @@ def values_of(row: Array, names: Sequence[str], std: Mapping[str, float] = Mappi
 
 
 def _size(name: str, value: float) -> float:
-    """Prior std of a value: the largest value that the effect declares as typical, or the value itself."""
+    """Prior std of a value: the largest value that the effect declares as typical, or the value itself.
+
+    A driver's parameter of a law is known up to a third.
+    """
     of, parameter = name.split(".")
+    if of in LAWS:
+        return abs(value) / 3.0 or 0.1
     declared = EFFECTS[of]
     sizes = [abs(known[parameter]) for known in (*declared.benchmark, declared.bank or {}) if parameter in known]
     p = ROW.declared[ROW.index_of(of, parameter)]

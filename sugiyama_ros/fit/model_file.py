@@ -14,7 +14,7 @@ import yaml
 
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.documents import number, read_yaml
-from sugiyama_ros.driver.parameters import COUNT, NAMES, check_for_filter
+from sugiyama_ros.driver.parameters import COUNT, NAMES, check_for_filter, population
 from sugiyama_ros.effects.effect import RecordingExtent
 from sugiyama_ros.effects.registry import EFFECTS, GROUP, ROW, active, effect, index_of, switch_on
 from sugiyama_ros.errors import InputError
@@ -78,6 +78,19 @@ class ModelFile:
         typical = np.median(self.rows, axis=0)
         known = {int(v): k for k, v in enumerate(self.vehicle)}
         return np.array([self.rows[known[int(v)]] if int(v) in known else typical for v in vehicles])
+
+
+def typical_driver(law_name: str) -> ModelFile:
+    """Return what a model file would hold for a typical driver of a law, who stands for every vehicle.
+
+    Raises
+    ------
+    InputError
+        For an unknown law.
+    """
+    declared = () if law_name == PAPERS else law(law_name).parameters
+    row = drive_by(ROW.with_effects(population()), law_name, {p.name: p.default for p in declared})
+    return ModelFile(np.array([-1]), row[None], (), "", "")
 
 
 def write_model(target: Target, data: Recorded, fitted: JointFit, cautions: Sequence[str] = ()) -> None:

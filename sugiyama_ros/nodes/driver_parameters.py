@@ -10,15 +10,15 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.driver.parameters import NAMES, PARAMETERS, check_for_filter, population
+from sugiyama_ros.driver.parameters import NAMES, PARAMETERS, check_for_filter
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.chain import CHAIN, Adaptation
 from sugiyama_ros.filters.effect_filter import EffectFilter
-from sugiyama_ros.filters.effect_values import STRENGTHS, check_names
+from sugiyama_ros.filters.effect_values import OF_LAW, STRENGTHS, check_names
 from sugiyama_ros.filters.online import ADAPT, OnlineFilter
-from sugiyama_ros.fit.driver_types import DriverTypes
-from sugiyama_ros.fit.model_file import read_model
+from sugiyama_ros.fit.model_file import ModelFile, read_model, typical_driver
+from sugiyama_ros.laws.registry import ADAPTIVE_SEEK, PAPERS
 from sugiyama_ros.nodes.arrivals import WINDOW_S
 from sugiyama_ros.road import Road
 
@@ -73,28 +73,26 @@ def declare_driver(node: Node, default: Array) -> None:
         )
 
 
-def declare_model(node: Node, vehicle: int) -> tuple[Array, DriverTypes | None]:
-    """Declare the parameter ``model``, and read the model file if one is given.
+def declare_model(node: Node) -> ModelFile:
+    """Declare the parameters ``model`` and ``law``: from which drivers a node starts. Raises InputError.
 
-    Returns
-    -------
-    row : array (WIDTH,)
-        The driver's row; without a model file, the population's values.
-    types : DriverTypes or None
-        Types of drivers, if the model file has any.
+    Without a model file, a typical driver of the law stands for every vehicle.
     """
     file = declare_path(node, "model", "model file (YAML) with drivers and effects")
+    about = ParameterDescriptor(description="law by which the drivers drive, without a model file", read_only=True)
+    law = str(node.declare_parameter("law", PAPERS, about).value)
     if file is None:
-        return ROW.with_effects(population()), None
-    model = read_model(file)
-    return model.rows_of(np.array([vehicle]))[0], model.types
+        return typical_driver(law)
+    if law != PAPERS:
+        raise InputError(f"law: the model file {file} says by which law its drivers drive; leave out law or model")
+    return read_model(file)
 
 
 @dataclass(frozen=True)
 class Adapted:
     """What is learnt online of a driver: preferences, in the state of the filter, and parameters of effects.
 
-    adaptation: of preferences; of_effects: names such as ``drag.c0``, or ``effects`` for the strengths of all effects;
+    adaptation: of preferences; of_effects: names such as ``drag.c0``, ``effects`` for all strengths, or ``law``;
     engine: of ``ENGINES``, what works out a step.
     """
 
@@ -112,16 +110,20 @@ class Adapted:
         return OnlineFilter(period_s, road, row, adaptation=self.adaptation, vehicles=vehicles, engine=self.engine)
 
 
-def declare_adapt(node: Node) -> Adapted:
-    """Declare the parameters ``adapt`` and ``engine``: what is learnt online, and how. Raises InputError."""
+def declare_adapt(node: Node, rows: Array) -> Adapted:
+    """Declare the parameters ``adapt`` and ``engine``: what is learnt online, and how. Raises InputError.
+
+    rows: (N, WIDTH) of the drivers; of drivers of another law than the paper's, the law's parameters are learnt.
+    """
     about = ParameterDescriptor(
-        description="parameters that are learnt online: preferences, parameters of effects such as drag.c0, or effects"
-        " for the strengths of all effects in the model",
+        description="parameters that are learnt online: preferences, parameters of effects and laws such as drag.c0 and"
+        " idm.T, effects for the strengths of all effects in the model, or law for all parameters of the law",
         read_only=True,
     )
-    given = node.declare_parameter("adapt", list(ADAPT.names), about).value
+    usual = list(ADAPT.names) if (rows[:, ROW.law] == ADAPTIVE_SEEK).all() else [OF_LAW]
+    given = node.declare_parameter("adapt", usual, about).value
     names = tuple(dict.fromkeys(name for name in given if name))
-    own = tuple(name for name in names if name != STRENGTHS and "." not in name)
+    own = tuple(name for name in names if name not in (STRENGTHS, OF_LAW) and "." not in name)
     known = dict(zip(ADAPT.names, ADAPT.prior_std, strict=True))
     stds = tuple(known.get(name, OTHER_STD) for name in own)
     of_effects = tuple(name for name in names if name not in own)

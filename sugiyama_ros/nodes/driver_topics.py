@@ -12,6 +12,7 @@ from sugiyama_ros.effects.registry import ROW, active
 from sugiyama_ros.filters.online import Estimate, OnlineFilter
 from sugiyama_ros.filters.shown import ShownParameters, shown_of
 from sugiyama_ros.fit.driver_types import DriverTypes
+from sugiyama_ros.laws.registry import name_of
 from sugiyama_ros.nodes.base import cdr_messages
 from sugiyama_ros.nodes.base.driver_array_messages import KnownDriver, ParameterNames
 from sugiyama_ros.nodes.base.node import PacedNode
@@ -98,9 +99,10 @@ class DriverTopics:
                 self._node.end_stream(topic)
 
     def choose_parameters(self, effects: Array, filter_: OnlineFilter) -> None:
-        """From now on, publish the driver's parameters and the parameters of the effects that act in a row (WIDTH,)."""
-        of_effects = [k for name in active(effects) for k in range(ROW.places[name].start, ROW.places[name].stop)]
-        shown = [*range(len(NAMES)), *of_effects]
+        """From now on, publish the driver's parameters, and those of the law and the effects in a row (WIDTH,)."""
+        law = ROW.law_places.get(name_of(float(filter_.parameters[ROW.law])), slice(0))
+        blocks = [law, *(ROW.places[name] for name in active(effects))]
+        shown = [*range(len(NAMES)), *(k for block in blocks for k in range(ROW.width)[block])]
         self._shown = shown_of(filter_, shown)
         names = [ROW.entries[k] for k in shown]
         self._v_star = filter_.adapted.index("v_star") if "v_star" in filter_.adapted else None

@@ -8,15 +8,21 @@ from rcl_interfaces.msg import ParameterDescriptor
 from sugiyama_msgs.msg import Road as RoadMessage
 
 from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.driver.parameters import NAMES, population
-from sugiyama_ros.effects.registry import ROW
+from sugiyama_ros.driver.parameters import NAMES
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.driver_types import DriverTypes
-from sugiyama_ros.fit.model_file import ModelFile, read_model
+from sugiyama_ros.fit.model_file import ModelFile
 from sugiyama_ros.nodes.base.cdr_messages import NS, Sample
 from sugiyama_ros.nodes.base.driver_array_messages import KnownDriver
 from sugiyama_ros.nodes.base.node import PacedNode
-from sugiyama_ros.nodes.driver_parameters import Adapted, check_driver, declare_adapt, declare_driver, declare_path
+from sugiyama_ros.nodes.driver_parameters import (
+    Adapted,
+    check_driver,
+    declare_adapt,
+    declare_driver,
+    declare_model,
+    declare_path,
+)
 from sugiyama_ros.nodes.driver_topics import DriverTopics
 from sugiyama_ros.nodes.follower import UNKNOWN, DivergedError, Follower
 from sugiyama_ros.nodes.outputs.registry import StandardTopics
@@ -28,12 +34,12 @@ from sugiyama_ros.road import Road
 class DriversSettings:
     """From what the drivers start, and where what is learnt of them goes.
 
-    model: the model file, None without one; save_state, resume: directories, None without; has_vehicle_topics: whether
-    each driver has topics of their own instead of one message for all; adapted: what is
-    learnt; standard: what is published for others.
+    model: the model file, or what stands for one; save_state, resume: directories, None without; has_vehicle_topics:
+    whether each driver has topics of their own instead of one message for all; adapted: what is learnt; standard: what
+    is published for others.
     """
 
-    model: ModelFile | None
+    model: ModelFile
     save_state: Path | None
     resume: Path | None
     has_vehicle_topics: bool
@@ -44,18 +50,17 @@ class DriversSettings:
     def effects(self) -> Array:
         """Row (WIDTH,) with the effects of the model file."""
         nobody: Ints = np.array([-1])
-        return ROW.with_effects(population()) if self.model is None else self.model.rows_of(nobody)[0]
+        return self.model.rows_of(nobody)[0]
 
     @property
     def types(self) -> DriverTypes | None:
         """Types of drivers, if the model file has any."""
-        return None if self.model is None else self.model.types
+        return self.model.types
 
 
 def read_settings(node: PacedNode) -> DriversSettings:
     """Declare the parameters of a node that follows all drivers, and read what they name. Raises InputError."""
-    file = declare_path(node, "model", "model file (YAML) with drivers and effects")
-    model = None if file is None else read_model(file)
+    model = declare_model(node)
     save_state = declare_path(node, "save_state", "directory in which to keep what was learnt, for resume")
     resume = declare_path(node, "resume", "directory with what an earlier run has learnt, to go on from")
     about = ParameterDescriptor(
@@ -63,7 +68,7 @@ def read_settings(node: PacedNode) -> DriversSettings:
     )
     vehicle_topics = bool(node.declare_parameter("vehicle_topics", False, about).value)
     standard = StandardTopics(node)
-    settings = DriversSettings(model, save_state, resume, vehicle_topics, declare_adapt(node), standard)
+    settings = DriversSettings(model, save_state, resume, vehicle_topics, declare_adapt(node, model.rows), standard)
     declare_driver(node, settings.effects)
     check_driver(node)
     return settings
@@ -240,7 +245,7 @@ class DriversInView:
         """Row (WIDTH,) from which a driver starts: the model file's, or else the parameters of the node."""
         row = self._effects.copy()
         model = self._settings.model
-        if model is not None and vehicle in model.vehicle:
+        if vehicle in model.vehicle:
             row[: len(NAMES)] = model.rows_of(np.array([vehicle]))[0, : len(NAMES)]
         else:
             row[: len(NAMES)] = [self._node.get_parameter(name).value for name in NAMES]

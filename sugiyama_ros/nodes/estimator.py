@@ -4,6 +4,7 @@ import re
 from collections import deque
 from typing import Any
 
+import numpy as np
 from rcl_interfaces.msg import ParameterDescriptor
 from std_srvs.srv import Trigger
 from sugiyama_msgs.msg import DriverParameters
@@ -65,7 +66,8 @@ class Estimator(PacedNode):
         super().__init__("estimator", **options)
         self.vehicle = self._vehicle_of_namespace()
         warm_up()
-        row, types = declare_model(self, self.vehicle)
+        model = declare_model(self)
+        row, types = model.rows_of(np.array([self.vehicle]))[0], model.types
         self._save_state = declare_path(self, "save_state", "directory in which to keep what was learnt, for resume")
         resume = declare_path(self, "resume", "directory with what an earlier run has learnt, to go on from")
         saved = file_of(resume, self.vehicle) if resume is not None else None
@@ -80,7 +82,7 @@ class Estimator(PacedNode):
             self._patience = self.create_timer(_PATIENCE_S, lambda: self._on_kept(), clock=self.steady)
         declare_driver(self, row)
         check_driver(self)
-        self._window_s, self._adapted = declare_window(self), declare_adapt(self)
+        self._window_s, self._adapted = declare_window(self), declare_adapt(self, row[None])
         self._standard = StandardTopics(self)
         self.add_post_set_parameters_callback(lambda _: self._begin_anew())
         self._effects = row

@@ -10,6 +10,7 @@ from sugiyama_ros.driver.parameters import NAMES, population
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.model_file import read_model
 from sugiyama_ros.formats.truth import namespaces
+from sugiyama_ros.laws.registry import PAPERS, law
 from sugiyama_ros.nodes.driver_array import TOPIC
 from sugiyama_ros.nodes.driver_parameters import ENGINES, engine_of
 from sugiyama_ros.nodes.replay import samples_of
@@ -51,6 +52,8 @@ class RunSettings:
         Circumference [m] of the ring, where the file does not say it.
     model : Path, optional
         File with the drivers and effects from which the estimators start.
+    law : str
+        Law by which the drivers drive, without a model file.
     critic : bool
         Whether a critic listens.
     save_state : Path, optional
@@ -68,6 +71,7 @@ class RunSettings:
     rate: float = 0.0
     ring_m: float | None = None
     model: Path | None = None
+    law: str = PAPERS
     critic: bool = False
     save_state: Path | None = None
     resume: Path | None = None
@@ -98,8 +102,11 @@ class Plan:
         _check_names(*inputs, output, settings.save_state, settings.resume)
         Output(output, settings.overwrite, inputs).check()
         engine_of(settings.engine)
+        law(settings.law)
         if settings.model is not None:
             read_model(settings.model)
+            if settings.law != PAPERS:
+                raise InputError(f"--law: the model file {settings.model} says it; leave out --law or --model")
         if settings.save_state is not None:
             make_directory(settings.save_state)
         plan = cls(_opened(source, settings.ring_m) if isinstance(source, Path) else source, output, settings)
@@ -171,7 +178,7 @@ class Plan:
         s = self.settings
         given = {"model": s.model, "save_state": s.save_state, "resume": s.resume}
         paths = {name: str(path) for name, path in given.items() if path is not None}
-        return {**paths, "array_topic": s.array, "engine": s.engine}
+        return {**paths, "law": s.law, "array_topic": s.array, "engine": s.engine}
 
     @property
     def drivers(self) -> dict[str, Any]:

@@ -12,6 +12,7 @@ import numpy as np
 from sugiyama_msgs.msg import DriverArray
 
 from sugiyama_ros.formats.mcap_reader import Bag
+from sugiyama_ros.laws.registry import LAWS
 from sugiyama_ros.nodes.base import cdr_messages, incoming
 from sugiyama_ros.nodes.base.incoming import RefusedError
 
@@ -31,6 +32,8 @@ class DriverResult:
         Desired speed [m/s], risk premium [s], measurement noise [m] and acceleration noise [m/s^2].
     one_step_rmse_m, nis_mean : float
         Root mean square of the innovations [m] and mean of their nis [1], over the scored samples; NaN without any.
+    law : dict of str to float
+        Parameters of the driver's law by names such as ``idm.T``, in SI units; empty for the paper's driver.
     identified : tuple of str
         Parameters that the samples determine.
     """
@@ -42,6 +45,7 @@ class DriverResult:
     sigma_a: float
     one_step_rmse_m: float
     nis_mean: float
+    law: dict[str, float]
     identified: tuple[str, ...]
 
 
@@ -136,5 +140,6 @@ def _driver(
         sigma_a=parameters["sigma_a"],
         one_step_rmse_m=math.sqrt(squared),
         nis_mean=nis,
+        law={name: value for name, value in parameters.items() if name.partition(".")[0] in LAWS},
         identified=identified,
     )

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sugiyama_ros.page.names import SMALL_M, form_of, length, model_name, summary_of, title_of
+from sugiyama_ros.page.names import MODELS, SMALL_M, form_of, length, model_name, summary_of, title_of
 from sugiyama_ros.page.panels.measured import frame_mps
 from sugiyama_ros.page.recording import Recording
 from sugiyama_ros.page.thumbnail import thumbnail
@@ -25,8 +25,8 @@ from sugiyama_ros.page.words import (
     would_have_shown,
 )
 
-# Models of the bars, and sentences of one kind that the card has room for.
-_SHOWN = ("before", "after", "idm", "fvdm", "floor")
+# Number of other laws in the bars, and of sentences of one kind that the card has room for.
+_LAWS = 2
 _LINES = 3
 # Names that are short enough for the tiles.
 _NAMES = {"before": "before", "after": "after", "floor": "floor"}
@@ -144,7 +144,9 @@ def _tile(title: str, about: str, key: str, errors: Mapping[str, Any]) -> str:
         change = f" <span>({100.0 * (after / before - 1.0):+.0f} %{grown})</span>" if before > 0.0 else ""
         ends = list(dict.fromkeys(length(scale * end) for end in (before, after)))
         number = f"{' → '.join(ends)} {unit}{change if len(ends) > 1 else ''}"
-    shown = [(model, value) for model in _SHOWN if (value := _value(errors, model, key)) is not None]
+    of = {model: value for model in errors if (value := _value(errors, model, key)) is not None}
+    laws = sorted((model for model in of if model not in MODELS), key=lambda model: of[model])[:_LAWS]
+    shown = [(model, of[model]) for model in ("before", "after", *laws, "floor") if model in of]
     names = _NAMES
     if before is not None and before == after:
         shown, names = [(model, value) for model, value in shown if model != "after"], {"floor": "floor"}

@@ -78,11 +78,18 @@ def additions(d: Document) -> str:
                 on_unseen(n),
                 chance(n.get("p_value")).replace(" ", "\u00a0"),
                 not_told_apart(d, n) or ("not fitted" if d["verdict"].get("asked") else "nothing"),
-                worse_in_words(n) or "nowhere",
+                worse_in_words(n) or "none",
             ]
             for n in effects
         ]
-        headings = ["added", "how large", "unseen data", "chance", "cannot be told apart from", "gets worse"]
+        headings = [
+            "added",
+            "how large",
+            "unseen data",
+            "chance",
+            "cannot be told apart from",
+            "forecasts that get worse",
+        ]
         text = table(headings, rows, left=True)
         if model := equation(d):
             text += f"<p>The model, with what is new in brackets: <code>{escape(model)}</code></p>"
@@ -142,6 +149,8 @@ def detectable(d: Document) -> str:
     if rows:
         text += "<h3>What these data would usually have shown</h3>"
         text += table(["effect", "if it were this strong"], rows, left=True)
+    if d["verdict"].get("asked"):
+        return f"{text}<p>Nothing was searched for: effects were added by name.</p>"
     missed = [f"{title_of(d, one['name'])} ({one['reason']})" for one in d["verdict"].get("not_searched", [])]
     text += f"<p>Not searched for: {escape(', '.join(missed))}.</p>" if missed else ""
     if searched := [title_of(d, name) for name in d["verdict"].get("searched", [])]:

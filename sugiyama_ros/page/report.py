@@ -23,8 +23,8 @@ from sugiyama_ros.page.truth import SHOWN, AgainstTruth
 _ORANGE = "<p>Orange: added (▸), and what cannot be told apart from it in these data.</p>"
 _FLOOR = (
     '<p class="note">Floor: the errors of the final model on a few recordings that it simulates itself, which are noise'
-    " alone. The checks say whether errors on the data are as large as this noise makes. In the pictures, the floor is"
-    " dashed.</p>"
+    " alone. The checks say whether errors on the data are as large as this noise makes; smaller ones mean that the"
+    " model's noise is larger than the drivers'. In the pictures, the floor is dashed.</p>"
 )
 
 

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Sequence
 
+from sugiyama_ros.laws.registry import PAPERS
 from sugiyama_ros.page.names import (
     CLEAR,
     MODELS,
@@ -128,7 +129,7 @@ def found_in_words(d: Document) -> list[str]:
 def not_told_apart(d: Document, n: Document) -> str:
     """What an addition cannot be told apart from; empty if it can be told apart from everything that was fitted.
 
-    Nothing else is fitted where somebody has asked for names.
+    Other effects are not fitted where somebody has asked for names.
     """
     return listed([named(d, other) for other in n["indistinguishable"]], "or")
 
@@ -164,8 +165,8 @@ def equation(d: Document) -> str:
         units = {name: str(one.get("unit", "")) for name, one in about.get("parameters", {}).items()}
         shown = known if not n.get("covariate") else {}
         values += [f"{k} = {quantity(float(v), units.get(k, ''), stds.get(k))}" for k, v in shown.items()]
-    law = str(d.get("law") or "adaptive_seek")
-    base = _BASE if law == "adaptive_seek" else f"a = {model_name(law)}(gap, v, v_lead)"
+    law = str(d.get("law") or PAPERS)
+    base = _BASE if law == PAPERS else f"a = {model_name(law)}(gap, v, v_lead)"
     added = "; ".join([f"{base}{sums}", *rules])
     return ", ".join([added, *values]) if d["verdict"]["effects"] else ""
 
@@ -204,10 +205,15 @@ def check_title(d: Document, check: Document) -> str:
     if found := re.fullmatch(r"left_for_(\w+)", name):
         return f"left for {titled(d, found[1])}"
     if found := re.fullmatch(r"gain_of_(\w+)", name):
-        return f"lead of {model_name(found[1])}"
+        return f"lead of {_other(d, found[1])}"
     if found := re.fullmatch(r"sign_of_(\w+)\.(\w+)", name):
         return f"{found[2]} of {named(d, found[1])}"
     return spaced(name)
+
+
+def _other(d: Document, name: str) -> str:
+    """Name of another law, or of another form of what was added."""
+    return model_name(name) if name in d["errors"] else named(d, name)
 
 
 def check_values(check: Document) -> tuple[str, str, str]:
@@ -224,7 +230,7 @@ def check_in_words(d: Document, check: Document) -> str:
     if name.startswith("left_for_"):
         return f"{named(d, name.removeprefix('left_for_'))} would still gain {measured} on the fitted data ({p})"
     if name.startswith("gain_of_"):
-        return f"{model_name(name.removeprefix('gain_of_'))} gains {measured} more on unseen data ({p})"
+        return f"{_other(d, name.removeprefix('gain_of_'))} gains {measured} more on unseen data ({p})"
     if name.startswith("sign_of_"):
         return f"{title} is {measured}; below {given} it makes no physical sense"
     kind = name.partition("_")[0]
@@ -277,7 +283,10 @@ def headline(d: Document) -> str:
     more = f" Besides, {_without_physics(d, rest)}" if rest else ""
     if not failed(d):
         found = "it" if len(physical) == 1 else "them"
-        return f"{words}: {_of(d, physical)}. With {found}, nothing in these data speaks against the model.{more}"
+        tried = " Other effects were not fitted." if d["verdict"].get("asked") else ""
+        return (
+            f"{words}: {_of(d, physical)}. With {found}, nothing in these data speaks against the model.{tried}{more}"
+        )
     return f"{words}: {_of(d, physical)} and more is missing.{more}{_still_fails(d)}"
 
 
@@ -315,8 +324,8 @@ def how_sure(d: Document) -> str:
     if not effects:
         return f"{checks_hold(d)}; the model is biased in {_biased(d, 'before')}."
     if d["verdict"].get("asked"):
-        told = certainty(effects[0]) + "; nothing" if len(effects) == 1 else "Nothing"
-        return f"{told} else was fitted, so nothing is known of what explains the data as well."
+        told = certainty(effects[0]) + "; other" if len(effects) == 1 else "Other"
+        return f"{told} effects were not fitted, so nothing is known of what explains the data as well."
     if len(effects) == 1:
         others = not_told_apart(d, effects[0])
         return certainty(effects[0]) + (f"; cannot be told apart from {others}." if others else ".")
@@ -525,7 +534,8 @@ def _data(d: Document) -> list[str]:
         )
     if d.get("drivers_left_out"):
         lines.append(left_out(int(d["drivers_left_out"]), int(d["vehicles"])))
-    if (missed := d["verdict"].get("not_searched")) and d["errors"]["before"].get("free_run_10s_m") is None:
+    missed = [] if d["verdict"].get("asked") else d["verdict"].get("not_searched")
+    if missed and d["errors"]["before"].get("free_run_10s_m") is None:
         reasons = [f"{named(d, one['name'])}: {one['reason']}" for one in missed]
         lines.append(f"Not searched for: {'; '.join(reasons)}.")
     return lines
@@ -549,18 +559,7 @@ def ranked(c: Document) -> list[Document]:
 
 
 def best_model(c: Document) -> str:
-    """Return which model forecasts best, and which ones cannot be told apart from it.
-
-    Parameters
-    ----------
-    c : mapping
-        Document of a comparison.
-
-    Returns
-    -------
-    str
-        The headline of the comparison. A model in sample does not count.
-    """
+    """Which model of a comparison forecasts best, and which ones cannot be told apart from it; none in sample."""
     own = [model_name(one["name"]) for one in c["models"] if one["kind"] == "in_sample"]
     before = f"{own[0]} was fitted to these samples, so it does not count here. " if own else ""
     best, *others = ranked(c)

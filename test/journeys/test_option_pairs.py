@@ -65,8 +65,7 @@ VALUES: Mapping[str, Sequence[str]] = {
     "diagnose --add": ("auto", "drag"),
     "diagnose --output": ("new.yaml", "old.yaml"),
     "diagnose --save": ("new.json", "old.json"),
-    "diagnose --law": ("idm",),
-    "simulate --law": ("gipps",),
+    "--law": ("idm",),
     "study NAME": ("", "spectrum", "highway", "measured", "simulated", "order"),
     "study SOURCE": ("ring.mcap", "ring.csv"),
     "study --runs": ("1",),
@@ -116,7 +115,7 @@ LONG = {"demo", "run", "diagnose", "study", "compare", "report", "live"}
 #: Every case is refused: nothing is downloaded in tests.
 REFUSED = {"fetch"}
 _CAUSAL = ("no --formulation", "--formulation causal")
-_ONE_LANE = ("--formulation paper", "--effects", "--regularise", "--hops", "--classes", "--output")
+_ONE_LANE = ("--formulation paper", "--effects", "--regularise", "--hops", "--classes", "--output", "--law")
 #: What is refused, by command: values that contradict each other. An option stands for each of its values, and "no
 #: --option" for its absence.
 CONTRADICTIONS: Mapping[str, Sequence[Sequence[str]]] = {
@@ -126,6 +125,7 @@ CONTRADICTIONS: Mapping[str, Sequence[Sequence[str]]] = {
         ("--output old.mcap", "no --overwrite"),
         ("ring.csv", "no --ring"),
         ("--array", "--processes"),
+        ("--law", "--model"),
         ("--save-state state", "no --overwrite"),
         ("no SOURCE", "no --simulate"),
         *((source, "--simulate") for source in VALUES["SOURCES"][:3]),
@@ -147,6 +147,7 @@ CONTRADICTIONS: Mapping[str, Sequence[Sequence[str]]] = {
         ("--output old.yaml", "no --overwrite"),
         ("ring.csv", "no --ring", "--formulation paper"),
         ("--formulation paper", "--effects"),
+        *(("--law", name) for name in ("--formulation paper", "--parameters", "--profile", "--hops", "--classes")),
         *(("--effects", name) for name in ("--profile", "--hops", "--classes")),
         *(("--classes", name) for name in ("--regularise", "--profile", "--hops")),
         *(("--regularise", name, how) for name in ("--profile", "--hops") for how in _CAUSAL),

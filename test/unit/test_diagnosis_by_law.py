@@ -14,12 +14,12 @@ from sugiyama_ros.simulation.experiment import Experiment, carry_out
 _IDM = {p.name: p.default for p in LAWS["idm"].parameters}
 
 
-def followers(vehicles, delay_s, seed):
+def followers(vehicles, delay_s, seed, effect="reaction_delay"):
     """Drivers of the IDM on a ring, perhaps with a reaction time."""
     rows = np.array([drive_by(row, "idm", _IDM) for row in ROW.with_effects(defaults(vehicles))])
     rows[:, SIGMA_A] = 0.2
     if delay_s:
-        rows = switch_on(rows, "reaction_delay", {"delay": delay_s})
+        rows = switch_on(rows, effect, {"delay": delay_s})
     return carry_out(Experiment(ring_m=20.0 * vehicles, start="equal", seed=seed), rows).measured
 
 
@@ -46,6 +46,15 @@ def test_a_model_file_keeps_the_law(delayed, tmp_path):
 def test_nothing_is_missing_from_drivers_of_the_idm():
     found = sg.diagnose(followers(8, 0.0, 5), law="idm")
     assert not found.final.added
+
+
+def test_what_is_added_by_name_competes_with_its_other_forms_and_claims_no_more():
+    found = sg.diagnose(followers(8, 0.5, 6, "reaction_delay_all"), law="idm", add=["reaction_delay"])
+    names = {e.name for e in found.rounds[0].entries}
+    assert {"reaction_delay", "reaction_delay_all"} <= names
+    assert any(check.name.startswith("gain_of_reaction_delay_all") for check in found.checks)
+    assert any(check.name.startswith("left_for_") for check in found.checks)
+    assert "ther effects were not fitted" in found.summary()
 
 
 @pytest.mark.parametrize(
