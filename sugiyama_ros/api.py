@@ -262,19 +262,10 @@ def calibrate(
     """
     _check_names("calibrate", settings, _CALIBRATE)
     said = {**_CALIBRATE, **settings}
-    classes, hops, scheduler = said["classes"], said["hops"], said["scheduler"]
-    asked = (
-        formulation,
-        tuple(parameters),
-        regularise,
-        profile,
-        hops,
-        said["seed"],
-        said["regularise_strength"],
-        said["law"],
-    )
-    _check_calibration(Settings(*asked), bool(effects), classes)
-    return _calibrated(_recorded(trajectories), Settings(*asked), effects, classes, scheduler)
+    of_search = (said["hops"], said["seed"], said["regularise_strength"], said["law"])
+    asked = Settings(formulation, tuple(parameters), regularise, profile, *of_search)
+    _check_calibration(asked, bool(effects), said["classes"])
+    return _calibrated(_recorded(trajectories), asked, effects, said["classes"], said["scheduler"])
 
 
 def _calibrated(

@@ -55,17 +55,7 @@ def put(place: int, words: Sequence[int]) -> None:
 
 
 def offer(place: int, make: Callable[[], Any], signature: Any) -> None:
-    """Offer a function at a place of the table, where compiled code finds its address.
-
-    Parameters
-    ----------
-    place : int
-        Place of one word.
-    make : callable
-        Returns the function, a `Kernel`. It is called when the address is first asked for.
-    signature : numba signature
-        Types of the function's arguments and of its result.
-    """
+    """Offer a function at a place of the table, where compiled code finds its address."""
     _functions[place] = lambda: address_of(make(), signature)
     _TABLE[place] = 0
 
@@ -183,19 +173,7 @@ def type_of(value: Any) -> Any:
 def calling(result: Any, *arguments: Any) -> tuple[Any, Any]:
     """Make a function that calls what stands in the table.
 
-    Parameters
-    ----------
-    result : numba type
-        Type of the result.
-    *arguments : numba type
-        Types of the arguments.
-
-    Returns
-    -------
-    signature : numba signature
-        As ``offer`` takes it.
-    call : intrinsic
-        (place, argument, ...) -> result, for compiled code.
+    Returns signature: as ``offer`` takes it; call: (place, argument, ...) -> result, for compiled code.
     """
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:

@@ -39,13 +39,7 @@ _ONLINE, _PARTS = "the online filter", 6
 
 
 def compile_all(tell: Callable[[str], None] = print) -> None:
-    """Do every kind of work that needs compiled code.
-
-    Parameters
-    ----------
-    tell : callable
-        Called with one line of text after each kind of work.
-    """
+    """Do every kind of work that needs compiled code."""
     compileall.compile_dir(Path(__file__).parent, quiet=2)  # says nothing where the package cannot be written
     for part, (what, carry_out) in enumerate(_work().items(), 1):
         _compile(part, what, carry_out, tell)

@@ -15,44 +15,12 @@ LARGEST_BYTES, DEEPEST = 50_000_000, 32
 
 
 def read_json(path: Path) -> Any:
-    """Read a JSON document.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    object
-        The document, as ``json.loads`` returns it. NaN and infinite numbers stay.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, is too large, or is no JSON.
-    """
+    """Read a JSON document. Raises InputError."""
     return parsed(path, json.loads, "JSON")
 
 
 def read_yaml(path: Path) -> Any:
-    """Read a YAML document without aliases.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    object
-        The document, as ``yaml.safe_load`` returns it.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, is too large or too deep, has aliases, or is no YAML.
-    """
+    """Read a YAML document without aliases. Raises InputError."""
     # Imported here: a document in JSON needs no YAML.
     import yaml
 
@@ -77,22 +45,7 @@ def read_yaml(path: Path) -> Any:
 
 
 def parsed(path: Path, parse: Callable[[str], Any], kind: str) -> Any:
-    """Read a file, check its size and depth, and parse it.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    parse : callable
-        Makes a document of the text. Raises ValueError, OverflowError or RecursionError.
-    kind : str
-        Name of the format, for messages.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, is too large or too deep, or cannot be parsed.
-    """
+    """Read a file, check its size and depth, and parse it. Raises InputError."""
     try:
         if path.exists() and not path.is_file():
             raise InputError(f"{path}: not a regular file; give a file")
@@ -111,25 +64,7 @@ def parsed(path: Path, parse: Callable[[str], Any], kind: str) -> Any:
 
 
 def number(value: Any, where: str) -> float:
-    """Return a finite number of a document.
-
-    Parameters
-    ----------
-    value : object
-        What stands in the document.
-    where : str
-        Where it stands, for the message.
-
-    Returns
-    -------
-    float
-        The number.
-
-    Raises
-    ------
-    InputError
-        For anything else than a finite number, or a text that is one.
-    """
+    """Return a finite number of a document. Raises InputError."""
     if isinstance(value, int | float | str) and not isinstance(value, bool):
         with suppress(OverflowError, ValueError):
             found = float(value)

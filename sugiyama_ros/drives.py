@@ -16,15 +16,9 @@ from sugiyama_ros.trajectories.tracks import Tracks
 class Drive:
     """A stretch of a driver's track, ready for the filter.
 
-    Parameters
-    ----------
-    stretch : Stretch
-        Who drives, and where the chain comes from.
-    chain : Chain
-        T samples of M vehicles, with the filtered vehicle behind.
-    scored : ndarray of bool, shape (T,)
-        Samples whose likelihood counts. The filter does not read this: whoever adds up its likelihoods leaves out the
-        others.
+    stretch: who drives, and where the chain comes from; chain: T samples of M vehicles, with the filtered vehicle
+    behind; scored: (T,), samples whose likelihood counts; the filter does not read this: whoever adds up its
+    likelihoods leaves out the others.
     """
 
     stretch: Stretch
@@ -33,37 +27,13 @@ class Drive:
 
 
 def drives(tracks: Tracks) -> Iterator[Drive]:
-    """Make the chains of all drivers.
-
-    Parameters
-    ----------
-    tracks : Tracks
-        Tracks with leaders. An unknown leader is in no chain, so that it never counts as a free road.
-
-    Yields
-    ------
-    Drive
-        One for each driver and stretch. The vehicles ahead start anew in the filter wherever they change.
-    """
+    """Make the chains of all drivers."""
     for stretch in stretches(tracks):
         yield Drive(stretch, chain_of(stretch), stretch.scored)
 
 
 def divided(drive: Drive, parts: int) -> Drive:
-    """Return a stretch with empty samples that divide its period.
-
-    Parameters
-    ----------
-    drive : Drive
-        T samples.
-    parts : int
-        Number of parts of each period.
-
-    Returns
-    -------
-    Drive
-        ``parts`` times as many samples. Nobody is there any more after the last measurement.
-    """
+    """Return a stretch with empty samples that divide its period."""
     if parts == 1:
         return drive
     chain, there = drive.chain, parts * (len(drive.scored) - 1) + 1
@@ -86,18 +56,7 @@ def divided(drive: Drive, parts: int) -> Drive:
 
 
 def chain_of(stretch: Stretch) -> Chain:
-    """The chain of one stretch.
-
-    Parameters
-    ----------
-    stretch : Stretch
-        T samples of M vehicles.
-
-    Returns
-    -------
-    Chain
-        The same vehicles, with the filtered track of the vehicle behind.
-    """
+    """The chain of one stretch."""
     behind = stretch.behind
     rear: Array = np.full((len(behind), 3), np.nan)
     if (behind[:, 0] >= 0).any():

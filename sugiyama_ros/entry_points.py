@@ -10,15 +10,7 @@ def entry_points(group: str) -> tuple[metadata.EntryPoint, ...]:
 
     The installed packages are searched once, because a search takes longer than loading all built-in extensions.
 
-    Parameters
-    ----------
-    group : str
-        Name of the group, for example ``sugiyama_ros.effects``.
-
-    Returns
-    -------
-    tuple of EntryPoint
-        Empty for a group that no package uses.
+    group: name of the group, for example ``sugiyama_ros.effects``.
     """
     return tuple(sorted(_installed().select(group=group), key=lambda point: point.name))
 

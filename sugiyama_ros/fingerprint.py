@@ -15,15 +15,7 @@ _FOREIGN = {"numpy", "numba", "llvmlite", "math", "cmath", "builtins", "typing",
 def reachable(function: Any) -> dict[int, Any]:
     """Find all that is compiled together with a function.
 
-    Parameters
-    ----------
-    function : callable
-        A Python function, or a compiled function with its Python function in ``py_func``.
-
-    Returns
-    -------
-    dict of int to object
-        The function and all functions and classes that it refers to, and that these refer to, by their ``id``.
+    function: a Python function, or a compiled function with its Python function in ``py_func``.
     """
     found: dict[int, Any] = {}
     waiting = [function]
@@ -40,17 +32,7 @@ def fingerprint(function: Any, also: Iterable[Any] = ()) -> str:
 
     Comments, docstrings, and the place of a function in its file do not matter.
 
-    Parameters
-    ----------
-    function : callable
-        As for ``reachable``.
-    also : iterable of object
-        Other functions or classes that matter, such as the class of an argument.
-
-    Returns
-    -------
-    str
-        A checksum. It changes with the function, with everything in ``reachable``, and with every constant there.
+    function: as for ``reachable``.
     """
     parts = {i: one for start in (function, *also) for i, one in reachable(start).items()}
     return hashlib.sha256("\n".join(sorted(_described(one)[0] for one in parts.values())).encode()).hexdigest()

@@ -34,16 +34,9 @@ _KINDS = {
 class Output:
     """A file to write.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    overwrite : bool
-        Whether a regular file of this name is replaced.
-    inputs : tuple of Path
-        Files that will be read. None of them may be the output.
-    may_be_read : bool
-        Whether the output may be a file that this program has read, see `sugiyama_ros.inputs`.
+    path: the file; overwrite: whether a regular file of this name is replaced; inputs: files that will be read; none of
+    them may be the output; may_be_read: whether the output may be a file that this program has read, see
+    `sugiyama_ros.inputs`.
     """
 
     path: Path
@@ -52,13 +45,7 @@ class Output:
     may_be_read: bool = False
 
     def check(self) -> None:
-        """Check that the file may be written. A command that takes long calls this first.
-
-        Raises
-        ------
-        OutputError
-            For a name that is no regular file, an input, or an existing file that may not be replaced.
-        """
+        """Check that the file may be written. A command that takes long calls this first. Raises OutputError."""
         if not _is_there(self.path):
             if not os.access(self.path.parent, os.W_OK | os.X_OK):
                 reason = "Permission denied" if self.path.parent.is_dir() else "No such directory"
@@ -86,22 +73,7 @@ def output_of(target: Target) -> Output:
 class Draft:
     """A file that is being written, under a random name beside its own.
 
-    Parameters
-    ----------
-    target : Path or Output
-        The file.
-
-    Attributes
-    ----------
-    path, part : Path
-        The file, and the unfinished file.
-    stream : binary file
-        Where to write.
-
-    Raises
-    ------
-    OutputError
-        If the file may not be written. All methods raise OSError where the disk refuses.
+    target: the file; path, part: the file, and the unfinished file; stream: where to write. Raises OutputError.
     """
 
     def __init__(self, target: Target) -> None:
@@ -119,13 +91,7 @@ class Draft:
         os.fsync(self.stream.fileno())
 
     def finish(self) -> None:
-        """Bring everything to the disk, and give the file its name.
-
-        Raises
-        ------
-        OutputError
-            If a file of this name has appeared since the beginning. What was written is then kept in ``part``.
-        """
+        """Bring everything to the disk, and give the file its name. Raises OutputError."""
         self.sync()
         inputs.note_own(self.stream.fileno())
         self.stream.close()
@@ -154,22 +120,7 @@ class Draft:
 
 @contextmanager
 def writing(target: Target) -> Iterator[BinaryIO]:
-    """Write a file that gets its name when the block ends, and is removed if the block fails.
-
-    Parameters
-    ----------
-    target : Path or Output
-        The file.
-
-    Yields
-    ------
-    binary file
-        Where to write.
-
-    Raises
-    ------
-    OutputError
-        If the file may not or cannot be written.
+    """Write a file that gets its name when the block ends, and is removed if the block fails. Raises OutputError.
 
     Examples
     --------
@@ -213,15 +164,7 @@ def make_directory(path: Path) -> None:
 def name_of_part(part: Path) -> Path | None:
     """Return the name that an unfinished file would have got; None if it is no unfinished file.
 
-    Parameters
-    ----------
-    part : Path
-        Such as ``out.mcap.3f9a1c07.part``.
-
-    Returns
-    -------
-    Path or None
-        Such as ``out.mcap``.
+    part: such as ``out.mcap.3f9a1c07.part``.
     """
     found = _PART.fullmatch(part.name)
     return part.with_name(found["name"]) if found else None
@@ -230,24 +173,7 @@ def name_of_part(part: Path) -> Path | None:
 def open_regular(path: Path, flags: int) -> int:
     """Open a regular file, or make it with ``os.O_CREAT``; never a pipe, a device or a link.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    flags : int
-        Flags of ``os.open``.
-
-    Returns
-    -------
-    int
-        File descriptor.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be opened.
-    OutputError
-        If the name is no regular file.
+    flags: flags of ``os.open``. Raises OSError, OutputError.
     """
     _is_there(path)
     # without O_NONBLOCK, a pipe that appears now would be waited for

@@ -16,14 +16,8 @@ BLUE, ORANGE, GREEN, GREY = "#0072b2", "#e69f00", "#009e73", "#7f7f7f"
 def space_time(figure: "Figure", time_s: Array, position_m: Array, speed: Array) -> None:
     """Draw trajectories in space and time, coloured by speed.
 
-    Parameters
-    ----------
-    figure : matplotlib.figure.Figure
-        Empty figure.
-    time_s : ndarray, shape (T,)
-        Times [s].
-    position_m, speed : ndarray, shape (T, N)
-        Positions [m], wrapped on a ring, and speeds [m/s]; NaN where unknown.
+    time_s: (T,), times [s]; position_m, speed: (T, N), positions [m], wrapped on a ring, and speeds [m/s]; naN where
+    unknown.
     """
     axes = figure.subplots()
     time = np.broadcast_to(time_s[:, None], position_m.shape)
@@ -34,18 +28,6 @@ def space_time(figure: "Figure", time_s: Array, position_m: Array, speed: Array)
 
 
 def bars(axes: Any, names: list[str], values: list[float], errors: list[float], label: str) -> None:
-    """Draw horizontal bars with error bars, the first bar on top.
-
-    Parameters
-    ----------
-    axes : matplotlib.axes.Axes
-        Empty axes.
-    names : list of str
-        Name of each bar.
-    values, errors : list of float
-        Length of each bar, and half the length of its error bar, in the unit of the axis.
-    label : str
-        Label of the horizontal axis.
-    """
+    """Draw horizontal bars with error bars, the first bar on top."""
     axes.barh(names[::-1], values[::-1], xerr=errors[::-1], color=BLUE, ecolor=GREY)
     axes.set(xlabel=label)

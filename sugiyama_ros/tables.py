@@ -19,17 +19,9 @@ def figure(value: float, digits: int = 3) -> str:
 class TextTable:
     """A table of text.
 
-    Parameters
-    ----------
-    title : str
-        Title above the table; empty for no title.
-    headings : tuple of str
-        Heading of each column.
-    rows : tuple of tuple of str
-        Cells of each row, one cell for each heading.
-    left : int
-        Number of columns that are aligned to the left, counted from the left. The other columns are aligned to the
-        right.
+    title: title above the table; empty for no title; headings: heading of each column; rows: cells of each row, one
+    cell for each heading; left: number of columns that are aligned to the left, counted from the left; the other
+    columns are aligned to the right.
     """
 
     title: str

@@ -30,22 +30,7 @@ _MANY = 500
 def workers(parts: int, scheduler: str | None = None) -> Iterator[Executor]:
     """Open an executor for work in independent parts, and close it at the end of the ``with`` block.
 
-    Parameters
-    ----------
-    parts : int
-        Number of parts. Few parts run on threads, many parts on processes.
-    scheduler : str, optional
-        Address of the scheduler of a Dask cluster; this machine does the work if left out.
-
-    Yields
-    ------
-    concurrent.futures.Executor
-        Executor on all processors of this machine, or on the cluster.
-
-    Raises
-    ------
-    InputError
-        If Dask is not installed, or if the scheduler does not answer.
+    Raises InputError.
     """
     if scheduler is not None:
         with _cluster(scheduler) as executor:
@@ -80,10 +65,7 @@ def _cluster(scheduler: str) -> Iterator[Executor]:
 def helpers(scheduler: str | None = None) -> Iterator[int | Executor]:
     """Yield who helps with a diagnosis: the number of processors of this machine, or the executor of a Dask cluster.
 
-    Raises
-    ------
-    InputError
-        As ``workers``.
+    Raises InputError.
     """
     if scheduler is None:
         yield os.cpu_count() or 1
@@ -96,17 +78,7 @@ def helpers(scheduler: str | None = None) -> Iterator[int | Executor]:
 def here_or_there(workers: int | Executor) -> Iterator[tuple[ThreadPoolExecutor, Executor | None]]:
     """Open threads of this machine, beside a cluster that may be there.
 
-    Parameters
-    ----------
-    workers : int or Executor
-        Number of threads; or the executor of a cluster, for as many threads as there are processors.
-
-    Yields
-    ------
-    here : ThreadPoolExecutor
-        The threads.
-    there : Executor or None
-        The cluster.
+    Yields here: the threads; there: the cluster.
     """
     threads = workers if isinstance(workers, int) else len(os.sched_getaffinity(0))
     with ThreadPoolExecutor(threads) as here:
@@ -118,21 +90,7 @@ def send(
 ) -> list[Future[_Result]]:
     """Start work on a Dask cluster.
 
-    Parameters
-    ----------
-    there : Executor
-        The cluster.
-    function : callable
-        Called with ``common`` and one item.
-    common : object
-        What all calls need; it is sent once to each worker.
-    items : iterable
-        The items.
-
-    Returns
-    -------
-    list of Future
-        One for each item.
+    function: called with ``common`` and one item.
     """
     from distributed import default_client
 
@@ -150,21 +108,8 @@ def in_turn(
 
     Neither this machine nor the scheduler of a cluster ever holds all items, and no task is large.
 
-    Parameters
-    ----------
-    function : callable
-        Called with one item.
-    items : iterable
-        The items, made when their turn comes; or what ``unpacked`` makes items of.
-    work : Executor or None
-        Makes the calls; without it, they are made one after the other.
-    unpacked : callable
-        Called with some of ``items``. What it returns is sent to a worker, which iterates over it.
-
-    Yields
-    ------
-    object
-        Results in the order of the items.
+    items: the items, made when their turn comes; or what ``unpacked`` makes items of; unpacked: called with some of
+    ``items``; what it returns is sent to a worker, which iterates over it.
     """
     if work is None:
         for item in items:
@@ -194,21 +139,7 @@ def at_once(
 
     While one item waits for its filters, another item uses the processors.
 
-    Parameters
-    ----------
-    function : callable
-        Called with one item.
-    items : sequence
-        The items.
-    what : str
-        Name of the work, for ``on_progress``.
-    on_progress : callable
-        Called after each item with the name of the work, the number of finished items and the number of all items.
-
-    Returns
-    -------
-    list
-        Results in the order of the items.
+    what: name of the work, for ``on_progress``.
     """
     results = []
     with ThreadPoolExecutor(_AT_ONCE) as pool:

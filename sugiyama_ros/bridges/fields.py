@@ -38,33 +38,15 @@ class Bridge:
 
     A path is such as ``pose.covariance[0]``.
 
-    Attributes
-    ----------
-    type : str
-        Type of the message, such as ``nav_msgs/msg/Odometry``.
-    objects : str
-        The list of objects in the message; empty if the message is one object. The other paths start at the object;
-        ``stamp`` and ``frame`` start at the message if the object does not have them.
-    id : str
-        Name or number of the vehicle; if empty, each topic is one vehicle.
-    x, y : str
-        Position [m] of the vehicle.
-    orientation, heading : str
-        Quaternion, or angle, of the direction in which the vehicle points.
-    heading_known : str
-        Path and value, such as ``orientation_availability=2``: the direction counts only where the field has the value.
-    length, vehicle_class : str
-        Length [m] and class of the vehicle.
-    var : str
-        Variance [m^2] of the position.
-    stamp, frame : str
-        Time stamp, and frame of the position. An empty ``stamp`` is the log time of a bag, or the time of receipt.
-    stamp_unit : {"s", "ms", "us", "ns"}
-        Unit of a stamp that is a number.
-    heading_unit : {"rad", "deg"}
-        Unit of ``heading``.
-    orientation_order : {"", "xyzw", "wxyz"}
-        Order of a quaternion that is an array of four numbers.
+    type: type of the message, such as ``nav_msgs/msg/Odometry``; objects: the list of objects in the message; empty if
+    the message is one object; the other paths start at the object; ``stamp`` and ``frame`` start at the message if the
+    object does not have them; id: name or number of the vehicle; if empty, each topic is one vehicle; x, y: position
+    [m] of the vehicle; orientation, heading: quaternion, or angle, of the direction in which the vehicle points;
+    heading_known: path and value, such as ``orientation_availability=2``: the direction counts only where the field has
+    the value; length, vehicle_class: length [m] and class of the vehicle; var: variance [m^2] of the position; stamp,
+    frame: time stamp, and frame of the position; an empty ``stamp`` is the log time of a bag, or the time of receipt;
+    stamp_unit: unit of a stamp that is a number; heading_unit: unit of ``heading``; orientation_order: order of a
+    quaternion that is an array of four numbers.
     """
 
     type: str
@@ -87,24 +69,7 @@ class Bridge:
     def seen(self, message: Any, topic: str, log_ns: int) -> Iterator[SeenVehicle]:
         """The vehicles in a message, from rclpy or from a bag.
 
-        Parameters
-        ----------
-        message : object
-            The message.
-        topic : str
-            Its topic. Objects of different topics are different vehicles, also if their ids are the same.
-        log_ns : int
-            Log time, or time of receipt [ns].
-
-        Yields
-        ------
-        SeenVehicle
-            Its name is empty if the message does not have one.
-
-        Raises
-        ------
-        InputError
-            For a message that does not have one of the fields.
+        log_ns: log time, or time of receipt [ns]. Raises InputError.
         """
         objects = look_up(message, self.objects, self) if self.objects else [message]
         if not isinstance(objects, Iterable):
@@ -213,18 +178,7 @@ def yaw(x: float, y: float, z: float, w: float) -> float:
 
 
 def read_bridge(path: Path) -> Bridge:
-    """Read a bridge for another message type from a YAML file.
-
-    Parameters
-    ----------
-    path : Path
-        YAML file with the attributes of `Bridge`.
-
-    Raises
-    ------
-    InputError
-        For a file that is no bridge.
-    """
+    """Read a bridge for another message type from a YAML file. Raises InputError."""
     document = read_yaml(path)
     known = {field.name for field in fields(Bridge)}
     if not isinstance(document, dict) or not {"type", "x", "y"} <= set(document) <= known:

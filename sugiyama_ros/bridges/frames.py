@@ -73,13 +73,7 @@ class Frames:
         return frame.lstrip("/") in self._moving
 
     def brought(self, seen: SeenVehicle, frame: str) -> SeenVehicle | Waiting | None:
-        """A vehicle as seen in another frame.
-
-        Returns
-        -------
-        SeenVehicle, EARLY or None
-            `EARLY` where the transforms that say how have not come yet; None where they are lost.
-        """
+        """A vehicle as seen in another frame."""
         own = seen.frame.lstrip("/")
         if not frame or own == frame:
             return seen

@@ -47,28 +47,7 @@ def tracks_of_bag(
 ) -> Tracks:
     """Read what a perception has seen from a bag.
 
-    Parameters
-    ----------
-    path : Path
-        MCAP file, or directory of rosbag2 with MCAP files.
-    pattern : str
-        Pattern of the topics' names, such as ``/car*/odom``.
-    lanes : RoadLanes
-        The road.
-    settings : PerceptionSettings
-        How vehicles are seen.
-    bridge : Bridge, optional
-        Bridge for a type of message that has none.
-
-    Returns
-    -------
-    Tracks
-        The vehicles on the road, with their lanes and leaders.
-
-    Raises
-    ------
-    InputError
-        Where the bag cannot be read, or has no such topics.
+    pattern: pattern of the topics' names, such as ``/car*/odom``. Raises InputError.
     """
     bag = recorded(path)
     known = BRIDGES | ({bridge.type: bridge} if bridge is not None else {})

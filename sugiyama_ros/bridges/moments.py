@@ -66,19 +66,11 @@ class Numbers:
 class Counts:
     """What became of what was seen.
 
-    Attributes
-    ----------
-    taken : int
-        Vehicles that are in a sample.
-    beside, late, unknown_frame : int
-        Vehicles that are not on the road; that were seen before the last sample; whose position is in a frame from
-        which nothing leads to the road's.
-    unnamed, doubled : int
-        Vehicles without an id, or with the id of another one in the same message.
-    unstamped, repeated : int
-        Vehicles whose stamp is 0, and which count as seen when the message came; with the stamp that they had before.
-    carried : int
-        Rows of vehicles without a sample.
+    taken: vehicles that are in a sample; beside, late, unknown_frame: vehicles that are not on the road; that were seen
+    before the last sample; whose position is in a frame from which nothing leads to the road's; unnamed, doubled:
+    vehicles without an id, or with the id of another one in the same message; unstamped, repeated: vehicles whose stamp
+    is 0, and which count as seen when the message came; with the stamp that they had before; carried: rows of vehicles
+    without a sample.
     """
 
     taken: int = 0
@@ -117,12 +109,7 @@ class Moments:
     After that it may be there or not, so whoever drove behind it has an unknown leader, for a minute at most. So has
     whoever sees nobody ahead in the first second.
 
-    Parameters
-    ----------
-    placer : Placer
-        Puts vehicles on lanes.
-    period_s : float
-        Time [s] between two samples.
+    placer: puts vehicles on lanes; period_s: time [s] between two samples.
     """
 
     placer: Placer

@@ -98,15 +98,6 @@ def rows_of(found: Sightings, grid: Grid, placer: Placer) -> tuple[Rows, Lost]:
     A hole in which a vehicle was not seen for more than 0.5 s, or one and a half of its own periods if that is more,
     stays a hole. A vehicle may drive on in its hole, and for a minute before and after it was seen: whoever would have
     it as leader has an unknown leader.
-
-    Parameters
-    ----------
-    found : Sightings
-        Sorted by stamp, with one sighting for each vehicle and time.
-    grid : Grid
-        The times.
-    placer : Placer
-        Puts vehicles on lanes.
     """
     parts, alone, interpolated, holes = [], 0, 0, 0
     for rows in found.steps():

@@ -50,19 +50,9 @@ _PROBLEMS = {
 class PerceptionSettings:
     """How vehicles are seen.
 
-    Parameters
-    ----------
-    period_s : float, optional
-        Time [s] between two samples of the road. By default that of the data of a bag, and 0.1 s of what comes live.
-    frame : str
-        Frame of the centre line; if empty, all positions are taken to be in it.
-    length_m : float
-        Length [m] of a vehicle of which nobody says it.
-
-    Raises
-    ------
-    InputError
-        For a period with which nobody is followed, or a length that is no positive number.
+    period_s: time [s] between two samples of the road; by default that of the data of a bag, and 0.1 s of what comes
+    live; frame: frame of the centre line; if empty, all positions are taken to be in it; length_m: length [m] of a
+    vehicle of which nobody says it. Raises InputError.
     """
 
     period_s: float | None = None
@@ -105,12 +95,7 @@ class _Clock(NamedTuple):
 class Perception:
     """Takes messages as they come, and gives out samples of the road.
 
-    Parameters
-    ----------
-    lanes : RoadLanes
-        The road.
-    settings : PerceptionSettings
-        How vehicles are seen.
+    lanes: the road; settings: how vehicles are seen.
     """
 
     lanes: RoadLanes

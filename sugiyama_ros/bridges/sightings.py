@@ -38,16 +38,9 @@ CLOCKS_APART_S, CLOCKS_DOUBTFUL_S = 1.0, 0.1
 class Sightings:
     """N sightings of vehicles, in the order of the log.
 
-    Parameters
-    ----------
-    stamp_ns, log_ns : ndarray of int, shape (N,)
-        When [ns] the vehicle was seen, and when that was recorded.
-    x_m, y_m, heading, length_m : ndarray, shape (N,)
-        As in `SeenVehicle`.
-    vehicle, topic, frame : ndarray of int, shape (N,)
-        Number of the vehicle, of the topic, and of the frame in these lists.
-    vehicles, topics, frames : tuple of str
-        Their names.
+    stamp_ns, log_ns: (N,), when [ns] the vehicle was seen, and when that was recorded; x_m, y_m, heading, length_m:
+    (N,), as in `SeenVehicle`; vehicle, topic, frame: (N,), number of the vehicle, of the topic, and of the frame in
+    these lists; vehicles, topics, frames: their names.
     """
 
     stamp_ns: Ints
@@ -82,12 +75,7 @@ _COLUMNS = ("stamp_ns", "log_ns", "x_m", "y_m", "heading", "length_m", "vehicle"
 class Collector:
     """Collects what the messages of a bag say. Raises InputError for more than a table may have.
 
-    Parameters
-    ----------
-    path : Path
-        The bag, for messages.
-    counts : Counts
-        What is left out is counted here.
+    path: the bag, for messages; counts: what is left out is counted here.
     """
 
     def __init__(self, path: Path, counts: Counts) -> None:
@@ -180,19 +168,8 @@ def _resets(stamp_ns: Ints, log_ns: Ints) -> list[int]:
 class Stamps:
     """Checks stamps against log times, and corrects those that cannot be right.
 
-    Parameters
-    ----------
-    path : Path
-        The bag, for messages.
-    bridges : dict
-        Bridge of each topic.
-
-    Attributes
-    ----------
-    notes : list of str
-        What was corrected.
-    repeated : int
-        Sightings that were left out because the vehicle has another one at the same time.
+    path: the bag, for messages; bridges: bridge of each topic; notes: what was corrected; repeated: sightings that were
+    left out because the vehicle has another one at the same time.
     """
 
     def __init__(self, path: Path, bridges: dict[str, Bridge]) -> None:
@@ -325,21 +302,7 @@ class Transforms(NamedTuple):
 def brought(sightings: Sightings, transforms: Iterator[Transforms], frame: str) -> tuple[Sightings, int]:
     """Bring sightings into a frame.
 
-    Parameters
-    ----------
-    sightings : Sightings
-        Sorted by stamp.
-    transforms : iterator of Transforms
-        In the order of the log, the static ones first.
-    frame : str
-        The frame.
-
-    Returns
-    -------
-    Sightings
-        Those that could be brought there.
-    int
-        How many could not.
+    Returns Sightings: those that could be brought there; int: how many could not.
     """
     known, kept = Frames(), np.zeros(len(sightings), dtype=bool)
     x_m, y_m, heading = sightings.x_m.copy(), sightings.y_m.copy(), sightings.heading.copy()

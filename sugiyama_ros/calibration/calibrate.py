@@ -37,25 +37,7 @@ def each_driver(
     The causal formulation makes two passes. The second pass gives the drivers ahead the
     parameters that the first pass found.
 
-    Parameters
-    ----------
-    trajectories : Trajectories
-        The recording of N drivers.
-    settings : Settings
-        What to estimate, and how to search.
-    work : Executor, optional
-        Runs the searches; without an executor, the searches run one after the other.
-    kept : Path, optional
-        File that keeps the fits, so that a stopped calibration can continue.
-    on_progress : callable
-        Called after each fit with the number of finished fits and the number of all fits.
-
-    Raises
-    ------
-    InputError
-        For an unknown parameter, or for data that the formulation cannot use.
-    OutputError
-        If ``kept`` cannot be written.
+    Raises InputError, OutputError.
     """
     passes, drivers = 1 if settings.formulation == "paper" else 2, len(trajectories.vehicle)
     maker = JobMaker(trajectories, settings.formulation, settings.estimated, {})
@@ -117,29 +99,7 @@ def _one_pass(
 
 
 def in_classes(trajectories: Trajectories, settings: Settings, count: int, work: Executor) -> Calibration:
-    """Calibrate classes of drivers. The drivers of a class share all parameters.
-
-    Parameters
-    ----------
-    trajectories : Trajectories
-        The recording of N drivers.
-    settings : Settings
-        Formulation, parameters to estimate, and seed. The other settings do not change the fit.
-    count : int
-        Number of classes.
-    work : Executor
-        Runs the searches.
-
-    Returns
-    -------
-    Calibration
-        The drivers, each with the parameters of the most probable class, and the classes.
-
-    Raises
-    ------
-    InputError
-        If there are fewer drivers than classes.
-    """
+    """Calibrate classes of drivers. The drivers of a class share all parameters. Raises InputError."""
     drivers = len(trajectories.vehicle)
     if drivers < count:
         raise InputError(f"{trajectories.source}: {drivers} drivers, {count} classes; give --classes {drivers} at most")
@@ -169,27 +129,7 @@ def pooled(trajectories: Trajectories, settings: Settings, effects: Sequence[str
 
     The distribution of the parameters over the population is estimated from the same drivers (empirical Bayes).
 
-    Parameters
-    ----------
-    trajectories : Trajectories
-        The recording of N drivers.
-    settings : Settings
-        Parameters to estimate, and the law by which the drivers drive; of another law than the paper's, all of its
-        parameters and the noises are estimated. The other settings do not change the fit.
-    effects : sequence of str
-        Names of the effects that are fitted together with the parameters.
-    work : Executor
-        Runs the searches.
-
-    Returns
-    -------
-    Calibration
-        The drivers, with the effects in their rows.
-
-    Raises
-    ------
-    InputError
-        For an unknown effect, or a recording that is too short.
+    Raises InputError.
     """
     # Imported here: drivers who are calibrated alone need no search for effects, which takes long to load.
     from sugiyama_ros.diagnosis.refine import with_named

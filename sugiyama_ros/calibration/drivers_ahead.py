@@ -16,16 +16,9 @@ from sugiyama_ros.trajectories.tracks import Tracks
 class DriversAhead:
     """Parameters of the drivers ahead.
 
-    Parameters
-    ----------
-    tracks : Tracks
-        The tracks on the time base of the stretches.
-    typical : ndarray, shape (P,)
-        Parameters of a driver of whom nothing is known.
-    known : mapping of (str, str) to ndarray, shape (P,)
-        Parameters of calibrated drivers by recording and vehicle.
-    of_class : callable, optional
-        Returns the parameters (P,) of a class of vehicles; the typical ones if left out.
+    tracks: the tracks on the time base of the stretches; typical: (P,), parameters of a driver of whom nothing is
+    known; known: (P,), parameters of calibrated drivers by recording and vehicle; of_class: returns the parameters (P,)
+    of a class of vehicles; the typical ones if left out.
     """
 
     def __init__(
@@ -39,22 +32,7 @@ class DriversAhead:
         self.of_class = of_class or (lambda _: typical)
 
     def of(self, drivers: Sequence[Sequence[Drive]], fits: Sequence[Fit], estimated: Sequence[str]) -> "DriversAhead":
-        """Return the parameters of calibrated drivers, and of their classes.
-
-        Parameters
-        ----------
-        drivers : sequence of sequence of Drive
-            Stretches of each driver.
-        fits : sequence of Fit
-            Estimate of each driver.
-        estimated : sequence of str
-            Names of the estimated parameters.
-
-        Returns
-        -------
-        DriversAhead
-            A driver who is not calibrated has the parameters of their class.
-        """
+        """Return the parameters of calibrated drivers, and of their classes."""
         stretches = [own[0].stretch for own in drivers]
         known = {(one.recording, one.vehicle): fit.parameters for one, fit in zip(stretches, fits, strict=True)}
         classes = medians_of([(one.vehicle_class, None) for one in stretches], fits, estimated)

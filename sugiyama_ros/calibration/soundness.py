@@ -19,20 +19,7 @@ LARGEST_ERROR_M = 1000.0
 def mean_nis(calibration: Calibration) -> Array:
     """Mean of the squared normalised innovations of each driver in the causal filter.
 
-    Parameters
-    ----------
-    calibration : Calibration
-        N calibrated drivers.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        1 for a filter that knows its own errors; NaN for a driver without a scored sample.
-
-    Raises
-    ------
-    InputError
-        If the filter has lost a vehicle: a one-step error is beyond 1 km, or not a number.
+    Returns (N,), 1 for a filter that knows its own errors; naN for a driver without a scored sample. Raises InputError.
     """
     t, found = calibration.trajectories, []
     jobs = [ChainJob(chain_behind(t, i), row) for i, row in enumerate(calibration.rows)]

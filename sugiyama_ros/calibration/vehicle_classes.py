@@ -22,18 +22,9 @@ from sugiyama_ros.trajectories.tracks import Tracks
 class BriefDriver:
     """A driver who follows too briefly for parameters of their own, with the parameters of the class.
 
-    Parameters
-    ----------
-    recording, vehicle, vehicle_class : str
-        Who drives; empty where the tracks do not say.
-    following_s : float
-        Time [s] that counts.
-    parameters : ndarray, shape (P,)
-        Parameters of the class.
-    log_likelihood : float
-        Log-likelihood of the driver's samples with these parameters [nats].
-    nis : float
-        Mean of the squared normalised innovations with these parameters.
+    recording, vehicle, vehicle_class: who drives; empty where the tracks do not say; following_s: time [s] that counts;
+    parameters: (P,), parameters of the class; log_likelihood: log-likelihood of the driver's samples with these
+    parameters [nats]; nis: mean of the squared normalised innovations with these parameters.
     """
 
     recording: str
@@ -49,16 +40,9 @@ class BriefDriver:
 class ClassMedians:
     """What drivers of a class, or of a class behind another class, have in common.
 
-    Parameters
-    ----------
-    vehicle_class : str
-        Class of the drivers' vehicles.
-    leader_class : str or None
-        Class of the vehicles ahead; None for all of them.
-    drivers : int
-        Number of drivers.
-    medians : mapping of str to float or None
-        Median of each estimated parameter, over the drivers for whom it is identified; None without any.
+    vehicle_class: class of the drivers' vehicles; leader_class: class of the vehicles ahead; none for all of them;
+    drivers: number of drivers; medians: median of each estimated parameter, over the drivers for whom it is identified;
+    none without any.
     """
 
     vehicle_class: str
@@ -74,20 +58,7 @@ class ClassMedians:
 
 
 def leader_class(tracks: Tracks, own: Sequence[Drive]) -> str:
-    """Return the class of the vehicle ahead of a driver in most scored samples; empty where it is not known.
-
-    Parameters
-    ----------
-    tracks : Tracks
-        The tracks on the time base of the stretches.
-    own : sequence of Drive
-        The driver's stretches.
-
-    Returns
-    -------
-    str
-        The class.
-    """
+    """Return the class of the vehicle ahead of a driver in most scored samples; empty where it is not known."""
     if tracks.vehicle_class is None:
         return ""
     seen: Counter[str] = Counter()
@@ -102,22 +73,7 @@ def leader_class(tracks: Tracks, own: Sequence[Drive]) -> str:
 def medians_of(
     groups: Sequence[tuple[str, str | None]], fits: Sequence[Fit], estimated: Sequence[str]
 ) -> tuple[ClassMedians, ...]:
-    """Return the medians of each group of drivers.
-
-    Parameters
-    ----------
-    groups : sequence of (str, str or None)
-        Group of each driver: own class, and class of the vehicle ahead or None.
-    fits : sequence of Fit
-        Estimate of each driver.
-    estimated : sequence of str
-        Names of the estimated parameters.
-
-    Returns
-    -------
-    tuple of ClassMedians
-        In alphabetical order.
-    """
+    """Return the medians of each group of drivers."""
     found = []
     for group in sorted(set(groups), key=lambda one: (one[0], one[1] or "")):
         own = [fit for fit, of in zip(fits, groups, strict=True) if of == group]
@@ -132,19 +88,7 @@ def medians_of(
 def rows_of_classes(classes: Sequence[ClassMedians], everybody: ClassMedians, typical: Array) -> Callable[[str], Array]:
     """Return what gives the parameters (P,) of a class of vehicles.
 
-    Parameters
-    ----------
-    classes : sequence of ClassMedians
-        The classes.
-    everybody : ClassMedians
-        All calibrated drivers, for what no driver of a class tells.
-    typical : ndarray, shape (P,)
-        Parameters for what nobody tells, and for what was not estimated.
-
-    Returns
-    -------
-    callable
-        Takes the name of a class; a class without a calibrated driver has the parameters of everybody.
+    typical: (P,), parameters for what nobody tells, and for what was not estimated.
     """
 
     def row_of(*sources: ClassMedians) -> Array:
@@ -161,19 +105,7 @@ def rows_of_classes(classes: Sequence[ClassMedians], everybody: ClassMedians, ty
 def brief_driver(own: Sequence[Drive], row: Array, ahead: Sequence[Array]) -> BriefDriver:
     """Give a driver who follows too briefly the parameters of the class.
 
-    Parameters
-    ----------
-    own : sequence of Drive
-        The driver's stretches.
-    row : ndarray, shape (P,)
-        Parameters of the class.
-    ahead : sequence of ndarray, shape (M - 1, P)
-        Parameters of the drivers ahead on each stretch.
-
-    Returns
-    -------
-    BriefDriver
-        The driver.
+    row: (P,), parameters of the class; ahead: (M - 1, P), parameters of the drivers ahead on each stretch.
     """
     squares, densities, samples = [], [], 0
     jobs = [ChainJob(d.chain, row, rows) for d, rows in zip(own, ahead, strict=True)]

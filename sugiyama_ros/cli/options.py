@@ -90,14 +90,7 @@ def _parameter(field: "dataclasses.Field[object]", annotation: object) -> inspec
 def command_line(name: str, options: Callable[..., object], **values: object) -> str:
     """The command that somebody can paste to run a command with these values of its arguments and options.
 
-    Parameters
-    ----------
-    name : str
-        Name of the command.
-    options : callable
-        Its function, or the class of its options, as for ``takes``.
-    **values
-        Values by the names of the fields. Those that are the default are left out.
+    options: its function, or the class of its options, as for ``takes``.
     """
     hints, parameters = get_type_hints(options, include_extras=True), inspect.signature(options).parameters
     arguments, rest = [], []

@@ -136,15 +136,7 @@ def force_along(covariate: str, first: float, last: float) -> Candidate:
 def check_names(names: Sequence[str]) -> None:
     """Check that names are those of effects, of their forms, of groups of constants, or of forces without a name.
 
-    Parameters
-    ----------
-    names : sequence of str
-        The names.
-
-    Raises
-    ------
-    InputError
-        For a name that is none of them. The message lists what can be given.
+    Raises InputError.
     """
     constants = [one.name for one in CONSTANTS]
     for name in names:

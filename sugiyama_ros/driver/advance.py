@@ -9,16 +9,7 @@ from sugiyama_ros.jit import kernel
 def advance(position: Any, speed: Any, acceleration: Any, period: float) -> tuple[Any, Any]:
     """Advance vehicles by one period.
 
-    Parameters
-    ----------
-    position, speed, acceleration : float or ndarray
-        Position [m], speed [m/s] and acceleration [m/s^2] at the beginning of the period; all of one shape.
-    period : float
-        Length of the period [s].
-
-    Returns
-    -------
-    position, speed : float or ndarray
-        Position [m] and speed [m/s] at the end of the period.
+    position, speed, acceleration: position [m], speed [m/s] and acceleration [m/s^2] at the beginning of the period;
+    all of one shape; period: length of the period [s]. Returns position [m] and speed [m/s] at the end of the period.
     """
     return position + period * speed, speed + period * acceleration

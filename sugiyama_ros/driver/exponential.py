@@ -85,15 +85,7 @@ def exponential(x: float) -> float:
     polynomials of degree 10 that begin with 1 + r, the one with the smallest largest relative error (3e-16, by Remez'
     algorithm). Its terms are added in a tree (Estrin's scheme), so that few operations wait for one another.
 
-    Parameters
-    ----------
-    x : float
-        At most 700. Numbers below ``LOWEST`` count as ``LOWEST``.
-
-    Returns
-    -------
-    float
-        exp(x).
+    x: at most 700; numbers below ``LOWEST`` count as ``LOWEST``.
 
     References
     ----------

@@ -55,14 +55,9 @@ _UNUSED = (FAR, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, -1.0, 1.0)
 class ActionGrid(NamedTuple):
     """The actions that drivers consider, at one period.
 
-    Parameters
-    ----------
-    actions : ndarray, shape (K,)
-        Accelerations [m/s^2], evenly spaced.
-    backward : ndarray, shape (K,)
-        Factor of the cost of driving backward after one period of each action; ``backward_penalty`` is exponential.
-    braking : int
-        Number of actions up to the last one that is negative.
+    actions: (K,), accelerations [m/s^2], evenly spaced; backward: (K,), factor of the cost of driving backward after
+    one period of each action; ``backward_penalty`` is exponential; braking: number of actions up to the last one that
+    is negative.
     """
 
     actions: Array
@@ -111,16 +106,7 @@ def put(block: Array, lane: int, gap: float, speed: float, leader_speed: float, 
 def value_actions(block: Array, grid: ActionGrid, period: float, horizon: int) -> None:
     """Compute the effective utility of every action in every lane, and the largest; Eq. EffectiveUtilityTilde.
 
-    Parameters
-    ----------
-    block : ndarray
-        One row of ``blocks_for``; ``put`` has filled its lanes.
-    grid : ActionGrid
-        The actions.
-    period : float
-        Length of a period [s].
-    horizon : int
-        Periods of look-ahead.
+    block: one row of ``blocks_for``; ``put`` has filled its lanes; period: length of a period [s].
     """
     actions = grid.actions
     first, last = actions[0], actions[len(actions) - 1]
@@ -316,14 +302,8 @@ offer(_CONCLUDE_ROUGH, lambda: conclude_actions, _of_conclude_rough)
 class Lanes(NamedTuple):
     """Where drivers consider their actions.
 
-    Parameters
-    ----------
-    blocks, rough : ndarray
-        Blocks in double precision, and in single precision; one of them has length 0.
-    grid : ActionGrid
-        The actions.
-    added : ndarray, shape (K,)
-        Overwritten.
+    blocks, rough: blocks in double precision, and in single precision; one of them has length 0; grid: the actions;
+    added: (K,), overwritten.
     """
 
     blocks: Array

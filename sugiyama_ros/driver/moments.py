@@ -31,20 +31,10 @@ _V_STAR, _KAPPA_V, _KAPPA_1, _KAPPA_C, _KAPPA_D, _OMEGA_2, _RATIONALITY = range(
 class Considered(NamedTuple):
     """Every action at every moment of a block, for the derivatives.
 
-    Parameters
-    ----------
-    ratio : ndarray, shape (K, B)
-        Smallest ratio of gap to gap scale in the look-ahead, for K actions at B moments.
-    per_metre : ndarray, shape (K, B)
-        Reciprocal of the gap scale [1/m].
-    tau : ndarray, shape (K, B)
-        Periods ahead at which the ratio is smallest.
-    reward, risk : ndarray, shape (K, B)
-        First term of phi1, and phi2.
-    utility : ndarray, shape (K, B)
-        Effective utility.
-    weight : ndarray, shape (K, B)
-        Boltzmann weight relative to the weight of the best action.
+    ratio: (K, B), smallest ratio of gap to gap scale in the look-ahead, for K actions at B moments; per_metre: (K, B),
+    reciprocal of the gap scale [1/m]; tau: (K, B), periods ahead at which the ratio is smallest; reward, risk: (K, B),
+    first term of phi1, and phi2; utility: (K, B), effective utility; weight: (K, B), boltzmann weight relative to the
+    weight of the best action.
     """
 
     ratio: Array
@@ -227,24 +217,11 @@ def mean_actions(
 
     The derivative of a Boltzmann mean is a covariance: d mean(a) = lambda cov(a, d utility).
 
-    Parameters
-    ----------
-    gap, speed, leader_speed : ndarray, shape (T,)
-        Gap [m], infinite without a leader, speed [m/s] and leader's speed [m/s] at T moments.
-    parameters : ndarray, shape (P,)
-        Parameters of the driver at this period.
-    actions : ndarray, shape (K,)
-        Accelerations [m/s^2] that the driver considers.
-    period : float
-        Length of a period [s].
-    periods_ahead : tuple of int
-        Periods of the look-ahead, 1 to h; a tuple, so that compilers unroll the loop over it.
-    wanted : ndarray, shape (7,)
-        Whether each derivative is computed; the other derivatives are 0.
-    mean : ndarray, shape (T,)
-        Filled with the mean actions [m/s^2].
-    partials : ndarray, shape (T, 7)
-        Filled with the derivatives of the mean actions by the parameters in ``UTILITY``.
+    gap, speed, leader_speed: (T,), gap [m], infinite without a leader, speed [m/s] and leader's speed [m/s] at T
+    moments; parameters: (P,), parameters of the driver at this period; actions: (K,), accelerations [m/s^2] that the
+    driver considers; period: length of a period [s]; wanted: (7,), whether each derivative is computed; the other
+    derivatives are 0; mean: (T,), filled with the mean actions [m/s^2]; partials: (T, 7), filled with the derivatives
+    of the mean actions by the parameters in ``UTILITY``.
     """
     driver, shape = preferences(parameters), (len(actions), BLOCK)
     v_star, rationality, factors = driver[0], driver[-1], _factors(driver)

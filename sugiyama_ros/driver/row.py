@@ -19,18 +19,9 @@ from sugiyama_ros.errors import InputError
 class RowLayout:
     """Where each parameter of laws and effects stands in a driver's row.
 
-    Parameters
-    ----------
-    law : int
-        Index of the entry that holds the number of the law.
-    law_places : mapping of str to slice
-        Entries of each law's parameters, by the name of the law.
-    places : mapping of str to slice
-        Entries of each effect's parameters, by the name of the effect.
-    entries : tuple of str
-        Name of every entry. The parameters of laws and effects have names like ``drag.c0``.
-    declared : tuple of Parameter
-        Declaration of every entry.
+    law: index of the entry that holds the number of the law; law_places: entries of each law's parameters, by the name
+    of the law; places: entries of each effect's parameters, by the name of the effect; entries: name of every entry;
+    the parameters of laws and effects have names like ``drag.c0``; declared: declaration of every entry.
     """
 
     law: int
@@ -41,18 +32,7 @@ class RowLayout:
 
     @classmethod
     def of(cls, laws: Mapping[str, Sequence[Parameter]], effects: Mapping[str, Sequence[Parameter]]) -> "RowLayout":
-        """Lay out a row for laws and effects.
-
-        Parameters
-        ----------
-        laws, effects : mapping of str to sequence of Parameter
-            Declared parameters of each law and of each effect, by name, in the order of the row.
-
-        Returns
-        -------
-        RowLayout
-            The layout.
-        """
+        """Lay out a row for laws and effects."""
         declared = [*PARAMETERS, Parameter("law", "", "1", 0.0, 0.0, float(len(laws)), "number of the law")]
         entries = [p.name for p in declared]
 
@@ -73,13 +53,7 @@ class RowLayout:
         return len(self.entries)
 
     def index_of(self, effect: str, parameter: str) -> int:
-        """Return the index of an effect's parameter in a row.
-
-        Raises
-        ------
-        InputError
-            If the effect has no such parameter. The message lists the parameters.
-        """
+        """Return the index of an effect's parameter in a row. Raises InputError."""
         places = self.places[effect]
         names = [p.name for p in self.declared[places]]
         if parameter not in names:
@@ -95,15 +69,8 @@ class RowLayout:
     def with_effects(self, parameters: Array) -> Array:
         """Make rows from parameters, with every effect switched off.
 
-        Parameters
-        ----------
-        parameters : ndarray, shape (..., P) or (..., width)
-            Parameters of drivers, or rows, which keep their effects.
-
-        Returns
-        -------
-        ndarray, shape (..., width)
-            Rows; a copy.
+        parameters: (..., P) or (..., width), parameters of drivers, or rows, which keep their effects. Returns (...,
+        width), rows; a copy.
         """
         row = np.zeros((*parameters.shape[:-1], self.width))
         row[..., : parameters.shape[-1]] = parameters

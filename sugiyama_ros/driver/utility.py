@@ -72,17 +72,8 @@ def desired_speed_reward(speed: float, v_star: float, kappa_1: float) -> float:
 def gap_scale(speed: float, leader_speed: float, kappa_c: float, kappa_v: float, kappa_d: float) -> float:
     """Compute sigma, the gap within which a driver feels at risk; text below Eq. PairwiseCollisionPenalty.
 
-    Parameters
-    ----------
-    speed, leader_speed : float
-        Speeds of the driver and of the leader [m/s].
-    kappa_c, kappa_v, kappa_d : float
-        Gap scale at standstill [m], per speed [s] and per closing speed [s].
-
-    Returns
-    -------
-    float
-        Gap scale [m].
+    speed, leader_speed: speeds of the driver and of the leader [m/s]; kappa_c, kappa_v, kappa_d: gap scale at
+    standstill [m], per speed [s] and per closing speed [s]. Returns gap scale [m].
     """
     closing = speed - leader_speed
     return kappa_c + kappa_v * abs(speed) + kappa_d * (closing if closing > 0.0 else 0.0)
@@ -103,21 +94,8 @@ def anticipate(
 
     Euler's rule as in Eq. ssm_form: x_{t+1} = x_t + dt v_t, v_{t+1} = v_t + dt a.
 
-    Parameters
-    ----------
-    action : float
-        Acceleration [m/s^2] that the driver holds.
-    tau : float
-        Number of periods ahead.
-    gap, speed, leader_speed : float
-        Gap [m] and speeds [m/s] now.
-    period : float
-        Length of a period [s].
-
-    Returns
-    -------
-    gap, speed : float
-        Gap [m] and speed [m/s] after ``tau`` periods.
+    action: acceleration [m/s^2] that the driver holds; gap, speed, leader_speed: gap [m] and speeds [m/s] now; period:
+    length of a period [s]. Returns gap [m] and speed [m/s] after ``tau`` periods.
     """
     gap_ahead = gap + period * tau * (leader_speed - speed) - period * period * action * (0.5 * tau * (tau - 1))
     return gap_ahead, speed + tau * period * action
@@ -154,19 +132,8 @@ def reward_and_risk(next_speed: float, gap: float, scale: float, driver: Prefere
     The penalty F falls as its argument grows. So the largest penalty in the look-ahead, g2 of section 3.2.2, is the
     penalty at the smallest ratio of gap to scale.
 
-    Parameters
-    ----------
-    next_speed : float
-        Speed [m/s] after one period.
-    gap, scale : float
-        Gap [m] and its scale [m] where their ratio is smallest in the look-ahead.
-    driver : Preferences
-        Parameters of the utility.
-
-    Returns
-    -------
-    float
-        g1 of the first term of phi1, plus omega2 times g2 of phi2.
+    next_speed: speed [m/s] after one period; gap, scale: gap [m] and its scale [m] where their ratio is smallest in the
+    look-ahead.
     """
     v_star, _, kappa_1, _, _, omega_2, _ = driver
     return forward_reward(next_speed, v_star, kappa_1) + omega_2 * collision_penalty(gap / scale)
@@ -215,18 +182,8 @@ def utilities(
     functions take the whole scratch array, and their caller is inlined; otherwise compiled code would count references
     to arrays.
 
-    Parameters
-    ----------
-    gap, speed, leader_speed : float
-        Gap [m], infinite without a leader, speed [m/s] and leader's speed [m/s].
-    driver : Preferences
-        Parameters of the utility.
-    scratch : ndarray, shape (5, at least K)
-        Made by ``scratch_for``. UTILITY_ROW is filled with the utilities.
-    period : float
-        Length of a period [s].
-    horizon : int
-        Periods of look-ahead.
+    gap, speed, leader_speed: gap [m], infinite without a leader, speed [m/s] and leader's speed [m/s]; scratch: (5, at
+    least K), made by ``scratch_for``; UTILITY_ROW is filled with the utilities; period: length of a period [s].
     """
     _smallest_gaps(min(gap, FAR), speed, leader_speed, driver, scratch, period, horizon)
     _add_up(speed, driver, scratch, period)
@@ -267,17 +224,7 @@ def _sum(scratch: Array, row: int) -> float:
 def boltzmann_mean(scratch: Array, rationality: float) -> float:
     """Compute the Boltzmann mean of the actions.
 
-    Parameters
-    ----------
-    scratch : ndarray, shape (5, at least K)
-        Filled by ``utilities``.
-    rationality : float
-        lambda of the paper; the larger, the closer the mean is to the best action.
-
-    Returns
-    -------
-    float
-        Mean action [m/s^2].
+    scratch: (5, at least K), filled by ``utilities``. Returns mean action [m/s^2].
     """
     best = _best(scratch)
     for k in range(scratch.shape[1]):
@@ -291,16 +238,8 @@ def boltzmann_mean(scratch: Array, rationality: float) -> float:
 def scratch_for(actions: Array) -> Array:
     """Make the array in which a driver considers the actions, moment after moment.
 
-    Parameters
-    ----------
-    actions : ndarray, shape (K,)
-        Accelerations [m/s^2] that the driver considers.
-
-    Returns
-    -------
-    ndarray, shape (5, at least K)
-        Rows: utilities; actions; 0 for an action, and a very low utility for an entry that only fills up the row; two
-        rows for intermediate results.
+    actions: (K,), accelerations [m/s^2] that the driver considers. Returns (5, at least K), rows: utilities; actions; 0
+    for an action, and a very low utility for an entry that only fills up the row; two rows for intermediate results.
     """
     count = len(actions)
     scratch = np.zeros((5, -(-count // _LANES) * _LANES))
@@ -327,22 +266,8 @@ def mean_action(
 ) -> float:
     """Compute the Boltzmann mean of the actions; Eqs. MeanAction to PartitionFunction.
 
-    Parameters
-    ----------
-    gap, speed, leader_speed : float
-        Gap [m], infinite without a leader, speed [m/s] and leader's speed [m/s].
-    parameters : ndarray, shape (P,)
-        Parameters of the driver at this period.
-    actions : ndarray, shape (K,)
-        Accelerations [m/s^2] that the driver considers.
-    period : float
-        Length of a period [s].
-    horizon : int
-        Periods of look-ahead.
-
-    Returns
-    -------
-    float
-        Mean action [m/s^2].
+    gap, speed, leader_speed: gap [m], infinite without a leader, speed [m/s] and leader's speed [m/s]; parameters:
+    (P,), parameters of the driver at this period; actions: (K,), accelerations [m/s^2] that the driver considers;
+    period: length of a period [s]. Returns mean action [m/s^2].
     """
     return considered_action(gap, speed, leader_speed, parameters, scratch_for(actions), period, horizon)

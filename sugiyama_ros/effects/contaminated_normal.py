@@ -11,22 +11,9 @@ def contaminated_normal(
 ) -> tuple[float, float, float]:
     """Weigh a sample from a mixture of good and bad measurements.
 
-    Parameters
-    ----------
-    innovation : float
-        Measured minus predicted position [m].
-    variance : float
-        Variance [m^2] of the innovation of a good measurement.
-    noise_var : float
-        Variance [m^2] of the noise of a good measurement.
-    share, factor : float
-        Share of bad measurements among all measurements, and std of their noise over the std of the good noise.
-
-    Returns
-    -------
-    probability, wide, density : float
-        Probability that the sample is bad, variance [m^2] of the innovation of a bad sample, and log-likelihood of the
-        sample.
+    innovation: measured minus predicted position [m]; variance: variance [m^2] of the innovation of a good measurement;
+    noise_var: variance [m^2] of the noise of a good measurement. Returns probability that the sample is bad, variance
+    [m^2] of the innovation of a bad sample, and log-likelihood of the sample.
 
     References
     ----------

@@ -59,17 +59,8 @@ LOOKING_BACK = np.array([ROW.places[e.name].start for e in EFFECTS.values() if e
 def law_acceleration(gap: float, speed: float, leader_speed: float, row: Array) -> float:
     """Compute the acceleration by the law of a driver's row; not for adaptiveSeek, which needs a scratch array.
 
-    Parameters
-    ----------
-    gap, speed, leader_speed : float
-        Gap [m], infinite without a leader, speed [m/s] and leader's speed [m/s].
-    row : ndarray, shape (width,)
-        Row of the driver.
-
-    Returns
-    -------
-    float
-        Acceleration [m/s^2]; NaN if no law has the number in the row.
+    gap, speed, leader_speed: gap [m], infinite without a leader, speed [m/s] and leader's speed [m/s]; row: (width,),
+    row of the driver. Returns acceleration [m/s^2]; naN if no law has the number in the row.
     """
     for f in range(first_of(LAW), end_of(LAW), WORDS):
         if has_number(f, row[_LAW]):
@@ -172,23 +163,9 @@ def act(action: float, seen: Seen, row: Array) -> tuple[float, float]:
 def intend(seen: Seen, row: Array, scratch: Array, period: float, horizon: int) -> tuple[float, float]:
     """Compute the acceleration that the driver intends, and the acceleration that the environment adds.
 
-    Parameters
-    ----------
-    seen : Seen
-        What the driver can see.
-    row : ndarray, shape (width,)
-        Row of the driver at this period.
-    scratch : ndarray, shape (5, at least K)
-        Made by ``scratch_for`` from the K actions that the driver considers.
-    period : float
-        Length of the period [s].
-    horizon : int
-        Periods of look-ahead.
-
-    Returns
-    -------
-    meant, pushed : float
-        Acceleration [m/s^2] that the driver intends, and acceleration [m/s^2] that the environment adds.
+    row: (width,), row of the driver at this period; scratch: (5, at least K), made by ``scratch_for`` from the K
+    actions that the driver considers; period: length of the period [s]. Returns acceleration [m/s^2] that the driver
+    intends, and acceleration [m/s^2] that the environment adds.
     """
     perceived = perceive(seen, row)
     gap, speed, leader_speed = perceived.gap, perceived.speed, perceived.leader_speed
@@ -208,19 +185,8 @@ def intend(seen: Seen, row: Array, scratch: Array, period: float, horizon: int) 
 def carry_out(meant: float, held: float, row: Array, period: float) -> float:
     """Compute the acceleration that the driver makes the car do.
 
-    Parameters
-    ----------
-    meant, held : float
-        Intended acceleration [m/s^2], and ``carry_out`` [m/s^2] of the last period.
-    row : ndarray, shape (width,)
-        Row of the driver at this period.
-    period : float
-        Length of the period [s].
-
-    Returns
-    -------
-    float
-        Acceleration [m/s^2].
+    meant, held: intended acceleration [m/s^2], and ``carry_out`` [m/s^2] of the last period; row: (width,), row of the
+    driver at this period; period: length of the period [s]. Returns acceleration [m/s^2].
     """
     if not acts(CHANGE, row):
         return meant
@@ -235,20 +201,9 @@ def carry_out(meant: float, held: float, row: Array, period: float) -> float:
 def expect_change(wanted: float, variance: float, row: Array, period: float) -> tuple[float, float, float]:
     """Compute the moments of the change of the acceleration that the driver carries out.
 
-    Parameters
-    ----------
-    wanted, variance : float
-        Mean [m/s^2] and variance [m^2/s^4] of the wanted change, which has a normal distribution.
-    row : ndarray, shape (width,)
-        Row of the driver at this period.
-    period : float
-        Length of the period [s].
-
-    Returns
-    -------
-    mean, slope, variance_left : float
-        Mean [m/s^2] of the change that is carried out, its regression on the wanted change, and the variance [m^2/s^4]
-        that the regression leaves.
+    wanted, variance: mean [m/s^2] and variance [m^2/s^4] of the wanted change, which has a normal distribution; row:
+    (width,), row of the driver at this period; period: length of the period [s]. Returns mean [m/s^2] of the change
+    that is carried out, its regression on the wanted change, and the variance [m^2/s^4] that the regression leaves.
     """
     mean, slope, left = wanted, 1.0, 0.0
     for f in range(first_of(EXPECT), end_of(EXPECT), WORDS):

@@ -20,20 +20,9 @@ def expected_change(wanted: float, variance: float, period: float, p: Array) -> 
 
     Statistical linearisation, exact in the three moments that are returned.
 
-    Parameters
-    ----------
-    wanted, variance : float
-        Mean [m/s^2] and variance [m^2/s^4] of the wanted change.
-    period : float
-        Length of the period [s]; not used.
-    p : ndarray, shape (1,)
-        Threshold [m/s^2].
-
-    Returns
-    -------
-    mean, slope, variance_left : float
-        Mean [m/s^2] of the change that is carried out, its regression on the wanted change, and the variance [m^2/s^4]
-        that the regression leaves.
+    wanted, variance: mean [m/s^2] and variance [m^2/s^4] of the wanted change; period: length of the period [s]; not
+    used; p: (1,), threshold [m/s^2]. Returns mean [m/s^2] of the change that is carried out, its regression on the
+    wanted change, and the variance [m^2/s^4] that the regression leaves.
 
     References
     ----------

@@ -66,49 +66,19 @@ ROW = RowLayout.of(
 
 
 def effect(name: str) -> Effect:
-    """Look up an effect.
-
-    Parameters
-    ----------
-    name : str
-        Name of the effect.
-
-    Returns
-    -------
-    Effect
-        The effect.
-
-    Raises
-    ------
-    InputError
-        For an unknown name. The message lists the names.
-    """
+    """Look up an effect. Raises InputError."""
     return plugins.find(EFFECTS, GROUP, name, "effect")
 
 
 def index_of(effect_name: str, parameter: str) -> int:
-    """Return the index of an effect's parameter in a driver's row.
-
-    Raises
-    ------
-    InputError
-        For an unknown effect or parameter. The message lists the names.
-    """
+    """Return the index of an effect's parameter in a driver's row. Raises InputError."""
     return ROW.index_of(effect(effect_name).name, parameter)
 
 
 def active(rows: Array) -> tuple[str, ...]:
     """Find the effects that act on at least one driver.
 
-    Parameters
-    ----------
-    rows : ndarray, shape (..., width) or (..., P)
-        Rows of drivers, or parameters without effects.
-
-    Returns
-    -------
-    tuple of str
-        Names of the effects; empty for parameters without effects.
+    rows: (..., width) or (..., P), rows of drivers, or parameters without effects.
     """
     if rows.shape[-1] < ROW.width:
         return ()
@@ -120,24 +90,8 @@ def active(rows: Array) -> tuple[str, ...]:
 def switch_on(rows: Array, name: str, values: Values) -> Array:
     """Switch an effect on for all drivers.
 
-    Parameters
-    ----------
-    rows : ndarray, shape (..., width)
-        Rows of the drivers; they stay as they are.
-    name : str
-        Name of the effect.
-    values : mapping of str to float
-        Values of the effect's parameters, by name.
-
-    Returns
-    -------
-    ndarray, shape (..., width)
-        Rows with the effect.
-
-    Raises
-    ------
-    InputError
-        For an unknown name, or a value outside the declared bounds.
+    rows: (..., width), rows of the drivers; they stay as they are. Returns (..., width), rows with the effect. Raises
+    InputError.
     """
     changed = rows.copy()
     for parameter, value in values.items():
@@ -155,13 +109,7 @@ def switch_on(rows: Array, name: str, values: Values) -> Array:
 
 
 def switched_on(rows: Array, name: str, values: Values) -> Array:
-    """Switch an effect on, as ``switch_on``, and check that it acts then.
-
-    Raises
-    ------
-    InputError
-        As ``switch_on``, and if no parameter that switches the effect on has a value other than 0.
-    """
+    """Switch an effect on, as ``switch_on``, and check that it acts then. Raises InputError."""
     changed, switches = switch_on(rows, name, values), effect(name).switches
     if not any(values.get(switch) for switch in switches):
         raise InputError(f"effect {name}: give {' or '.join(switches)}")

@@ -10,23 +10,8 @@ def risk_ahead(
 ) -> float:
     """Compute the largest risk, from 0 to 1, of a vehicle ahead in the look-ahead, as phi2 of the paper does.
 
-    Parameters
-    ----------
-    gap, speed, other_speed : float
-        Gap [m], and speeds [m/s] of the driver and of the vehicle ahead.
-    action : float
-        Acceleration [m/s^2] that the driver holds.
-    period : float
-        Length of a period [s].
-    horizon : int
-        Periods of look-ahead.
-    driver : Preferences
-        Parameters of the utility.
-
-    Returns
-    -------
-    float
-        Risk.
+    gap, speed, other_speed: gap [m], and speeds [m/s] of the driver and of the vehicle ahead; action: acceleration
+    [m/s^2] that the driver holds; period: length of a period [s].
     """
     near, wide = gap_and_scale(action, 1, gap, speed, other_speed, driver, period)
     for tau in range(2, horizon + 1):

@@ -26,17 +26,8 @@ from sugiyama_ros.jit import kernel
 def displacement(position: float, circumference: float, row: Array) -> tuple[float, float]:
     """Compute how far a position is displaced when it is measured.
 
-    Parameters
-    ----------
-    position, circumference : float
-        True position [m], and circumference [m] of the ring; 0 for an open road.
-    row : ndarray, shape (width,)
-        Row of the driver.
-
-    Returns
-    -------
-    offset, slope : float
-        Measured minus true position [m], and its derivative by the position.
+    position, circumference: true position [m], and circumference [m] of the ring; 0 for an open road; row: (width,),
+    row of the driver. Returns measured minus true position [m], and its derivative by the position.
     """
     offset, slope = 0.0, 0.0
     for f in range(first_of(DISPLACE), end_of(DISPLACE), WORDS):
@@ -66,20 +57,10 @@ def is_contaminated(row: Array) -> bool:
 def weigh(innovation: float, variance: float, noise_var: float, row: Array) -> tuple[float, float, float]:
     """Weigh a sample from a mixture of good and bad measurements.
 
-    Parameters
-    ----------
-    innovation : float
-        Measured minus predicted position [m].
-    variance, noise_var : float
-        Variances [m^2] of the innovation and of the noise of a good measurement.
-    row : ndarray, shape (width,)
-        Row of the driver, with an effect for which ``is_contaminated`` is true.
-
-    Returns
-    -------
-    probability, wide, density : float
-        Probability that the sample is bad, variance [m^2] of the innovation of a bad sample, and log-likelihood of the
-        sample.
+    innovation: measured minus predicted position [m]; variance, noise_var: variances [m^2] of the innovation and of the
+    noise of a good measurement; row: (width,), row of the driver, with an effect for which ``is_contaminated`` is true.
+    Returns probability that the sample is bad, variance [m^2] of the innovation of a bad sample, and log-likelihood of
+    the sample.
     """
     probability, wide, density = 0.0, variance, 0.0
     for f in range(first_of(WEIGH), end_of(WEIGH), WORDS):
@@ -103,19 +84,8 @@ def noise_std_factors(position: Array, circumference: float, rows: Array) -> Arr
 def spoil(noise: Array, rows: Array, rng: np.random.Generator) -> Array:
     """Make some measurements worse than others.
 
-    Parameters
-    ----------
-    noise : ndarray, shape (N,)
-        Measurement noise [m] of N vehicles.
-    rows : ndarray, shape (N, width)
-        Rows of the drivers.
-    rng : numpy.random.Generator
-        Draws which measurements are bad.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        Measurement noise [m] with the bad measurements.
+    noise: (N,), measurement noise [m] of N vehicles; rows: (N, width), rows of the drivers. Returns (N,), measurement
+    noise [m] with the bad measurements.
     """
     for effect in EFFECTS.values():
         values = rows[:, ROW.places[effect.name]]

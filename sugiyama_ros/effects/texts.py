@@ -4,20 +4,7 @@ from sugiyama_ros.errors import InputError
 
 
 def read_parameter(text: str, where: str) -> tuple[str, float]:
-    """Name and value of a parameter from ``NAME=VALUE``.
-
-    Parameters
-    ----------
-    text : str
-        The text.
-    where : str
-        Option or parameter that holds the text, for the error.
-
-    Raises
-    ------
-    InputError
-        For another text.
-    """
+    """Name and value of a parameter from ``NAME=VALUE``. Raises InputError."""
     name, _, value = text.partition("=")
     try:
         return name, float(value)
@@ -28,17 +15,7 @@ def read_parameter(text: str, where: str) -> tuple[str, float]:
 def read_effect(text: str, where: str) -> tuple[str, dict[str, float]]:
     """Name of an effect and values of its parameters from ``NAME:PARAMETER=VALUE[,PARAMETER=VALUE]``.
 
-    Parameters
-    ----------
-    text : str
-        The text.
-    where : str
-        Option or parameter that holds the text, for the error.
-
-    Raises
-    ------
-    InputError
-        For another text.
+    Raises InputError.
     """
     name, _, pairs = text.partition(":")
     try:

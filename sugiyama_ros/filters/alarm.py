@@ -42,14 +42,8 @@ class Change:
 class StyleAlarm:
     """Watches the innovations of a filter for jumps of some entries of its state.
 
-    Parameters
-    ----------
-    places
-        Entries of the state that may jump, (J,).
-    size
-        Number of entries of the state.
-    period_s
-        Time between two samples [s].
+    places: entries of the state that may jump, (J,); size: number of entries of the state; period_s: time between two
+    samples [s].
     """
 
     def __init__(self, places: Sequence[int], size: int, period_s: float) -> None:

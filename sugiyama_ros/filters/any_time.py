@@ -28,17 +28,7 @@ EXACT_S = 1e-6
 def steps_between(elapsed_s: float, period_s: float) -> tuple[int, float]:
     """Return in how many steps a filter goes over a time, and how many periods each of them takes.
 
-    Parameters
-    ----------
-    elapsed_s
-        Time [s] from one sample to the next, above 0.
-    period_s
-        Period of the model [s].
-
-    Returns
-    -------
-    steps, periods
-        A step takes between 2/3 and 3/2 of a period, or less if the whole time is less; exactly 1 for whole periods.
+    elapsed_s: time [s] from one sample to the next, above 0; period_s: period of the model [s].
     """
     steps = max(1, round(elapsed_s / period_s))
     exact = abs(elapsed_s - steps * period_s) < EXACT_S
@@ -58,12 +48,8 @@ def conclude_for(
 ) -> None:
     """Linearise a step of any length, after ``linearise`` has linearised a period from the same state.
 
-    Parameters
-    ----------
-    periods
-        Length of the step, in periods of the scene.
-    state, drivers, moment, scene, workspace, lanes, out
-        As ``linearise`` took them. What it left in the workspace and the lanes is used again.
+    state, drivers, moment, scene, workspace, lanes, out: as ``linearise`` took them; what it left in the workspace and
+    the lanes is used again.
     """
     length_s, memory = periods * scene.period_s, scene.memory**periods
     step = Scene(length_s, scene.horizon, scene.circumference_m, scene.last_rho, scene.last_shock_std, memory)

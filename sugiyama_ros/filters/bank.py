@@ -102,27 +102,10 @@ class Bank:
     The strength of each effect is fitted as the samples come; a sample is predicted before it is fitted. An effect of
     a place begins at places all along a ring, and its place is fitted too. Vehicles may come and go (`meet`, `leave`).
 
-    Parameters
-    ----------
-    period_s
-        Time between two samples [s].
-    road
-        The road that the vehicles drive on.
-    parameters
-        Of all drivers at the reference period, (P,), or (WIDTH,) with the effects that the model has already.
-    forget_s
-        Time [s] after which a sample counts a factor e less.
-
-    Attributes
-    ----------
-    row
-        The base model, (WIDTH,).
-    effects
-        Names of the effects that it has.
-    names
-        Names of the models, the base model first.
-    samples
-        Number of scored samples.
+    period_s: time between two samples [s]; road: the road that the vehicles drive on; parameters: of all drivers at the
+    reference period, (P,), or (WIDTH,) with the effects that the model has already; forget_s: time [s] after which a
+    sample counts a factor e less; row: the base model, (WIDTH,); effects: names of the effects that it has; names:
+    names of the models, the base model first; samples: number of scored samples.
 
     References
     ----------

@@ -68,21 +68,7 @@ def filter_chain(
 ) -> Filtered:
     """Filter one driver's chain.
 
-    Parameters
-    ----------
-    chain
-        T samples of M vehicles.
-    parameters
-        The driver's parameters at the reference period, (P,) or (WIDTH,).
-    adaptation
-        Which A parameters are adapted online.
-    ahead
-        Parameters of the drivers ahead, as for ``chain_parameters``.
-
-    Returns
-    -------
-    Filtered
-        State and predictions at every sample.
+    ahead: parameters of the drivers ahead, as for ``chain_parameters``.
     """
     samples, vehicles = chain.position_m.shape
     size = STATE * vehicles + len(adaptation_of(parameters, adaptation).names)
@@ -126,34 +112,12 @@ def predict_samples(jobs: Sequence[ChainJob]) -> list[Predicted]:
     """Return how well each sample is predicted.
 
     Filters run side by side where they can, which takes less time than one after the other, with the same results.
-
-    Parameters
-    ----------
-    jobs
-        The drivers.
-
-    Returns
-    -------
-    list of Predicted
-        For each job the innovation, its variance and its log-likelihood, (T,) each.
     """
     return [predicted for predicted, _ in _filtered(jobs, with_states=False)]
 
 
 def predict_states(jobs: Sequence[ChainJob]) -> list[tuple[Array, Array, Array, Array]]:
-    """Return how well each sample of some drivers is predicted, and the states of their chains.
-
-    Parameters
-    ----------
-    jobs
-        The drivers.
-
-    Returns
-    -------
-    list of (innovation_m, innovation_var, sample_log_likelihood, state)
-        For each job the first three as in ``Filtered``, (T,) each, and the state after the update with each sample,
-        (T, STATE M + A): four entries for each of the M vehicles, own first, and the A adapted log parameters.
-    """
+    """Return how well each sample of some drivers is predicted, and the states of their chains."""
     return [(*predicted, states) for predicted, states in _filtered(jobs, with_states=True)]
 
 

@@ -263,24 +263,7 @@ def run(
 
     C is at most ABREAST.
 
-    Parameters
-    ----------
-    observed
-        The recordings.
-    drivers
-        Of all chains: parameters (C, M, WIDTH), adapted (A,), prior_mean (C, A), prior_var (A,). Row 0 of a chain's
-        parameters is overwritten with the adapted values.
-    actions
-        Accelerations that the drivers consider [m/s^2], (K,).
-    is_rough
-        Whether they consider them in single precision.
-    scene
-        Period and road.
-    periods_back
-        Largest number of periods that any of the drivers looks back.
-    predicted, trace
-        Filled, (C, T) each, up to the number of samples of each chain. The log-likelihood is also NaN where a sample
-        does not count.
+    actions: accelerations that the drivers consider [m/s^2], (K,).
     """
     count, _, vehicles = observed.position.shape
     adapted, a = drivers.adapted, len(drivers.adapted)

@@ -73,20 +73,7 @@ NOT_ADAPTED = Adaptation()
 
 
 def adaptation_of(parameters: Array, given: Adaptation = NOT_ADAPTED) -> Adaptation:
-    """Return how a driver's preferences are adapted.
-
-    Parameters
-    ----------
-    parameters
-        The driver's parameters, (P,), or their row with effects, (WIDTH,).
-    given
-        What holds unless an effect of the row makes preferences wander.
-
-    Returns
-    -------
-    Adaptation
-        The parameters that wander, with the std and the time constant of the effect if one is on, else ``given``.
-    """
+    """Return how a driver's preferences are adapted."""
     if len(parameters) == ROW.width:
         for effect in _WANDERING:
             std, relaxation_s = parameters[ROW.places[effect.name]][:2].tolist()
@@ -96,23 +83,7 @@ def adaptation_of(parameters: Array, given: Adaptation = NOT_ADAPTED) -> Adaptat
 
 
 def chain_parameters(own: Array, ahead: Array | None, vehicles: int) -> Array:
-    """Return the rows of all drivers of a chain.
-
-    Parameters
-    ----------
-    own
-        Parameters of the driver, (P,) or (WIDTH,).
-    ahead
-        Parameters of the drivers ahead, the same for all of them or one row each, (M - 1, P) or (M - 1, WIDTH); the
-        mean of the population if left out.
-    vehicles
-        Number M of vehicles.
-
-    Returns
-    -------
-    Array
-        Rows at the reference period, (M, WIDTH), as all parameters here.
-    """
+    """Return the rows of all drivers of a chain."""
     others = population() if ahead is None else ahead
     rows = np.zeros((vehicles, ROW.width))
     rows[0, : len(own)], rows[1:, : others.shape[-1]] = own, others

@@ -54,26 +54,7 @@ def chain_model(
 ) -> ChainModel:
     """Return the model of a chain.
 
-    Parameters
-    ----------
-    row
-        The driver's row at the reference period, (WIDTH,).
-    ahead
-        Parameters of the drivers ahead, (P,) or (WIDTH,); the mean of the population if left out. The drivers ahead
-        share all effects with the driver except for effects that are individual.
-    adaptation
-        What is adapted unless the row says otherwise.
-    vehicles
-        Number M of vehicles.
-    period_s
-        Time between two samples [s].
-    circumference_m
-        Length of the ring [m], 0 for an open road.
-
-    Returns
-    -------
-    ChainModel
-        Nothing is learnt yet.
+    period_s: time between two samples [s]; circumference_m: length of the ring [m], 0 for an open road.
     """
     adaptation = adaptation_of(row, adaptation)
     places, prior_var = adaptation.arrays

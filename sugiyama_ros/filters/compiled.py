@@ -31,23 +31,10 @@ from sugiyama_ros.road import Road
 class CompiledKalman:
     """The Kalman filter of a chain and all that learns from its steps; see ``Engine``.
 
-    Parameters
-    ----------
-    model
-        The chain. ``change`` sets another one.
-    road
-        The road that the vehicles drive on.
-    learning
-        How the driver's noises are learnt, None if they are not.
-
-    Attributes
-    ----------
-    arrays
-        All that the filter knows. Compiled code changes them.
-    x, P, next_mean, rows
-        Arrays among them, as in ``Engine``.
-    memory, layout
-        Where the arrays lie, as ``online_kernel.step`` takes it.
+    model: the chain; ``change`` sets another one; road: the road that the vehicles drive on; learning: how the driver's
+    noises are learnt, None if they are not; arrays: all that the filter knows; compiled code changes them; x, P,
+    next_mean, rows: arrays among them, as in ``Engine``; memory, layout: where the arrays lie, as
+    ``online_kernel.step`` takes it.
     """
 
     def __init__(self, model: ChainModel, road: Road, learning: Learning | None) -> None:

@@ -21,18 +21,10 @@ from sugiyama_ros.road import Road
 class EffectFilter(OnlineFilter):
     """An `OnlineFilter` that learns parameters of the effects in its model and of its law too.
 
-    Parameters
-    ----------
-    period_s, road, parameters, adaptation
-        As for `OnlineFilter`. The values of the effects in ``parameters`` are the means of their priors.
-    names
-        Parameters to be learnt while their effect is in the model, such as ``drag.c0``; ``effects`` stands for the
-        strengths of all effects, and ``law`` for all parameters of the driver's law.
-
-    Raises
-    ------
-    InputError
-        For parameters out of bounds, or unknown names.
+    period_s, road, parameters, adaptation: as for `OnlineFilter`; the values of the effects in ``parameters`` are the
+    means of their priors; names: parameters to be learnt while their effect is in the model, such as ``drag.c0``;
+    ``effects`` stands for the strengths of all effects, and ``law`` for all parameters of the driver's law. Raises
+    InputError.
     """
 
     def __init__(

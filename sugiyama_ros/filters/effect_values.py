@@ -103,19 +103,8 @@ def check_names(names: Sequence[str]) -> None:
 def values_of(row: Array, names: Sequence[str], std: Mapping[str, float] = MappingProxyType({})) -> Values | None:
     """Return the priors of the parameters to be learnt, of the law and the effects that act; None if there are none.
 
-    Parameters
-    ----------
-    row
-        Row (WIDTH,) of the driver. The values in it are the means of the priors.
-    names
-        Of the parameters; ``effects`` stands for the strengths of all effects, ``law`` for the law's parameters.
-    std
-        Prior standard deviations by name, where they are not what the effect declares as typical.
-
-    Raises
-    ------
-    InputError
-        For an unknown name.
+    names: of the parameters; ``effects`` stands for the strengths of all effects, ``law`` for the law's parameters.
+    Raises InputError.
     """
     check_names(names)
     effects, own_law = active(row), LAWS[name_of(row[ROW.law])]
@@ -150,12 +139,7 @@ def _size(name: str, value: float) -> float:
 class Sensitivity:
     """A filter, and its copies with one value larger each.
 
-    Parameters
-    ----------
-    filter_
-        The filter, with the values of ``values``.
-    values
-        The values; several drivers may share them.
+    filter_: the filter, with the values of ``values``; values: the values; several drivers may share them.
     """
 
     def __init__(self, filter_: OnlineFilter, values: Values) -> None:
@@ -182,15 +166,7 @@ class Sensitivity:
         return shifted
 
     def take_in(self, estimate: Estimate, sample: Sequence[Any]) -> None:
-        """Let the copies take in a sample, and collect what it says of the values.
-
-        Parameters
-        ----------
-        estimate
-            What the filter knows after the sample.
-        sample
-            Arguments of the step of the filter.
-        """
+        """Let the copies take in a sample, and collect what it says of the values."""
         values, kalman = self._values, self._filter.kalman
         if kalman is not self._kalman:
             # the filter has started anew

@@ -65,20 +65,10 @@ class KnownNoises(Protocol):
 class Engine(Protocol):
     """The Kalman filter of a chain and all that learns from its steps.
 
-    Attributes
-    ----------
-    model
-        The chain.
-    learning
-        How the driver's noises are learnt, None if they are not.
-    x, P
-        Mean (4 M + A,) and covariance (4 M + A, 4 M + A) of the state.
-    next_mean
-        Predicted mean at the next sample, (4 M + A,).
-    rows
-        Rows of all drivers with what is learnt, (M, WIDTH).
-    change_of_style
-        Name of the parameter that has jumped at the latest sample, and its factor; None if none has.
+    model: the chain; learning: how the driver's noises are learnt, None if they are not; x, P: mean (4 M + A,) and
+    covariance (4 M + A, 4 M + A) of the state; next_mean: predicted mean at the next sample, (4 M + A,); rows: rows of
+    all drivers with what is learnt, (M, WIDTH); change_of_style: name of the parameter that has jumped at the latest
+    sample, and its factor; none if none has.
     """
 
     model: ChainModel
@@ -107,16 +97,9 @@ class Engine(Protocol):
     ) -> Estimate:
         """Go on by some periods and take in a sample.
 
-        Parameters
-        ----------
-        position_m, identity, length_m
-            Of the vehicles, (M,), as for ``OnlineFilter.step``.
-        rear
-            Position [m], speed [m/s] and length [m] of the vehicle behind; ``NO_REAR`` where it is not known.
-        time_s
-            Time of the recording [s].
-        periods
-            Time since the sample before, in periods of the model: one step of ``any_time.steps_between``.
+        position_m, identity, length_m: of the vehicles, (M,), as for ``OnlineFilter.step``; rear: position [m], speed
+        [m/s] and length [m] of the vehicle behind; ``NO_REAR`` where it is not known; time_s: time of the recording
+        [s]; periods: time since the sample before, in periods of the model: one step of ``any_time.steps_between``.
         """
 
     def speed_of(self, m: int, vehicle: int) -> float:

@@ -100,17 +100,9 @@ def expected_action(
     vehicle behind, the second vehicle ahead) enters with its mean, and so do the accelerations, unless the driver has a
     reaction delay.
 
-    Parameters
-    ----------
-    m, state, drivers, moment, scene, lanes
-        As for ``aim``.
-    workspace
-        Its ``slope`` and ``held_slope`` take the regressions of ``action`` and ``held`` on the state.
-
-    Returns
-    -------
-    Expected
-        Expectations [m/s^2] and the variances that the regressions leave.
+    m, state, drivers, moment, scene, lanes: as for ``aim``; workspace: its ``slope`` and ``held_slope`` take the
+    regressions of ``action`` and ``held`` on the state. Returns expectations [m/s^2] and the variances that the
+    regressions leave.
     """
     driver, chosen = drivers.parameters[m], workspace.chosen
     size, first = workspace.points[m, 0], workspace.points[m, 1]

@@ -19,26 +19,7 @@ def chain_behind(
     *,
     with_rear: bool = True,
 ) -> Chain:
-    """Return the chain that starts with a driver and looks ahead.
-
-    Parameters
-    ----------
-    trajectories
-        Of all vehicles, T samples.
-    driver
-        Column of the driver.
-    vehicles
-        Number M of vehicles in the chain.
-    segment
-        Number of the segment that each sample belongs to, (T,). Vehicles of different segments count as different ones.
-    with_rear
-        Whether to filter the vehicle behind, which only effects look at.
-
-    Returns
-    -------
-    Chain
-        T samples of M vehicles, with the filtered vehicle behind if it is wanted.
-    """
+    """Return the chain that starts with a driver and looks ahead."""
     samples = np.arange(len(trajectories.position_m))
     column = np.where(trajectories.present[:, driver], driver, -1)
     columns = [column]
@@ -74,15 +55,7 @@ def _of_columns(trajectories: Trajectories, columns: Ints, segment: Ints | None)
 def track(alone: Chain) -> Array:
     """Return the filtered track of a single vehicle, which moves with an AR(1) acceleration.
 
-    Parameters
-    ----------
-    alone
-        A chain of one vehicle.
-
-    Returns
-    -------
-    Array
-        Position [m], speed [m/s] and length [m], (T, 3); NaN where the vehicle is not known.
+    Returns position [m], speed [m/s] and length [m], (T, 3); naN where the vehicle is not known.
     """
     filtered = filter_chain(alone, population())
     tracked = np.column_stack([filtered.mean[:, :2], alone.length_m[:, 0]])

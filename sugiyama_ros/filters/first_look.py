@@ -53,17 +53,7 @@ class ChainStep(NamedTuple):
 class FirstLook:
     """Looks at the positions of a vehicle until it knows how smooth they are.
 
-    Parameters
-    ----------
-    road : Road
-        The road.
-    period_s : float
-        Time between two samples [s].
-
-    Attributes
-    ----------
-    samples : deque of ChainStep
-        The latest samples.
+    road: the road; period_s: time between two samples [s]; samples: the latest samples.
     """
 
     road: Road
@@ -103,15 +93,8 @@ class FirstLook:
     def start(self, row: Array) -> Array | None:
         """Return with what a filter should start that has started with a row.
 
-        Parameters
-        ----------
-        row : array (WIDTH,)
-            The driver's row at the reference period.
-
-        Returns
-        -------
-        array (WIDTH,) or None
-            The row with noises and a desired speed that suit the positions; None if they are not smooth.
+        row: (WIDTH,), the driver's row at the reference period. Returns (WIDTH,), the row with noises and a desired
+        speed that suit the positions; none if they are not smooth.
         """
         rough = roughness(np.array(self._third))
         if rough >= roughness_of_noises(row, self.period_s):

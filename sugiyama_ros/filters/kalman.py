@@ -28,27 +28,11 @@ from sugiyama_ros.road import Road
 class ChainKalman(ExtendedKalmanFilter):  # type: ignore[misc]
     """filterpy's extended Kalman filter of a chain, which is told the next mean, F and Q by ``linearise``.
 
-    Parameters
-    ----------
-    model
-        The chain. ``change`` sets another one.
-    road
-        The road that the vehicles drive on.
-    learning
-        How the driver's noises are learnt, None if they are not.
-
-    Attributes
-    ----------
-    x, P
-        Mean (4 M + A,) and covariance (4 M + A, 4 M + A) of the state.
-    known
-        What is known of each vehicle, (M,).
-    rows
-        Rows of all drivers with what is learnt, (M, WIDTH).
-    noises
-        What learns the driver's noises, None if nothing does.
-    alarm
-        What watches for a change of style, None where no parameter is adapted.
+    model: the chain; ``change`` sets another one; road: the road that the vehicles drive on; learning: how the driver's
+    noises are learnt, None if they are not; x, P: mean (4 M + A,) and covariance (4 M + A, 4 M + A) of the state;
+    known: what is known of each vehicle, (M,); rows: rows of all drivers with what is learnt, (M, WIDTH); noises: what
+    learns the driver's noises, None if nothing does; alarm: what watches for a change of style, None where no parameter
+    is adapted.
     """
 
     def __init__(self, model: ChainModel, road: Road, learning: Learning | None) -> None:

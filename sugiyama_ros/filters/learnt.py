@@ -70,16 +70,7 @@ def identified_names(kalman: Engine) -> tuple[str, ...]:
 
 
 def recall(kalman: Engine, learnt: Learnt) -> None:
-    """Go on from what was learnt before.
-
-    Parameters
-    ----------
-    kalman
-        Changed in place.
-    learnt
-        May hold other parameters than those that are adapted here; noises and preferences are only taken if all of
-        them are there.
-    """
+    """Go on from what was learnt before."""
     model, noises = kalman.model, kalman.noises
     at = {name: k for k, name in enumerate(learnt.names)}
     of_noises = [at[NAMES[k]] for k in NOISES if NAMES[k] in at]

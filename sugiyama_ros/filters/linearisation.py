@@ -32,25 +32,8 @@ def linearise(
 ) -> float:
     """Linearise one period of Eq. ssm_form for a whole chain.
 
-    Parameters
-    ----------
-    state
-        The chain after the update with the latest sample.
-    drivers
-        Their parameters and priors; M rows.
-    moment, scene
-        Lengths, the vehicle behind and the time; period and road.
-    workspace
-        Of ``workspace_for`` this chain; overwritten.
-    lanes
-        Of ``lanes_for`` the points of this chain and the scene's period; overwritten.
-    out
-        Overwritten with the next mean, the Jacobian and the process noise.
-
-    Returns
-    -------
-    float
-        What the own driver means to do [m/s^2].
+    workspace: of ``workspace_for`` this chain; overwritten; lanes: of ``lanes_for`` the points of this chain and the
+    scene's period; overwritten. Returns what the own driver means to do [m/s^2].
     """
     used = aim_all(state, drivers, moment, scene, workspace, lanes, 0)
     consider(used, scene.period_s, scene.horizon, lanes)

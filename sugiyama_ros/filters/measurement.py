@@ -12,21 +12,9 @@ from sugiyama_ros.jit import kernel
 def measurement(position: float, parameters: Array, circumference_m: float) -> tuple[float, float]:
     """Return what a measured position is expected to have beyond the true position, and its slope.
 
-    Parameters
-    ----------
-    position
-        True position [m].
-    parameters
-        The driver's row, (WIDTH,).
-    circumference_m
-        Length of the ring [m], 0 for an open road.
-
-    Returns
-    -------
-    offset
-        Measured position less the true one, without noise [m].
-    slope
-        Derivative of the measured position by the true one: the entry of H.
+    position: true position [m]; circumference_m: length of the ring [m], 0 for an open road. Returns offset: measured
+    position less the true one, without noise [m]; slope: derivative of the measured position by the true one: the entry
+    of H.
     """
     offset, slope = displacement(position, circumference_m, parameters)
     return offset, 1.0 + slope
@@ -46,21 +34,8 @@ def weights(y: float, variance: float, parameters: Array) -> tuple[float, float]
     Without outliers both weights are 1 / S. With outliers the update is a mixture of two updates; the weights make its
     mean and its covariance.
 
-    Parameters
-    ----------
-    y
-        Innovation [m].
-    variance
-        Its variance S [m^2].
-    parameters
-        The driver's row, (WIDTH,).
-
-    Returns
-    -------
-    step
-        Factor of P H' y in what is added to the mean [1/m^2].
-    shrink
-        Factor of P H' H P in what is taken off P [1/m^2].
+    y: innovation [m]; variance: its variance S [m^2]. Returns step: factor of P H' y in what is added to the mean
+    [1/m^2]; shrink: factor of P H' H P in what is taken off P [1/m^2].
     """
     if not is_contaminated(parameters):
         return 1.0 / variance, 1.0 / variance
@@ -83,14 +58,7 @@ def log_density(y: float, variance: float, parameters: Array) -> float:
 def weigh_samples(y: Array, variance: Array, parameters: Array, weight: Array, density: Array) -> None:
     """Fill in how much each of T innovations counts, and its log-likelihood.
 
-    Parameters
-    ----------
-    y, variance
-        Innovations [m] and their variances [m^2], (T,) each.
-    parameters
-        The driver's row, (WIDTH,).
-    weight, density
-        Filled, (T,) each: the weight, which is 1 without outliers, and the log-likelihood.
+    y, variance: innovations [m] and their variances [m^2], (T,) each.
     """
     for t in range(len(y)):
         weight[t] = weights(y[t], variance[t], parameters)[0] * variance[t]

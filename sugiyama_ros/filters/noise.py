@@ -100,27 +100,11 @@ def _moments(weight: Array, mean: Array, covariance: Array) -> tuple[Array, Arra
 class NoiseLearner:
     """Learns the logarithms of a driver's noises from the steps of a Kalman filter.
 
-    Parameters
-    ----------
-    learning
-        How the noises are learnt.
-    prior_mean
-        Prior mean of the logarithms at the period of the samples, (2,).
-    period_s
-        Time between two samples [s].
-    size
-        Number N of entries of the filter's state.
-
-    Attributes
-    ----------
-    mean, covariance
-        Of the logarithms as known now, (2,) and (2, 2).
-    d_mean, d_covariance
-        Derivatives of the filter's mean (2, N) and covariance (2, N, N) by the logarithms.
-    weight
-        Probability of each interacting model.
-    outliers
-        Share and factor of outliers, (2,).
+    learning: how the noises are learnt; prior_mean: prior mean of the logarithms at the period of the samples, (2,);
+    period_s: time between two samples [s]; size: number N of entries of the filter's state; mean, covariance: of the
+    logarithms as known now, (2,) and (2, 2); d_mean, d_covariance: derivatives of the filter's mean (2, N) and
+    covariance (2, N, N) by the logarithms; weight: probability of each interacting model; outliers: share and factor of
+    outliers, (2,).
     """
 
     def __init__(self, learning: Learning, prior_mean: Array, period_s: float, size: int) -> None:

@@ -55,38 +55,14 @@ class _Outset:
 class OnlineFilter:
     """Causal filter of one driver behind a chain of vehicles.
 
-    Parameters
-    ----------
-    period_s
-        Time between two samples [s].
-    road
-        The road that the vehicles drive on.
-    parameters
-        Of the driver at the start, at the reference period: (P,), or a row with effects (WIDTH,). The mean of the
-        population if left out.
-    ahead
-        The same of the drivers ahead.
-    adaptation
-        Which preferences of the driver are learnt.
-    learning
-        How the driver's noises are learnt, None if they are not. While they are, the filter starts anew with other
-        noises as soon as the first positions show that they are smoother than the noises allow (``first_look``).
-    vehicles
-        Number M of vehicles in the chain.
-    engine
-        "compiled", or "filterpy" for the same estimates by code that is slower, and meant to be read.
-
-    Attributes
-    ----------
-    prior
-        What was known of the driver before the first sample.
-    kalman
-        The engine: the Kalman filter itself and what learns from its steps.
-
-    Raises
-    ------
-    InputError
-        For parameters out of bounds.
+    period_s: time between two samples [s]; road: the road that the vehicles drive on; parameters: of the driver at the
+    start, at the reference period: (P,), or a row with effects (WIDTH,); the mean of the population if left out; ahead:
+    the same of the drivers ahead; adaptation: which preferences of the driver are learnt; learning: how the driver's
+    noises are learnt, None if they are not; while they are, the filter starts anew with other noises as soon as the
+    first positions show that they are smoother than the noises allow (``first_look``); vehicles: number M of vehicles
+    in the chain; engine: "compiled", or "filterpy" for the same estimates by code that is slower, and meant to be read;
+    prior: what was known of the driver before the first sample; kalman: the engine: the Kalman filter itself and what
+    learns from its steps. Raises InputError.
     """
 
     def __init__(
@@ -133,18 +109,7 @@ class OnlineFilter:
         return ReadableKalman(model, self.road, self._start.learning)
 
     def change(self, parameters: Array) -> None:
-        """Go on with other effects and keep all that was learnt.
-
-        Parameters
-        ----------
-        parameters
-            Row (WIDTH,) with the effects. The driver's own parameters stay as they are.
-
-        Raises
-        ------
-        InputError
-            If an effect needs a parameter adapted that is not.
-        """
+        """Go on with other effects and keep all that was learnt. Raises InputError."""
         row = ROW.with_effects(self._model.row[: len(NAMES)])
         row[len(NAMES) :] = parameters[len(NAMES) :]
         model = self._model_of(row)
@@ -257,25 +222,10 @@ class OnlineFilter:
 
         Over more than a period and a half, the filter predicts in several steps.
 
-        Parameters
-        ----------
-        position_m
-            Measured positions [m], own first, then the vehicles ahead, (M,); NaN where missing.
-        identity
-            Numbers of these vehicles, (M,); -1 for none.
-        length_m
-            Their lengths [m], (M,).
-        time_s
-            Time of the recording [s], for effects that depend on it.
-        behind
-            Position [m], number and length [m] of the vehicle behind, where ``looks_back``.
-        elapsed_s
-            Time [s] since the sample before, above 0; a period if left out.
-
-        Returns
-        -------
-        Estimate
-            After the update.
+        position_m: measured positions [m], own first, then the vehicles ahead, (M,); naN where missing; length_m: their
+        lengths [m], (M,); time_s: time of the recording [s], for effects that depend on it; behind: position [m],
+        number and length [m] of the vehicle behind, where ``looks_back``; elapsed_s: time [s] since the sample before,
+        above 0; a period if left out.
         """
         sample = ChainStep(position_m, identity, length_m, time_s, behind, elapsed_s)
         estimate = self._step(sample)

@@ -43,12 +43,7 @@ _NONE, _BEGINS, _REFUSED, _TAKEN = 0, 1, 2, 3
 def step(memory: Array, layout: Ints) -> None:
     """Go on in time and take in the sample that stands in the memory; the result stands there afterwards.
 
-    Parameters
-    ----------
-    memory
-        Of ``memory_for``; changed in place.
-    layout
-        Of ``layout_of``.
+    memory: of ``memory_for``; changed in place; layout: of ``layout_of``.
     """
     online = online_arrays(memory, layout)
     book, state, result = online.book, online.state, online.result

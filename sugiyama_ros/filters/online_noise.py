@@ -76,16 +76,7 @@ def _moments(weight: Array, means: Array, covariances: Array, mean: Array, covar
 def learn_noises(noises: Noises, y: float, variance: float, noise_var: float, factor: float) -> None:
     """Take in the driver's own innovation, before the filter is updated with it.
 
-    Parameters
-    ----------
-    noises
-        Changed in place.
-    y, variance
-        Innovation [m] and its variance [m^2].
-    noise_var
-        Variance [m^2] of the measurement noise.
-    factor
-        Slope of the measured position by the true position.
+    y, variance: innovation [m] and its variance [m^2]; noise_var: variance [m^2] of the measurement noise.
     """
     weight, density = noises.weight, noises.share
     slope_nu = factor * factor * noises.d_covariance[NU, 0, 0] + 2.0 * noise_var
@@ -140,22 +131,8 @@ def update_noises(
 ) -> None:
     """Change the derivatives after the filter's update with one position.
 
-    Parameters
-    ----------
-    noises
-        Changed in place.
-    measured
-        Entry of the state that was measured.
-    gain
-        Kalman gain K, (N,).
-    factor
-        Entry of H.
-    weighted
-        Innovation times what it counts [1/m].
-    own_noise_var
-        Variance [m^2] of the measurement noise if it is the driver's own position, else 0.
-    shared
-        (N,), overwritten.
+    weighted: innovation times what it counts [1/m]; own_noise_var: variance [m^2] of the measurement noise if it is the
+    driver's own position, else 0.
     """
     size = len(gain)
     for k in range(2):

@@ -22,16 +22,7 @@ from sugiyama_ros.jit import kernel
 def fill_in(result: Array, state: State, linearised: Linearised, length: Array, scene: Scene) -> None:
     """Fill in what follows from the state.
 
-    Parameters
-    ----------
-    result
-        Of ``Online``. Its innovation is there already.
-    state, linearised
-        After the update, and the next period.
-    length
-        Lengths [m] of the vehicles, (M,).
-    scene
-        Period and road.
+    result: of ``Online``; its innovation is there already; length: lengths [m] of the vehicles, (M,).
     """
     mean, period, lap = state.mean, scene.period_s, scene.circumference_m
     result[POSITION_M] = mean[0] % lap if lap > 0.0 else mean[0]

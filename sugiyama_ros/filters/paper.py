@@ -54,25 +54,7 @@ class Perceived:
 
 
 def perceive(trajectories: Trajectories, driver: int) -> Perceived:
-    """Return what a driver perceives.
-
-    Parameters
-    ----------
-    trajectories
-        Of all vehicles.
-    driver
-        Column of the driver.
-
-    Returns
-    -------
-    Perceived
-        Without the margins of the smoothing.
-
-    Raises
-    ------
-    InputError
-        Where the paper's smoothing is not defined: missing samples, a leader who changes, a short record.
-    """
+    """Return what a driver perceives. Raises InputError."""
     where = f"{trajectories.source or 'trajectories'}: vehicle {trajectories.vehicle[driver]}"
     leaders = np.unique(trajectories.leader[:, driver])
     if len(leaders) > 1:
@@ -119,22 +101,7 @@ class Scored:
 
 
 def score(perceived: Perceived, parameters: Array, places: Collection[int] = range(COUNT)) -> Scored:
-    """Return Eq. SSM_Likelihood of one driver and its derivatives.
-
-    Parameters
-    ----------
-    perceived
-        What the driver perceives.
-    parameters
-        At the reference period, (P,).
-    places
-        Of the parameters whose derivatives are needed; the derivatives by other parameters of the utility are 0.
-
-    Returns
-    -------
-    Scored
-        Without the term of 2 pi.
-    """
+    """Return Eq. SSM_Likelihood of one driver and its derivatives."""
     samples, scaled = len(perceived.measured_m), at_period(parameters, perceived.period_s)
     wanted = np.array([k in places for k in UTILITY])
     action, partials = np.empty(samples), np.empty((samples, len(UTILITY)))

@@ -129,29 +129,8 @@ def run(
 ) -> float:
     """Filter one driver with the mean action as control.
 
-    Parameters
-    ----------
-    control
-        The mean action at T' samples.
-    measured
-        Positions [m], (T',).
-    first_speed
-        Speed [m/s] that is perceived with the first sample.
-    parameters
-        At the period of the samples, (P,).
-    period
-        Time between two samples [s].
-    innovation, innovation_var
-        Filled: innovation [m] and its variance [m^2], (T',) each.
-    means
-        Filled with the state after the update, (T', 3), unless its length is 0.
-    derivatives
-        Filled.
-
-    Returns
-    -------
-    float
-        Eq. SSM_Likelihood, without the term of 2 pi.
+    measured: positions [m], (T',); first_speed: speed [m/s] that is perceived with the first sample; period: time
+    between two samples [s]; innovation, innovation_var: filled: innovation [m] and its variance [m^2], (T',) each.
     """
     action, partials = control.action, control.partials
     samples, noises, rho = len(measured), len(_NOISES), parameters[RHO]

@@ -98,23 +98,7 @@ def aim(
 ) -> int:
     """Find the points at which the action of driver m is wanted, and put them into lanes.
 
-    Parameters
-    ----------
-    m
-        Number of the driver in the chain, not the last one.
-    state, drivers, moment, scene
-        The chain. The adapted entries of row m are changed on the way and restored.
-    workspace
-        Keeps the root and the points for ``expected_action``.
-    lanes
-        Where drivers consider their actions.
-    free
-        First lane that is free.
-
-    Returns
-    -------
-    int
-        First lane that is free now.
+    workspace: keeps the root and the points for ``expected_action``.
     """
     mean, known, driver = state.mean, state.known, drivers.parameters[m]
     adapted = drivers.adapted if m == 0 else drivers.adapted[:0]

@@ -21,10 +21,7 @@ from sugiyama_ros.road import Road
 class ReadableKalman(ChainKalman):
     """The Kalman filter of a chain, sample by sample; arguments as for ``ChainKalman``.
 
-    Attributes
-    ----------
-    change_of_style
-        Name of the parameter that has jumped at the latest sample, and its factor; None if none has.
+    change_of_style: name of the parameter that has jumped at the latest sample, and its factor; none if none has.
     """
 
     def __init__(self, model: ChainModel, road: Road, learning: Learning | None) -> None:

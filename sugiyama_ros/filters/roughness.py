@@ -29,17 +29,7 @@ def roughness(third: Array) -> float:
 def roughness_of_noises(row: Array, period_s: float) -> float:
     """Return the std [m] of third differences that position noise and speed noise alone make.
 
-    Parameters
-    ----------
-    row : ndarray, shape (P,) or longer
-        The driver's parameters at the reference period.
-    period_s : float
-        Time between two samples [s].
-
-    Returns
-    -------
-    float
-        Positions with a smaller roughness are smoother than the model allows.
+    row: (P,), the driver's parameters at the reference period; period_s: time between two samples [s].
     """
     there = at_period(row, period_s)
     return math.sqrt(OF_POSITION * float(there[SIGMA_X]) ** 2 + OF_SPEED * (period_s * float(there[SIGMA_V])) ** 2)
@@ -48,21 +38,9 @@ def roughness_of_noises(row: Array, period_s: float) -> float:
 def with_smooth_noises(row: Array, white_m: float, rest_m: float, period_s: float) -> Array:
     """Return a row with noises that make third differences of a given size.
 
-    Parameters
-    ----------
-    row : ndarray, shape (P,) or longer
-        The driver's parameters at the reference period.
-    white_m : float
-        Std [m] of the third differences that the measurement noise makes.
-    rest_m : float
-        Std [m] of the third differences that the position noise makes, and the speed noise at most: it does not grow.
-    period_s : float
-        Time between two samples [s].
-
-    Returns
-    -------
-    ndarray
-        A copy of the row.
+    row: (P,), the driver's parameters at the reference period; white_m: std [m] of the third differences that the
+    measurement noise makes; rest_m: std [m] of the third differences that the position noise makes, and the speed noise
+    at most: it does not grow; period_s: time between two samples [s].
     """
     start, scale = row.copy(), math.sqrt(period_s / REFERENCE_PERIOD_S)
     start[SIGMA_NU] = white_m / math.sqrt(WHITE)
@@ -74,19 +52,8 @@ def with_smooth_noises(row: Array, white_m: float, rest_m: float, period_s: floa
 def in_proportion(row: Array, roughness_m: float, period_s: float) -> Array:
     """Return a row whose noises are smaller or larger in proportion, so that they make third differences of a size.
 
-    Parameters
-    ----------
-    row : ndarray, shape (P,) or longer
-        The driver's parameters at the reference period.
-    roughness_m : float
-        Std [m] of the third differences.
-    period_s : float
-        Time between two samples [s].
-
-    Returns
-    -------
-    ndarray
-        A copy of the row.
+    row: (P,), the driver's parameters at the reference period; roughness_m: std [m] of the third differences; period_s:
+    time between two samples [s].
     """
     start, noises = row.copy(), [SIGMA_NU, SIGMA_A, SIGMA_X, SIGMA_V]
     start[noises] *= roughness_m / math.hypot(math.sqrt(WHITE) * row[SIGMA_NU], roughness_of_noises(row, period_s))

@@ -51,21 +51,10 @@ class ShownParameters:
 
     The values are those of ``OnlineFilter.parameters``, ``parameter_covariance`` and ``identified``, for less work.
 
-    Parameters
-    ----------
-    filter_
-        The driver's filter. After its ``change``, the parameters have to be chosen anew.
-    shown
-        Places (S,) in the driver's row; all adapted parameters are among them.
-
-    Attributes
-    ----------
-    value
-        Parameters at the reference period, (S,) [SI].
-    adapted_covariance
-        Covariance (A, A) of the adapted parameters, in the order of ``OnlineFilter.adapted``.
-    adapted_identified
-        Whether the standard deviation of the adapted parameters is less than half of the prior's, (A,).
+    filter_: the driver's filter; after its ``change``, the parameters have to be chosen anew; shown: places (S,) in the
+    driver's row; all adapted parameters are among them; value: parameters at the reference period, (S,) [SI];
+    adapted_covariance: covariance (A, A) of the adapted parameters, in the order of ``OnlineFilter.adapted``;
+    adapted_identified: whether the standard deviation of the adapted parameters is less than half of the prior's, (A,).
     """
 
     def __init__(self, filter_: OnlineFilter, shown: Sequence[int]) -> None:

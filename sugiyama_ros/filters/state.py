@@ -52,19 +52,8 @@ class Scene(NamedTuple):
 def scene_at(period_s: float, circumference_m: float, relaxation_s: float = math.inf) -> Scene:
     """Return the scene for a period between samples.
 
-    Parameters
-    ----------
-    period_s
-        Time between two samples [s].
-    circumference_m
-        Length of the ring [m], 0 for an open road.
-    relaxation_s
-        Time in which adapted parameters return to their prior [s].
-
-    Returns
-    -------
-    Scene
-        The last vehicle's acceleration has the same correlation in time at every period.
+    period_s: time between two samples [s]; circumference_m: length of the ring [m], 0 for an open road; relaxation_s:
+    time in which adapted parameters return to their prior [s].
     """
     rho = LAST_RHO ** (REFERENCE_HORIZON / horizon_at(period_s))
     shock = LAST_SHOCK_STD * math.sqrt((1.0 - rho * rho) / (1.0 - LAST_RHO**2))
@@ -183,19 +172,7 @@ def linearised_for(live: Ints, size: int) -> Linearised:
 def arrays_for(vehicles: int, adapted: int, actions: Array, period_s: float) -> tuple[Workspace, Lanes, Linearised]:
     """Return the arrays with which ``linearise`` works on one chain, all of whose covariances matter.
 
-    Parameters
-    ----------
-    vehicles, adapted
-        Numbers M of vehicles and A of adapted parameters.
-    actions
-        Accelerations that the drivers consider [m/s^2], (K,).
-    period_s
-        Time between two samples [s].
-
-    Returns
-    -------
-    workspace, lanes, linearised
-        As ``linearise`` takes them.
+    actions: accelerations that the drivers consider [m/s^2], (K,); period_s: time between two samples [s].
     """
     size = STATE * vehicles + adapted
     lanes = lanes_for(points_of(vehicles, adapted), actions, period_s, False)

@@ -31,20 +31,7 @@ def forget_vehicle(m: int, state: State) -> None:
 def start_vehicle(m: int, measured: float, elapsed: float, state: State, parameters: Array, scene: Scene) -> None:
     """Take in a sample of a vehicle that is not MOVING yet: the first gives its position, the second its speed.
 
-    Parameters
-    ----------
-    m
-        Number of the vehicle in the chain.
-    measured
-        Its measured position [m].
-    elapsed
-        Time since the first sample [s].
-    state
-        Changed in place.
-    parameters
-        Rows of all drivers at the period of the samples, (M, WIDTH).
-    scene
-        Period and road.
+    measured: its measured position [m]; elapsed: time since the first sample [s].
 
     References
     ----------
@@ -93,22 +80,7 @@ def gross_in_a_row(
     as much as the innovation says. The speed may have been wrong by this over the time of these samples, or it may not:
     half of its variance goes with the position.
 
-    Parameters
-    ----------
-    m
-        Number of the vehicle in the chain, MOVING.
-    before
-        How many gross errors came before this sample.
-    y
-        Its innovation [m].
-    variance
-        The variance of the innovation [m^2].
-    contaminated
-        Whether outliers are part of the model of the vehicle.
-    state
-        Its covariance is changed in place where the vehicle is let go.
-    scene
-        Period of the samples.
+    y: its innovation [m]; variance: the variance of the innovation [m^2].
     """
     is_gross = y * y > (FAR if contaminated else GROSS) * variance
     if not is_gross:

@@ -24,15 +24,8 @@ def fastest(trajectories: Trajectories) -> float:
 def upper_bounds(speed: float) -> Array:
     """Return the upper bounds of the search; the bound of v* follows the speeds in the data.
 
-    Parameters
-    ----------
-    speed : float
-        High speed in the data [m/s], as ``fastest`` returns it.
-
-    Returns
-    -------
-    ndarray, shape (P,)
-        Upper bound of each parameter, in its own unit.
+    speed: high speed in the data [m/s], as ``fastest`` returns it. Returns (P,), upper bound of each parameter, in its
+    own unit.
     """
     upper = np.array([p.upper for p in PARAMETERS])
     upper[V_STAR] = min(upper[V_STAR], largest_v_star(speed))
@@ -50,16 +43,9 @@ def lower_bounds(even: Evenness) -> Array:
 class LogSpace:
     """Coordinates of the search: logarithms of the sizes of K parameters. The signs stay as they are.
 
-    Parameters
-    ----------
-    start : ndarray, shape (P,)
-        Parameters at the start. Those that are not in ``places`` stay constant.
-    places : ndarray of int, shape (K,)
-        Places of the parameters in the search.
-    sign : ndarray, shape (K,)
-        Sign of each parameter in the search.
-    smallest, largest : ndarray, shape (K,)
-        Bounds of the coordinates.
+    start: (P,), parameters at the start; those that are not in ``places`` stay constant; places: (K,), places of the
+    parameters in the search; sign: (K,), sign of each parameter in the search; smallest, largest: (K,), bounds of the
+    coordinates.
     """
 
     start: Array
@@ -82,21 +68,9 @@ class LogSpace:
     def derivatives(self, parameters: Array, gradient: Array, information: Array) -> tuple[Array, Array]:
         """Convert derivatives by the parameters to derivatives by the coordinates.
 
-        Parameters
-        ----------
-        parameters : ndarray, shape (P,)
-            Parameters at which the derivatives hold.
-        gradient : ndarray, shape (P,)
-            Gradient by the parameters.
-        information : ndarray, shape (P, P)
-            Information by the parameters.
-
-        Returns
-        -------
-        gradient : ndarray, shape (K,)
-            Gradient by the coordinates.
-        information : ndarray, shape (K, K)
-            Information by the coordinates.
+        parameters: (P,), parameters at which the derivatives hold; gradient: (P,), gradient by the parameters;
+        information: (P, P), information by the parameters. Returns gradient: (K,), gradient by the coordinates;
+        information: (K, K), information by the coordinates.
         """
         scale = parameters[self.places]
         block = information[np.ix_(self.places, self.places)]
@@ -106,19 +80,8 @@ class LogSpace:
 def log_space(start: Array, places: Ints, lower: Array, upper: Array) -> LogSpace:
     """Return the coordinates of a search.
 
-    Parameters
-    ----------
-    start : ndarray, shape (P,)
-        Parameters at the start.
-    places : ndarray of int, shape (K,)
-        Places of the parameters in the search.
-    lower, upper : ndarray, shape (P,)
-        Smallest sizes, and upper bounds; the declared bounds hold too.
-
-    Returns
-    -------
-    LogSpace
-        The coordinates with their bounds.
+    start: (P,), parameters at the start; places: (K,), places of the parameters in the search; lower, upper: (P,),
+    smallest sizes, and upper bounds; the declared bounds hold too.
     """
     sign = np.sign(start[places])
     low, high = (np.array([getattr(PARAMETERS[k], side) for k in places]) for side in ("lower", "upper"))

@@ -24,18 +24,8 @@ class Checkpoint:
 
     The checkpoint is a context manager. The caller removes the file once the fits are saved elsewhere.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    about : dict
-        Description of the calibration. The fits in the file are used again only if the file has the same description.
-        A checkpoint with another description is replaced.
-
-    Raises
-    ------
-    OutputError
-        If the file cannot be written, or is no checkpoint.
+    path: the file; about: description of the calibration; the fits in the file are used again only if the file has the
+    same description; a checkpoint with another description is replaced. Raises OutputError.
     """
 
     def __init__(self, path: Path, about: dict[str, Any]) -> None:
@@ -68,22 +58,7 @@ class Checkpoint:
     def resume(self, name: str, fits: Callable[..., Iterator[Fit]]) -> Iterator[Fit]:
         """Yield the fits of a pass: first the fits on disk, then the new fits, which are also written to disk.
 
-        Parameters
-        ----------
-        name : str
-            Name of the pass.
-        fits : callable
-            Called as ``fits(skip=vehicles)``; yields the fits of all other vehicles.
-
-        Yields
-        ------
-        Fit
-            One fit for each vehicle.
-
-        Raises
-        ------
-        OutputError
-            If the file cannot be written.
+        fits: called as ``fits(skip=vehicles)``; yields the fits of all other vehicles. Raises OutputError.
         """
         kept = self._fits.get(name, {})
         yield from kept.values()

@@ -30,20 +30,10 @@ _STARTS, _FAR = 4, 2.0
 class Classes:
     """K classes of N drivers, the largest class first.
 
-    Parameters
-    ----------
-    rows : ndarray, shape (K, P)
-        Parameters of each class.
-    std : ndarray, shape (K, P)
-        Standard deviations of the parameters, as if the class of every driver were known.
-    share : ndarray, shape (K,)
-        Share of the drivers in each class.
-    probability : ndarray, shape (N, K)
-        Probability that a driver belongs to a class.
-    log_likelihood : ndarray, shape (N,)
-        Log-likelihood of each driver under the mixture [nats].
-    bic : float
-        Bayesian information criterion.
+    rows: (K, P), parameters of each class; std: (K, P), standard deviations of the parameters, as if the class of every
+    driver were known; share: (K,), share of the drivers in each class; probability: (N, K), probability that a driver
+    belongs to a class; log_likelihood: (N,), log-likelihood of each driver under the mixture [nats]; bic: bayesian
+    information criterion.
     """
 
     rows: Array
@@ -55,21 +45,7 @@ class Classes:
 
 
 def find_classes(jobs: Sequence[Job], count: int, samples: int, seed: int, work: Executor) -> Classes:
-    """Divide drivers into classes.
-
-    Parameters
-    ----------
-    jobs : sequence of Job
-        Data and search of every driver.
-    count : int
-        Number of classes.
-    samples : int
-        Number of samples of all drivers, for the information criterion.
-    seed : int
-        Seed of the random divisions at the start.
-    work : Executor
-        Carries out the jobs.
-    """
+    """Divide drivers into classes."""
     # the search starts from the fits of the single drivers
     fits, places = list(work.map(carry_out, jobs)), jobs[0].places
     space = log_space(fits[0].parameters, places, jobs[0].lower, jobs[0].upper)

@@ -14,12 +14,7 @@ from sugiyama_ros.fit.score import PointwiseDensity
 class Gain:
     """Log-likelihood of one model minus the log-likelihood of another model.
 
-    Parameters
-    ----------
-    nats : float
-        Sum over all samples [nats].
-    se : float
-        Standard error of the sum [nats].
+    nats: sum over all samples [nats]; se: standard error of the sum [nats].
     """
 
     nats: float
@@ -27,20 +22,7 @@ class Gain:
 
 
 def gain(data: Recorded, better: PointwiseDensity, than: PointwiseDensity) -> Gain:
-    """Return the gain of one model over another, paired sample by sample.
-
-    Parameters
-    ----------
-    data : Recorded
-        The recording.
-    better, than : PointwiseDensity
-        Predictions of both models. Only what both predict counts.
-
-    Returns
-    -------
-    Gain
-        The standard error is the larger of two: a jackknife over blocks of time, and a jackknife over drivers.
-    """
+    """Return the gain of one model over another, paired sample by sample."""
     difference = better.log_likelihood - than.log_likelihood
     known = np.isfinite(difference)
     # who follows nobody is not predicted, and tells nothing of how drivers differ

@@ -60,21 +60,11 @@ PLAIN = SearchOptions()
 class Fit:
     """Maximum-likelihood estimate of one driver.
 
-    Parameters
-    ----------
-    vehicle : int
-        Number of the vehicle.
-    parameters : ndarray, shape (P,)
-        Estimated parameters.
-    log_likelihood : float
-        Log-likelihood at the maximum [nats], without the 2 pi term and the regularisation.
-    std : ndarray, shape (P,)
-        Standard deviations; 0 for a parameter that was given, infinite for a parameter on a bound or one that
-        the data say nothing about.
-    at_bound : tuple of str
-        Names of the parameters on a bound, which the data do not determine.
-    interval : ndarray, shape (P, 2)
-        Ends of the 95 % intervals; 0 or infinite where the data set no end.
+    vehicle: number of the vehicle; parameters: (P,), estimated parameters; log_likelihood: log-likelihood at the
+    maximum [nats], without the 2 pi term and the regularisation; std: (P,), standard deviations; 0 for a parameter that
+    was given, infinite for a parameter on a bound or one that the data say nothing about; at_bound: names of the
+    parameters on a bound, which the data do not determine; interval: (P, 2), ends of the 95 % intervals; 0 or infinite
+    where the data set no end.
     """
 
     vehicle: int
@@ -95,18 +85,7 @@ def fit_driver(
 ) -> Fit:
     """Maximise the likelihood of one driver.
 
-    Parameters
-    ----------
-    score : callable
-        Returns the log-likelihood with its gradient and information, or None.
-    vehicle : int
-        Number of the driver's vehicle.
-    space : LogSpace
-        Parameters in the search, their start and their bounds.
-    enough : float
-        The search ends when the predicted gain of a step is less than this [nats].
-    careful : callable, optional
-        A more accurate score, for the standard errors at the maximum.
+    enough: the search ends when the predicted gain of a step is less than this [nats].
     """
 
     def at(x: Array, near: Point | None) -> Point | None:

@@ -20,14 +20,9 @@ REGULARISATION = ((V_STAR, 11.0, 50.0), (KAPPA_V, 0.5, 500.0))
 class DriverChains(NamedTuple):
     """One driver in the filter: one chain or several, of different times.
 
-    Parameters
-    ----------
-    chains : tuple of Chain
-        Data of the driver and of the vehicles ahead.
-    ahead : tuple of ndarray, shape (M - 1, P)
-        For each chain the parameters of the drivers ahead.
-    scored : tuple of ndarray of bool, shape (T,)
-        Samples of each chain that count, besides those that the filter leaves out; empty if all others count.
+    chains: data of the driver and of the vehicles ahead; ahead: (M - 1, P), for each chain the parameters of the
+    drivers ahead; scored: (T,), samples of each chain that count, besides those that the filter leaves out; empty if
+    all others count.
     """
 
     chains: tuple[Chain, ...]
@@ -45,25 +40,9 @@ def causal_score(
 ) -> Scored:
     """Return the score from difference quotients of innovations and variances, by the logarithms of the parameters.
 
-    Parameters
-    ----------
-    followed : DriverChains
-        The driver.
-    places : ndarray of int, shape (K,)
-        Places of the parameters in the search.
-    parameters : ndarray, shape (P,)
-        Parameters of the driver.
-    information : ndarray, shape (P, P), or None
-        Information at nearby parameters, which sets the steps; None if it is not known.
-    central : bool
-        Whether to take central differences. They take twice the time, but suffer less from jumps of the likelihood.
-    here : ndarray, shape (3, samples), optional
-        What ``predicted`` returns for these parameters, if it is known.
-
-    Returns
-    -------
-    Scored
-        Log-likelihood, gradient, information and scatter.
+    places: (K,), places of the parameters in the search; parameters: (P,), parameters of the driver; information: (P,
+    P), information at nearby parameters, which sets the steps; none if it is not known; here: (3, samples), what
+    ``predicted`` returns for these parameters, if it is known.
     """
     steps = np.full(len(places), _FIRST_STEP)
     if information is not None:
@@ -95,17 +74,8 @@ def causal_score(
 def predicted(followed: DriverChains, rows: Sequence[Array]) -> Array:
     """Predict all samples of a driver.
 
-    Parameters
-    ----------
-    followed : DriverChains
-        The driver.
-    rows : sequence of ndarray, shape (P,)
-        R rows of parameters.
-
-    Returns
-    -------
-    ndarray, shape (R, 3, samples of all chains)
-        Innovation, its variance and its log-likelihood.
+    rows: (P,), R rows of parameters. Returns (R, 3, samples of all chains), innovation, its variance and its
+    log-likelihood.
     """
     # Imported here: the paper's formulation does not need the causal filter, which takes long to load.
     from sugiyama_ros.filters import causal
@@ -125,19 +95,7 @@ def predicted(followed: DriverChains, rows: Sequence[Array]) -> Array:
 def regularised(scored: Scored, parameters: Array, strength: float = 1.0) -> Scored:
     """Add the paper's regularisation, Eq. Regularized_SSM_Likelihood, to a score.
 
-    Parameters
-    ----------
-    scored : Scored
-        Score without regularisation.
-    parameters : ndarray, shape (P,)
-        Parameters at which the score holds.
-    strength : float
-        Factor of the paper's weights.
-
-    Returns
-    -------
-    Scored
-        Score of the regularised likelihood.
+    parameters: (P,), parameters at which the score holds.
     """
     value, gradient, information = scored.log_likelihood, scored.gradient.copy(), scored.information.copy()
     for k, centre, weight in REGULARISATION:

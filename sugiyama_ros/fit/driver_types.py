@@ -17,12 +17,7 @@ if TYPE_CHECKING:
 class DriverTypes:
     """Classes of drivers, as ``fit.classes`` finds them.
 
-    Parameters
-    ----------
-    share : ndarray, shape (K,)
-        Share of all drivers in each class.
-    rows : ndarray, shape (K, P)
-        Parameters of each class.
+    share: (K,), share of all drivers in each class; rows: (K, P), parameters of each class.
     """
 
     share: Array
@@ -34,17 +29,7 @@ class DriverTypes:
         Both arguments are normal distributions of logarithms. Their ratio is the likelihood that the samples give to
         the parameters of a class.
 
-        Parameters
-        ----------
-        learnt : Learnt
-            What the filter knows of the driver now.
-        prior : Learnt
-            What the filter knew of the driver before the first sample.
-
-        Returns
-        -------
-        ndarray, shape (K,)
-            Probabilities of the classes.
+        Returns (K,), probabilities of the classes.
         """
         # Imported here: commands that only read or write classes start sooner without scipy.
         from scipy.special import softmax

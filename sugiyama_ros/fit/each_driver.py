@@ -37,33 +37,8 @@ def calibrate(
 ) -> Iterator[Fit]:
     """Fit every driver alone.
 
-    Parameters
-    ----------
-    trajectories : Trajectories
-        The recording.
-    formulation : {"causal", "paper"}
-        Likelihood.
-    estimated : sequence of str
-        Names of the parameters in the search.
-    options : SearchOptions
-        Further options.
-    starts : mapping of int to ndarray, shape (P,), optional
-        Parameters by vehicle, for the start and for the drivers ahead. The default start is the paper's mean with a
-        larger acceleration noise.
-    skip : collection of int
-        Vehicles to leave out.
-    work : Executor, optional
-        Carries out the searches; without it, they run one after the other.
-
-    Yields
-    ------
-    Fit
-        One for each driver, in the order of the vehicles.
-
-    Raises
-    ------
-    InputError
-        For an unknown parameter, or data that the formulation cannot use.
+    starts: (P,), parameters by vehicle, for the start and for the drivers ahead; the default start is the paper's mean
+    with a larger acceleration noise. Raises InputError.
     """
     yield from each_of(JobMaker(trajectories, formulation, estimated, starts or {}), options, skip=skip, work=work)
 
@@ -140,14 +115,7 @@ class _Jobs:
 
     Processes and clusters get the part of the recording that these drivers see.
 
-    Parameters
-    ----------
-    maker : JobMaker
-        Makes a plain search.
-    options : SearchOptions
-        Options of the searches.
-    drivers : sequence of int
-        Columns of the drivers.
+    maker: makes a plain search; options: options of the searches; drivers: columns of the drivers.
     """
 
     def __init__(self, maker: JobMaker, options: SearchOptions, drivers: Sequence[int]) -> None:

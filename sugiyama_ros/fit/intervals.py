@@ -18,17 +18,9 @@ _FURTHER, _FURTHER_AT_LEAST, _FIRST = 2.5, 1.3, 0.5
 def quadratic(parameters: Array, std: Array) -> Array:
     """Return 95 % intervals from a log-likelihood that is quadratic in the logarithms of the parameters.
 
-    Parameters
-    ----------
-    parameters : ndarray, shape (...)
-        Parameters, positive or negative.
-    std : ndarray, shape (...)
-        Standard deviations of the parameters.
-
-    Returns
-    -------
-    ndarray, shape (..., 2)
-        Ends of the intervals. For an infinite std they are 0 and infinity; for a std of 0, both are the parameter.
+    parameters: (...), parameters, positive or negative; std: (...), standard deviations of the parameters. Returns
+    (..., 2), ends of the intervals; for an infinite std they are 0 and infinity; for a std of 0, both are the
+    parameter.
     """
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         far = np.exp(SIGMAS * std / np.abs(parameters))
@@ -40,20 +32,6 @@ def end_of_profile(fall: Callable[[float], float], guess: float, furthest: float
     """Return the distance from the maximum at which the profile log-likelihood has fallen by 1.96^2 / 2.
 
     The values within this distance are a 95 % interval, on any scale of the distance.
-
-    Parameters
-    ----------
-    fall : callable
-        Returns the square root of twice the fall at a distance.
-    guess : float
-        A standard deviation, in the unit of the distance.
-    furthest : float
-        Largest distance.
-
-    Returns
-    -------
-    float
-        The distance, infinite if it is beyond ``furthest``.
 
     References
     ----------

@@ -32,16 +32,8 @@ _STEPS, _RENEWALS = 12, 5
 class JointFit:
     """A model of all drivers, with its predictions of the samples and its slopes.
 
-    Parameters
-    ----------
-    model : Model
-        The model, at a maximum or on the way to one.
-    samples : PointwiseDensity
-        Predictions of all samples.
-    slopes : tuple of Slopes
-        Score and information of each driver.
-    beside : JointFit, optional
-        The fit from which the model has the parameters that it holds.
+    model: the model, at a maximum or on the way to one; samples: predictions of all samples; slopes: score and
+    information of each driver; beside: the fit from which the model has the parameters that it holds.
     """
 
     model: Model
@@ -67,26 +59,7 @@ def fit(data: Recorded, model: Model, work: Executor, *, iterations: int = _STEP
 
 
 def warm_start(data: Recorded, near: JointFit, model: Model, work: Executor, *, renewals: int = _RENEWALS) -> JointFit:
-    """Maximise the likelihood from ``model``, and reuse the derivatives of a nearby fit.
-
-    Parameters
-    ----------
-    data : Recorded
-        The recording.
-    near : JointFit
-        A nearby fit. Its derivatives are used until they predict poorly.
-    model : Model
-        Where the search starts.
-    work : Executor
-        Runs the filters.
-    renewals : int
-        Maximum number of times that derivatives are computed again.
-
-    Returns
-    -------
-    JointFit
-        The best fit found.
-    """
+    """Maximise the likelihood from ``model``, and reuse the derivatives of a nearby fit."""
     start = at_model(data, near, model, work, np.ones(data.drivers, np.bool_))
     return maximise(data, start, work, renewals=renewals, fresh=False)
 
@@ -104,24 +77,8 @@ def maximise(
 ) -> JointFit:
     """Maximise the log posterior from a fit whose slopes are known, and return the best fit found.
 
-    Parameters
-    ----------
-    data : Recorded
-        The recording.
-    start : JointFit
-        Where the search starts.
-    work : Executor
-        Runs the filters.
-    folds : sequence of int
-        Folds whose samples count.
-    iterations : int
-        Maximum number of steps.
-    enough : float, optional
-        The search ends when the predicted gain of a step is less than this [nats]; more than 0.5 for many drivers.
-    renewals : int
-        Maximum number of times that derivatives are computed again.
-    fresh : bool
-        Whether the derivatives of ``start`` belong to its own model, and not to a nearby model.
+    enough: the search ends when the predicted gain of a step is less than this [nats]; more than 0.5 for many drivers;
+    fresh: whether the derivatives of ``start`` belong to its own model, and not to a nearby model.
     """
     here = start
     enough = max(_ENOUGH, _ENOUGH_EACH * data.drivers) if enough is None else enough
@@ -184,23 +141,8 @@ def solve(
 ) -> NewtonStep:
     """Return the damped Newton step of a model; the prior counts in proportion to the number of folds.
 
-    Parameters
-    ----------
-    all_slopes : sequence of Slopes
-        Slopes of each driver at the model.
-    model : Model
-        The model.
-    folds : sequence of int
-        Folds whose samples count.
-    damping : float or ndarray, shape (N,)
-        Damping of all drivers or of each driver.
-    curvature : sequence of int, optional
-        Folds whose information counts; ``folds`` by default.
-
-    Returns
-    -------
-    NewtonStep
-        The step with its predicted gains.
+    damping: (N,), damping of all drivers or of each driver; curvature: folds whose information counts; ``folds`` by
+    default.
     """
     curved, own = list(folds if curvature is None else curvature), len(model.individual)
     of_driver: Array = np.broadcast_to(damping, len(all_slopes))
@@ -234,23 +176,7 @@ def solve(
 def at_model(data: Recorded, here: JointFit, model: Model, work: Executor, who: NDArray[np.bool_]) -> JointFit:
     """Return the fit with some drivers moved to a nearby model; the derivatives stay as they are.
 
-    Parameters
-    ----------
-    data : Recorded
-        The recording.
-    here : JointFit
-        The fit.
-    model : Model
-        The nearby model.
-    work : Executor
-        Runs the filters.
-    who : ndarray of bool, shape (N,)
-        Drivers to move.
-
-    Returns
-    -------
-    JointFit
-        The fit with new samples for these drivers.
+    who: (N,), drivers to move.
     """
     numbers = np.flatnonzero(who)
     rows, slopes_, samples = here.model.rows.copy(), list(here.slopes), here.samples.copy()

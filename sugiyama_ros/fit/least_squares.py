@@ -37,23 +37,9 @@ class Following:
     Positions are continuous: they do not wrap, so the difference of two positions is the distance between them. Unknown
     samples are NaN.
 
-    Parameters
-    ----------
-    position_m, speed : ndarray, shape (T,)
-        Position of the driver's centre [m] and speed [m/s].
-    leader_position_m, leader_speed : ndarray, shape (T,)
-        Position of the leader's centre [m] and speed [m/s].
-    half_lengths_m : float
-        Half of the sum of both vehicles' lengths [m].
-    period_s : float
-        Time between two samples [s].
-    source : str
-        Name of the driver in error messages.
-
-    Raises
-    ------
-    InputError
-        If the shapes differ.
+    position_m, speed: (T,), position of the driver's centre [m] and speed [m/s]; leader_position_m, leader_speed: (T,),
+    position of the leader's centre [m] and speed [m/s]; half_lengths_m: half of the sum of both vehicles' lengths [m];
+    period_s: time between two samples [s]; source: name of the driver in error messages. Raises InputError.
     """
 
     position_m: Array
@@ -79,12 +65,7 @@ class Following:
 class GapFit:
     """A law fitted to the gaps of one driver.
 
-    Parameters
-    ----------
-    parameters : ndarray, shape (n,)
-        Parameters in the order of the law.
-    rmse_m : float
-        Root mean square error of the fitted gaps [m].
+    parameters: (n,), parameters in the order of the law; rmse_m: root mean square error of the fitted gaps [m].
     """
 
     parameters: Array
@@ -119,21 +100,8 @@ def gap_errors(law: Law, parameters: Array, following: Following, chosen: Mask) 
     left out between two blocks of time therefore restarts the car. The integration is Euler's rule as in the
     simulation; speeds stay at or above 0.
 
-    Parameters
-    ----------
-    law : Law
-        The law.
-    parameters : ndarray, shape (..., n)
-        Parameters in the order of the law.
-    following : Following
-        The driver and the leader.
-    chosen : ndarray of bool, shape (T,)
-        Samples to simulate.
-
-    Returns
-    -------
-    ndarray, shape (..., T)
-        Errors [m]; NaN where the car starts and where a sample is not chosen.
+    parameters: (..., n), parameters in the order of the law; chosen: (T,), samples to simulate. Returns (..., T),
+    errors [m]; naN where the car starts and where a sample is not chosen.
     """
     values = parameters.reshape(-1, parameters.shape[-1])
     rows = np.zeros((len(values), ROW.width))
@@ -148,26 +116,8 @@ def gap_errors(law: Law, parameters: Array, following: Following, chosen: Mask) 
 def fit_gaps(law: Law, following: Following, chosen: Mask, start: Array | None = None) -> GapFit:
     """Fit the parameters of a law by least squares of ``gap_errors``, within their bounds.
 
-    Parameters
-    ----------
-    law : Law
-        The law.
-    following : Following
-        The driver and the leader.
-    chosen : ndarray of bool, shape (T,)
-        Samples that count.
-    start : ndarray, shape (n,), optional
-        Parameters at the start of the search. By default the search tries many starts.
-
-    Returns
-    -------
-    GapFit
-        The best fit found.
-
-    Raises
-    ------
-    InputError
-        If there are not more samples than parameters.
+    chosen: (T,), samples that count; start: (n,), parameters at the start of the search; by default the search tries
+    many starts. Raises InputError.
     """
     default, lower, upper = (np.array([getattr(p, of) for p in law.parameters]) for of in ("default", "lower", "upper"))
     scored = np.isfinite(gap_errors(law, default, following, chosen))

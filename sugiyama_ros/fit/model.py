@@ -24,22 +24,12 @@ _SIGN[OMEGA_2] = -1.0
 class Model:
     """A model of all drivers.
 
-    Parameters
-    ----------
-    rows : ndarray, shape (N, WIDTH)
-        Parameters of each driver.
-    individual : tuple of int
-        Places in the rows that are fitted for each driver alone.
-    shared : tuple of int
-        Places in the rows that are fitted for all drivers together.
-    prior_std : tuple of float
-        Standard deviation of each individual parameter over the drivers, in the parameter's coordinate.
-    ahead : ndarray, shape (N, WIDTH)
-        Parameters of each driver as the leader of another driver. Shared entries follow ``rows``.
-    few : tuple of (int, tuple of int)
-        Shared places that only some drivers have, with the columns of these drivers; the entry is 0 for the others.
-    held : tuple of int
-        Fitted places that a search leaves as they are.
+    rows: (N, WIDTH), parameters of each driver; individual: places in the rows that are fitted for each driver alone;
+    shared: places in the rows that are fitted for all drivers together; prior_std: standard deviation of each
+    individual parameter over the drivers, in the parameter's coordinate; ahead: (N, WIDTH), parameters of each driver
+    as the leader of another driver; shared entries follow ``rows``; few: shared places that only some drivers have,
+    with the columns of these drivers; the entry is 0 for the others; held: fitted places that a search leaves as they
+    are.
     """
 
     rows: Array
@@ -69,16 +59,9 @@ class Model:
 class NewtonStep:
     """A step of the search.
 
-    Parameters
-    ----------
-    individual : ndarray, shape (N, I)
-        Changes of the individual coordinates.
-    shared : ndarray, shape (S,)
-        Changes of the shared coordinates.
-    predicted_gains : ndarray, shape (N,)
-        Predicted rise of the log posterior [nats] from the individual changes of each driver.
-    predicted_gain : float
-        Predicted rise of the log posterior [nats] from the whole step.
+    individual: (N, I), changes of the individual coordinates; shared: (S,), changes of the shared coordinates;
+    predicted_gains: (N,), predicted rise of the log posterior [nats] from the individual changes of each driver;
+    predicted_gain: predicted rise of the log posterior [nats] from the whole step.
     """
 
     individual: Array
@@ -90,20 +73,8 @@ class NewtonStep:
 def leaders(data: Recorded, model: Model, who: Sequence[int]) -> list[Array]:
     """Return the parameters of the vehicles ahead of some drivers.
 
-    Parameters
-    ----------
-    data : Recorded
-        The recording.
-    model : Model
-        The model.
-    who : sequence of int
-        Numbers of the drivers.
-
-    Returns
-    -------
-    list of ndarray, shape (M - 1, WIDTH)
-        For each driver the rows of the vehicles in the chain ahead; the row of the median driver for an unknown
-        vehicle.
+    Returns (M - 1, WIDTH), for each driver the rows of the vehicles in the chain ahead; the row of the median driver
+    for an unknown vehicle.
     """
     chosen = np.asarray(who, dtype=np.int64)
     ahead = data.ahead[chosen]
@@ -152,17 +123,7 @@ def moved(data: Recorded, model: Model, step: NewtonStep, share: float = 1.0) ->
 def reach(data: Recorded, places: Sequence[int]) -> Array:
     """Return the longest step of linear coordinates: a part of the declared range, of the recording or of the road.
 
-    Parameters
-    ----------
-    data : Recorded
-        The recording.
-    places : sequence of int
-        Places of K parameters.
-
-    Returns
-    -------
-    ndarray, shape (K,)
-        Longest step of each parameter, in its own unit.
+    Returns (K,), longest step of each parameter, in its own unit.
     """
     around = data.vicinity
     road = around.road.circumference_m or float(np.nanmax(around.position_m) - np.nanmin(around.position_m))

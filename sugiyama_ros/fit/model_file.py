@@ -40,22 +40,9 @@ _DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 class ModelFile:
     """The contents of a model file.
 
-    Parameters
-    ----------
-    vehicle : ndarray of int, shape (N,)
-        Numbers of the vehicles.
-    rows : ndarray, shape (N, WIDTH)
-        Row of each driver.
-    effects : tuple of str
-        Names of the active effects.
-    source : str
-        Name of the fitted data.
-    sha256 : str
-        Checksum of the fitted data.
-    types : DriverTypes, optional
-        Classes of drivers, if the drivers were divided into classes.
-    cautions : tuple of str
-        What somebody who uses the model must know, in words.
+    vehicle: (N,), numbers of the vehicles; rows: (N, WIDTH), row of each driver; effects: names of the active effects;
+    source: name of the fitted data; sha256: checksum of the fitted data; types: classes of drivers, if the drivers were
+    divided into classes; cautions: what somebody who uses the model must know, in words.
     """
 
     vehicle: Ints
@@ -83,10 +70,7 @@ class ModelFile:
 def typical_driver(law_name: str) -> ModelFile:
     """Return what a model file would hold for a typical driver of a law, who stands for every vehicle.
 
-    Raises
-    ------
-    InputError
-        For an unknown law.
+    Raises InputError.
     """
     declared = () if law_name == PAPERS else law(law_name).parameters
     row = drive_by(ROW.with_effects(population()), law_name, {p.name: p.default for p in declared})
@@ -94,24 +78,7 @@ def typical_driver(law_name: str) -> ModelFile:
 
 
 def write_model(target: Target, data: Recorded, fitted: JointFit, cautions: Sequence[str] = ()) -> None:
-    """Write a fitted model to a file.
-
-    Parameters
-    ----------
-    target : Path or Output
-        The file.
-    data : Recorded
-        The recording.
-    fitted : JointFit
-        The model fitted to the recording.
-    cautions : sequence of str
-        What somebody who uses the model must know, in words.
-
-    Raises
-    ------
-    OutputError
-        If the file cannot be written.
-    """
+    """Write a fitted model to a file. Raises OutputError."""
     with ThreadPoolExecutor(1) as work:
         own, shared = own_stds(fitted), shared_stds(data, fitted, work)
     write_drivers(target, data.vicinity, fitted.model.rows, own, shared, fitted.log_likelihood, cautions=cautions)
@@ -129,27 +96,7 @@ def write_drivers(
 ) -> None:
     """Write the parameters of drivers as a model file.
 
-    Parameters
-    ----------
-    target : Path or Output
-        The file.
-    of : Trajectories or Vicinity
-        The drivers of the fitted recording.
-    rows : ndarray, shape (N, WIDTH)
-        Row of each driver.
-    own_std, shared_std : sequence of mapping and mapping, of str to float
-        Standard deviations by name: of the individual parameters of each driver, and of the shared parameters.
-    log_likelihood : float
-        Log-likelihood of the fit [nats].
-    types : DriverTypes, optional
-        Classes of the drivers.
-    cautions : sequence of str
-        What a user of the model must know, in words.
-
-    Raises
-    ------
-    OutputError
-        If the file cannot be written.
+    rows: (N, WIDTH), row of each driver; log_likelihood: log-likelihood of the fit [nats]. Raises OutputError.
     """
     numbers = of.numbers if isinstance(of, Vicinity) else of.vehicle.tolist()
     drivers = {v: _driver(row, std) for v, row, std in zip(numbers, rows, own_std, strict=True)}
@@ -194,13 +141,7 @@ def _law(row: Array) -> dict[str, Any]:
 
 
 def drive_by(row: Array, name: str, values: Mapping[str, float]) -> Array:
-    """Return the row (WIDTH,) of a driver who drives by a law.
-
-    Raises
-    ------
-    InputError
-        For an unknown law or parameter, or a value that is missing or out of bounds.
-    """
+    """Return the row (WIDTH,) of a driver who drives by a law. Raises InputError."""
     declared, found = law(name).parameters, row.copy()
     found[ROW.law] = number_of(name)
     if name == PAPERS:
@@ -217,13 +158,7 @@ def drive_by(row: Array, name: str, values: Mapping[str, float]) -> Array:
 
 
 def read_model(path: Path) -> ModelFile:
-    """Read a model file.
-
-    Raises
-    ------
-    InputError
-        If the file is missing or invalid; the message names the field.
-    """
+    """Read a model file. Raises InputError."""
     document = read_yaml(path)
     if not isinstance(document, dict) or document.get("sugiyama_model") != _FORMAT:
         raise InputError(
@@ -299,18 +234,7 @@ def _wrong(error: Exception) -> str:
 
 
 def own_stds(fitted: JointFit) -> list[dict[str, float]]:
-    """Return standard deviations of the individual parameters of each driver, by name, from the information of a fit.
-
-    Parameters
-    ----------
-    fitted : JointFit
-        The fit.
-
-    Returns
-    -------
-    list of dict of str to float
-        Standard deviations of each driver.
-    """
+    """Return standard deviations of the individual parameters of each driver, by name, from a fit's information."""
     model = fitted.model
     own = len(model.individual)
     prior = np.diag(1.0 / np.array(model.prior_std) ** 2)

@@ -32,44 +32,14 @@ _AGREES, _AGREE, _PASSES = 0.1, 2.0, 5
 
 
 def start_model(data: Recorded, individual: Sequence[int]) -> Model:
-    """Return the model without effects in which every driver is the mean of the population.
-
-    Parameters
-    ----------
-    data : Recorded
-        The recording of N drivers.
-    individual : sequence of int
-        Places of the parameters that are fitted for each driver.
-
-    Returns
-    -------
-    Model
-        The model at the start of a search.
-    """
+    """Return the model without effects in which every driver is the mean of the population."""
     typical = data.even.typical(data.speed)
     rows = np.tile(ROW.with_effects(typical), (data.drivers, 1))
     return Model(rows, tuple(individual), (), (PRIOR_STD,) * len(individual), rows.copy())
 
 
 def fit_nearly(data: Recorded, individual: Sequence[int], work: Executor, start: Model | None = None) -> JointFit:
-    """Fit every driver alone, but not to the end, because other searches follow, or because the fit is far behind.
-
-    Parameters
-    ----------
-    data : Recorded
-        The recording.
-    individual : sequence of int
-        Places of the parameters that are fitted for each driver.
-    work : Executor
-        Runs the filters.
-    start : Model, optional
-        Where the search starts. By default it starts at the maximum of the paper's likelihood, which is cheap.
-
-    Returns
-    -------
-    JointFit
-        A fit to which another step would add less than 20 nats, or where the search was after ten steps.
-    """
+    """Fit every driver alone, but not to the end, because other searches follow, or because the fit is far behind."""
     first = start or start_model(data, individual)
     near = _by_paper(data, first, work) if start is None else None
     start_at = start_fit(data, near or first, work)
@@ -81,22 +51,6 @@ def fit_base(data: Recorded, individual: Sequence[int], work: Executor, start: M
 
     The second fit uses the first fit's parameters for the drivers ahead. It is repeated, with its own parameters for
     them, as long as the likelihood rises by it.
-
-    Parameters
-    ----------
-    data : Recorded
-        The recording.
-    individual : sequence of int
-        Places of the parameters that are fitted for each driver.
-    work : Executor
-        Runs the filters.
-    start : Model, optional
-        Where the search starts. By default it starts at the maximum of the paper's likelihood, which is cheap.
-
-    Returns
-    -------
-    JointFit
-        The fitted base model.
     """
     near = fit_nearly(data, individual, work, start)
     return _settled(data, _as_one_population(data, near, work), work)

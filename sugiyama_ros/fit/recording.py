@@ -36,41 +36,17 @@ _LEAST_LED = 0.1
 class Recorded:
     """A recording prepared for the filter, N drivers at T samples.
 
-    Parameters
-    ----------
-    vicinity : Vicinity
-        The drivers and the vehicles around them.
-    chains : tuple of Chain
-        Each driver with the vehicles ahead.
-    ahead : ndarray of int, shape (N, M - 1)
-        Numbers of the drivers who are ahead in most samples; -1 for none, or for somebody who is no driver here.
-    block : ndarray of int, shape (N, T)
-        Number of the block of time.
-    fold : ndarray of int, shape (N, T)
-        Number of the fold in which the block is held out.
-    segment : ndarray of int, shape (N, T)
-        Number of the unbroken part of the driver's record.
-    scored : ndarray of bool, shape (N, T)
-        Whether a sample counts.
-    even : Evenness
-        How evenly the vehicles move.
-    speed : float
-        High speed in the data [m/s].
-    lower, upper : ndarray, shape (WIDTH,)
-        Smallest sizes of parameters with a logarithmic coordinate, and upper bounds of the search.
-    trajectories : Trajectories or None
-        The recording, where it is one road on which everybody is recorded; None for tracks.
-    every : int
-        Vehicles are measured in one sample of so many.
-    decisions : int
-        Number of decisions of the model's drivers from one sample of the recording to the next.
-    smoothed_s : float
-        Time [s] over which somebody has smoothed the positions; 0 if nobody has.
-    left_out : int
-        Number of drivers who were left out because there were too many.
-    is_rough : bool
-        Whether filters have single precision where most of the work is, for screening: at fitted models, the
-        log-likelihood of a driver is off by less than 1e-3 nats.
+    vicinity: the drivers and the vehicles around them; chains: each driver with the vehicles ahead; ahead: (N, M - 1),
+    numbers of the drivers who are ahead in most samples; -1 for none, or for somebody who is no driver here; block: (N,
+    T), number of the block of time; fold: (N, T), number of the fold in which the block is held out; segment: (N, T),
+    number of the unbroken part of the driver's record; scored: (N, T), whether a sample counts; even: how evenly the
+    vehicles move; speed: high speed in the data [m/s]; lower, upper: (WIDTH,), smallest sizes of parameters with a
+    logarithmic coordinate, and upper bounds of the search; trajectories: the recording, where it is one road on which
+    everybody is recorded; none for tracks; every: vehicles are measured in one sample of so many; decisions: number of
+    decisions of the model's drivers from one sample of the recording to the next; smoothed_s: time [s] over which
+    somebody has smoothed the positions; 0 if nobody has; left_out: number of drivers who were left out because there
+    were too many; is_rough: whether filters have single precision where most of the work is, for screening: at fitted
+    models, the log-likelihood of a driver is off by less than 1e-3 nats.
     """
 
     vicinity: Vicinity
@@ -118,46 +94,15 @@ class Recorded:
 
 
 def within(most: int | None, drivers: int, samples: int) -> range:
-    """Return the numbers of drivers who stand for all.
-
-    Parameters
-    ----------
-    most : int or None
-        Largest product of drivers and measured samples; None for all drivers.
-    drivers, samples : int
-        Number of drivers, and of the measured samples of each.
-
-    Returns
-    -------
-    range
-        The drivers, evenly spread; one driver at least.
-    """
+    """Return the numbers of drivers who stand for all."""
     return range(0, drivers, 1 if most is None else min(drivers, -(-drivers * samples // most)))
 
 
 def prepare(trajectories: Trajectories, segment: Ints | None = None, most: int | None = None) -> Recorded:
     """Prepare trajectories for a fit.
 
-    Parameters
-    ----------
-    trajectories : Trajectories
-        N vehicles at T samples. Where these are more than 0.5 s apart, empty samples come in between. Of smoothed
-        positions, only samples count that are most of the window apart.
-    segment : ndarray of int, shape (T,), optional
-        Number of the unbroken part of the recording. Every filter restarts where the number changes.
-    most : int, optional
-        Largest product of drivers and measured samples. Of a larger recording, some drivers are prepared, behind
-        vehicles that drive as measured.
-
-    Returns
-    -------
-    Recorded
-        The prepared recording.
-
-    Raises
-    ------
-    InputError
-        If the recording is too short to hold out samples.
+    segment: (T,), number of the unbroken part of the recording; every filter restarts where the number changes. Raises
+    InputError.
     """
     trajectories = with_short_periods(trajectories)
     seen, decisions = measured(trajectories), measured_every(trajectories)
@@ -208,17 +153,8 @@ def _blocks(trajectories: Trajectories) -> Ints:
 def bounds_of(even: Evenness, speed: float) -> tuple[Array, Array]:
     """Return the bounds of a search over rows.
 
-    Parameters
-    ----------
-    even : Evenness
-        How evenly the vehicles move.
-    speed : float
-        High speed in the data [m/s].
-
-    Returns
-    -------
-    lower, upper : ndarray, shape (WIDTH,)
-        Smallest sizes of parameters with a logarithmic coordinate, and upper bounds.
+    speed: high speed in the data [m/s]. Returns (WIDTH,), smallest sizes of parameters with a logarithmic coordinate,
+    and upper bounds.
     """
     lower = np.full(ROW.width, SMALLEST)
     lower[:COUNT] = lower_bounds(even)

@@ -33,17 +33,6 @@ ROUNDING = 1e-6
 def with_short_periods(trajectories: Trajectories) -> Trajectories:
     """Return a recording with empty samples in between if its samples are more than 0.5 s apart.
 
-    Parameters
-    ----------
-    trajectories : Trajectories
-        The recording.
-
-    Returns
-    -------
-    Trajectories
-        The recording at the part of its period that is nearest to the paper's 1/3 s; the recording itself if its period
-        is at most 0.5 s.
-
     Examples
     --------
     >>> import numpy as np
@@ -59,34 +48,13 @@ def with_short_periods(trajectories: Trajectories) -> Trajectories:
 def usual_decisions(period_s: float) -> int:
     """Return how often the model's drivers decide from one sample to the next, if the samples do not say it.
 
-    Parameters
-    ----------
-    period_s : float
-        Time [s] between two samples.
-
-    Returns
-    -------
-    int
-        1 up to 0.5 s; beyond, the number of parts that are nearest to the paper's 1/3 s.
+    period_s: time [s] between two samples.
     """
     return 1 if period_s <= _LONGEST_S * (1.0 + ROUNDING) else round(period_s / REFERENCE_PERIOD_S)
 
 
 def divided(trajectories: Trajectories, parts: int) -> Trajectories:
-    """Return a recording with empty samples that divide its period.
-
-    Parameters
-    ----------
-    trajectories : Trajectories
-        The recording.
-    parts : int
-        Number of parts of each period.
-
-    Returns
-    -------
-    Trajectories
-        The recording at a part of its period.
-    """
+    """Return a recording with empty samples that divide its period."""
     samples, vehicles = trajectories.position_m.shape
     position = np.full((parts * (samples - 1) + 1, vehicles), np.nan)
     position[::parts] = trajectories.position_m
@@ -99,17 +67,7 @@ def apart_if_smoothed(window: int, even: Evenness) -> int:
     Rounding hides a smoother from ``smoothing_window``, but such positions still move more evenly than the noises of
     the model let them.
 
-    Parameters
-    ----------
-    window : int
-        Samples over which positions were smoothed, as ``smoothing_window`` returns them; 0 if they were not.
-    even : Evenness
-        How evenly the vehicles move.
-
-    Returns
-    -------
-    int
-        Three quarters of the window, but at most 0.8 s, and 0.5 s where no window is seen; at least 1.
+    window: samples over which positions were smoothed, as ``smoothing_window`` returns them; 0 if they were not.
     """
     longest_s = LONGEST_APART_S if window else _LONGEST_S
     longest = max(1, math.floor(longest_s * (1.0 + ROUNDING) / even.period_s))
@@ -128,36 +86,15 @@ def thinned(position_m: Array, every: int) -> Array:
 def smoothed_alike(present: Mask, ends: int) -> Mask:
     """Return whether samples are as smooth as all others: at the ends of a record, smoothers have half a window.
 
-    Parameters
-    ----------
-    present : ndarray of bool, shape (N, T)
-        Whether a vehicle is recorded.
-    ends : int
-        Number of samples at the start and at the end of a record that are not.
-
-    Returns
-    -------
-    ndarray of bool, shape (N, T)
-        False at the ends, and where the vehicle is not recorded unless ``ends`` is 0.
+    present: (N, T), whether a vehicle is recorded. Returns (N, T), false at the ends, and where the vehicle is not
+    recorded unless ``ends`` is 0.
     """
     since, until = np.cumsum(present, axis=1), np.cumsum(present[:, ::-1], axis=1)[:, ::-1]
     return np.asarray((since > ends) & (until > ends) | (ends == 0))
 
 
 def measured_every(trajectories: Trajectories) -> int:
-    """Return the number of periods from one sample in which somebody is measured to the next, as ``measured`` takes it.
-
-    Parameters
-    ----------
-    trajectories : Trajectories
-        The recording.
-
-    Returns
-    -------
-    int
-        Largest number that divides all distances between the first sample and samples with a measurement; 1 for a
-        recording without empty samples.
-    """
+    """Return the number of periods from one sample in which somebody is measured to the next, for ``measured``."""
     return max(1, int(np.gcd.reduce(np.flatnonzero(np.isfinite(trajectories.position_m).any(axis=1)))))
 
 

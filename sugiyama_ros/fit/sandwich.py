@@ -28,22 +28,7 @@ _CLEARLY, _DOUBLINGS = 4.0, 7
 
 
 def shared_stds(data: Recorded, fitted: JointFit, work: Executor) -> dict[str, float]:
-    """Return standard deviations of the shared parameters of a fit.
-
-    Parameters
-    ----------
-    data : Recorded
-        The recording.
-    fitted : JointFit
-        The fit.
-    work : Executor
-        Runs the filters.
-
-    Returns
-    -------
-    dict of str to float
-        Standard deviations by name; empty without shared parameters.
-    """
+    """Return standard deviations of the shared parameters of a fit."""
     model, own = fitted.model, len(fitted.model.individual)
     shared = list(model.shared)
     if not shared:

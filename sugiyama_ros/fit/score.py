@@ -21,12 +21,8 @@ _Any = TypeVar("_Any")
 class DriverDensity(NamedTuple):
     """Predictions of the samples of one driver.
 
-    Parameters
-    ----------
-    innovation_m, innovation_var : ndarray, shape (T,)
-        Innovation [m] and its variance [m^2].
-    log_likelihood : ndarray, shape (T,)
-        Log-likelihood of each sample [nats]; NaN if the sample does not count.
+    innovation_m, innovation_var: (T,), innovation [m] and its variance [m^2]; log_likelihood: (T,), log-likelihood of
+    each sample [nats]; naN if the sample does not count.
     """
 
     innovation_m: Array
@@ -38,12 +34,8 @@ class DriverDensity(NamedTuple):
 class PointwiseDensity:
     """Predictions of all samples of all drivers.
 
-    Parameters
-    ----------
-    innovation_m, innovation_var : ndarray, shape (N, T)
-        Innovation [m] and its variance [m^2].
-    log_likelihood : ndarray, shape (N, T)
-        Log-likelihood of each sample [nats]; NaN if the sample does not count.
+    innovation_m, innovation_var: (N, T), innovation [m] and its variance [m^2]; log_likelihood: (N, T), log-likelihood
+    of each sample [nats]; naN if the sample does not count.
     """
 
     innovation_m: Array
@@ -81,24 +73,7 @@ def unknown(drivers: int, samples: int) -> PointwiseDensity:
 
 
 def evaluate(data: Recorded, model: Model, work: Executor, who: Sequence[int] | None = None) -> PointwiseDensity:
-    """Predict every sample.
-
-    Parameters
-    ----------
-    data : Recorded
-        The recording.
-    model : Model
-        The model.
-    work : Executor
-        Runs the filters.
-    who : sequence of int, optional
-        Numbers of the drivers to predict; all drivers by default.
-
-    Returns
-    -------
-    PointwiseDensity
-        Predictions of all samples; NaN for drivers who are not in ``who``.
-    """
+    """Predict every sample."""
     return next(evaluate_each(data, [model], work, who))
 
 
@@ -152,20 +127,8 @@ def jobs_of(data: Recorded, model: Model, who: Sequence[int]) -> list[causal.Cha
 def filtered_states(data: Recorded, model: Model, work: Executor) -> Array:
     """Return the filtered states of all drivers and of the vehicles around them.
 
-    Parameters
-    ----------
-    data : Recorded
-        The recording.
-    model : Model
-        The model.
-    work : Executor
-        Runs the filters.
-
-    Returns
-    -------
-    ndarray, shape (T, V, 4)
-        Position [m], speed [m/s], noise [m/s^2] and held acceleration [m/s^2] of the vehicles in the columns of the
-        recording's vicinity; NaN where unknown.
+    Returns (T, V, 4), position [m], speed [m/s], noise [m/s^2] and held acceleration [m/s^2] of the vehicles in the
+    columns of the recording's vicinity; naN where unknown.
     """
     return np.ascontiguousarray(follow(data, model, work)[1][:, :, :STATE])
 
@@ -173,22 +136,9 @@ def filtered_states(data: Recorded, model: Model, work: Executor) -> Array:
 def follow(data: Recorded, model: Model, work: Executor) -> tuple[PointwiseDensity, Array]:
     """Predict every sample, and filter the states.
 
-    Parameters
-    ----------
-    data : Recorded
-        The recording.
-    model : Model
-        The model.
-    work : Executor
-        Runs the filters.
-
-    Returns
-    -------
-    samples : PointwiseDensity
-        Predictions of all samples.
-    states : ndarray, shape (T, V, 4 + A)
-        Filtered states, as ``filtered_states`` returns them, and the logarithms of the driver's preferences if A of
-        them wander in the model, in the order of their ``Adaptation``; NaN for vehicles that are no drivers.
+    Returns samples: predictions of all samples; states: (T, V, 4 + A), filtered states, as ``filtered_states`` returns
+    them, and the logarithms of the driver's preferences if A of them wander in the model, in the order of their
+    ``Adaptation``; naN for vehicles that are no drivers.
     """
     jobs = jobs_of(data, model, range(data.drivers))
     outputs = [one for part in work.map(causal.predict_states, together(jobs)) for one in part]
@@ -214,18 +164,7 @@ def between_measurements(data: Recorded, states: Array) -> Array:
     What a filter expects between measurements that are far apart jumps at the next measurement. A vehicle that is to
     drive as it was recorded must not.
 
-    Parameters
-    ----------
-    data : Recorded
-        The recording.
-    states : ndarray, shape (T, V, 4)
-        Filtered states, as ``follow`` returns them.
-
-    Returns
-    -------
-    ndarray, shape of ``states``
-        The states at the measurements, and interpolated states in between. The position is a cubic curve with the
-        speeds at both ends as slopes. These states know the next measurement, so they predict nothing.
+    states: (T, V, 4), filtered states, as ``follow`` returns them.
     """
     if data.every == 1:
         return states

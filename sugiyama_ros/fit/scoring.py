@@ -29,16 +29,8 @@ _STEPS = 60
 class Damping:
     """How the damping of a search changes: it is divided by ten after a success and multiplied by ten after a failure.
 
-    Parameters
-    ----------
-    least : float
-        Smallest value after a success.
-    least_after_failure : float
-        Smallest value after a failure.
-    most : float
-        The search ends beyond this value.
-    start : float
-        Value at the start.
+    least: smallest value after a success; least_after_failure: smallest value after a failure; most: the search ends
+    beyond this value; start: value at the start.
     """
 
     least: float
@@ -49,17 +41,8 @@ class Damping:
     def updated(self, damping: Any, better: Any, worse: Any) -> Any:
         """Return the damping after a step.
 
-        Parameters
-        ----------
-        damping : float or ndarray, shape (...)
-            Damping before the step.
-        better, worse : bool or ndarray of bool, shape (...)
-            Whether the step gained or failed; neither if no step was tried.
-
-        Returns
-        -------
-        ndarray, shape (...)
-            Damping after the step.
+        damping: (...), damping before the step; better, worse: (...), whether the step gained or failed; neither if no
+        step was tried. Returns (...), damping after the step.
         """
         eased = np.maximum(damping / 10.0, self.least)
         raised = np.maximum(10.0 * damping, self.least_after_failure)
@@ -92,18 +75,8 @@ def limited(change: Array, longest: Any) -> Array:
 class Point(NamedTuple):
     """A point of a search.
 
-    Parameters
-    ----------
-    x : ndarray, shape (K,)
-        Coordinates.
-    value : float
-        Value of the function.
-    gradient : ndarray, shape (K,)
-        Gradient by the coordinates.
-    information : ndarray, shape (K, K)
-        Information by the coordinates.
-    scored : object
-        What the caller wants to keep with the point.
+    x: (K,), coordinates; value: value of the function; gradient: (K,), gradient by the coordinates; information: (K,
+    K), information by the coordinates; scored: what the caller wants to keep with the point.
     """
 
     x: Array
@@ -114,23 +87,7 @@ class Point(NamedTuple):
 
 
 def search(at: Callable[[Array, Point | None], Point | None], space: LogSpace, enough: float) -> Point:
-    """Maximise a function of the parameters of one driver.
-
-    Parameters
-    ----------
-    at : callable
-        Returns the point at coordinates (K,), given a nearby point or None. It may return None if the value is not
-        larger than the value of the nearby point.
-    space : LogSpace
-        Coordinates, their start and their bounds.
-    enough : float
-        The search ends when the predicted gain of a step is less than this.
-
-    Returns
-    -------
-    Point
-        The best point found.
-    """
+    """Maximise a function of the parameters of one driver."""
     here, damping = at(space.x, None), _ALONE.start
     if here is None:
         raise ValueError("the search needs a point to begin with")

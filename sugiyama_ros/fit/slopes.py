@@ -33,12 +33,8 @@ _STEP, _PART_OF_STD, _LONGEST_STEP = 0.01, 0.5, 0.05
 class Derivatives(NamedTuple):
     """Derivatives of the samples of one driver by K parameters.
 
-    Parameters
-    ----------
-    innovation, variance : ndarray, shape (K, T)
-        Derivatives of the innovation [m] and of its variance [m^2].
-    density : ndarray, shape (K, T)
-        Derivative of the log-likelihood [nats] at fixed innovation and variance. It is zero without outliers.
+    innovation, variance: (K, T), derivatives of the innovation [m] and of its variance [m^2]; density: (K, T),
+    derivative of the log-likelihood [nats] at fixed innovation and variance; it is zero without outliers.
     """
 
     innovation: Array
@@ -63,17 +59,9 @@ def no_density(samples: int) -> Array:
 class Slopes:
     """Score and information of one driver in each of F folds, by K parameters: individual ones first, then shared ones.
 
-    Parameters
-    ----------
-    score : ndarray, shape (F, K)
-        Gradient of the log-likelihood.
-    information : ndarray, shape (F, K, K)
-        Expected information.
-    log_likelihood : ndarray, shape (F,)
-        Log-likelihood [nats].
-    columns : tuple of Column
-        Derivatives of the samples by each parameter, from which score and information follow. Models that share
-        parameters share their columns.
+    score: (F, K), gradient of the log-likelihood; information: (F, K, K), expected information; log_likelihood: (F,),
+    log-likelihood [nats]; columns: derivatives of the samples by each parameter, from which score and information
+    follow; models that share parameters share their columns.
     """
 
     score: Array
@@ -97,21 +85,7 @@ def sums(samples: DriverDensity, columns: Sequence[Column], row: Array, fold: In
     With outliers, the slope of its density weights each innovation, and the information is the sum of products of
     slopes.
 
-    Parameters
-    ----------
-    samples : DriverDensity
-        Predictions of the driver's samples.
-    columns : sequence of Column
-        Derivatives of the driver's samples by each parameter.
-    row : ndarray, shape (WIDTH,)
-        Parameters of the driver.
-    fold : ndarray of int, shape (T,)
-        Number of each sample's fold.
-
-    Returns
-    -------
-    Slopes
-        Sums for each fold.
+    row: (WIDTH,), parameters of the driver; fold: (T,), number of each sample's fold.
     """
     count = len(columns)
     score, information, total = np.zeros((FOLDS, count)), np.zeros((FOLDS, count, count)), np.zeros(FOLDS)
@@ -155,19 +129,9 @@ def _add_up(
 def density_slope(y: Array, variance: Array, dy: Array, dvar: Array, row: Array) -> Array:
     """Return the derivatives of the log-likelihoods through the innovations and the variances.
 
-    Parameters
-    ----------
-    y, variance : ndarray, shape (T,)
-        Innovations [m] and their variances [m^2].
-    dy, dvar : ndarray, shape (K, T)
-        Derivatives of the innovations and of their variances.
-    row : ndarray, shape (WIDTH,)
-        Parameters of the driver.
-
-    Returns
-    -------
-    ndarray, shape (K, T)
-        Derivatives of the log-likelihood of each sample.
+    y, variance: (T,), innovations [m] and their variances [m^2]; dy, dvar: (K, T), derivatives of the innovations and
+    of their variances; row: (WIDTH,), parameters of the driver. Returns (K, T), derivatives of the log-likelihood of
+    each sample.
     """
     slope = np.empty_like(dy)
     weight, density = np.ones_like(y), np.empty_like(y)
@@ -204,19 +168,7 @@ def _slopes_of(task: tuple[Sequence[_Asked], tuple[int, ...], tuple[int, ...], S
 def column(at: DriverDensity, there: DriverDensity, step: float, row: Array) -> Column:
     """Return the difference quotients of a driver's samples.
 
-    Parameters
-    ----------
-    at, there : DriverDensity
-        Predictions before and after a step.
-    step : float
-        Step of one parameter, in its coordinate.
-    row : ndarray, shape (WIDTH,)
-        Parameters of the driver before the step.
-
-    Returns
-    -------
-    Column
-        Derivatives by the parameter.
+    row: (WIDTH,), parameters of the driver before the step.
     """
     dy, dvar = (there[0] - at[0]) / step, (there[1] - at[1]) / step
     if not is_contaminated(row):
@@ -254,23 +206,7 @@ def slopes(
 ) -> tuple[list[Slopes], PointwiseDensity]:
     """Return the slopes of all drivers at a model, and the predictions of the samples.
 
-    Parameters
-    ----------
-    data : Recorded
-        The recording.
-    model : Model
-        The model.
-    work : Executor
-        Runs the filters.
-    known : sequence of Slopes, optional
-        Slopes at a nearby model, whose information sets the steps of the difference quotients.
-
-    Returns
-    -------
-    slopes : list of Slopes
-        Slopes of each driver.
-    samples : PointwiseDensity
-        Predictions of all samples.
+    Returns slopes: slopes of each driver; samples: predictions of all samples.
     """
     if known is None:
         steps = np.tile(difference_steps(data, [*model.individual, *model.shared]), (data.drivers, 1))
@@ -290,25 +226,7 @@ def slopes_of(
 ) -> list[Slopes]:
     """Return the slopes of drivers whose predictions are known.
 
-    Parameters
-    ----------
-    data : Recorded
-        The recording.
-    model : Model
-        The model.
-    samples : PointwiseDensity
-        Predictions of the model.
-    steps : ndarray, shape (N, K)
-        Steps of the difference quotients, in coordinates.
-    work : Executor
-        Runs the filters.
-    who : iterable of int, optional
-        Numbers of the drivers; all drivers by default.
-
-    Returns
-    -------
-    list of Slopes
-        Slopes of each of these drivers.
+    steps: (N, K), steps of the difference quotients, in coordinates.
     """
     chosen = list(range(data.drivers) if who is None else who)
     asked = [_Asked(job, samples.of(i), steps[i]) for i, job in zip(chosen, jobs_of(data, model, chosen), strict=True)]
@@ -322,19 +240,7 @@ def informed_steps(data: Recorded, model: Model, all_slopes: Sequence[Slopes]) -
 
     The steps of a shared parameter follow from the information of all drivers together.
 
-    Parameters
-    ----------
-    data : Recorded
-        The recording.
-    model : Model
-        The model.
-    all_slopes : sequence of Slopes
-        Slopes of each driver at the model.
-
-    Returns
-    -------
-    ndarray, shape (N, K)
-        Steps in coordinates.
+    Returns (N, K), steps in coordinates.
     """
     places, own = [*model.individual, *model.shared], len(model.individual)
     information = np.array([np.diag(s.information.sum(axis=0)) for s in all_slopes])

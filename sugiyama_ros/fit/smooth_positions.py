@@ -59,14 +59,9 @@ _PART = 0.01
 class Evenness(NamedTuple):
     """How evenly the vehicles of a recording move.
 
-    Parameters
-    ----------
-    roughness_m : float
-        Std of the third differences of the positions [m]; NaN if it is not known.
-    period_s : float
-        Time [s] between two samples.
-    has_other_noises : bool
-        Whether the model's fixed noises do not suit the vehicles, although their positions are not smooth.
+    roughness_m: std of the third differences of the positions [m]; naN if it is not known; period_s: time [s] between
+    two samples; has_other_noises: whether the model's fixed noises do not suit the vehicles, although their positions
+    are not smooth.
     """
 
     roughness_m: float
@@ -96,15 +91,8 @@ class Evenness(NamedTuple):
         fixed noises do not suit the vehicles for another reason, all noises are in proportion. A driver far above the
         desired speed hardly says how much too small it is, so it starts above the speeds in the data.
 
-        Parameters
-        ----------
-        speed : float
-            High speed in the data [m/s], as ``bounds.fastest`` returns it.
-
-        Returns
-        -------
-        ndarray, shape (P,)
-            Parameters at the reference period.
+        speed: high speed in the data [m/s], as ``bounds.fastest`` returns it. Returns (P,), parameters at the reference
+        period.
         """
         driver = population()
         driver[V_STAR] = desired_speed_above(speed, float(driver[V_STAR]))
@@ -114,18 +102,7 @@ class Evenness(NamedTuple):
         return with_smooth_noises(driver, third, third, self.period_s)
 
     def estimated(self, formulation: str = "causal") -> tuple[str, ...]:
-        """Return the names of the parameters that are estimated unless the user names others.
-
-        Parameters
-        ----------
-        formulation : {"causal", "paper"}
-            Likelihood. The paper's keeps the paper's parameters.
-
-        Returns
-        -------
-        tuple of str
-            Names.
-        """
+        """Return the names of the parameters that are estimated unless the user names others."""
         return ESTIMATED + FREED if formulation == "causal" and self.frees_noises else ESTIMATED
 
     def individual(self, *others: int) -> tuple[int, ...]:
@@ -137,18 +114,8 @@ class Evenness(NamedTuple):
 def evenness_of(positions: Iterable[Array], period_s: float) -> Evenness:
     """Return how evenly vehicles move.
 
-    Parameters
-    ----------
-    positions : iterable of ndarray, shape (T,)
-        Continuous positions of each vehicle [m]; NaN where missing.
-    period_s : float
-        Time [s] between two samples.
-
-    Returns
-    -------
-    Evenness
-        The roughness is the median over the vehicles, from the median of the absolute values, which spikes do not move.
-        Vehicles that stand still or are hardly seen do not count.
+    positions: (T,), continuous positions of each vehicle [m]; naN where missing; period_s: time [s] between two
+    samples.
     """
     found = []
     for one in positions:
@@ -165,18 +132,8 @@ def smoothing_window(positions: Iterable[Array], period_s: float) -> int:
     Third differences of unsmoothed positions are correlated over three samples at most. A smoother adds correlation up
     to the width of its window and a little more.
 
-    Parameters
-    ----------
-    positions : iterable of ndarray, shape (T,)
-        Continuous positions of each vehicle [m]; NaN where missing.
-    period_s : float
-        Time [s] between two samples.
-
-    Returns
-    -------
-    int
-        Width of the window, as far as correlations show it; 0 if none beyond three samples is above 0.2 and above what
-        chance gives. Correlations over more than 3 s are not looked for.
+    positions: (T,), continuous positions of each vehicle [m]; naN where missing; period_s: time [s] between two
+    samples.
     """
     products = np.zeros(max(0, round(_LONGEST_S / period_s) - _OF_NOISE))
     square, count = 0.0, 0

@@ -8,20 +8,7 @@ from sugiyama_ros.fit.vicinity import behind_measured, numbered
 
 
 def some_drivers(data: Recorded, who: Sequence[int]) -> Recorded:
-    """Return the part of a recording that says how some drivers drive.
-
-    Parameters
-    ----------
-    data : Recorded
-        The recording.
-    who : sequence of int
-        Numbers of the drivers.
-
-    Returns
-    -------
-    Recorded
-        These drivers, in this order. The vehicles ahead of them drive as measured, whoever drove them.
-    """
+    """Return the part of a recording that says how some drivers drive."""
     chosen = list(who)
     chains = tuple(data.chains[i] for i in chosen)
     return replace(

@@ -15,19 +15,8 @@ def stds(scored: Scored, parameters: Array, places: Ints) -> Array:
     They come from the expected information, or from the sandwich estimate if it is larger: if the gradients of the
     samples scatter more than the information says. The sandwich also holds for an approximate likelihood.
 
-    Parameters
-    ----------
-    scored : Scored
-        Information, and the scatter of the gradients if it is known, at the maximum.
-    parameters : ndarray, shape (P,)
-        Parameters at the maximum.
-    places : ndarray of int, shape (K,)
-        Which of them were searched for.
-
-    Returns
-    -------
-    ndarray, shape (K,)
-        Standard deviations; infinite where the data say nothing.
+    parameters: (P,), parameters at the maximum; places: (K,), which of them were searched for. Returns (K,), standard
+    deviations; infinite where the data say nothing.
 
     References
     ----------
@@ -46,17 +35,9 @@ def stds(scored: Scored, parameters: Array, places: Ints) -> Array:
 def untouched(information: Array, values: Array) -> Array:
     """Which parameters the data say nothing about, alone or in some combination.
 
-    Parameters
-    ----------
-    information : ndarray, shape (K, K)
-        Expected information about the parameters.
-    values : ndarray, shape (K,)
-        Their values, which give the scale: the information about logarithms has no unit.
-
-    Returns
-    -------
-    ndarray of bool, shape (K,)
-        True for a parameter that takes part in a combination about which there is no information.
+    information: (K, K), expected information about the parameters; values: (K,), their values, which give the scale:
+    the information about logarithms has no unit. Returns (K,), true for a parameter that takes part in a combination
+    about which there is no information.
     """
     known, direction = np.linalg.eigh(information * np.outer(values, values))
     return np.asarray((np.square(direction[:, known < _NOTHING]) > _NOTHING).any(axis=1))

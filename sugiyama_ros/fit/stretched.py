@@ -38,14 +38,9 @@ _SHORT_BLOCK_S = 5.0
 class Followers:
     """The drivers on tracks who follow a known vehicle.
 
-    Parameters
-    ----------
-    enough : tuple of tuple of Drive
-        The stretches of each driver who follows for at least ``LEAST_FOLLOWING_S``.
-    few : tuple of tuple of Drive
-        The stretches of each of the other drivers.
-    decisions : int
-        Number of decisions of the model's drivers from one measurement to the next; the samples in between are empty.
+    enough: the stretches of each driver who follows for at least ``LEAST_FOLLOWING_S``; few: the stretches of each of
+    the other drivers; decisions: number of decisions of the model's drivers from one measurement to the next; the
+    samples in between are empty.
     """
 
     enough: tuple[tuple[Drive, ...], ...]
@@ -61,23 +56,8 @@ class Followers:
 def followers(tracks: Tracks, decisions: int | None = None) -> Followers:
     """Find the drivers who follow a known vehicle.
 
-    Parameters
-    ----------
-    tracks : Tracks
-        Tracks with leaders, on the time base of their stretches.
-    decisions : int, optional
-        Number of decisions of the model's drivers from one sample to the next; by default as
-        ``sampling.usual_decisions``.
-
-    Returns
-    -------
-    Followers
-        The drivers in the order of the tracks.
-
-    Raises
-    ------
-    InputError
-        If nobody follows a known vehicle for ``LEAST_FOLLOWING_S``.
+    decisions: number of decisions of the model's drivers from one sample to the next; by default as
+    ``sampling.usual_decisions``. Raises InputError.
     """
     by_driver: dict[tuple[str, str], list[Drive]] = defaultdict(list)
     parts = decisions or usual_decisions(period_of(tracks))
@@ -119,26 +99,8 @@ def fastest_on(every: Sequence[Drive], apart: int = 1) -> float:
 def prepare_tracks(tracks: Tracks, decisions: int | None = None, most: int | None = None) -> Recorded:
     """Prepare tracks for a fit.
 
-    Parameters
-    ----------
-    tracks : Tracks
-        Tracks with leaders.
-    decisions : int, optional
-        Number of decisions of the model's drivers from one sample to the next, as for ``followers``.
-    most : int, optional
-        Largest product of drivers and samples; of a larger recording, some of the drivers are prepared.
-
-    Returns
-    -------
-    Recorded
-        The drivers who follow for at least ``LEAST_FOLLOWING_S``, each on all their stretches. Blocks of time are parts
-        of a driver's own record. A segment ends where the leader changes. Where samples are more than 0.5 s apart,
-        empty samples come in between. Of smoothed positions, only samples count that are most of the window apart.
-
-    Raises
-    ------
-    InputError
-        If nobody follows for long enough.
+    decisions: number of decisions of the model's drivers from one sample to the next, as for ``followers``. Raises
+    InputError.
     """
     tracks = on_time_base(tracks)
     found = followers(tracks, decisions)
@@ -178,25 +140,8 @@ def prepared(
 ) -> Recorded:
     """Prepare a whole road or tracks for a fit, as ``prepare`` and ``prepare_tracks`` do.
 
-    Parameters
-    ----------
-    recording : Trajectories or Tracks
-        The recording.
-    decisions : int, optional
-        Number of decisions of the model's drivers from one sample to the next; by default as
-        ``sampling.usual_decisions``.
-    most : int or None
-        Largest product of drivers and samples; of a larger recording, some of the drivers are prepared. None for all.
-
-    Returns
-    -------
-    Recorded
-        The prepared recording.
-
-    Raises
-    ------
-    InputError
-        If the recording is too short, or if nobody follows for long enough.
+    decisions: number of decisions of the model's drivers from one sample to the next; by default as
+    ``sampling.usual_decisions``. Raises InputError.
     """
     if isinstance(recording, Tracks):
         return prepare_tracks(recording, decisions, most)
@@ -206,19 +151,8 @@ def prepared(
 def driven_anew(data: Recorded, position_m: Array, segment: Ints) -> Recorded:
     """Return a recording in which the drivers have driven otherwise behind the same vehicles.
 
-    Parameters
-    ----------
-    data : Recorded
-        Tracks, prepared for a fit.
-    position_m : ndarray, shape (T, N)
-        New measured positions [m] of the drivers.
-    segment : ndarray of int, shape (N, T)
-        Number of the unbroken part; the filter restarts where it changes.
-
-    Returns
-    -------
-    Recorded
-        The new recording.
+    position_m: (T, N), new measured positions [m] of the drivers; segment: (N, T), number of the unbroken part; the
+    filter restarts where it changes.
     """
     around, chains = data.vicinity, []
     largest = max(int(chain.identity.max()) for chain in data.chains) + 1

@@ -14,12 +14,8 @@ from sugiyama_ros.road import Road
 class DriverName:
     """How documents and tables call a driver.
 
-    Parameters
-    ----------
-    number : int
-        Number of the vehicle; no other driver of the recording has it.
-    recording, vehicle, vehicle_class : str
-        Names in the tracks; empty where the file has none.
+    number: number of the vehicle; no other driver of the recording has it; recording, vehicle, vehicle_class: names in
+    the tracks; empty where the file has none.
     """
 
     number: int
@@ -52,28 +48,11 @@ class Vicinity:
     further columns: the vehicles ahead, as measured. There each driver has their own samples, which skip the time
     between stretches.
 
-    Parameters
-    ----------
-    names : tuple of DriverName
-        Names of the drivers.
-    position_m : ndarray, shape (T, V)
-        Measured positions [m]; NaN where missing.
-    length_m : ndarray, shape (T, V)
-        Lengths [m].
-    leader : ndarray of int, shape (T, V)
-        Column of the vehicle ahead; -1 where there is none.
-    time_s : ndarray, shape (T, N)
-        Times [s] of each driver's samples.
-    road : Road
-        The road.
-    period_s : float
-        Time [s] between two samples.
-    is_whole_road : bool
-        Whether the drivers are all vehicles of one road.
-    has_places : bool
-        Whether equal positions are equal places: False for recordings of different roads.
-    source, sha256 : str
-        Name and checksum of the file.
+    names: names of the drivers; position_m: (T, V), measured positions [m]; naN where missing; length_m: (T, V),
+    lengths [m]; leader: (T, V), column of the vehicle ahead; -1 where there is none; time_s: (T, N), times [s] of each
+    driver's samples; road: the road; period_s: time [s] between two samples; is_whole_road: whether the drivers are all
+    vehicles of one road; has_places: whether equal positions are equal places: False for recordings of different roads;
+    source, sha256: name and checksum of the file.
     """
 
     names: tuple[DriverName, ...]
@@ -109,22 +88,7 @@ class Vicinity:
 
 
 def behind_measured(around: Vicinity, chains: Sequence[Chain], who: Sequence[int]) -> Vicinity:
-    """Return some drivers behind vehicles that drive as measured, whoever drives these.
-
-    Parameters
-    ----------
-    around : Vicinity
-        All drivers.
-    chains : sequence of Chain
-        Chains of the chosen drivers.
-    who : sequence of int
-        Numbers of the chosen drivers.
-
-    Returns
-    -------
-    Vicinity
-        The chosen drivers, as on tracks.
-    """
+    """Return some drivers behind vehicles that drive as measured, whoever drives these."""
     chosen = list(who)
     position, length, leader = columns_of(chains)
     return replace(
@@ -151,17 +115,8 @@ def numbered(drivers: int, who: Sequence[int]) -> Ints:
 def columns_of(chains: Sequence[Chain]) -> tuple[Array, Array, Ints]:
     """Return the vehicles of chains in columns, as a ``Vicinity`` of tracks has them.
 
-    Parameters
-    ----------
-    chains : sequence of Chain
-        Chains of N drivers, all with T samples.
-
-    Returns
-    -------
-    position_m, length_m : ndarray, shape (T, V)
-        Measured positions and lengths [m]: the N drivers, the vehicles ahead of each, and those ahead of these.
-    leader : ndarray of int, shape (T, V)
-        Column of the vehicle ahead, or -1.
+    Returns position_m, length_m: (T, V), measured positions and lengths [m]: the N drivers, the vehicles ahead of each,
+    and those ahead of these; leader: (T, V), column of the vehicle ahead, or -1.
     """
     count, samples = len(chains), len(chains[0].position_m)
     columns = CHAIN * count

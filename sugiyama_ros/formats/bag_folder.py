@@ -25,23 +25,7 @@ _PACKED = (".zstd", ".zst")
 
 
 def bag_files(path: Path) -> list[Path]:
-    """Files of a bag, in the order in which they were recorded.
-
-    Parameters
-    ----------
-    path : Path
-        MCAP file, or directory of rosbag2.
-
-    Returns
-    -------
-    list of Path
-        The file itself, or the files of the directory.
-
-    Raises
-    ------
-    InputError
-        For a directory that is no bag, or whose files are not MCAP.
-    """
+    """Files of a bag, in the order in which they were recorded. Raises InputError."""
     if not path.is_dir():
         if path.suffix.lower() in (".bag", ".db3"):
             kind = "a bag of ROS 1" if path.suffix.lower() == ".bag" else "in a database of rosbag2"
@@ -77,12 +61,7 @@ def _unpacked(file: Path) -> Path:
 class BagSource:
     """One or more files that were recorded together, read as one.
 
-    Parameters
-    ----------
-    path : Path
-        MCAP file, or directory of rosbag2.
-    files : list of Path
-        The files.
+    path: MCAP file, or directory of rosbag2; files: the files.
     """
 
     path: Path
@@ -155,19 +134,8 @@ class FolderWriter:
 
     It is used as `BagWriter` is. What is latched stands in the first file alone, as with rosbag2.
 
-    Parameters
-    ----------
-    folder : Path
-        The directory, which must not be there yet.
-    split_bytes : int
-        Size at which the next file begins; 0: one file.
-    metadata : mapping, optional
-        What is kept in each file.
-
-    Raises
-    ------
-    OutputError
-        Where the directory cannot be made.
+    folder: the directory, which must not be there yet; split_bytes: size at which the next file begins; 0: one file;
+    metadata: what is kept in each file. Raises OutputError.
     """
 
     def __init__(self, folder: Path, split_bytes: int = 0, metadata: Mapping[str, str] | None = None) -> None:

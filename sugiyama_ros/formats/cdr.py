@@ -46,20 +46,8 @@ def decoder(type_name: str, text: str, kind: str = "ros2msg") -> Decoder | None:
 
     The function is made once for each definition, because rosbags compiles Python code for it.
 
-    Parameters
-    ----------
-    type_name : str
-        Name of the type, such as ``std_msgs/msg/Header``.
-    text : str
-        Definition of the type and of all types in it.
-    kind : {"ros2msg", "ros2idl", "omgidl", "ros1msg"}
-        Kind of the definition; the messages of a ``ros1msg`` are in the encoding of ROS 1, all others in CDR.
-
-    Returns
-    -------
-    callable or None
-        Takes bytes and returns a dataclass with numpy arrays; raises ValueError if the bytes do not fit the
-        definition. None if the definition cannot be used.
+    type_name: name of the type, such as ``std_msgs/msg/Header``; kind: kind of the definition; the messages of a
+    ``ros1msg`` are in the encoding of ROS 1, all others in CDR.
     """
     store = _store(type_name, text, kind)
     if store is None:
@@ -96,18 +84,6 @@ def decoder_of(type_name: str, text: str, kind: str, encoding: str) -> Decoder |
     """Make a decoder for the messages of a channel of a bag.
 
     Where the bag has no definition, or one that cannot be used, the installed definition of the type counts.
-
-    Parameters
-    ----------
-    type_name, text, kind : str
-        Name of the type, its definition, and what kind of definition that is.
-    encoding : str
-        Encoding of the messages.
-
-    Returns
-    -------
-    callable or str
-        The decoder, or why there is none and what to do.
     """
     if why := why_unreadable(encoding):
         return why

@@ -17,21 +17,8 @@ _NEEDED, _OPTIONAL = ("x", "y"), ("lane", "width")
 def read_lanes(path: Path) -> RoadLanes:
     """Read the centre lines of lanes.
 
-    Parameters
-    ----------
-    path : Path
-        CSV file with the columns ``x`` and ``y`` [m], in the direction of driving, and perhaps ``lane``, the name of
-        the lane, and ``width`` [m] of the lane.
-
-    Returns
-    -------
-    RoadLanes
-        The lanes, in the order in which the file names them.
-
-    Raises
-    ------
-    InputError
-        For a file that cannot be read, or a line that is no line of a road.
+    path: CSV file with the columns ``x`` and ``y`` [m], in the direction of driving, and perhaps ``lane``, the name of
+    the lane, and ``width`` [m] of the lane. Raises InputError.
     """
     points: dict[str, list[tuple[float, float]]] = {}
     width: dict[str, float] = {}

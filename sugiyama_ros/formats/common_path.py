@@ -19,10 +19,7 @@ _BACK, _AHEAD, _PER_MISSED = 8, 12, 5
 class Path2d:
     """A path of straight pieces.
 
-    Parameters
-    ----------
-    point_m : ndarray, shape (P, 2)
-        Points [m] along the path.
+    point_m: (P, 2), points [m] along the path.
     """
 
     def __init__(self, point_m: Array) -> None:
@@ -39,15 +36,8 @@ class Path2d:
     def positions(self, place_m: Array) -> tuple[Array, Array]:
         """Follow a vehicle along the path.
 
-        Parameters
-        ----------
-        place_m : ndarray, shape (T, 2)
-            Places [m] of the vehicle; NaN where missing.
-
-        Returns
-        -------
-        position_m, off_m : ndarray, shape (T,)
-            Position [m] along the path, and distance [m] from it; NaN where missing.
+        place_m: (T, 2), places [m] of the vehicle; naN where missing. Returns (T,), position [m] along the path, and
+        distance [m] from it; naN where missing.
         """
         position, off = np.full(len(place_m), np.nan), np.full(len(place_m), np.nan)
         piece, before = -1, 0
@@ -96,16 +86,7 @@ def thinned(place_m: Array) -> Array:
 def common_path(places_m: list[Array]) -> Path2d | None:
     """The path of vehicles that drive one behind the other.
 
-    Parameters
-    ----------
-    places_m : list of ndarray, shape (T, 2)
-        Places [m] of the vehicles at the same times, the first vehicle first; NaN where missing.
-
-    Returns
-    -------
-    Path2d or None
-        The mean of all vehicles' paths, along the path of the last vehicle and of those ahead of it; None if nobody
-        moves.
+    places_m: (T, 2), places [m] of the vehicles at the same times, the first vehicle first; naN where missing.
     """
     places_m = [place for place in places_m if np.isfinite(place).all(axis=1).any()]
     if not places_m:

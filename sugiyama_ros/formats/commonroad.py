@@ -57,22 +57,7 @@ class _Counts:
 def read_commonroad(path: Path, choices: Choices) -> Tracks:
     """Read a scenario. Lanelets that follow one another make a road; positions are measured along their middles.
 
-    Parameters
-    ----------
-    path : Path
-        XML.
-    choices : Choices
-        What the user says.
-
-    Returns
-    -------
-    Tracks
-        Centres. A vehicle that is on no lane, or whose way ahead is not known, has an unknown leader.
-
-    Raises
-    ------
-    InputError
-        With the line, for a file of another form.
+    Raises InputError.
     """
     said = root_of(path).get("timeStepSize")
     period = _USUAL_S if said is None else number(said.strip(), "timeStepSize", str(path))

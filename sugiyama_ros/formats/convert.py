@@ -20,24 +20,8 @@ from sugiyama_ros.trajectories.trajectories import Trajectories
 def convert(source: Path, target: Target, ring_m: float | None = None) -> Trajectories:
     """Convert a trajectory file to a bag with the topics /road and /measured.
 
-    Parameters
-    ----------
-    source : Path
-        File to read, in any known format.
-    target : Path or Output
-        Bag to write.
-    ring_m : float, optional
-        Circumference [m] of the ring, where the file does not say it; 0 for an open road.
-
-    Returns
-    -------
-    Trajectories
-        What the file contains.
-
-    Raises
-    ------
-    InputError, OutputError
-        For a file that cannot be read, or a bag that cannot be written.
+    ring_m: circumference [m] of the ring, where the file does not say it; 0 for an open road. Raises InputError,
+    OutputError.
     """
     output = replace(output_of(target), inputs=(Path(source),))
     output.check()
@@ -62,16 +46,8 @@ def write_trajectories(trajectories: Trajectories, target: Target) -> None:
 class Part:
     """Which part of a file is wanted, and how the file is read.
 
-    Parameters
-    ----------
-    name : str
-        Name of the format, or "auto".
-    choices : Choices
-        What the user says about the file.
-    selection : Selection
-        Which rows to keep.
-    period_s : float, optional
-        Time [s] between two samples; the file's own by default.
+    name: name of the format, or "auto"; choices: what the user says about the file; selection: which rows to keep;
+    period_s: time [s] between two samples; the file's own by default.
     """
 
     name: str = "auto"
@@ -83,24 +59,7 @@ class Part:
 def convert_tracks(source: Path, target: Target, part: Part) -> Tracks:
     """Convert a file or a folder to tracks, or a part of it on one lane to a bag.
 
-    Parameters
-    ----------
-    source : Path
-        File or folder to read.
-    target : Path or Output
-        ``.parquet``, ``.csv`` or ``.mcap`` to write.
-    part : Part
-        Which part is wanted.
-
-    Returns
-    -------
-    Tracks
-        What was written.
-
-    Raises
-    ------
-    InputError, OutputError
-        For a file that cannot be read, or one that cannot be written.
+    target: ``.parquet``, ``.csv`` or ``.mcap`` to write. Raises InputError, OutputError.
     """
     out = output_of(target).path
     if out.suffix.lower() not in (".parquet", ".csv", ".mcap"):

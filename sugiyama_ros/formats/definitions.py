@@ -21,15 +21,7 @@ _PRIMITIVE = {"bool", "byte", "char", "float32", "float64", "string", "wstring"}
 def full_text(type_name: str) -> str:
     """Definition of a message and of all types in it, in MCAP's schema encoding ``ros2msg``.
 
-    Parameters
-    ----------
-    type_name : str
-        Name of the type, such as ``std_msgs/msg/Header``.
-
-    Raises
-    ------
-    InputError
-        Where a definition is not installed.
+    type_name: name of the type, such as ``std_msgs/msg/Header``. Raises InputError.
     """
     texts: dict[str, str] = {}
     _collect(type_name, texts)

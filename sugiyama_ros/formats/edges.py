@@ -42,16 +42,6 @@ def along_edges(rows: Edges) -> Placed:
 
     The length of an edge is what vehicles say that leave it for the next edge: where they were last, how far they came
     in between, and where they are now.
-
-    Parameters
-    ----------
-    rows : Edges
-        Rows in any order.
-
-    Returns
-    -------
-    Placed
-        The positions along the roads.
     """
     count = len(rows.edge.text)
     if count == 1:

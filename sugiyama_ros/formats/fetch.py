@@ -45,25 +45,7 @@ def fetch(
 
     The caller asks the user to accept the licence. A file that is incomplete or wrong is never left under its name.
 
-    Parameters
-    ----------
-    name : str
-        Name of the data set in the catalogue.
-    directory : Path
-        Where to put the files; made if it is not there.
-    url : str, optional
-        Another address of the same file.
-    on_progress : callable, optional
-        Called with the bytes so far and in all.
-    overwrite : bool
-        Whether files of an earlier download are replaced.
-
-    Raises
-    ------
-    InputError
-        For an unknown name, a network failure, or a file with another checksum.
-    OutputError
-        Where the directory cannot be written.
+    Raises InputError, OutputError.
     """
     if name not in CATALOGUE:
         raise InputError(f"{name}: not in the catalogue; it has {', '.join(CATALOGUE)}")

@@ -25,22 +25,7 @@ MAX_FILES = 10_000
 def read_folder(path: Path, choices: Choices) -> Tracks:
     """Read all files of a folder that are tables; files beside them that hold metadata are left out.
 
-    Parameters
-    ----------
-    path : Path
-        The folder.
-    choices : Choices
-        What the user says; it holds for every file.
-
-    Returns
-    -------
-    Tracks
-        One recording for each recording of each file; the name of the file comes first.
-
-    Raises
-    ------
-    InputError
-        For a folder without such files, a file that cannot be read, and files on different roads.
+    Raises InputError.
     """
     from sugiyama_ros.formats.registry import formats
 
@@ -59,27 +44,7 @@ def read_folder(path: Path, choices: Choices) -> Tracks:
 
 
 def read_files(files: Sequence[Path], choices: Choices, source: str = "") -> Tracks:
-    """Read several files as recordings of one table.
-
-    Parameters
-    ----------
-    files : sequence of Path
-        The files, or folders.
-    choices : Choices
-        What the user says; it holds for every file.
-    source : str
-        What to call the table.
-
-    Returns
-    -------
-    Tracks
-        One recording for each recording of each file; the name of the file comes first.
-
-    Raises
-    ------
-    InputError
-        For a file that cannot be read, files of the same name, and files on different roads.
-    """
+    """Read several files as recordings of one table. Raises InputError."""
     from sugiyama_ros.formats.registry import read_tracks
 
     stems = [file.stem for file in files]

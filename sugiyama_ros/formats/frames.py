@@ -29,23 +29,9 @@ _WANTED = {
 def from_frame(frame: Any, ring_m: float | None = None) -> Trajectories:
     """Read trajectories from a data frame.
 
-    Parameters
-    ----------
-    frame : pandas.DataFrame
-        Columns time_s [s], vehicle, position_m [m] and perhaps length_m [m]; one row for each sample. Times may also be
-        dates or time differences. Vehicles may have names; then their numbers are those in the names.
-    ring_m : float, optional
-        Circumference [m] of the ring; an open road without it.
-
-    Returns
-    -------
-    Trajectories
-        Positions of all vehicles on a regular time base.
-
-    Raises
-    ------
-    InputError
-        For a missing column, a value that is no number, or times without a regular base.
+    frame: columns time_s [s], vehicle, position_m [m] and perhaps length_m [m]; one row for each sample; times may also
+    be dates or time differences; vehicles may have names; then their numbers are those in the names; ring_m:
+    circumference [m] of the ring; an open road without it. Raises InputError.
     """
     sheet = _sheet(frame)
     table = read_columns(sheet, _WANTED)
@@ -71,22 +57,8 @@ def from_frame(frame: Any, ring_m: float | None = None) -> Trajectories:
 def tracks_of_frame(frame: Any, choices: Choices | None = None) -> Tracks:
     """Read tracks from a data frame.
 
-    Parameters
-    ----------
-    frame : pandas.DataFrame
-        Columns vehicle, time_s [s] and s_m (or position_m) [m], and perhaps the other columns of tracks.
-    choices : Choices, optional
-        What the user says, such as the circumference of a ring.
-
-    Returns
-    -------
-    Tracks
-        With leaders found, or as the column ``leader`` says.
-
-    Raises
-    ------
-    InputError
-        For a missing column, a value that is not a number, or vehicles that overlap.
+    frame: columns vehicle, time_s [s] and s_m (or position_m) [m], and perhaps the other columns of tracks. Raises
+    InputError.
     """
     return tracks_of_sheet(_sheet(frame), choices or Choices(), About(source=str(_WHERE)))
 

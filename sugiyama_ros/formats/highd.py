@@ -48,22 +48,7 @@ _EXID = {
 def read_highd(path: Path, choices: Choices) -> Tracks:
     """Read ``XX_tracks.csv``; ``XX_tracksMeta.csv`` and ``XX_recordingMeta.csv`` beside it are read where they are.
 
-    Parameters
-    ----------
-    path : Path
-        The file with the tracks.
-    choices : Choices
-        What the user says.
-
-    Returns
-    -------
-    Tracks
-        Centres; the two directions are two roads, and positions grow along the drive on both.
-
-    Raises
-    ------
-    InputError
-        With line and column, for a file of another form.
+    Raises InputError.
     """
     sheet = sheet_of(path, head_of(path))
     if sheet is None or not _is_known(sheet):

@@ -74,22 +74,7 @@ class _Place(NamedTuple):
 
 
 def placed(network: Mapping[str, Lanelet], seen: SeenRows, names: Sequence[str]) -> OnNetwork:
-    """Put vehicles on lanelets.
-
-    Parameters
-    ----------
-    network : mapping of str to Lanelet
-        The lanelets.
-    seen : SeenRows
-        R rows in any order.
-    names : sequence of str
-        Name of each vehicle.
-
-    Returns
-    -------
-    OnNetwork
-        A row on no lanelet has no road, lane or leader, and NaN for a position.
-    """
+    """Put vehicles on lanelets."""
     graph = _Graph(network)
     near = _near(list(network.values()), seen)
     order = np.lexsort((seen.time_s, seen.vehicle))

@@ -19,14 +19,8 @@ MOST_OPEN = 256 << 20
 class Segment(NamedTuple):
     """A part of a recording whose messages are in order.
 
-    Attributes
-    ----------
-    start_ns : int
-        Log time [ns] of the first message, or an earlier one.
-    size : int
-        Bytes that it takes while it is open.
-    load : callable
-        Gives the messages.
+    start_ns: log time [ns] of the first message, or an earlier one; size: bytes that it takes while it is open; load:
+    gives the messages.
     """
 
     start_ns: int
@@ -39,10 +33,7 @@ def merged(parts: Collection[Segment], time_of: Callable[[Any], int], path: Path
 
     A part is loaded when its first message is due, and forgotten after its last one.
 
-    Raises
-    ------
-    InputError
-        Where so many parts overlap in time that they do not fit into memory together.
+    Raises InputError.
     """
     waiting = sorted(enumerate(parts), key=lambda one: (one[1].start_ns, one[0]), reverse=True)
     # (log time, number of the part, message, messages that follow, bytes); no two have the same number
@@ -82,24 +73,7 @@ def merged(parts: Collection[Segment], time_of: Callable[[Any], int], path: Path
 def in_order(
     content: bytes, where: str, describe: Callable[[int, bytes], None], unwanted: Callable[[int], bool]
 ) -> Iterator[Message]:
-    """Messages of a chunk, in the order of their log times.
-
-    Parameters
-    ----------
-    content : bytes
-        Records of the chunk.
-    where : str
-        Name of the chunk, for messages.
-    describe : callable
-        Gets the opcode and the body of each description, before the first message.
-    unwanted : callable
-        Whether the messages of a channel, by its number, are left out.
-
-    Raises
-    ------
-    InputError
-        Where a record does not end within the chunk.
-    """
+    """Messages of a chunk, in the order of their log times. Raises InputError."""
     times, starts, ends = array("Q"), array("Q"), array("Q")
     left_out: dict[int, bool] = {}
     for opcode, found in content_records(content, where):

@@ -78,10 +78,7 @@ class Bag:
     Memory stays below 512 MiB, whatever the file claims. Larger records, and larger chunks after decompression, are
     refused before memory is allocated for them.
 
-    Raises
-    ------
-    InputError
-        Where the file is missing, cut off, damaged or not MCAP.
+    Raises InputError.
     """
 
     def __init__(self, path: Path) -> None:

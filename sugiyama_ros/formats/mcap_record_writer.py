@@ -38,16 +38,8 @@ _FOOTER_SIZE = 20
 class RecordWriter:
     """Writes records to an open file. The caller opens and closes the file, and handles OSError.
 
-    Parameters
-    ----------
-    stream : binary file
-        The open file, which is empty.
-    chunk_size : int
-        Size [bytes] at which a chunk is closed.
-    library : str
-        Name of the writing program.
-    metadata : mapping
-        Texts to keep in a record named ``sugiyama``.
+    stream: the open file, which is empty; chunk_size: size [bytes] at which a chunk is closed; library: name of the
+    writing program; metadata: texts to keep in a record named ``sugiyama``.
     """
 
     def __init__(self, stream: BinaryIO, chunk_size: int, library: str, metadata: Mapping[str, str]) -> None:

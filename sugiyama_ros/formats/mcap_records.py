@@ -67,13 +67,7 @@ class Record:
 
 
 class RecordFile:
-    """An open MCAP file, read record by record.
-
-    Raises
-    ------
-    InputError
-        With the file and the offset, for everything that is not valid.
-    """
+    """An open MCAP file, read record by record. Raises InputError."""
 
     def __init__(self, path: Path, stream: BinaryIO) -> None:
         self.path = path

@@ -53,19 +53,8 @@ class BagWriter:
     as ``FILE.3f9a1c07.part``; after a crash, ``sugiyama recover`` makes a complete file from it. An error in the block
     removes this file. If the disk fails, the messages that were flushed before stay.
 
-    Parameters
-    ----------
-    target : Path or Output
-        The file.
-    metadata : mapping, optional
-        Parameters, data source and checksum of the run, kept in a record named ``sugiyama``.
-
-    Raises
-    ------
-    OutputError
-        Where the file cannot be written.
-    InputError
-        For a topic or a time that is not valid.
+    target: the file; metadata: parameters, data source and checksum of the run, kept in a record named ``sugiyama``.
+    Raises OutputError, InputError.
     """
 
     def __init__(self, target: Target, metadata: Mapping[str, str] | None = None) -> None:

@@ -42,15 +42,7 @@ def messages(trajectories: Trajectories) -> Iterator[tuple[str, int, bytes]]:
 
     A vehicle is in a message while it is on the road.
 
-    Yields
-    ------
-    tuple
-        Type, stamp [ns] and CDR bytes.
-
-    Raises
-    ------
-    InputError
-        Where sugiyama_msgs is not installed.
+    Yields type, stamp [ns] and CDR bytes. Raises InputError.
     """
     # Imported here, and the reader below too: a file of text needs no messages, whose code takes long to load.
     from sugiyama_ros.formats.cdr import Encoder
@@ -93,22 +85,7 @@ def messages(trajectories: Trajectories) -> Iterator[tuple[str, int, bytes]]:
 def read_measured(path: Path, ring_m: float | None = None) -> Trajectories:
     """Read trajectories from a bag with one ``road`` and one ``measured`` topic, in any namespace.
 
-    Parameters
-    ----------
-    path : Path
-        The bag.
-    ring_m : float, optional
-        Circumference [m] of the ring; must agree with the bag.
-
-    Returns
-    -------
-    Trajectories
-        With the source and the checksum that the bag states, or else with the name and the checksum of the bag.
-
-    Raises
-    ------
-    InputError
-        Where the topics are missing or ambiguous, the road or a length changes, or time goes backward.
+    ring_m: circumference [m] of the ring; must agree with the bag. Raises InputError.
     """
     from sugiyama_ros.formats.bag_folder import recorded
 

@@ -24,17 +24,8 @@ def read_mstf(path: Path, ring_m: float | None = None) -> Trajectories:
     Cars are numbered by block, from 0. The file has no lengths: the cars of case 1 get the lengths in the reference,
     other cars get ``DEFAULT_LENGTH_M``.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    ring_m : float, optional
-        Circumference [m] of the ring, where the head of the file does not say it; 0 for an open road.
-
-    Raises
-    ------
-    InputError
-        With the line, for a file that has another form.
+    ring_m: circumference [m] of the ring, where the head of the file does not say it; 0 for an open road. Raises
+    InputError.
 
     References
     ----------

@@ -42,22 +42,7 @@ _PAUSE_S = 60.0
 def read_ngsim(path: Path, choices: Choices) -> Tracks:
     """Read a file of NGSIM: feet, front bumpers, times in milliseconds, numbers of vehicles that are used again.
 
-    Parameters
-    ----------
-    path : Path
-        Text (18 columns without names) or CSV.
-    choices : Choices
-        What the user says.
-
-    Returns
-    -------
-    Tracks
-        One recording for each place and period, with times from its start.
-
-    Raises
-    ------
-    InputError
-        With line and column, for a file of another form.
+    Raises InputError.
     """
     sheet = _sheet(path, head_of(path))
     if sheet is None:

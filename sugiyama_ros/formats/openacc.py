@@ -31,25 +31,7 @@ _SHORTEST_M, _LONGEST_M = 2.5, 7.0
 
 
 def read_openacc(path: Path, choices: Choices) -> Tracks:
-    """Read a platoon. Places in the plane become positions along the path that the cars share.
-
-    Parameters
-    ----------
-    path : Path
-        CSV with five lines of metadata and the names in line 6.
-    choices : Choices
-        What the user says.
-
-    Returns
-    -------
-    Tracks
-        A car's leader is the car with the next lower number. If that car was not recorded, the leader is unknown.
-
-    Raises
-    ------
-    InputError
-        With line and column, for a file of another form.
-    """
+    """Read a platoon. Places in the plane become positions along the path that the cars share. Raises InputError."""
     sheet = _sheet(path, head_of(path))
     if sheet is None:
         raise InputError(f"{path}:{_HEADER}: not the columns of OpenACC (Time, Speed1, E1, N1, ...); check the file")

@@ -77,25 +77,7 @@ _KINDS = (
 
 
 def read_pairs(path: Path, choices: Choices) -> Tracks:
-    """Read pairs. A vehicle that follows in one pair and leads in another is one vehicle.
-
-    Parameters
-    ----------
-    path : Path
-        CSV or Parquet.
-    choices : Choices
-        What the user says.
-
-    Returns
-    -------
-    Tracks
-        With the leaders that the file gives.
-
-    Raises
-    ------
-    InputError
-        With line and column, for a file of another form; or where pairs that share a number do not fit together.
-    """
+    """Read pairs. A vehicle that follows in one pair and leads in another is one vehicle. Raises InputError."""
     sheet = sheet_of(path, head_of(path))
     kind = None if sheet is None else _kind(sheet)
     if sheet is None or kind is None:
@@ -115,16 +97,8 @@ def read_pairs(path: Path, choices: Choices) -> Tracks:
 def both_of(pair: dict[str, Array | Labels]) -> dict[str, Array | Labels]:
     """Rows of the followers and of the leaders, of rows that have both.
 
-    Parameters
-    ----------
-    pair : dict
-        Columns (R,) of the followers; those of the leaders begin with ``leader_``. Perhaps ``gap_m`` [m], bumper to
-        bumper. Without names, there is one pair in each recording, ``follower`` and ``leader``.
-
-    Returns
-    -------
-    dict
-        Columns (2 R,), fewer where nobody leads.
+    pair: columns (R,) of the followers; those of the leaders begin with ``leader_``; perhaps ``gap_m`` [m], bumper to
+    bumper; without names, there is one pair in each recording, ``follower`` and ``leader``.
     """
     rows = len(np.asarray(pair["s_m"]))
     if "vehicle" not in pair or "leader_vehicle" not in pair:

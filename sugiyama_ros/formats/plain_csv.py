@@ -38,17 +38,7 @@ def read_csv(path: Path, ring_m: float | None = None) -> Trajectories:
 
     Vehicles with names, times such as 0:01:02.5 and decimal commas are read as the format ``table`` reads them.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    ring_m : float, optional
-        Circumference [m] of the ring; without it the road is open.
-
-    Raises
-    ------
-    InputError
-        With the line and the field, for a file that has another form.
+    ring_m: circumference [m] of the ring; without it the road is open. Raises InputError.
     """
     try:
         return _read(path, ring_m)
@@ -62,17 +52,7 @@ def _read(path: Path, ring_m: float | None) -> Trajectories:
     An empty position, or nan, is a missing sample. A vehicle without a length gets ``DEFAULT_LENGTH_M``. The times of
     each vehicle must increase.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    ring_m : float, optional
-        Circumference [m] of the ring; without it the road is open.
-
-    Raises
-    ------
-    InputError
-        With the line and the field, for a file that has another form.
+    ring_m: circumference [m] of the ring; without it the road is open. Raises InputError.
     """
     samples = Samples(path)
     lengths: dict[int, float] = {}

@@ -27,22 +27,7 @@ _WANTED = {
 def read_platoon(path: Path, choices: Choices) -> Tracks:
     """Read a file of six columns without names, divided by tabs: front bumpers [m], times in tenths of a second.
 
-    Parameters
-    ----------
-    path : Path
-        The file; digits in its name are the number of the follower, and the leader has the number before.
-    choices : Choices
-        What the user says.
-
-    Returns
-    -------
-    Tracks
-        The follower and the leader.
-
-    Raises
-    ------
-    InputError
-        With the line, for a file of another form.
+    Raises InputError.
     """
     sheet = _sheet(path, head_of(path))
     if sheet is None:

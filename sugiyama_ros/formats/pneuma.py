@@ -31,22 +31,7 @@ def read_pneuma(path: Path, choices: Choices) -> Tracks:
     The file names neither lanes nor leaders. A road is a direction of the compass, and a position is measured in the
     mean direction of its vehicles. So all leaders are unknown, until lanes are added.
 
-    Parameters
-    ----------
-    path : Path
-        The file, divided by semicolons.
-    choices : Choices
-        What the user says.
-
-    Returns
-    -------
-    Tracks
-        Centres, in four roads.
-
-    Raises
-    ------
-    InputError
-        With the line, for a file of another form.
+    Raises InputError.
     """
     values, rows, names, kinds = _read(path)
     vehicle: Ints = np.repeat(np.arange(len(rows)), rows)

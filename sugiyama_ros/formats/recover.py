@@ -56,19 +56,7 @@ def recover(path: Path, target: Target) -> Recovered:
 
     Chunks with a wrong checksum are left out.
 
-    Parameters
-    ----------
-    path : Path
-        Damaged file.
-    target : Path or Output
-        File to write.
-
-    Raises
-    ------
-    InputError
-        Where nothing can be recovered.
-    OutputError
-        Where the new file cannot be written or cannot be read again.
+    Raises InputError, OutputError.
     """
     path, output = Path(path), replace(output_of(target), inputs=(Path(path),))
     output.check()

@@ -57,50 +57,14 @@ def known_suffixes() -> str:
 def read_trajectories(path: Path, ring_m: float | None = None) -> Trajectories:
     """Read trajectories from a file of any known format.
 
-    Parameters
-    ----------
-    path : Path
-        The file. A file with tracks must hold one recording on one lane.
-    ring_m : float, optional
-        Circumference [m] of the ring, where the file does not say it; 0 for an open road.
-
-    Returns
-    -------
-    Trajectories
-        Positions of all vehicles on a regular time base.
-
-    Raises
-    ------
-    InputError
-        With the line or the offset, for a file that is missing, empty, damaged or of no known format, and where
-        ``ring_m`` contradicts the file.
+    ring_m: circumference [m] of the ring, where the file does not say it; 0 for an open road. Raises InputError.
     """
     path = Path(path)
     return format_of(path).read(path, ring_m)
 
 
 def read_tracks(path: Path, choices: Choices | None = None, name: str = "auto") -> Tracks:
-    """Read tracks from a file or a folder of any known format.
-
-    Parameters
-    ----------
-    path : Path
-        The file or the folder.
-    choices : Choices, optional
-        What the user says about the file.
-    name : str
-        Name of the format; "auto" for the one that recognises the file.
-
-    Returns
-    -------
-    Tracks
-        All vehicles on all lanes, with their leaders.
-
-    Raises
-    ------
-    InputError
-        As for `read_trajectories`, and for an unknown name.
-    """
+    """Read tracks from a file or a folder of any known format. Raises InputError."""
     path, choices = Path(path), choices or Choices()
     known = {one.name: one for one in formats()}
     if name == "auto":
@@ -115,22 +79,7 @@ def read_tracks(path: Path, choices: Choices | None = None, name: str = "auto") 
 def read_recording(path: Path, ring_m: float | None = None) -> Trajectories | Tracks:
     """Read a file for a fit: as a whole road where everybody's leader is known throughout, else as tracks.
 
-    Parameters
-    ----------
-    path : Path
-        The file or the folder.
-    ring_m : float, optional
-        Circumference [m] of the ring, where the file does not say it; 0 for an open road.
-
-    Returns
-    -------
-    Trajectories or Tracks
-        `Trajectories` also for formats that only have one lane.
-
-    Raises
-    ------
-    InputError
-        As for `read_trajectories`.
+    ring_m: circumference [m] of the ring, where the file does not say it; 0 for an open road. Raises InputError.
     """
     path = Path(path)
     if not format_of(path).is_of_tracks:
@@ -142,22 +91,7 @@ def read_recording(path: Path, ring_m: float | None = None) -> Trajectories | Tr
 def read_recordings(paths: Sequence[Path], ring_m: float | None = None) -> Trajectories | Tracks:
     """Read one file as ``read_recording`` does, or pool several files: each is a recording of its own.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        Files and folders.
-    ring_m : float, optional
-        Circumference [m] of the ring, where the files do not say it; 0 for an open road.
-
-    Returns
-    -------
-    Trajectories or Tracks
-        `Tracks` for several files.
-
-    Raises
-    ------
-    InputError
-        As for `read_recording`; and for several files of the same name, or on different roads.
+    ring_m: circumference [m] of the ring, where the files do not say it; 0 for an open road. Raises InputError.
     """
     if len(paths) == 1:
         return read_recording(paths[0], ring_m)

@@ -34,18 +34,9 @@ _DAY_S = 86_400.0
 class Sheet:
     """A table in a file: where its columns are.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    names : tuple of str
-        Names of all columns, in the order of the file.
-    separator : str
-        What stands between two fields; a space for any number of blanks; empty for Parquet and data frames.
-    header : int
-        Number of the line with the names, from 1; 0 where there is none.
-    frame : pyarrow.Table, optional
-        The table itself, if it is a data frame and no file.
+    path: the file; names: names of all columns, in the order of the file; separator: what stands between two fields; a
+    space for any number of blanks; empty for Parquet and data frames; header: number of the line with the names, from
+    1; 0 where there is none; frame: the table itself, if it is a data frame and no file.
     """
 
     path: Path
@@ -74,24 +65,7 @@ class Sheet:
 
 
 def sheet_of(path: Path, head: bytes, header: int = 1, names: tuple[str, ...] = ()) -> Sheet | None:
-    """Find the columns of a table; None for a file that is no table.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    head : bytes
-        Its first bytes.
-    header : int
-        Number of the line with the names.
-    names : tuple of str
-        Names of the columns of a table without a line of names.
-
-    Returns
-    -------
-    Sheet or None
-        The table.
-    """
+    """Find the columns of a table; None for a file that is no table."""
     if head.startswith(_PARQUET):
         return _parquet_sheet(path)
     text = head.decode("utf-8-sig", errors="replace")
@@ -127,25 +101,8 @@ def read_sheet(
 ) -> dict[str, Array | Labels]:
     """Read some columns.
 
-    Parameters
-    ----------
-    sheet : Sheet
-        The table.
-    numbers, texts : set of str
-        Names of the columns to read as numbers (NaN where missing) and as text.
-    times : mapping of str to float, optional
-        Names of the columns to read as times [s], and what their numbers count [s]. Dates, clocks and columns with a
-        type of times are seconds in any case.
-
-    Returns
-    -------
-    dict
-        Arrays (R,) and `Labels` by name.
-
-    Raises
-    ------
-    InputError
-        With line and column, for a line that does not fit; or if there are more than ``MAX_ROWS`` rows.
+    times: names of the columns to read as times [s], and what their numbers count [s]; dates, clocks and columns with a
+    type of times are seconds in any case. Raises InputError.
     """
     import pyarrow
 

@@ -43,22 +43,7 @@ def read_sumo(path: Path, choices: Choices) -> Tracks:
 
     The mesoscopic model names edges without lanes; then nobody's leader is known.
 
-    Parameters
-    ----------
-    path : Path
-        XML (``--fcd-output``), CSV or Parquet.
-    choices : Choices
-        What the user says.
-
-    Returns
-    -------
-    Tracks
-        Centres. Lanes are counted from the right, as SUMO counts them.
-
-    Raises
-    ------
-    InputError
-        With the line, for a file of another form.
+    path: XML (``--fcd-output``), CSV or Parquet. Raises InputError.
     """
     head = head_of(path)
     if _is_xml(head, path):

@@ -27,25 +27,7 @@ _SUFFIXES = (".csv", ".tsv", ".parquet")
 
 
 def read_table(path: Path, choices: Choices) -> Tracks:
-    """Read a plain table.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    choices : Choices
-        A map of columns, where the file has other names.
-
-    Returns
-    -------
-    Tracks
-        Its tracks.
-
-    Raises
-    ------
-    InputError
-        With line and column, for a file of another form.
-    """
+    """Read a plain table. Raises InputError."""
     head = head_of(path)
     if why := why_no_text(head) if not head.startswith(b"PAR1") else "":
         raise InputError(f"{path}: {why}")
@@ -58,27 +40,7 @@ def read_table(path: Path, choices: Choices) -> Tracks:
 
 
 def tracks_of_sheet(sheet: Sheet, choices: Choices, about: About) -> Tracks:
-    """Read a plain table of any kind.
-
-    Parameters
-    ----------
-    sheet : Sheet
-        The table.
-    choices : Choices
-        A map of columns, where the table has other names.
-    about : About
-        Where the table comes from.
-
-    Returns
-    -------
-    Tracks
-        Its tracks.
-
-    Raises
-    ------
-    InputError
-        With line and column, for a table of another form.
-    """
+    """Read a plain table of any kind. Raises InputError."""
     wanted = _PLAIN | {
         name: Take((column,), factor, optional=False) for name, (column, factor) in choices.columns.items()
     }

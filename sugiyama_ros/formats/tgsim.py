@@ -63,25 +63,7 @@ _KNOWN = (
 
 
 def read_known(path: Path, choices: Choices) -> Tracks:
-    """Read a table of TGSIM or ARED.
-
-    Parameters
-    ----------
-    path : Path
-        CSV.
-    choices : Choices
-        What the user says.
-
-    Returns
-    -------
-    Tracks
-        Centres; ARED is on a ring of 260 m.
-
-    Raises
-    ------
-    InputError
-        With line and column, for a file of another form.
-    """
+    """Read a table of TGSIM or ARED. Raises InputError."""
     sheet = sheet_of(path, head_of(path))
     known = None if sheet is None else _known(sheet)
     if sheet is None or known is None:

@@ -24,15 +24,7 @@ _DATE = re.compile(
 def seconds_of(text: str) -> float | None:
     """Seconds that a text says; None for a text that is no time.
 
-    Parameters
-    ----------
-    text : str
-        Seconds, a clock (seconds since midnight), or a date (seconds since 1970).
-
-    Returns
-    -------
-    float or None
-        The time [s].
+    Returns the time [s].
     """
     text = text.strip()
     try:

@@ -16,25 +16,7 @@ from sugiyama_ros.trajectories.tracks import Tracks
 
 
 def read_tracks_parquet(path: Path, choices: Choices) -> Tracks:
-    """Read tracks that `write_tracks` wrote.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    choices : Choices
-        Only the ring counts; the file says everything else.
-
-    Returns
-    -------
-    Tracks
-        The tracks, with the source and the checksum of the file that they come from.
-
-    Raises
-    ------
-    InputError
-        For a damaged file, or one that lacks a column.
-    """
+    """Read tracks that `write_tracks` wrote. Raises InputError."""
     head = head_of(path)
     sheet, about = sheet_of(path, head), _about(head, path)
     if sheet is None or about is None:
@@ -52,20 +34,7 @@ def read_tracks_parquet(path: Path, choices: Choices) -> Tracks:
 
 
 def write_tracks(tracks: Tracks, target: Target) -> None:
-    """Write tracks as Parquet, or as CSV if the name ends in ``.csv``.
-
-    Parameters
-    ----------
-    tracks : Tracks
-        The tracks.
-    target : Path or Output
-        File to write.
-
-    Raises
-    ------
-    OutputError
-        If the file cannot be written.
-    """
+    """Write tracks as Parquet, or as CSV if the name ends in ``.csv``. Raises OutputError."""
     with writing(target) as stream:
         if output_of(target).path.suffix.lower() == ".csv":
             _write_csv(tracks, stream)

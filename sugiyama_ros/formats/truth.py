@@ -38,19 +38,7 @@ def truth_message(time_ns: int, vehicle: int, motion: Iterable[float]) -> bytes:
 def write_simulated(trajectories: Trajectories, truth: Truth, target: Target) -> None:
     """Write a bag with the topics /road and /measured, and the truth about each vehicle.
 
-    Parameters
-    ----------
-    trajectories : Trajectories
-        Measured positions.
-    truth : Truth
-        The truth at the same times.
-    target : Path or Output
-        Bag to write.
-
-    Raises
-    ------
-    InputError, OutputError
-        Where sugiyama_msgs is not installed, or the bag cannot be written.
+    Raises InputError, OutputError.
     """
     from sugiyama_ros.formats.cdr import Encoder
 
@@ -92,23 +80,7 @@ def parameters_fields(time_ns: int, drive: TrueDriver) -> dict[str, Any]:
 
 
 def read_truth(path: Path) -> Truth | None:
-    """Read the truth about simulated vehicles from a bag.
-
-    Parameters
-    ----------
-    path : Path
-        The bag.
-
-    Returns
-    -------
-    Truth or None
-        The truth; None if the bag has none.
-
-    Raises
-    ------
-    InputError
-        Where the bag cannot be read, or a message is not as this version knows it.
-    """
+    """Read the truth about simulated vehicles from a bag. Raises InputError."""
     with Bag(path) as bag:
         kinds = {topic.name: topic.type for topic in bag.info().topics if topic.count}
         wanted = {name for name, kind in kinds.items() if kind in (TRUTH_TYPE, PARAMETERS_TYPE)}

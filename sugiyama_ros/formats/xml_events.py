@@ -15,23 +15,7 @@ Parser: TypeAlias = "ElementTree.XMLPullParser[ElementTree.Element]"
 
 
 def root_of(path: Path) -> ElementTree.Element:
-    """The first element of an XML file, without what is in it.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    Element
-        Its tag, without a namespace, and its attributes.
-
-    Raises
-    ------
-    InputError
-        As for `elements`.
-    """
+    """The first element of an XML file, without what is in it. Raises InputError."""
     parser: Parser = ElementTree.XMLPullParser(events=("start",))
     with open_input(path) as stream:
         try:
@@ -58,25 +42,7 @@ def has_root(head: bytes, path: Path, tag: str) -> bool:
 
 
 def elements(path: Path, *tags: str) -> Iterator[ElementTree.Element]:
-    """Whole elements directly below the first one; each is forgotten when the next is asked for.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    *tags : str
-        Tags of the elements, without a namespace. An element of such a tag deeper in the file is another thing.
-
-    Yields
-    ------
-    Element
-        The element with everything in it.
-
-    Raises
-    ------
-    InputError
-        With the line, for a file that is not XML, declares entities, or has an encoding that Python's parser lacks.
-    """
+    """Whole elements directly below the first one; each is forgotten when the next is asked for. Raises InputError."""
     parser: Parser = ElementTree.XMLPullParser(events=("start", "end"))
     with open_input(path) as stream:
         depth: list[ElementTree.Element] = []

@@ -20,10 +20,7 @@ _BLOCK, _STAY_FREE = 1 << 20, 1 << 30
 def open_packed(path: Path) -> BinaryIO:
     """Open a file for reading; one that zstd has compressed is unpacked into a file without a name first.
 
-    Raises
-    ------
-    InputError
-        Where the file is missing, cut off or damaged, or would fill the disk.
+    Raises InputError.
     """
     stream = open_input(path)
     if stream.read(len(ZSTD)) != ZSTD:

@@ -34,23 +34,7 @@ RIVALS: tuple[str, ...] = tuple(LAWS)[1:]
 
 
 def law(name: str) -> Law:
-    """Look up a law.
-
-    Parameters
-    ----------
-    name : str
-        Name of the law.
-
-    Returns
-    -------
-    Law
-        The law.
-
-    Raises
-    ------
-    InputError
-        For an unknown name. The message lists the names.
-    """
+    """Look up a law. Raises InputError."""
     return plugins.find(LAWS, GROUP, name, "law")
 
 
@@ -60,11 +44,5 @@ def name_of(number: float) -> str:
 
 
 def number_of(name: str) -> int:
-    """Look up the number of a law in a driver's row.
-
-    Raises
-    ------
-    InputError
-        For an unknown name. The message lists the names.
-    """
+    """Look up the number of a law in a driver's row. Raises InputError."""
     return tuple(LAWS).index(law(name).name)

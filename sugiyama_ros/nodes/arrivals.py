@@ -43,14 +43,8 @@ def new_counts() -> dict[str, int]:
 class Arrivals:
     """Judges every sample by its stamp.
 
-    Parameters
-    ----------
-    period_s : float
-        Period of the road [s].
-    window_s : float
-        Time [s] by which a sample may be late and still be sorted in.
-    counts : dict
-        Numbers of samples by what became of them; counted on.
+    period_s: period of the road [s]; window_s: time [s] by which a sample may be late and still be sorted in; counts:
+    numbers of samples by what became of them; counted on.
     """
 
     def __init__(self, period_s: float, window_s: float, counts: dict[str, int]) -> None:
@@ -70,12 +64,9 @@ class Arrivals:
         self._clock_jumped = self.stamp_ns is not None
 
     def judge(self, sample: Sample) -> Arrival:
-        """Return what the next sample that arrives is. A sample put aside before it is dropped unless time has jumped.
+        """Return what the next sample that arrives is.
 
-        Parameters
-        ----------
-        sample : Sample
-            The sample.
+        A sample put aside before it is dropped unless time has jumped.
         """
         stamp_ns, latest_ns, aside = sample.stamp_ns, self.stamp_ns, self.aside
         if latest_ns is None:

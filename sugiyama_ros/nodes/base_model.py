@@ -13,10 +13,7 @@ from sugiyama_ros.road import Road
 class BaseModel:
     """One filter of the base model for each vehicle.
 
-    Parameters
-    ----------
-    road : Road message
-        The road, and the time between two samples.
+    road: the road, and the time between two samples.
     """
 
     def __init__(self, road: RoadMessage) -> None:

@@ -50,12 +50,8 @@ class Critic(PacedNode):
     driver is not followed: what they do then tells nothing of a model. Parameters of the node: the parameters of a
     driver, from which every model of the bank starts, and ``forget_s``.
 
-    Parameters
-    ----------
-    feed : MeasuredFeed, optional
-        Where the samples come from, if several nodes of the process share one subscription.
-    **options
-        Options of the ROS node.
+    feed: where the samples come from, if several nodes of the process share one subscription; **options: options of the
+    ROS node.
     """
 
     def __init__(self, feed: MeasuredFeed | None = None, **options: Any) -> None:

@@ -48,14 +48,7 @@ class DriverArrayTopic:
     def put(self, node: PacedNode, stamp_ns: int, driver: KnownDriver | None) -> None:
         """Take a driver's answer to the sample at a stamp [ns], and publish the message if it was the last answer.
 
-        Parameters
-        ----------
-        node : PacedNode
-            The node that counts the message as published.
-        stamp_ns : int
-            Stamp of the sample [ns].
-        driver : KnownDriver or None
-            What is known of the driver; None if the sample was left out.
+        stamp_ns: stamp of the sample [ns].
         """
         answers = self._answers.setdefault(stamp_ns, [])
         answers.append(driver)

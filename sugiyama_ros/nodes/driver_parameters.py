@@ -32,10 +32,7 @@ OTHER_STD = 0.7
 def check_driver(node: Node) -> None:
     """Refuse parameters of a driver with which a filter cannot run, now and whenever they are set.
 
-    Raises
-    ------
-    InputError
-        For a value that the node was started with.
+    Raises InputError.
     """
     check_for_filter(np.array([node.get_parameter(name).value for name in NAMES]))
 
@@ -54,12 +51,7 @@ def check_driver(node: Node) -> None:
 def declare_driver(node: Node, default: Array) -> None:
     """Declare the parameters of a driver, with their descriptions and ranges.
 
-    Parameters
-    ----------
-    node : Node
-        The node that gets the parameters.
-    default : array (P,) or longer
-        Default values, in the order of ``PARAMETERS`` [SI].
+    default: (P,), default values, in the order of ``PARAMETERS`` [SI].
     """
     for p, value in zip(PARAMETERS, default[: len(PARAMETERS)].tolist(), strict=True):
         declare_float(
@@ -153,13 +145,7 @@ def engine_of(name: str) -> Engine:
 
 
 def declare_float(node: Node, name: str, default: float, about: ParameterDescriptor) -> float:
-    """Declare a parameter that is a number, within a range.
-
-    Raises
-    ------
-    InputError
-        If the node was started with something else, or with a number out of range.
-    """
+    """Declare a parameter that is a number, within a range. Raises InputError."""
     return float(node.declare_parameter(name, default, about).value)
 
 

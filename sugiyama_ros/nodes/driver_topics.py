@@ -42,19 +42,10 @@ class DriverTopics:
 
     With an array topic, state, innovation and parameters go there instead, all three with every sample.
 
-    Parameters
-    ----------
-    node : PacedNode
-        The node that publishes; the topics lie in its namespace.
-    vehicle : int
-        Number of the driver's vehicle.
-    types : DriverTypes or None
-        Types of drivers, if there are any.
-    array : AllDrivers or None
-        Where the driver is in one message with other drivers.
-    space : str
-        Namespace of the topics within the node's, such as ``vehicle_07/``; empty for the node's own. Drivers in the
-        same namespace share its topics.
+    node: the node that publishes; the topics lie in its namespace; vehicle: number of the driver's vehicle; types:
+    types of drivers, if there are any; array: where the driver is in one message with other drivers; space: namespace
+    of the topics within the node's, such as ``vehicle_07/``; empty for the node's own; drivers in the same namespace
+    share its topics.
     """
 
     def __init__(

@@ -39,10 +39,7 @@ class DriversNode(LifecycleNodeMixin, PacedNode):
     ``save_state``, ``resume``, ``reorder_window``, ``retire_after``, ``most_drivers``, ``vehicle_topics``
     and ``autostart``. Services: ``~/reset``, ``~/add_effect``, ``~/remove_effect``.
 
-    Parameters
-    ----------
-    **options
-        Options of the ROS node.
+    **options: options of the ROS node.
     """
 
     def __init__(self, **options: Any) -> None:

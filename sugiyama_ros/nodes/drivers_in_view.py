@@ -86,33 +86,12 @@ class _InView:
 class DriversInView:
     """All drivers in view.
 
-    Parameters
-    ----------
-    node : PacedNode
-        The node that publishes.
-    settings : DriversSettings
-        From what the drivers start.
-    road : Road
-        The road.
-    effects : array (WIDTH,)
-        Row with the effects of all drivers.
-    counts : dict
-        Numbers of samples; what the filters count is added.
-    window_s : float
-        Time [s] by which a sample may be late.
-    most : int
-        Drivers who are followed at the same time, at most.
-
-    Attributes
-    ----------
-    drivers : dict
-        The drivers, by the numbers of their vehicles.
-    left_out : set
-        Vehicles of the last sample that are not followed, because there are too many.
-    counts : dict
-        Drivers who came, who came again, and who were retired.
-    failure : str
-        What the first failure of a filter was; empty without one.
+    node: the node that publishes; settings: from what the drivers start; road: the road; effects: (WIDTH,), row with
+    the effects of all drivers; counts: numbers of samples; what the filters count is added; window_s: time [s] by which
+    a sample may be late; most: drivers who are followed at the same time, at most; drivers: the drivers, by the numbers
+    of their vehicles; left_out: vehicles of the last sample that are not followed, because there are too many; counts:
+    drivers who came, who came again, and who were retired; failure: what the first failure of a filter was; empty
+    without one.
     """
 
     def __init__(
@@ -136,20 +115,7 @@ class DriversInView:
         self.failure = ""
 
     def take_in(self, sample: Sample, late: bool) -> list[KnownDriver]:
-        """Take in a sample.
-
-        Parameters
-        ----------
-        sample : Sample
-            The sample.
-        late : bool
-            Whether later samples were taken in already.
-
-        Returns
-        -------
-        list of KnownDriver
-            What is known of the drivers in the sample. Empty where each driver has topics of their own.
-        """
+        """Take in a sample."""
         self._collected = []
         self.left_out.clear()
         for vehicle in sample.place:

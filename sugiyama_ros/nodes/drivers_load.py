@@ -35,18 +35,10 @@ _START_S, _LAST_S = 120.0, 3.0
 class Load:
     """What was measured.
 
-    Parameters
-    ----------
-    drivers, samples, answers : int
-        Drivers in every sample, samples sent, and messages about all drivers that came back.
-    lost : int
-        Samples without an answer, or with an answer that lacks a driver.
-    cpu_s, wall_s : float
-        Time of the processor [s] of the node's process while the samples came, and the time that they took.
-    delay_ms : tuple of float
-        Median, 99th percentile and largest time [ms] from a sample to its answer.
-    memory_mb : float
-        Largest memory of the node's process [MB].
+    drivers, samples, answers: drivers in every sample, samples sent, and messages about all drivers that came back;
+    lost: samples without an answer, or with an answer that lacks a driver; cpu_s, wall_s: time of the processor [s] of
+    the node's process while the samples came, and the time that they took; delay_ms: median, 99th percentile and
+    largest time [ms] from a sample to its answer; memory_mb: largest memory of the node's process [MB].
     """
 
     drivers: int
@@ -94,22 +86,7 @@ class _Perception(Node):
 def measure(drivers: int, rate_hz: float, duration_s: float) -> Load:
     """Follow many drivers for some time.
 
-    Parameters
-    ----------
-    drivers : int
-        Number of drivers.
-    rate_hz, duration_s : float
-        Samples a second [Hz], and how long they come [s].
-
-    Returns
-    -------
-    Load
-        What was measured.
-
-    Raises
-    ------
-    SugiyamaError
-        If the node does not start, or ends.
+    rate_hz, duration_s: samples a second [Hz], and how long they come [s]. Raises SugiyamaError.
     """
     environment.isolate()
     command = [sys.executable, "-m", "sugiyama_ros.nodes.drivers"]

@@ -19,21 +19,7 @@ _READY_S, _LOOK_S = 1.0, 0.01
 def clients_of(node: Node, kind: type, services: Iterable[str]) -> tuple[list[Client], list[str]]:
     """Make clients of services that nodes of the graph offer; nothing waits for a service that nobody offers.
 
-    Parameters
-    ----------
-    node : Node
-        The node that calls.
-    kind : type
-        Class of the services.
-    services : iterable of str
-        Full names.
-
-    Returns
-    -------
-    clients : list of Client
-        Clients that are ready; who has called destroys them.
-    missing : list of str
-        Services that nobody offers.
+    Returns clients: clients that are ready; who has called destroys them; missing: services that nobody offers.
     """
     offered = {name for name, _ in node.get_service_names_and_types()}
     wanted = list(services)

@@ -52,14 +52,9 @@ class Estimator(PacedNode):
     Parameters of the node: the parameters of a driver, ``model``, ``save_state``, ``resume``, ``ask_keeper``,
     ``array_topic``, ``reorder_window`` and ``adapt``. Services: ``~/reset``, ``~/add_effect``, ``~/remove_effect``.
 
-    Parameters
-    ----------
-    feed : MeasuredFeed, optional
-        Where the samples come from, if several nodes of the process share one subscription.
-    array : DriverArrayTopic, optional
-        Where the driver is in one message with the other drivers of the process, if ``array_topic`` asks for it.
-    **options
-        Options of the ROS node.
+    feed: where the samples come from, if several nodes of the process share one subscription; array: where the driver
+    is in one message with the other drivers of the process, if ``array_topic`` asks for it; **options: options of the
+    ROS node.
     """
 
     def __init__(self, feed: MeasuredFeed | None = None, array: DriverArrayTopic | None = None, **options: Any) -> None:

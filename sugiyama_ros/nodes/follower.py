@@ -54,18 +54,9 @@ class Follower:
     The stamps of the samples say how much time has passed. What the filter knew before each of the last samples is
     kept for a while, so that a late sample can be sorted in.
 
-    Parameters
-    ----------
-    vehicle : int
-        Number of the driver's vehicle.
-    filter_ : OnlineFilter
-        The driver's filter.
-    kept : Kept or None
-        What an earlier run has learnt, from which the filter goes on.
-    counts : dict
-        Numbers of samples by what became of them. The counts continue from the previous follower's counts.
-    window_s : float
-        Time [s] by which a sample may be late and still be sorted in.
+    vehicle: number of the driver's vehicle; filter_: the driver's filter; kept: what an earlier run has learnt, from
+    which the filter goes on; counts: numbers of samples by what became of them; the counts continue from the previous
+    follower's counts; window_s: time [s] by which a sample may be late and still be sorted in.
     """
 
     def __init__(
@@ -109,33 +100,14 @@ class Follower:
         self._past.clear()
 
     def follow(self, sample: Sample) -> Estimate:
-        """Take in the next sample.
-
-        Returns
-        -------
-        Estimate
-            The driver's state after the sample.
-
-        Raises
-        ------
-        DivergedError
-            If the state is no number any more. The filter is of no use then.
-        """
+        """Take in the next sample. Raises DivergedError."""
         self._keep_what_is_known(sample)
         return self._step(sample)
 
     def sort_in(self, sample: Sample) -> Estimate | None:
         """Take in a sample that is late: go back to its time, and take in all later samples again.
 
-        Returns
-        -------
-        Estimate or None
-            The driver's state after the sample, at its time. None if the driver was not followed yet at that time.
-
-        Raises
-        ------
-        DivergedError
-            As ``follow`` does.
+        Raises DivergedError.
         """
         later = [past for past in self._past if past.sample.stamp_ns > sample.stamp_ns]
         if not later or later[0].stamp_ns is None or later[0].stamp_ns >= sample.stamp_ns:

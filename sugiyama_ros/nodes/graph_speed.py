@@ -32,19 +32,7 @@ def loop(source: Path, bag: Path, array: bool) -> float:
 
     The run says how far it is about every 20 ms. What comes before it says so first is added in proportion.
 
-    Parameters
-    ----------
-    source : Path
-        Recording to replay.
-    bag : Path
-        File to write.
-    array : bool
-        Whether all drivers are in one message.
-
-    Raises
-    ------
-    SugiyamaError
-        Where a node fails, a message is lost, or the recording is too short.
+    Raises SugiyamaError.
     """
     seen: list[tuple[int, float]] = []
 
@@ -64,10 +52,7 @@ def loop(source: Path, bag: Path, array: bool) -> float:
 class _EmptyGraph:
     """Nodes as in a run: a source, a node for each vehicle, and one that hears every topic. None of them computes.
 
-    Parameters
-    ----------
-    bag : Path
-        Bag with the messages to send.
+    bag: bag with the messages to send.
     """
 
     def __init__(self, bag: Path) -> None:

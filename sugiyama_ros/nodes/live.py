@@ -41,28 +41,7 @@ def serve(
     port: int = 5006,
     on_ready: Callable[[str], None] = lambda url: None,
 ) -> None:
-    """Show the live page until a signal comes.
-
-    Parameters
-    ----------
-    source : Path or None
-        File of trajectories to replay; None shows the graph that runs already.
-    output : Path
-        MCAP file to write during a replay.
-    settings : RunSettings
-        How the replay goes.
-    host, port : str, int
-        Address and port on which to listen. Beyond this machine, the page asks for a token.
-    on_ready : callable
-        Called with the address of the page, which contains the token.
-
-    Raises
-    ------
-    InputError, OutputError
-        For files that cannot be read or written.
-    SugiyamaError
-        Where the port is taken.
-    """
+    """Show the live page until a signal comes. Raises InputError, OutputError, SugiyamaError."""
     if source is not None:
         environment.isolate()
     plan = _plan(source, output, settings) if source is not None else None

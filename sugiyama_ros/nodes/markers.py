@@ -36,10 +36,7 @@ class Markers:
     before. A message object of 22 boxes takes longer to make than the filters of 22 drivers take for a step, so the
     bytes are made once and filled with new numbers.
 
-    Parameters
-    ----------
-    road : Road
-        The road.
+    road: the road.
     """
 
     def __init__(self, road: Road) -> None:

@@ -44,28 +44,13 @@ def within(namespace: str, names: Iterable[str]) -> list[str]:
 class RunSettings:
     """How a recording is replayed.
 
-    Parameters
-    ----------
-    rate : float
-        Times real time; 0 is as fast as the nodes take it.
-    ring_m : float, optional
-        Circumference [m] of the ring, where the file does not say it.
-    model : Path, optional
-        File with the drivers and effects from which the estimators start.
-    law : str
-        Law by which the drivers drive, without a model file.
-    critic : bool
-        Whether a critic listens.
-    save_state : Path, optional
-        Directory in which the estimators keep what they have learnt.
-    resume : Path, optional
-        Directory with what the estimators of an earlier run have learnt, from which they go on.
-    array : bool
-        Whether all drivers are in one message for each sample, on ``/drivers``, instead of on topics of each vehicle.
-    engine : str
-        What works out a step of the filters: compiled, or filterpy.
-    overwrite : bool
-        Whether a file of the output's name is replaced.
+    rate: times real time; 0 is as fast as the nodes take it; ring_m: circumference [m] of the ring, where the file does
+    not say it; model: file with the drivers and effects from which the estimators start; law: law by which the drivers
+    drive, without a model file; critic: whether a critic listens; save_state: directory in which the estimators keep
+    what they have learnt; resume: directory with what the estimators of an earlier run have learnt, from which they go
+    on; array: whether all drivers are in one message for each sample, on ``/drivers``, instead of on topics of each
+    vehicle; engine: what works out a step of the filters: compiled, or filterpy; overwrite: whether a file of the
+    output's name is replaced.
     """
 
     rate: float = 0.0
@@ -92,10 +77,7 @@ class Plan:
     def read(cls, source: Path | FromSimulator, output: Path, settings: RunSettings) -> "Plan":
         """Read a file of trajectories, unless drivers are simulated, and check what the settings name.
 
-        Raises
-        ------
-        InputError, OutputError
-            For files that cannot be read, and directories that cannot be made.
+        Raises InputError, OutputError.
         """
         given = (source if isinstance(source, Path) else source.model, settings.model)
         inputs = tuple(path for path in given if path is not None)

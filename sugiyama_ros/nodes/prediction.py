@@ -19,14 +19,8 @@ VEHICLES = 7
 class Prediction:
     """States of a driver now and in the next seconds.
 
-    Parameters
-    ----------
-    time_s : ndarray, shape (K,)
-        Times [s] from now on; the first is 0.
-    position_m, speed : ndarray, shape (K,)
-        Positions [m], not wrapped on a ring, and speeds [m/s].
-    covariance : ndarray, shape (K, 2, 2)
-        Of positions and speeds.
+    time_s: (K,), times [s] from now on; the first is 0; position_m, speed: (K,), positions [m], not wrapped on a ring,
+    and speeds [m/s]; covariance: (K, 2, 2), of positions and speeds.
     """
 
     time_s: Array
@@ -49,23 +43,8 @@ def predict(
     goes on with each of these preferences one standard deviation lower and higher. What this changes adds to the mean
     and to the covariance, as in a cubature rule: a slower leader slows the driver down, but a faster one does not pull.
 
-    Parameters
-    ----------
-    filter_
-        The driver's filter, after its latest sample.
-    now
-        What it knows.
-    identity, length_m
-        Numbers and lengths [m] of the vehicles of the chain, as in the latest sample.
-    time_s
-        Time of the latest sample [s].
-    ahead_s
-        How far ahead to predict [s].
-
-    Returns
-    -------
-    Prediction
-        The state of now, and one for each period ahead.
+    identity, length_m: numbers and lengths [m] of the vehicles of the chain, as in the latest sample; time_s: time of
+    the latest sample [s]; ahead_s: how far ahead to predict [s].
     """
     saved = filter_.saved()
     path = _path(filter_, now, identity, length_m, time_s, ahead_s)

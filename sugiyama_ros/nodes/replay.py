@@ -26,12 +26,7 @@ from sugiyama_ros.trajectories.truth import Truth
 class RecordedPositions:
     """Recorded trajectories as samples.
 
-    Parameters
-    ----------
-    trajectories : Trajectories
-        The measured positions.
-    truth : Truth, optional
-        What the drivers really did, where they were simulated.
+    trajectories: the measured positions; truth: what the drivers really did, where they were simulated.
     """
 
     def __init__(self, trajectories: Trajectories, truth: Truth | None = None) -> None:
@@ -57,17 +52,7 @@ class RecordedPositions:
 def samples_of(path: Path, ring_m: float | None) -> "RecordedPositions | TrackSamples":
     """Read a file: vehicles that come and go on lanes, or trajectories on one lane.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    ring_m : float or None
-        Circumference [m] of the ring, where the file does not say it.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read.
+    ring_m: circumference [m] of the ring, where the file does not say it. Raises InputError.
     """
     if format_of(path).is_of_tracks:
         return TrackSamples(read_tracks(path, Choices(ring_m=ring_m)))

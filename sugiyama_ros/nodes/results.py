@@ -24,18 +24,11 @@ _SHOWN = {"v_star", "kappa_v", "sigma_nu", "sigma_a"}
 class DriverResult:
     """One driver at the end of a run: the last parameters, and how well each next position was predicted.
 
-    Attributes
-    ----------
-    vehicle : int
-        Number of the vehicle.
-    v_star, kappa_v, sigma_nu, sigma_a : float
-        Desired speed [m/s], risk premium [s], measurement noise [m] and acceleration noise [m/s^2].
-    one_step_rmse_m, nis_mean : float
-        Root mean square of the innovations [m] and mean of their nis [1], over the scored samples; NaN without any.
-    law : dict of str to float
-        Parameters of the driver's law by names such as ``idm.T``, in SI units; empty for the paper's driver.
-    identified : tuple of str
-        Parameters that the samples determine.
+    vehicle: number of the vehicle; v_star, kappa_v, sigma_nu, sigma_a: desired speed [m/s], risk premium [s],
+    measurement noise [m] and acceleration noise [m/s^2]; one_step_rmse_m, nis_mean: root mean square of the innovations
+    [m] and mean of their nis [1], over the scored samples; naN without any; law: parameters of the driver's law by
+    names such as ``idm.T``, in SI units; empty for the paper's driver; identified: parameters that the samples
+    determine.
     """
 
     vehicle: int
@@ -52,17 +45,8 @@ class DriverResult:
 def read_run(path: Path) -> tuple[dict[str, int], tuple[DriverResult, ...]]:
     """Read the file of a run.
 
-    Returns
-    -------
-    counts : dict
-        Number of messages on each topic.
-    drivers : tuple of DriverResult
-        The drivers, in the order of their numbers.
-
-    Raises
-    ------
-    InputError
-        Where the file cannot be read.
+    Returns counts: number of messages on each topic; drivers: the drivers, in the order of their numbers. Raises
+    InputError.
     """
     read = _Read()
     with Bag(path) as bag:

@@ -28,24 +28,11 @@ START_S = 60.0
 class RunResult:
     """What a run did.
 
-    Attributes
-    ----------
-    steps : int
-        Samples that all nodes have taken.
-    vehicles : int
-        Number of drivers.
-    messages_published, messages_recorded, messages_lost : int
-        Messages that the nodes have counted, messages in the finished file, and messages that the file lacks.
-    wall_s : float
-        Time [s] from the start of the nodes to the closed file.
-    real_time_factor : float
-        Duration of the recording, divided by the time from the first sample sent to the last sample taken [1].
-    output : Path
-        The file.
-    interrupted : bool
-        Whether a signal has ended the run.
-    drivers : tuple of DriverResult
-        Parameters and errors of every driver.
+    steps: samples that all nodes have taken; vehicles: number of drivers; messages_published, messages_recorded,
+    messages_lost: messages that the nodes have counted, messages in the finished file, and messages that the file
+    lacks; wall_s: time [s] from the start of the nodes to the closed file; real_time_factor: duration of the recording,
+    divided by the time from the first sample sent to the last sample taken [1]; output: the file; interrupted: whether
+    a signal has ended the run; drivers: parameters and errors of every driver.
     """
 
     steps: int
@@ -100,28 +87,7 @@ def run(
 
     SIGINT or SIGTERM ends the run early, in good order; call this function in the main thread, where signals come.
 
-    Parameters
-    ----------
-    source : Path or FromSimulator
-        File of trajectories, or drivers to simulate.
-    output : Path
-        MCAP file to write.
-    processes : bool
-        Whether each node has a process of its own.
-    on_progress : callable, optional
-        Called with the steps that all nodes have taken, and the steps there are.
-    **settings
-        Fields of `RunSettings`.
-
-    Returns
-    -------
-    RunResult
-        Counts of messages, and the drivers.
-
-    Raises
-    ------
-    SugiyamaError, KeyboardInterrupt
-        Where a node has failed, or a file cannot be used; where a signal comes before the first sample.
+    Raises SugiyamaError, KeyboardInterrupt.
     """
     environment.isolate()
     plan, before = Plan.read(source, output, RunSettings(**settings)), _written(output)

@@ -24,20 +24,9 @@ def true_topics(vehicles: list[int]) -> list[str]:
 class RunSource(Protocol):
     """The source of a run.
 
-    Attributes
-    ----------
-    node, module : str
-        Full name of the node, and module of ``sugiyama_ros.nodes`` that runs it.
-    vehicles : list of int
-        Numbers of the vehicles.
-    steps : int
-        Number of samples.
-    period_s : float
-        Time [s] between two samples.
-    topics : list of str
-        Full names of further topics with one message a step.
-    parameters, about : mapping
-        Parameters of the node, and what the recording says about the source.
+    node, module: full name of the node, and module of ``sugiyama_ros.nodes`` that runs it; vehicles: numbers of the
+    vehicles; steps: number of samples; period_s: time [s] between two samples; topics: full names of further topics
+    with one message a step; parameters, about: parameters of the node, and what the recording says about the source.
     """
 
     @property

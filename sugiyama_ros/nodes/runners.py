@@ -37,12 +37,7 @@ _ENDED_WELL = (0, -signal.SIGALRM)
 class OneProcess:
     """Runs all nodes in this process; ``nodes`` are to be executed here.
 
-    Parameters
-    ----------
-    plan : Plan
-        What runs.
-    window : int
-        Samples that may be under way.
+    plan: what runs; window: samples that may be under way.
     """
 
     def __init__(self, plan: Plan, window: int = WINDOW) -> None:

@@ -28,18 +28,7 @@ class Told(NamedTuple):
 
 
 def each_driver(message: DriverArray) -> Iterator[Told]:
-    """Yield what a message says of each driver.
-
-    Parameters
-    ----------
-    message : DriverArray
-        N drivers.
-
-    Yields
-    ------
-    Told
-        In the order of the message.
-    """
+    """Yield what a message says of each driver."""
     stamp = message.header.stamp
     time_s, count, names = stamp.sec + stamp.nanosec / NS, len(message.vehicle), list(message.name)
     speed_var = np.array(message.state_covariance).reshape(count, _STATE, _STATE)[:, _SPEED, _SPEED].tolist()

@@ -15,18 +15,9 @@ _LAST_VEHICLE = 2**31 - 1
 class TrackSamples:
     """Tracks as samples, on a regular time base. Several recordings follow one another.
 
-    Parameters
-    ----------
-    tracks : Tracks
-        R rows, with their leaders; a leader who is not known is sent as one who is not in view.
-
-    Attributes
-    ----------
-    vehicle : list of int
-        Number of the vehicle of each run: its name if all names are numbers and each comes once, else the number of
-        the run.
-    names : dict
-        Vehicle and recording of each number; empty where the numbers are names.
+    tracks: R rows, with their leaders; a leader who is not known is sent as one who is not in view; vehicle: number of
+    the vehicle of each run: its name if all names are numbers and each comes once, else the number of the run; names:
+    vehicle and recording of each number; empty where the numbers are names.
     """
 
     def __init__(self, tracks: Tracks) -> None:

@@ -17,12 +17,7 @@ from sugiyama_ros.trajectories.truth import TrueDriver
 class TrueTopics:
     """Publishes the true motion of each vehicle with every sample, and the true parameters when they change.
 
-    Parameters
-    ----------
-    node : PacedNode
-        The node that publishes.
-    vehicles : iterable of int
-        Numbers of the vehicles.
+    node: the node that publishes; vehicles: numbers of the vehicles.
     """
 
     def __init__(self, node: PacedNode, vehicles: Iterable[int]) -> None:

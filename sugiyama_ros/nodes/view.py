@@ -78,10 +78,7 @@ class MovingError:
 class _Joined:
     """Rows of one driver, made of what three topics say at the same stamp: the topics arrive in any order.
 
-    Parameters
-    ----------
-    rows : Log
-        Gets the time [s] and the numbers of all parts of each sample, as soon as the last part is there.
+    rows: gets the time [s] and the numbers of all parts of each sample, as soon as the last part is there.
     """
 
     #: The parts: the state, the innovation, and the measured position.
@@ -106,15 +103,9 @@ class _Joined:
 class View(Node):
     """Subscribes to everything that the page shows, and calls the services behind its buttons.
 
-    Parameters
-    ----------
-    rate : float
-        Rate of the replay that was asked for, in times real time.
-    recording : str
-        File to which the topics are written; empty where nothing is written.
-    expected : sequence of int
-        Vehicles that will have topics of their own, to hear them from the first message on. Of others, the node hears
-        what comes after their first sample.
+    rate: rate of the replay that was asked for, in times real time; recording: file to which the topics are written;
+    empty where nothing is written; expected: vehicles that will have topics of their own, to hear them from the first
+    message on; of others, the node hears what comes after their first sample.
     """
 
     def __init__(self, rate: float, recording: str = "", expected: Sequence[int] = ()) -> None:

@@ -27,10 +27,7 @@ def may_be_chance(best: str, lead: float) -> bool:
 def preferred(weights: Mapping[str, Array]) -> tuple[str, float]:
     """Return the model that a critic prefers at the end, and by how many nats it leads the base model.
 
-    Parameters
-    ----------
-    weights
-        Probability of each model, among them ``base``, at each verdict of the critic.
+    weights: probability of each model, among them ``base``, at each verdict of the critic.
     """
     last = {name: float(np.nan_to_num(series[-1])) for name, series in weights.items()}
     best = max(last, key=lambda name: last[name])
@@ -41,16 +38,7 @@ def preferred(weights: Mapping[str, Array]) -> tuple[str, float]:
 def beside_the_verdict(d: Document | None, best: str, added: Collection[str], lead: float = math.inf) -> str:
     """Say what a critic prefers at the end, and whether the verdict of a diagnosis says the same.
 
-    Parameters
-    ----------
-    d
-        Document of the diagnosis, if there is one.
-    best
-        The model that the critic prefers; ``base`` is the model that the estimators had.
-    added
-        Effects that the estimators had.
-    lead
-        By how many nats the model leads the base model.
+    best: the model that the critic prefers; ``base`` is the model that the estimators had.
     """
     words = partial(title_of, d or {})
     had = f", beyond what the estimators had already ({', '.join(map(words, added))})" if added else ""

@@ -32,23 +32,7 @@ def _fields() -> dict[str, Any]:
 
 
 def read_diagnosis(path: Path) -> dict[str, Any]:
-    """Read a document that ``sugiyama diagnose --save`` wrote.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    dict
-        The document; all fields that the report shows are there, and of the right type.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or a field is missing or wrong. The message names the field.
-    """
+    """Read a document that ``sugiyama diagnose --save`` wrote. Raises InputError."""
     document: dict[str, Any] = read_json(path)
     try:
         _check(document, _fields(), "document")
@@ -70,29 +54,7 @@ def read_diagnosis(path: Path) -> dict[str, Any]:
 
 
 def check_same(document: Mapping[str, Any], name: Path | str, trajectories: Trajectories, bag: Path) -> str:
-    """Check that a diagnosis is of the recording in a bag.
-
-    Parameters
-    ----------
-    document : mapping
-        The diagnosis.
-    name : Path or str
-        What to call the diagnosis in the message.
-    trajectories : Trajectories
-        What was measured, as the bag has it.
-    bag : Path
-        The bag.
-
-    Returns
-    -------
-    str
-        A warning if the diagnosis does not say which recording it is of, else nothing.
-
-    Raises
-    ------
-    InputError
-        If the diagnosis is of another recording.
-    """
+    """Check that a diagnosis is of the recording in a bag. Raises InputError."""
     about = document.get("data")
     data: Mapping[str, Any] = about if isinstance(about, dict) else {}
     checksum, source = data.get("sha256"), file_of(document, str(data.get("source") or "another recording")[:200])
@@ -116,16 +78,7 @@ def file_of(document: Mapping[str, Any], source: str) -> str:
 def run_command(document: Mapping[str, Any] | None, source: str, ring_m: float | None, output: Path) -> str:
     """Return the command that runs a recording, as it can be pasted.
 
-    Parameters
-    ----------
-    document : mapping or None
-        Diagnosis of the recording, which may know where its file is.
-    source : str
-        Name of the file, if the diagnosis does not know.
-    ring_m : float or None
-        Circumference [m] to give, if the diagnosis does not know.
-    output : Path
-        Bag to write.
+    ring_m: circumference [m] to give, if the diagnosis does not know.
     """
     if document is not None and file_of(document, ""):
         source, ring_m = file_of(document, source), document.get("ring_m")

@@ -35,22 +35,11 @@ class Log:
 class Status(NamedTuple):
     """Where the recording is.
 
-    Attributes
-    ----------
-    source : str
-        File or model that the positions come from; empty before the road is known.
-    time_s, total_s : float
-        Time of the last sample since the first one, and duration of the recording [s]; 0 without a known end.
-    real_rate : float
-        Rate at which samples arrive, in times real time; NaN before it is known.
-    silent_s : float
-        Time [s] since the last sample; NaN before the first one.
-    ended : bool
-        Whether the last sample of the recording has arrived.
-    domain : str
-        Number of the ROS domain.
-    recording : str
-        File to which the topics are written; empty where nothing is written.
+    source: file or model that the positions come from; empty before the road is known; time_s, total_s: time of the
+    last sample since the first one, and duration of the recording [s]; 0 without a known end; real_rate: rate at which
+    samples arrive, in times real time; naN before it is known; silent_s: time [s] since the last sample; naN before the
+    first one; ended: whether the last sample of the recording has arrived; domain: number of the ROS domain; recording:
+    file to which the topics are written; empty where nothing is written.
     """
 
     source: str
@@ -66,53 +55,21 @@ class Status(NamedTuple):
 class Feed(Protocol):
     """What the page shows, and what its buttons do.
 
-    Attributes
-    ----------
-    road : Road
-        The road.
-    rate : float
-        Rate of the replay that was asked for, in times real time; 0 is as fast as the nodes take it.
-    vehicles : sequence of int
-        Numbers of the vehicles that have been seen; empty before the first sample.
-    best : str
-        Model that the critic finds most probable; empty without a critic.
-    gains : mapping
-        Gain of each model of the critic over the base model [nats], by name; empty without a critic.
-    now : mapping
-        Position [m] and speed [m/s] of each vehicle that is on the road.
-    lanes : mapping
-        Number of the lane of each vehicle whose lane is known.
-    here, led : collection of int
-        Vehicles in the latest sample, and vehicles that have had a leader.
-    followers : collection of int
-        Vehicles of whose drivers something is learnt; who follows nobody is not among them.
-    adapted : mapping
-        v*, its std [m/s], kappa_v and its std [s] of each driver, as last published.
-    effects : mapping of str to str
-        Effects that can be added, each with its explanation.
-    titles : mapping of str to str
-        Names for people of all effects.
-    added : sequence of str
-        Effects that were added.
-    changed_s : sequence of float
-        Times [s] at which an effect was added or removed.
-    events : sequence of str
-        Latest events, the newest one first.
-    said : str
-        Last answer of a node.
-    space : Log
-        Time [s], position [m] and speed [m/s] of every vehicle at every sample.
-    error : Log
-        Time [s], one-step error [m] of all drivers over the last ``MOVING_S`` seconds, and of the base model.
-    is_settled : bool
-        Whether the critic's probabilities have been stable for a while.
-    critic : mapping
-        For each model that the critic has had, a Log of time [s] and gain [nats].
-    driver : mapping
-        For each vehicle a Log of time [s], speed and its std [m/s], innovation and its std [m], and the measured
-        position [m].
-    learnt : mapping
-        For each vehicle a Log of time [s], v* and its std [m/s], kappa_v and its std [s].
+    road: the road; rate: rate of the replay that was asked for, in times real time; 0 is as fast as the nodes take it;
+    vehicles: numbers of the vehicles that have been seen; empty before the first sample; best: model that the critic
+    finds most probable; empty without a critic; gains: gain of each model of the critic over the base model [nats], by
+    name; empty without a critic; now: position [m] and speed [m/s] of each vehicle that is on the road; lanes: number
+    of the lane of each vehicle whose lane is known; here, led: vehicles in the latest sample, and vehicles that have
+    had a leader; followers: vehicles of whose drivers something is learnt; who follows nobody is not among them;
+    adapted: v*, its std [m/s], kappa_v and its std [s] of each driver, as last published; effects: effects that can be
+    added, each with its explanation; titles: names for people of all effects; added: effects that were added;
+    changed_s: times [s] at which an effect was added or removed; events: latest events, the newest one first; said:
+    last answer of a node; space: time [s], position [m] and speed [m/s] of every vehicle at every sample; error: time
+    [s], one-step error [m] of all drivers over the last ``MOVING_S`` seconds, and of the base model; is_settled:
+    whether the critic's probabilities have been stable for a while; critic: for each model that the critic has had, a
+    Log of time [s] and gain [nats]; driver: for each vehicle a Log of time [s], speed and its std [m/s], innovation and
+    its std [m], and the measured position [m]; learnt: for each vehicle a Log of time [s], v* and its std [m/s],
+    kappa_v and its std [s].
     """
 
     road: Road

@@ -33,29 +33,7 @@ Drawing = Callable[[Any], Columns]
 def write_figures(
     r: Recording, diagnosis: Mapping[str, Any] | None, directory: Path, overwrite: bool = True
 ) -> list[Path]:
-    """Write all figures that the data allow, each as a PDF and a PNG file, with its data as CSV.
-
-    Parameters
-    ----------
-    r : Recording
-        The run.
-    diagnosis : mapping or None
-        Document of `sugiyama diagnose --save`.
-    directory : Path
-        Where to write; made if it is not there.
-    overwrite : bool
-        Whether figures that are there already are replaced.
-
-    Returns
-    -------
-    list of Path
-        The files.
-
-    Raises
-    ------
-    OutputError
-        Where a file cannot be written.
-    """
+    """Write all figures that the data allow, each as a PDF and a PNG file, with its data as CSV. Raises OutputError."""
     drawings = {**_of_run(r), **(_of_diagnosis(r, diagnosis) if diagnosis is not None else {})}
     make_directory(directory)
     outputs = {(name, kind): Output(directory / f"{name}.{kind}", overwrite) for name in drawings for kind in _KINDS}

@@ -20,14 +20,7 @@ class Found(NamedTuple):
 def found_in(axes: tuple[str, str], diagnosis: Mapping[str, Any], ring_m: float) -> list[Found]:
     """Return what to draw into a map over two covariates.
 
-    Parameters
-    ----------
-    axes
-        Covariates of the map.
-    diagnosis
-        Document of the diagnosis.
-    ring_m
-        Circumference [m] of the ring, on which a place comes again; 0 for an open road.
+    ring_m: circumference [m] of the ring, on which a place comes again; 0 for an open road.
     """
     found = []
     for effect in diagnosis["verdict"]["effects"]:

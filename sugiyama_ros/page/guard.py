@@ -27,14 +27,8 @@ class Guard(AuthProvider):  # type: ignore[misc]
     A page of another site that a name in the DNS leads here asks for another host, and is refused. With a token, the
     guard admits a browser that gives ``?token=``, and afterwards recognises the browser by a cookie.
 
-    Parameters
-    ----------
-    names : collection of str
-        Names of the server.
-    port : int
-        Port of the server.
-    open_to_others : bool
-        Whether other machines reach the server. It then also answers to numeric addresses, and asks for the token.
+    names: names of the server; port: port of the server; open_to_others: whether other machines reach the server; it
+    then also answers to numeric addresses, and asks for the token.
     """
 
     def __init__(self, names: Collection[str], port: int, open_to_others: bool) -> None:

@@ -46,18 +46,7 @@ _TOGETHER = "one topic of all drivers (run --array)"
 
 
 def lichtblick(vehicles: Iterable[int]) -> str:
-    """Layout for Lichtblick and Foxglove.
-
-    Parameters
-    ----------
-    vehicles : iterable of int
-        Numbers of the vehicles.
-
-    Returns
-    -------
-    str
-        Content of a JSON file.
-    """
+    """Layout for Lichtblick and Foxglove."""
     spaces = namespaces(vehicles)
     curves = (_SPEED, _ERROR, _ACTION, _V_STAR, _KAPPA_V)
     plots = {
@@ -113,18 +102,7 @@ def _split(direction: str, first: Any, second: Any, percent: int = 50) -> dict[s
 
 
 def plotjuggler(vehicles: Iterable[int]) -> str:
-    """Layout for PlotJuggler.
-
-    Parameters
-    ----------
-    vehicles : iterable of int
-        Numbers of the vehicles.
-
-    Returns
-    -------
-    str
-        Content of an XML file.
-    """
+    """Layout for PlotJuggler."""
     spaces = namespaces(vehicles)
     tabs = [
         _tab(name, {one: [f"{space}/{one.topic}/{one.field}" for space in spaces] for one in curves})

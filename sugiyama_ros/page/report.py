@@ -45,24 +45,7 @@ class Section(NamedTuple):
 def write_report(
     recording: Recording, diagnosis: Mapping[str, Any] | None, output: Target, against: AgainstTruth | None = None
 ) -> None:
-    """Write the page of a recorded run.
-
-    Parameters
-    ----------
-    recording : Recording
-        The run.
-    diagnosis : mapping or None
-        Document of `sugiyama diagnose --save`.
-    output : Path or Output
-        HTML file to write.
-    against : AgainstTruth, optional
-        Estimates compared with the truth, if the drivers were simulated.
-
-    Raises
-    ------
-    OutputError
-        Where the file cannot be written.
-    """
+    """Write the page of a recorded run. Raises OutputError."""
     page = report(recording, diagnosis, against)
     with writing(output) as stream:
         stream.write(page.encode())

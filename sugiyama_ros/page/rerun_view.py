@@ -26,14 +26,7 @@ _PARAMETERS = {"v_star": "desired speed v* [m/s]", "kappa_v": "risk premium κ_v
 def log(stream: "rerun.RecordingStream", r: Recording, diagnosis: Mapping[str, Any] | None) -> None:
     """Log a recorded run and the layout of its panels.
 
-    Parameters
-    ----------
-    stream : rerun.RecordingStream
-        Where to log: a file or a viewer.
-    r : Recording
-        The run.
-    diagnosis : mapping or None
-        Document of ``sugiyama diagnose --save``.
+    diagnosis: document of ``sugiyama diagnose --save``.
     """
     stream.send_blueprint(_layout(r))
     stream.send_recording_name(name_of(r))

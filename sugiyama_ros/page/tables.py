@@ -23,37 +23,13 @@ _COLLECTIVE = {
 
 
 def steps(d: Document) -> TextTable:
-    """Return the base model, the model with the additions, and other laws: gains over the base model, and errors.
-
-    Parameters
-    ----------
-    d : mapping
-        Document of a diagnosis.
-
-    Returns
-    -------
-    TextTable
-        One row for each model.
-    """
+    """Return the base model, the model with the additions, and other laws: gains over the base model, and errors."""
     shown = {model_name(name): one for name, one in models(d).items()}
     return forecasts("Forecasts of unseen data; gains over the base model in nats", shown)
 
 
 def compared(c: Document, *, show_all: bool = False) -> TextTable:
-    """Return the models of a comparison: gains over the base model, and errors.
-
-    Parameters
-    ----------
-    c : mapping
-        Document of a comparison.
-    show_all : bool
-        Whether all models are in the table, or six: those that were asked for, the best ones, and the base model.
-
-    Returns
-    -------
-    TextTable
-        One row for each model, the best one first.
-    """
+    """Return the models of a comparison: gains over the base model, and errors."""
     asked = [one["name"] for one in c["models"] if one["kind"] in ("base", "asked", "in_sample")]
     best = [one["name"] for one in ranked(c) if one["name"] not in asked]
     kept = {*asked, *best[: max(1, _ROWS - len(asked))]}
@@ -66,17 +42,7 @@ def compared(c: Document, *, show_all: bool = False) -> TextTable:
 def forecasts(title: str, shown: Mapping[str, Mapping[str, Any]]) -> TextTable:
     """Return models with their gains over the base model, over all horizons and at each, and their errors.
 
-    Parameters
-    ----------
-    title : str
-        Title of the table.
-    shown : mapping of str to mapping
-        Errors and ``gains`` of each model, by its name.
-
-    Returns
-    -------
-    TextTable
-        One row for each model.
+    shown: errors and ``gains`` of each model, by its name.
     """
     is_road = any(one.get("free_run_10s_m") is not None for one in shown.values())
     run = "free_run" if is_road else "single_car"
@@ -105,18 +71,7 @@ def _error(value: float | None, digits: int) -> str:
 
 
 def by_driver(d: Document) -> TextTable:
-    """Return the gain of the additions one step ahead for each driver, and the errors before and after.
-
-    Parameters
-    ----------
-    d : mapping
-        Document of a diagnosis.
-
-    Returns
-    -------
-    TextTable
-        One row for each driver.
-    """
+    """Return the gain of the additions one step ahead for each driver, and the errors before and after."""
     headings = ("vehicle", "gain, one step [nats]", "one car 10 s, before [m]", "after [m]")
     rows = tuple(
         (
@@ -130,18 +85,7 @@ def by_driver(d: Document) -> TextTable:
 
 
 def collective(c: Document) -> TextTable | None:
-    """Return what the whole road does: recorded, and simulated by each model of a comparison; None for tracks.
-
-    Parameters
-    ----------
-    c : mapping
-        Document of a comparison.
-
-    Returns
-    -------
-    TextTable or None
-        Means with standard deviations over simulations. The measured speed of waves has its standard error.
-    """
+    """Return what the whole road does: recorded, and simulated by each model of a comparison; None for tracks."""
     if c["measured"] is None:
         return None
     errors = {"wave_speed": c["wave_speed_se"]}

@@ -58,21 +58,11 @@ class TrueChange:
 class AgainstTruth:
     """Estimates of a run compared with the truth.
 
-    Attributes
-    ----------
-    parameters : tuple of EstimateAgainstTruth
-        All adapted parameters of all drivers at the end.
-    coverage : dict of str to float
-        Share of the drivers whose 95 % interval holds the truth, by parameter.
-    errors : dict of str to float
-        Root mean square errors of the estimated speed [m/s], acceleration [m/s^2] and gap [m]; the share of samples in
-        which the 95 % interval of the speed holds the truth.
-    changes : tuple of TrueChange
-        Changes of parameters during the run.
-    false_alarms : int
-        Changes of style that an estimator told of, although the driver had not changed.
-    collisions : int
-        Vehicles that ran into their leader. The model has no meaning after that.
+    parameters: all adapted parameters of all drivers at the end; coverage: share of the drivers whose 95 % interval
+    holds the truth, by parameter; errors: root mean square errors of the estimated speed [m/s], acceleration [m/s^2]
+    and gap [m]; the share of samples in which the 95 % interval of the speed holds the truth; changes: changes of
+    parameters during the run; false_alarms: changes of style that an estimator told of, although the driver had not
+    changed; collisions: vehicles that ran into their leader; the model has no meaning after that.
     """
 
     parameters: tuple[EstimateAgainstTruth, ...]
@@ -128,25 +118,7 @@ class AgainstTruth:
 
 
 def against_truth(path: Path, recording: Recording | None = None) -> AgainstTruth | None:
-    """Compare the estimates of a recorded run with the truth.
-
-    Parameters
-    ----------
-    path : Path
-        The bag.
-    recording : Recording, optional
-        What was read of the same bag; without it, states are not compared.
-
-    Returns
-    -------
-    AgainstTruth or None
-        The comparison; None where the bag has no truth.
-
-    Raises
-    ------
-    InputError
-        Where the bag cannot be read.
-    """
+    """Compare the estimates of a recorded run with the truth. Raises InputError."""
     truth = read_truth(path)
     if truth is None:
         return None

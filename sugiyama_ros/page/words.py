@@ -447,18 +447,7 @@ def would_have_shown(d: Document) -> list[tuple[str, str]]:
 
 
 def sentences(d: Document) -> list[str]:
-    """Return the verdict in words, one line for each finding, the strongest first.
-
-    Parameters
-    ----------
-    d : mapping
-        Document of a diagnosis.
-
-    Returns
-    -------
-    list of str
-        What ``sugiyama diagnose`` prints.
-    """
+    """Return the verdict in words, one line for each finding, the strongest first."""
     effects = d["verdict"]["effects"]
     lines = [headline(d), fall(d)]
     if not effects:

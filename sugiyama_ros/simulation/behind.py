@@ -21,20 +21,9 @@ _BACKWARD = 2.0
 class RecordedTraffic(NamedTuple):
     """Recorded vehicles in V columns; the first N of them are drivers who drive anew.
 
-    Parameters
-    ----------
-    state : ndarray, shape (T, V, 4)
-        Position [m], speed [m/s], acceleration noise and held acceleration [m/s^2]; NaN where unknown.
-    leader : ndarray of int, shape (T, V)
-        Column of the vehicle ahead; -1 where there is none.
-    length_m : ndarray, shape (T, V)
-        Lengths [m].
-    segment : ndarray of int, shape (N, T)
-        Number of the unbroken part of each driver's record.
-    road : Road
-        The road.
-    period_s : float
-        Time [s] between two samples.
+    state: (T, V, 4), position [m], speed [m/s], acceleration noise and held acceleration [m/s^2]; naN where unknown;
+    leader: (T, V), column of the vehicle ahead; -1 where there is none; length_m: (T, V), lengths [m]; segment: (N, T),
+    number of the unbroken part of each driver's record; road: the road; period_s: time [s] between two samples.
     """
 
     state: Array
@@ -51,21 +40,9 @@ def drive_behind(recorded: RecordedTraffic, rows: Array, rng: np.random.Generato
     A driver starts from the recorded state, and again after a collision, when the model drives backward, and wherever a
     segment begins.
 
-    Parameters
-    ----------
-    recorded : RecordedTraffic
-        The recorded vehicles.
-    rows : ndarray, shape (N, width)
-        Rows of the drivers at the period of the samples.
-    rng : numpy.random.Generator
-        Generator of all noises.
-
-    Returns
-    -------
-    position_m : ndarray, shape (T, N)
-        Measured positions [m]; NaN where a driver could not be simulated.
-    segment : ndarray of int, shape (N, T)
-        Number of the unbroken part of each driver's new record.
+    rows: (N, width), rows of the drivers at the period of the samples. Returns position_m: (T, N), measured positions
+    [m]; naN where a driver could not be simulated; segment: (N, T), number of the unbroken part of each driver's new
+    record.
     """
     samples, drivers = len(recorded.state), len(rows)
     everybody = np.resize(rows, (recorded.leader.shape[1], rows.shape[1]))

@@ -25,16 +25,10 @@ _BLOCK_S, _FEWEST_BLOCKS = 25.0, 4
 class Collective:
     """Collective measures of a recording or a simulation.
 
-    Parameters
-    ----------
-    mean_speed, least_speed, largest_speed : float
-        Mean, smallest and largest speed [m/s] over the vehicles, averaged over time (the paper's V_avg, V_min, V_max).
-    wave_speed : float
-        Speed [m/s] of waves, negative against the direction of traffic; NaN if there is no wave.
-    queue_vehicles : float
-        Mean number of vehicles in a queue: slower than ``QUEUE_SPEED``, unless another speed was asked for.
-    period_s : float
-        Time [s] between two waves that pass the same driver; NaN if no wave returns.
+    mean_speed, least_speed, largest_speed: mean, smallest and largest speed [m/s] over the vehicles, averaged over time
+    (the paper's V_avg, V_min, V_max); wave_speed: speed [m/s] of waves, negative against the direction of traffic; naN
+    if there is no wave; queue_vehicles: mean number of vehicles in a queue: slower than ``QUEUE_SPEED``, unless another
+    speed was asked for; period_s: time [s] between two waves that pass the same driver; naN if no wave returns.
     """
 
     mean_speed: float
@@ -50,23 +44,9 @@ def collective(
 ) -> Collective:
     """Compute the collective measures of a recording or a simulation.
 
-    Parameters
-    ----------
-    speed : ndarray, shape (T, N)
-        Speeds [m/s]; NaN where unknown.
-    headway_m : ndarray, shape (T, N)
-        Distance [m] from a vehicle's centre to its leader's centre; NaN without a leader.
-    leader : ndarray of int, shape (T, N)
-        Columns of the leaders; -1 without a leader.
-    period_s : float
-        Time [s] between two samples.
-    queue_speed : float
-        Speed [m/s] below which a vehicle is in a queue.
-
-    Returns
-    -------
-    Collective
-        Means over the recording; NaN if no speed is known.
+    speed: (T, N), speeds [m/s]; naN where unknown; headway_m: (T, N), distance [m] from a vehicle's centre to its
+    leader's centre; naN without a leader; leader: (T, N), columns of the leaders; -1 without a leader; period_s: time
+    [s] between two samples; queue_speed: speed [m/s] below which a vehicle is in a queue.
     """
     known = speed[np.isfinite(speed).any(axis=1)]
     if not len(known):
@@ -90,21 +70,10 @@ def wave_speed(speed: Array, headway_m: Array, leader: Ints, period_s: float) ->
     from the leader's place to the follower's. Each moment counts as much as it contributes to the agreement, so free
     flow before the waves does not count.
 
-    Parameters
-    ----------
-    speed : ndarray, shape (T, N)
-        Speeds [m/s]; NaN where unknown.
-    headway_m : ndarray, shape (T, N)
-        Distance [m] from a vehicle's centre to its leader's centre; NaN without a leader.
-    leader : ndarray of int, shape (T, N)
-        Columns of the leaders; -1 without a leader.
-    period_s : float
-        Time [s] between two samples.
-
-    Returns
-    -------
-    float
-        Speed of waves [m/s], negative against the direction of traffic; NaN if there is no wave.
+    speed: (T, N), speeds [m/s]; naN where unknown; headway_m: (T, N), distance [m] from a vehicle's centre to its
+    leader's centre; naN without a leader; leader: (T, N), columns of the leaders; -1 without a leader; period_s: time
+    [s] between two samples. Returns speed of waves [m/s], negative against the direction of traffic; naN if there is no
+    wave.
     """
     samples = len(speed)
     lags = int(min(_LONGEST_LAG_S / period_s, samples // 4))
@@ -131,21 +100,10 @@ def wave_speed(speed: Array, headway_m: Array, leader: Ints, period_s: float) ->
 def wave_speed_error(speed: Array, headway_m: Array, leader: Ints, period_s: float) -> float:
     """Estimate the standard error of the speed of waves: each block of 25 s is left out in turn (jackknife).
 
-    Parameters
-    ----------
-    speed : ndarray, shape (T, N)
-        Speeds [m/s]; NaN where unknown.
-    headway_m : ndarray, shape (T, N)
-        Distance [m] from a vehicle's centre to its leader's centre; NaN without a leader.
-    leader : ndarray of int, shape (T, N)
-        Columns of the leaders; -1 without a leader.
-    period_s : float
-        Time [s] between two samples.
-
-    Returns
-    -------
-    float
-        Standard error [m/s]; NaN if there is no wave without some block, or if the recording is shorter than 100 s.
+    speed: (T, N), speeds [m/s]; naN where unknown; headway_m: (T, N), distance [m] from a vehicle's centre to its
+    leader's centre; naN without a leader; leader: (T, N), columns of the leaders; -1 without a leader; period_s: time
+    [s] between two samples. Returns standard error [m/s]; naN if there is no wave without some block, or if the
+    recording is shorter than 100 s.
     """
     count = round(len(speed) * period_s / _BLOCK_S)
     if count < _FEWEST_BLOCKS:
@@ -165,17 +123,8 @@ def wave_period(speed: Array, period_s: float) -> float:
 
     The time is the first high maximum of the mean autocorrelation of speed after the autocorrelation was negative.
 
-    Parameters
-    ----------
-    speed : ndarray, shape (T, N)
-        Speeds [m/s]; NaN where unknown.
-    period_s : float
-        Time [s] between two samples.
-
-    Returns
-    -------
-    float
-        Time [s] between two waves; NaN if speeds do not repeat.
+    speed: (T, N), speeds [m/s]; naN where unknown; period_s: time [s] between two samples. Returns time [s] between two
+    waves; naN if speeds do not repeat.
     """
     off = _off(speed)
     if not np.isfinite(off).any() or np.nanvar(off) < _LEAST_VARIANCE:

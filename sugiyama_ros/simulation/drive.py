@@ -15,18 +15,10 @@ from sugiyama_ros.jit import kernel
 class Traffic(NamedTuple):
     """The state of N vehicles.
 
-    Parameters
-    ----------
-    position : ndarray, shape (N,)
-        Continuous positions [m] of the centres.
-    speed : ndarray, shape (N,)
-        Speeds [m/s].
-    held : ndarray, shape (N,)
-        Accelerations [m/s^2] that the drivers made their cars do in the last period.
-    acceleration : ndarray, shape (N,)
-        Accelerations [m/s^2] of the cars in the last period.
-    past : ndarray, shape (H, 2, N)
-        Positions and speeds one period ago, two periods ago, and so on, for drivers who look back.
+    position: (N,), continuous positions [m] of the centres; speed: (N,), speeds [m/s]; held: (N,), accelerations
+    [m/s^2] that the drivers made their cars do in the last period; acceleration: (N,), accelerations [m/s^2] of the
+    cars in the last period; past: (H, 2, N), positions and speeds one period ago, two periods ago, and so on, for
+    drivers who look back.
     """
 
     position: Array
@@ -39,14 +31,9 @@ class Traffic(NamedTuple):
 class Order(NamedTuple):
     """Who follows whom among N vehicles.
 
-    Parameters
-    ----------
-    leader : ndarray of int, shape (N,)
-        Number of each vehicle's leader; -1 without a leader.
-    turn : ndarray, shape (N,)
-        Whole turns of a ring [m]. The headway is the leader's position minus the vehicle's position minus ``turn``.
-    length : ndarray, shape (N,)
-        Lengths [m] of the vehicles.
+    leader: (N,), number of each vehicle's leader; -1 without a leader; turn: (N,), whole turns of a ring [m]; the
+    headway is the leader's position minus the vehicle's position minus ``turn``; length: (N,), lengths [m] of the
+    vehicles.
     """
 
     leader: Ints
@@ -57,14 +44,8 @@ class Order(NamedTuple):
 class Setting(NamedTuple):
     """What does not change during a run.
 
-    Parameters
-    ----------
-    period : float
-        Length of a period [s].
-    horizon : int
-        Periods that a driver looks ahead.
-    circumference : float
-        Circumference [m] of the ring; 0 for an open road.
+    period: length of a period [s]; horizon: periods that a driver looks ahead; circumference: circumference [m] of the
+    ring; 0 for an open road.
     """
 
     period: float
@@ -78,19 +59,8 @@ def see(driver: int, leader: int, traffic: Traffic, order: Order) -> tuple[float
 
     Positions are continuous, so a vehicle that has passed its leader keeps a negative headway.
 
-    Parameters
-    ----------
-    driver, leader : int
-        Numbers of the two vehicles; ``leader`` is -1 if there is no leader.
-    traffic : Traffic
-        State of all vehicles.
-    order : Order
-        Who follows whom.
-
-    Returns
-    -------
-    gap, leader_speed : float
-        Gap [m], infinite without a leader, and the leader's speed [m/s], 0 without a leader.
+    driver, leader: numbers of the two vehicles; ``leader`` is -1 if there is no leader. Returns gap [m], infinite
+    without a leader, and the leader's speed [m/s], 0 without a leader.
     """
     if leader < 0:
         return np.inf, 0.0
@@ -152,24 +122,10 @@ def drive(
 ) -> None:
     """Compute what drivers make their cars do in one period, and what the environment adds.
 
-    Parameters
-    ----------
-    traffic : Traffic
-        State of all N vehicles.
-    order : Order
-        Who follows whom.
-    rows : ndarray, shape (N, width)
-        Rows of the drivers at this period.
-    actions : ndarray, shape (K,)
-        Accelerations [m/s^2] that the drivers consider.
-    time : float
-        Time of the recording [s].
-    setting : Setting
-        Period, horizon and circumference.
-    out : ndarray, shape (D,)
-        Filled with the accelerations [m/s^2] that the first D drivers make their cars do.
-    pushed : ndarray, shape (D,)
-        Filled with the accelerations [m/s^2] that the environment adds for the first D vehicles.
+    rows: (N, width), rows of the drivers at this period; actions: (K,), accelerations [m/s^2] that the drivers
+    consider; time: time of the recording [s]; out: (D,), filled with the accelerations [m/s^2] that the first D drivers
+    make their cars do; pushed: (D,), filled with the accelerations [m/s^2] that the environment adds for the first D
+    vehicles.
     """
     position, speed, leader = traffic.position, traffic.speed, order.leader
     follower, scratch = np.full(len(leader), -1), scratch_for(actions)

@@ -30,24 +30,10 @@ def run_coupled(
     """Let all vehicles drive by the model, except vehicles that lead others and follow nobody: what a driver does on a
     road without a leader is not in the data, so these vehicles drive as they were recorded.
 
-    Parameters
-    ----------
-    recorded : ndarray, shape (steps + 1, N, 4)
-        Filtered position [m], speed [m/s], acceleration noise and held acceleration [m/s^2].
-    order : Order
-        Who follows whom.
-    rows : ndarray, shape (N, width)
-        Rows of the drivers at this period; they stay as they are.
-    actions : ndarray, shape (K,)
-        Accelerations [m/s^2] that the drivers consider.
-    time : float
-        Time of the first sample [s].
-    setting : Setting
-        Period, horizon and circumference.
-    shock : ndarray, shape (steps, N)
-        Standard normal shocks of the acceleration noise; zeros for a run without noise.
-    out : ndarray, shape (steps, N, 2)
-        Filled with positions [m] and speeds [m/s].
+    recorded: (steps + 1, N, 4), filtered position [m], speed [m/s], acceleration noise and held acceleration [m/s^2];
+    rows: (N, width), rows of the drivers at this period; they stay as they are; actions: (K,), accelerations [m/s^2]
+    that the drivers consider; time: time of the first sample [s]; shock: (steps, N), standard normal shocks of the
+    acceleration noise; zeros for a run without noise; out: (steps, N, 2), filled with positions [m] and speeds [m/s].
     """
     x, v, n, b = recorded[0, :, 0].copy(), recorded[0, :, 1].copy(), recorded[0, :, 2].copy(), recorded[0, :, 3].copy()
     vehicles = len(x)
@@ -128,26 +114,11 @@ def run_single(
 ) -> None:
     """Let each of some vehicles drive by the model among neighbours who drive as they were recorded.
 
-    Parameters
-    ----------
-    who : ndarray of int, shape (W,)
-        Numbers of the vehicles.
-    recorded : ndarray, shape (at least steps + 1, N, 4)
-        Filtered position [m], speed [m/s], acceleration noise and held acceleration [m/s^2].
-    order : Order
-        Who follows whom.
-    rows : ndarray, shape (N, width)
-        Rows of the drivers at this period.
-    actions : ndarray, shape (K,)
-        Accelerations [m/s^2] that the drivers consider.
-    time : float
-        Time of the first sample [s].
-    setting : Setting
-        Period, horizon and circumference.
-    shock : ndarray, shape (steps, N)
-        Standard normal shocks of the acceleration noise; zeros for a run without noise.
-    out : ndarray, shape (steps, N, 2)
-        The columns of these vehicles are filled with positions [m] and speeds [m/s].
+    who: (W,), numbers of the vehicles; recorded: (at least steps + 1, N, 4), filtered position [m], speed [m/s],
+    acceleration noise and held acceleration [m/s^2]; rows: (N, width), rows of the drivers at this period; actions:
+    (K,), accelerations [m/s^2] that the drivers consider; time: time of the first sample [s]; shock: (steps, N),
+    standard normal shocks of the acceleration noise; zeros for a run without noise; out: (steps, N, 2), the columns of
+    these vehicles are filled with positions [m] and speeds [m/s].
     """
     for i in who:
         near, order_near = _neighbourhood(i, order)

@@ -21,16 +21,9 @@ from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M
 class Lane:
     """The vehicles of a lane, in the order in which they follow: the last one drives ahead of all others.
 
-    Parameters
-    ----------
-    parameters : ndarray, shape (N, P) or (N, width)
-        Parameters of the drivers at the reference period, or their rows with effects.
-    length_m : ndarray, shape (N,)
-        Lengths [m].
-    vehicle_class : sequence of str
-        Class of each vehicle, N.
-    gap_m : float
-        Gaps [m] at the start, when all vehicles stand.
+    parameters: (N, P) or (N, width), parameters of the drivers at the reference period, or their rows with effects;
+    length_m: (N,), lengths [m]; vehicle_class: class of each vehicle, N; gap_m: gaps [m] at the start, when all
+    vehicles stand.
     """
 
     parameters: Array
@@ -49,29 +42,7 @@ def simulate_lanes(
 ) -> Tracks:
     """Simulate lanes of an open road.
 
-    Parameters
-    ----------
-    lanes : sequence of Lane
-        The lanes. The vehicle ahead of all others on a lane starts at position 0.
-    duration_s : float
-        Duration [s].
-    rng : numpy.random.Generator
-        Generator of all noises.
-    view_m : (float, float)
-        Part of the road [m] that is seen.
-    clock : Clock
-        Times of the simulation.
-
-    Returns
-    -------
-    Tracks
-        Measured positions with lanes, classes and leaders. Nobody is ahead of the first vehicle if the view has no end
-        ahead; else it is not known who is.
-
-    Raises
-    ------
-    InputError
-        If vehicles collide, or none comes into view.
+    duration_s: duration [s]; view_m: part of the road [m] that is seen. Raises InputError.
     """
     parts: list[dict[str, Array | list[str]]] = []
     for number, lane in enumerate(lanes, 1):
@@ -104,21 +75,8 @@ def simulate_lanes(
 def alike_lanes(experiment: Experiment, rows: Array, lanes: int, view_m: tuple[float, float]) -> Tracks:
     """Simulate lanes with equally many vehicles of the usual length.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        The setting; its road does not count.
-    rows : ndarray, shape (N, width)
-        Rows of the drivers at the reference period, N a multiple of ``lanes``; they stay as they are.
-    lanes : int
-        Number of lanes.
-    view_m : (float, float)
-        Part of the road [m] that is seen.
-
-    Returns
-    -------
-    Tracks
-        As from `simulate_lanes`, which also says what it raises.
+    rows: (N, width), rows of the drivers at the reference period, N a multiple of ``lanes``; they stay as they are;
+    view_m: part of the road [m] that is seen.
     """
     rng, rows = np.random.default_rng(experiment.seed), rows.copy()
     spread_out(rows, experiment.spread, rng)

@@ -55,25 +55,10 @@ class Simulator:
 
     On a ring the last vehicle follows the first vehicle. On an open road the last vehicle has no leader.
 
-    Parameters
-    ----------
-    parameters : ndarray, shape (N, P) or (N, width)
-        Parameters of the drivers at the reference period, or their rows with effects.
-    length_m, position_m : ndarray, shape (N,)
-        Lengths [m], and positions [m] of the centres at the start, which increase and lie within one circumference.
-    road : Road
-        The road.
-    rng : numpy.random.Generator
-        Generator of all noises.
-    speed : ndarray, shape (N,), optional
-        Speeds [m/s] at the start; 0 if left out.
-    clock : Clock
-        Times of the simulation.
-
-    Raises
-    ------
-    InputError
-        If the start is impossible: overlapping vehicles, wrong shapes, or parameters out of bounds.
+    parameters: (N, P) or (N, width), parameters of the drivers at the reference period, or their rows with effects;
+    length_m, position_m: (N,), lengths [m], and positions [m] of the centres at the start, which increase and lie
+    within one circumference; road: the road; rng: generator of all noises; speed: (N,), speeds [m/s] at the start; 0 if
+    left out; clock: times of the simulation. Raises InputError.
     """
 
     def __init__(
@@ -163,15 +148,7 @@ class Simulator:
     def step(self, recorded: tuple[Ints, Array, Array] | None = None) -> tuple[Collision, ...]:
         """Advance all drivers by one period, and return the collisions that began in this period.
 
-        Parameters
-        ----------
-        recorded : (ndarray of int, ndarray, ndarray), optional
-            Numbers of vehicles that move as recorded, and their positions [m] and speeds [m/s] after the period.
-
-        Returns
-        -------
-        tuple of Collision
-            The collisions.
+        recorded: numbers of vehicles that move as recorded, and their positions [m] and speeds [m/s] after the period.
         """
         shock = self._rng.standard_normal((3, len(self.position_m)))
         p = self.parameters
@@ -215,10 +192,7 @@ def platoon(length_m: Array, gap_m: float) -> Array:
 def evenly(length_m: Array, road: Road) -> Array:
     """Place vehicles of lengths (N,) [m] with equal gaps all around a ring, and return their positions (N,) [m].
 
-    Raises
-    ------
-    InputError
-        If the vehicles do not fit on the ring.
+    Raises InputError.
     """
     free = road.circumference_m - float(length_m.sum())
     if free <= 0.0:
@@ -231,19 +205,7 @@ def simulate(simulator: Simulator, duration_s: float, *, stop_at_collision: bool
 
     After a collision the model has no meaning, because the penalty is flat inside another vehicle.
 
-    Parameters
-    ----------
-    simulator : Simulator
-        Drivers at the start of the run; changed in place.
-    duration_s : float
-        Duration [s].
-    stop_at_collision : bool
-        Whether the run ends at the first collision.
-
-    Returns
-    -------
-    Simulation
-        Measured and true motion, and all collisions.
+    duration_s: duration [s].
     """
     samples = round(duration_s / simulator.period_s) + 1
     vehicles = len(simulator.length_m)

@@ -12,12 +12,7 @@ _WANDERING = tuple(e for e in EFFECTS.values() if e.wanders)
 class Wandering:
     """Preferences of N drivers that wander as Ornstein-Uhlenbeck processes.
 
-    Parameters
-    ----------
-    period_s : float
-        Time [s] between two samples.
-    rng : numpy.random.Generator
-        Generator of the random changes.
+    period_s: time [s] between two samples; rng: generator of the random changes.
     """
 
     def __init__(self, period_s: float, rng: np.random.Generator) -> None:

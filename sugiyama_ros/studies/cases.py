@@ -11,20 +11,7 @@ Cases = Mapping[str, Callable[[int], Ring]]
 
 
 def compare(asked: Asked, cases: Cases) -> Answer:
-    """Run all cases with the same seeds. The figure shows the first run of each case.
-
-    Parameters
-    ----------
-    asked : Asked
-        Number of runs of each case, first seed and workers.
-    cases : mapping of str to callable
-        What makes a ring from a seed, by the name of the case.
-
-    Returns
-    -------
-    Answer
-        One row for each case.
-    """
+    """Run all cases with the same seeds. The figure shows the first run of each case."""
     seeds = [asked.seed + k for k in range(asked.runs)]
     rings = [make(seed) for make in cases.values() for seed in seeds]
     found = outcomes(rings, asked.work)

@@ -21,15 +21,7 @@ _DRIVERS, _RING_M, _DURATION_S, _ROUNDS = 10, 105.0, 150.0, 25
 def measure(without: str) -> dict[str, float]:
     """Measure the time of one filter pass over all drivers.
 
-    Parameters
-    ----------
-    without : str
-        Compiler option that is switched off; an empty string for none.
-
-    Returns
-    -------
-    dict
-        CPU time on one thread and wall time on two threads [s]: the shortest of several rounds.
+    Returns CPU time on one thread and wall time on two threads [s]: the shortest of several rounds.
     """
     jit.OPTIONS.discard(without)
     from concurrent.futures import ThreadPoolExecutor

@@ -20,17 +20,7 @@ _SHOWN = 4
 def silhouette(points: Array, label: Ints) -> float:
     """Measure how well points belong to their clusters.
 
-    Parameters
-    ----------
-    points : ndarray, shape (N, K)
-        Points.
-    label : ndarray of int, shape (N,)
-        Cluster of each point.
-
-    Returns
-    -------
-    float
-        Mean silhouette, from -1 to 1; 1 for clusters that are far apart.
+    points: (N, K), points; label: (N,), cluster of each point.
 
     References
     ----------
@@ -52,15 +42,7 @@ def silhouette(points: Array, label: Ints) -> float:
 def adjusted_rand(a: Ints, b: Ints) -> float:
     """Measure how well two clusterings of the same points agree.
 
-    Parameters
-    ----------
-    a, b : ndarray of int, shape (N,)
-        Cluster of each point.
-
-    Returns
-    -------
-    float
-        Adjusted Rand index: 1 for equal clusterings, 0 on average for random ones.
+    a, b: (N,), cluster of each point.
 
     References
     ----------

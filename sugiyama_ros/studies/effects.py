@@ -29,18 +29,7 @@ class FoundAgain(NamedTuple):
 
 
 def found_again(job: tuple[str, int]) -> list[FoundAgain]:
-    """Hide an effect in its strong form, add it to the fitted model as a diagnosis does, and return what was found.
-
-    Parameters
-    ----------
-    job : (str, int)
-        Name of the effect, and the seed of the recording.
-
-    Returns
-    -------
-    list of FoundAgain
-        The parameters of the effect; empty if the cars always collide.
-    """
+    """Hide an effect in its strong form, add it to the fitted model as a diagnosis does, and return what was found."""
     effect, seed = job
     try:
         run, truth = hide(effect, STRENGTHS[effect][0], seed)

@@ -39,33 +39,15 @@ class LearningFilter(Protocol):
     def step(self, position_m: Array, identity: Ints, length_m: Array) -> float:
         """Predict one period ahead and take in the next sample.
 
-        Parameters
-        ----------
-        position_m : ndarray, shape (M,)
-            Measured positions [m] of the driver and of the vehicles ahead.
-        identity : ndarray of int, shape (M,)
-            Numbers of these vehicles.
-        length_m : ndarray, shape (M,)
-            Lengths [m] of these vehicles.
-
-        Returns
-        -------
-        float
-            Log-likelihood of the driver's sample, without the 2 pi term; NaN while nothing is predicted.
+        position_m: (M,), measured positions [m] of the driver and of the vehicles ahead; identity: (M,), numbers of
+        these vehicles; length_m: (M,), lengths [m] of these vehicles.
         """
 
 
 class Cubature:
     """The filter of the estimator nodes: preferences in the state, the mean action linearised by cubature.
 
-    Parameters
-    ----------
-    row : ndarray, shape (P,)
-        Parameters of the driver at the start.
-    road : Road
-        The road.
-    period_s : float
-        Time [s] between two samples.
+    row: (P,), parameters of the driver at the start; road: the road; period_s: time [s] between two samples.
     """
 
     def __init__(self, row: Array, road: Road, period_s: float, _: np.random.Generator) -> None:
@@ -84,14 +66,7 @@ class Cubature:
 class Unscented:
     """A filter with sigma points of the state and the preferences. The vehicles must stay the same.
 
-    Parameters
-    ----------
-    row : ndarray, shape (P,)
-        Parameters of the driver at the start.
-    road : Road
-        The road.
-    period_s : float
-        Time [s] between two samples.
+    row: (P,), parameters of the driver at the start; road: the road; period_s: time [s] between two samples.
 
     References
     ----------
@@ -157,16 +132,8 @@ class Unscented:
 class Particles:
     """Particles of the preferences, each with a filter of the state for these preferences (Rao-Blackwell).
 
-    Parameters
-    ----------
-    row : ndarray, shape (P,)
-        Parameters of the driver at the start.
-    road : Road
-        The road.
-    period_s : float
-        Time [s] between two samples.
-    rng : Generator
-        Draws the particles.
+    row: (P,), parameters of the driver at the start; road: the road; period_s: time [s] between two samples; rng: draws
+    the particles.
 
     References
     ----------

@@ -17,16 +17,9 @@ _PLACES = [index(name) for name in ESTIMATED]
 class Followed(NamedTuple):
     """What an estimator learns of one driver over T samples.
 
-    Parameters
-    ----------
-    parameters : ndarray, shape (T, 4)
-        The driver's parameters after each sample, in the order of ``ESTIMATED``.
-    log_std : ndarray, shape (T, 4)
-        Std of the logarithms of the parameters.
-    log_likelihood : ndarray, shape (T,)
-        Log-likelihood of each sample; NaN where the sample does not count.
-    changes : list of (float, str)
-        Reported changes of style: time [s] since the first sample, and name of the parameter.
+    parameters: (T, 4), the driver's parameters after each sample, in the order of ``ESTIMATED``; log_std: (T, 4), std
+    of the logarithms of the parameters; log_likelihood: (T,), log-likelihood of each sample; naN where the sample does
+    not count; changes: reported changes of style: time [s] since the first sample, and name of the parameter.
     """
 
     parameters: Array
@@ -36,13 +29,7 @@ class Followed(NamedTuple):
 
 
 def followed(job: tuple[Trajectories, int]) -> Followed:
-    """Run the filter of the estimator nodes on all samples of one driver.
-
-    Parameters
-    ----------
-    job : (Trajectories, int)
-        Trajectories, and the column of the driver.
-    """
+    """Run the filter of the estimator nodes on all samples of one driver."""
     trajectories, driver = job
     chain = chain_behind(trajectories, driver)
     online = OnlineFilter(trajectories.period_s, trajectories.road)

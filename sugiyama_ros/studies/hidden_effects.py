@@ -33,16 +33,7 @@ Job = tuple[str, str, int]
 def judge(hidden: str, strength: str, measured: Trajectories, seed: int) -> Judgement:
     """Diagnose one recording.
 
-    Parameters
-    ----------
-    hidden : str
-        What the recording hides.
-    strength : str
-        ``strong``, ``weak``, ``NONE``, ``PAIR`` or ``FORM``.
-    measured : Trajectories
-        The recording.
-    seed : int
-        Seed of the diagnosis.
+    strength: ``strong``, ``weak``, ``NONE``, ``PAIR`` or ``FORM``.
     """
     d = diagnose(measured, seed=seed, most=2 if strength in (PAIR, FORM) else 1, workers=1)
     found, begin = additions(d), d.rounds[0]

@@ -29,26 +29,8 @@ _ATTEMPTS, _FROM_REST = 60, 30
 def hide(name: str, values: Values, seed: int) -> tuple[Simulation, Values]:
     """Simulate a recording with one hidden effect.
 
-    Parameters
-    ----------
-    name : str
-        Name of the effect.
-    values : mapping of str to float
-        Values of its parameters, such as those in ``STRENGTHS``.
-    seed : int
-        Seed of the random generator.
-
-    Returns
-    -------
-    simulation : Simulation
-        A run without a collision.
-    values : mapping of str to float
-        Values of the parameters, with the place and the time that were drawn.
-
-    Raises
-    ------
-    ValueError
-        If cars always collide.
+    values: values of its parameters, such as those in ``STRENGTHS``. Returns simulation: a run without a collision;
+    values: values of the parameters, with the place and the time that were drawn. Raises ValueError.
     """
     run, drawn = hide_all({name: values}, seed)
     return run, drawn[name]
@@ -57,24 +39,8 @@ def hide(name: str, values: Values, seed: int) -> tuple[Simulation, Values]:
 def hide_all(effects: Mapping[str, Values], seed: int) -> tuple[Simulation, dict[str, Values]]:
     """Simulate a recording with several hidden effects, or with none.
 
-    Parameters
-    ----------
-    effects : mapping of str to mapping
-        Values of the parameters, by the name of the effect.
-    seed : int
-        Seed of the random generator.
-
-    Returns
-    -------
-    simulation : Simulation
-        A run without a collision.
-    values : dict
-        Values of the parameters by the name of the effect, with the places and times that were drawn.
-
-    Raises
-    ------
-    ValueError
-        If cars always collide.
+    Returns simulation: a run without a collision; values: values of the parameters by the name of the effect, with the
+    places and times that were drawn. Raises ValueError.
     """
     for attempt in range(_ATTEMPTS):
         rng = np.random.default_rng([seed, attempt])

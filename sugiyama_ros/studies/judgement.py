@@ -29,32 +29,13 @@ FORMS: Mapping[str, tuple[str, float, float, tuple[float, ...]]] = {
 class Judgement:
     """What a diagnosis says of one recording.
 
-    Parameters
-    ----------
-    hidden : str
-        Name of the hidden effect or form, two names joined by ``+``, or ``NONE``.
-    strength : str
-        ``strong``, ``weak``, ``NONE``, ``PAIR`` or ``FORM``.
-    seed : int
-        Seed of the recording.
-    first : str
-        Name of the first addition, or ``NONE``.
-    named : tuple of str
-        Names of all additions.
-    indistinguishable : tuple of str
-        Names of the effects that cannot be told apart from the first addition.
-    p_value : float
-        p-value of the first addition.
-    gain : float
-        Held-out gain of the first addition over all horizons together [nats].
-    oracle_gain : float
-        Gain that the score of the true effect predicts, in sample [nats].
-    oracle_heldout : float
-        Held-out gain of the true effect alone, as ``gain``; 0 if it was not fitted.
-    discovered : tuple of str
-        Covariates of the forces without a name that were added.
-    wall_s : float
-        Time that the diagnosis took [s].
+    hidden: name of the hidden effect or form, two names joined by ``+``, or ``NONE``; strength: ``strong``, ``weak``,
+    ``NONE``, ``PAIR`` or ``FORM``; seed: seed of the recording; first: name of the first addition, or ``NONE``; named:
+    names of all additions; indistinguishable: names of the effects that cannot be told apart from the first addition;
+    p_value: p-value of the first addition; gain: held-out gain of the first addition over all horizons together [nats];
+    oracle_gain: gain that the score of the true effect predicts, in sample [nats]; oracle_heldout: held-out gain of the
+    true effect alone, as ``gain``; 0 if it was not fitted; discovered: covariates of the forces without a name that
+    were added; wall_s: time that the diagnosis took [s].
     """
 
     hidden: str

@@ -8,18 +8,7 @@ from sugiyama_ros.studies.judgement import FORM, FORMS, NONE, PAIR, Judgement
 
 
 def report(outcomes: Sequence[Judgement]) -> str:
-    """Write the rates of right and wrong answers, and the first addition for every hidden effect.
-
-    Parameters
-    ----------
-    outcomes : sequence of Judgement
-        What the diagnosis says of each recording.
-
-    Returns
-    -------
-    str
-        Markdown.
-    """
+    """Write the rates of right and wrong answers, and the first addition for every hidden effect."""
     free = [o for o in outcomes if o.hidden == NONE]
     lines = [
         *_rates(outcomes),

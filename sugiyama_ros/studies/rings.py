@@ -36,24 +36,10 @@ _SLOW = 0.5
 class Ring:
     """One run on a ring.
 
-    Parameters
-    ----------
-    drivers : ndarray, shape (N, P)
-        Parameters of the drivers.
-    seed : int
-        Seed of the random generator.
-    jammed : bool
-        Whether the cars start as a platoon; otherwise they start with equal gaps.
-    ring_m : float
-        Circumference of the ring [m].
-    length_m : float or ndarray, shape (N,)
-        Length of the cars [m].
-    period_s, duration_s : float
-        Time between two samples, and duration of the run [s].
-    queue_speed : float
-        Speed [m/s] below which a car is in a queue.
-    jam_gap_m : float
-        Gap [m] between cars that start out of a jam.
+    drivers: (N, P), parameters of the drivers; seed: seed of the random generator; jammed: whether the cars start as a
+    platoon; otherwise they start with equal gaps; ring_m: circumference of the ring [m]; length_m: (N,), length of the
+    cars [m]; period_s, duration_s: time between two samples, and duration of the run [s]; queue_speed: speed [m/s]
+    below which a car is in a queue; jam_gap_m: gap [m] between cars that start out of a jam.
     """
 
     drivers: Array
@@ -71,16 +57,8 @@ class Ring:
 class Outcome:
     """What happens in the last part of a run.
 
-    Parameters
-    ----------
-    road : Collective
-        Collective measures of all vehicles.
-    wave : bool
-        Whether there is a wave, and no collision.
-    collided : bool
-        Whether cars collide.
-    flow_per_h : float
-        Vehicles that pass a point in an hour [1/h].
+    road: collective measures of all vehicles; wave: whether there is a wave, and no collision; collided: whether cars
+    collide; flow_per_h: vehicles that pass a point in an hour [1/h].
     """
 
     road: Collective
@@ -101,28 +79,8 @@ def run(ring: Ring) -> Simulation:
 def jams(spread: Mapping[int, float], runs: int, seed: int, duration_s: float) -> Iterator[tuple[Array, Trajectories]]:
     """Simulate drivers who differ from each other, out of a jam.
 
-    Parameters
-    ----------
-    spread : mapping of int to float
-        Std of the logarithm over the drivers, by the place of the parameter in a row.
-    runs : int
-        Number of runs.
-    seed : int
-        Seed of the first run.
-    duration_s : float
-        Duration of a run [s].
-
-    Yields
-    ------
-    drivers : ndarray, shape (N, P)
-        Parameters of the drivers.
-    measured : Trajectories
-        What is measured. A run in which cars collide is left out.
-
-    Raises
-    ------
-    InputError
-        If cars collide in all runs.
+    duration_s: duration of a run [s]. Yields drivers: (N, P), parameters of the drivers; measured: what is measured; a
+    run in which cars collide is left out. Raises InputError.
     """
     collided = 0
     for k in range(runs):
@@ -164,17 +122,8 @@ def alike(cars: int = CARS) -> Array:
 def estimated(asked: Asked, factor: float | None = None) -> Array:
     """Estimate drivers for simulations as the paper does (sections 5.1 and 6).
 
-    Parameters
-    ----------
-    asked : Asked
-        Measured drivers, the strength of the regularisation, and how the noise depends on the speed.
-    factor : float, optional
-        Factor of the acceleration noise. By default the paper's, if the noise depends on the speed, or else ``FACTOR``.
-
-    Returns
-    -------
-    ndarray, shape (N, width)
-        Rows of regularised estimates.
+    factor: factor of the acceleration noise; by default the paper's, if the noise depends on the speed, or else
+    ``FACTOR``. Returns (N, width), rows of regularised estimates.
     """
     if factor is None:
         factor = PAPERS_FACTOR if asked.full_noise_at else FACTOR
@@ -205,21 +154,7 @@ def site_of(measured: Trajectories) -> Site:
 def changed(drivers: Array, place: int, value: float | Array, first_only: bool = False) -> Array:
     """Give one parameter of all drivers, or of the first driver only, another value.
 
-    Parameters
-    ----------
-    drivers : ndarray, shape (N, P)
-        Drivers, which stay as they are.
-    place : int
-        Place of the parameter in a row.
-    value : float or ndarray, shape (N,)
-        New value.
-    first_only : bool
-        Whether only the first driver changes.
-
-    Returns
-    -------
-    ndarray, shape (N, P)
-        Changed drivers.
+    drivers: (N, P), drivers, which stay as they are; value: (N,), new value. Returns (N, P), changed drivers.
     """
     rows = drivers.copy()
     rows[: 1 if first_only else None, place] = value
@@ -232,18 +167,7 @@ def mean_driver(drivers: Array) -> Array:
 
 
 def summed_up(found: Sequence[Outcome]) -> dict[str, float]:
-    """Count runs with a wave and with a collision, and average the runs without a collision.
-
-    Parameters
-    ----------
-    found : sequence of Outcome
-        Outcomes of the runs.
-
-    Returns
-    -------
-    dict
-        Numbers by the heading of their column.
-    """
+    """Count runs with a wave and with a collision, and average the runs without a collision."""
     complete = [o for o in found if not o.collided]
 
     def mean(values: list[float]) -> float:

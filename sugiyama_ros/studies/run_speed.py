@@ -98,18 +98,8 @@ def _of_graph(*arguments: str | Path) -> tuple[float, float]:
 def measure(t: Trajectories, rounds: int = _ROUNDS) -> dict[str, dict[str, float]]:
     """Measure runs of a recording and their floors.
 
-    Parameters
-    ----------
-    t : Trajectories
-        The recording.
-    rounds : int
-        How often everything is measured.
-
-    Returns
-    -------
-    dict
-        For each kind of run the least times of the processor [s]: ``loop_s`` and ``process_s``, the floors ``graph_s``,
-        ``filters_s`` and ``writing_s``, and their sum ``floors_s``; and ``loop_over_floors`` [1].
+    Returns for each kind of run the least times of the processor [s]: ``loop_s`` and ``process_s``, the floors
+    ``graph_s``, ``filters_s`` and ``writing_s``, and their sum ``floors_s``; and ``loop_over_floors`` [1].
     """
     found: dict[str, dict[str, float]] = {kind: {} for kind in KINDS}
     with tempfile.TemporaryDirectory() as name:

@@ -19,15 +19,7 @@ _PLACES = [k for k in range(COUNT) if k != RATIONALITY]
 def eigenvalues(trajectories: Trajectories) -> Array:
     """Find the eigenvalues of the Hessian of the log-likelihood at every driver's fit.
 
-    Parameters
-    ----------
-    trajectories : Trajectories
-        Drivers, simulated or measured.
-
-    Returns
-    -------
-    ndarray, shape (N, 11)
-        Eigenvalues in ascending order; the parameters are logarithms.
+    Returns (N, 11), eigenvalues in ascending order; the parameters are logarithms.
     """
     found = []
     for driver, fit in enumerate(calibrate(trajectories, "paper")):

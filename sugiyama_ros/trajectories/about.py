@@ -12,28 +12,13 @@ Leaders = Literal["found", "given"]
 class About:
     """What is known of tracks beside their rows.
 
-    Parameters
-    ----------
-    reference : {"centre", "front", "rear"}
-        Which point of a vehicle s_m is the position of. Tracks that were read from a file are always at the centre.
-    unit : str
-        Unit of all lengths.
-    smoothing : str
-        How the positions were smoothed; empty if nobody says.
-    view : {"end", "whole"}
-        "end": vehicles beyond the first one were out of view, so that the leader of the first is unknown. "whole":
-        everybody was in view, so that the first vehicle has a free road.
-    leaders : {"found", "given"}
-        "found": the next vehicle ahead leads, and what the file says is only compared. "given": the file says who
-        leads.
-    ring_m : float
-        Circumference [m] of a ring road; 0 for open roads.
-    source, sha256, licence : str
-        Name and checksum of the file, and its terms of use.
-    dropped : tuple of (str, int)
-        The ledger: reasons for which rows were left out, and how many rows.
-    notes : tuple of str
-        What was changed or looks odd.
+    reference: which point of a vehicle s_m is the position of; tracks that were read from a file are always at the
+    centre; unit: unit of all lengths; smoothing: how the positions were smoothed; empty if nobody says; view: "end":
+    vehicles beyond the first one were out of view, so that the leader of the first is unknown; "whole": everybody was
+    in view, so that the first vehicle has a free road; leaders: "found": the next vehicle ahead leads, and what the
+    file says is only compared; "given": the file says who leads; ring_m: circumference [m] of a ring road; 0 for open
+    roads; source, sha256, licence: name and checksum of the file, and its terms of use; dropped: the ledger: reasons
+    for which rows were left out, and how many rows; notes: what was changed or looks odd.
     """
 
     reference: Reference = "centre"

@@ -50,29 +50,10 @@ def assemble(
 ) -> Tracks:
     """Make tracks of columns.
 
-    Parameters
-    ----------
-    columns : mapping of str to array or Labels, shape (R,) each
-        ``vehicle``, ``time_s`` [s] and ``s_m`` [m]; perhaps ``recording``, ``road``, ``lane``, ``class``, ``driver``,
-        ``leader``, ``d_m``, ``length_m``, ``width_m`` [m] and ``measured``. Rows may stand in any order. Positions are
-        compared with ``speed`` [m/s] and, if its unit is not known, ``some_speed``, where they are given.
-    about : About, optional
-        Where the columns come from.
-    reference : {"centre", "front", "rear"}
-        Which point of a vehicle the positions are of.
-    checked : bool
-        Whether to check what the columns say: positions that decrease are turned round, given leaders are compared
-        with those that are found, and negative gaps are refused. False for columns that were tracks before.
-
-    Returns
-    -------
-    Tracks
-        The sorted table. Its ledger says how many rows were left out, and why.
-
-    Raises
-    ------
-    InputError
-        If no rows are left, many vehicles are in two places at once, vehicles overlap, or positions contradict speeds.
+    columns: (R,), ``vehicle``, ``time_s`` [s] and ``s_m`` [m]; perhaps ``recording``, ``road``, ``lane``, ``class``,
+    ``driver``, ``leader``, ``d_m``, ``length_m``, ``width_m`` [m] and ``measured``; rows may stand in any order;
+    positions are compared with ``speed`` [m/s] and, if its unit is not known, ``some_speed``, where they are given.
+    Raises InputError.
     """
     table = _table(columns, about or About())
     for step in (_known, _sorted, _once, *([_in_usual_units] if checked else []), _lives):
@@ -109,19 +90,7 @@ def assemble(
 def led(tracks: Tracks, named: Labels | None, compared: bool = True) -> Tracks:
     """Return the tracks with their leaders.
 
-    Parameters
-    ----------
-    tracks : Tracks
-        R rows.
-    named : Labels, shape (R,), or None
-        Leaders that the file names.
-    compared : bool
-        Whether the leaders that are found are compared with those that the file names.
-
-    Returns
-    -------
-    Tracks
-        With leaders, and a note that says how many of the named leaders were found.
+    named: (R,), leaders that the file names.
     """
     if named is None:
         return replace(tracks, leader_row=find_leaders(tracks))

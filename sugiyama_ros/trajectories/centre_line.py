@@ -17,22 +17,9 @@ _STEPS = 8
 class CentreLine:
     """A line through points of the plane, with a direction that turns steadily from point to point.
 
-    Parameters
-    ----------
-    x_m, y_m : ndarray, shape (P,)
-        Points [m], in the direction of driving. If the last point is the first, the road is a ring.
-
-    Attributes
-    ----------
-    road : Road
-        The road; its circumference [m] is the length of the line if the line is closed.
-    length_m : float
-        Length [m] of the line.
-
-    Raises
-    ------
-    InputError
-        For fewer than two points, a point that is no number, or a point that stands twice in a row.
+    x_m, y_m: (P,), points [m], in the direction of driving; if the last point is the first, the road is a ring; road:
+    the road; its circumference [m] is the length of the line if the line is closed; length_m: length [m] of the line.
+    Raises InputError.
     """
 
     def __init__(self, x_m: Array, y_m: Array) -> None:
@@ -68,17 +55,8 @@ class CentreLine:
     def project(self, x_m: Array, y_m: Array) -> tuple[Array, Array]:
         """Find where points lie along the line and across it.
 
-        Parameters
-        ----------
-        x_m, y_m : ndarray, shape (N,)
-            Points [m].
-
-        Returns
-        -------
-        s_m : ndarray, shape (N,)
-            Position [m] along the line; on a ring from 0 to below its length, on an open road also before and after it.
-        d_m : ndarray, shape (N,)
-            Position [m] across the line, positive to its left.
+        x_m, y_m: (N,), points [m]. Returns s_m: (N,), position [m] along the line; on a ring from 0 to below its
+        length, on an open road also before and after it; d_m: (N,), position [m] across the line, positive to its left.
         """
         s = self._nearest(x_m, y_m)
         for _ in range(_STEPS):
@@ -129,14 +107,7 @@ class CentreLine:
 class RoadLanes:
     """A road of one or more lanes, each with a centre line of its own; positions are along the line of the first.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Names of the lanes.
-    lines : sequence of CentreLine
-        Their centre lines.
-    width_m : sequence of float
-        Their widths [m].
+    names: names of the lanes; lines: their centre lines; width_m: their widths [m].
     """
 
     def __init__(self, names: Sequence[str], lines: Sequence[CentreLine], width_m: Sequence[float]) -> None:
@@ -151,17 +122,8 @@ class RoadLanes:
     def place(self, x_m: Array, y_m: Array) -> tuple[Array, Array]:
         """Find where points lie on the road.
 
-        Parameters
-        ----------
-        x_m, y_m : ndarray, shape (N,)
-            Points [m].
-
-        Returns
-        -------
-        s_m : ndarray, shape (N,)
-            Positions [m] along the line of the first lane.
-        d_m : ndarray, shape (L, N)
-            Positions [m] across the line of each lane, positive to its left.
+        x_m, y_m: (N,), points [m]. Returns s_m: (N,), positions [m] along the line of the first lane; d_m: (L, N),
+        positions [m] across the line of each lane, positive to its left.
         """
         projected = [line.project(x_m, y_m) for line in self.lines]
         return projected[0][0], np.array([d for _, d in projected])

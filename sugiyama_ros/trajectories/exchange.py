@@ -20,18 +20,7 @@ _GROUP = 1 << 17
 
 
 def to_arrow(tracks: Tracks) -> "pyarrow.Table":
-    """Tracks as a table of Arrow, with what is known about them in its metadata.
-
-    Parameters
-    ----------
-    tracks : Tracks
-        R rows.
-
-    Returns
-    -------
-    pyarrow.Table
-        R rows; columns of text are dictionaries.
-    """
+    """Tracks as a table of Arrow, with what is known about them in its metadata."""
     import pyarrow
 
     columns = {}
@@ -81,20 +70,7 @@ def _is_valid(about: About) -> bool:
 
 
 def of_columns(columns: dict[str, Column], about: About) -> Tracks:
-    """Tracks of columns that were tracks before: positions are at the centres, and leaders are known.
-
-    Parameters
-    ----------
-    columns : dict
-        Columns of tracks by name, as for `assemble`.
-    about : About
-        Where they come from.
-
-    Returns
-    -------
-    Tracks
-        The same tracks.
-    """
+    """Tracks of columns that were tracks before: positions are at the centres, and leaders are known."""
     known = about if "leader" not in columns else replace(about, leaders="given")
     tracks = assemble(columns, known, checked=False)
     return replace(tracks, about=replace(tracks.about, leaders=about.leaders))

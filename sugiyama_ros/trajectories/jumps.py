@@ -18,20 +18,7 @@ def _jumps(step_m: Array, step_s: Array) -> Ints:
 
 
 def check_jumps(trajectories: Trajectories, where: str) -> None:
-    """Refuse trajectories in which a vehicle jumps.
-
-    Parameters
-    ----------
-    trajectories : Trajectories
-        Vehicles on one lane.
-    where : str
-        Name of the file in the message.
-
-    Raises
-    ------
-    InputError
-        If a vehicle goes further than 30 m, and faster than 100 m/s, from one sample to its next one.
-    """
+    """Refuse trajectories in which a vehicle jumps. Raises InputError."""
     for column, vehicle in enumerate(trajectories.vehicle.tolist()):
         position = trajectories.position_m[:, column]
         there = np.flatnonzero(np.isfinite(position))

@@ -17,12 +17,8 @@ _WHOLE, _POINT_ZERO = re.compile(r"-?\d+"), re.compile(r"-?\d+(\.0+|,0)")
 class Labels:
     """A column of text.
 
-    Parameters
-    ----------
-    code : ndarray of int, shape (R,)
-        Place of each row's text in ``text``; -1 where the text is missing.
-    text : tuple of str
-        The texts, each once, in their natural order (2 before 10).
+    code: (R,), place of each row's text in ``text``; -1 where the text is missing; text: the texts, each once, in their
+    natural order (2 before 10).
     """
 
     code: NDArray[np.int32]
@@ -60,17 +56,7 @@ def natural(text: str) -> tuple[tuple[int, int, str], ...]:
 def labels(code: NDArray[np.integer], text: Iterable[str]) -> Labels:
     """Make a column of categories whose texts may occur twice and stand in any order.
 
-    Parameters
-    ----------
-    code : ndarray of int, shape (R,)
-        Place of each row's text; -1 where it is missing.
-    text : iterable of str
-        The texts.
-
-    Returns
-    -------
-    Labels
-        The same column, with each text once and in natural order.
+    code: (R,), place of each row's text; -1 where it is missing.
     """
     texts = list(text)
     ordered = sorted(set(texts), key=lambda one: (natural(one), one))

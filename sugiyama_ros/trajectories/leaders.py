@@ -30,16 +30,8 @@ def find_leaders(tracks: Tracks) -> Ints:
     A vehicle without a sample at a time, or without a lane then, is still on the road between its last sample and its
     next one: whoever drives behind it there has an unknown leader.
 
-    Parameters
-    ----------
-    tracks : Tracks
-        R rows. On a ring, positions may be wrapped.
-
-    Returns
-    -------
-    ndarray of int, shape (R,)
-        Row of the leader. The first vehicle of an open road has an unknown leader if the view has an end, and a free
-        road otherwise. A row without a lane, where others have one, has an unknown leader.
+    Returns (R,), row of the leader; the first vehicle of an open road has an unknown leader if the view has an end, and
+    a free road otherwise; a row without a lane, where others have one, has an unknown leader.
     """
     road = Road(tracks.about.ring_m)
     place, there = _places(tracks)
@@ -118,10 +110,7 @@ def _places(tracks: Tracks) -> tuple[Ints, Mask]:
 class RowIndex:
     """Finds the rows of runs at given times.
 
-    Parameters
-    ----------
-    tracks : Tracks
-        R rows.
+    tracks: R rows.
     """
 
     def __init__(self, tracks: Tracks) -> None:
@@ -132,15 +121,8 @@ class RowIndex:
     def at(self, run: Ints, tick: Ints) -> Ints:
         """Find rows.
 
-        Parameters
-        ----------
-        run, tick : ndarray of int, shape (n,)
-            Number of the run (below 0 for none) and time as `ticks` counts it.
-
-        Returns
-        -------
-        ndarray of int, shape (n,)
-            The row; -1 where the run has none at this time.
+        run, tick: (n,), number of the run (below 0 for none) and time as `ticks` counts it. Returns (n,), the row; -1
+        where the run has none at this time.
         """
         if len(self._key) == 0:
             return np.full(len(run), -1, dtype=np.int64)
@@ -153,17 +135,8 @@ class RowIndex:
 def given_leaders(tracks: Tracks, named: Labels) -> Ints:
     """Rows of leaders that a file names.
 
-    Parameters
-    ----------
-    tracks : Tracks
-        R rows.
-    named : Labels, shape (R,)
-        Name of the vehicle ahead, `NOBODY` on a free road; missing where it is not known.
-
-    Returns
-    -------
-    ndarray of int, shape (R,)
-        The leader's row; `UNKNOWN` also for a leader who has no row at this time.
+    named: (R,), name of the vehicle ahead, `NOBODY` on a free road; missing where it is not known. Returns (R,), the
+    leader's row; `UNKNOWN` also for a leader who has no row at this time.
     """
     names = {name: code for code, name in enumerate(tracks.vehicle.text)}
     code = np.array([names.get(name, -1) for name in named.text] + [-1], dtype=np.int64)[named.code]
@@ -195,18 +168,7 @@ def gaps(tracks: Tracks) -> Array:
 
 
 def check_gaps(tracks: Tracks) -> None:
-    """Refuse tracks in which vehicles overlap.
-
-    Parameters
-    ----------
-    tracks : Tracks
-        Tracks with their leaders.
-
-    Raises
-    ------
-    InputError
-        If more than 0.5 % of the gaps are below zero. The message says where the first one is and names the cure.
-    """
+    """Refuse tracks in which vehicles overlap. Raises InputError."""
     gap = gaps(tracks)
     followed = int(np.isfinite(gap).sum())
     negative = np.flatnonzero(gap < 0.0)

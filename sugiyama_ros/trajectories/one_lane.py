@@ -29,26 +29,7 @@ _NUMBER = re.compile(r"\d{1,9}")
 
 
 def one_lane(tracks: Tracks, where: str) -> Trajectories:
-    """Put tracks of one lane into a dense table.
-
-    Parameters
-    ----------
-    tracks : Tracks
-        Tracks at any times; they are brought to a regular time base.
-    where : str
-        Name of the file in a message.
-
-    Returns
-    -------
-    Trajectories
-        Numbers of vehicles are those in their names; they count from 0 if two names have the same number.
-
-    Raises
-    ------
-    InputError
-        If there are several recordings or lanes, or if the vehicle ahead in the table is not the leader. The message
-        names the cure.
-    """
+    """Put tracks of one lane into a dense table. Raises InputError."""
     _one_of(tracks, tracks.recording, "recordings", "recording", where)
     if tracks.road is not None:
         _one_of(tracks, tracks.road, "roads", "road", where)
@@ -81,18 +62,7 @@ def one_lane(tracks: Tracks, where: str) -> Trajectories:
 
 
 def whole_road(tracks: Tracks) -> Trajectories | None:
-    """Tracks as a dense table, if they are one lane on which everybody is recorded nearly all the time.
-
-    Parameters
-    ----------
-    tracks : Tracks
-        Tracks with leaders.
-
-    Returns
-    -------
-    Trajectories or None
-        None where leaders are not known, vehicles come and go, or `one_lane` refuses the tracks.
-    """
+    """Tracks as a dense table, if they are one lane on which everybody is recorded nearly all the time."""
     if np.mean(tracks.leader_row == UNKNOWN) > _UNKNOWN_ROWS:
         return None
     try:
@@ -161,20 +131,7 @@ def _cure(tracks: Tracks, part: Array) -> str:
 
 
 def check_order(trajectories: Trajectories, where: str) -> None:
-    """Refuse vehicles on an open road that drive through one another.
-
-    Parameters
-    ----------
-    trajectories : Trajectories
-        Vehicles on one lane. Fewer than 50 samples say too little.
-    where : str
-        Name of the file in the message.
-
-    Raises
-    ------
-    InputError
-        If leaders are behind their followers in more than 2 % of the samples.
-    """
+    """Refuse vehicles on an open road that drive through one another. Raises InputError."""
     if trajectories.road.is_ring or len(trajectories.position_m) < _ENOUGH_SAMPLES:
         return
     leader, position = trajectories.leader, trajectories.position_m
@@ -191,19 +148,7 @@ def check_order(trajectories: Trajectories, where: str) -> None:
 
 
 def tracks_of(trajectories: Trajectories) -> Tracks:
-    """Trajectories of one lane as tracks.
-
-    Parameters
-    ----------
-    trajectories : Trajectories
-        T samples of N vehicles.
-
-    Returns
-    -------
-    Tracks
-        One recording; missing samples have no row. The first vehicle of an open road has a free road, as in
-        `Trajectories`.
-    """
+    """Trajectories of one lane as tracks."""
     step, column = np.nonzero(np.isfinite(trajectories.position_m))
     road = trajectories.road
     about = About(view="whole", ring_m=road.circumference_m, source=trajectories.source, sha256=trajectories.sha256)

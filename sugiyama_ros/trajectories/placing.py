@@ -20,22 +20,10 @@ NOBODY = ""
 class SeenVehicle:
     """A vehicle as it was seen.
 
-    Attributes
-    ----------
-    stamp_ns : int
-        When it was seen [ns].
-    name : str
-        Name of the vehicle; empty if nobody knows it.
-    x_m, y_m : float
-        Position [m] of its centre, in the frame of the centre line.
-    heading : float
-        Direction [rad] in which it points; NaN where unknown.
-    length_m, var : float
-        Length [m], and variance [m^2] of the position; NaN where unknown.
-    vehicle_class : str
-        Its class; empty where unknown.
-    frame : str
-        Frame of the position.
+    stamp_ns: when it was seen [ns]; name: name of the vehicle; empty if nobody knows it; x_m, y_m: position [m] of its
+    centre, in the frame of the centre line; heading: direction [rad] in which it points; naN where unknown; length_m,
+    var: length [m], and variance [m^2] of the position; naN where unknown; vehicle_class: its class; empty where
+    unknown; frame: frame of the position.
     """
 
     stamp_ns: int
@@ -52,16 +40,8 @@ class SeenVehicle:
 class OnLane(NamedTuple):
     """A vehicle on the road.
 
-    Attributes
-    ----------
-    seen : SeenVehicle
-        What was seen.
-    s_m, d_m : float
-        Position [m] along and across its lane.
-    lane : int
-        Number of the lane.
-    leader : str or None
-        Name of the vehicle ahead; `NOBODY` where there is none, None where it is not known.
+    seen: what was seen; s_m, d_m: position [m] along and across its lane; lane: number of the lane; leader: name of the
+    vehicle ahead; `NOBODY` where there is none, None where it is not known.
     """
 
     seen: SeenVehicle
@@ -83,13 +63,9 @@ class Unseen(NamedTuple):
 class LaneRule:
     """When a vehicle changes lane, and when it is not on the road.
 
-    Parameters
-    ----------
-    margin_m : float
-        A vehicle changes to another lane when it is nearer to its centre line by this distance [m] than to the centre
-        line of the lane that it is on. So one on the marking does not go to and fro.
-    beside_m : float
-        A vehicle whose centre is farther [m] beside the road's lanes is not on the road.
+    margin_m: a vehicle changes to another lane when it is nearer to its centre line by this distance [m] than to the
+    centre line of the lane that it is on; so one on the marking does not go to and fro; beside_m: a vehicle whose
+    centre is farther [m] beside the road's lanes is not on the road.
     """
 
     margin_m: float = 0.4
@@ -99,12 +75,7 @@ class LaneRule:
 class Placer:
     """Puts vehicles on lanes, and says who follows whom. It remembers each vehicle's lane.
 
-    Parameters
-    ----------
-    lanes : RoadLanes
-        The road.
-    rule : LaneRule
-        When vehicles change lanes.
+    lanes: the road; rule: when vehicles change lanes.
     """
 
     def __init__(self, lanes: RoadLanes, rule: LaneRule = LaneRule()) -> None:

@@ -14,14 +14,8 @@ from sugiyama_ros.trajectories.tracks import Tracks
 class Selection:
     """Which rows to keep; everything where nothing is said.
 
-    Parameters
-    ----------
-    recording, road, lane, vehicle_class : tuple of str
-        Texts to keep.
-    without : tuple of str
-        Vehicles to leave out.
-    from_s, to_s : float
-        Times [s] between which rows are kept, both included.
+    recording, road, lane, vehicle_class: texts to keep; without: vehicles to leave out; from_s, to_s: times [s] between
+    which rows are kept, both included.
     """
 
     recording: tuple[str, ...] = ()
@@ -34,25 +28,7 @@ class Selection:
 
 
 def select(tracks: Tracks, selection: Selection) -> Tracks:
-    """Keep a part of tracks. A leader who is left out is unknown from then on.
-
-    Parameters
-    ----------
-    tracks : Tracks
-        The tracks.
-    selection : Selection
-        What to keep.
-
-    Returns
-    -------
-    Tracks
-        The part, with the rows that were left out in its ledger.
-
-    Raises
-    ------
-    InputError
-        For a name that does not occur, and if nothing is left.
-    """
+    """Keep a part of tracks. A leader who is left out is unknown from then on. Raises InputError."""
     keep = np.ones(len(tracks), dtype=bool)
     for option, column, wanted in (
         ("recording", tracks.recording, selection.recording),

@@ -35,19 +35,7 @@ class OffSpeeds(NamedTuple):
 def difference(motion: Motion, ring_m: float, unit: float = 1.0) -> OffSpeeds | None:
     """Compare the way that vehicles go by their positions with the way by their speeds.
 
-    Parameters
-    ----------
-    motion : Motion
-        R rows.
-    ring_m : float
-        Circumference [m] of the ring; 0 for an open road.
-    unit : float
-        Unit [m/s] of the speeds.
-
-    Returns
-    -------
-    OffSpeeds or None
-        None where nobody goes far enough, or all speeds are 0, as tables say that have none.
+    ring_m: circumference [m] of the ring; 0 for an open road; unit: unit [m/s] of the speeds.
     """
     step_s = np.diff(motion.time_s)
     speed = unit * np.abs(motion.speed)

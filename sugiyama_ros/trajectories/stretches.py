@@ -24,25 +24,13 @@ _MOST = 0.8
 class Stretch:
     """One driver with the vehicles ahead, at T evenly spaced times.
 
-    Parameters
-    ----------
-    recording, vehicle, driver, vehicle_class : str
-        Who drives; empty where the tracks do not say.
-    start_s, period_s : float
-        Time [s] of the first sample, and between two samples.
-    ring_m : float
-        Circumference [m] of the ring; 0 for an open road.
-    position_m : ndarray, shape (T, M)
-        Positions [m] of the driver and of the vehicles ahead; NaN where missing. M is 3 where the leader's leader is
-        known throughout, else 2: then nobody knows what the leader reacts to.
-    identity : ndarray of int, shape (T, M)
-        Number of each vehicle's run in the tracks; -1 where nobody is ahead.
-    length_m : ndarray, shape (T, M)
-        Lengths [m]; 0 where nobody is ahead.
-    behind : ndarray, shape (T, 3)
-        Run, position [m] and length [m] of the vehicle behind; -1 and NaN where there is none in the tracks.
-    scored : ndarray of bool, shape (T,)
-        Whether the sample says how the driver follows: False around the driver's own lane changes.
+    recording, vehicle, driver, vehicle_class: who drives; empty where the tracks do not say; start_s, period_s: time
+    [s] of the first sample, and between two samples; ring_m: circumference [m] of the ring; 0 for an open road;
+    position_m: (T, M), positions [m] of the driver and of the vehicles ahead; naN where missing; m is 3 where the
+    leader's leader is known throughout, else 2: then nobody knows what the leader reacts to; identity: (T, M), number
+    of each vehicle's run in the tracks; -1 where nobody is ahead; length_m: (T, M), lengths [m]; 0 where nobody is
+    ahead; behind: (T, 3), run, position [m] and length [m] of the vehicle behind; -1 and NaN where there is none in the
+    tracks; scored: (T,), whether the sample says how the driver follows: False around the driver's own lane changes.
     """
 
     recording: str
@@ -71,17 +59,7 @@ def stretches(tracks: Tracks, shortest_s: float = SHORTEST_STRETCH_S) -> Iterato
     an unknown leader is not a free road. Where the leader's leader is known in four fifths of a stretch, the rest is
     left out. Tracks that are not on a regular time base are brought to one first.
 
-    Parameters
-    ----------
-    tracks : Tracks
-        Tracks with leaders.
-    shortest_s : float
-        Shortest stretch [s] that counts.
-
-    Yields
-    ------
-    Stretch
-        In the order of the runs, and then of time.
+    shortest_s: shortest stretch [s] that counts.
     """
     regular = on_time_base(tracks)
     cutter = _Cutter(regular)

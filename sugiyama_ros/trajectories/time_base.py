@@ -90,22 +90,8 @@ def _expected(tracks: Tracks, period_s: float) -> float:
 def on_time_base(tracks: Tracks, period_s: float | None = None) -> Tracks:
     """Bring tracks to a regular time base, if they are not on one already.
 
-    Parameters
-    ----------
-    tracks : Tracks
-        Tracks at any times.
-    period_s : float, optional
-        Time [s] between two samples. By default the tracks' own, but at least 0.06 s: 25 and 30 Hz become 10 Hz.
-
-    Returns
-    -------
-    Tracks
-        At multiples of the period, with leaders found again.
-
-    Raises
-    ------
-    InputError
-        If the period is impossible, no vehicle has two samples, or vehicles overlap.
+    period_s: time [s] between two samples; by default the tracks' own, but at least 0.06 s: 25 and 30 Hz become 10 Hz.
+    Raises InputError.
     """
     if period_s is not None and not 0.001 <= period_s <= 60.0:
         raise InputError(f"period: {period_s:g} s cannot be used; give 0.001 to 60 s")
@@ -123,18 +109,7 @@ def resample(tracks: Tracks, period_s: float) -> Tracks:
     a half of the tracks' own periods if that is more). Where fewer than three samples are that near, the position is
     interpolated. Nothing is estimated in a hole of more than 0.5 s.
 
-    Parameters
-    ----------
-    tracks : Tracks
-        Tracks at any times.
-    period_s : float
-        Time [s] between two samples.
-
-    Returns
-    -------
-    Tracks
-        At multiples of the period. Leaders are those of the nearest sample where the vehicles shared their times,
-        and are found again where they did not.
+    period_s: time [s] between two samples.
     """
     regular, own = is_regular(tracks), period_of(tracks)
     piece_start = pieces(tracks, max(LONGEST_HOLE_S, 1.5 * own))

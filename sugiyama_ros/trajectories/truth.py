@@ -19,17 +19,10 @@ class TrueDriver:
 class Truth:
     """The true motion of N simulated vehicles at T times.
 
-    Attributes
-    ----------
-    vehicle : ndarray of int, shape (N,)
-        Numbers of the vehicles.
-    time_s : ndarray, shape (T,)
-        Times [s].
-    position_m, speed, acceleration, gap_m : ndarray, shape (T, N)
-        True positions [m], speeds [m/s], accelerations [m/s^2] and gaps [m] to the leaders; a gap is infinite without a
-        leader, and NaN stands where a vehicle is not on the road.
-    drivers : tuple of TrueDriver
-        Parameters of the drivers at the start, and each change, in the order of time.
+    vehicle: (N,), numbers of the vehicles; time_s: (T,), times [s]; position_m, speed, acceleration, gap_m: (T, N),
+    true positions [m], speeds [m/s], accelerations [m/s^2] and gaps [m] to the leaders; a gap is infinite without a
+    leader, and NaN stands where a vehicle is not on the road; drivers: parameters of the drivers at the start, and each
+    change, in the order of time.
     """
 
     vehicle: Ints

@@ -83,7 +83,7 @@ def test_the_next_steps_work_as_they_are_pasted(added, run, folder):
     page = (folder / "asked.html").read_text()
     own = "sugiyama run ring.csv --ring 56 -o ring.mcap --model model.yaml"
     assert f" &amp;&amp; {own} &amp;&amp; sugiyama report ring.mcap --diagnosis found.json" in page
-    assert "Nothing else was fitted" in page
+    assert "ther effects were not fitted" in page
     assert "time gap" in page
 
 

@@ -17,18 +17,8 @@ class AnyPublisher:
     At first the subscription asks for what is best: reliable, and the messages sent before. A publisher that offers
     less, such as a sensor's, would never be heard; as soon as there is one, the subscription asks for less too.
 
-    Parameters
-    ----------
-    node : Node
-        The node that subscribes.
-    kind : type
-        Class of the messages.
-    topic : str
-        Name of the topic, as the node would give it.
-    callback : callable
-        Gets the bytes of each message.
-    wanted : QoSProfile
-        What to ask for where the publishers offer it.
+    node: the node that subscribes; kind: class of the messages; topic: name of the topic, as the node would give it;
+    callback: gets the bytes of each message; wanted: what to ask for where the publishers offer it.
     """
 
     def __init__(

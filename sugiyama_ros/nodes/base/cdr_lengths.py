@@ -24,22 +24,7 @@ _Skip = Callable[[memoryview, int], int]
 
 
 def check(body: memoryview, kind: type, order: str) -> None:
-    """Check a message.
-
-    Parameters
-    ----------
-    body : memoryview
-        Bytes of the message after its encapsulation.
-    kind : type
-        Class of the message.
-    order : {"<", ">"}
-        Order of the bytes, as in `struct`.
-
-    Raises
-    ------
-    ValueError
-        If the message claims more than there is.
-    """
+    """Check a message. Raises ValueError."""
     _message(kind, order)(body, 0)
 
 

@@ -41,20 +41,9 @@ class ParameterNames(NamedTuple):
 class KnownDriver(NamedTuple):
     """What a filter knows of its driver after a sample.
 
-    Attributes
-    ----------
-    vehicle : int
-        Number of the driver's vehicle.
-    estimate : Estimate
-        State and innovation.
-    names : ParameterNames
-        Names of P parameters, A of them adapted.
-    value : array (P,)
-        The parameters [SI].
-    covariance : array (A, A)
-        Covariance of the adapted parameters.
-    identified : array of bool (A,)
-        Whether the samples so far determine the parameter.
+    vehicle: number of the driver's vehicle; estimate: state and innovation; names: names of P parameters, A of them
+    adapted; value: (P,), the parameters [SI]; covariance: (A, A), covariance of the adapted parameters; identified:
+    whether the samples so far determine the parameter.
     """
 
     vehicle: int
@@ -68,10 +57,8 @@ class KnownDriver(NamedTuple):
 class ArrayWriter:
     """DriverArray messages of the same drivers; the bytes are made once and filled with new numbers each time.
 
-    Parameters
-    ----------
-    drivers : sequence of KnownDriver
-        The drivers, in the order in which every message has them; at least one. They may have different parameters.
+    drivers: the drivers, in the order in which every message has them; at least one; they may have different
+    parameters.
     """
 
     def __init__(self, drivers: Sequence[KnownDriver]) -> None:

@@ -21,13 +21,7 @@ def find_packages() -> None:
 
 
 def isolate() -> str:
-    """Keep this process and its children on this machine, in a domain of their own, unless the user has chosen.
-
-    Returns
-    -------
-    str
-        The domain.
-    """
+    """Keep this process and its children on this machine, in a domain of their own, unless the user has chosen."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     if "ROS_DOMAIN_ID" not in os.environ:
         domains = random.sample(_DOMAINS, len(_DOMAINS))

@@ -44,19 +44,7 @@ def receiver(
 ) -> Callable[[bytes], None]:
     """Make the callback of a subscription to bytes. Whatever a message says, the node goes on.
 
-    Parameters
-    ----------
-    decode : callable
-        Makes a message of the bytes. Raises RefusedError.
-    take : callable
-        Gets each valid message.
-    refuse : callable
-        Gets the reason for each other one, and for a message that ``take`` fails on.
-
-    Returns
-    -------
-    callable
-        For ``create_subscription(..., raw=True)``.
+    refuse: gets the reason for each other one, and for a message that ``take`` fails on.
     """
 
     def receive(raw: bytes) -> None:

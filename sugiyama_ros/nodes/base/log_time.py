@@ -17,10 +17,7 @@ class LogTime:
     or near it, and else the stamp of the last sample. At a fast rate, many samples come before what follows from them.
     So a bag of a fast replay plays as long as the recording was.
 
-    Parameters
-    ----------
-    of_data : bool
-        Whether the time is that of the data; else it is the time at which the message comes.
+    of_data: whether the time is that of the data; else it is the time at which the message comes.
     """
 
     def __init__(self, of_data: bool) -> None:

@@ -12,15 +12,10 @@ UNKNOWN_LEADER = -2
 class Positions(NamedTuple):
     """One sample of all vehicles on the road, one entry for each vehicle.
 
-    Attributes
-    ----------
-    vehicle, leader : list of int
-        Number of the vehicle, and number of its leader: -1 without a leader, `UNKNOWN_LEADER` where it is not in view.
-    position_m, length_m : list of float
-        Position [m] (NaN if missing) and length [m].
-    lane, d_m, stamp_offset_s, position_var : sequence, optional
-        Lane, position [m] across the road, time [s] at which the vehicle was measured after the sample's own, and
-        variance [m^2] of the position; each is empty where the source does not know it.
+    vehicle, leader: number of the vehicle, and number of its leader: -1 without a leader, `UNKNOWN_LEADER` where it is
+    not in view; position_m, length_m: position [m] (NaN if missing) and length [m]; lane, d_m, stamp_offset_s,
+    position_var: lane, position [m] across the road, time [s] at which the vehicle was measured after the sample's own,
+    and variance [m^2] of the position; each is empty where the source does not know it.
     """
 
     vehicle: list[int]
@@ -36,16 +31,9 @@ class Positions(NamedTuple):
 class PositionSamples(Protocol):
     """The samples that a source sends.
 
-    Attributes
-    ----------
-    road : Road
-        The road.
-    period_s, start_s : float
-        Time [s] between two samples, and time of the first sample.
-    steps : int
-        Number of samples; 0 if there is no end.
-    source, sha256 : str
-        Where the samples come from, and the checksum of the file; empty without a file.
+    road: the road; period_s, start_s: time [s] between two samples, and time of the first sample; steps: number of
+    samples; 0 if there is no end; source, sha256: where the samples come from, and the checksum of the file; empty
+    without a file.
     """
 
     road: Road

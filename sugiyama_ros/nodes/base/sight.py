@@ -12,21 +12,8 @@ def sight(
 ) -> tuple[list[float], list[float], tuple[float, int, float]]:
     """Find positions [m] and lengths [m] of a chain of vehicles, and the vehicle behind the first one.
 
-    Parameters
-    ----------
-    sample : Sample
-        Positions on the whole road.
-    vehicle : int
-        Number of the driver's vehicle.
-    chain : sequence of int
-        Numbers of this vehicle and of the vehicles ahead; -1 for none.
-
-    Returns
-    -------
-    position_m, length_m : list of float
-        NaN and 0 for a vehicle that is not in the sample.
-    behind : tuple
-        Position [m], number and length [m] of the vehicle behind, as ``OnlineFilter.step`` takes them.
+    Returns position_m, length_m: naN and 0 for a vehicle that is not in the sample; behind: position [m], number and
+    length [m] of the vehicle behind, as ``OnlineFilter.step`` takes them.
     """
     places = [sample.place.get(v) for v in chain]
     position = [nan if p is None else sample.position_m[p] for p in places]

@@ -24,15 +24,7 @@ _MODULES = ("odometry", "predicted_path", "predicted_odometry")
 class StandardTopics:
     """Publishes what the parameter ``publish`` asks for, of each driver, on topics such as ``vehicle_07/odometry``.
 
-    Parameters
-    ----------
-    node : PacedNode
-        The node that publishes.
-
-    Raises
-    ------
-    InputError
-        For an unknown output, a message that is not installed, or a damaged centre line.
+    node: the node that publishes. Raises InputError.
     """
 
     def __init__(self, node: PacedNode) -> None:

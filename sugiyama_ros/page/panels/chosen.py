@@ -14,12 +14,7 @@ INPUT = ".bk-input { color: #1b1b1b; background-color: #fff; }"
 class Chosen:
     """Panels of one driver and points of all drivers, which follow one selection.
 
-    Parameters
-    ----------
-    vehicles : array (N,)
-        Numbers of the vehicles.
-    first : int
-        Place of the driver who is chosen at the start.
+    vehicles: (N,), numbers of the vehicles; first: place of the driver who is chosen at the start.
     """
 
     def __init__(self, vehicles: Ints, first: int = 0) -> None:

@@ -18,12 +18,7 @@ _MODELS = 5
 class CriticPanel:
     """The picture ``plot``, which appears once the critic has spoken, and the words ``text``.
 
-    Parameters
-    ----------
-    feed : Feed
-        What the page shows.
-    new : callable
-        Log -> its columns (columns, rows) that the page has not shown yet.
+    feed: what the page shows; new: log -> its columns (columns, rows) that the page has not shown yet.
     """
 
     def __init__(self, feed: Feed, new: Callable[[Log], Array]) -> None:

@@ -56,22 +56,9 @@ _TOGETHER = {
 class Case:
     """A kind of recording.
 
-    Parameters
-    ----------
-    part, name : str
-        Part of the benchmark, and name of the case.
-    scene : Setup
-        The scene.
-    builders : sequence of Builder
-        What is hidden.
-    right : tuple of str
-        Names that are right.
-    covariates : tuple of str
-        Covariates along which a form without a name shows.
-    law : str
-        The drivers' law; empty for the paper's drivers.
-    few : int
-        Number of drivers who show what is hidden; 0 for all.
+    part, name: part of the benchmark, and name of the case; scene: the scene; builders: what is hidden; right: names
+    that are right; covariates: covariates along which a form without a name shows; law: the drivers' law; empty for the
+    paper's drivers; few: number of drivers who show what is hidden; 0 for all.
     """
 
     part: str
@@ -88,14 +75,8 @@ class Case:
 class Pair:
     """Two recordings of the same drivers, and what they hide.
 
-    Parameters
-    ----------
-    first, second : Trajectories
-        The recording to diagnose, and a fresh one.
-    who : tuple of int
-        Vehicles that show what is hidden; empty if all do.
-    truth : dict of str to float
-        Values that a fit should find, by name.
+    first, second: the recording to diagnose, and a fresh one; who: vehicles that show what is hidden; empty if all do;
+    truth: values that a fit should find, by name.
     """
 
     first: Trajectories
@@ -145,13 +126,7 @@ PARTS = ("conditions", "mechanisms", "elsewhere", "forms", "laws", "few", "three
 
 
 def recorded(case: Case, strength: str, seed: int) -> Pair:
-    """Record the drivers of a case twice.
-
-    Raises
-    ------
-    ValueError
-        If cars always collide.
-    """
+    """Record the drivers of a case twice. Raises ValueError."""
     for attempt in range(_ATTEMPTS):
         rng = np.random.default_rng([seed, attempt, *case.name.encode()])
         scene, built = case.scene, list[Built]()

@@ -16,12 +16,7 @@ _LENGTH_M = 4.33
 class Built:
     """Something hidden in a recording, with the values that a fit should find.
 
-    Parameters
-    ----------
-    hidden : Hidden
-        What acts.
-    truth : dict of str to float
-        Values by the name that the package gives them, where both formulas mean the same.
+    hidden: what acts; truth: values by the name that the package gives them, where both formulas mean the same.
     """
 
     hidden: Hidden

@@ -20,18 +20,9 @@ _FAR = 1e9
 class People:
     """N drivers with the paper's parameters; arrays of shape (N,).
 
-    Parameters
-    ----------
-    desired_speed, risk_premium : ndarray
-        v* [m/s] and kappa_v [s].
-    measurement_std, acceleration_std : ndarray
-        sigma_nu [m] and sigma_a [m/s^2].
-    noise : float
-        Factor on all noises.
-    law : str
-        Name of the law that they follow; empty for the paper's drivers.
-    values : ndarray, shape (N, K)
-        Parameters of the law.
+    desired_speed, risk_premium: v* [m/s] and kappa_v [s]; measurement_std, acceleration_std: sigma_nu [m] and sigma_a
+    [m/s^2]; noise: factor on all noises; law: name of the law that they follow; empty for the paper's drivers; values:
+    (N, K), parameters of the law.
     """
 
     desired_speed: Array
@@ -47,19 +38,10 @@ class People:
 class Sight:
     """What N drivers see at one moment; arrays of shape (N,), infinite gaps where nobody is.
 
-    Parameters
-    ----------
-    time_s : float
-        Time of the recording.
-    position, speed, acceleration, held : ndarray
-        Position [m] along the road, without end on a ring; speed [m/s]; accelerations [m/s^2] of the car and of the
-        driver's foot in the last period.
-    gap, leader_speed, leader_acceleration : ndarray
-        Of the car ahead.
-    second_gap, second_speed : ndarray
-        Gap between the car ahead and the car before it, and its speed.
-    rear_gap, rear_speed : ndarray
-        Of the car behind.
+    time_s: time of the recording; position, speed, acceleration, held: position [m] along the road, without end on a
+    ring; speed [m/s]; accelerations [m/s^2] of the car and of the driver's foot in the last period; gap, leader_speed,
+    leader_acceleration: of the car ahead; second_gap, second_speed: gap between the car ahead and the car before it,
+    and its speed; rear_gap, rear_speed: of the car behind.
     """
 
     time_s: float

@@ -15,34 +15,15 @@ from sugiyama_ros.studies.away.cases import Case, Pair, cases, recorded
 class Judged:
     """What a diagnosis says of one recording.
 
-    Parameters
-    ----------
-    part, name, strength, seed
-        The recording.
-    right, covariates, law, vehicles
-        Right answers: names, covariates of a form without a name, law, and the vehicles that show it.
-    outcome : str
-        What the diagnosis concludes.
-    failed : tuple of str
-        Names of the checks that fail.
-    laws : tuple of str
-        Other laws that are ahead of the final model, the best one first; the nearest one if none is ahead.
-    named, also : tuple of str
-        Additions, and what cannot be told apart from the first one.
-    forces : tuple of str
-        Covariates of the forces without a name that were added.
-    who : tuple of int
-        Vehicles that show the first addition; empty for all.
-    p_value : float
-        Smallest p-value of a candidate in the first round.
-    oracle : float
-        Gain that the score of the right candidate predicts in the first round [nats]; 0 without one.
-    heldout, heldout_se, fresh, fresh_se : float
-        Gain of all additions one step ahead [nats]: held out, and on a fresh recording of the same drivers.
-    errors : dict of str to float
-        Estimate minus truth, in standard errors, by name of the parameter.
-    seconds : float
-        Time that the diagnosis took.
+    part, name, strength, seed: the recording; right, covariates, law, vehicles: right answers: names, covariates of a
+    form without a name, law, and the vehicles that show it; outcome: what the diagnosis concludes; failed: names of the
+    checks that fail; laws: other laws that are ahead of the final model, the best one first; the nearest one if none is
+    ahead; named, also: additions, and what cannot be told apart from the first one; forces: covariates of the forces
+    without a name that were added; who: vehicles that show the first addition; empty for all; p_value: smallest p-value
+    of a candidate in the first round; oracle: gain that the score of the right candidate predicts in the first round
+    [nats]; 0 without one; heldout, heldout_se, fresh, fresh_se: gain of all additions one step ahead [nats]: held out,
+    and on a fresh recording of the same drivers; errors: estimate minus truth, in standard errors, by name of the
+    parameter; seconds: time that the diagnosis took.
     """
 
     part: str

@@ -24,24 +24,11 @@ _STARTS = ((6.0, 5.0), (28.0, 19.0))
 class Setup:
     """Where, how long, and with how many drivers.
 
-    Parameters
-    ----------
-    drivers : int
-        Number of drivers.
-    ring_m : float
-        Circumference; 0 for an open road, on which the first car drives as a signal of several periods.
-    duration_s, period_s : float
-        Duration, and time between two samples.
-    noise : float
-        Factor on all noises.
-    spread : float
-        Spread of desired speeds and risk premiums over the drivers.
-    every : int
-        The camera keeps one sample of so many.
-    is_moving : bool
-        Whether the cars start from uniform flow; otherwise from rest, with gaps of 2 m.
-    is_highway : bool
-        Whether the open road is a highway, on which the first car drives at 14 to 34 m/s.
+    drivers: number of drivers; ring_m: circumference; 0 for an open road, on which the first car drives as a signal of
+    several periods; duration_s, period_s: duration, and time between two samples; noise: factor on all noises; spread:
+    spread of desired speeds and risk premiums over the drivers; every: the camera keeps one sample of so many;
+    is_moving: whether the cars start from uniform flow; otherwise from rest, with gaps of 2 m; is_highway: whether the
+    open road is a highway, on which the first car drives at 14 to 34 m/s.
     """
 
     drivers: int = 22
@@ -90,24 +77,11 @@ class History:
 class Hidden:
     """Something that the drivers, the cars or the camera do beyond the base model. All functions are optional.
 
-    Parameters
-    ----------
-    see : callable
-        (moment, view) -> view: what drivers believe.
-    want : callable
-        (moment, people) -> people: what drivers want.
-    weigh : callable
-        (moment, view, people) -> (N, K): utility of each action, on top of the paper's.
-    act : callable
-        (moment, meant) -> (N,): what the cars do of the accelerations that drivers mean.
-    push : callable
-        (moment, view) -> (N,): further acceleration [m/s^2].
-    steady : callable
-        (view) -> (N,): factor on the acceleration noise.
-    spoil : callable
-        (positions (T, N), scene, rng) -> positions: what the camera makes of the measured positions.
-    who : ndarray of bool, shape (N,), optional
-        Which drivers; all if left out.
+    see: (moment, view) -> view: what drivers believe; want: (moment, people) -> people: what drivers want; weigh:
+    (moment, view, people) -> (N, K): utility of each action, on top of the paper's; act: (moment, meant) -> (N,): what
+    the cars do of the accelerations that drivers mean; push: (moment, view) -> (N,): further acceleration [m/s^2];
+    steady: (view) -> (N,): factor on the acceleration noise; spoil: (positions (T, N), scene, rng) -> positions: what
+    the camera makes of the measured positions; who: (N,), which drivers; all if left out.
     """
 
     see: Callable[[History, Sight], Sight] | None = None

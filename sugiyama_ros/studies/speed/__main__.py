@@ -35,15 +35,7 @@ def main() -> None:
 
 
 def print_figures(part: str, figures: tuple[SpeedFigure, ...]) -> None:
-    """Print the figures of a part as a table.
-
-    Parameters
-    ----------
-    part : str
-        Name of the part.
-    figures : tuple of SpeedFigure
-        Its figures.
-    """
+    """Print the figures of a part as a table."""
     print(part)
     for text, value, aim in map(cells, figures):
         print(f"    {text:<88}{value:>24}" + (f"   at most {aim}" if aim else ""), flush=True)

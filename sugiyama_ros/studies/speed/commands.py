@@ -58,9 +58,6 @@ def measure() -> tuple[SpeedFigure, ...]:
 def paper_command(ring_m: float) -> tuple[str, ...]:
     """Make the arguments of the paper's calibration of ``jam.csv``.
 
-    Parameters
-    ----------
-    ring_m : float
-        Circumference of the ring [m].
+    ring_m: circumference of the ring [m].
     """
     return ("calibrate", "jam.csv", "--ring", str(ring_m), "--formulation", "paper")

@@ -19,18 +19,8 @@ _LOOK_S = 0.02
 class SpeedFigure:
     """A figure of the speed.
 
-    Parameters
-    ----------
-    name : str
-        Name in the JSON document.
-    text : str
-        What is measured, in words.
-    value : float
-        The figure.
-    unit : str
-        Its unit; ``times`` for a ratio.
-    at_most : float, optional
-        The aim: the largest value that is wanted.
+    name: name in the JSON document; text: what is measured, in words; value: the figure; unit: its unit; ``times`` for
+    a ratio; at_most: the aim: the largest value that is wanted.
     """
 
     name: str
@@ -43,17 +33,7 @@ class SpeedFigure:
 def cpu_of_functions(functions: Mapping[str, Callable[[], object]], rounds: int) -> dict[str, float]:
     """Measure the CPU time of functions, which are called in turn.
 
-    Parameters
-    ----------
-    functions : mapping of str to callable
-        The functions. Each is called once before it counts.
-    rounds : int
-        How often each is measured.
-
-    Returns
-    -------
-    dict of str to float
-        Least CPU time [s] of one call, over all threads of this process.
+    Returns least CPU time [s] of one call, over all threads of this process.
     """
     calls = {}
     for name, function in functions.items():
@@ -77,19 +57,7 @@ def _cpu_of(function: Callable[[], object], calls: int) -> float:
 def cpu_of_commands(commands: Mapping[str, Sequence[str]], rounds: int, folder: Path) -> dict[str, float]:
     """Measure the CPU time of commands, which are started in turn.
 
-    Parameters
-    ----------
-    commands : mapping of str to sequence of str
-        Program and arguments of each command.
-    rounds : int
-        How often each is measured.
-    folder : Path
-        Folder in which the commands run.
-
-    Returns
-    -------
-    dict of str to float
-        Least CPU time [s] of the process and of the processes that it waits for.
+    Returns least CPU time [s] of the process and of the processes that it waits for.
     """
     least = dict.fromkeys(commands, math.inf)
     for _ in range(rounds):
@@ -99,20 +67,7 @@ def cpu_of_commands(commands: Mapping[str, Sequence[str]], rounds: int, folder: 
 
 
 def cpu_of_command(command: Sequence[str], folder: Path) -> float:
-    """Measure the CPU time [s] of a command.
-
-    Parameters
-    ----------
-    command : sequence of str
-        Program and arguments.
-    folder : Path
-        Folder in which the command runs.
-
-    Raises
-    ------
-    RuntimeError
-        If the command fails.
-    """
+    """Measure the CPU time [s] of a command. Raises RuntimeError."""
     return used_by_command(command, folder).cpu_s
 
 

@@ -24,17 +24,7 @@ def start_parameters() -> Array:
 def plain_actions(perceived: paper.Perceived, p: Array) -> Array:
     """Compute mean actions in numpy, straight from the paper's formulas.
 
-    Parameters
-    ----------
-    perceived : paper.Perceived
-        What the driver perceives over T' samples.
-    p : ndarray, shape (P,)
-        Parameters of the driver.
-
-    Returns
-    -------
-    ndarray, shape (T',)
-        Mean actions [m/s^2].
+    p: (P,), parameters of the driver. Returns (T',), mean actions [m/s^2].
     """
     q = dict(zip(NAMES, p.tolist(), strict=True))
     dt, a = perceived.period_s, ACTIONS[None, :]
@@ -57,12 +47,7 @@ def plain_actions(perceived: paper.Perceived, p: Array) -> Array:
 def plain_likelihood(perceived: paper.Perceived, p: Array) -> float:
     """Compute the log-likelihood (Eq. SSM_Likelihood) with filterpy.
 
-    Parameters
-    ----------
-    perceived : paper.Perceived
-        What the driver perceives.
-    p : ndarray, shape (P,)
-        Parameters of the driver.
+    p: (P,), parameters of the driver.
     """
     action = plain_actions(perceived, p)
     q = dict(zip(NAMES, p.tolist(), strict=True))

@@ -26,11 +26,6 @@ def exponentials(perceived: paper.Perceived) -> Callable[[], object]:
 
     Each action takes three exponentials at each moment: two for the utility and one for the weight. An action that
     ends at a low speed takes a fourth exponential.
-
-    Parameters
-    ----------
-    perceived : paper.Perceived
-        What the driver perceives.
     """
     slow = perceived.speed[:, None] + perceived.period_s * ACTIONS < FORWARD
     x = -np.random.default_rng(0).uniform(0.0, 10.0, 3 * slow.size + int(slow.sum()))
@@ -41,17 +36,7 @@ def exponentials(perceived: paper.Perceived) -> Callable[[], object]:
 def likelihoods(t: Trajectories, rounds: int) -> dict[str, float]:
     """Measure one likelihood of a driver in both formulations, and the floor.
 
-    Parameters
-    ----------
-    t : Trajectories
-        The recording.
-    rounds : int
-        How often each is measured.
-
-    Returns
-    -------
-    dict of str to float
-        CPU times [s] of ``floor``, ``paper`` (with its gradient and information) and ``causal``.
+    Returns CPU times [s] of ``floor``, ``paper`` (with its gradient and information) and ``causal``.
     """
     perceived, p = paper.perceive(t, DRIVER), defaults()
     jobs = [causal.ChainJob(chain_behind(t, DRIVER + k), p) for k in range(_TOGETHER)]

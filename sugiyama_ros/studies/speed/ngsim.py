@@ -22,13 +22,7 @@ def used_on_drivers(folder: Path, *command: str) -> Used:
 
 
 def write_drivers(path: Path) -> None:
-    """Write the tracks of the first drivers who follow somebody, and of those ahead of them.
-
-    Raises
-    ------
-    InputError
-        If the file of pairs is not there.
-    """
+    """Write the tracks of the first drivers who follow somebody, and of those ahead of them. Raises InputError."""
     if not DATA.exists():
         raise InputError(f"{DATA}: not found; put the car-following pairs of NGSIM I-80 there")
     tracks = read_tracks(DATA)

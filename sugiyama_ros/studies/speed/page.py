@@ -39,13 +39,7 @@ def machine() -> str:
 
 
 def document(found: Found) -> dict[str, Any]:
-    """Collect everything for ``--json``.
-
-    Parameters
-    ----------
-    found : mapping of str to tuple of SpeedFigure
-        Figures by part.
-    """
+    """Collect everything for ``--json``."""
     figures = [{"part": part, **asdict(figure)} for part, figures in found.items() for figure in figures]
     return {"machine": machine(), "figures": plain(figures)}
 
@@ -62,13 +56,7 @@ def rounded(value: float) -> str:
 
 
 def page(found: Found) -> str:
-    """Write the page of the documentation, in Markdown.
-
-    Parameters
-    ----------
-    found : mapping of str to tuple of SpeedFigure
-        Figures by part.
-    """
+    """Write the page of the documentation, in Markdown."""
     parts = [_HEAD.format(machine=machine())]
     for part, figures in found.items():
         rows = "\n".join("| " + " | ".join(cells(figure)) + " |" for figure in figures)

@@ -26,18 +26,7 @@ PARTS = {
 
 
 def measured(part: str) -> tuple[SpeedFigure, ...]:
-    """Measure one part.
-
-    Parameters
-    ----------
-    part : str
-        Name of the part.
-
-    Raises
-    ------
-    InputError
-        If a library that the part compares with is not installed.
-    """
+    """Measure one part. Raises InputError."""
     try:
         measure: Callable[[], tuple[SpeedFigure, ...]] = import_module(PARTS[part]).measure
     except ModuleNotFoundError as error:

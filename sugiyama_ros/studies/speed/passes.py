@@ -13,17 +13,7 @@ from sugiyama_ros.filters.causal_kernel import Observed, run
 def counted(work: Callable[[], object]) -> tuple[int, float]:
     """Do some work and count the passes of the causal filter over the recording of one driver.
 
-    Parameters
-    ----------
-    work : callable
-        The work. It may use threads, but no other processes.
-
-    Returns
-    -------
-    passes : int
-        Number of passes.
-    cpu_s : float
-        CPU time [s] of the work, over all threads.
+    Returns passes: number of passes; cpu_s: CPU time [s] of the work, over all threads.
     """
     lock, passes = threading.Lock(), 0
 

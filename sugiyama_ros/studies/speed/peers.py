@@ -21,10 +21,7 @@ _ALIKE = 1e-6
 def measure() -> tuple[SpeedFigure, ...]:
     """Measure likelihoods and searches of one driver by other means, over ours of the same driver.
 
-    Raises
-    ------
-    RuntimeError
-        If a likelihood has another value than ours.
+    Raises RuntimeError.
     """
     t = jam()
     perceived, p = paper.perceive(t, DRIVER), defaults()
@@ -71,12 +68,7 @@ def measure() -> tuple[SpeedFigure, ...]:
 def check(who: str, theirs: float, ours: float) -> None:
     """Raise RuntimeError if two log-likelihoods [nats] differ.
 
-    Parameters
-    ----------
-    who : str
-        Whose log-likelihood ``theirs`` is.
-    theirs, ours : float
-        Log-likelihoods [nats].
+    who: whose log-likelihood ``theirs`` is; theirs, ours: log-likelihoods [nats].
     """
     if not abs(theirs - ours) < _ALIKE:
         raise RuntimeError(f"the log-likelihood of {who} is {theirs - ours:g} nats above ours")

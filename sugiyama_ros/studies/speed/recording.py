@@ -14,17 +14,7 @@ _SEED = 4
 def jam(cars: int = CARS, duration_s: float = DURATION_S) -> Trajectories:
     """Simulate a jam on a ring of as many metres for each car as in the experiment.
 
-    Parameters
-    ----------
-    cars : int
-        Number of cars.
-    duration_s : float
-        Duration [s].
-
-    Returns
-    -------
-    Trajectories
-        What is measured.
+    duration_s: duration [s].
     """
     ring_m = RING_M * cars / CARS
     ring = Ring(alike(cars), _SEED, jammed=True, duration_s=duration_s, ring_m=ring_m)

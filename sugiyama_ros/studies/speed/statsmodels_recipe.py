@@ -14,10 +14,7 @@ from sugiyama_ros.studies.speed.filterpy_recipe import PLACES, plain_actions, st
 class StatsmodelsDriver(MLEModel):  # type: ignore[misc]
     """The paper's model of one driver in statsmodels, with logarithms of the estimated parameters.
 
-    Parameters
-    ----------
-    perceived : paper.Perceived
-        What the driver perceives.
+    perceived: what the driver perceives.
     """
 
     def __init__(self, perceived: paper.Perceived) -> None:
