@@ -446,7 +446,7 @@ def _best(bench: _Bench, won: dict[Entry, dict[str, Difference]]) -> tuple[Entry
     rank = min(e.added[-1].rank for e in allowed)
     allowed = [e for e in allowed if e.added[-1].rank == rank]
     first = max(allowed, key=lambda e: won[e]["all"].nats)
-    alike = [e for e in won if e is first or not is_better(first.over(bench.data, e))]
+    alike = [e for e in won if e is first or not first.over(bench.data, e)["all"].is_clear]
     best = min(
         (e for e in alike if e in allowed),
         key=lambda e: (bool(e.added[-1].drivers), won[e]["one_step"].nats - won[e]["all"].nats),
