@@ -110,7 +110,7 @@ def candidates(data: Recorded) -> tuple[Candidate, ...]:
 
 
 def _of_effect(e: Effect, data: Recorded) -> Candidate:
-    kind: Kind = "measurement" if e.stage == MEASUREMENT else "effect"
+    kind: Kind = "measurement" if e.stage == MEASUREMENT else "constants" if e.is_constant else "effect"
     switches = tuple(index_of(e.name, name) for name in e.switches)
     return Candidate(
         name=e.name,

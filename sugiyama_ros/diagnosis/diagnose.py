@@ -217,7 +217,10 @@ class Diagnosis(Result):
             If the file cannot be written.
         """
         if Path(path).suffix == ".yaml":
-            write_model(Path(path), self.data, self.final.fit)
+            from sugiyama_ros.page.document import document
+            from sugiyama_ros.page.words import cautions
+
+            write_model(Path(path), self.data, self.final.fit, cautions(plain(document(self))))
             return
         super().save(path)
 
@@ -438,7 +441,7 @@ def _best(bench: _Bench, won: dict[Entry, dict[str, Difference]]) -> tuple[Entry
 
     What changes how drivers act goes before freed constants, forces and moods, and these before noises: whatever
     else is missing shows in them, too. Among models that cannot be told apart, what all drivers have goes before what
-    some have, and then come the better free runs.
+    some have.
     """
     allowed = [e for e in won if is_better(won[e]) and e.makes_sense]
     if not allowed:
@@ -447,10 +450,8 @@ def _best(bench: _Bench, won: dict[Entry, dict[str, Difference]]) -> tuple[Entry
     allowed = [e for e in allowed if e.added[-1].rank == rank]
     first = max(allowed, key=lambda e: won[e]["all"].nats)
     alike = [e for e in won if e is first or not first.over(bench.data, e)["all"].is_clear]
-    best = min(
-        (e for e in alike if e in allowed),
-        key=lambda e: (bool(e.added[-1].drivers), won[e]["one_step"].nats - won[e]["all"].nats),
-    )
+    addable = [e for e in alike if e in allowed]
+    best = min(addable, key=lambda e: (bool(e.added[-1].drivers), -won[e]["all"].nats))
     return best, [e for e in alike if e is not best]
 
 

@@ -199,6 +199,9 @@ class Effect:
         Whether each driver has their own values.
     is_noise : bool
         Whether the effect changes noises alone. It hardly changes the mean of free runs, which cannot judge it.
+    is_constant : bool
+        Whether the effect frees a constant of the paper's driver: it says what these drivers are like, and explains
+        nothing.
     is_limit : bool
         Whether a smaller first parameter makes the effect stronger.
     reach : int
@@ -250,6 +253,7 @@ class Effect:
     strengths: tuple[str, ...] = ()
     individual: bool = False
     is_noise: bool = False
+    is_constant: bool = False
     is_limit: bool = False
     reach: int = 1
     sees_rear: bool = False

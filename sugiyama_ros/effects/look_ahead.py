@@ -45,5 +45,6 @@ EFFECT = Effect(
     parameters=(Parameter("extra", "T+", "s", 0.0, -1.0, 10.0, "time beyond the usual look-ahead of 4/3 s"),),
     starts=at({"extra": 0.5}, {"extra": 2.0}),
     function=component,
+    is_constant=True,
     knows_preferences=True,
 )
