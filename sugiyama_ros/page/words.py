@@ -213,7 +213,7 @@ def check_title(d: Document, check: Document) -> str:
 
 def _other(d: Document, name: str) -> str:
     """Name of another law, or of another form of what was added."""
-    return model_name(name) if name in d["errors"] else named(d, name)
+    return model_name(name) if d.get("about", {}).get(name, {}).get("kind") == "law" else named(d, name)
 
 
 def check_values(check: Document) -> tuple[str, str, str]:

@@ -108,7 +108,7 @@ def test_what_was_asked_for_and_is_not_supported_says_so_and_which_columns_get_w
     assert "is explained" not in told
     assert "  Gets worse: one car at 5 s -30 ± 6 nats; within chance: all cars at 10 s -1 ± 6 nats." in told
     assert what_to_do(d).startswith("Leave it out")
-    assert "nothing else was fitted" in how_sure(d)
+    assert "other effects were not fitted" in how_sure(d)
     # the same on a model that fails: still no name
     d = document("not_explained", [asked], [fails("wave_speed", -7.0, -12.0, unit="m/s")], asked=["drag"])
     assert badge(d)[1] == "Not explained"
