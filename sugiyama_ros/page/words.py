@@ -213,7 +213,8 @@ def check_title(d: Document, check: Document) -> str:
 
 def _other(d: Document, name: str) -> str:
     """Name of another law, or of another form of what was added."""
-    return model_name(name) if d.get("about", {}).get(name, {}).get("kind") == "law" else named(d, name)
+    about = d.get("about", {}).get(name.removesuffix("_of_some"), {})
+    return named(d, name) if about.get("kind") == "effect" else model_name(name)
 
 
 def check_values(check: Document) -> tuple[str, str, str]:
