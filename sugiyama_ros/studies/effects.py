@@ -23,9 +23,11 @@ from sugiyama_ros.fit.sandwich import shared_stds
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.result import Simulation
 from sugiyama_ros.simulation.simulator import Simulator, evenly, platoon, simulate
+from sugiyama_ros.studies.rings import CARS, JAM_GAP_M, LENGTH_M, RING_M
 from sugiyama_ros.studies.study import Answer, Asked, Row, Study
 
-DRIVERS, RING_M, DURATION_S, LENGTH_M = 22, 230.0, 250.0, 4.33
+#: Duration [s] of a simulated run.
+DURATION_S = 250.0
 #: Strong and weak values of each effect that can be hidden. Places and times that are left out are drawn at random.
 STRENGTHS: Mapping[str, tuple[Values, ...]] = {name: e.benchmark for name, e in EFFECTS.items() if e.benchmark}
 #: Values with which the demonstration hides an effect, where the strong ones hardly change a free run.
@@ -37,34 +39,21 @@ _SURE = 1.96
 
 
 def hide(name: str, values: Values, seed: int) -> tuple[Simulation, Values]:
-    """Simulate a recording with one hidden effect.
+    """Simulate a recording with one hidden effect, without a collision.
 
-    values: values of its parameters, such as those in ``STRENGTHS``. Returns simulation: a run without a collision;
-    values: values of the parameters, with the place and the time that were drawn. Raises ValueError.
-    """
-    run, drawn = hide_all({name: values}, seed)
-    return run, drawn[name]
-
-
-def hide_all(effects: Mapping[str, Values], seed: int) -> tuple[Simulation, dict[str, Values]]:
-    """Simulate a recording with several hidden effects, or with none.
-
-    Returns simulation: a run without a collision; values: values of the parameters by the name of the effect, with the
-    places and times that were drawn. Raises ValueError.
+    values: values of its parameters, such as those in ``STRENGTHS``. Returns the simulation and all values, with the
+    place and the time that were drawn. Raises ValueError.
     """
     for attempt in range(_ATTEMPTS):
         rng = np.random.default_rng([seed, attempt])
-        rows = ROW.with_effects(defaults(DRIVERS))
+        rows = ROW.with_effects(defaults(CARS))
         for k in (V_STAR, KAPPA_V):
-            rows[:, k] *= np.exp(0.1 * rng.standard_normal(DRIVERS))
-        drawn = {}
-        for name, values in effects.items():
-            drawn[name] = _with_place_and_time(name, values, rng)
-            rows = switch_on(rows, name, drawn[name])
-        run = _run(rows, rng, from_rest=attempt < _FROM_REST)
+            rows[:, k] *= np.exp(0.1 * rng.standard_normal(CARS))
+        drawn = _with_place_and_time(name, values, rng)
+        run = _run(switch_on(rows, name, drawn), rng, from_rest=attempt < _FROM_REST)
         if not run.collisions:
             return run, drawn
-    raise ValueError(f"{', '.join(effects)}: cars always collide")
+    raise ValueError(f"{name}: cars always collide")
 
 
 def _with_place_and_time(name: str, values: Values, rng: np.random.Generator) -> Values:
@@ -82,9 +71,9 @@ def _with_place_and_time(name: str, values: Values, rng: np.random.Generator) ->
 
 def _run(rows: Array, rng: np.random.Generator, *, from_rest: bool) -> Simulation:
     """Simulate drivers (N, width) from rest with gaps of 2 m, or from uniform flow at 5 m/s."""
-    length, road = np.full(DRIVERS, LENGTH_M), Road(RING_M)
-    start = platoon(length, 2.0) if from_rest else evenly(length, road)
-    speed = np.full(DRIVERS, 0.0 if from_rest else 5.0)
+    length, road = np.full(CARS, LENGTH_M), Road(RING_M)
+    start = platoon(length, JAM_GAP_M) if from_rest else evenly(length, road)
+    speed = np.full(CARS, 0.0 if from_rest else 5.0)
     return simulate(Simulator(rows, length, start, road, rng, speed=speed), DURATION_S)
 
 

@@ -54,7 +54,10 @@ _LEAST_VAR = 1e-10
 
 
 class _LearningFilter(Protocol):
-    """A filter that follows one driver, sample by sample."""
+    """A filter that follows one driver, sample by sample.
+
+    It is made of the driver's parameters (P,) at the start, the road, the time [s] between samples, and a generator.
+    """
 
     @property
     def logs(self) -> Array:
@@ -69,28 +72,21 @@ class _LearningFilter(Protocol):
 
 
 class _Cubature:
-    """The filter of the estimator nodes: preferences in the state, the mean action linearised by cubature.
-
-    row: (P,), parameters of the driver at the start; road: the road; period_s: time [s] between two samples.
-    """
+    """The filter of the estimator nodes: preferences in the state, the mean action linearised by cubature."""
 
     def __init__(self, row: Array, road: Road, period_s: float, _: np.random.Generator) -> None:
         self._filter = OnlineFilter(period_s, road, row, learning=None)
 
     @property
     def logs(self) -> Array:
-        """Logarithms, shape (2,), of v* [m/s] and kappa_v [s] as they are known now."""
         return np.log(self._filter.parameters[list(_PLACES)])
 
     def step(self, position_m: Array, identity: Ints, length_m: Array) -> float:
-        """Predict and take in the next sample; see ``_LearningFilter.step``."""
         return self._filter.step(position_m.tolist(), identity.tolist(), length_m.tolist()).log_likelihood
 
 
 class _Unscented:
     """A filter with sigma points of the state and the preferences. The vehicles must stay the same.
-
-    row: (P,), parameters of the driver at the start; road: the road; period_s: time [s] between two samples.
 
     References
     ----------
@@ -117,11 +113,9 @@ class _Unscented:
 
     @property
     def logs(self) -> Array:
-        """Logarithms, shape (2,), of v* [m/s] and kappa_v [s] as they are known now."""
         return np.asarray(self._filter.x[STATE * CHAIN :])
 
     def step(self, position_m: Array, identity: Ints, length_m: Array) -> float:
-        """Predict and take in the next sample; see ``_LearningFilter.step``."""
         kalman, self._length = self._filter, length_m
         if self._known.min() < MOVING:
             state = State(kalman.x, kalman.P, self._known)
@@ -156,9 +150,6 @@ class _Unscented:
 class _Particles:
     """Particles of the preferences, each with a filter of the state for these preferences (Rao-Blackwell).
 
-    row: (P,), parameters of the driver at the start; road: the road; period_s: time [s] between two samples; rng: draws
-    the particles.
-
     References
     ----------
     Liu and West, in: Sequential Monte Carlo Methods in Practice (2001), chapter 10.
@@ -175,11 +166,9 @@ class _Particles:
 
     @property
     def logs(self) -> Array:
-        """Logarithms, shape (2,), of v* [m/s] and kappa_v [s] as they are known now."""
         return np.asarray(self._weight @ self._at)
 
     def step(self, position_m: Array, identity: Ints, length_m: Array) -> float:
-        """Predict and take in the next sample; see ``_LearningFilter.step``."""
         sample = position_m.tolist(), identity.tolist(), length_m.tolist()
         density = np.array([one.step(*sample).log_likelihood for one in self._filters])
         if np.isnan(density).any():

@@ -12,9 +12,9 @@ from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, platoon, simulate
 from sugiyama_ros.studies import effects, filters, lanes, online, recovery
 from sugiyama_ros.studies.driver_types import adjusted_rand, silhouette
-from sugiyama_ros.studies.effects import DURATION_S, RING_M, STRENGTHS, hide, hide_all
+from sugiyama_ros.studies.effects import DURATION_S, STRENGTHS, hide
 from sugiyama_ros.studies.registry import STUDIES, study
-from sugiyama_ros.studies.rings import CARS, Ring, outcome
+from sugiyama_ros.studies.rings import CARS, RING_M, Ring, outcome
 from sugiyama_ros.studies.study import Asked
 
 
@@ -79,13 +79,12 @@ def test_agreement_of_clusterings():
     [("slow_patch", "centre", 0.0, RING_M), ("preference_switch", "time", 0.3 * DURATION_S, 0.7 * DURATION_S)],
 )
 def test_a_hidden_effect_acts_at_a_place_or_a_time_that_is_drawn(name, parameter, low, high):
-    strong = STRENGTHS[name][0]
+    strong, weak = STRENGTHS[name]
     run, values = hide(name, strong, 3)
     again, _ = hide(name, strong, 3)
-    without, nothing = hide_all({}, 3)
+    weaker, _ = hide(name, weak, 3)
     assert not run.collisions
-    assert not nothing
     assert values == {**strong, parameter: values[parameter]}
     assert low <= values[parameter] <= high
     np.testing.assert_array_equal(run.measured.position_m, again.measured.position_m)
-    assert not np.array_equal(run.position_m, without.position_m)
+    assert not np.array_equal(run.position_m, weaker.position_m)
