@@ -50,7 +50,7 @@ journeys: $(DONE)/compiled $(DONE)/tools
 	.venv/bin/python -m pytest -n 2 --dist load -m slow test/journeys
 
 bench: $(DONE)/compiled $(DONE)/tools
-	@.venv/bin/python -m sugiyama_ros.studies.speed
+	@.venv/bin/python -m benchmarks.speed
 
 # FUZZ_EXAMPLES: damaged files of each kind. What breaks a reader stays in .hypothesis/ and is tried first the next time.
 FUZZ_EXAMPLES ?= 2000

@@ -10,11 +10,11 @@ explain the recording, or a model that forecasts better without a claim.
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-Array = Any
+Array = NDArray[np.float64]
 ACTIONS = np.linspace(-6.0, 4.0, 41)
 LENGTH_M, PERIOD_S, AHEAD = 4.33, 1.0 / 3.0, 4
 
@@ -35,15 +35,22 @@ def mean_action(gap: Array, speed: Array, leader: Array, v_star: Array, kappa_v:
     inside = np.maximum(least, 0.0)
     utility = reward - 10.0 * np.exp(-inside * (inside + 2.0))
     weight = np.exp(200.0 * (utility - utility.max(axis=1, keepdims=True)))
-    return (weight * a).sum(axis=1) / weight.sum(axis=1)
+    return np.asarray((weight * a).sum(axis=1) / weight.sum(axis=1))
 
 
 class Traffic:
     """What a mechanism may look at and change: state of all cars now, and what they meant to do before."""
 
+    last_leader: Array
+    memory: Array
+    until_s: Array
+    gap: Array
+    speed: Array
+    leader: Array
+
     def __init__(self, cars: int, rng: np.random.Generator) -> None:
         self.rng, self.time_s = rng, 0.0
-        self.held, self.last_leader, self.memory = np.zeros(cars), np.zeros(cars), np.zeros(cars)
+        self.last_leader, self.memory = np.zeros(cars), np.zeros(cars)
         self.until_s = np.zeros(cars)
         self.gap = self.speed = self.leader = np.zeros(cars)
 
@@ -136,8 +143,11 @@ def record(name: str, seed: int, most: int = 22, ring_m: float = 230.0, duration
         kappa_v = 0.215 * np.exp(0.15 * rng.standard_normal(cars))
         # steadier drivers where they collide
         std = 0.13 * 0.95**attempt * np.exp(0.2 * rng.standard_normal(cars))
-        t, noise = Traffic(cars, rng), np.zeros(cars)
-        x, v, positions = (LENGTH_M + 2.0) * np.arange(cars), np.zeros(cars), []
+        t = Traffic(cars, rng)
+        noise: Array = np.zeros(cars)
+        x: Array = (LENGTH_M + 2.0) * np.arange(cars, dtype=np.float64)
+        v: Array = np.zeros(cars)
+        positions: list[Array] = []
         for _ in range(round(duration_s / PERIOD_S) + 1):
             positions.append(x)
             t.gap, t.speed, leader = np.roll(x, -1) - x - LENGTH_M, v, np.roll(v, -1)

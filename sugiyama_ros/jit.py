@@ -1,6 +1,6 @@
 """The only place for compiler options: how the functions in the inner loops are compiled, and where the code is kept.
 
-Every compiled function of this package is decorated with `kernel`. ``python -m sugiyama_ros.studies.compiler`` measures
+Every compiled function of this package is decorated with `kernel`. ``python -m benchmarks.compiler`` measures
 what each option is worth, by compiling the causal filter without it. Time without an option over time with all of them,
 on one thread (CPU) and with the drivers on two threads (least of 25 rounds, 2 cores, numba 0.68, November 2026):
 

@@ -38,9 +38,9 @@ def registered(group: str, kind: type[_Kind], modules: Sequence[str], attribute:
     kind : type
         Class of the extensions.
     modules : sequence of str
-        Names of the built-in modules, in the order of the result.
+        Names of the built-in modules, in the order of the result; ``module:NAME`` where a module holds several.
     attribute : str
-        Name of the extension in a built-in module.
+        Name of the extension in a built-in module that holds one.
 
     Returns
     -------
@@ -48,8 +48,9 @@ def registered(group: str, kind: type[_Kind], modules: Sequence[str], attribute:
         Extensions by name.
     """
     found: dict[str, _Kind] = {}
-    for module in modules:
-        one = getattr(import_module(f"{group}.{module}"), attribute)
+    for place in modules:
+        module, _, name = place.partition(":")
+        one = getattr(import_module(f"{group}.{module}"), name or attribute)
         found[one.name] = one
     for point, one in load(group, kind).items():
         if one.name in found:

@@ -98,7 +98,7 @@ def _document(found: "Diagnosis", truth: dict[str, Any]) -> dict[str, Any]:
 
 def _simulated(hidden: str, seed: int) -> tuple["Trajectories", dict[str, Any]]:
     """A simulated experiment with a hidden effect, and the truth for the document."""
-    from sugiyama_ros.studies.hiding import DEMONSTRATED, STRENGTHS, hide
+    from sugiyama_ros.studies.effects import DEMONSTRATED, STRENGTHS, hide
 
     hidden = _chosen(hidden, tuple(STRENGTHS), seed)
     simulated, values = hide(hidden, DEMONSTRATED.get(hidden, STRENGTHS[hidden][0]), seed)

@@ -32,14 +32,6 @@ class StudyOptions:
     ring: Ring = None
     seed: Seed = 0
     regularise_strength: RegulariseStrength = 1.0
-    full_noise_at: Annotated[
-        float,
-        typer.Option(
-            "--full-noise-at",
-            min=0.0,
-            help="Let the acceleration noise of estimated drivers grow with the speed, up to this speed [m/s].",
-        ),
-    ] = 0.0
     wide: Wide = False
     as_json: Json = False
 
@@ -73,8 +65,7 @@ def study(options: StudyOptions) -> None:
     asked = study_of(options.name)
     trajectories = read_trajectories(source, options.ring) if source is not None else None
     with workers(options.runs) as work:
-        given = options.regularise_strength, options.full_noise_at
-        answer = asked.answer(Asked(trajectories, options.runs, options.seed, work, *given))
+        answer = asked.answer(Asked(trajectories, options.runs, options.seed, work, options.regularise_strength))
         if to_write is not None:
             _draw(answer.draw, to_write, f"{asked.question} The paper: {asked.paper} (seed {options.seed})")
     if options.as_json:

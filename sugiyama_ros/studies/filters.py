@@ -1,19 +1,38 @@
 """Which filter learns a driver's preferences best while they drive, and what does it cost?"""
 
+import copy
 import time
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
-from sugiyama_ros.arrays import Array
+from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.calibration.calibrate import each_driver
 from sugiyama_ros.calibration.result import Settings
-from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, population
+from sugiyama_ros.driver.parameters import (
+    KAPPA_V,
+    NAMES,
+    SIGMA_A,
+    SIGMA_NU,
+    UTILITY,
+    V_STAR,
+    at_period,
+    defaults,
+    population,
+)
+from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.filters.causal_kernel import SETTLING
+from sugiyama_ros.filters.chain import CHAIN, Adaptation, chain_parameters
 from sugiyama_ros.filters.extract import chain_behind
-from sugiyama_ros.studies.followers import PARTICLES, PLACES, Cubature, LearningFilter, Particles, Unscented
-from sugiyama_ros.studies.rings import CARS, alike, jams
+from sugiyama_ros.filters.learnt import Learnt
+from sugiyama_ros.filters.linearisation import linearise
+from sugiyama_ros.filters.online import ADAPT, OnlineFilter
+from sugiyama_ros.filters.state import MOVING, STATE, Drivers, Moment, State, arrays_for, scene_at
+from sugiyama_ros.filters.vehicles import start_vehicle
+from sugiyama_ros.road import Road
+from sugiyama_ros.studies.rings import CARS, jams
 from sugiyama_ros.studies.study import Answer, Asked, Row, Study
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
@@ -22,18 +41,174 @@ DURATION_S = 250.0
 _TIMES_S = (60.0, 120.0, 250.0)
 # Std of the logarithms over the simulated drivers.
 _SPREAD = {V_STAR: 0.08, KAPPA_V: 0.2}
+# Places in a driver's row of the parameters that the filters learn.
+_PLACES = (V_STAR, KAPPA_V)
+#: Number of particles.
+PARTICLES = 50
+# Share of a particle's parameters that the particle keeps when particles are drawn again (Liu and West).
+_OWN = 0.98
+# Std of the parameters of a particle, and of the state at a sigma point: both are known, but 0 has no inverse.
+_SHARP = 1e-6
+# Variance that is added so that the covariance has a Cholesky factor.
+_LEAST_VAR = 1e-10
+
+
+class _LearningFilter(Protocol):
+    """A filter that follows one driver, sample by sample.
+
+    It is made of the driver's parameters (P,) at the start, the road, the time [s] between samples, and a generator.
+    """
+
+    @property
+    def logs(self) -> Array:
+        """Logarithms, shape (2,), of v* [m/s] and kappa_v [s] as they are known now."""
+
+    def step(self, position_m: Array, identity: Ints, length_m: Array) -> float:
+        """Predict one period ahead and take in the next sample.
+
+        position_m: (M,), measured positions [m] of the driver and of the vehicles ahead; identity: (M,), numbers of
+        these vehicles; length_m: (M,), lengths [m] of these vehicles.
+        """
+
+
+class _Cubature:
+    """The filter of the estimator nodes: preferences in the state, the mean action linearised by cubature."""
+
+    def __init__(self, row: Array, road: Road, period_s: float, _: np.random.Generator) -> None:
+        self._filter = OnlineFilter(period_s, road, row, learning=None)
+
+    @property
+    def logs(self) -> Array:
+        return np.log(self._filter.parameters[list(_PLACES)])
+
+    def step(self, position_m: Array, identity: Ints, length_m: Array) -> float:
+        return self._filter.step(position_m.tolist(), identity.tolist(), length_m.tolist()).log_likelihood
+
+
+class _Unscented:
+    """A filter with sigma points of the state and the preferences. The vehicles must stay the same.
+
+    References
+    ----------
+    Julier and Uhlmann, Proc. IEEE 92 (2004) 401.
+    """
+
+    def __init__(self, row: Array, road: Road, period_s: float, _: np.random.Generator) -> None:
+        self._road, self._scene = road, scene_at(period_s, road.circumference_m, ADAPT.relaxation_s)
+        self._rows = at_period(chain_parameters(row, None, CHAIN), period_s)
+        self._places, self._prior_var = ADAPT.arrays
+        self._prior_mean = np.log(self._rows[0, [UTILITY[k] for k in self._places]])
+        self._arrays = arrays_for(CHAIN, len(self._places), ACTIONS, period_s)
+        size = STATE * CHAIN + len(self._places)
+        points = MerweScaledSigmaPoints(size, alpha=1.0, beta=2.0, kappa=0.0)
+        self._filter = UnscentedKalmanFilter(
+            size, CHAIN, period_s, hx=lambda x: x[: STATE * CHAIN : STATE], fx=self._move, points=points
+        )
+        self._filter.residual_z = road.difference
+        self._filter.x, self._filter.P = np.zeros(size), np.zeros((size, size))
+        self._filter.x[STATE * CHAIN :] = self._prior_mean
+        self._filter.P[STATE * CHAIN :, STATE * CHAIN :] = np.diag(self._prior_var)
+        self._filter.R = np.diag(self._rows[:, SIGMA_NU] ** 2)
+        self._known = np.zeros(CHAIN, np.int64)
+
+    @property
+    def logs(self) -> Array:
+        return np.asarray(self._filter.x[STATE * CHAIN :])
+
+    def step(self, position_m: Array, identity: Ints, length_m: Array) -> float:
+        kalman, self._length = self._filter, length_m
+        if self._known.min() < MOVING:
+            state = State(kalman.x, kalman.P, self._known)
+            for m, position in enumerate(position_m):
+                start_vehicle(m, position, self._scene.period_s, state, self._rows, self._scene)
+            return np.nan
+        # a state that never changes has the variance 0, and the covariance then has no Cholesky factor
+        kalman.P += _LEAST_VAR * np.eye(len(kalman.x))
+        kalman.Q = self._linearised(kalman.x)[1] + _LEAST_VAR * np.eye(len(kalman.x))
+        kalman.predict()
+        kalman.update(position_m)
+        y, variance = float(kalman.y[0]), float(kalman.S[0, 0])
+        return float(-0.5 * (np.log(variance) + y * y / variance))
+
+    def _move(self, x: Array, _: float) -> Array:
+        return self._linearised(x)[0]
+
+    def _linearised(self, x: Array) -> tuple[Array, Array]:
+        """Predict a state that is known for certain: its mean after one period, and the process noise."""
+        size = len(x)
+        linearise(
+            State(x, _SHARP**2 * np.eye(size), self._known),
+            Drivers(self._rows, self._places, self._prior_mean, self._prior_var),
+            Moment(self._length, np.full(3, np.nan), 0.0),
+            self._scene,
+            *self._arrays,
+        )
+        linearised = self._arrays[-1]
+        return linearised.next_mean.copy(), linearised.noise.copy()
+
+
+class _Particles:
+    """Particles of the preferences, each with a filter of the state for these preferences (Rao-Blackwell).
+
+    References
+    ----------
+    Liu and West, in: Sequential Monte Carlo Methods in Practice (2001), chapter 10.
+    """
+
+    def __init__(self, row: Array, road: Road, period_s: float, rng: np.random.Generator) -> None:
+        self._rng, names = rng, tuple(NAMES[k] for k in _PLACES)
+        self._names, self._centre = names, np.log(row[list(_PLACES)])
+        sharp = Adaptation(names, (_SHARP,) * len(names))
+        self._filters = [OnlineFilter(period_s, road, row, adaptation=sharp, learning=None) for _ in range(PARTICLES)]
+        self._at = self._centre + np.sqrt(ADAPT.arrays[1]) * rng.standard_normal((PARTICLES, len(names)))
+        self._weight = np.full(PARTICLES, 1.0 / PARTICLES)
+        self._put()
+
+    @property
+    def logs(self) -> Array:
+        return np.asarray(self._weight @ self._at)
+
+    def step(self, position_m: Array, identity: Ints, length_m: Array) -> float:
+        sample = position_m.tolist(), identity.tolist(), length_m.tolist()
+        density = np.array([one.step(*sample).log_likelihood for one in self._filters])
+        if np.isnan(density).any():
+            return np.nan
+        weight = self._weight * np.exp(density - density.max())
+        predicted = float(np.log(weight.sum()) + density.max())
+        self._weight = weight / weight.sum()
+        if 1.0 / np.square(self._weight).sum() < 0.5 * PARTICLES:
+            self._draw()
+        return predicted
+
+    def _draw(self) -> None:
+        """Draw new particles near those that have predicted well; their mean and covariance stay."""
+        mean, spread = self.logs, np.cov(self._at.T, aweights=self._weight) + _SHARP**2 * np.eye(len(_PLACES))
+        first = (self._rng.random() + np.arange(PARTICLES)) / PARTICLES
+        chosen = np.minimum(np.searchsorted(np.cumsum(self._weight), first), PARTICLES - 1)
+        noise = self._rng.multivariate_normal(np.zeros(len(mean)), (1.0 - _OWN**2) * spread, PARTICLES)
+        self._at = _OWN * self._at[chosen] + (1.0 - _OWN) * mean + noise
+        self._filters = [copy.deepcopy(self._filters[k]) for k in chosen]
+        self._weight = np.full(PARTICLES, 1.0 / PARTICLES)
+        self._put()
+
+    def _put(self) -> None:
+        """Give the filter of each particle the preferences of the particle."""
+        for one, at in zip(self._filters, self._at, strict=True):
+            one.recall(Learnt(self._names, at, _SHARP**2 * np.eye(len(at))))
+
+
 # The filters that are compared, by their names in the table.
-_FILTERS: dict[str, Callable[..., LearningFilter]] = {
-    "cubature (the nodes')": Cubature,
-    "unscented": Unscented,
-    f"{PARTICLES} particles": Particles,
+_FILTERS: dict[str, Callable[..., _LearningFilter]] = {
+    "cubature (the nodes')": _Cubature,
+    "unscented": _Unscented,
+    f"{PARTICLES} particles": _Particles,
 }
 
 
 def _row() -> Array:
     """Parameters (P,) of a driver whose noises are known and whose preferences are not."""
     row = population()
-    row[[SIGMA_NU, SIGMA_A]] = alike()[0, [SIGMA_NU, SIGMA_A]]
+    row[[SIGMA_NU, SIGMA_A]] = defaults(CARS)[0, [SIGMA_NU, SIGMA_A]]
     return row
 
 
@@ -81,7 +256,7 @@ def _errors(asked: Asked) -> _Errors:
     cost: dict[str, list[float]] = {name: [] for name in _FILTERS}
     batch = []
     for drivers, t in jams(_SPREAD, asked.runs, asked.seed, DURATION_S):
-        truth = np.log(drivers[:, list(PLACES)])
+        truth = np.log(drivers[:, list(_PLACES)])
         for name in _FILTERS:
             jobs = [(t, i, name, asked.seed) for i in range(CARS)]
             for i, found in enumerate(asked.work.map(_follow, jobs)):
@@ -89,7 +264,7 @@ def _errors(asked: Asked) -> _Errors:
                 density[name].append(found.log_likelihood[SETTLING + 2 :])
                 cost[name].append(found.step_s)
         fits = each_driver(t, Settings(), work=asked.work)
-        batch.append(np.log(fits.rows[:, list(PLACES)]) - truth)
+        batch.append(np.log(fits.rows[:, list(_PLACES)]) - truth)
     return _Errors(error, density, cost, np.concatenate(batch))
 
 

@@ -6,10 +6,10 @@ import numpy as np
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.calibration.on_tracks import CalibratedDriver, calibrate_tracks
-from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, index
+from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, defaults, index
 from sugiyama_ros.fit.smooth_positions import ESTIMATED
 from sugiyama_ros.simulation.lanes import Lane, simulate_lanes
-from sugiyama_ros.studies.rings import LENGTH_M, alike
+from sugiyama_ros.studies.rings import LENGTH_M
 from sugiyama_ros.studies.study import Answer, Asked, Row, Study
 from sugiyama_ros.trajectories.tracks import Tracks
 
@@ -25,7 +25,7 @@ _SURE = 1.96
 
 def drivers_of(vehicle_class: str) -> Array:
     """Return the parameters (P,) that all drivers of a class have."""
-    row: Array = alike(1)[0]
+    row: Array = defaults(1)[0]
     if vehicle_class == TRUCK:
         row[[V_STAR, KAPPA_V]] = _TRUCK_V_STAR, _TRUCK_KAPPA_V
     return row

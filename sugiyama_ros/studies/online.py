@@ -1,14 +1,16 @@
 """Is what estimators learn while people drive as good as a fit of all samples afterwards?"""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.calibration.calibrate import each_driver
 from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, index
+from sugiyama_ros.filters.extract import chain_behind
+from sugiyama_ros.filters.online import OnlineFilter
 from sugiyama_ros.fit.smooth_positions import ESTIMATED
-from sugiyama_ros.studies.following import followed
 from sugiyama_ros.studies.rings import CARS, jams
 from sugiyama_ros.studies.study import Answer, Asked, Row, Study
 from sugiyama_ros.trajectories.trajectories import Trajectories
@@ -19,6 +21,36 @@ _TIMES_S = (60.0, 120.0, 250.0)
 _PLACES = [index(name) for name in ESTIMATED]
 # Std of the logarithms over the simulated drivers.
 _SPREAD = {SIGMA_NU: 0.08, SIGMA_A: 0.15, V_STAR: 0.08, KAPPA_V: 0.2}
+
+
+class Followed(NamedTuple):
+    """What an estimator learns of one driver over T samples.
+
+    parameters: (T, 4), the driver's parameters after each sample, in the order of ``ESTIMATED``; log_std: (T, 4), std
+    of the logarithms of the parameters; log_likelihood: (T,), log-likelihood of each sample; NaN where the sample does
+    not count; changes: reported changes of style: time [s] since the first sample, and name of the parameter.
+    """
+
+    parameters: Array
+    log_std: Array
+    log_likelihood: Array
+    changes: list[tuple[float, str]]
+
+
+def followed(job: tuple[Trajectories, int]) -> Followed:
+    """Run the filter of the estimator nodes on all samples of one driver."""
+    trajectories, driver = job
+    chain = chain_behind(trajectories, driver)
+    online = OnlineFilter(trajectories.period_s, trajectories.road)
+    parameters, log_std, log_likelihood, reported = [], [], [], []
+    for k, sample in enumerate(zip(chain.position_m, chain.identity, chain.length_m, strict=True)):
+        estimate = online.step(*sample, trajectories.start_s + k * trajectories.period_s)
+        parameters.append(online.parameters[_PLACES])
+        log_std.append(np.sqrt(np.diag(online.learnt.covariance)))
+        log_likelihood.append(estimate.log_likelihood if estimate.scored else np.nan)
+        if online.change_of_style is not None:
+            reported.append((k * trajectories.period_s, online.change_of_style[0]))
+    return Followed(np.array(parameters), np.array(log_std), np.array(log_likelihood), reported)
 
 
 def _answer(asked: Asked) -> Answer:

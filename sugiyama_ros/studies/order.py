@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.simulation.collective import QUEUE_SPEED
-from sugiyama_ros.studies.rings import Ring, estimated, run, site_of
+from sugiyama_ros.studies.rings import Ring, estimated, ring_of, run
 from sugiyama_ros.studies.study import Answer, Asked, Study
 
 # The vehicles that the paper finds in the queue when the mean speed is smallest, and the heading of their share.
@@ -23,16 +23,12 @@ def _answer(asked: Asked) -> Answer:
     The paper explains the swing by vehicles 2 to 11: they stand in the queue when the mean speed is smallest. The table
     has their share of the queue then, and their share of all drivers.
     """
-    drivers, site = estimated(asked), site_of(asked.measured)
+    drivers, ring, length_m = estimated(asked), ring_of(asked.measured), asked.measured.length_m
     shuffles = max(asked.runs, 2)
     rng = np.random.default_rng([asked.seed, 2])
     orders = [np.arange(len(drivers)), *(rng.permutation(len(drivers)) for _ in range(shuffles))]
     seeds = [asked.seed + k for k in range(asked.runs)]
-    rings = [
-        Ring(drivers[one], seed, jammed=True, ring_m=site.ring_m, length_m=site.length_m[one])
-        for one in orders
-        for seed in seeds
-    ]
+    rings = [ring(drivers[one], seed, jammed=True, length_m=length_m[one]) for one in orders for seed in seeds]
     chasing = [np.isin(one, _CHASING) for one in orders for _ in seeds]
     found = np.array(list(asked.work.map(_swing, rings, chasing))).reshape(len(orders), len(seeds), 2)
     swings, queues = found[:, :, 0], found[:, :, 1]
@@ -61,8 +57,8 @@ def _answer(asked: Asked) -> Answer:
     def draw(figure: Any) -> None:
         axes = figure.subplots()
         for name, one in (("as measured", orders[0]), ("shuffled", orders[1])):
-            ring = Ring(drivers[one], asked.seed, jammed=True, ring_m=site.ring_m, length_m=site.length_m[one])
-            mean = _mean_speed(run(ring).speed, ring.period_s)
+            shown = ring(drivers[one], asked.seed, jammed=True, length_m=length_m[one])
+            mean = _mean_speed(run(shown).speed, shown.period_s)
             axes.plot(np.arange(len(mean)) / 3.0, mean, label=name)
         axes.set(xlabel="time [s]", ylabel="mean speed of all cars [m/s]")
         axes.legend()

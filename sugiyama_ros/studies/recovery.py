@@ -7,10 +7,10 @@ import numpy as np
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.calibration.calibrate import each_driver
 from sugiyama_ros.calibration.result import Settings
-from sugiyama_ros.driver.parameters import index
+from sugiyama_ros.driver.parameters import defaults, index
 from sugiyama_ros.fit.driver import Formulation
 from sugiyama_ros.fit.smooth_positions import ESTIMATED
-from sugiyama_ros.studies.rings import alike, jams
+from sugiyama_ros.studies.rings import CARS, jams
 from sugiyama_ros.studies.study import Answer, Asked, Row, Study
 
 #: Duration [s] of a simulated run.
@@ -24,7 +24,7 @@ def _answer(asked: Asked) -> Answer:
     The table has the bias and the std of a fit, and the share of 95 % profile intervals that contain the truth.
     """
     places = [index(name) for name in ESTIMATED]
-    truth = alike()[0, places]
+    truth = defaults(CARS)[0, places]
     errors: dict[str, list[Array]] = {f: [] for f in _FORMULATIONS}
     intervals: dict[str, list[Array]] = {f: [] for f in _FORMULATIONS}
     for _, measured in jams({}, asked.runs, asked.seed, DURATION_S):

@@ -1,9 +1,9 @@
-"""Simulated rings, and what happens on the whole road in the last part of a run."""
+"""Simulated rings, what happens on the whole road in the last part of a run, and cases that are compared."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import Executor
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.collective import QUEUE_SPEED, Collective, collective
 from sugiyama_ros.simulation.result import Simulation
 from sugiyama_ros.simulation.simulator import Clock, Simulator, evenly, platoon, simulate
-from sugiyama_ros.studies.study import Asked
+from sugiyama_ros.studies.study import Answer, Asked
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 #: The ring and the cars of the experiment, the duration of a run, and its last part, which is evaluated; SI units.
@@ -79,13 +79,12 @@ def run(ring: Ring) -> Simulation:
 def jams(spread: Mapping[int, float], runs: int, seed: int, duration_s: float) -> Iterator[tuple[Array, Trajectories]]:
     """Simulate drivers who differ from each other, out of a jam.
 
-    duration_s: duration of a run [s]. Yields drivers: (N, P), parameters of the drivers; measured: what is measured; a
-    run in which cars collide is left out. Raises InputError.
+    Yields parameters (N, P) and what is measured; a run in which cars collide is left out. Raises InputError.
     """
     collided = 0
     for k in range(runs):
         rng = np.random.default_rng([seed, k])
-        drivers = alike()
+        drivers = defaults(CARS)
         for place, std in spread.items():
             drivers[:, place] *= np.exp(std * rng.standard_normal(CARS))
         simulated = run(Ring(drivers, seed + k, jammed=True, duration_s=duration_s))
@@ -109,61 +108,24 @@ def outcome(ring: Ring) -> Outcome:
     return Outcome(road, wave and not s.collisions, bool(s.collisions), flow)
 
 
-def outcomes(rings: Sequence[Ring], work: Executor) -> list[Outcome]:
-    """Simulate rings with workers; the outcomes are in the order of the rings."""
-    return list(work.map(outcome, rings))
+def estimated(asked: Asked, factor: float = FACTOR, full_noise_at: float = 0.0) -> Array:
+    """Rows (N, width) of drivers for simulations, with regularised estimates as in the paper (sections 5.1 and 6).
 
-
-def alike(cars: int = CARS) -> Array:
-    """Make drivers, shape (N, P), who all have the paper's mean parameters."""
-    return defaults(cars)
-
-
-def estimated(asked: Asked, factor: float | None = None) -> Array:
-    """Estimate drivers for simulations as the paper does (sections 5.1 and 6).
-
-    factor: factor of the acceleration noise; by default the paper's, if the noise depends on the speed, or else
-    ``FACTOR``. Returns (N, width), rows of regularised estimates.
+    factor: factor of the acceleration noise; full_noise_at: speed [m/s] up to which the acceleration noise grows with
+    the speed; 0 for a noise that does not depend on the speed.
     """
-    if factor is None:
-        factor = PAPERS_FACTOR if asked.full_noise_at else FACTOR
     options = SearchOptions(is_regularised=True, strength=asked.strength)
     fits = calibrate(asked.measured, "paper", options=options)
     rows = ROW.with_effects(np.array([fit.parameters for fit in fits]))
     rows[:, SIGMA_A] *= factor
-    return fading(rows, asked.full_noise_at)
-
-
-def fading(rows: Array, full_noise_at: float) -> Array:
-    """Let the acceleration noise of rows (N, width) grow with the speed, up to a speed [m/s]; not at all up to 0."""
-    return switch_on(rows, "speed_dependent_noise_fading", {"full_speed": full_noise_at}) if full_noise_at else rows
-
-
-class Site(NamedTuple):
-    """Where measured drivers drive: circumference of the ring [m], and length of each car (N,) [m]."""
-
-    ring_m: float
-    length_m: Array
-
-
-def site_of(measured: Trajectories) -> Site:
-    """Return where measured drivers drive; drivers of an open road get the ring of the experiment."""
-    return Site(measured.road.circumference_m or RING_M, measured.length_m)
-
-
-def changed(drivers: Array, place: int, value: float | Array, first_only: bool = False) -> Array:
-    """Give one parameter of all drivers, or of the first driver only, another value.
-
-    drivers: (N, P), drivers, which stay as they are; value: (N,), new value. Returns (N, P), changed drivers.
-    """
-    rows = drivers.copy()
-    rows[: 1 if first_only else None, place] = value
+    if full_noise_at:
+        return switch_on(rows, "speed_dependent_noise_fading", {"full_speed": full_noise_at})
     return rows
 
 
-def mean_driver(drivers: Array) -> Array:
-    """Make N drivers alike, each with the mean parameters of ``drivers``, shape (N, P)."""
-    return np.tile(drivers.mean(axis=0), (len(drivers), 1))
+def ring_of(measured: Trajectories) -> partial[Ring]:
+    """Make what makes runs where measured drivers drive, with their cars; of an open road, on the experiment's ring."""
+    return partial(Ring, ring_m=measured.road.circumference_m or RING_M, length_m=measured.length_m)
 
 
 def summed_up(found: Sequence[Outcome]) -> dict[str, float]:
@@ -187,10 +149,34 @@ def summed_up(found: Sequence[Outcome]) -> dict[str, float]:
     }
 
 
-def space_time(axes: Any, simulation: Simulation) -> None:
+def _space_time(axes: Any, simulation: Simulation) -> None:
     """Draw position over time, coloured by speed, into matplotlib's ``axes``."""
     s = simulation
     time = np.arange(len(s.position_m)) * s.measured.period_s
     for i in range(s.position_m.shape[1]):
         axes.scatter(time, s.position_m[:, i], c=s.speed[:, i], s=0.3, cmap="viridis", vmin=0.0, vmax=12.0)
     axes.set(xlabel="time [s]", ylabel="position [m]")
+
+
+def compare(asked: Asked, cases: Mapping[str, Callable[[int], Ring]]) -> Answer:
+    """Run all cases with the same seeds; the figure shows the first run of each.
+
+    cases: what makes a run from a seed, by the name of the case.
+    """
+    seeds = [asked.seed + k for k in range(asked.runs)]
+    found = list(asked.work.map(outcome, [make(seed) for make in cases.values() for seed in seeds]))
+    rows = tuple(
+        {"case": name, **summed_up(found[k * len(seeds) : (k + 1) * len(seeds)])} for k, name in enumerate(cases)
+    )
+
+    def draw(figure: Any) -> None:
+        columns = min(3, len(cases))
+        lines = -(-len(cases) // columns)
+        places = iter(figure.subplots(lines, columns, squeeze=False).flat)
+        for (name, make), axes in zip(cases.items(), places, strict=False):
+            _space_time(axes, run(make(asked.seed)))
+            axes.set(title=name)
+        for axes in list(places):
+            axes.set_visible(False)
+
+    return Answer(rows, draw)

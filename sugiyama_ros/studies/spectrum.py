@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.driver.parameters import COUNT, RATIONALITY
+from sugiyama_ros.driver.parameters import COUNT, RATIONALITY, defaults
 from sugiyama_ros.filters import paper
 from sugiyama_ros.fit.each_driver import calibrate
-from sugiyama_ros.studies.rings import Ring, alike, run
+from sugiyama_ros.studies.rings import CARS, Ring, run
 from sugiyama_ros.studies.study import Answer, Asked, Study
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
@@ -39,8 +39,8 @@ def eigenvalues(trajectories: Trajectories) -> Array:
 def _answer(asked: Asked) -> Answer:
     """Compare a simulated jam, simulated free flow, and the measured drivers if there are any."""
     settings = {
-        "jam": run(Ring(alike(), asked.seed, jammed=True, duration_s=_DURATION_S)).measured,
-        "free flow": run(Ring(alike(), asked.seed, ring_m=_FREE_RING_M, duration_s=_DURATION_S)).measured,
+        "jam": run(Ring(defaults(CARS), asked.seed, jammed=True, duration_s=_DURATION_S)).measured,
+        "free flow": run(Ring(defaults(CARS), asked.seed, ring_m=_FREE_RING_M, duration_s=_DURATION_S)).measured,
     }
     if asked.trajectories is not None:
         settings["measured"] = asked.trajectories

@@ -28,9 +28,6 @@ class Asked:
         Workers.
     strength : float
         Factor of the weights of the paper's regularisation, for drivers who are estimated.
-    full_noise_at : float
-        Speed [m/s] from which on the acceleration noise is whole; below, it is in proportion to the speed. 0 for a
-        noise that does not depend on the speed.
     """
 
     trajectories: Trajectories | None
@@ -38,7 +35,6 @@ class Asked:
     seed: int
     work: Executor
     strength: float = 1.0
-    full_noise_at: float = 0.0
 
     @property
     def measured(self) -> Trajectories:

@@ -6,10 +6,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sugiyama_ros.arrays import Mask
+from sugiyama_ros.driver.parameters import defaults
 from sugiyama_ros.effects.registry import ROW, switch_on
 from sugiyama_ros.simulation.result import Simulation
-from sugiyama_ros.studies.following import followed
-from sugiyama_ros.studies.rings import CARS, Ring, alike, run
+from sugiyama_ros.studies.online import followed
+from sugiyama_ros.studies.rings import CARS, Ring, run
 from sugiyama_ros.studies.study import Answer, Asked, Row, Study
 
 # The factor by which the desired speed falls, when it falls, on which roads, and in what time it should be noticed.
@@ -83,7 +84,7 @@ def _pairs(asked: Asked, ring_m: float) -> Iterator[tuple[Simulation, Simulation
         pairs = []
         for factor in (1.0, _FACTOR):
             change = {"v_star_change": float(np.log(factor)), "kappa_v_change": 1e-9, "time": _SWITCH_S}
-            drivers = ROW.with_effects(alike())
+            drivers = ROW.with_effects(defaults(CARS))
             drivers[_SLOWED] = switch_on(drivers, "preference_switch", change)[_SLOWED]
             pairs.append(
                 run(Ring(drivers, asked.seed + k, jammed=ring_m == _RINGS_M[0], duration_s=200.0, ring_m=ring_m))

@@ -144,9 +144,11 @@ def test_targets_and_files_that_pages_name_exist() -> None:
         text = page.read_text()
         for target in re.findall(r"(?:^|`)make ([a-z]+)", text, re.MULTILINE):
             assert target in targets, f"{page}: make {target}"
-        for module in re.findall(r"python -m (sugiyama_ros(?:\.\w+)+)", text):
+        for module in re.findall(r"python -m ((?:sugiyama_ros|benchmarks)(?:\.\w+)+)", text):
             assert find_spec(module) is not None, f"{page}: {module}"
-        for path in re.findall(r"`((?:test|docs|sugiyama_ros|layouts|launch|config|examples|\.ci)/[\w./]+)`", text):
+        for path in re.findall(
+            r"`((?:test|docs|sugiyama_ros|benchmarks|layouts|launch|config|examples|\.ci)/[\w./]+)`", text
+        ):
             is_own = any(path.startswith(f"sugiyama_ros/{room}/") for room in ("effects", "laws", "formats", "studies"))
             is_example = name_of(page) in (*OWN_PARTS, "CONTRIBUTING.md")
             is_made = path.startswith("docs/_build/")

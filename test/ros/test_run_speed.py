@@ -1,18 +1,19 @@
-"""The study of the speed of a run measures what it says. How fast the machine is does not matter here."""
+"""The measurement of the speed of a run measures what it says. How fast the machine is does not matter here."""
 
 import pytest
 
+from benchmarks.speed.graph import empty, loop
+from benchmarks.speed.run import KINDS, measure
+from benchmarks.speed.timing import jam
 from sugiyama_ros.formats.mcap_reader import Bag
-from sugiyama_ros.nodes.graph_speed import empty, loop
-from sugiyama_ros.studies import run_speed
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(180)]
 
 
 @pytest.mark.slow
 def test_a_run_and_its_floors_are_measured() -> None:
-    found = run_speed.measure(run_speed.recording(60.0), rounds=1)
-    assert set(found) == set(run_speed.KINDS)
+    found = measure(jam(duration_s=60.0), rounds=1)
+    assert set(found) == set(KINDS)
     for times in found.values():
         assert all(value > 0.0 for value in times.values())
         assert times["floors_s"] == pytest.approx(times["graph_s"] + times["filters_s"] + times["writing_s"])

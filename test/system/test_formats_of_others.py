@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sugiyama_ros.driver.parameters import defaults
 from sugiyama_ros.formats.plain_csv import write_csv
 from sugiyama_ros.formats.registry import BUILT_IN, formats, known_suffixes, read_trajectories
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, platoon, simulate
-from sugiyama_ros.studies.rings import alike
 
 pytestmark = pytest.mark.system
 RING_M = 50.0
@@ -61,7 +61,7 @@ def sugiyama(packages: Path, *arguments: object) -> subprocess.CompletedProcess[
 
 def test_a_format_of_another_package_is_read_by_the_commands(tmp_path: Path, packages: Path) -> None:
     length = np.full(4, 4.33)
-    simulator = Simulator(alike(4), length, platoon(length, 4.0), Road(RING_M), np.random.default_rng(1))
+    simulator = Simulator(defaults(4), length, platoon(length, 4.0), Road(RING_M), np.random.default_rng(1))
     table, file, bag = tmp_path / "a.csv", tmp_path / "a.mine", tmp_path / "a.mcap"
     write_csv(simulate(simulator, 60.0).measured, table)
     file.write_text(f"%MINE {RING_M}\n{table.read_text()}")

@@ -1,6 +1,6 @@
 """Ratios of the speed that do not depend on the machine's load: a slow-down by half fails here.
 
-`make bench` measures more (docs/speed.md). Known ratios were measured on 2 loaded cores of an AMD EPYC with AVX-512 in
+`make bench` measures more. Known ratios were measured on 2 loaded cores of an AMD EPYC with AVX-512 in
 November 2026. Twenty measurements of each differed by less than a tenth.
 """
 
@@ -11,16 +11,13 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.speed.__main__ import PARTS, main
+from benchmarks.speed.commands import HELP_AT_MOST
+from benchmarks.speed.parts import likelihoods
+from benchmarks.speed.timing import counted, cpu_of_commands, jam
 from sugiyama_ros.calibration.calibrate import each_driver
 from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.diagnosis.diagnose import diagnose
-from sugiyama_ros.studies.speed.__main__ import main
-from sugiyama_ros.studies.speed.commands import HELP_AT_MOST
-from sugiyama_ros.studies.speed.figure import cpu_of_commands
-from sugiyama_ros.studies.speed.floors import likelihoods
-from sugiyama_ros.studies.speed.parts import PARTS
-from sugiyama_ros.studies.speed.passes import counted
-from sugiyama_ros.studies.speed.recording import jam
 
 pytestmark = pytest.mark.system
 #: CPU time over the floor, which is the time of the exponentials of one likelihood in numpy. The ratios differ between

@@ -6,17 +6,15 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
+from benchmarks.away.__main__ import _read, _write
+from benchmarks.away.cases import PARTS, Case, cases, recorded
+from benchmarks.away.drivers import LAW_MEANS, Sight, drawn, followers, law_action, noises
+from benchmarks.away.drivers import mean_action as mean_again
+from benchmarks.away.judged import Judged, report
+from benchmarks.away.world import History, Setup, drive
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, at_period, defaults, horizon_at
 from sugiyama_ros.driver.utility import ACTIONS, mean_action
 from sugiyama_ros.laws.registry import LAWS
-from sugiyama_ros.studies.away import laws
-from sugiyama_ros.studies.away.__main__ import _read, _write
-from sugiyama_ros.studies.away.cases import PARTS, Case, cases, recorded
-from sugiyama_ros.studies.away.drivers import Sight, drawn, noises
-from sugiyama_ros.studies.away.drivers import mean_action as mean_again
-from sugiyama_ros.studies.away.judged import Judged
-from sugiyama_ros.studies.away.report import report
-from sugiyama_ros.studies.away.world import History, Setup, drive
 
 COUNT = 200
 
@@ -45,16 +43,16 @@ def test_both_driver_models_agree(period):
     assert scaled[0, [9, 1, 10, 11]] == pytest.approx([rho, sigma_a[0], sigma_x, sigma_v], rel=1e-12)
 
 
-@pytest.mark.parametrize("name", list(laws.MEANS))
+@pytest.mark.parametrize("name", list(LAW_MEANS))
 def test_both_implementations_of_a_law_agree(name):
     rng = np.random.default_rng(2)
-    view, people = views(rng), laws.followers(name, COUNT, rng)
+    view, people = views(rng), followers(name, COUNT, rng)
     moving = (view.gap > 0.1) & np.isfinite(view.gap) & (view.speed >= 0.0)
     package = [
         LAWS[name].function(*at, p)
         for *at, p in zip(view.gap, view.speed, view.leader_speed, people.values, strict=True)
     ]
-    assert laws.act(view, people)[moving] == pytest.approx(np.array(package)[moving], abs=1e-9)
+    assert law_action(view, people)[moving] == pytest.approx(np.array(package)[moving], abs=1e-9)
 
 
 def test_the_past_lies_between_samples():

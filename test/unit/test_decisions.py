@@ -5,6 +5,8 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
+from benchmarks.away.drivers import drawn
+from benchmarks.away.world import Setup, record
 from sugiyama_ros.calibration.on_tracks import calibrate_tracks
 from sugiyama_ros.diagnosis.base import with_more_decisions
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
@@ -13,8 +15,6 @@ from sugiyama_ros.fit.population import fit_base
 from sugiyama_ros.fit.recording import prepare
 from sugiyama_ros.fit.sampling import divided, measured
 from sugiyama_ros.fit.stretched import prepared
-from sugiyama_ros.studies.away.drivers import drawn
-from sugiyama_ros.studies.away.world import Setup, record
 from sugiyama_ros.trajectories.one_lane import tracks_of
 
 

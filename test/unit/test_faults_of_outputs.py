@@ -49,16 +49,13 @@ from sugiyama_ros.trajectories.trajectories import Trajectories
 OLD = b"old, and whole"
 PACKAGE = Path(__file__).parents[2] / "sugiyama_ros"
 #: Files that may open others for writing: the one place, checkpoints, which grow line by line, closed standard streams,
-#: and logs and pages of the developers in folders of their own.
+#: and logs in folders of their own.
 OTHERS = {
     "outputs.py",
     "fit/checkpoint.py",
     "cli/__init__.py",
     "formats/zstd_packed.py",
     "nodes/runners.py",
-    "studies/speed/__main__.py",
-    "studies/speed/figure.py",
-    "studies/speed/first_command.py",
 }
 
 
@@ -186,8 +183,6 @@ PLACES = {
     "cli/diagnose.py": "pieces",
     "cli/study.py": "pieces",
     "cli/view.py": "pieces",
-    "studies/away/__main__.py": "pieces",
-    "studies/hidden_effects.py": "pieces",
 }
 
 

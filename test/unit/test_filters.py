@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.away.cases import cases, recorded
 from sugiyama_ros.driver.parameters import (
     RHO,
     SIGMA_A,
@@ -28,7 +29,6 @@ from sugiyama_ros.filters.online import ADAPT, OnlineFilter
 from sugiyama_ros.filters.state import LAST_RHO, LAST_SHOCK_STD
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, platoon, simulate
-from sugiyama_ros.studies.away.cases import cases, recorded
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 DT = 1.0 / 3.0

@@ -5,6 +5,8 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
+from benchmarks.away.drivers import drawn
+from benchmarks.away.world import Hidden, Setup, record
 from sugiyama_ros.diagnosis.chance import chance_of
 from sugiyama_ros.diagnosis.covariates import covariates_of, further_covariates
 from sugiyama_ros.diagnosis.refine import refined
@@ -13,8 +15,6 @@ from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
 from sugiyama_ros.fit.population import fit_base
 from sugiyama_ros.fit.recording import prepare
 from sugiyama_ros.fit.score import filtered_states
-from sugiyama_ros.studies.away.drivers import drawn
-from sugiyama_ros.studies.away.world import Hidden, Setup, record
 
 CARS = 10
 SCENE = Setup(drivers=CARS, ring_m=105.0, duration_s=150.0)

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.speed.timing import jam
 from sugiyama_ros.diagnosis.diagnose import diagnose
 from sugiyama_ros.fit import stretched
 from sugiyama_ros.fit.population import start_model
@@ -14,7 +15,6 @@ from sugiyama_ros.fit.score import evaluate
 from sugiyama_ros.fit.some_drivers import some_drivers
 from sugiyama_ros.fit.stretched import prepare_tracks, prepared
 from sugiyama_ros.page.document import document
-from sugiyama_ros.studies.speed.recording import jam
 from sugiyama_ros.trajectories.one_lane import tracks_of
 
 CARS = 18

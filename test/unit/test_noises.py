@@ -5,11 +5,11 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
+from benchmarks.away.drivers import drawn
+from benchmarks.away.world import Setup, record
 from sugiyama_ros.diagnosis.base import base_model
 from sugiyama_ros.driver.parameters import SIGMA_A, SIGMA_V, SIGMA_X
 from sugiyama_ros.fit.stretched import prepared
-from sugiyama_ros.studies.away.drivers import drawn
-from sugiyama_ros.studies.away.world import Setup, record
 
 
 def _driven(noise: float):

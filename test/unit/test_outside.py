@@ -1,18 +1,11 @@
 """The generator of drivers outside the catalogue: its driver is the paper's, written down a second time."""
 
-import importlib.util
-from pathlib import Path
-
 import numpy as np
 import pytest
 
+from benchmarks import outside
 from sugiyama_ros.driver.parameters import KAPPA_V, REFERENCE_HORIZON, REFERENCE_PERIOD_S, V_STAR, defaults
 from sugiyama_ros.driver.utility import ACTIONS, mean_action
-
-_FILE = Path(__file__).parents[2] / "benchmarks" / "outside.py"
-_SPEC = importlib.util.spec_from_file_location("outside", _FILE)
-outside = importlib.util.module_from_spec(_SPEC)
-_SPEC.loader.exec_module(outside)
 
 
 def test_both_drivers_mean_the_same():

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.speed.timing import jam
 from sugiyama_ros.diagnosis.forecast import forecasts, surroundings
 from sugiyama_ros.diagnosis.refine import without_folds
 from sugiyama_ros.diagnosis.rivals import laws
@@ -17,7 +18,6 @@ from sugiyama_ros.fit.score import evaluate, follow
 from sugiyama_ros.fit.some_drivers import some_drivers
 from sugiyama_ros.laws import registry
 from sugiyama_ros.laws.registry import LAWS, RIVALS
-from sugiyama_ros.studies.speed.recording import jam
 
 CARS = 18
 WHO = [0, 5, 11]

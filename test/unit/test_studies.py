@@ -10,13 +10,11 @@ from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, defaults
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, platoon, simulate
-from sugiyama_ros.studies import effects, filters, followers, hiding, lanes, online, recovery
+from sugiyama_ros.studies import effects, filters, lanes, online, recovery
 from sugiyama_ros.studies.driver_types import adjusted_rand, silhouette
-from sugiyama_ros.studies.hiding import DURATION_S, RING_M, STRENGTHS, hide, hide_all
-from sugiyama_ros.studies.judgement import FORM, FORMS, NONE, PAIR, PAIRS, Judgement
-from sugiyama_ros.studies.judgement_report import report
+from sugiyama_ros.studies.effects import DURATION_S, STRENGTHS, hide
 from sugiyama_ros.studies.registry import STUDIES, study
-from sugiyama_ros.studies.rings import Ring, alike, outcome
+from sugiyama_ros.studies.rings import CARS, RING_M, Ring, outcome
 from sugiyama_ros.studies.study import Asked
 
 
@@ -36,9 +34,9 @@ def test_every_study_answers(name, jam, tmp_path, monkeypatch):
     monkeypatch.setattr(lanes, "VEHICLES", 4)
     monkeypatch.setattr(online, "DURATION_S", 60.0)
     monkeypatch.setattr(filters, "DURATION_S", 20.0)
-    monkeypatch.setattr(followers, "PARTICLES", 5)
+    monkeypatch.setattr(filters, "PARTICLES", 5)
     monkeypatch.setattr(effects, "STRENGTHS", {"drag": effects.STRENGTHS["drag"]})
-    monkeypatch.setattr(hiding, "DURATION_S", 60.0)
+    monkeypatch.setattr(effects, "DURATION_S", 60.0)
     with ThreadPoolExecutor(2) as work:
         answer = study(name).answer(Asked(jam, 1, 0, work))
     assert answer.rows
@@ -57,7 +55,7 @@ def test_an_unknown_study_and_missing_data_are_one_clear_line():
 
 
 def test_a_jam_has_a_wave_and_free_flow_has_none():
-    drivers = alike()
+    drivers = defaults(CARS)
     drivers[:, SIGMA_A] = 0.1
     jammed = outcome(Ring(drivers, 1, jammed=True))
     free = outcome(Ring(drivers, 1, ring_m=320.0))
@@ -81,37 +79,12 @@ def test_agreement_of_clusterings():
     [("slow_patch", "centre", 0.0, RING_M), ("preference_switch", "time", 0.3 * DURATION_S, 0.7 * DURATION_S)],
 )
 def test_a_hidden_effect_acts_at_a_place_or_a_time_that_is_drawn(name, parameter, low, high):
-    strong = STRENGTHS[name][0]
+    strong, weak = STRENGTHS[name]
     run, values = hide(name, strong, 3)
     again, _ = hide(name, strong, 3)
-    without, nothing = hide_all({}, 3)
+    weaker, _ = hide(name, weak, 3)
     assert not run.collisions
-    assert not nothing
     assert values == {**strong, parameter: values[parameter]}
     assert low <= values[parameter] <= high
     np.testing.assert_array_equal(run.measured.position_m, again.measured.position_m)
-    assert not np.array_equal(run.position_m, without.position_m)
-
-
-def judgement(hidden, strength, first, named=(), indistinguishable=(), discovered=()):
-    return Judgement(hidden, strength, 0, first, named, indistinguishable, 0.01, 30.0, 50.0, 40.0, discovered, 1.0)
-
-
-def test_the_report_counts_right_and_wrong_answers():
-    pair, form = PAIRS[0], "tiring"
-    text = report(
-        [
-            judgement("drag", "strong", "drag", ("drag",)),
-            judgement("drag", "strong", "slow_patch", ("slow_patch",), ("drag",)),
-            judgement("drag", "strong", "slow_patch", ("slow_patch",)),
-            judgement("drag", "strong", NONE),
-            judgement("+".join(pair), PAIR, pair[1], pair),
-            judgement(form, FORM, NONE, discovered=(FORMS[form][0],)),
-            judgement(NONE, NONE, "drag", ("drag",)),
-        ]
-    )
-    assert "| strong | 4 | 1 | 2 | 1.33 | 1 | 1 |" in text
-    assert "both are found in 1 of 1" in text
-    assert "right covariate in 1 of 1" in text
-    assert "1 false alarms in 1" in text
-    assert "| drag | strong | 50 | drag (1), none (1), slow_patch (2) |" in text
+    assert not np.array_equal(run.position_m, weaker.position_m)
