@@ -26,8 +26,8 @@ from sugiyama_ros.bridges.sightings import (
     recordings,
 )
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.formats.bag_folder import BagSource, recorded
 from sugiyama_ros.formats.cdr import ros2_name, why_unreadable
+from sugiyama_ros.formats.mcap_reader import BagSource
 from sugiyama_ros.formats.reading import open_input, sha256, shown_name
 from sugiyama_ros.trajectories.about import About
 from sugiyama_ros.trajectories.assemble import assemble
@@ -49,7 +49,7 @@ def tracks_of_bag(
 
     pattern: pattern of the topics' names, such as ``/car*/odom``. Raises InputError.
     """
-    bag = recorded(path)
+    bag = BagSource(path)
     known = BRIDGES | ({bridge.type: bridge} if bridge is not None else {})
     bridges = _topics(bag, pattern, known)
     counts = Counts()

@@ -15,7 +15,7 @@ from sugiyama_ros.formats.samples import MAX_SAMPLES, agreed_road
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 if TYPE_CHECKING:
-    from sugiyama_ros.formats.bag_folder import BagSource
+    from sugiyama_ros.formats.mcap_reader import BagSource
 
 ROAD_TYPE = "sugiyama_msgs/msg/Road"
 MEASURED_TYPE = "sugiyama_msgs/msg/MeasuredPositions"
@@ -87,9 +87,9 @@ def read_measured(path: Path, ring_m: float | None = None) -> Trajectories:
 
     ring_m: circumference [m] of the ring; must agree with the bag. Raises InputError.
     """
-    from sugiyama_ros.formats.bag_folder import recorded
+    from sugiyama_ros.formats.mcap_reader import BagSource
 
-    bag = recorded(path)
+    bag = BagSource(path)
     about = bag.info().topics
     topics = {}
     for name, kind in (("road", ROAD_TYPE), ("measured", MEASURED_TYPE)):
