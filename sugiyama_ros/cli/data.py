@@ -189,7 +189,7 @@ def fetch(
     as_json: Json = False,
 ) -> None:
     """Download a public data set, check it, and convert it to MCAP."""
-    from sugiyama_ros.formats.catalogue import CATALOGUE
+    from sugiyama_ros.formats.fetch import CATALOGUE
     from sugiyama_ros.formats.fetch import fetch as download
 
     if name not in CATALOGUE:

@@ -129,7 +129,7 @@ class BagWriter:
         if not self._dirty:
             return
         try:
-            self._writer.flush()
+            self._writer.flush()  # type: ignore[no-untyped-call]
             self._draft.sync()
         except OSError as error:
             raise self._failed(error) from None
@@ -139,7 +139,7 @@ class BagWriter:
     def close(self) -> None:
         """Finish the file and give it its name."""
         try:
-            self._writer.finish()
+            self._writer.finish()  # type: ignore[no-untyped-call]
             self._draft.finish()
         except OSError as error:
             failed = self._failed(error)

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.format import HEAD_BYTES
-from sugiyama_ros.formats.reading import lines, open_input, sha256, unix_lines
-from sugiyama_ros.formats.times import FORMS, seconds_of, times_of
+from sugiyama_ros.formats.reading import FORMS, lines, open_input, seconds_of, sha256, times_of, unix_lines
 from sugiyama_ros.trajectories.labels import Labels, labels, plain_text, without_point_zero
 
 #: Most rows of a table: 40 million take about 4 GB as tracks.

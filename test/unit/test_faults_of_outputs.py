@@ -25,9 +25,8 @@ from sugiyama_ros.filters.online import Learnt
 from sugiyama_ros.fit.checkpoint import Checkpoint
 from sugiyama_ros.fit.driver import Fit
 from sugiyama_ros.fit.model_file import write_drivers
-from sugiyama_ros.formats.catalogue import CATALOGUE
 from sugiyama_ros.formats.convert import write_trajectories
-from sugiyama_ros.formats.fetch import fetch
+from sugiyama_ros.formats.fetch import CATALOGUE, fetch
 from sugiyama_ros.formats.mcap_reader import METADATA, Bag, bag_files
 from sugiyama_ros.formats.mcap_writer import FolderWriter, Qos
 from sugiyama_ros.formats.measured import MEASURED_TYPE, messages
