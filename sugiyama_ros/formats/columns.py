@@ -43,27 +43,10 @@ def need(*names: str, factor: float = 1.0) -> Take:
 
 
 def read_columns(sheet: Sheet, wanted: Mapping[str, Take], hint: str = "") -> dict[str, Array | Labels]:
-    """Read the columns of tracks from a table.
+    """Read the columns of tracks that a table has: arrays (R,) in metres and seconds, and `Labels`. Raises InputError.
 
-    Parameters
-    ----------
-    sheet : Sheet
-        The table.
-    wanted : mapping of str to Take
-        For each column of tracks (or any name that the caller knows) the columns it may come from. A name that ends in
-        ``_s``, ``_m`` or ``speed`` is a number, any other a text.
-    hint : str
-        What else helps, if a column is missing.
-
-    Returns
-    -------
-    dict
-        Arrays (R,), in metres and seconds, and `Labels`; only columns that are there.
-
-    Raises
-    ------
-    InputError
-        For a column that is missing, or a line that does not fit.
+    wanted: for each column of tracks, or any name that the caller knows, the columns it may come from; a name that ends
+    in ``_s``, ``_m`` or ``speed`` is a number, any other a text; hint: what else helps, if a column is missing.
     """
     found = {name: place for name, one in wanted.items() if (place := sheet.find(*one.names)) is not None}
     missing = [" or ".join(one.names) for name, one in wanted.items() if not one.optional and name not in found]

@@ -8,9 +8,10 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.columns import about_file, need, put_together, read_columns
 from sugiyama_ros.formats.format import tracks_format
+from sugiyama_ros.formats.pairs import both_of
 from sugiyama_ros.formats.reading import shown_stem
 from sugiyama_ros.formats.sheet import Sheet, head_of, is_number, sheet_of
-from sugiyama_ros.trajectories.labels import Labels
+from sugiyama_ros.trajectories.labels import same_label
 from sugiyama_ros.trajectories.tracks import Tracks
 
 _COLUMNS = ("time", "leader position", "follower position", "leader speed", "follower speed", "leader length")
@@ -37,16 +38,13 @@ def read_platoon(path: Path, choices: Choices) -> Tracks:
     digits = "".join(filter(str.isdigit, path.stem))[-9:]
     # Cars of a platoon are numbered from the first to the last.
     follower, leader = (digits, str(int(digits) - 1)) if digits.strip("0") else ("follower", "leader")
-    second = np.repeat(np.array([0, 1], dtype=np.int32), rows)
-    columns = {
-        "recording": Labels(np.zeros(2 * rows, dtype=np.int32), (shown_stem(path),)),
-        "vehicle": Labels(second, (follower, leader)),
-        "leader": Labels(np.where(second == 0, 0, -1).astype(np.int32), (leader,)),
-        "time_s": np.tile(np.asarray(pair["time_s"]), 2),
-        "s_m": np.concatenate((np.asarray(pair["s_m"]), np.asarray(pair["leader_s_m"]))),
-        "length_m": np.tile(np.asarray(pair["length_m"]), 2),
-        "speed": np.concatenate((np.asarray(pair["speed"]), np.asarray(pair["leader_speed"]))),
+    pair |= {
+        "recording": same_label(rows, shown_stem(path)),
+        "vehicle": same_label(rows, follower),
+        "leader_vehicle": same_label(rows, leader),
+        "leader_length_m": pair["length_m"],
     }
+    columns = both_of(pair)
     return put_together(columns, about_file(path, leaders="given"), choices, reference="front")
 
 

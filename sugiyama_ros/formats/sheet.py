@@ -4,9 +4,8 @@ import csv
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from io import RawIOBase
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -299,6 +298,8 @@ def _text_batches(sheet: Sheet, wanted: _Wanted) -> Iterator[Any]:
     parse = arrow_csv.ParseOptions(delimiter="\t" if sheet.separator == _SPACES else sheet.separator)
     with _body(sheet) as stream:
         for block in _blocks(stream):
+            if sheet.separator == _SPACES:
+                block = b"\n".join(b"\t".join(line.split()) for line in block.split(b"\n"))
             # A thread of Arrow that still read from Python when Python ends would abort the program.
             source = pyarrow.BufferReader(block)
             yield from arrow_csv.read_csv(source, read, parse, convert, pyarrow.system_memory_pool()).to_batches()
@@ -321,42 +322,14 @@ def _blocks(stream: Any) -> Iterator[bytes]:
 
 @contextmanager
 def _body(sheet: Sheet) -> Iterator[Any]:
-    """The lines below the names; blanks between fields are made tabs."""
+    """The lines below the names."""
     with open_input(sheet.path) as file:
         if sheet.header == 0 and file.read(3) != b"\xef\xbb\xbf":
             file.seek(0)
         stream = unix_lines(file)
         for _ in range(sheet.header):
             stream.readline(1 << 20)
-        yield _Collapsed(stream) if sheet.separator == _SPACES else stream
-
-
-class _Collapsed(RawIOBase):
-    """A file in which any number of blanks between two fields is read as one tab."""
-
-    def __init__(self, stream: BinaryIO) -> None:
-        self._stream, self._before, self._held = stream, np.uint8(10), b""
-
-    def readable(self) -> bool:
-        """Always."""
-        return True
-
-    def read(self, size: int = -1) -> bytes:
-        """The next bytes."""
-        while block := self._stream.read(size):
-            data = np.frombuffer(block, dtype=np.uint8)
-            blank = (data == 32) | (data == 9)
-            before = np.concatenate(([self._before], data[:-1])) if len(data) else data
-            # Of blanks in a row one stays; none stays at the start of a line.
-            keep = ~blank | ~((before == 32) | (before == 9) | (before == 10))
-            self._before = data[-1] if len(data) else self._before
-            kept = self._held + bytes(np.where(blank, np.uint8(9), data)[keep])
-            # A tab at the end waits: at the end of a line it is left out.
-            self._held = b"\t" if kept.endswith(b"\t") else b""
-            kept = kept.removesuffix(b"\t").replace(b"\t\n", b"\n")
-            if kept:
-                return kept
-        return b""
+        yield stream
 
 
 def _parquet_sheet(path: Path) -> Sheet | None:
