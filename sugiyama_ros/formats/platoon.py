@@ -4,13 +4,11 @@ from pathlib import Path
 
 import numpy as np
 
-from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
-from sugiyama_ros.formats.columns import about_file, need, put_together, read_columns
-from sugiyama_ros.formats.format import tracks_format
+from sugiyama_ros.formats.columns import about_file, need, put_together, read_columns, sheet_format
 from sugiyama_ros.formats.pairs import both_of
 from sugiyama_ros.formats.reading import shown_stem
-from sugiyama_ros.formats.sheet import Sheet, head_of, is_number, sheet_of
+from sugiyama_ros.formats.sheet import Sheet, is_number, sheet_of
 from sugiyama_ros.trajectories.labels import same_label
 from sugiyama_ros.trajectories.tracks import Tracks
 
@@ -25,15 +23,9 @@ _WANTED = {
 }
 
 
-def read_platoon(path: Path, choices: Choices) -> Tracks:
-    """Read a file of six columns without names, divided by tabs: front bumpers [m], times in tenths of a second.
-
-    Raises InputError.
-    """
-    sheet = _sheet(path, head_of(path))
-    if sheet is None:
-        raise InputError(f"{path}:1: not six columns divided by tabs; give a file of a platoon")
-    pair = read_columns(sheet, _WANTED)
+def _read(sheet: Sheet, choices: Choices) -> Tracks:
+    """Six columns without names, divided by tabs: front bumpers [m], times in tenths of a second."""
+    path, pair = sheet.path, read_columns(sheet, _WANTED)
     rows = len(np.asarray(pair["s_m"]))
     digits = "".join(filter(str.isdigit, path.stem))[-9:]
     # Cars of a platoon are numbered from the first to the last.
@@ -44,8 +36,7 @@ def read_platoon(path: Path, choices: Choices) -> Tracks:
         "leader_vehicle": same_label(rows, leader),
         "leader_length_m": pair["length_m"],
     }
-    columns = both_of(pair)
-    return put_together(columns, about_file(path, leaders="given"), choices, reference="front")
+    return put_together(both_of(pair), about_file(path, leaders="given"), choices, reference="front")
 
 
 def _sheet(path: Path, head: bytes) -> Sheet | None:
@@ -55,10 +46,11 @@ def _sheet(path: Path, head: bytes) -> Sheet | None:
     return sheet_of(path, head, names=_COLUMNS)
 
 
-FORMAT = tracks_format(
+FORMAT = sheet_format(
     name="platoon",
     suffixes=(".txt",),
-    recognise=lambda head, path: _sheet(path, head) is not None,
-    tracks=read_platoon,
     summary="a follower and the leader in six columns without names (Punzo et al.; the platoon of Hefei)",
+    sheet_of=_sheet,
+    read=_read,
+    refusal="1: not six columns divided by tabs; give a file of a platoon",
 )

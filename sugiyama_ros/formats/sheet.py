@@ -80,6 +80,11 @@ def sheet_of(path: Path, head: bytes, header: int = 1, names: tuple[str, ...] = 
     return Sheet(path, tuple(_unique([one.strip() for one in fields])), separator, header)
 
 
+def text_sheet(path: Path, head: bytes, header: int = 1) -> Sheet | None:
+    """Find the columns of a table of text; None for a file that is none, as one of Parquet."""
+    return None if head.startswith(_PARQUET) else sheet_of(path, head, header)
+
+
 def head_of(path: Path) -> bytes:
     """The first bytes of a file, by which it is recognised; nothing of a folder."""
     if path.is_dir():

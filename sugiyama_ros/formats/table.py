@@ -12,13 +12,14 @@ from sugiyama_ros.formats.choices import COLUMNS, PAIRED, Choices
 from sugiyama_ros.formats.columns import (
     Take,
     about_file,
+    fits,
     in_seconds,
     need,
-    nobody,
     put_together,
     read_columns,
     take,
     text_of,
+    without_nobody,
 )
 from sugiyama_ros.formats.format import tracks_format
 from sugiyama_ros.formats.pairs import both_of
@@ -26,7 +27,6 @@ from sugiyama_ros.formats.reading import why_no_text
 from sugiyama_ros.formats.samples import Samples, agreed_road
 from sugiyama_ros.formats.sheet import Sheet, head_of, sheet_of
 from sugiyama_ros.trajectories.about import About
-from sugiyama_ros.trajectories.labels import Labels
 from sugiyama_ros.trajectories.one_lane import is_numbered, one_lane
 from sugiyama_ros.trajectories.tracks import Tracks
 from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M, Trajectories
@@ -71,11 +71,13 @@ def tracks_of_sheet(sheet: Sheet, choices: Choices, about: About) -> Tracks:
     columns = read_columns(sheet, wanted, hint)
     if is_pair:
         columns, about = both_of(columns), replace(about, leaders="given")
-    elif isinstance(leader := columns.pop("leader", None), Labels):
-        leader = nobody(leader, text_of(columns, "vehicle"), "-1")
+    elif "leader" in columns:
+        without_nobody(columns, "-1")
         # A column without any leader leaves it to the lanes who leads.
-        if (leader.code >= 0).any():
-            columns["leader"], about = leader, replace(about, leaders="given")
+        if (text_of(columns, "leader").code >= 0).any():
+            about = replace(about, leaders="given")
+        else:
+            del columns["leader"]
     return put_together(columns, about, choices)
 
 
@@ -84,7 +86,7 @@ def _recognise(head: bytes, path: Path) -> bool:
     if path.is_dir() or path.suffix.lower() != ".txt":
         return path.suffix.lower() in _SUFFIXES and not path.is_dir()
     sheet = sheet_of(path, head)
-    return sheet is not None and all(sheet.find(*one.names) for one in _PLAIN.values() if not one.optional)
+    return sheet is not None and fits(sheet, _PLAIN)
 
 
 FORMAT = tracks_format(
