@@ -1,6 +1,6 @@
 """Which columns of a table become which columns of tracks, and in which units."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
@@ -104,6 +104,15 @@ def without_nobody(columns: Rows, *names: str) -> None:
         vehicles = text_of(columns, "vehicle").text
         gone = np.array([text in names and text not in vehicles for text in leader.text] + [True])
         columns["leader"] = labels(np.where(gone[leader.code], -1, leader.code).astype(np.int32), leader.text)
+
+
+def stacked(parts: Iterable[Labels]) -> Labels:
+    """Columns of text one below the other."""
+    code, text = [], list[str]()
+    for one in parts:
+        code.append(np.where(one.code < 0, -1, one.code + len(text)))
+        text += one.text
+    return labels(np.concatenate(code).astype(np.int32), text)
 
 
 def rename(columns: Rows, name: str, names: Mapping[str, str]) -> None:

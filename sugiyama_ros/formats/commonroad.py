@@ -7,9 +7,10 @@ the vehicle has not reached when the recording ends.
 """
 
 from array import array
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree.ElementTree import Element
@@ -179,31 +180,24 @@ class _Graph:
 
     def _least(self, near: Sequence[Sequence[_Place]]) -> list[_Place | None]:
         """The way with the least cost through places of which there is at least one at each time."""
-        costs: list[float] = []
-        came: list[list[int]] = []
-        for k, places in enumerate(near):
-            back = [self._best(place, near[k - 1], costs) if k else 0 for place in places]
-            changes = [k > 0 and not self._follows(near[k - 1][b], p) for b, p in zip(back, places, strict=True)]
-            before = [costs[b] if k else 0.0 for b in back]
-            costs = [
-                one + _CHANGE * change + place.distance**2
-                for one, change, place in zip(before, changes, places, strict=True)
+        costs: list[float] = [place.distance**2 for place in near[0]] if near else []
+        came: list[list[int]] = [[0] * len(costs)]
+        for before, places in pairwise(near):
+            table = [
+                [
+                    cost + _CHANGE * (place.lanelet not in self.passed[last.lanelet])
+                    for cost, last in zip(costs, before, strict=True)
+                ]
+                for place in places
             ]
-            came.append(back)
+            came.append([int(np.argmin(row)) for row in table])
+            costs = [min(row) + place.distance**2 for row, place in zip(table, places, strict=True)]
         found: list[_Place | None] = []
         k = int(np.argmin(costs)) if costs else 0
-        for places, back in zip(reversed(near), reversed(came), strict=True):
+        for places, back in zip(reversed(near), reversed(came), strict=False):
             found.append(places[k])
             k = back[k]
         return found[::-1]
-
-    def _best(self, place: _Place, before: Sequence[_Place], costs: Sequence[float]) -> int:
-        """Number of the place before from which a place costs least."""
-        cost = [one + _CHANGE * (not self._follows(last, place)) for one, last in zip(costs, before, strict=True)]
-        return int(np.argmin(cost))
-
-    def _follows(self, before: _Place, place: _Place) -> bool:
-        return place.lanelet in self.passed[before.lanelet]
 
     def between(self, first: int, last: int) -> list[int]:
         """Lanelets after the first one up to the last one, which is among those that a vehicle may come to."""
@@ -330,20 +324,6 @@ class _State(NamedTuple):
     width_m: float
 
 
-class _Counts:
-    """States that are not exact."""
-
-    def __init__(self) -> None:
-        self.areas = self.unknown = self.static = 0
-
-    def notes(self) -> list[str]:
-        """What was done with these states."""
-        return [
-            f"places of {self.areas} states are areas in the file; their middles count" * (self.areas > 0),
-            f"{self.static} obstacles stand still by their role; they were left out" * (self.static > 0),
-        ]
-
-
 def read_commonroad(path: Path, choices: Choices) -> Tracks:
     """Read a scenario. Lanelets that follow one another make a road; positions are measured along their middles.
 
@@ -355,13 +335,13 @@ def read_commonroad(path: Path, choices: Choices) -> Tracks:
     rows = {name: array("d") for name in _State._fields}
     vehicles: list[str] = []
     kinds: list[str] = []
-    counts, points = _Counts(), 0
+    counts, points = Counter[str](), 0
     for element in elements(path, "lanelet", "dynamicObstacle", "obstacle"):
         if element.tag == "lanelet":
             one = network[element.get("id", "")] = _lanelet(element, path)
             points += len(one.middle)
         elif element.findtext("role", "dynamic").strip().lower() == "static":
-            counts.static += 1
+            counts["static"] += 1
         else:
             states = _add(element, path, period, rows, counts)
             vehicles += [element.get("id", "")] * states
@@ -381,15 +361,19 @@ def read_commonroad(path: Path, choices: Choices) -> Tracks:
     # A place on no lane has no position along a lane.
     columns |= {"vehicle": vehicle, "class": labels_of(kinds), "road": on.road, "lane": on.lane, "leader": on.leader}
     columns |= {"s_m": on.s_m, "d_m": on.d_m}
-    about = about_file(path, leaders="given").noting(*counts.notes())
-    about = about.without("a state without an exact time or a place", counts.unknown)
+    areas, static = counts["areas"], counts["static"]
+    about = about_file(path, leaders="given").noting(
+        f"places of {areas} states are areas in the file; their middles count" * (areas > 0),
+        f"{static} obstacles stand still by their role; they were left out" * (static > 0),
+    )
+    about = about.without("a state without an exact time or a place", counts["unknown"])
     tracks = put_together(columns, about, choices)
     # The file names no leaders: those on the way of a driver are not compared with the next ones on the same lane.
     notes = tuple(note for note in tracks.about.notes if AGREES not in note)
     return replace(tracks, about=replace(tracks.about, notes=notes))
 
 
-def _add(obstacle: Element, path: Path, period_s: float, rows: "dict[str, array[float]]", counts: _Counts) -> int:
+def _add(obstacle: Element, path: Path, period_s: float, rows: "dict[str, array[float]]", counts: Counter[str]) -> int:
     """Add the states of an obstacle; returns how many."""
     where = f"{path}: obstacle {obstacle.get('id', '')[:40]}"
     shape = obstacle.find("shape/rectangle")
@@ -398,7 +382,7 @@ def _add(obstacle: Element, path: Path, period_s: float, rows: "dict[str, array[
     for state in [*obstacle.iterfind("initialState"), *obstacle.iterfind("trajectory/state")]:
         place = _place(state.find("position"), where, counts)
         if place is None or state.find("time/exact") is None:
-            counts.unknown += 1
+            counts["unknown"] += 1
             continue
         time = _value(state, "time/exact", where) * period_s
         heading, speed = (
@@ -411,7 +395,7 @@ def _add(obstacle: Element, path: Path, period_s: float, rows: "dict[str, array[
     return added
 
 
-def _place(position: Element | None, where: str, counts: _Counts) -> tuple[float, float] | None:
+def _place(position: Element | None, where: str, counts: Counter[str]) -> tuple[float, float] | None:
     """A place [m]: a point, or the middle of an area; None where it is a lanelet or nothing."""
     if position is None:
         return None
@@ -422,7 +406,7 @@ def _place(position: Element | None, where: str, counts: _Counts) -> tuple[float
     found = found or [*position.iterfind("polygon/point")]
     if not found:
         return None
-    counts.areas += 1
+    counts["areas"] += 1
     x, y = (float(np.mean([_value(point, axis, where, "position ") for point in found])) for axis in "xy")
     return x, y
 

@@ -194,25 +194,19 @@ class FolderWriter:
         make_directory(folder)
         self._folder, self._split_bytes, self._metadata = folder, split_bytes, metadata
         self._topics: list[tuple[str, str, Qos]] = []
-        self._numbers: dict[str, int] = {}
-        self._counts: list[int] = []
+        #: Messages written so far on each topic.
+        self.counts: dict[str, int] = {}
         self._files: list[dict[str, Any]] = []
         self._open()
-
-    @property
-    def counts(self) -> dict[str, int]:
-        """Messages written so far on each topic."""
-        return {name: self._counts[number] for name, number in self._numbers.items()}
 
     def topic(self, name: str, type_name: str, qos: Qos) -> int:
         """Announce a topic; returns its number for ``write``."""
         channel = self._writer.topic(name, type_name, qos)
-        if name not in self._numbers:
-            self._numbers[name] = len(self._topics)
+        if name not in self.counts:
             self._topics.append((name, type_name, qos))
-            self._counts.append(0)
+            self.counts[name] = 0
             self._channels.append(channel)
-        return self._numbers[name]
+        return list(self.counts).index(name)
 
     def write(self, number: int, data: bytes, log_time_ns: int, publish_time_ns: int) -> None:
         """Write one message in CDR; times in [ns]."""
@@ -220,7 +214,7 @@ class FolderWriter:
             self._writer.close()
             self._open()
         self._writer.write(self._channels[number], data, log_time_ns, publish_time_ns)
-        self._counts[number] += 1
+        self.counts[self._topics[number][0]] += 1
         about = self._files[-1]
         about["first"] = min(about["first"], log_time_ns)
         about["last"] = max(about["last"], log_time_ns)
@@ -232,8 +226,7 @@ class FolderWriter:
 
     def close(self) -> None:
         """Finish the last file, and write ``metadata.yaml``."""
-        self._writer.close()
-        self._describe()
+        self.__exit__(None, None, None)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -261,7 +254,7 @@ class FolderWriter:
             "storage_identifier": "mcap",
             "duration": {"nanoseconds": last - start},
             "starting_time": {"nanoseconds_since_epoch": start},
-            "message_count": sum(self._counts),
+            "message_count": sum(self.counts.values()),
             "topics_with_message_count": [
                 {
                     "topic_metadata": {
@@ -271,9 +264,9 @@ class FolderWriter:
                         "offered_qos_profiles": yaml.safe_load(qos.yaml),
                         "type_description_hash": type_hash(kind),
                     },
-                    "message_count": count,
+                    "message_count": self.counts[name],
                 }
-                for (name, kind, qos), count in zip(self._topics, self._counts, strict=True)
+                for name, kind, qos in self._topics
             ],
             "compression_format": "",
             "compression_mode": "",

@@ -16,13 +16,14 @@ from sugiyama_ros.formats.columns import (
     read_columns,
     rename,
     sheet_format,
+    stacked,
     take,
     text_of,
 )
 from sugiyama_ros.formats.ngsim import CLASSES
 from sugiyama_ros.formats.reading import shown_stem
 from sugiyama_ros.formats.sheet import Sheet, sheet_of
-from sugiyama_ros.trajectories.labels import Labels, labels, same_label
+from sugiyama_ros.trajectories.labels import Labels, same_label
 from sugiyama_ros.trajectories.tracks import Tracks
 
 # Columns of the kinds of pair files; those of the leader begin with ``leader_``.
@@ -121,8 +122,7 @@ def _length(pair: Rows) -> Array:
 def _twice(follower: Array | Labels, leader: Array | Labels) -> Array | Labels:
     """A column for the followers and, below, for the leaders."""
     if isinstance(follower, Labels) and isinstance(leader, Labels):
-        moved = np.where(leader.code < 0, -1, leader.code + len(follower.text))
-        return labels(np.concatenate((follower.code, moved)).astype(np.int32), (*follower.text, *leader.text))
+        return stacked((follower, leader))
     return np.asarray(np.concatenate((np.asarray(follower), np.asarray(leader))), dtype=np.float64)
 
 
