@@ -67,7 +67,12 @@ class Sightings:
         yield from np.split(order, np.flatnonzero(np.diff(self.vehicle[order])) + 1)
 
 
-_COLUMNS = ("stamp_ns", "log_ns", "x_m", "y_m", "heading", "length_m", "vehicle", "topic", "frame")
+# Columns, and the types of their values.
+_COLUMNS = {
+    **dict.fromkeys(("stamp_ns", "log_ns"), "q"),
+    **dict.fromkeys(("x_m", "y_m", "heading", "length_m"), "d"),
+    **dict.fromkeys(("vehicle", "topic", "frame"), "q"),
+}
 
 
 class Collector:
@@ -78,7 +83,7 @@ class Collector:
 
     def __init__(self, path: Path, counts: Counts) -> None:
         self._path, self._counts = path, counts
-        self._columns = {name: array("q" if name in _INTEGERS else "d") for name in _COLUMNS}
+        self._columns = {name: array(kind) for name, kind in _COLUMNS.items()}
         self._numbers: dict[str, dict[str, int]] = {"vehicle": {}, "topic": {}, "frame": {}}
         # stamp and log time [ns] of the first message of each topic
         self._clocks: dict[str, tuple[int, int]] = {}
@@ -123,18 +128,12 @@ class Collector:
                     f"{self._path}: {lost} of {self._total} detections {why}, so nobody can be followed; give the"
                     " messages of a tracker, whose ids stay with the vehicles"
                 )
-        columns = {
-            name: np.frombuffer(values, dtype=np.int64 if name in _INTEGERS else np.float64).copy()
-            for name, values in self._columns.items()
-        }
+        columns = {name: np.frombuffer(values, dtype=_COLUMNS[name]).copy() for name, values in self._columns.items()}
         names = {f"{name}s": tuple(known) for name, known in self._numbers.items()}
         return Sightings(**columns, **names)  # type: ignore[arg-type]
 
     def _number(self, column: str, name: str) -> int:
         return self._numbers[column].setdefault(name, len(self._numbers[column]))
-
-
-_INTEGERS = ("stamp_ns", "log_ns", "vehicle", "topic", "frame")
 
 
 def recordings(sightings: Sightings) -> list[Sightings]:

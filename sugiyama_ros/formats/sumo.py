@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
-from sugiyama_ros.formats.columns import about_file, need, put_together, read_columns, take, text_of
+from sugiyama_ros.formats.columns import Rows, about_file, need, put_together, read_columns, stacked, take, text_of
 from sugiyama_ros.formats.format import tracks_format
 from sugiyama_ros.formats.reading import attribute, elements, has_root
 from sugiyama_ros.formats.sheet import MAX_ROWS, head_of, sheet_of
@@ -78,7 +78,7 @@ def read_sumo(path: Path, choices: Choices) -> Tracks:
     return put_together(columns, about, choices, reference="front")
 
 
-def _on_an_edge(columns: dict[str, Array | Labels], edges: Labels, path: Path) -> dict[str, Array | Labels]:
+def _on_an_edge(columns: Rows, edges: Labels, path: Path) -> Rows:
     """The rows of vehicles that are on an edge; others wait for a place, or are persons."""
     on_edge = edges.code >= 0
     if not on_edge.any():
@@ -95,21 +95,19 @@ def _edges(lane: Labels | Array | None, edge: Labels | Array | None, path: Path)
         return edge, Labels(np.full(len(edge), -1, dtype=np.int32), ())
     edges, numbers = _of_lanes(lane, path)
     if isinstance(edge, Labels) and (edges.code < 0).any():
-        texts = (*edges.text, *edge.text)
-        edges = labels(
-            np.where(edges.code < 0, np.where(edge.code < 0, -1, edge.code + len(edges.text)), edges.code), texts
-        )
+        both = stacked((edges, edge))
+        edges = Labels(np.where(edges.code < 0, both.code[len(edges) :], both.code[: len(edges)]), both.text)
     return edges, numbers
 
 
 def _of_lanes(lane: Labels, path: Path) -> tuple[Labels, Labels]:
     """Edge and number of the lane of each row, (R,), from names of lanes."""
     parts = [text.rpartition("_") for text in lane.text]
-    if any(not edge or not number.isdigit() for edge, _, number in parts):
-        bad = next(
-            text for text, (edge, _, number) in zip(lane.text, parts, strict=True) if not edge or not number.isdigit()
+    bad = [text for text, (edge, _, number) in zip(lane.text, parts, strict=True) if not edge or not number.isdigit()]
+    if bad:
+        raise InputError(
+            f"{path}: lane {bad[0][:40]!r}: does not end in _ and a number, as SUMO's lanes do; correct it"
         )
-        raise InputError(f"{path}: lane {bad[:40]!r}: does not end in _ and a number, as SUMO's lanes do; correct it")
     return labels(lane.code, [edge for edge, _, _ in parts]), labels(lane.code, [number for _, _, number in parts])
 
 
@@ -142,50 +140,32 @@ def _lengths(columns: Mapping[str, Array | Labels], gap: Array | Labels | None) 
     return np.where(known, length, _LENGTH_M)[vehicle.code], note
 
 
-class _Gathered:
-    """Columns of an XML file, gathered vehicle by vehicle."""
-
-    def __init__(self) -> None:
-        self.number = {name: array("d") for name in ("time_s", *_NUMBERS)}
-        self._gap = array("d")
-        self._code = {name: array("i") for name in _TEXTS}
-        self._texts: dict[str, dict[str, int]] = {name: {} for name in _TEXTS}
-
-    def add(self, time_s: float, said: Mapping[str, str], path: Path) -> None:
-        """Add what is said of a vehicle at a time."""
-        where = f"{path}: vehicle {said.get('id', '')[:40]} at {time_s:g} s"
-        self.number["time_s"].append(time_s)
-        for name, source in _NUMBERS.items():
-            self.number[name].append(attribute(said, source, where))
-        self._gap.append(attribute(said, _GAP, where) if _GAP in said else -1.0)
-        for name, source in _TEXTS.items():
-            text, known = said.get(source, ""), self._texts[name]
-            self._code[name].append(known.setdefault(text, len(known)) if text else -1)
-
-    def columns(self) -> dict[str, Array | Labels]:
-        """The columns; those of text that are empty are left out."""
-        found: dict[str, Array | Labels] = {name: np.frombuffer(values) for name, values in self.number.items()}
-        found["gap_m"] = np.frombuffer(self._gap)
-        for name, codes in self._code.items():
-            code = np.frombuffer(codes, dtype=np.int32)
-            if name == "vehicle" or (code >= 0).any():
-                found[name] = labels(code, self._texts[name])
-        return found
-
-
-def _of_xml(path: Path) -> dict[str, Array | Labels]:
-    """Columns of an XML file."""
-    gathered = _Gathered()
-    times = gathered.number["time_s"]
+def _of_xml(path: Path) -> Rows:
+    """Columns of an XML file, gathered vehicle by vehicle; columns of text that are empty are left out."""
+    number = {name: array("d") for name in ("time_s", *_NUMBERS, "gap_m")}
+    code = {name: array("i") for name in _TEXTS}
+    texts: dict[str, dict[str, int]] = {name: {} for name in _TEXTS}
     for step in elements(path, "timestep"):
         time = attribute(step.attrib, "time", f"{path}: timestep")
         for one in step.iter("vehicle"):
-            gathered.add(time, one.attrib, path)
-        if len(times) > MAX_ROWS:
+            said = one.attrib
+            where = f"{path}: vehicle {said.get('id', '')[:40]} at {time:g} s"
+            number["time_s"].append(time)
+            for name, source in _NUMBERS.items():
+                number[name].append(attribute(said, source, where))
+            number["gap_m"].append(attribute(said, _GAP, where) if _GAP in said else -1.0)
+            for name, source in _TEXTS.items():
+                text, known = said.get(source, ""), texts[name]
+                code[name].append(known.setdefault(text, len(known)) if text else -1)
+        if len(number["time_s"]) > MAX_ROWS:
             raise InputError(f"{path}: more than {MAX_ROWS} rows; split the file")
-    if not times:
+    if not number["time_s"]:
         raise InputError(f"{path}: no samples; write it with sumo --fcd-output")
-    return gathered.columns()
+    columns: Rows = {name: np.frombuffer(values) for name, values in number.items()}
+    for name, codes in code.items():
+        if name == "vehicle" or texts[name]:
+            columns[name] = labels(np.frombuffer(codes, dtype=np.int32), texts[name])
+    return columns
 
 
 def _is_xml(head: bytes, path: Path) -> bool:
