@@ -38,7 +38,7 @@ from sugiyama_ros.bridges.sightings import (
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.cdr import ros2_name, why_unreadable
 from sugiyama_ros.formats.mcap_reader import BagSource
-from sugiyama_ros.formats.reading import open_input, sha256, shown_name
+from sugiyama_ros.formats.reading import checksum_of, shown_name
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.about import About
 from sugiyama_ros.trajectories.assemble import LONGEST_ABSENCE_S, assemble
@@ -404,10 +404,12 @@ def _notes(lost: _Lost, rows: int, parts: int) -> Iterator[str]:
 
 def _about(path: Path, first: Path, lanes: RoadLanes, counts: Counts, lost: _Lost) -> About:
     """Where the tracks come from, and what was left out."""
-    with open_input(first) as stream:
-        checksum = sha256(stream)
     about = About(
-        leaders="given", ring_m=lanes.road.circumference_m, view="whole", source=shown_name(path), sha256=checksum
+        leaders="given",
+        ring_m=lanes.road.circumference_m,
+        view="whole",
+        source=shown_name(path),
+        sha256=checksum_of(first),
     )
     for reason, rows in (
         ("beside the road", lost.beside + counts.beside),

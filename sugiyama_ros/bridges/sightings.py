@@ -297,10 +297,7 @@ class Transforms(NamedTuple):
 
 
 def brought(sightings: Sightings, transforms: Iterator[Transforms], frame: str) -> tuple[Sightings, int]:
-    """Bring sightings into a frame.
-
-    Returns Sightings: those that could be brought there; int: how many could not.
-    """
+    """Bring sightings into a frame; returns those that could be brought there, and how many could not."""
     known, kept = Frames(), np.zeros(len(sightings), dtype=bool)
     x_m, y_m, heading = sightings.x_m.copy(), sightings.y_m.copy(), sightings.heading.copy()
     row, around_ns = 0, round(0.5 * CACHE_S * NS)

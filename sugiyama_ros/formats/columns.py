@@ -11,8 +11,8 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.format import Format, tracks_format
-from sugiyama_ros.formats.reading import shown_name
-from sugiyama_ros.formats.sheet import Sheet, checksum_of, head_of, read_sheet
+from sugiyama_ros.formats.reading import checksum_of, shown_name
+from sugiyama_ros.formats.sheet import Sheet, head_of, read_sheet
 from sugiyama_ros.trajectories.about import About, Leaders, Reference
 from sugiyama_ros.trajectories.assemble import assemble
 from sugiyama_ros.trajectories.labels import Labels, labels
@@ -21,8 +21,6 @@ from sugiyama_ros.trajectories.tracks import NUMBERS, Tracks
 
 #: Columns by name, (R,) each.
 Rows: TypeAlias = dict[str, Array | Labels]
-#: A foot [m].
-FOOT_M = 0.3048
 # Times above these count parts of a second since 1970: the part [s], and its name.
 _PARTS = ((1e17, 1e-9, "nanoseconds"), (1e14, 1e-6, "microseconds"), (1e11, 1e-3, "milliseconds"))
 

@@ -10,7 +10,7 @@ import numpy as np
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.format import Format
 from sugiyama_ros.formats.mcap_records import MAGIC
-from sugiyama_ros.formats.reading import open_input, sha256, shown_name
+from sugiyama_ros.formats.reading import checksum_of, shown_name
 from sugiyama_ros.formats.samples import MAX_SAMPLES, agreed_road
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
@@ -123,9 +123,7 @@ def _collected(bag: "BagSource", topics: dict[str, str], ring_m: float | None) -
             raise InputError(f"{path}: {message.topic!r}: the road changes; record one road in one bag")
     if road is None:
         raise InputError(f"{path}: no message on `road`; the bag is damaged")
-    with open_input(bag.files[0]) as stream:
-        checksum = road.sha256 or sha256(stream)
-    return columns.trajectories(road, ring_m, checksum)
+    return columns.trajectories(road, ring_m, road.sha256 or checksum_of(bag.files[0]))
 
 
 def _checked(road: Any) -> Any:

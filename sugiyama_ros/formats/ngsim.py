@@ -7,7 +7,6 @@ import numpy as np
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.formats.choices import Choices
 from sugiyama_ros.formats.columns import (
-    FOOT_M,
     about_file,
     need,
     put_together,
@@ -27,13 +26,15 @@ _TEXT_COLUMNS = (
     *("v_Length", "v_Width", "v_Class", "v_Vel", "v_Acc", "Lane_ID", "Preceding", "Following"),
     *("Space_Headway", "Time_Headway"),
 )
+# A foot [m].
+_FOOT_M = 0.3048
 _WANTED = {
     "vehicle": need("Vehicle_ID", "Vehicle ID"),
-    "s_m": need("Local_Y", "Local Y (ft)", factor=FOOT_M),
-    "d_m": take("Local_X", "Local X (ft)", factor=FOOT_M),
-    "length_m": take("v_Length", "Length (ft)", factor=FOOT_M),
-    "width_m": take("v_Width", "Width (ft)", factor=FOOT_M),
-    "speed": take("v_Vel", "Speed (ft/s)", factor=FOOT_M),
+    "s_m": need("Local_Y", "Local Y (ft)", factor=_FOOT_M),
+    "d_m": take("Local_X", "Local X (ft)", factor=_FOOT_M),
+    "length_m": take("v_Length", "Length (ft)", factor=_FOOT_M),
+    "width_m": take("v_Width", "Width (ft)", factor=_FOOT_M),
+    "speed": take("v_Vel", "Speed (ft/s)", factor=_FOOT_M),
     "class": take("v_Class", "Class"),
     "lane": take("Lane_ID", "Lane Num"),
     "leader": take("Preceding", "Preceding Vehicle ID"),

@@ -149,10 +149,7 @@ _BACK, _AHEAD, _PER_MISSED = 8, 12, 5
 
 
 class Path2d:
-    """A path of straight pieces.
-
-    point_m: (P, 2), points [m] along the path.
-    """
+    """A path of straight pieces. point_m: (P, 2), points [m] along the path."""
 
     def __init__(self, point_m: Array) -> None:
         self.point_m = point_m

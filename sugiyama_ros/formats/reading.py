@@ -131,6 +131,12 @@ def sha256(stream: BinaryIO) -> str:
     return digest.hexdigest()
 
 
+def checksum_of(path: Path) -> str:
+    """Checksum (SHA-256) of a file."""
+    with open_input(path) as stream:
+        return sha256(stream)
+
+
 #: A day [s].
 DAY_S = 86_400.0
 #: What a text should look like that is not a time, for messages.
@@ -145,10 +151,7 @@ _DATE = re.compile(
 
 
 def seconds_of(text: str) -> float | None:
-    """Seconds that a text says; None for a text that is no time.
-
-    Returns the time [s].
-    """
+    """The time [s] that a text says; None for a text that is no time."""
     text = text.strip()
     try:
         return float(text if "." in text else text.replace(",", "."))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.format import HEAD_BYTES
-from sugiyama_ros.formats.reading import FORMS, lines, open_input, seconds_of, sha256, times_of, unix_lines
+from sugiyama_ros.formats.reading import DAY_S, FORMS, lines, open_input, seconds_of, times_of, unix_lines
 from sugiyama_ros.trajectories.labels import Labels, labels, plain_text, without_point_zero
 
 #: Most rows of a table: 40 million take about 4 GB as tracks.
@@ -25,7 +25,6 @@ _PARQUET = b"PAR1"
 _SPACES = " "
 # A column of times keeps its unit: seconds of one of its parts.
 _UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-_DAY_S = 86_400.0
 
 
 @dataclass(frozen=True)
@@ -52,10 +51,6 @@ class Sheet:
         """The first of some names that the table has, in any case, and with any of ``_ -`` in between; None if none."""
         known = {_plain(name): name for name in reversed(self.names)}
         return next((known[_plain(name)] for name in alternatives if _plain(name) in known), None)
-
-    def has_one(self, *names: str) -> bool:
-        """Whether the table has at least one of these columns, as `find` finds them."""
-        return self.find(*names) is not None
 
     def has(self, *names: str) -> bool:
         """Whether the table has all of these columns, as `find` finds them."""
@@ -91,12 +86,6 @@ def head_of(path: Path) -> bytes:
         return b""
     with open_input(path) as stream:
         return stream.read(HEAD_BYTES)
-
-
-def checksum_of(path: Path) -> str:
-    """Checksum (SHA-256) of a file."""
-    with open_input(path) as stream:
-        return sha256(stream)
 
 
 def read_sheet(
@@ -226,7 +215,7 @@ class _Times:
             self._texts.add(column)
             return
         if kind.is_date(column.type):
-            column, self._factor = column.cast(pyarrow.date32()).cast(pyarrow.int32()), _DAY_S
+            column, self._factor = column.cast(pyarrow.date32()).cast(pyarrow.int32()), DAY_S
         elif kind.is_temporal(column.type):
             width = pyarrow.int32() if kind.is_time32(column.type) else pyarrow.int64()
             column, self._factor = column.cast(width), _UNITS[column.type.unit]

@@ -62,7 +62,7 @@ def tracks_of_sheet(sheet: Sheet, choices: Choices, about: About) -> Tracks:
         name: Take((column,), factor, optional=False) for name, (column, factor) in choices.columns.items()
     }
     # A row with a second place is a pair; a pair needs no names.
-    names_vehicles = "vehicle" in choices.columns or sheet.has_one(*_PLAIN["vehicle"].names)
+    names_vehicles = "vehicle" in choices.columns or sheet.find(*_PLAIN["vehicle"].names) is not None
     is_pair = "leader_s_m" in choices.columns or (sheet.has("leader_s_m") and not names_vehicles)
     if is_pair:
         wanted = {name: take(name) for name in PAIRED} | wanted
