@@ -26,9 +26,9 @@ from sugiyama_ros.fit.model_file import read_model
 from sugiyama_ros.fit.smooth_positions import evenness
 from sugiyama_ros.formats.choices import Choices, choices_of, read_choices, reference_of
 from sugiyama_ros.formats.folder import read_files
-from sugiyama_ros.formats.frames import from_frame, tracks_of_frame
 from sugiyama_ros.formats.registry import read_tracks as tracks_of_file
 from sugiyama_ros.formats.registry import read_trajectories
+from sugiyama_ros.formats.table import from_frame, tracks_of_frame
 from sugiyama_ros.laws.registry import PAPERS
 from sugiyama_ros.laws.registry import law as law_of
 from sugiyama_ros.page import recording

@@ -1,1 +1,1 @@
-"""Bridges from messages of other packages to vehicles on a road: one file per message type. Needs no ROS."""
+"""Bridges from messages of other packages to vehicles on a road; one entry per message type. Needs no ROS."""

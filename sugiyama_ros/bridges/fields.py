@@ -13,7 +13,8 @@ from sugiyama_ros.documents import read_yaml
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.trajectories.placing import SeenVehicle
 
-_NS = 1_000_000_000
+#: A second [ns].
+NS = 1_000_000_000
 # Names of fields that an error shows, at most.
 _SHOWN = 12
 _TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*")
@@ -24,7 +25,7 @@ _TEXTS = {
     "heading_known": (re.compile(rf"{_STEP}(\.{_STEP})*=\d+"), "path of a field and its value, such as state=2"),
 }
 #: Units of stamps [ns].
-UNITS_NS = {"s": _NS, "ms": 1_000_000, "us": 1000, "ns": 1}
+UNITS_NS = {"s": NS, "ms": 1_000_000, "us": 1000, "ns": 1}
 _CHOICES = {
     "stamp_unit": tuple(UNITS_NS),
     "heading_unit": ("rad", "deg"),
@@ -124,7 +125,7 @@ class Bridge:
         """A stamp [ns]: a Time, or a number. Raises InputError for anything else."""
         try:
             if hasattr(stamp, "sec"):
-                return int(stamp.sec) * _NS + int(stamp.nanosec)
+                return int(stamp.sec) * NS + int(stamp.nanosec)
             unit_ns = UNITS_NS[self.stamp_unit]
             # a float cannot hold the nanoseconds since 1970
             return int(stamp) * unit_ns if float(stamp).is_integer() else round(float(stamp) * unit_ns)

@@ -10,10 +10,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.bridges.fields import yaw
+from sugiyama_ros.bridges.fields import NS, yaw
 from sugiyama_ros.trajectories.placing import SeenVehicle
 
-_NS = 1_000_000_000
 #: How long [s] transforms are kept, as in tf2, and how many frames may hang from one another.
 CACHE_S, _DEEPEST = 10.0, 50
 #: Time [s] between two transforms of a frame beyond which nothing is interpolated, if it is not the frame's usual one.
@@ -60,7 +59,7 @@ class Frames:
             turn, origin = np.array([q.x, q.y, q.z, q.w]), np.array([t.x, t.y, t.z])
             if math.isnan(yaw(q.x, q.y, q.z, q.w)) or not np.isfinite(origin).all():
                 continue
-            stamp_ns = int(one.header.stamp.sec) * _NS + int(one.header.stamp.nanosec)
+            stamp_ns = int(one.header.stamp.sec) * NS + int(one.header.stamp.nanosec)
             pose = _Pose(stamp_ns, one.header.frame_id.lstrip("/"), origin, turn / np.linalg.norm(turn))
             child = one.child_frame_id.lstrip("/")
             if static:
@@ -91,12 +90,12 @@ class Frames:
 
     def _keep(self, child: str, pose: _Pose) -> None:
         kept = self._moving.setdefault(child, [])
-        if kept and pose.stamp_ns < kept[-1].stamp_ns - CACHE_S * _NS:
+        if kept and pose.stamp_ns < kept[-1].stamp_ns - CACHE_S * NS:
             kept.clear()  # time has begun anew
             self.newest_ns = -1
         insort(kept, pose, key=_stamp)
         self.newest_ns = max(self.newest_ns, pose.stamp_ns)
-        old = bisect_right(kept, kept[-1].stamp_ns - round(CACHE_S * _NS), key=_stamp)
+        old = bisect_right(kept, kept[-1].stamp_ns - round(CACHE_S * NS), key=_stamp)
         # of a frame that moves seldom, the last two are kept
         del kept[: min(old, len(kept) - 2)]
 
@@ -139,7 +138,7 @@ class Frames:
     def _longest_ns(self, kept: list[_Pose]) -> float:
         """Longest time [ns] between two transforms over which they are interpolated."""
         usual = float(np.median(np.diff([pose.stamp_ns for pose in kept[-_USUAL:]])))
-        return max(LONGEST_HOLE_S * _NS, _PERIODS * usual)
+        return max(LONGEST_HOLE_S * NS, _PERIODS * usual)
 
 
 def _between(a: Array, b: Array, part: float) -> Array:

@@ -10,20 +10,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sugiyama_ros.arrays import Array, Ints, Mask
-from sugiyama_ros.bridges.fields import Bridge
+from sugiyama_ros.bridges.fields import NS, Bridge
 from sugiyama_ros.bridges.frames import CACHE_S, EARLY, Frames
-from sugiyama_ros.bridges.moments import MOVING, Counts
-from sugiyama_ros.bridges.perception import LONGEST_M, MOST_LOST, check_unit, told_apart
+from sugiyama_ros.bridges.perception import LONGEST_M, MOST_LOST, MOVING, Counts, check_unit, told_apart
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.mcap_reader import BagMessage
 from sugiyama_ros.formats.samples import MAX_SAMPLES
 from sugiyama_ros.trajectories.placing import SeenVehicle
 
-_NS = 1_000_000_000
 # Time has begun anew where so many stamps of a vehicle in a row lie so long [ns] before an earlier one.
-_BACK_NS, _BACK_IN_A_ROW = _NS, 5
+_BACK_NS, _BACK_IN_A_ROW = NS, 5
 # Two resets of vehicles that are logged within this time [ns] are one.
-_ONE_RESET_NS = 5 * _NS
+_ONE_RESET_NS = 5 * NS
 # A vehicle that is seen less often is not followed.
 _FEW = 3
 # A time [ns] after all others.
@@ -69,7 +67,12 @@ class Sightings:
         yield from np.split(order, np.flatnonzero(np.diff(self.vehicle[order])) + 1)
 
 
-_COLUMNS = ("stamp_ns", "log_ns", "x_m", "y_m", "heading", "length_m", "vehicle", "topic", "frame")
+# Columns, and the types of their values.
+_COLUMNS = {
+    **dict.fromkeys(("stamp_ns", "log_ns"), "q"),
+    **dict.fromkeys(("x_m", "y_m", "heading", "length_m"), "d"),
+    **dict.fromkeys(("vehicle", "topic", "frame"), "q"),
+}
 
 
 class Collector:
@@ -80,7 +83,7 @@ class Collector:
 
     def __init__(self, path: Path, counts: Counts) -> None:
         self._path, self._counts = path, counts
-        self._columns = {name: array("q" if name in _INTEGERS else "d") for name in _COLUMNS}
+        self._columns = {name: array(kind) for name, kind in _COLUMNS.items()}
         self._numbers: dict[str, dict[str, int]] = {"vehicle": {}, "topic": {}, "frame": {}}
         # stamp and log time [ns] of the first message of each topic
         self._clocks: dict[str, tuple[int, int]] = {}
@@ -125,18 +128,12 @@ class Collector:
                     f"{self._path}: {lost} of {self._total} detections {why}, so nobody can be followed; give the"
                     " messages of a tracker, whose ids stay with the vehicles"
                 )
-        columns = {
-            name: np.frombuffer(values, dtype=np.int64 if name in _INTEGERS else np.float64).copy()
-            for name, values in self._columns.items()
-        }
+        columns = {name: np.frombuffer(values, dtype=_COLUMNS[name]).copy() for name, values in self._columns.items()}
         names = {f"{name}s": tuple(known) for name, known in self._numbers.items()}
         return Sightings(**columns, **names)  # type: ignore[arg-type]
 
     def _number(self, column: str, name: str) -> int:
         return self._numbers[column].setdefault(name, len(self._numbers[column]))
-
-
-_INTEGERS = ("stamp_ns", "log_ns", "vehicle", "topic", "frame")
 
 
 def recordings(sightings: Sightings) -> list[Sightings]:
@@ -216,7 +213,7 @@ class Stamps:
         for number, off_s in offset.items():
             topic, late_s = found.topics[number], off_s - usual
             if abs(late_s) > CLOCKS_APART_S:
-                stamp_ns[found.topic == number] += round(late_s * _NS)
+                stamp_ns[found.topic == number] += round(late_s * NS)
                 which = "behind" if late_s > 0.0 else "ahead of"
                 self._note(
                     f"{topic}: its clock is {abs(late_s):.3g} s {which} the others; it was set by the log times", topic
@@ -241,7 +238,7 @@ class Stamps:
             row = int(np.flatnonzero(apart)[0])
             raise InputError(
                 f"{self._path}: {found.vehicles[found.vehicle[row]]} is at two places at"
-                f" {found.stamp_ns[row] / _NS:g} s, and so in {int(apart.sum())} of {len(found)} messages; one name"
+                f" {found.stamp_ns[row] / NS:g} s, and so in {int(apart.sum())} of {len(found)} messages; one name"
                 " stands for several vehicles, or the log times are wrong as well; record each vehicle with a name or"
                 " a topic of its own"
             )
@@ -268,8 +265,8 @@ def _offsets_s(found: Sightings) -> dict[int, float]:
     rows = {number: here for number, here in rows.items() if len(here) > _BACK_IN_A_ROW}
     if len(rows) < 2:
         return {}
-    late = (found.log_ns - found.stamp_ns) / _NS
-    log = (found.log_ns - found.log_ns.min()) / _NS
+    late = (found.log_ns - found.stamp_ns) / NS
+    log = (found.log_ns - found.log_ns.min()) / NS
     first = max(rows, key=lambda number: len(rows[number]))
     base = rows[first]
     offset = {first: 0.0}
@@ -300,13 +297,10 @@ class Transforms(NamedTuple):
 
 
 def brought(sightings: Sightings, transforms: Iterator[Transforms], frame: str) -> tuple[Sightings, int]:
-    """Bring sightings into a frame.
-
-    Returns Sightings: those that could be brought there; int: how many could not.
-    """
+    """Bring sightings into a frame; returns those that could be brought there, and how many could not."""
     known, kept = Frames(), np.zeros(len(sightings), dtype=bool)
     x_m, y_m, heading = sightings.x_m.copy(), sightings.y_m.copy(), sightings.heading.copy()
-    row, around_ns = 0, round(0.5 * CACHE_S * _NS)
+    row, around_ns = 0, round(0.5 * CACHE_S * NS)
 
     def go_on(log_ns: int) -> None:
         """Bring what can be brought with the transforms until a log time; what is not seen yet waits."""
@@ -339,7 +333,7 @@ def directed(sightings: Sightings) -> Sightings:
         unknown = np.isnan(heading[rows])
         if not unknown.any() or len(rows) < 2:
             continue
-        time_s = (sightings.stamp_ns[rows] - sightings.stamp_ns[rows[0]]) / _NS
+        time_s = (sightings.stamp_ns[rows] - sightings.stamp_ns[rows[0]]) / NS
         vx, vy = np.gradient(sightings.x_m[rows], time_s), np.gradient(sightings.y_m[rows], time_s)
         fast = unknown & (np.hypot(vx, vy) > MOVING)
         heading[rows[fast]] = np.arctan2(vy, vx)[fast]

@@ -189,7 +189,7 @@ def fetch(
     as_json: Json = False,
 ) -> None:
     """Download a public data set, check it, and convert it to MCAP."""
-    from sugiyama_ros.formats.catalogue import CATALOGUE
+    from sugiyama_ros.formats.fetch import CATALOGUE
     from sugiyama_ros.formats.fetch import fetch as download
 
     if name not in CATALOGUE:
@@ -227,11 +227,11 @@ def info(
         print_line(f"{'Format:':<13}{document['format']}")
         _print_tracks(document)
         return
-    from sugiyama_ros.formats.bag_folder import recorded
+    from sugiyama_ros.formats.mcap_reader import BagSource
 
     if ring is not None:
         raise InputError("--ring: a bag says itself which road it is about; leave out --ring")
-    about = recorded(file).info()
+    about = BagSource(file).info()
     if as_json:
         print_json(dataclasses.asdict(about))
         return
@@ -271,10 +271,10 @@ def echo(
     as_json: Json = False,
 ) -> None:
     """Print the messages of one topic."""
-    from sugiyama_ros.formats.bag_folder import recorded
     from sugiyama_ros.formats.cdr import plain
+    from sugiyama_ros.formats.mcap_reader import BagSource
 
-    bag = recorded(file)
+    bag = BagSource(file)
     messages = bag.messages({topic})
     if as_json:
         sys.stdout.write("[")

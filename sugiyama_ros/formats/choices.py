@@ -56,44 +56,13 @@ class Choices:
 def read_choices(path: Path) -> Choices:
     """Read a map of columns: YAML such as ``s_m: {column: Local_Y, factor: 0.3048}`` or ``lane: Lane_ID``.
 
-    Parameters
-    ----------
-    path : Path
-        The map. Beside columns it may hold ``reference``, ``ring_m`` and ``view``.
-
-    Returns
-    -------
-    Choices
-        What the map says.
-
-    Raises
-    ------
-    InputError
-        For anything else.
+    Beside columns it may hold ``reference``, ``ring_m`` and ``view``. Raises InputError.
     """
     return choices_of(read_yaml(path), path)
 
 
 def choices_of(said: Any, path: object) -> Choices:
-    """Take a map of columns.
-
-    Parameters
-    ----------
-    said : mapping
-        The content of a map, as for `read_choices`.
-    path : object
-        Name of the map in a message.
-
-    Returns
-    -------
-    Choices
-        What the map says.
-
-    Raises
-    ------
-    InputError
-        For anything else.
-    """
+    """What the content of a map says; ``path`` is its name in a message. Raises InputError."""
     if not isinstance(said, Mapping):
         raise InputError(f"{path}: not a map of columns; give lines like 'lane: Lane_ID'")
     unknown = [name for name in said if name not in (*MAPPED, "reference", "ring_m", "view")]

@@ -1,24 +1,26 @@
 """Which columns of a table become which columns of tracks, and in which units."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
-from sugiyama_ros.formats.reading import shown_name
-from sugiyama_ros.formats.sheet import Sheet, checksum_of, read_sheet
+from sugiyama_ros.formats.format import Format, tracks_format
+from sugiyama_ros.formats.reading import checksum_of, shown_name
+from sugiyama_ros.formats.sheet import Sheet, head_of, read_sheet
 from sugiyama_ros.trajectories.about import About, Leaders, Reference
 from sugiyama_ros.trajectories.assemble import assemble
 from sugiyama_ros.trajectories.labels import Labels, labels
 from sugiyama_ros.trajectories.time_base import is_regular, on_time_base
 from sugiyama_ros.trajectories.tracks import NUMBERS, Tracks
 
-#: A foot [m].
-FOOT_M = 0.3048
+#: Columns by name, (R,) each.
+Rows: TypeAlias = dict[str, Array | Labels]
 # Times above these count parts of a second since 1970: the part [s], and its name.
 _PARTS = ((1e17, 1e-9, "nanoseconds"), (1e14, 1e-6, "microseconds"), (1e11, 1e-3, "milliseconds"))
 
@@ -42,28 +44,16 @@ def need(*names: str, factor: float = 1.0) -> Take:
     return Take(names, factor, optional=False)
 
 
-def read_columns(sheet: Sheet, wanted: Mapping[str, Take], hint: str = "") -> dict[str, Array | Labels]:
-    """Read the columns of tracks from a table.
+def fits(sheet: Sheet, wanted: Mapping[str, Take]) -> bool:
+    """Whether a table has all columns that must be there."""
+    return all(sheet.find(*one.names) for one in wanted.values() if not one.optional)
 
-    Parameters
-    ----------
-    sheet : Sheet
-        The table.
-    wanted : mapping of str to Take
-        For each column of tracks (or any name that the caller knows) the columns it may come from. A name that ends in
-        ``_s``, ``_m`` or ``speed`` is a number, any other a text.
-    hint : str
-        What else helps, if a column is missing.
 
-    Returns
-    -------
-    dict
-        Arrays (R,), in metres and seconds, and `Labels`; only columns that are there.
+def read_columns(sheet: Sheet, wanted: Mapping[str, Take], hint: str = "") -> Rows:
+    """Read the columns of tracks that a table has: arrays (R,) in metres and seconds, and `Labels`. Raises InputError.
 
-    Raises
-    ------
-    InputError
-        For a column that is missing, or a line that does not fit.
+    wanted: for each column of tracks, or any name that the caller knows, the columns it may come from; a name that ends
+    in ``_s``, ``_m`` or ``speed`` is a number, any other a text; hint: what else helps, if a column is missing.
     """
     found = {name: place for name, one in wanted.items() if (place := sheet.find(*one.names)) is not None}
     missing = [" or ".join(one.names) for name, one in wanted.items() if not one.optional and name not in found]
@@ -80,7 +70,7 @@ def read_columns(sheet: Sheet, wanted: Mapping[str, Take], hint: str = "") -> di
     numbers = {place for name, place in found.items() if is_number(name)}
     texts = {place for name, place in found.items() if not is_number(name)} - numbers
     read = read_sheet(sheet, numbers, texts, times)
-    table: dict[str, Array | Labels] = {}
+    table: Rows = {}
     for name, place in found.items():
         column = read[place]
         factor = 1.0 if place in times else wanted[name].factor
@@ -103,17 +93,34 @@ def text_of(columns: Mapping[str, Array | Labels], name: str) -> Labels:
     return column
 
 
-def nobody(column: Labels, vehicles: Labels, *names: str) -> Labels:
-    """A column of leaders in which some names, such as 0, mean that nobody is known to be ahead.
+def without_nobody(columns: Rows, *names: str) -> None:
+    """Take names such as 0 out of the leaders, if there are any: nobody is known to be ahead.
 
     A vehicle may have such a name; then it means this vehicle.
     """
-    gone = np.array([text in names and text not in vehicles.text for text in column.text] + [True])
-    return labels(np.where(gone[column.code], -1, column.code).astype(np.int32), column.text)
+    if isinstance(leader := columns.get("leader"), Labels):
+        vehicles = text_of(columns, "vehicle").text
+        gone = np.array([text in names and text not in vehicles for text in leader.text] + [True])
+        columns["leader"] = labels(np.where(gone[leader.code], -1, leader.code).astype(np.int32), leader.text)
+
+
+def stacked(parts: Iterable[Labels]) -> Labels:
+    """Columns of text one below the other."""
+    code, text = [], list[str]()
+    for one in parts:
+        code.append(np.where(one.code < 0, -1, one.code + len(text)))
+        text += one.text
+    return labels(np.concatenate(code).astype(np.int32), text)
+
+
+def rename(columns: Rows, name: str, names: Mapping[str, str]) -> None:
+    """Replace some texts of a column, if there is such a column."""
+    if isinstance(column := columns.get(name), Labels):
+        columns[name] = labels(column.code, [names.get(text, text) for text in column.text])
 
 
 def put_together(
-    columns: dict[str, Array | Labels],
+    columns: Rows,
     about: About,
     choices: Choices,
     reference: Reference = "centre",
@@ -157,6 +164,28 @@ def in_seconds(time: Array) -> tuple[Array, str]:
         if above < latest < np.inf:
             return time * part, f"times are {name} in the file; they were made seconds"
     return time, ""
+
+
+def sheet_format(
+    name: str,
+    suffixes: tuple[str, ...],
+    summary: str,
+    sheet_of: Callable[[Path, bytes], Sheet | None],
+    read: Callable[[Sheet, Choices], Tracks],
+    refusal: str,
+) -> Format:
+    """A format of tables: ``sheet_of`` gives the table if its columns are known, ``read`` its tracks.
+
+    refusal: what is wrong with a file whose columns are not known, and what to do.
+    """
+
+    def tracks(path: Path, choices: Choices) -> Tracks:
+        sheet = sheet_of(path, head_of(path))
+        if sheet is None:
+            raise InputError(f"{path}:{refusal}")
+        return read(sheet, choices)
+
+    return tracks_format(name, suffixes, lambda head, path: sheet_of(path, head) is not None, tracks, summary)
 
 
 def about_file(path: Path, leaders: Leaders = "found", **said: str) -> About:

@@ -13,11 +13,37 @@ from pathlib import Path
 from typing import BinaryIO
 
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.formats.catalogue import CATALOGUE, DataSet
 from sugiyama_ros.formats.convert import convert
 from sugiyama_ros.formats.reading import sha256
 from sugiyama_ros.outputs import Output, make_directory, writing
 from sugiyama_ros.progress import OnProgress
+
+
+@dataclass(frozen=True)
+class DataSet:
+    """A public archive: a zip file, of which one ``.data`` file is used."""
+
+    url: str
+    size_bytes: int
+    sha256: str
+    member: str
+    licence: str
+
+
+CATALOGUE = {
+    "sugiyama2008": DataSet(
+        url="https://mathematical-society-of-traffic-flow.github.io/assets/data/data.zip",
+        size_bytes=275_807,
+        sha256="751ec706d55b911e775deeb9436f2c340245883a4b7a567206411a1dcdba6fe4",
+        member="case1.data",
+        licence=(
+            "The Mathematical Society of Traffic Flow allows the use of this data for academic research and for"
+            " non-commercial purposes. Users cite New J. Phys. 10 (2008) 033001 and New J. Phys. 11 (2009)"
+            " 083025. The data may not be passed on to others: give them the address instead."
+        ),
+    ),
+}
+
 
 _TIMEOUT_S = 20.0
 _LONGEST_S = 600.0

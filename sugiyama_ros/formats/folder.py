@@ -9,12 +9,13 @@ import numpy as np
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
+from sugiyama_ros.formats.columns import Rows, stacked
 from sugiyama_ros.formats.format import tracks_format
 from sugiyama_ros.formats.reading import shown_name, shown_stem
 from sugiyama_ros.formats.sheet import head_of
 from sugiyama_ros.trajectories.about import About
 from sugiyama_ros.trajectories.exchange import of_columns
-from sugiyama_ros.trajectories.labels import Labels, joined, labels, same_label
+from sugiyama_ros.trajectories.labels import Labels, joined, same_label
 from sugiyama_ros.trajectories.tracks import NUMBERS, TEXTS, Tracks
 
 _SUFFIXES = (".csv", ".tsv", ".txt", ".parquet", ".data")
@@ -72,44 +73,35 @@ def _named(part: Tracks, file: Path) -> Tracks:
 
 def _joined(source: str, parts: list[Tracks]) -> Tracks:
     """All parts in one table."""
-    columns: dict[str, Array | Labels] = {}
+    columns: Rows = {}
     for name in (*TEXTS, *NUMBERS, "leader", "measured"):
-        found = [part.column(name) for part in parts]
-        if any(one is not None for one in found):
+        if any(part.column(name) is not None for part in parts):
             columns[name] = _column(name, parts)
+    each = [part.about for part in parts]
     about = About(
         source=source,
-        view=parts[0].about.view,
+        view=each[0].view,
         leaders="given",
-        ring_m=parts[0].about.ring_m,
-        licence="; ".join(dict.fromkeys(part.about.licence for part in parts if part.about.licence)),
-        smoothing="; ".join(dict.fromkeys(part.about.smoothing for part in parts if part.about.smoothing)),
-    ).noting(*(note for part in parts for note in part.about.notes))
-    for part in parts:
-        for reason, rows in part.about.dropped:
-            about = about.without(reason, rows)
+        ring_m=each[0].ring_m,
+        licence="; ".join(dict.fromkeys(one.licence for one in each if one.licence)),
+        smoothing="; ".join(dict.fromkeys(one.smoothing for one in each if one.smoothing)),
+    ).noting(*(note for one in each for note in one.notes))
+    for reason, rows in (lost for one in each for lost in one.dropped):
+        about = about.without(reason, rows)
     return of_columns(dict(columns), about)
 
 
 def _column(name: str, parts: list[Tracks]) -> Array | Labels:
+    columns = [part.column(name) for part in parts]
     if name in NUMBERS or name == "measured":
         missing = 1.0 if name == "measured" else np.nan
-        columns = [part.column(name) for part in parts]
         filled = [
             np.full(len(part), missing) if one is None else np.asarray(one, dtype=np.float64)
             for part, one in zip(parts, columns, strict=True)
         ]
         return np.asarray(np.concatenate(filled))
-    code, text, before = [], list[str](), 0
-    for part in parts:
-        one = part.column(name)
-        if isinstance(one, Labels):
-            code.append(np.where(one.code < 0, -1, one.code + before))
-            text += one.text
-            before = len(text)
-        else:
-            code.append(np.full(len(part), -1))
-    return labels(np.concatenate(code).astype(np.int32), text)
+    empty = [Labels(np.full(len(part), -1, dtype=np.int32), ()) for part in parts]
+    return stacked(one if isinstance(one, Labels) else none for one, none in zip(columns, empty, strict=True))
 
 
 FORMAT = tracks_format(

@@ -54,18 +54,7 @@ def tracks_format(
     tracks: Callable[[Path, Choices], Tracks],
     summary: str,
 ) -> Format:
-    """A format that gives tracks; a file with one recording on one lane can also be read as trajectories.
-
-    Parameters
-    ----------
-    name, suffixes, recognise, tracks, summary
-        As for `Format`.
-
-    Returns
-    -------
-    Format
-        The format.
-    """
+    """A `Format` that gives tracks; a file with one recording on one lane can also be read as trajectories."""
 
     def read(path: Path, ring_m: float | None) -> Trajectories:
         return one_lane(tracks(path, Choices(ring_m=ring_m)), str(path))

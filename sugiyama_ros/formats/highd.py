@@ -5,13 +5,22 @@ from pathlib import Path
 
 import numpy as np
 
-from sugiyama_ros.arrays import Array, Ints
+from sugiyama_ros.arrays import Ints
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
-from sugiyama_ros.formats.columns import about_file, need, nobody, put_together, read_columns, take, text_of
-from sugiyama_ros.formats.format import tracks_format
+from sugiyama_ros.formats.columns import (
+    Rows,
+    about_file,
+    need,
+    put_together,
+    read_columns,
+    sheet_format,
+    take,
+    text_of,
+    without_nobody,
+)
 from sugiyama_ros.formats.reading import shown_stem
-from sugiyama_ros.formats.sheet import Sheet, head_of, sheet_of
+from sugiyama_ros.formats.sheet import Sheet, head_of, sheet_of, text_sheet
 from sugiyama_ros.trajectories.labels import Labels, labels, same_label
 from sugiyama_ros.trajectories.tracks import Tracks
 
@@ -45,15 +54,9 @@ _EXID = {
 }
 
 
-def read_highd(path: Path, choices: Choices) -> Tracks:
-    """Read ``XX_tracks.csv``; ``XX_tracksMeta.csv`` and ``XX_recordingMeta.csv`` beside it are read where they are.
-
-    Raises InputError.
-    """
-    sheet = sheet_of(path, head_of(path))
-    if sheet is None or not _is_known(sheet):
-        raise InputError(f"{path}:1: not the columns of highD, exiD or inD; check the file")
-    is_highd = sheet.has("laneId")
+def _read(sheet: Sheet, choices: Choices) -> Tracks:
+    """Read ``XX_tracks.csv``; ``XX_tracksMeta.csv`` and ``XX_recordingMeta.csv`` beside it are read where they are."""
+    path, is_highd = sheet.path, sheet.has("laneId")
     if not is_highd and sheet.find("leadId") is None:
         raise InputError(
             f"{path}:1: no column leadId: crossings (inD, rounD) have neither lanes nor leaders; give lanes in a table"
@@ -63,8 +66,7 @@ def read_highd(path: Path, choices: Choices) -> Tracks:
     about = about_file(path, leaders="found" if is_highd else "given", licence=_LICENCE)
     about = replace(about, smoothing="positions as published (smoothed)")
     columns["time_s"] = np.asarray(columns.pop("frame_s")) / _rate(path)
-    if isinstance(leader := columns.get("leader"), Labels):
-        columns["leader"] = nobody(leader, text_of(columns, "vehicle"), "0", "-1")
+    without_nobody(columns, "0", "-1")
     columns = _of_highd(columns) if is_highd else _of_exid(columns)
     columns.setdefault("recording", same_label(len(np.asarray(columns["time_s"])), shown_stem(path).partition("_")[0]))
     if (kind := _classes(path, text_of(columns, "vehicle"))) is not None:
@@ -72,7 +74,7 @@ def read_highd(path: Path, choices: Choices) -> Tracks:
     return put_together(columns, about, choices)
 
 
-def _of_highd(columns: dict[str, Array | Labels]) -> dict[str, Array | Labels]:
+def _of_highd(columns: Rows) -> Rows:
     """Centres, and a road for each direction."""
     x, length = np.asarray(columns.pop("x_m")), np.asarray(columns["length_m"])
     y, width = np.asarray(columns.pop("y_m")), np.asarray(columns.get("width_m", 0.0))
@@ -83,7 +85,7 @@ def _of_highd(columns: dict[str, Array | Labels]) -> dict[str, Array | Labels]:
     return columns | {"s_m": x + 0.5 * length, "d_m": y + 0.5 * width, "road": road, "speed": speed}
 
 
-def _of_exid(columns: dict[str, Array | Labels]) -> dict[str, Array | Labels]:
+def _of_exid(columns: Rows) -> Rows:
     """Positions along the two main directions of the road."""
     x, y = np.asarray(columns.pop("x_m")), np.asarray(columns.pop("y_m"))
     heading = np.radians(np.asarray(columns.pop("heading_m")))
@@ -127,19 +129,17 @@ def _classes(path: Path, vehicle: Labels) -> Labels | None:
     return labels(code, [text.lower() for text in kinds.text])
 
 
-def _is_known(sheet: Sheet) -> bool:
-    return sheet.has("frame", "id", "x", "laneId", "width") or sheet.has("trackId", "frame", "xCenter", "yCenter")
+def _sheet(path: Path, head: bytes) -> Sheet | None:
+    sheet = text_sheet(path, head)
+    marks = ("frame", "id", "x", "laneId", "width"), ("trackId", "frame", "xCenter", "yCenter")
+    return sheet if sheet is not None and any(sheet.has(*names) for names in marks) else None
 
 
-def _recognise(head: bytes, path: Path) -> bool:
-    sheet = None if head.startswith(b"PAR1") else sheet_of(path, head)
-    return sheet is not None and _is_known(sheet)
-
-
-FORMAT = tracks_format(
+FORMAT = sheet_format(
     name="highd",
     suffixes=(".csv",),
-    recognise=_recognise,
-    tracks=read_highd,
     summary="highD and exiD (tracks.csv with its metadata beside it): both directions, lanes, leaders",
+    sheet_of=_sheet,
+    read=_read,
+    refusal="1: not the columns of highD, exiD or inD; check the file",
 )

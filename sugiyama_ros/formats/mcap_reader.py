@@ -1,10 +1,10 @@
-"""Reader of MCAP files: summary and messages."""
+"""Reader of bags: MCAP files, and directories of rosbag2 with one or more of them."""
 
 import re
 import zlib
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from operator import attrgetter
 from pathlib import Path
@@ -14,23 +14,31 @@ from typing import Any, NamedTuple
 from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, Footer, Header, Metadata, MetadataIndex, Statistics
 
+from sugiyama_ros.documents import read_yaml
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.cdr import Decoder, decoder_of
-from sugiyama_ros.formats.mcap_order import Segment, in_order, merged
 from sugiyama_ros.formats.mcap_records import (
     HEAD,
     MAGIC,
-    MAX_DESCRIPTION,
+    MAX_RECORD,
+    METADATA,
+    ZSTD,
     Descriptions,
     Message,
+    Record,
     RecordFile,
+    Segment,
     content_records,
+    in_order,
+    merged,
+    open_packed,
+    unpacked,
 )
-from sugiyama_ros.formats.zstd_packed import ZSTD, open_packed, unpacked
 
 _FOOTER_SIZE = HEAD.size + 20
 _BLOCK = 1 << 20
-_log_time = attrgetter("log_time")
+# How rosbag2 and others call files that zstd has compressed.
+_PACKED = (".zstd", ".zst")
 
 
 @dataclass(frozen=True)
@@ -76,9 +84,7 @@ class Bag:
     """An MCAP file opened for reading; use it in a ``with`` block.
 
     Memory stays below 512 MiB, whatever the file claims. Larger records, and larger chunks after decompression, are
-    refused before memory is allocated for them.
-
-    Raises InputError.
+    refused before memory is allocated for them. Raises InputError.
     """
 
     def __init__(self, path: Path) -> None:
@@ -100,10 +106,8 @@ class Bag:
         statistics: Statistics | None = None
         metadata: dict[str, dict[str, str]] = {}
         compression: set[str] = set()
-        for record in self._file.records(self._summary or len(MAGIC)):
-            if record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self._described.add(record.opcode, self._file.body(record, MAX_DESCRIPTION))
-            elif record.opcode == Opcode.STATISTICS:
+        for record in self._noting(self._file.records(self._summary or len(MAGIC))):
+            if record.opcode == Opcode.STATISTICS:
                 statistics = self._file.parse(Statistics, record)
             elif record.opcode == Opcode.CHUNK_INDEX:
                 compression.add(self._file.parse(ChunkIndex, record).compression)
@@ -114,9 +118,10 @@ class Bag:
                 self._described.count(record.length)
                 metadata[found.name] = found.metadata
         if statistics is None:
-            statistics = self._counted()
-        counts = statistics.channel_message_counts
-        start, end = statistics.message_start_time, statistics.message_end_time
+            counts, start, end = self._counted()
+        else:
+            counts = statistics.channel_message_counts
+            start, end = statistics.message_start_time, statistics.message_end_time
         topics = [self._topic(channel, counts.get(channel.id, 0)) for channel in self._described.channels.values()]
         return BagInfo(
             file=str(self.path),
@@ -127,9 +132,9 @@ class Bag:
             duration_s=1e-9 * (end - start),
             start_ns=start,
             end_ns=end,
-            messages=statistics.message_count,
+            messages=sum(counts.values()) if statistics is None else statistics.message_count,
             compression=tuple(sorted(compression - {""})),
-            topics=tuple(sorted(topics, key=lambda topic: topic.name)),
+            topics=tuple(sorted(topics, key=attrgetter("name"))),
             metadata=metadata,
         )
 
@@ -160,6 +165,25 @@ class Bag:
         """Messages with their content as bytes; otherwise the same as ``messages``."""
         return map(self._named, self._selected(topics))
 
+    def close(self) -> None:
+        """Close the file."""
+        self._opened.close()
+
+    def __enter__(self) -> "Bag":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _noting(self, records: Iterable[Record]) -> Iterator[Record]:
+        """Records; their descriptions of types and channels are kept."""
+        for record in records:
+            if record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                self._described.add(record.opcode, self._file.body(record))
+            yield record
+
     def _named(self, message: Message) -> BagMessage:
         """A message with the topic and type of its channel; unpacked if it was compressed on its own."""
         schema = self._described.schema(message.channel)
@@ -171,23 +195,28 @@ class Bag:
 
     def _selected(self, topics: Collection[str] | None) -> Iterator[Message]:
         """Messages of some topics, or of all topics."""
-        skipped = self._chunks_without(topics) if topics is not None else frozenset()
-        self._describe_all()
 
-        def unwanted(channel: int) -> bool:
+        def wanted(channel: int) -> bool:
             if channel not in self._described.channels:
                 raise InputError(
                     f"{self.path}: a message of channel {channel}, which is not described; the file is damaged"
                 )
-            return topics is not None and self._described.channels[channel].topic not in topics
+            return topics is None or self._described.channels[channel].topic in topics
 
-        def part(start_ns: int, size: int, where: str, content: Callable[[], bytes]) -> Segment:
-            return Segment(start_ns, size, lambda: in_order(content(), where, self._described.add, unwanted))
-
-        yield from merged([part(*found) for found in self._parts(skipped)], _log_time, self.path)
+        skipped = self._without(topics)
+        parts = [
+            Segment(start, size, partial(self._part, where, content, wanted))
+            for start, size, where, content in self._parts(skipped)
+        ]
+        if not self._described.channels:
+            self._describe_chunks()
+        yield from merged(parts, attrgetter("log_time"), self.path)
         missing = set(topics or ()) - {channel.topic for channel in self._described.channels.values()}
         if missing:
             raise InputError(f"{self.path}: no topic {', '.join(sorted(missing))}; see `sugiyama info {self.path}`")
+
+    def _part(self, where: str, content: Callable[[], bytes], wanted: Callable[[int], bool]) -> Iterator[Message]:
+        return in_order(content(), where, self._described.add, wanted)
 
     def _parts(self, skipped: Collection[int]) -> Iterator[tuple[int, int, str, Callable[[], bytes]]]:
         """The chunks, and the blocks of messages between them: first log time [ns], bytes, name, and what reads it.
@@ -195,64 +224,48 @@ class Bag:
         Chunks at the offsets ``skipped`` are passed over.
         """
         file, block, first_ns = self._file, (0, 0), 0
-        for record in file.records():
+        for record in self._noting(file.records()):
             is_message = record.opcode == Opcode.MESSAGE
             begin, end = block
             if begin < end and (not is_message or end != record.offset or record.end - begin > _BLOCK):
                 yield first_ns, end - begin, f"{self.path}: offset {begin}", partial(file.read, begin, end - begin)
                 block = (0, 0)
             if is_message:
-                log_time = file.message_head(record).log_time
+                log_time = file.log_time(record)
                 first_ns = log_time if block == (0, 0) else min(first_ns, log_time)
                 block = (record.offset if block == (0, 0) else block[0], record.end)
             elif record.opcode == Opcode.CHUNK and record.offset not in skipped:
                 start_ns, size = file.chunk_head(record)
-                yield start_ns, size, f"{self.path}: chunk at offset {record.offset}", partial(file.chunk, record)
+                yield start_ns, min(size, MAX_RECORD), file.where(record), partial(file.chunk, record)
 
-    def _describe_all(self) -> None:
-        """Take in the descriptions of types and channels: from the summary, and from between the chunks.
+    def _without(self, topics: Collection[str] | None) -> Collection[int]:
+        """Offsets of chunks that hold no message of ``topics``, as far as the summary says so."""
+        records = self._noting(self._file.records(self._summary)) if self._summary else ()
+        indexes = [record for record in records if record.opcode == Opcode.CHUNK_INDEX]
+        wanted = {channel.id for channel in self._described.channels.values() if channel.topic in (topics or ())}
+        if topics is None or len(wanted) < len(topics):
+            return frozenset()
+        found = [self._file.parse(ChunkIndex, record) for record in indexes]
+        return {
+            index.chunk_start_offset
+            for index in found
+            if index.message_index_offsets and wanted.isdisjoint(index.message_index_offsets)
+        }
 
-        Only if that leaves some out, from the chunks as well: a channel may be described in a chunk that comes later.
-        """
-        for offset in (self._summary, len(MAGIC)):
-            for record in self._file.records(offset) if offset else ():
-                if record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                    self._described.add(record.opcode, self._file.body(record, MAX_DESCRIPTION))
-        if self._described.channels:
-            return
+    def _describe_chunks(self) -> None:
+        """Take in the descriptions in all chunks, where they are nowhere else: one may come after its messages."""
         for record in self._file.records():
             if record.opcode == Opcode.CHUNK:
-                where = f"{self.path}: chunk at offset {record.offset}"
-                for opcode, found in content_records(self._file.chunk(record), where):
+                content = self._file.chunk(record)
+                for opcode, start, end in content_records(content, self._file.where(record)):
                     if opcode != Opcode.MESSAGE:
-                        self._described.add(opcode, found)
-
-    def _chunks_without(self, topics: Collection[str]) -> Collection[int]:
-        """Offsets of chunks that hold no message of ``topics``, as far as the summary says so."""
-        if not self._summary:
-            return frozenset()
-        indexes = []
-        for record in self._file.records(self._summary):
-            if record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self._described.add(record.opcode, self._file.body(record, MAX_DESCRIPTION))
-            elif record.opcode == Opcode.CHUNK_INDEX:
-                indexes.append(record)
-        wanted = {channel.id for channel in self._described.channels.values() if channel.topic in topics}
-        if len(wanted) < len(topics):
-            return frozenset()
-        skipped = set()
-        for record in indexes:
-            index = self._file.parse(ChunkIndex, record)
-            if index.message_index_offsets and wanted.isdisjoint(index.message_index_offsets):
-                skipped.add(index.chunk_start_offset)
-        return skipped
+                        self._described.add(opcode, content[start:end])
 
     def _decoder(self, number: int) -> Decoder | None:
         """Decoder for the messages of a channel; None if they cannot be decoded, and `undecoded` says why."""
         channel, schema = self._described.channels[number], self._described.schema(number)
-        name = schema.name if schema is not None else ""
-        text = schema.data.decode(errors="replace") if schema is not None else ""
-        found = decoder_of(name, text, schema.encoding if schema is not None else "", channel.message_encoding)
+        said = (schema.name, schema.data.decode(errors="replace"), schema.encoding) if schema else ("", "", "")
+        found = decoder_of(*said, channel.message_encoding)
         if isinstance(found, str):
             self.undecoded[channel.topic] = found
             return None
@@ -270,24 +283,14 @@ class Bag:
             durability=_policy(qos, "durability", {"1": "transient_local", "2": "volatile"}),
         )
 
-    def _counted(self) -> Statistics:
-        """Statistics of a file without a statistics record, by counting."""
+    def _counted(self) -> tuple[dict[int, int], int, int]:
+        """Messages of each channel, and the first and last log time [ns], of a file that does not say them."""
         counts: dict[int, int] = {}
         start, end = (1 << 64) - 1, 0
         for message in self._selected(None):
             counts[message.channel] = counts.get(message.channel, 0) + 1
             start, end = min(start, message.log_time), max(end, message.log_time)
-        return Statistics(
-            attachment_count=0,
-            channel_count=len(self._described.channels),
-            channel_message_counts=counts,
-            chunk_count=0,
-            message_count=sum(counts.values()),
-            message_end_time=end,
-            message_start_time=min(start, end),
-            metadata_count=0,
-            schema_count=len(self._described.schemas),
-        )
+        return counts, min(start, end), end
 
     def _summary_start(self) -> int:
         """Offset of the summary section, with a verified checksum; 0 if there is no summary."""
@@ -312,20 +315,102 @@ class Bag:
                 raise file.damaged(start, "checksum of the summary does not hold")
         return start
 
-    def close(self) -> None:
-        """Close the file."""
-        self._opened.close()
-
-    def __enter__(self) -> "Bag":
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
 
 def _policy(qos: str, name: str, numbers: dict[str, str]) -> str:
     """One policy of the first profile in the YAML text of rosbag2; older bags write numbers."""
     found = re.search(rf"\b{name}: *(\w+)", qos)
     return numbers.get(found[1], found[1]) if found else ""
+
+
+class BagSource:
+    """One or more files that were recorded together, read as one: an MCAP file, or a directory of rosbag2.
+
+    Raises InputError.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.files = path, bag_files(path)
+        #: Why the messages of a topic are given as bytes.
+        self.undecoded: dict[str, str] = {}
+
+    def info(self) -> BagInfo:
+        """Content of all files together."""
+        each = []
+        for file in self.files:
+            with Bag(file) as bag:
+                each.append(bag.info())
+        if len(each) == 1:
+            return replace(each[0], file=str(self.path))
+        filled = [one for one in each if one.messages]
+        start_ns = min((one.start_ns for one in filled), default=0)
+        end_ns = max((one.end_ns for one in filled), default=0)
+        topics: dict[str, TopicInfo] = {}
+        for topic in (topic for one in each for topic in one.topics):
+            known = topics.get(topic.name)
+            topics[topic.name] = topic if known is None else replace(known, count=known.count + topic.count)
+        return replace(
+            each[0],
+            file=str(self.path),
+            size_bytes=sum(one.size_bytes for one in each),
+            duration_s=1e-9 * (end_ns - start_ns),
+            start_ns=start_ns,
+            end_ns=end_ns,
+            messages=sum(one.messages for one in each),
+            compression=tuple(sorted({name for one in each for name in one.compression})),
+            topics=tuple(topics[name] for name in sorted(topics)),
+            metadata={name: values for one in each for name, values in one.metadata.items()},
+        )
+
+    def messages(self, topics: Collection[str]) -> Iterator[BagMessage]:
+        """Messages of some topics in the order of their log times, as those of `Bag`."""
+        parts, missing = [], set(topics)
+        for file in self.files:
+            with Bag(file) as bag:
+                about = bag.info()
+            here = {topic.name for topic in about.topics} & set(topics)
+            missing -= here
+            if here and about.messages:
+                parts.append(Segment(about.start_ns, 0, partial(self._of_file, file, here)))
+        if missing:
+            raise InputError(f"{self.path}: no topic {', '.join(sorted(missing))}; see `sugiyama info {self.path}`")
+        yield from merged(parts, attrgetter("log_time_ns"), self.path)
+
+    def _of_file(self, file: Path, topics: Collection[str]) -> Iterator[BagMessage]:
+        with Bag(file) as bag:
+            for message in bag.messages(topics):
+                if isinstance(message.message, bytes):
+                    self.undecoded.update(bag.undecoded)
+                yield message
+
+
+def bag_files(path: Path) -> list[Path]:
+    """Files of a bag, in the order in which they were recorded. Raises InputError."""
+    if not path.is_dir():
+        if path.suffix.lower() in (".bag", ".db3"):
+            kind = "a bag of ROS 1" if path.suffix.lower() == ".bag" else "in a database of rosbag2"
+            source = path if path.suffix.lower() == ".bag" else path.parent
+            target = path.with_suffix("")
+            cure = f"run `rosbags-convert --src {source} --dst {target}_mcap --dst-storage mcap`"
+            raise InputError(f"{path}: {kind}, not an MCAP file; {cure}, and give {target}_mcap")
+        return [path]
+    if not (path / METADATA).is_file():
+        raise InputError(f"{path}: has no {METADATA}; give one of its .mcap files, or run `ros2 bag reindex {path}`")
+    document = read_yaml(path / METADATA)
+    try:
+        about = document["rosbag2_bagfile_information"]
+        storage, names = str(about["storage_identifier"]), [str(name) for name in about["relative_file_paths"]]
+    except (KeyError, TypeError):
+        raise InputError(f"{path / METADATA}: is not of a bag; give a directory that rosbag2 recorded") from None
+    if storage != "mcap":
+        cure = f"run `rosbags-convert --src {path} --dst {path}_mcap --dst-storage mcap`"
+        raise InputError(f"{path}: its storage is {storage}, not mcap; {cure}, and give {path}_mcap")
+    files = [_unpacked(path / Path(name).name) for name in names]
+    if not files:
+        raise InputError(f"{path}: has no files; record something")
+    return files
+
+
+def _unpacked(file: Path) -> Path:
+    """The file that was unpacked beside a compressed one, if there is one."""
+    beside = file.with_suffix("")
+    return beside if file.suffix in _PACKED and beside.suffix == ".mcap" and beside.is_file() else file

@@ -10,12 +10,12 @@ import numpy as np
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.format import Format
 from sugiyama_ros.formats.mcap_records import MAGIC
-from sugiyama_ros.formats.reading import open_input, sha256, shown_name
+from sugiyama_ros.formats.reading import checksum_of, shown_name
 from sugiyama_ros.formats.samples import MAX_SAMPLES, agreed_road
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 if TYPE_CHECKING:
-    from sugiyama_ros.formats.bag_folder import BagSource
+    from sugiyama_ros.formats.mcap_reader import BagSource
 
 ROAD_TYPE = "sugiyama_msgs/msg/Road"
 MEASURED_TYPE = "sugiyama_msgs/msg/MeasuredPositions"
@@ -87,9 +87,9 @@ def read_measured(path: Path, ring_m: float | None = None) -> Trajectories:
 
     ring_m: circumference [m] of the ring; must agree with the bag. Raises InputError.
     """
-    from sugiyama_ros.formats.bag_folder import recorded
+    from sugiyama_ros.formats.mcap_reader import BagSource
 
-    bag = recorded(path)
+    bag = BagSource(path)
     about = bag.info().topics
     topics = {}
     for name, kind in (("road", ROAD_TYPE), ("measured", MEASURED_TYPE)):
@@ -123,9 +123,7 @@ def _collected(bag: "BagSource", topics: dict[str, str], ring_m: float | None) -
             raise InputError(f"{path}: {message.topic!r}: the road changes; record one road in one bag")
     if road is None:
         raise InputError(f"{path}: no message on `road`; the bag is damaged")
-    with open_input(bag.files[0]) as stream:
-        checksum = road.sha256 or sha256(stream)
-    return columns.trajectories(road, ring_m, checksum)
+    return columns.trajectories(road, ring_m, road.sha256 or checksum_of(bag.files[0]))
 
 
 def _checked(road: Any) -> Any:

@@ -4,7 +4,6 @@ import re
 from pathlib import Path
 
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.formats.catalogue import SUGIYAMA_CASE_1_SHA256
 from sugiyama_ros.formats.format import Format, has_suffix
 from sugiyama_ros.formats.reading import lines, number, open_input, sha256
 from sugiyama_ros.formats.samples import Samples, agreed_road
@@ -15,6 +14,7 @@ _CASE_1_LENGTH_M = [
     *(3.52, 4.65, 3.68, 4.54, 3.90, 4.92, 4.87, 5.03, 4.62, 4.81, 4.92),
     *(3.95, 4.11, 3.95, 4.49, 4.81, 4.81, 3.57, 4.38, 4.06, 3.08, 4.71),
 ]
+_CASE_1_SHA256 = "91cf02c7cbf3fe6d817dd02ef347586b12a9134b1f914655e486be2f8773457c"
 _CIRCUIT = re.compile(r"circuit length is +(\d+(?:\.\d*)?) *m\b")
 
 
@@ -54,7 +54,7 @@ def read_mstf(path: Path, ring_m: float | None = None) -> Trajectories:
     if said_m is None and ring_m is None:
         raise InputError(f"{path}: does not say the length of the circuit; give it with --ring (0 for an open road)")
     cars = len(samples.vehicles)
-    lengths = _CASE_1_LENGTH_M if checksum == SUGIYAMA_CASE_1_SHA256 else [DEFAULT_LENGTH_M] * cars
+    lengths = _CASE_1_LENGTH_M if checksum == _CASE_1_SHA256 else [DEFAULT_LENGTH_M] * cars
     return samples.trajectories(lengths, agreed_road(path, said_m, ring_m), checksum)
 
 

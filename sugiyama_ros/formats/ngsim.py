@@ -5,13 +5,20 @@ from pathlib import Path
 import numpy as np
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
-from sugiyama_ros.formats.columns import FOOT_M, about_file, need, nobody, put_together, read_columns, take, text_of
-from sugiyama_ros.formats.format import tracks_format
+from sugiyama_ros.formats.columns import (
+    about_file,
+    need,
+    put_together,
+    read_columns,
+    rename,
+    sheet_format,
+    take,
+    without_nobody,
+)
 from sugiyama_ros.formats.reading import shown_stem
-from sugiyama_ros.formats.sheet import Sheet, head_of, is_number, sheet_of
-from sugiyama_ros.trajectories.labels import Labels, joined, labels, numbered, same_label
+from sugiyama_ros.formats.sheet import Sheet, is_number, sheet_of
+from sugiyama_ros.trajectories.labels import Labels, joined, numbered, same_label
 from sugiyama_ros.trajectories.tracks import Tracks
 
 _TEXT_COLUMNS = (
@@ -19,13 +26,15 @@ _TEXT_COLUMNS = (
     *("v_Length", "v_Width", "v_Class", "v_Vel", "v_Acc", "Lane_ID", "Preceding", "Following"),
     *("Space_Headway", "Time_Headway"),
 )
+# A foot [m].
+_FOOT_M = 0.3048
 _WANTED = {
     "vehicle": need("Vehicle_ID", "Vehicle ID"),
-    "s_m": need("Local_Y", "Local Y (ft)", factor=FOOT_M),
-    "d_m": take("Local_X", "Local X (ft)", factor=FOOT_M),
-    "length_m": take("v_Length", "Length (ft)", factor=FOOT_M),
-    "width_m": take("v_Width", "Width (ft)", factor=FOOT_M),
-    "speed": take("v_Vel", "Speed (ft/s)", factor=FOOT_M),
+    "s_m": need("Local_Y", "Local Y (ft)", factor=_FOOT_M),
+    "d_m": take("Local_X", "Local X (ft)", factor=_FOOT_M),
+    "length_m": take("v_Length", "Length (ft)", factor=_FOOT_M),
+    "width_m": take("v_Width", "Width (ft)", factor=_FOOT_M),
+    "speed": take("v_Vel", "Speed (ft/s)", factor=_FOOT_M),
     "class": take("v_Class", "Class"),
     "lane": take("Lane_ID", "Lane Num"),
     "leader": take("Preceding", "Preceding Vehicle ID"),
@@ -34,35 +43,26 @@ _WANTED = {
 }
 # The time, from the first of these columns that is there.
 _CLOCKS = (need("Global_Time", factor=1e-3), need("Global Time (s)"), need("Frame_ID", factor=0.1))
-_CLASSES = {"1": "motorcycle", "2": "car", "3": "truck"}
+#: Names of the classes.
+CLASSES = {"1": "motorcycle", "2": "car", "3": "truck"}
 # A place where nobody is seen for this long [s] has another recording from then on.
 _PAUSE_S = 60.0
 
 
-def read_ngsim(path: Path, choices: Choices) -> Tracks:
-    """Read a file of NGSIM: feet, front bumpers, times in milliseconds, numbers of vehicles that are used again.
-
-    Raises InputError.
-    """
-    sheet = _sheet(path, head_of(path))
-    if sheet is None:
-        raise InputError(
-            f"{path}:1: not the columns of NGSIM; say which is which with --format table --columns map.yaml"
-        )
+def _read(sheet: Sheet, choices: Choices) -> Tracks:
+    """Feet, front bumpers, times in milliseconds, numbers of vehicles that are used again."""
     clock_column = next((one for one in _CLOCKS if sheet.find(*one.names)), _CLOCKS[0])
     columns = read_columns(sheet, _WANTED | {"clock_s": clock_column})
-    about = about_file(path, smoothing="positions as published", licence="US DOT, public")
+    about = about_file(sheet.path, smoothing="positions as published", licence="US DOT, public")
     clock = np.asarray(columns.pop("clock_s"))
     place = columns.pop("place", None)
-    place = place if isinstance(place, Labels) else same_label(len(clock), shown_stem(path))
+    place = place if isinstance(place, Labels) else same_label(len(clock), shown_stem(sheet.path))
     columns["recording"], columns["time_s"] = _periods(place, clock)
-    if isinstance(leader := columns.get("leader"), Labels):
-        columns["leader"] = nobody(leader, text_of(columns, "vehicle"), "0", "-1")
+    without_nobody(columns, "0", "-1")
     road = columns.get("road")
     if isinstance(road, Labels) and ((road.code < 0).any() or "0" in road.used()):
         del columns["road"]
-    if isinstance(kind := columns.get("class"), Labels):
-        columns["class"] = labels(kind.code, [_CLASSES.get(text, text) for text in kind.text])
+    rename(columns, "class", CLASSES)
     return put_together(columns, about, choices, reference="front")
 
 
@@ -92,19 +92,16 @@ def _sheet(path: Path, head: bytes) -> Sheet | None:
         return None
     if sheet.has("Vehicle_ID", "Local_Y", "Preceding") or sheet.has("Vehicle ID", "Local Y (ft)", "Lane Num"):
         return sheet
-    if len(sheet.names) == len(_TEXT_COLUMNS) and all(_is_number(name) for name in sheet.names):
+    if len(sheet.names) == len(_TEXT_COLUMNS) and all(is_number(name.partition("~")[0]) for name in sheet.names):
         return sheet_of(path, head, names=_TEXT_COLUMNS)
     return None
 
 
-def _is_number(text: str) -> bool:
-    return is_number(text.partition("~")[0])
-
-
-FORMAT = tracks_format(
+FORMAT = sheet_format(
     name="ngsim",
     suffixes=(".txt", ".csv"),
-    recognise=lambda head, path: _sheet(path, head) is not None,
-    tracks=read_ngsim,
     summary="NGSIM (text with 18 columns, or CSV) and HIGH-SIM: feet, front bumpers, lanes, leaders",
+    sheet_of=_sheet,
+    read=_read,
+    refusal="1: not the columns of NGSIM; say which is which with --format table --columns map.yaml",
 )

@@ -1,100 +1,86 @@
 """Car-following pairs: each row has a follower and the leader at one time."""
 
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
-from sugiyama_ros.formats.columns import Take, about_file, need, put_together, read_columns, take, text_of
-from sugiyama_ros.formats.format import tracks_format
+from sugiyama_ros.formats.columns import (
+    Rows,
+    Take,
+    about_file,
+    fits,
+    need,
+    put_together,
+    read_columns,
+    rename,
+    sheet_format,
+    stacked,
+    take,
+    text_of,
+)
+from sugiyama_ros.formats.ngsim import CLASSES
 from sugiyama_ros.formats.reading import shown_stem
-from sugiyama_ros.formats.sheet import Sheet, head_of, sheet_of
-from sugiyama_ros.trajectories.about import Reference
-from sugiyama_ros.trajectories.labels import Labels, labels, same_label
+from sugiyama_ros.formats.sheet import Sheet, sheet_of
+from sugiyama_ros.trajectories.labels import Labels, same_label
 from sugiyama_ros.trajectories.tracks import Tracks
 
-
-@dataclass(frozen=True)
-class _Kind:
-    """Columns of one kind of pair file; those of the leader begin with ``leader_``."""
-
-    wanted: dict[str, Take]
-    reference: Reference = "front"
-    classes: dict[str, str] = field(default_factory=dict)
-
-
-_KINDS = (
-    _Kind(
-        {
-            "recording": take("run_no"),
-            "vehicle": take("follower_id"),
-            "leader_vehicle": take("leader_id"),
-            "time_s": need("timestamp"),
-            "s_m": need("xFollowerReal"),
-            "leader_s_m": need("xLeaderReal"),
-            "speed": take("vFollowerReal"),
-            "leader_speed": take("vLeaderReal"),
-            "gap_m": take("spacing"),
-        }
-    ),
-    _Kind(
-        {
-            "vehicle": need("vehicle_id"),
-            "leader_vehicle": need("preceding"),
-            "time_s": need("frame_id", factor=0.1),
-            "s_m": need("local_y"),
-            "leader_s_m": need("preceding_local_y"),
-            "speed": take("v_vel"),
-            "leader_speed": take("preceding_vel"),
-            "d_m": take("local_x"),
-            "length_m": take("v_length"),
-            "leader_length_m": take("preceding_length"),
-            "width_m": take("v_width"),
-            "leader_width_m": take("preceding_width"),
-            "class": take("v_class"),
-            "leader_class": take("preceding_class"),
-            "lane": take("lane_id"),
-        },
-        classes={"1": "motorcycle", "2": "car", "3": "truck"},
-    ),
-    _Kind(
-        {
-            "recording": take("Trajectory_ID"),
-            "vehicle": take("ID_FAV"),
-            "leader_vehicle": take("ID_LV"),
-            "time_s": need("Time_Index"),
-            "s_m": need("Pos_FAV"),
-            "leader_s_m": need("Pos_LV"),
-            "speed": take("Speed_FAV"),
-            "leader_speed": take("Speed_LV"),
-            "gap_m": take("Space_Gap", "Spatial_Gap"),
-        }
-    ),
+# Columns of the kinds of pair files; those of the leader begin with ``leader_``.
+_KINDS: tuple[dict[str, Take], ...] = (
+    {
+        "recording": take("run_no"),
+        "vehicle": take("follower_id"),
+        "leader_vehicle": take("leader_id"),
+        "time_s": need("timestamp"),
+        "s_m": need("xFollowerReal"),
+        "leader_s_m": need("xLeaderReal"),
+        "speed": take("vFollowerReal"),
+        "leader_speed": take("vLeaderReal"),
+        "gap_m": take("spacing"),
+    },
+    {
+        "vehicle": need("vehicle_id"),
+        "leader_vehicle": need("preceding"),
+        "time_s": need("frame_id", factor=0.1),
+        "s_m": need("local_y"),
+        "leader_s_m": need("preceding_local_y"),
+        "speed": take("v_vel"),
+        "leader_speed": take("preceding_vel"),
+        "d_m": take("local_x"),
+        "length_m": take("v_length"),
+        "leader_length_m": take("preceding_length"),
+        "width_m": take("v_width"),
+        "leader_width_m": take("preceding_width"),
+        "class": take("v_class"),
+        "leader_class": take("preceding_class"),
+        "lane": take("lane_id"),
+    },
+    {
+        "recording": take("Trajectory_ID"),
+        "vehicle": take("ID_FAV"),
+        "leader_vehicle": take("ID_LV"),
+        "time_s": need("Time_Index"),
+        "s_m": need("Pos_FAV"),
+        "leader_s_m": need("Pos_LV"),
+        "speed": take("Speed_FAV"),
+        "leader_speed": take("Speed_LV"),
+        "gap_m": take("Space_Gap", "Spatial_Gap"),
+    },
 )
 
 
-def read_pairs(path: Path, choices: Choices) -> Tracks:
-    """Read pairs. A vehicle that follows in one pair and leads in another is one vehicle. Raises InputError."""
-    sheet = sheet_of(path, head_of(path))
-    kind = None if sheet is None else _kind(sheet)
-    if sheet is None or kind is None:
-        raise InputError(
-            f"{path}:1: not the columns of pairs; say which is which with --format table --columns map.yaml"
-        )
-    pair = read_columns(sheet, kind.wanted)
-    if isinstance(one := pair.get("class"), Labels):
-        pair["class"] = labels(one.code, [kind.classes.get(text, text) for text in one.text])
-    if isinstance(one := pair.get("leader_class"), Labels):
-        pair["leader_class"] = labels(one.code, [kind.classes.get(text, text) for text in one.text])
+def _read(sheet: Sheet, choices: Choices) -> Tracks:
+    """Read pairs. A vehicle that follows in one pair and leads in another is one vehicle."""
+    pair = read_columns(sheet, next(kind for kind in _KINDS if fits(sheet, kind)))
+    rename(pair, "class", CLASSES)
+    rename(pair, "leader_class", CLASSES)
     both = both_of(pair)
-    both.setdefault("recording", same_label(len(np.asarray(both["s_m"])), shown_stem(path)))
-    return put_together(both, about_file(path, leaders="given"), choices, kind.reference)
+    both.setdefault("recording", same_label(len(np.asarray(both["s_m"])), shown_stem(sheet.path)))
+    return put_together(both, about_file(sheet.path, leaders="given"), choices, "front")
 
 
-def both_of(pair: dict[str, Array | Labels]) -> dict[str, Array | Labels]:
+def both_of(pair: Rows) -> Rows:
     """Rows of the followers and of the leaders, of rows that have both.
 
     pair: columns (R,) of the followers; those of the leaders begin with ``leader_``; perhaps ``gap_m`` [m], bumper to
@@ -109,9 +95,7 @@ def both_of(pair: dict[str, Array | Labels]) -> dict[str, Array | Labels]:
     if "leader_length_m" in pair:
         pair.setdefault("length_m", np.full(rows, np.nan))
     # Followers come first, so that the row with the leader stays where a vehicle has two.
-    both: dict[str, Array | Labels] = {
-        "leader": _twice(pair["leader_vehicle"], Labels(np.full(rows, -1, np.int32), ()))
-    }
+    both: Rows = {"leader": _twice(pair["leader_vehicle"], Labels(np.full(rows, -1, np.int32), ()))}
     for name, column in pair.items():
         if name not in ("gap_m", "d_m", "leader") and not name.startswith("leader_"):
             own = np.full(rows, np.nan) if name.endswith("speed") else column
@@ -127,7 +111,7 @@ def _somebody(leader: Labels, leader_s_m: Array) -> Labels:
     return Labels(np.where(gone & ~placed, -1, leader.code).astype(np.int32), leader.text)
 
 
-def _length(pair: dict[str, Array | Labels]) -> Array:
+def _length(pair: Rows) -> Array:
     """Length [m] of the leader (R,), from the gap bumper to bumper."""
     # what becomes too large is no length
     with np.errstate(over="ignore", invalid="ignore"):
@@ -138,28 +122,20 @@ def _length(pair: dict[str, Array | Labels]) -> Array:
 def _twice(follower: Array | Labels, leader: Array | Labels) -> Array | Labels:
     """A column for the followers and, below, for the leaders."""
     if isinstance(follower, Labels) and isinstance(leader, Labels):
-        moved = np.where(leader.code < 0, -1, leader.code + len(follower.text))
-        return labels(np.concatenate((follower.code, moved)).astype(np.int32), (*follower.text, *leader.text))
+        return stacked((follower, leader))
     return np.asarray(np.concatenate((np.asarray(follower), np.asarray(leader))), dtype=np.float64)
 
 
-def _kind(sheet: Sheet) -> _Kind | None:
-    """The kind of a pair file, by the columns that it must have."""
-    for kind in _KINDS:
-        if all(sheet.find(*one.names) for one in kind.wanted.values() if not one.optional):
-            return kind
-    return None
-
-
-def _is_pairs(head: bytes, path: Path) -> bool:
+def _sheet(path: Path, head: bytes) -> Sheet | None:
     sheet = sheet_of(path, head)
-    return sheet is not None and _kind(sheet) is not None
+    return sheet if sheet is not None and any(fits(sheet, kind) for kind in _KINDS) else None
 
 
-FORMAT = tracks_format(
+FORMAT = sheet_format(
     name="pairs",
     suffixes=(".csv", ".parquet"),
-    recognise=_is_pairs,
-    tracks=read_pairs,
     summary="car-following pairs, a follower and the leader in each row (FHWA, NGSIM pairs, unified FAV tables)",
+    sheet_of=_sheet,
+    read=_read,
+    refusal="1: not the columns of pairs; say which is which with --format table --columns map.yaml",
 )

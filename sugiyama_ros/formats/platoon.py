@@ -4,13 +4,12 @@ from pathlib import Path
 
 import numpy as np
 
-from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
-from sugiyama_ros.formats.columns import about_file, need, put_together, read_columns
-from sugiyama_ros.formats.format import tracks_format
+from sugiyama_ros.formats.columns import about_file, need, put_together, read_columns, sheet_format
+from sugiyama_ros.formats.pairs import both_of
 from sugiyama_ros.formats.reading import shown_stem
-from sugiyama_ros.formats.sheet import Sheet, head_of, is_number, sheet_of
-from sugiyama_ros.trajectories.labels import Labels
+from sugiyama_ros.formats.sheet import Sheet, is_number, sheet_of
+from sugiyama_ros.trajectories.labels import same_label
 from sugiyama_ros.trajectories.tracks import Tracks
 
 _COLUMNS = ("time", "leader position", "follower position", "leader speed", "follower speed", "leader length")
@@ -24,30 +23,20 @@ _WANTED = {
 }
 
 
-def read_platoon(path: Path, choices: Choices) -> Tracks:
-    """Read a file of six columns without names, divided by tabs: front bumpers [m], times in tenths of a second.
-
-    Raises InputError.
-    """
-    sheet = _sheet(path, head_of(path))
-    if sheet is None:
-        raise InputError(f"{path}:1: not six columns divided by tabs; give a file of a platoon")
-    pair = read_columns(sheet, _WANTED)
+def _read(sheet: Sheet, choices: Choices) -> Tracks:
+    """Six columns without names, divided by tabs: front bumpers [m], times in tenths of a second."""
+    path, pair = sheet.path, read_columns(sheet, _WANTED)
     rows = len(np.asarray(pair["s_m"]))
     digits = "".join(filter(str.isdigit, path.stem))[-9:]
     # Cars of a platoon are numbered from the first to the last.
     follower, leader = (digits, str(int(digits) - 1)) if digits.strip("0") else ("follower", "leader")
-    second = np.repeat(np.array([0, 1], dtype=np.int32), rows)
-    columns = {
-        "recording": Labels(np.zeros(2 * rows, dtype=np.int32), (shown_stem(path),)),
-        "vehicle": Labels(second, (follower, leader)),
-        "leader": Labels(np.where(second == 0, 0, -1).astype(np.int32), (leader,)),
-        "time_s": np.tile(np.asarray(pair["time_s"]), 2),
-        "s_m": np.concatenate((np.asarray(pair["s_m"]), np.asarray(pair["leader_s_m"]))),
-        "length_m": np.tile(np.asarray(pair["length_m"]), 2),
-        "speed": np.concatenate((np.asarray(pair["speed"]), np.asarray(pair["leader_speed"]))),
+    pair |= {
+        "recording": same_label(rows, shown_stem(path)),
+        "vehicle": same_label(rows, follower),
+        "leader_vehicle": same_label(rows, leader),
+        "leader_length_m": pair["length_m"],
     }
-    return put_together(columns, about_file(path, leaders="given"), choices, reference="front")
+    return put_together(both_of(pair), about_file(path, leaders="given"), choices, reference="front")
 
 
 def _sheet(path: Path, head: bytes) -> Sheet | None:
@@ -57,10 +46,11 @@ def _sheet(path: Path, head: bytes) -> Sheet | None:
     return sheet_of(path, head, names=_COLUMNS)
 
 
-FORMAT = tracks_format(
+FORMAT = sheet_format(
     name="platoon",
     suffixes=(".txt",),
-    recognise=lambda head, path: _sheet(path, head) is not None,
-    tracks=read_platoon,
     summary="a follower and the leader in six columns without names (Punzo et al.; the platoon of Hefei)",
+    sheet_of=_sheet,
+    read=_read,
+    refusal="1: not six columns divided by tabs; give a file of a platoon",
 )

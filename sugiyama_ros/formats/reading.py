@@ -1,14 +1,20 @@
-"""Reading of text files, with every line and number checked."""
+"""Reading of text files and XML, with every line, number and time checked."""
 
 import hashlib
 import math
 import os
-from collections.abc import Iterator
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from datetime import datetime, timezone
 from io import BufferedReader, RawIOBase
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, TypeAlias
+from xml.etree import ElementTree
+
+import numpy as np
 
 from sugiyama_ros import inputs
+from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
 
 _MAX_LINE = 10_000
@@ -123,3 +129,157 @@ def sha256(stream: BinaryIO) -> str:
         digest.update(block)
     stream.seek(0)
     return digest.hexdigest()
+
+
+def checksum_of(path: Path) -> str:
+    """Checksum (SHA-256) of a file."""
+    with open_input(path) as stream:
+        return sha256(stream)
+
+
+#: A day [s].
+DAY_S = 86_400.0
+#: What a text should look like that is not a time, for messages.
+FORMS = "seconds, or a time such as 0:01:02.5 or 2024-05-31 10:00:00"
+# Perhaps days, as 2:00:00:01 or 2 days 00:00:01; hours, minutes and seconds. Without hours, there is a fraction: nobody
+# knows whether 10:30 means minutes or hours.
+_CLOCK = re.compile(r"(?:(\d{1,6})(?::| days? ,?))?(\d{1,4}):(\d{1,2}):(\d{1,2}(?:[.,]\d*)?)")
+_MINUTES = re.compile(r"(\d{1,6}):(\d{1,2}[.,]\d*)")
+_DATE = re.compile(
+    r"(\d{4})[-/](\d{2})[-/](\d{2})[T ](\d{2}):(\d{2})(?::(\d{2}(?:[.,]\d*)?))?\s?(Z|UTC|[+-]\d{2}:?\d{2})?"
+)
+
+
+def seconds_of(text: str) -> float | None:
+    """The time [s] that a text says; None for a text that is no time."""
+    text = text.strip()
+    try:
+        return float(text if "." in text else text.replace(",", "."))
+    except ValueError:
+        pass
+    if found := _CLOCK.fullmatch(text):
+        days, hours, minutes, rest = found[1] or 0, found[2], found[3], found[4]
+        return DAY_S * int(days) + 3600.0 * int(hours) + 60.0 * int(minutes) + _with_comma(rest)
+    if found := _MINUTES.fullmatch(text):
+        return 60.0 * int(found[1]) + _with_comma(found[2])
+    return _since_1970(text)
+
+
+def times_of(texts: Iterable[str]) -> tuple[Array, str]:
+    """Times [s] of texts, (N,), and the first text that is no time, or nothing.
+
+    A clock that passes midnight goes on counting.
+    """
+    texts = list(texts)
+    found = [seconds_of(text) for text in texts]
+    bad = next((text for text, time in zip(texts, found, strict=True) if time is None), "")
+    time = np.array([np.nan if one is None else one for one in found], dtype=np.float64)
+    clock = np.array([_CLOCK.fullmatch(text.strip()) is not None for text in texts], dtype=bool)
+    if clock.any() and clock.all() and np.nanmax(time) < DAY_S:
+        ordered = np.unique(time[np.isfinite(time)])
+        hole = np.diff(ordered)
+        # nobody records for half a day; what comes after such a hole was before midnight
+        if len(hole) and hole.max() > 0.5 * DAY_S:
+            time = np.where(time <= ordered[np.argmax(hole)], time + DAY_S, time)
+    return time, bad
+
+
+def _since_1970(text: str) -> float | None:
+    if not (found := _DATE.fullmatch(text)):
+        return None
+    year, month, day, hour, minute = (int(found[k]) for k in range(1, 6))
+    try:
+        start = datetime(year, month, day, hour, minute, tzinfo=timezone.utc).timestamp()
+    except ValueError:
+        return None
+    zone = found[7] or "Z"
+    ahead = 0.0
+    if zone[0] in "+-":
+        ahead = (3600.0 * int(zone[1:3]) + 60.0 * int(zone[-2:])) * (-1.0 if zone[0] == "-" else 1.0)
+    return start + _with_comma(found[6] or "0") - ahead
+
+
+def _with_comma(text: str) -> float:
+    return float(text.replace(",", "."))
+
+
+_BLOCK = 1 << 16
+_MARK = b"\xef\xbb\xbf"
+Parser: TypeAlias = "ElementTree.XMLPullParser[ElementTree.Element]"
+
+
+def root_of(path: Path) -> ElementTree.Element:
+    """The first element of an XML file, without what is in it. Raises InputError."""
+    parser: Parser = ElementTree.XMLPullParser(events=("start",))
+    with open_input(path) as stream:
+        try:
+            # a comment with all options of a program may come first
+            for _, element in _events(path, stream, parser):
+                element.tag = _local(element.tag)
+                return element
+        except ElementTree.ParseError as error:
+            raise InputError(f"{path}:{error.position[0]}: not XML: {error}; correct the file") from None
+    raise InputError(f"{path}: not XML: no element; correct the file")
+
+
+def has_root(head: bytes, path: Path, tag: str) -> bool:
+    """Whether a file, of which ``head`` are the first bytes, is XML whose first element has a tag.
+
+    A damaged file counts as one, if the tag is in its first bytes.
+    """
+    if not head.removeprefix(_MARK).lstrip().startswith(b"<"):
+        return False
+    try:
+        return root_of(path).tag == tag
+    except InputError:
+        return f"<{tag}".encode() in head
+
+
+def elements(path: Path, *tags: str) -> Iterator[ElementTree.Element]:
+    """Whole elements directly below the first one; each is forgotten when the next is asked for. Raises InputError."""
+    parser: Parser = ElementTree.XMLPullParser(events=("start", "end"))
+    with open_input(path) as stream:
+        depth: list[ElementTree.Element] = []
+        try:
+            for event, element in _events(path, stream, parser):
+                if event == "start":
+                    element.tag = _local(element.tag)
+                    depth.append(element)
+                    continue
+                depth.pop()
+                if len(depth) == 1:
+                    if element.tag in tags:
+                        yield element
+                    element.clear()
+                    depth[0].remove(element)
+        except ElementTree.ParseError as error:
+            raise InputError(f"{path}:{error.position[0]}: not XML: {error}; correct the file") from None
+
+
+def _events(path: Path, stream: BinaryIO, parser: "Parser") -> Iterator[tuple[str, ElementTree.Element]]:
+    while block := stream.read(_BLOCK):
+        if b"<!ENTITY" in block or b"<!DOCTYPE" in block:
+            raise InputError(f"{path}: declares a document type; remove it")
+        try:
+            parser.feed(block)
+        except (LookupError, ValueError) as error:
+            raise InputError(f"{path}: its encoding cannot be read: {error}; save it as UTF-8") from None
+        yield from parser.read_events()  # type: ignore[misc]
+    parser.close()
+    yield from parser.read_events()  # type: ignore[misc]
+
+
+def _local(tag: str) -> str:
+    """A tag without its namespace."""
+    return tag.rpartition("}")[2]
+
+
+def attribute(attributes: Mapping[str, str], name: str, where: str) -> float:
+    """A number among the attributes of an element. Raises InputError."""
+    if name not in attributes:
+        raise InputError(f"{where}: no attribute {name}; write the file with it")
+    # a clock is a number of seconds
+    value = seconds_of(attributes[name])
+    if value is None:
+        raise InputError(f"{where}: {name} {attributes[name][:40]!r} is not a number; correct the file")
+    return value

@@ -1,7 +1,6 @@
 """Recovery of the intact messages of a cut or damaged MCAP file."""
 
 import re
-import struct
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -16,15 +15,14 @@ from sugiyama_ros.formats.mcap_reader import Bag
 from sugiyama_ros.formats.mcap_records import (
     HEAD,
     MAGIC,
-    MAX_DESCRIPTION,
+    MAX_RECORD,
     Descriptions,
     Message,
     Record,
     RecordFile,
     content_records,
-    message_at,
+    open_packed,
 )
-from sugiyama_ros.formats.zstd_packed import open_packed
 from sugiyama_ros.outputs import Target, output_of, writing
 
 # Blocks in which the next chunk is looked for: they grow from the first size to the second.
@@ -32,7 +30,6 @@ _FIRST_BLOCK, _BLOCK = 1 << 12, 1 << 20
 # Bytes that are read and decompressed for a file, at most: so many, and so many for each byte of the file. A recording
 # needs less than a tenth of it; a crafted file could otherwise take hours.
 _WORK, _WORK_OF_A_BYTE = 1 << 28, 200
-_CLAIMED_SIZE = struct.Struct("<16xQ")
 # The name of the compression, behind its length, and where it stands in a chunk record.
 _CHUNK_NAME = re.compile(rb"\x04\0\0\0zstd|\x03\0\0\0lz4")
 _NAME_AT = HEAD.size + 28
@@ -97,7 +94,7 @@ class _Salvage:
                     header = self._file.parse(Header, record)
                     profile, library = header.profile, header.library
                 elif record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                    self._described.add(record.opcode, self._file.body(record, MAX_DESCRIPTION))
+                    self._described.add(record.opcode, self._file.body(record))
         writer.start(profile=profile, library=library)
         self.lost_bytes = 0
         for record in self._records():
@@ -113,15 +110,16 @@ class _Salvage:
             metadata = self._file.parse(Metadata, record)
             writer.add_metadata(metadata.name, metadata.metadata)
         elif record.opcode == Opcode.MESSAGE:
-            self._copy_message(self._file.message(record), writer)
+            self._file.log_time(record)  # refuses a message without its head
+            body = self._file.body(record, MAX_RECORD)
+            self._copy_message(Message.at(body, 0, len(body)), writer)
         elif record.opcode == Opcode.CHUNK:
-            where = f"{self._file.path}: chunk at offset {record.offset}"
             content = self._chunk(record)
-            for opcode, found in content_records(content, where):
+            for opcode, start, end in content_records(content, self._file.where(record)):
                 if opcode == Opcode.MESSAGE:
-                    self._copy_message(message_at(content, found.start, found.end), writer)
+                    self._copy_message(Message.at(content, start, end), writer)
                 else:
-                    self._described.add(opcode, found)
+                    self._described.add(opcode, content[start:end])
 
     def _copy_message(self, message: Message, writer: Writer) -> None:
         """Copy one message; a message without a description of its channel is lost."""
@@ -162,15 +160,11 @@ class _Salvage:
 
     def _chunk(self, record: Record) -> bytes:
         """Content of a chunk. Raises InputError if it is damaged, or if too much has been read already."""
-        (claimed,) = _CLAIMED_SIZE.unpack(self._file.read(record.offset + HEAD.size, _CLAIMED_SIZE.size))
-        self._spend(record.length + claimed)
-        return self._file.chunk(record)
-
-    def _spend(self, size: int) -> None:
-        """Note that ``size`` bytes are read. Raises InputError if these are too many for the file."""
+        size = record.length + self._file.chunk_head(record)[1]
         if size > self._left:
             raise InputError(f"{self._file.path}: takes too much work to recover; the rest is left out")
         self._left -= size
+        return self._file.chunk(record)
 
     def _next_chunk(self, offset: int) -> int:
         """Offset of the next intact compressed chunk; the end of the file if there is none."""

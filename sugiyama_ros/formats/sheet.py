@@ -4,9 +4,8 @@ import csv
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from io import RawIOBase
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +13,7 @@ from numpy.typing import NDArray
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.format import HEAD_BYTES
-from sugiyama_ros.formats.reading import lines, open_input, sha256, unix_lines
-from sugiyama_ros.formats.times import FORMS, seconds_of, times_of
+from sugiyama_ros.formats.reading import DAY_S, FORMS, lines, open_input, seconds_of, times_of, unix_lines
 from sugiyama_ros.trajectories.labels import Labels, labels, plain_text, without_point_zero
 
 #: Most rows of a table: 40 million take about 4 GB as tracks.
@@ -27,7 +25,6 @@ _PARQUET = b"PAR1"
 _SPACES = " "
 # A column of times keeps its unit: seconds of one of its parts.
 _UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-_DAY_S = 86_400.0
 
 
 @dataclass(frozen=True)
@@ -55,10 +52,6 @@ class Sheet:
         known = {_plain(name): name for name in reversed(self.names)}
         return next((known[_plain(name)] for name in alternatives if _plain(name) in known), None)
 
-    def has_one(self, *names: str) -> bool:
-        """Whether the table has at least one of these columns, as `find` finds them."""
-        return self.find(*names) is not None
-
     def has(self, *names: str) -> bool:
         """Whether the table has all of these columns, as `find` finds them."""
         return all(self.find(name) is not None for name in names)
@@ -82,18 +75,17 @@ def sheet_of(path: Path, head: bytes, header: int = 1, names: tuple[str, ...] = 
     return Sheet(path, tuple(_unique([one.strip() for one in fields])), separator, header)
 
 
+def text_sheet(path: Path, head: bytes, header: int = 1) -> Sheet | None:
+    """Find the columns of a table of text; None for a file that is none, as one of Parquet."""
+    return None if head.startswith(_PARQUET) else sheet_of(path, head, header)
+
+
 def head_of(path: Path) -> bytes:
     """The first bytes of a file, by which it is recognised; nothing of a folder."""
     if path.is_dir():
         return b""
     with open_input(path) as stream:
         return stream.read(HEAD_BYTES)
-
-
-def checksum_of(path: Path) -> str:
-    """Checksum (SHA-256) of a file."""
-    with open_input(path) as stream:
-        return sha256(stream)
 
 
 def read_sheet(
@@ -223,7 +215,7 @@ class _Times:
             self._texts.add(column)
             return
         if kind.is_date(column.type):
-            column, self._factor = column.cast(pyarrow.date32()).cast(pyarrow.int32()), _DAY_S
+            column, self._factor = column.cast(pyarrow.date32()).cast(pyarrow.int32()), DAY_S
         elif kind.is_temporal(column.type):
             width = pyarrow.int32() if kind.is_time32(column.type) else pyarrow.int64()
             column, self._factor = column.cast(width), _UNITS[column.type.unit]
@@ -300,6 +292,8 @@ def _text_batches(sheet: Sheet, wanted: _Wanted) -> Iterator[Any]:
     parse = arrow_csv.ParseOptions(delimiter="\t" if sheet.separator == _SPACES else sheet.separator)
     with _body(sheet) as stream:
         for block in _blocks(stream):
+            if sheet.separator == _SPACES:
+                block = b"\n".join(b"\t".join(line.split()) for line in block.split(b"\n"))
             # A thread of Arrow that still read from Python when Python ends would abort the program.
             source = pyarrow.BufferReader(block)
             yield from arrow_csv.read_csv(source, read, parse, convert, pyarrow.system_memory_pool()).to_batches()
@@ -322,42 +316,14 @@ def _blocks(stream: Any) -> Iterator[bytes]:
 
 @contextmanager
 def _body(sheet: Sheet) -> Iterator[Any]:
-    """The lines below the names; blanks between fields are made tabs."""
+    """The lines below the names."""
     with open_input(sheet.path) as file:
         if sheet.header == 0 and file.read(3) != b"\xef\xbb\xbf":
             file.seek(0)
         stream = unix_lines(file)
         for _ in range(sheet.header):
             stream.readline(1 << 20)
-        yield _Collapsed(stream) if sheet.separator == _SPACES else stream
-
-
-class _Collapsed(RawIOBase):
-    """A file in which any number of blanks between two fields is read as one tab."""
-
-    def __init__(self, stream: BinaryIO) -> None:
-        self._stream, self._before, self._held = stream, np.uint8(10), b""
-
-    def readable(self) -> bool:
-        """Always."""
-        return True
-
-    def read(self, size: int = -1) -> bytes:
-        """The next bytes."""
-        while block := self._stream.read(size):
-            data = np.frombuffer(block, dtype=np.uint8)
-            blank = (data == 32) | (data == 9)
-            before = np.concatenate(([self._before], data[:-1])) if len(data) else data
-            # Of blanks in a row one stays; none stays at the start of a line.
-            keep = ~blank | ~((before == 32) | (before == 9) | (before == 10))
-            self._before = data[-1] if len(data) else self._before
-            kept = self._held + bytes(np.where(blank, np.uint8(9), data)[keep])
-            # A tab at the end waits: at the end of a line it is left out.
-            self._held = b"\t" if kept.endswith(b"\t") else b""
-            kept = kept.removesuffix(b"\t").replace(b"\t\n", b"\n")
-            if kept:
-                return kept
-        return b""
+        yield stream
 
 
 def _parquet_sheet(path: Path) -> Sheet | None:

@@ -4,22 +4,23 @@ from array import array
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from sugiyama_ros.arrays import Array
+from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import Choices
-from sugiyama_ros.formats.columns import about_file, need, put_together, read_columns, take, text_of
-from sugiyama_ros.formats.edges import Edges, along_edges
+from sugiyama_ros.formats.columns import Rows, about_file, need, put_together, read_columns, stacked, take, text_of
 from sugiyama_ros.formats.format import tracks_format
+from sugiyama_ros.formats.reading import attribute, elements, has_root
 from sugiyama_ros.formats.sheet import MAX_ROWS, head_of, sheet_of
-from sugiyama_ros.formats.xml_events import attribute, elements, has_root
 from sugiyama_ros.trajectories.labels import Labels, labels
 from sugiyama_ros.trajectories.tracks import Tracks
 
 #: Length [m] of vehicles of SUMO, unless their type says otherwise; the files do not say it.
-DEFAULT_LENGTH_M = 5.0
+_LENGTH_M = 5.0
 _WANTED = {
     "time_s": need("timestep_time"),
     "vehicle": need("vehicle_id"),
@@ -65,7 +66,7 @@ def read_sumo(path: Path, choices: Choices) -> Tracks:
             "warning: edges have no lanes in the file, as in SUMO's mesoscopic model, so that no leader is known"
         )
     vehicle, speed = text_of(columns, "vehicle"), np.asarray(columns["speed"])
-    placed = along_edges(Edges(edges, vehicle.code, np.asarray(columns["time_s"]), np.asarray(columns["s_m"]), speed))
+    placed = _along_edges(_Edges(edges, vehicle.code, np.asarray(columns["time_s"]), np.asarray(columns["s_m"]), speed))
     columns["s_m"] = placed.s_m
     if placed.road is not None:
         columns["road"] = placed.road
@@ -77,7 +78,7 @@ def read_sumo(path: Path, choices: Choices) -> Tracks:
     return put_together(columns, about, choices, reference="front")
 
 
-def _on_an_edge(columns: dict[str, Array | Labels], edges: Labels, path: Path) -> dict[str, Array | Labels]:
+def _on_an_edge(columns: Rows, edges: Labels, path: Path) -> Rows:
     """The rows of vehicles that are on an edge; others wait for a place, or are persons."""
     on_edge = edges.code >= 0
     if not on_edge.any():
@@ -94,21 +95,19 @@ def _edges(lane: Labels | Array | None, edge: Labels | Array | None, path: Path)
         return edge, Labels(np.full(len(edge), -1, dtype=np.int32), ())
     edges, numbers = _of_lanes(lane, path)
     if isinstance(edge, Labels) and (edges.code < 0).any():
-        texts = (*edges.text, *edge.text)
-        edges = labels(
-            np.where(edges.code < 0, np.where(edge.code < 0, -1, edge.code + len(edges.text)), edges.code), texts
-        )
+        both = stacked((edges, edge))
+        edges = Labels(np.where(edges.code < 0, both.code[len(edges) :], both.code[: len(edges)]), both.text)
     return edges, numbers
 
 
 def _of_lanes(lane: Labels, path: Path) -> tuple[Labels, Labels]:
     """Edge and number of the lane of each row, (R,), from names of lanes."""
     parts = [text.rpartition("_") for text in lane.text]
-    if any(not edge or not number.isdigit() for edge, _, number in parts):
-        bad = next(
-            text for text, (edge, _, number) in zip(lane.text, parts, strict=True) if not edge or not number.isdigit()
+    bad = [text for text, (edge, _, number) in zip(lane.text, parts, strict=True) if not edge or not number.isdigit()]
+    if bad:
+        raise InputError(
+            f"{path}: lane {bad[0][:40]!r}: does not end in _ and a number, as SUMO's lanes do; correct it"
         )
-        raise InputError(f"{path}: lane {bad[:40]!r}: does not end in _ and a number, as SUMO's lanes do; correct it")
     return labels(lane.code, [edge for edge, _, _ in parts]), labels(lane.code, [number for _, _, number in parts])
 
 
@@ -133,58 +132,40 @@ def _lengths(columns: Mapping[str, Array | Labels], gap: Array | Labels | None) 
         for one in np.unique(ahead[told]).tolist():
             length[one] = round(float(np.median(way[told & (ahead == one)])), 2)
     known = np.isfinite(length)
-    rest = f"every {'other ' * bool(known.any())}vehicle counts as {DEFAULT_LENGTH_M:g} m long"
+    rest = f"every {'other ' * bool(known.any())}vehicle counts as {_LENGTH_M:g} m long"
     if known.any():
         note = f"lengths of {known.sum()} vehicles follow from the gaps of those behind; {rest}"
     else:
         note = f"lengths are not in the file: {rest}"
-    return np.where(known, length, DEFAULT_LENGTH_M)[vehicle.code], note
+    return np.where(known, length, _LENGTH_M)[vehicle.code], note
 
 
-class _Gathered:
-    """Columns of an XML file, gathered vehicle by vehicle."""
-
-    def __init__(self) -> None:
-        self.number = {name: array("d") for name in ("time_s", *_NUMBERS)}
-        self._gap = array("d")
-        self._code = {name: array("i") for name in _TEXTS}
-        self._texts: dict[str, dict[str, int]] = {name: {} for name in _TEXTS}
-
-    def add(self, time_s: float, said: Mapping[str, str], path: Path) -> None:
-        """Add what is said of a vehicle at a time."""
-        where = f"{path}: vehicle {said.get('id', '')[:40]} at {time_s:g} s"
-        self.number["time_s"].append(time_s)
-        for name, source in _NUMBERS.items():
-            self.number[name].append(attribute(said, source, where))
-        self._gap.append(attribute(said, _GAP, where) if _GAP in said else -1.0)
-        for name, source in _TEXTS.items():
-            text, known = said.get(source, ""), self._texts[name]
-            self._code[name].append(known.setdefault(text, len(known)) if text else -1)
-
-    def columns(self) -> dict[str, Array | Labels]:
-        """The columns; those of text that are empty are left out."""
-        found: dict[str, Array | Labels] = {name: np.frombuffer(values) for name, values in self.number.items()}
-        found["gap_m"] = np.frombuffer(self._gap)
-        for name, codes in self._code.items():
-            code = np.frombuffer(codes, dtype=np.int32)
-            if name == "vehicle" or (code >= 0).any():
-                found[name] = labels(code, self._texts[name])
-        return found
-
-
-def _of_xml(path: Path) -> dict[str, Array | Labels]:
-    """Columns of an XML file."""
-    gathered = _Gathered()
-    times = gathered.number["time_s"]
+def _of_xml(path: Path) -> Rows:
+    """Columns of an XML file, gathered vehicle by vehicle; columns of text that are empty are left out."""
+    number = {name: array("d") for name in ("time_s", *_NUMBERS, "gap_m")}
+    code = {name: array("i") for name in _TEXTS}
+    texts: dict[str, dict[str, int]] = {name: {} for name in _TEXTS}
     for step in elements(path, "timestep"):
         time = attribute(step.attrib, "time", f"{path}: timestep")
         for one in step.iter("vehicle"):
-            gathered.add(time, one.attrib, path)
-        if len(times) > MAX_ROWS:
+            said = one.attrib
+            where = f"{path}: vehicle {said.get('id', '')[:40]} at {time:g} s"
+            number["time_s"].append(time)
+            for name, source in _NUMBERS.items():
+                number[name].append(attribute(said, source, where))
+            number["gap_m"].append(attribute(said, _GAP, where) if _GAP in said else -1.0)
+            for name, source in _TEXTS.items():
+                text, known = said.get(source, ""), texts[name]
+                code[name].append(known.setdefault(text, len(known)) if text else -1)
+        if len(number["time_s"]) > MAX_ROWS:
             raise InputError(f"{path}: more than {MAX_ROWS} rows; split the file")
-    if not times:
+    if not number["time_s"]:
         raise InputError(f"{path}: no samples; write it with sumo --fcd-output")
-    return gathered.columns()
+    columns: Rows = {name: np.frombuffer(values) for name, values in number.items()}
+    for name, codes in code.items():
+        if name == "vehicle" or texts[name]:
+            columns[name] = labels(np.frombuffer(codes, dtype=np.int32), texts[name])
+    return columns
 
 
 def _is_xml(head: bytes, path: Path) -> bool:
@@ -205,3 +186,104 @@ FORMAT = tracks_format(
     tracks=read_sumo,
     summary="floating car data of SUMO as XML, CSV or Parquet: lanes on edges that follow one another",
 )
+
+
+# A vehicle that stays away for longer [s] says nothing about how long an edge is.
+_LONGEST_STEP_S = 2.0
+# Share of the vehicles that leave an edge for the edge that counts as its next.
+_MOST = 0.5
+
+
+class _Edges(NamedTuple):
+    """What is known of each row, (R,) each: edge, number of the vehicle, time [s], position on the edge [m], speed."""
+
+    edge: Labels
+    vehicle: Ints | NDArray[np.int32]
+    time_s: Array
+    position_m: Array
+    speed: Array
+
+
+class _Placed(NamedTuple):
+    """Positions along roads of edges.
+
+    s_m: positions [m], (R,); road: the first edge of the road of each row, (R,), or None if there is one road; ring_m:
+    circumference [m] of this road if it is a ring, else 0; note: how many edges and roads there are.
+    """
+
+    s_m: Array
+    road: Labels | None
+    ring_m: float
+    note: str
+
+
+def _along_edges(rows: _Edges) -> _Placed:
+    """Put the edges of a road one behind the other.
+
+    The length of an edge is what vehicles say that leave it for the next edge: where they were last, how far they came
+    in between, and where they are now.
+    """
+    count = len(rows.edge.text)
+    if count == 1:
+        return _Placed(rows.position_m, None, 0.0, "")
+    straight, nexts, lengths = _nexts(rows, count)
+    offset, root, ring_m = _chained(nexts, lengths)
+    # _Edges inside a crossing, which few vehicles are seen on, end where the next edge begins.
+    for edge, name in enumerate(rows.edge.text):
+        if name.startswith(":") and (target := int(straight[edge])) >= 0 and root[edge] != root[target]:
+            offset[edge], root[edge] = offset[target] - lengths[edge], root[target]
+    s = rows.position_m + offset[rows.edge.code]
+    roads = len(set(root.tolist()))
+    note = f"{count} edges make {roads} road{'s' * (roads > 1)}"
+    if roads == 1:
+        return _Placed(s, None, ring_m, note)
+    return _Placed(s, labels(root[rows.edge.code].astype(np.int32), rows.edge.text), 0.0, note)
+
+
+def _chained(nexts: Ints, lengths: Array) -> tuple[Array, Ints, float]:
+    """Where each edge begins on its road [m], the first edge of this road, and the length of the last ring [m]."""
+    count = len(nexts)
+    offset, root, ring_m = np.zeros(count), np.arange(count), 0.0
+    led_to = np.zeros(count, dtype=bool)
+    led_to[nexts[nexts >= 0]] = True
+    placed = np.zeros(count, dtype=bool)
+    # Roads begin where no edge leads in; what is left then are rings, which begin at their first edge.
+    for first in [*np.flatnonzero(~led_to).tolist(), *range(count)]:
+        edge, place = int(first), 0.0
+        while edge >= 0 and not placed[edge]:
+            placed[edge], offset[edge], root[edge] = True, place, first
+            place += lengths[edge]
+            edge = int(nexts[edge])
+        if edge == first and place > 0.0:
+            ring_m = float(place)
+    return offset, root, ring_m
+
+
+def _nexts(rows: _Edges, count: int) -> tuple[Ints, Ints, Array]:
+    """The edge that most vehicles go to from each edge (-1 for none), the same where it leads on, and lengths [m]."""
+    order = np.lexsort((rows.time_s, rows.vehicle))
+    here, there = order[:-1], order[1:]
+    step = rows.time_s[there] - rows.time_s[here]
+    edge = rows.edge.code
+    changed = (rows.vehicle[here] == rows.vehicle[there]) & (edge[here] != edge[there]) & (step <= _LONGEST_STEP_S)
+    here, there, step = here[changed], there[changed], step[changed]
+    way = 0.5 * (rows.speed[here] + rows.speed[there]) * step
+    length = rows.position_m[here] + way - rows.position_m[there]
+    nexts, lengths = np.full(count, -1, dtype=np.int64), np.zeros(count)
+    for one in range(count):
+        from_here = np.flatnonzero(edge[here] == one)
+        if len(from_here) == 0:
+            continue
+        target, times = np.unique(edge[there[from_here]], return_counts=True)
+        if times.max() >= _MOST * len(from_here):
+            nexts[one] = target[np.argmax(times)]
+            to_next = from_here[edge[there[from_here]] == nexts[one]]
+            lengths[one] = float(np.median(length[to_next]))
+    straight = nexts.copy()
+    # Of several edges that lead into one, the one with the most vehicles goes on; the others end there.
+    for target in np.unique(nexts[nexts >= 0]).tolist():
+        into = np.flatnonzero(nexts == target)
+        if len(into) > 1:
+            busiest = max(into.tolist(), key=lambda one: int(np.sum((edge[here] == one) & (edge[there] == target))))
+            nexts[into[into != busiest]] = -1
+    return straight, nexts, lengths

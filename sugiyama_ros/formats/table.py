@@ -1,18 +1,35 @@
-"""Plain tables of tracks: CSV with any separator, or Parquet, with columns of tracks or a map of columns."""
+"""Plain tables: CSV with any separator, Parquet or data frames, with columns of tracks or a map of columns."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.formats.choices import COLUMNS, PAIRED, Choices
-from sugiyama_ros.formats.columns import Take, about_file, need, nobody, put_together, read_columns, take, text_of
+from sugiyama_ros.formats.columns import (
+    Take,
+    about_file,
+    fits,
+    in_seconds,
+    need,
+    put_together,
+    read_columns,
+    take,
+    text_of,
+    without_nobody,
+)
 from sugiyama_ros.formats.format import tracks_format
 from sugiyama_ros.formats.pairs import both_of
 from sugiyama_ros.formats.reading import why_no_text
+from sugiyama_ros.formats.samples import Samples, agreed_road
 from sugiyama_ros.formats.sheet import Sheet, head_of, sheet_of
 from sugiyama_ros.trajectories.about import About
-from sugiyama_ros.trajectories.labels import Labels
+from sugiyama_ros.trajectories.one_lane import is_numbered, one_lane
 from sugiyama_ros.trajectories.tracks import Tracks
+from sugiyama_ros.trajectories.trajectories import DEFAULT_LENGTH_M, Trajectories
 
 #: Columns by their own names, or by others that say the same.
 _PLAIN: dict[str, Take] = {
@@ -45,7 +62,7 @@ def tracks_of_sheet(sheet: Sheet, choices: Choices, about: About) -> Tracks:
         name: Take((column,), factor, optional=False) for name, (column, factor) in choices.columns.items()
     }
     # A row with a second place is a pair; a pair needs no names.
-    names_vehicles = "vehicle" in choices.columns or sheet.has_one(*_PLAIN["vehicle"].names)
+    names_vehicles = "vehicle" in choices.columns or sheet.find(*_PLAIN["vehicle"].names) is not None
     is_pair = "leader_s_m" in choices.columns or (sheet.has("leader_s_m") and not names_vehicles)
     if is_pair:
         wanted = {name: take(name) for name in PAIRED} | wanted
@@ -54,11 +71,13 @@ def tracks_of_sheet(sheet: Sheet, choices: Choices, about: About) -> Tracks:
     columns = read_columns(sheet, wanted, hint)
     if is_pair:
         columns, about = both_of(columns), replace(about, leaders="given")
-    elif isinstance(leader := columns.pop("leader", None), Labels):
-        leader = nobody(leader, text_of(columns, "vehicle"), "-1")
+    elif "leader" in columns:
+        without_nobody(columns, "-1")
         # A column without any leader leaves it to the lanes who leads.
-        if (leader.code >= 0).any():
-            columns["leader"], about = leader, replace(about, leaders="given")
+        if (text_of(columns, "leader").code >= 0).any():
+            about = replace(about, leaders="given")
+        else:
+            del columns["leader"]
     return put_together(columns, about, choices)
 
 
@@ -67,7 +86,7 @@ def _recognise(head: bytes, path: Path) -> bool:
     if path.is_dir() or path.suffix.lower() != ".txt":
         return path.suffix.lower() in _SUFFIXES and not path.is_dir()
     sheet = sheet_of(path, head)
-    return sheet is not None and all(sheet.find(*one.names) for one in _PLAIN.values() if not one.optional)
+    return sheet is not None and fits(sheet, _PLAIN)
 
 
 FORMAT = tracks_format(
@@ -77,3 +96,96 @@ FORMAT = tracks_format(
     tracks=read_table,
     summary="a table with the columns of tracks (time_s, vehicle, s_m, and more if known), or any table with --columns",
 )
+
+
+_WHERE = Path("data frame")
+_WANTED = {
+    "time_s": need("time_s"),
+    "vehicle": need("vehicle"),
+    "position_m": need("position_m", "s_m"),
+    "length_m": take("length_m"),
+}
+
+
+def from_frame(frame: Any, ring_m: float | None = None) -> Trajectories:
+    """Read trajectories from a data frame.
+
+    frame: columns time_s [s], vehicle, position_m [m] and perhaps length_m [m]; one row for each sample; times may also
+    be dates or time differences; vehicles may have names; then their numbers are those in the names; ring_m:
+    circumference [m] of the ring; an open road without it. Raises InputError.
+    """
+    sheet = _sheet_of_frame(frame)
+    table = read_columns(sheet, _WANTED)
+    vehicle = text_of(table, "vehicle")
+    if not is_numbered(vehicle):
+        return one_lane(tracks_of_frame(frame, Choices(ring_m=ring_m)), str(_WHERE))
+    time, _ = in_seconds(np.asarray(table["time_s"]))
+    position, length = np.asarray(table["position_m"]), np.asarray(table.get("length_m", np.full(len(time), np.nan)))
+    if not np.isfinite(time).all() or (vehicle.code < 0).any():
+        raise InputError(f"{_WHERE}: a time or a vehicle is missing; correct or drop the rows, as by frame.dropna")
+    samples = Samples(_WHERE)
+    lengths: dict[int, float] = {}
+    numbers = np.array([int(text) for text in vehicle.text])[vehicle.code]
+    for k in np.lexsort((numbers, time)).tolist():
+        number = int(numbers[k])
+        samples.add(float(time[k]), number, float(position[k]), f"{_WHERE}: row {k}")
+        if np.isfinite(length[k]):
+            lengths.setdefault(number, float(length[k]))
+    length_m = [lengths.get(number, DEFAULT_LENGTH_M) for number in samples.vehicles]
+    return samples.trajectories(length_m, agreed_road(_WHERE, None, ring_m), "")
+
+
+def tracks_of_frame(frame: Any, choices: Choices | None = None) -> Tracks:
+    """Read tracks from a data frame.
+
+    frame: columns vehicle, time_s [s] and s_m (or position_m) [m], and perhaps the other columns of tracks. Raises
+    InputError.
+    """
+    return tracks_of_sheet(_sheet_of_frame(frame), choices or Choices(), About(source=str(_WHERE)))
+
+
+def _sheet_of_frame(frame: Any) -> Sheet:
+    """The table of a data frame; a named index counts as columns."""
+    import pyarrow
+
+    if isinstance(frame, pyarrow.Table):
+        return Sheet(_WHERE, _once(frame.column_names), separator="", frame=frame)
+    if not hasattr(frame, "columns"):
+        raise InputError(f"{_WHERE}: {type(frame).__name__} is none; give a data frame, or the name of a file")
+    index = getattr(frame, "index", None)
+    named = [name for name in getattr(index, "names", ()) if name is not None and name not in frame.columns]
+    if named:
+        frame = frame.reset_index(level=named)
+    names = _once([str(name) for name in frame.columns])
+    columns = [_arrow(frame[name]) for name in frame.columns]
+    return Sheet(_WHERE, names, separator="", frame=pyarrow.table(columns, names=list(names)))
+
+
+def _once(names: Sequence[str]) -> tuple[str, ...]:
+    """The names of columns. Raises InputError where one occurs twice."""
+    if double := [name for name in names if names.count(name) > 1]:
+        raise InputError(f"{_WHERE}: has {names.count(double[0])} columns {double[0]}; rename all but one")
+    return tuple(names)
+
+
+def _arrow(series: Any) -> Any:
+    """A column as one of Arrow; a column of values of several types becomes text."""
+    import pyarrow
+
+    if hasattr(series, "to_arrow"):
+        return series.to_arrow()
+    if getattr(getattr(series, "dtype", None), "tz", None) is not None:
+        series = series.dt.tz_convert(None)
+    try:
+        return pyarrow.array(series, from_pandas=True)
+    except (pyarrow.ArrowException, TypeError, ValueError, OverflowError):
+        texts = [None if _is_missing(value) else str(value) for value in series]
+        return pyarrow.array(texts, pyarrow.string())
+
+
+def _is_missing(value: Any) -> bool:
+    """Whether a value is None, NaN, NaT or NA; NA says neither yes nor no when it is compared."""
+    try:
+        return value is None or bool(value != value)
+    except (TypeError, ValueError):
+        return True

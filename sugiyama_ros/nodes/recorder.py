@@ -11,8 +11,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSReliabilityPolicy
 from rclpy.topic_or_service_is_hidden import topic_or_service_is_hidden
 
 from sugiyama_ros.errors import InputError, SugiyamaError
-from sugiyama_ros.formats.bag_folder import FolderWriter
-from sugiyama_ros.formats.mcap_writer import BagWriter, Qos
+from sugiyama_ros.formats.mcap_writer import BagWriter, FolderWriter, Qos
 from sugiyama_ros.nodes.base import cdr_messages, incoming
 from sugiyama_ros.nodes.base.log_time import LogTime, begins_with_stamp
 from sugiyama_ros.nodes.base.node import ERROR, OK, RECORDER, UNRECORDED, WARN, Health, PacedNode

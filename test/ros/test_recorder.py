@@ -18,8 +18,7 @@ from std_msgs.msg import Header, String
 from sugiyama_msgs.msg import MeasuredPositions
 
 from sugiyama_ros.errors import InputError, OutputError
-from sugiyama_ros.formats.bag_folder import bag_files
-from sugiyama_ros.formats.mcap_reader import Bag
+from sugiyama_ros.formats.mcap_reader import Bag, bag_files
 from sugiyama_ros.formats.mcap_writer import BagWriter
 from sugiyama_ros.formats.recover import recover
 from sugiyama_ros.nodes import recorder as recorder_module

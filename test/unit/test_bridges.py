@@ -12,11 +12,10 @@ import pytest
 
 from sugiyama_ros.bridges.fields import read_bridge, yaw
 from sugiyama_ros.bridges.frames import EARLY, Frames
-from sugiyama_ros.bridges.moments import Moments, Numbers, RoadMoment
-from sugiyama_ros.bridges.perception import Perception, PerceptionSettings
+from sugiyama_ros.bridges.perception import Moments, Numbers, Perception, PerceptionSettings, RoadMoment
 from sugiyama_ros.bridges.registry import BRIDGES
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.formats.bag_folder import bag_files
+from sugiyama_ros.formats.mcap_reader import bag_files
 from sugiyama_ros.trajectories.centre_line import CentreLine, RoadLanes
 from sugiyama_ros.trajectories.placing import Placer, SeenVehicle
 

@@ -25,12 +25,10 @@ from sugiyama_ros.filters.online import Learnt
 from sugiyama_ros.fit.checkpoint import Checkpoint
 from sugiyama_ros.fit.driver import Fit
 from sugiyama_ros.fit.model_file import write_drivers
-from sugiyama_ros.formats.bag_folder import METADATA, FolderWriter, bag_files
-from sugiyama_ros.formats.catalogue import CATALOGUE
 from sugiyama_ros.formats.convert import write_trajectories
-from sugiyama_ros.formats.fetch import fetch
-from sugiyama_ros.formats.mcap_reader import Bag
-from sugiyama_ros.formats.mcap_writer import Qos
+from sugiyama_ros.formats.fetch import CATALOGUE, fetch
+from sugiyama_ros.formats.mcap_reader import METADATA, Bag, bag_files
+from sugiyama_ros.formats.mcap_writer import FolderWriter, Qos
 from sugiyama_ros.formats.measured import MEASURED_TYPE, messages
 from sugiyama_ros.formats.plain_csv import write_csv
 from sugiyama_ros.formats.recover import recover
@@ -54,7 +52,7 @@ OTHERS = {
     "outputs.py",
     "fit/checkpoint.py",
     "cli/__init__.py",
-    "formats/zstd_packed.py",
+    "formats/mcap_records.py",
     "nodes/runners.py",
 }
 
@@ -169,7 +167,6 @@ REPLACE = ("state", "result.csv", "result.parquet")
 #: All places that write, with the test that lets them fail. "pieces": the place writes what it has made in memory.
 PLACES = {
     "formats/mcap_writer.py": "bag",
-    "formats/bag_folder.py": "a directory of rosbag2",
     "formats/fetch.py": "a fetch",
     "formats/plain_csv.py": "csv",
     "formats/recover.py": "recover",

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from sugiyama_ros.errors import InputError, OutputError
-from sugiyama_ros.formats import catalogue, fetch
+from sugiyama_ros.formats import fetch
 from sugiyama_ros.formats.registry import read_trajectories
 
 DATA = b"# circuit length is 100m.\n1.0 0.0\n2.0 0.5\n3.0 1.0\n\n50.0 0.0\n51.0 0.5\n52.0 1.0\n"
@@ -64,12 +64,12 @@ def offer(
     """Put a file onto the server and into the catalogue; returns its address."""
     server[path] = content
     entry = dataclasses.replace(
-        catalogue.CATALOGUE["sugiyama2008"],
+        fetch.CATALOGUE["sugiyama2008"],
         url=server[""].decode() + path,
         size_bytes=len(content),
         sha256=hashlib.sha256(content).hexdigest(),
     )
-    monkeypatch.setitem(catalogue.CATALOGUE, "sugiyama2008", dataclasses.replace(entry, **changes))
+    monkeypatch.setitem(fetch.CATALOGUE, "sugiyama2008", dataclasses.replace(entry, **changes))
     return entry.url
 
 
@@ -149,6 +149,6 @@ def test_an_unknown_name_and_a_bad_place(tmp_path: Path) -> None:
 
 
 def test_the_licence_is_stated() -> None:
-    licence = catalogue.CATALOGUE["sugiyama2008"].licence
+    licence = fetch.CATALOGUE["sugiyama2008"].licence
     for term in ("research", "non-commercial", "New J. Phys. 10 (2008) 033001", ["11", "(2009)", "083025"][0]):
         assert term in licence

@@ -26,9 +26,8 @@ from sugiyama_ros.errors import InputError, OutputError
 from sugiyama_ros.formats.cdr import Encoder
 from sugiyama_ros.formats.convert import convert, write_trajectories
 from sugiyama_ros.formats.definitions import full_text
-from sugiyama_ros.formats.mcap_order import Segment, merged
 from sugiyama_ros.formats.mcap_reader import Bag
-from sugiyama_ros.formats.mcap_records import MAGIC, RecordFile, content_records
+from sugiyama_ros.formats.mcap_records import MAGIC, RecordFile, Segment, content_records, merged
 from sugiyama_ros.formats.mcap_writer import LATCHED_TOPIC, BagWriter
 from sugiyama_ros.formats.recover import recover
 from sugiyama_ros.formats.registry import read_trajectories
@@ -124,11 +123,13 @@ def test_chunks_are_small_and_unneeded_chunks_are_skipped(tmp_path: Path, monkey
             channel = bag.topic(name, HEADER)
             for k in range(4):
                 bag.write(channel, os.urandom(200_000), k, k)
-    from sugiyama_ros.formats import mcap_order
+    from sugiyama_ros.formats import mcap_records
 
     opened = []
     whole = content_records
-    monkeypatch.setattr(mcap_order, "content_records", lambda content, *rest: opened.append(1) or whole(content, *rest))
+    monkeypatch.setattr(
+        mcap_records, "content_records", lambda content, *rest: opened.append(1) or whole(content, *rest)
+    )
     with Bag(path) as bag:
         assert sum(1 for _ in bag.raw_messages()) == 8
         in_all = len(opened)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.formats.common_path import common_path
+from sugiyama_ros.formats.openacc import common_path
 from sugiyama_ros.formats.registry import format_of, read_tracks, read_trajectories
 from sugiyama_ros.trajectories.leaders import gaps
 from sugiyama_ros.trajectories.tracks import UNKNOWN
