@@ -51,14 +51,7 @@ if TYPE_CHECKING:
 #: Largest number of steps of a diagnosis that add something, unless somebody asks for more.
 FEW_STEPS = 3
 #: Further settings of `calibrate`, and their defaults.
-_CALIBRATE: dict[str, Any] = {
-    "classes": 0,
-    "hops": 0,
-    "seed": 0,
-    "regularise_strength": 1.0,
-    "law": PAPERS,
-    "scheduler": None,
-}
+_CALIBRATE: dict[str, Any] = {"classes": 0, "seed": 0, "law": PAPERS, "scheduler": None}
 
 
 def read(source: "str | Path | pandas.DataFrame", ring_m: float | None = None) -> Trajectories:
@@ -224,8 +217,8 @@ def calibrate(
     Parameters
     ----------
     trajectories : Trajectories, Tracks or Simulation
-        The recording, or a simulated one. Tracks may have many lanes; ``effects``, ``regularise``, ``classes``,
-        ``hops`` and the paper's formulation need one lane on which everybody is present.
+        The recording, or a simulated one. Tracks may have many lanes; ``effects``, ``regularise``, ``classes``
+        and the paper's formulation need one lane on which everybody is present.
     formulation : {"causal", "paper"}
         Whether perceived states are filtered, or smoothed as in the paper.
     parameters : sequence of str
@@ -237,10 +230,9 @@ def calibrate(
     profile : bool
         Whether the intervals come from the profile likelihood, which takes longer.
     **settings
-        classes: number of classes of drivers who share all parameters, 0 for parameters of each driver; hops: number
-        of hops of basinhopping before the search; regularise_strength: factor of the weights of the paper's penalty;
-        law: name of the law by which the drivers drive, all of whose parameters are estimated, one lane only; seed:
-        seed of all random numbers; scheduler: address of a Dask scheduler whose workers do the work.
+        classes: number of classes of drivers who share all parameters, 0 for parameters of each driver; law: name of
+        the law by which the drivers drive, all of whose parameters are estimated, one lane only; seed: seed of all
+        random numbers; scheduler: address of a Dask scheduler whose workers do the work.
 
     Returns
     -------
@@ -262,8 +254,7 @@ def calibrate(
     """
     _check_names("calibrate", settings, _CALIBRATE)
     said = {**_CALIBRATE, **settings}
-    of_search = (said["hops"], said["seed"], said["regularise_strength"], said["law"])
-    asked = Settings(formulation, tuple(parameters), regularise, profile, *of_search)
+    asked = Settings(formulation, tuple(parameters), regularise, profile, said["seed"], said["law"])
     _check_calibration(asked, bool(effects), said["classes"])
     return _calibrated(_recorded(trajectories), asked, effects, said["classes"], said["scheduler"])
 
@@ -274,7 +265,7 @@ def _calibrated(
     """Drivers on tracks, together, in classes, or one by one."""
     is_paper = asked.formulation == "paper"
     is_pooled = bool(effects) or asked.law != PAPERS or (asked.is_regularised and not is_paper)
-    if isinstance(recording, Tracks) and (is_paper or is_pooled or classes or asked.hops):
+    if isinstance(recording, Tracks) and (is_paper or is_pooled or classes):
         recording = one_lane(recording, recording.about.source or "tracks")
     if isinstance(recording, Tracks):
         with stages() as advance, workers(recording.runs, scheduler) as work:
@@ -317,25 +308,22 @@ def _check_calibration(chosen: Settings, effects: bool, classes: int) -> None:
     """Raise InputError for settings that contradict each other, as the command does."""
     if chosen.formulation not in ("paper", "causal"):
         raise InputError(f"formulation: {chosen.formulation!r} is not known; give 'paper' or 'causal'")
-    is_paper, alone = chosen.formulation == "paper", chosen.profiled or chosen.hops
-    counts = {"classes": classes, "hops": chosen.hops, "seed": chosen.seed, "regularise_strength": chosen.strength}
-    for name, value in counts.items():
+    is_paper = chosen.formulation == "paper"
+    for name, value in {"classes": classes, "seed": chosen.seed}.items():
         _check_within(name, value, 0, math.inf)
     law_of(chosen.law)
-    if chosen.law != PAPERS and (is_paper or chosen.estimated or alone or classes):
+    if chosen.law != PAPERS and (is_paper or chosen.estimated or chosen.profiled or classes):
         raise InputError(
             "law: all parameters of the law are estimated together, with the causal formulation; leave out parameters,"
-            " profile, hops and classes"
+            " profile and classes"
         )
     if effects and is_paper:
         raise InputError("effects: the paper's formulation knows none; use the causal formulation")
-    if (effects or (chosen.is_regularised and not is_paper)) and alone:
-        raise InputError("profile and hops: are for drivers calibrated one by one; leave out effects and regularise")
-    if chosen.strength != 1.0 and not (chosen.is_regularised and is_paper):
-        raise InputError("regularise_strength: give regularise=True and the formulation 'paper', too")
-    if classes and (effects or chosen.is_regularised or alone):
+    if (effects or (chosen.is_regularised and not is_paper)) and chosen.profiled:
+        raise InputError("profile: is for drivers calibrated one by one; leave out effects and regularise")
+    if classes and (effects or chosen.is_regularised or chosen.profiled):
         raise InputError(
-            "classes: the drivers of a class share all parameters; leave out effects, regularise, profile and hops"
+            "classes: the drivers of a class share all parameters; leave out effects, regularise and profile"
         )
 
 

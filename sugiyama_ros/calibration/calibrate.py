@@ -1,12 +1,8 @@
 """The three kinds of calibration: each driver alone, all drivers as one population, or classes of drivers."""
 
-import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
-from functools import partial
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -14,7 +10,6 @@ from sugiyama_ros.calibration.result import Calibration, Settings
 from sugiyama_ros.driver.parameters import index
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.fit.checkpoint import Checkpoint
 from sugiyama_ros.fit.classes import find_classes
 from sugiyama_ros.fit.driver import Fit, SearchOptions
 from sugiyama_ros.fit.each_driver import JobMaker, each_of
@@ -29,7 +24,6 @@ def each_driver(
     settings: Settings,
     *,
     work: Executor | None = None,
-    kept: Path | None = None,
     on_progress: OnProgress = lambda done, total: None,
 ) -> Calibration:
     """Calibrate the drivers one by one.
@@ -41,20 +35,19 @@ def each_driver(
     """
     passes, drivers = 1 if settings.formulation == "paper" else 2, len(trajectories.vehicle)
     maker = JobMaker(trajectories, settings.formulation, settings.estimated, {})
-    found: dict[int, Fit] = {}
-    with contextlib.ExitStack() as stack:
-        resume = None
-        if kept is not None:
-            resume = stack.enter_context(Checkpoint(kept, _about(trajectories, settings))).resume
-        for number in range(passes):
-            knowing = maker.knowing({v: fit.parameters for v, fit in found.items()})
-            one_pass = _one_pass(knowing, settings, number == passes - 1, work)
-            latest: dict[int, Fit] = {}
-            for fit in resume(f"pass {number + 1}", one_pass) if resume else one_pass():
-                latest[fit.vehicle] = fit
-                on_progress(number * drivers + len(latest), passes * drivers)
-            found = latest
-    fits = [found[v] for v in trajectories.vehicle.tolist()]
+    fits: list[Fit] = []
+    for number in range(passes):
+        is_last = number == passes - 1
+        options = SearchOptions(
+            is_regularised=settings.is_regularised,
+            profiled=settings.profiled and is_last,
+            with_errors=is_last,
+            from_several=True,
+        )
+        maker, fits = maker.knowing({fit.vehicle: fit.parameters for fit in fits}), []
+        for fit in each_of(maker, options, work=work):
+            fits.append(fit)
+            on_progress(number * drivers + len(fits), passes * drivers)
     estimated = settings.estimated
     return Calibration(
         trajectories=trajectories,
@@ -66,36 +59,6 @@ def each_driver(
         log_likelihood=np.array([fit.log_likelihood for fit in fits]),
         shared_std={},
     )
-
-
-def _about(trajectories: Trajectories, settings: Settings) -> dict[str, Any]:
-    """Describe the calibration; fits that were kept for another description are not used."""
-    return {
-        "sha256": trajectories.sha256,
-        "ring_m": trajectories.road.circumference_m,
-        "formulation": settings.formulation,
-        "estimated": list(settings.estimated),
-        "regularised": settings.strength if settings.is_regularised else 0.0,
-        "profiled": settings.profiled,
-        "hops": [settings.hops, settings.seed],
-        "from_several": True,
-    }
-
-
-def _one_pass(
-    maker: JobMaker, settings: Settings, is_last: bool, work: Executor | None
-) -> Callable[..., Iterator[Fit]]:
-    """Make a function that fits all drivers. Only the last pass computes errors and intervals."""
-    options = SearchOptions(
-        is_regularised=settings.is_regularised,
-        profiled=settings.profiled and is_last,
-        hops=settings.hops,
-        seed=settings.seed,
-        with_errors=is_last,
-        strength=settings.strength,
-        from_several=True,
-    )
-    return partial(each_of, maker, options, work=work)
 
 
 def in_classes(trajectories: Trajectories, settings: Settings, count: int, work: Executor) -> Calibration:

@@ -43,12 +43,8 @@ class Settings:
         Whether the paper's penalty is added to the likelihood of each driver.
     profiled : bool
         Whether the intervals come from the profile likelihood.
-    hops : int
-        Number of basin-hopping steps before the search.
     seed : int
         Seed of the random numbers.
-    strength : float
-        Factor of the penalty's weights.
     law : str
         Name of the law by which the drivers drive.
     """
@@ -57,9 +53,7 @@ class Settings:
     estimated: tuple[str, ...] = ESTIMATED
     is_regularised: bool = False
     profiled: bool = False
-    hops: int = 0
     seed: int = 0
-    strength: float = 1.0
     law: str = PAPERS
 
 

@@ -14,7 +14,6 @@ from sugiyama_ros.cli.options import (
     Json,
     Law,
     Overwrite,
-    RegulariseStrength,
     Ring,
     Scheduler,
     Seed,
@@ -61,19 +60,12 @@ class CalibrateOptions:
             "--regularise", help="causal: the drivers are draws from one population. paper: add the paper's penalty."
         ),
     ] = False
-    regularise_strength: RegulariseStrength = 1.0
     profile: Annotated[
         bool,
         typer.Option(
             "--profile", help="Compute intervals from the profile likelihood, which takes longer. Not with --effects."
         ),
     ] = False
-    hops: Annotated[
-        int,
-        typer.Option(
-            "--hops", min=0, help="Hops of basinhopping before the search; the paper uses 100. Not with --effects."
-        ),
-    ] = 0
     law: Law = PAPERS
     classes: Annotated[
         int,
@@ -98,7 +90,7 @@ class CalibrateOptions:
     def needs_one_lane(self) -> bool:
         """Whether an option works on a single lane only, on which everybody is present."""
         alone = self.formulation == "paper" or self.is_pooled or self.regularise
-        return alone or bool(self.hops or self.classes) or self.output is not None
+        return alone or bool(self.classes) or self.output is not None
 
     def check(self) -> None:
         """Raise InputError for options that contradict each other."""
@@ -109,16 +101,14 @@ class CalibrateOptions:
                 raise InputError(f"{name}: the paper's formulation is the paper's driver; use --formulation causal")
         if self.law != PAPERS and names(self.parameters):
             raise InputError("--parameters: with --law, all parameters of the law are estimated; leave it out")
-        if self.is_pooled and (self.profile or self.hops):
+        if self.is_pooled and self.profile:
             raise InputError(
-                "--profile and --hops: are for drivers calibrated one by one; leave out --effects, --law, --regularise"
+                "--profile: is for drivers calibrated one by one; leave out --effects, --law and --regularise"
             )
-        if self.regularise_strength != 1.0 and not (self.regularise and self.formulation == "paper"):
-            raise InputError("--regularise-strength: give --regularise and --formulation paper, too")
-        if self.classes and (self.is_pooled or self.profile or self.hops or self.regularise):
+        if self.classes and (self.is_pooled or self.profile or self.regularise):
             raise InputError(
-                "--classes: the drivers of a class share all parameters; leave out --effects, --law, --regularise,"
-                " --profile and --hops"
+                "--classes: the drivers of a class share all parameters; leave out --effects, --law, --regularise"
+                " and --profile"
             )
 
 
@@ -147,14 +137,10 @@ def calibrate(options: CalibrateOptions) -> None:
     print_warnings(trajectories)
     began = time.monotonic()
     with progress("calibrating") as advance, workers(len(trajectories.vehicle), options.scheduler) as work:
-        is_kept = output is not None and not options.is_pooled and not options.classes
-        kept = output.path.with_name(output.path.name + ".fits") if output is not None and is_kept else None
-        found = _calibrated(options, trajectories, work, kept, advance)
+        found = _calibrated(options, trajectories, work, advance)
     wall_s = time.monotonic() - began
     if output is not None:
         found.write(output)
-    if kept is not None:
-        kept.unlink(missing_ok=True)
     doubts = _cautions(found)
     if options.as_json:
         print_json(found.document(wall_s))
@@ -191,7 +177,6 @@ def _calibrated(
     options: CalibrateOptions,
     trajectories: "Trajectories",
     work: Executor,
-    kept: Path | None,
     advance: Callable[[int, int], None],
 ) -> "Calibration":
     """Drivers calibrated together, in classes, or one by one."""
@@ -204,16 +189,14 @@ def _calibrated(
         estimated=names(options.parameters) or evenness(trajectories).estimated(options.formulation),
         is_regularised=options.regularise,
         profiled=options.profile,
-        hops=options.hops,
         seed=options.seed,
-        strength=options.regularise_strength,
         law=options.law,
     )
     if options.is_pooled:
         return pooled(trajectories, settings, names(options.effects), work)
     if options.classes:
         return in_classes(trajectories, settings, options.classes, work)
-    return each_driver(trajectories, settings, work=work, kept=kept, on_progress=advance)
+    return each_driver(trajectories, settings, work=work, on_progress=advance)
 
 
 def _cautions(found: "Calibration") -> list[str]:

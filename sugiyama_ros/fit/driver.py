@@ -38,17 +38,13 @@ class SearchOptions:
     """Options of a calibration of drivers.
 
     is_regularised: whether to add the paper's regularisation; profiled: whether intervals come from the profile
-    likelihood; hops: number of hops of scipy's basinhopping before the search; seed: seed of the hops; with_errors:
-    whether to compute the standard errors of the causal formulation, which takes as long as a search; strength: factor
-    of the regularisation; from_several: whether the paper's formulation searches from several starts.
+    likelihood; with_errors: whether to compute the standard errors of the causal formulation, which takes as long as a
+    search; from_several: whether the paper's formulation searches from several starts.
     """
 
     is_regularised: bool = False
     profiled: bool = False
-    hops: int = 0
-    seed: int = 0
     with_errors: bool = True
-    strength: float = 1.0
     from_several: bool = False
 
 
@@ -151,7 +147,7 @@ class Job:
     def objective(self, parameters: Array, information: Array | None, here: Array | None = None) -> Scored:
         """Return the score that the search maximises; arguments as for ``causal_score``."""
         scored = self.score(parameters, information, here=here)
-        return regularised(scored, parameters, self.options.strength) if self.options.is_regularised else scored
+        return regularised(scored, parameters) if self.options.is_regularised else scored
 
     def better(self, parameters: Array, information: Array | None, above: float) -> Scored | None:
         """Return ``objective``, or None if its value is not above ``above``."""
@@ -171,8 +167,6 @@ class Job:
 def carry_out(job: Job) -> Fit:
     """Search for one driver's parameters, with the options of the job."""
     options = job.options
-    if options.hops:
-        job = replace(job, start=_hop(job))
     careful = job.careful if options.with_errors else None
     if job.perceived is not None:
         # the first of equal maxima counts
@@ -199,28 +193,6 @@ def _started(job: Job) -> Iterator[Job]:
 def _height(fit: Fit) -> float:
     """Log-likelihood, to a hundredth of a nat: less does not tell two maxima apart."""
     return round(fit.log_likelihood, 2)
-
-
-def _hop(job: Job) -> Array:
-    """Parameters (P,) of the best of many local searches (Wales and Doye, J. Phys. Chem. A 101 (1997) 5111)."""
-    from scipy.optimize import basinhopping  # here, because it loads slowly and few fits hop
-
-    space = job.space
-
-    def at(x: Array) -> tuple[float, Array]:
-        parameters = space.parameters(x)
-        scored = job.objective(parameters, None)
-        return -scored.log_likelihood, -scored.gradient[job.places] * parameters[job.places]
-
-    bounds = list(zip(space.smallest, space.largest, strict=True))
-    found = basinhopping(
-        at,
-        space.x,
-        niter=job.options.hops,
-        minimizer_kwargs={"method": "L-BFGS-B", "jac": True, "bounds": bounds},
-        rng=np.random.default_rng([job.options.seed, job.vehicle]),
-    )
-    return space.parameters(found.x)
 
 
 def _profile(job: Job, found: Fit) -> Array:

@@ -92,14 +92,14 @@ def predicted(followed: DriverChains, rows: Sequence[Array]) -> Array:
     return samples
 
 
-def regularised(scored: Scored, parameters: Array, strength: float = 1.0) -> Scored:
+def regularised(scored: Scored, parameters: Array) -> Scored:
     """Add the paper's regularisation, Eq. Regularized_SSM_Likelihood, to a score.
 
     parameters: (P,), parameters at which the score holds.
     """
     value, gradient, information = scored.log_likelihood, scored.gradient.copy(), scored.information.copy()
     for k, centre, weight in REGULARISATION:
-        off, weight = parameters[k] - centre, strength * weight
+        off = parameters[k] - centre
         value -= weight * off * off
         gradient[k] -= 2.0 * weight * off
         information[k, k] += 2.0 * weight

@@ -127,8 +127,7 @@ def estimated(asked: Asked, factor: float | None = None) -> Array:
     """
     if factor is None:
         factor = PAPERS_FACTOR if asked.full_noise_at else FACTOR
-    options = SearchOptions(is_regularised=True, strength=asked.strength)
-    fits = calibrate(asked.measured, "paper", options=options)
+    fits = calibrate(asked.measured, "paper", options=SearchOptions(is_regularised=True))
     rows = ROW.with_effects(np.array([fit.parameters for fit in fits]))
     rows[:, SIGMA_A] *= factor
     return fading(rows, asked.full_noise_at)

@@ -26,8 +26,6 @@ class Asked:
         Seed of the first run; the other runs have the seeds that follow.
     work : Executor
         Workers.
-    strength : float
-        Factor of the weights of the paper's regularisation, for drivers who are estimated.
     full_noise_at : float
         Speed [m/s] from which on the acceleration noise is whole; below, it is in proportion to the speed. 0 for a
         noise that does not depend on the speed.
@@ -37,7 +35,6 @@ class Asked:
     runs: int
     seed: int
     work: Executor
-    strength: float = 1.0
     full_noise_at: float = 0.0
 
     @property

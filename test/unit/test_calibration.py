@@ -1,4 +1,4 @@
-"""Calibration: its maximum, its errors, its bounds, and how a calibration that was cut off continues."""
+"""Calibration: its maximum, its errors and its bounds."""
 
 import os
 import pickle
@@ -16,7 +16,6 @@ from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.driver.parameters import KAPPA_V, NAMES, SIGMA_A, SIGMA_NU, V_STAR, defaults, index
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters import paper
-from sugiyama_ros.fit import each_driver as calibration
 from sugiyama_ros.fit.driver import PLAIN, SearchOptions
 from sugiyama_ros.fit.driver_score import regularised
 from sugiyama_ros.fit.each_driver import ESTIMATED, JobMaker, _Jobs, calibrate
@@ -91,34 +90,6 @@ def test_regularisation_is_the_papers(jam):
     free = list(calibrate(jam, "paper"))
     assert all(a.log_likelihood <= b.log_likelihood + 1e-3 for a, b in zip(fits, free, strict=True))
     assert np.mean([f.parameters[KAPPA_V] for f in fits]) > np.mean([f.parameters[KAPPA_V] for f in free]) + 0.02
-
-
-def test_a_calibration_that_was_cut_off_continues(jam, tmp_path, monkeypatch):
-    whole = each_driver(jam, Settings("paper"))
-    kept = tmp_path / "fits"
-    carried_out = []
-    carry_out = calibration.carry_out
-
-    def counted(job):
-        if len(carried_out) == 9:
-            raise KeyboardInterrupt
-        carried_out.append(job.vehicle)
-        return carry_out(job)
-
-    monkeypatch.setattr(calibration, "carry_out", counted)
-    with pytest.raises(KeyboardInterrupt):
-        each_driver(jam, Settings("paper"), kept=kept)
-    # the last line was half written when the power failed
-    kept.write_text(kept.read_text()[:-30])
-    monkeypatch.setattr(calibration, "carry_out", lambda job: carried_out.append(job.vehicle) or carry_out(job))
-    resumed = each_driver(jam, Settings("paper"), kept=kept)
-    assert sorted(carried_out) == sorted([*range(22), 8])
-    assert np.array_equal(resumed.rows, whole.rows)
-    assert resumed.std == whole.std
-    # a calibration with other options does not use these fits
-    carried_out.clear()
-    each_driver(jam, Settings("paper", ("v_star",)), kept=kept)
-    assert len(carried_out) == 22
 
 
 def test_a_population_narrows_what_single_drivers_leave_wide(jam, causal_fits, tmp_path):
@@ -211,14 +182,6 @@ def test_an_interval_of_a_negative_parameter_has_two_ends(jam):
     k = index("omega_2")
     low, high = fit.interval[k]
     assert -np.inf < low < fit.parameters[k] < high < 0.0
-
-
-def test_basinhopping_ends_in_the_same_maximum_and_repeats(jam):
-    first, again = (next(calibrate(jam, "paper", options=SearchOptions(hops=3, seed=2))) for _ in range(2))
-    plain = next(calibrate(jam, "paper"))
-    assert np.array_equal(first.parameters, again.parameters)
-    assert first.log_likelihood > plain.log_likelihood - 1e-3
-    assert first.parameters[PLACES] == pytest.approx(plain.parameters[PLACES], rel=0.01)
 
 
 def test_the_papers_likelihood_is_searched_from_several_starts():
