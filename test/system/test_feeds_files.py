@@ -653,9 +653,9 @@ def test_python_calibrates_tracks_and_simulations():
 @pytest.mark.parametrize(
     ("settings", "told"),
     [
-        ({"formulation": "papr"}, r"formulation: 'papr' is not known; give 'paper' or 'causal'"),
+        ({"formulation": "papr"}, r"formulation: 'papr' is not known; give paper or causal"),
         ({"classes": -1}, r"classes: -1 is not possible; give 0 or more"),
-        ({"classes": 2, "profile": True}, r"classes: .*; leave out effects, regularise and profile"),
+        ({"classes": 2, "profile": True}, r"classes: .*; leave out effects, law, regularise, profile"),
         ({"strength": 2.0}, r"calibrate: 'strength' is not known; give classes, seed"),
     ],
 )

@@ -94,7 +94,7 @@ def test_regularisation_is_the_papers(jam):
 
 def test_a_population_narrows_what_single_drivers_leave_wide(jam, causal_fits, tmp_path):
     with ThreadPoolExecutor(2) as work:
-        population = pooled(jam, Settings(), (), work)
+        population = pooled(jam, Settings(), work)
     spread = [np.std(c.rows[:, V_STAR]) for c in (population, causal_fits)]
     assert spread[0] < spread[1]
     # all drivers are alike here
@@ -205,7 +205,7 @@ def test_drivers_of_two_kinds_are_divided_into_two_classes(tmp_path):
     length, road = np.full(22, 4.33), Road(400.0)
     short = simulate(Simulator(rows, length, evenly(length, road), road, np.random.default_rng(3)), 60.0).measured
     with ThreadPoolExecutor(2) as work:
-        one, two, again = (in_classes(short, Settings("paper"), k, work) for k in (1, 2, 2))
+        one, two, again = (in_classes(short, Settings("paper", classes=k), work) for k in (1, 2, 2))
     assert two.classes.bic < one.classes.bic
     assert np.array_equal(two.rows, again.rows)
     assert two.classes.probability.sum(axis=1) == pytest.approx(np.ones(22))
@@ -223,4 +223,4 @@ def test_drivers_of_two_kinds_are_divided_into_two_classes(tmp_path):
         pytest.raises(InputError, match="22 drivers, 30 classes; give --classes 22 at most"),
         ThreadPoolExecutor(1) as w,
     ):
-        in_classes(short, Settings("paper"), 30, w)
+        in_classes(short, Settings("paper", classes=30), w)
