@@ -10,10 +10,9 @@ from sugiyama_ros.driver.parameters import index
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.classes import find_classes
-from sugiyama_ros.fit.driver import Fit, SearchOptions
-from sugiyama_ros.fit.each_driver import JobMaker, each_of
-from sugiyama_ros.fit.intervals import quadratic
+from sugiyama_ros.fit.driver import Fit, JobMaker, SearchOptions, each_of
 from sugiyama_ros.fit.smooth_positions import evenness
+from sugiyama_ros.fit.standard_errors import quadratic
 from sugiyama_ros.laws.registry import PAPERS
 from sugiyama_ros.progress import OnProgress
 from sugiyama_ros.trajectories.tracks import Tracks
@@ -103,12 +102,12 @@ def pooled(trajectories: Trajectories, settings: Settings, work: Executor) -> Ca
     """
     # Imported here: drivers who are calibrated alone need no search for effects, which takes long to load.
     from sugiyama_ros.diagnosis.refine import with_named
+    from sugiyama_ros.fit.joint import fit_base
     from sugiyama_ros.fit.law import in_filter
     from sugiyama_ros.fit.model_file import own_stds
-    from sugiyama_ros.fit.population import fit_base
     from sugiyama_ros.fit.recording import prepare
-    from sugiyama_ros.fit.sampling import with_short_periods
     from sugiyama_ros.fit.sandwich import shared_stds
+    from sugiyama_ros.fit.smooth_positions import with_short_periods
 
     trajectories = with_short_periods(trajectories)
     data = prepare(trajectories)

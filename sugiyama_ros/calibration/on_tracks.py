@@ -26,10 +26,17 @@ from sugiyama_ros.calibration.result import (
 )
 from sugiyama_ros.driver.parameters import SIGMA_A, index
 from sugiyama_ros.drives import Drive
-from sugiyama_ros.fit.bounds import lower_bounds, upper_bounds
-from sugiyama_ros.fit.driver import START_SIGMA_A, Fit, Job, SearchOptions, carry_out
-from sugiyama_ros.fit.driver_score import DriverChains, predicted
-from sugiyama_ros.fit.each_driver import most_seen
+from sugiyama_ros.fit.driver import (
+    START_SIGMA_A,
+    DriverChains,
+    Fit,
+    Job,
+    SearchOptions,
+    carry_out,
+    most_seen,
+    predicted,
+)
+from sugiyama_ros.fit.scoring import lower_bounds, upper_bounds
 from sugiyama_ros.fit.stretched import evenness_on, fastest_on, followers, following_s
 from sugiyama_ros.progress import OnProgress
 from sugiyama_ros.trajectories.time_base import on_time_base

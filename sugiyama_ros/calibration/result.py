@@ -13,9 +13,8 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import index
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.fit.classes import Classes
+from sugiyama_ros.fit.classes import Classes, DriverTypes
 from sugiyama_ros.fit.driver import Fit, Formulation
-from sugiyama_ros.fit.driver_types import DriverTypes
 from sugiyama_ros.fit.smooth_positions import ESTIMATED
 from sugiyama_ros.laws.registry import PAPERS, law
 from sugiyama_ros.outputs import Target

@@ -17,8 +17,8 @@ from sugiyama_ros.effects.discovered_force import COVARIATES, KNOTS
 from sugiyama_ros.effects.effect import MEASUREMENT, Effect, RecordingExtent
 from sugiyama_ros.effects.registry import EFFECTS, MECHANISM, ROW, index_of
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.fit.joint import LARGEST_STD
 from sugiyama_ros.fit.model import Model
-from sugiyama_ros.fit.population import LARGEST_STD
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.score import PointwiseDensity
 from sugiyama_ros.fit.smooth_positions import NOISES

@@ -1,20 +1,120 @@
 """Maximum-likelihood calibration of one driver (section 5 of the paper)."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from copy import copy
 from dataclasses import dataclass, replace
-from typing import Literal
+from functools import partial
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.driver.parameters import KAPPA_V, NAMES, V_STAR, index
+from sugiyama_ros.arrays import Array, Ints, Mask
+from sugiyama_ros.driver.parameters import COUNT, KAPPA_V, NAMES, SIGMA_A, V_STAR, index
 from sugiyama_ros.filters import paper
+from sugiyama_ros.filters.chain import CHAIN, Chain
 from sugiyama_ros.filters.paper import Scored
-from sugiyama_ros.fit.bounds import LogSpace, log_space
-from sugiyama_ros.fit.driver_score import DriverChains, causal_score, predicted, regularised
-from sugiyama_ros.fit.intervals import end_of_profile, quadratic
-from sugiyama_ros.fit.scoring import Point, search
-from sugiyama_ros.fit.standard_errors import stds
+from sugiyama_ros.fit.scoring import LogSpace, Point, fastest, log_space, lower_bounds, search, upper_bounds
+from sugiyama_ros.fit.smooth_positions import ESTIMATED, evenness, measured, with_short_periods
+from sugiyama_ros.fit.standard_errors import end_of_profile, quadratic, stds
+from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.workers import in_turn
+
+# Steps of the difference quotients of the causal filter: as part of a parameter's std; shortest, longest and first step
+# of a logarithm.
+_PART_OF_STD, _SHORTEST_STEP, _LONGEST_STEP, _FIRST_STEP = 0.5, 5e-3, 0.05, 0.03
+#: The paper's regularisation, Eq. Regularized_SSM_Likelihood: centre and weight of v* [m/s] and kappa_v [s].
+REGULARISATION = ((V_STAR, 11.0, 50.0), (KAPPA_V, 0.5, 500.0))
+
+
+class DriverChains(NamedTuple):
+    """One driver in the filter: one chain or several, of different times.
+
+    chains: data of the driver and of the vehicles ahead; ahead: (M - 1, P), for each chain the parameters of the
+    drivers ahead; scored: (T,), samples of each chain that count, besides those that the filter leaves out; empty if
+    all others count.
+    """
+
+    chains: tuple[Chain, ...]
+    ahead: tuple[Array, ...]
+    scored: tuple[Mask, ...] = ()
+
+
+def causal_score(
+    followed: DriverChains,
+    places: Ints,
+    parameters: Array,
+    information: Array | None,
+    central: bool = False,
+    here: Array | None = None,
+) -> Scored:
+    """Return the score from difference quotients of innovations and variances, by the logarithms of the parameters.
+
+    places: (K,), places of the parameters in the search; parameters: (P,), parameters of the driver; information: (P,
+    P), information at nearby parameters, which sets the steps; none if it is not known; here: (3, samples), what
+    ``predicted`` returns for these parameters, if it is known.
+    """
+    steps = np.full(len(places), _FIRST_STEP)
+    if information is not None:
+        held = np.diag(information)[places] * parameters[places] ** 2
+        steps = np.clip(_PART_OF_STD / np.sqrt(np.maximum(held, 1e-12)), _SHORTEST_STEP, _LONGEST_STEP)
+    signs = (1.0, -1.0) if central else (1.0,)
+    moved = np.tile(parameters, (len(signs), len(places), 1))
+    for sign, rows in zip(signs, moved, strict=True):
+        rows[np.arange(len(places)), places] *= np.exp(sign * steps)
+    here = predicted(followed, [parameters])[0] if here is None else here
+    there = predicted(followed, [*moved.reshape(-1, len(parameters))])
+    density = here[2]
+    scored = np.isfinite(density)
+    y, variance = here[:2, scored]
+    up = there[: len(places), :2, scored]
+    down = there[len(places) :, :2, scored] if central else here[:2, scored]
+    dy, dvar = np.moveaxis((up - down) / (len(signs) * steps[:, None, None]), 1, 0)
+    slopes = -(dy * (y / variance) + 0.5 * dvar * (1.0 - y * y / variance) / variance)
+    curvature = (dy / variance) @ dy.T + 0.5 * (dvar / variance**2) @ dvar.T
+    gradient, full, scatter = np.zeros(COUNT), np.zeros((COUNT, COUNT)), np.zeros((COUNT, COUNT))
+    scale = parameters[places]
+    block = np.ix_(places, places)
+    gradient[places] = slopes.sum(axis=1) / scale
+    full[block] = curvature / np.outer(scale, scale)
+    scatter[block] = slopes @ slopes.T / np.outer(scale, scale)
+    return Scored(float(density[scored].sum()), gradient, full, scatter)
+
+
+def predicted(followed: DriverChains, rows: Sequence[Array]) -> Array:
+    """Predict all samples of a driver.
+
+    rows: (P,), R rows of parameters. Returns (R, 3, samples of all chains), innovation, its variance and its
+    log-likelihood.
+    """
+    # Imported here: the paper's formulation does not need the causal filter, which takes long to load.
+    from sugiyama_ros.filters import causal
+
+    if not rows:  # one parameter alone has a profile, too
+        return np.empty((0, 3, sum(len(chain.position_m) for chain in followed.chains)))
+    each_chain = list(zip(followed.chains, followed.ahead, strict=True))
+    jobs = [causal.ChainJob(chain, row, ahead) for row in rows for chain, ahead in each_chain]
+    each, count = causal.predict_samples(jobs), len(followed.chains)
+    found = [np.concatenate([np.array(one) for one in each[k : k + count]], axis=1) for k in range(0, len(jobs), count)]
+    samples = np.array(found)
+    if followed.scored:
+        samples[:, 2, ~np.concatenate(followed.scored)] = np.nan
+    return samples
+
+
+def regularised(scored: Scored, parameters: Array) -> Scored:
+    """Add the paper's regularisation, Eq. Regularized_SSM_Likelihood, to a score.
+
+    parameters: (P,), parameters at which the score holds.
+    """
+    value, gradient, information = scored.log_likelihood, scored.gradient.copy(), scored.information.copy()
+    for k, centre, weight in REGULARISATION:
+        off = parameters[k] - centre
+        value -= weight * off * off
+        gradient[k] -= 2.0 * weight * off
+        information[k, k] += 2.0 * weight
+    return Scored(value, gradient, information)
+
 
 Formulation = Literal["paper", "causal"]
 #: Acceleration noise [m/s^2] at the start. It is larger than usual estimates, because the likelihood is smoother there.
@@ -219,3 +319,112 @@ def _fall(job: Job, found: Fit, place: int, sign: float) -> Callable[[float], fl
         return float(np.sqrt(2.0 * max(0.0, found.log_likelihood - there.log_likelihood)))
 
     return fall
+
+
+def calibrate(
+    trajectories: Trajectories,
+    formulation: Formulation = "causal",
+    estimated: Sequence[str] = ESTIMATED,
+    options: SearchOptions = PLAIN,
+    *,
+    starts: Mapping[int, Array] | None = None,
+    skip: Collection[int] = (),
+    work: Executor | None = None,
+) -> Iterator[Fit]:
+    """Fit every driver alone.
+
+    starts: (P,), parameters by vehicle, for the start and for the drivers ahead; the default start is the paper's mean
+    with a larger acceleration noise. Raises InputError.
+    """
+    yield from each_of(JobMaker(trajectories, formulation, estimated, starts or {}), options, skip=skip, work=work)
+
+
+def each_of(
+    maker: "JobMaker", options: SearchOptions, *, skip: Collection[int] = (), work: Executor | None = None
+) -> Iterator[Fit]:
+    """Carry out the searches that ``maker`` makes, one for each driver; the other arguments as for ``calibrate``."""
+    skipped = set(skip)
+    left = (i for i, v in enumerate(maker.vehicles.tolist()) if v not in skipped)
+    yield from in_turn(carry_out, left, work, partial(_Jobs, maker, options))
+
+
+class JobMaker:
+    """Makes the plain searches for the parameters of the drivers of a recording.
+
+    Arguments as for ``calibrate``; known: parameters (P,) by vehicle, as ``starts`` there.
+    """
+
+    def __init__(
+        self,
+        trajectories: Trajectories,
+        formulation: Formulation,
+        estimated: Sequence[str],
+        known: Mapping[int, Array],
+    ) -> None:
+        is_causal = formulation == "causal"
+        self._trajectories = with_short_periods(trajectories) if is_causal else trajectories
+        self._formulation, self._known = formulation, known
+        self._places = np.array([index(name) for name in estimated])
+        seen = measured(trajectories)
+        even, speed = evenness(seen), fastest(seen)
+        self._bounds, self._typical = (lower_bounds(even), upper_bounds(speed)), even.typical(speed)
+
+    @property
+    def vehicles(self) -> Ints:
+        """Numbers of the drivers' vehicles, shape (N,)."""
+        return self._trajectories.vehicle
+
+    def knowing(self, known: Mapping[int, Array]) -> "JobMaker":
+        """Return a maker of the same searches from other parameters (P,) by vehicle."""
+        one = copy(self)
+        one._known = known
+        return one
+
+    def only(self, drivers: Sequence[int]) -> "JobMaker":
+        """Return a maker of the searches for the drivers in some columns, which knows no more than they need.
+
+        Its first columns are these drivers.
+        """
+        part = self._trajectories.around(drivers, CHAIN - 1)
+        one = self.knowing({v: self._known[v] for v in part.vehicle.tolist() if v in self._known})
+        one._trajectories = part
+        return one
+
+    def __call__(self, driver: int) -> Job:
+        """Return the search for the driver in column ``driver``."""
+        trajectories, known = self._trajectories, self._known
+        begin = self._typical.copy()
+        begin[SIGMA_A] = START_SIGMA_A
+        vehicle = int(trajectories.vehicle[driver])
+        one = Job(vehicle, known.get(vehicle, begin), self._places, *self._bounds)
+        if self._formulation == "paper":
+            return replace(one, perceived=paper.perceive(trajectories, driver))
+        from sugiyama_ros.filters.extract import chain_behind  # here, because the paper's formulation starts without it
+
+        chain = chain_behind(trajectories, driver, with_rear=False)
+        ahead = [known.get(most_seen(chain.identity[:, m]), self._typical) for m in range(1, CHAIN)]
+        return replace(one, followed=DriverChains((chain,), (np.array(ahead),)))
+
+
+class _Jobs:
+    """The searches for some drivers, made one after the other where they are carried out.
+
+    Processes and clusters get the part of the recording that these drivers see.
+
+    maker: makes a plain search; options: options of the searches; drivers: columns of the drivers.
+    """
+
+    def __init__(self, maker: JobMaker, options: SearchOptions, drivers: Sequence[int]) -> None:
+        self._maker, self._options, self._drivers = maker, options, drivers
+
+    def __iter__(self) -> Iterator[Job]:
+        return (replace(self._maker(driver), options=self._options) for driver in self._drivers)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _Jobs, (self._maker.only(self._drivers), self._options, range(len(self._drivers)))
+
+
+def most_seen(identity: Ints) -> int:
+    """Return the number of the vehicle that is present in most samples, (T,), or -1."""
+    values, counts = np.unique(identity[identity >= 0], return_counts=True)
+    return int(values[np.argmax(counts)]) if len(values) else -1

@@ -18,12 +18,11 @@ from sugiyama_ros.driver.parameters import COUNT, NAMES, check_for_filter, popul
 from sugiyama_ros.effects.effect import RecordingExtent
 from sugiyama_ros.effects.registry import EFFECTS, GROUP, ROW, active, effect, index_of, switch_on
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.fit.driver_types import DriverTypes
+from sugiyama_ros.fit.classes import DriverTypes
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.model import coordinate
-from sugiyama_ros.fit.recording import FOLDS, Recorded
+from sugiyama_ros.fit.recording import FOLDS, Recorded, Vicinity
 from sugiyama_ros.fit.sandwich import shared_stds
-from sugiyama_ros.fit.vicinity import Vicinity
 from sugiyama_ros.laws.registry import LAWS, PAPERS, law, name_of, number_of
 from sugiyama_ros.outputs import Target, writing
 from sugiyama_ros.plugins import FAILED

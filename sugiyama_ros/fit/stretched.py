@@ -12,11 +12,29 @@ from sugiyama_ros.arrays import Array, Ints, Mask
 from sugiyama_ros.drives import Drive, divided, drives
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.chain import CHAIN, Chain
-from sugiyama_ros.fit.recording import BLOCK_S, FOLDS, MOST_SAMPLES, Recorded, bounds_of, prepare, within
-from sugiyama_ros.fit.sampling import apart_if_smoothed, measured, smoothed_alike, thinned, usual_decisions
-from sugiyama_ros.fit.sampling import divided as divided_recording
-from sugiyama_ros.fit.smooth_positions import Evenness, evenness_of, smoothing_window
-from sugiyama_ros.fit.vicinity import DriverName, Vicinity, columns_of
+from sugiyama_ros.fit.recording import (
+    BLOCK_S,
+    FOLDS,
+    MOST_SAMPLES,
+    DriverName,
+    Recorded,
+    Vicinity,
+    bounds_of,
+    columns_of,
+    prepare,
+    within,
+)
+from sugiyama_ros.fit.smooth_positions import (
+    Evenness,
+    apart_if_smoothed,
+    evenness_of,
+    measured,
+    smoothed_alike,
+    smoothing_window,
+    thinned,
+    usual_decisions,
+)
+from sugiyama_ros.fit.smooth_positions import divided as divided_recording
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.one_lane import numbers_of
 from sugiyama_ros.trajectories.time_base import on_time_base, period_of

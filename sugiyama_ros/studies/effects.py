@@ -9,7 +9,7 @@ import numpy as np
 from sugiyama_ros.diagnosis.refine import with_named
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
 from sugiyama_ros.effects.registry import ROW, index_of
-from sugiyama_ros.fit.population import fit_base
+from sugiyama_ros.fit.joint import fit_base
 from sugiyama_ros.fit.recording import prepare
 from sugiyama_ros.fit.sandwich import shared_stds
 from sugiyama_ros.studies.hiding import RING_M, STRENGTHS, hide

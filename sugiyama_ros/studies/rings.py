@@ -11,8 +11,7 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import SIGMA_A, defaults
 from sugiyama_ros.effects.registry import ROW, switch_on
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.fit.driver import SearchOptions
-from sugiyama_ros.fit.each_driver import calibrate
+from sugiyama_ros.fit.driver import SearchOptions, calibrate
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.collective import QUEUE_SPEED, Collective, collective
 from sugiyama_ros.simulation.result import Simulation

@@ -8,10 +8,10 @@ import pytest
 from sugiyama_ros.calibration.on_tracks import calibrate_tracks
 from sugiyama_ros.diagnosis.base import with_more_decisions
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
-from sugiyama_ros.fit.each_driver import calibrate
-from sugiyama_ros.fit.population import fit_base
+from sugiyama_ros.fit.driver import calibrate
+from sugiyama_ros.fit.joint import fit_base
 from sugiyama_ros.fit.recording import prepare
-from sugiyama_ros.fit.sampling import divided, measured
+from sugiyama_ros.fit.smooth_positions import divided, measured
 from sugiyama_ros.fit.stretched import prepared
 from sugiyama_ros.studies.away.drivers import drawn
 from sugiyama_ros.studies.away.world import Setup, record

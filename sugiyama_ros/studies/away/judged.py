@@ -4,8 +4,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 from sugiyama_ros.diagnosis.diagnose import Diagnosis, diagnose
-from sugiyama_ros.fit.cross_validation import Gain, gain
-from sugiyama_ros.fit.score import evaluate
+from sugiyama_ros.fit.score import Gain, evaluate, gain
 from sugiyama_ros.fit.stretched import prepared
 from sugiyama_ros.page.document import additions
 from sugiyama_ros.studies.away.cases import Case, Pair, cases, recorded

@@ -6,7 +6,7 @@ difference quotients. statsmodels has a compiled filter and its own search, and 
 
 from sugiyama_ros.driver.parameters import defaults
 from sugiyama_ros.filters import paper
-from sugiyama_ros.fit.each_driver import calibrate
+from sugiyama_ros.fit.driver import calibrate
 from sugiyama_ros.studies.speed.figure import SpeedFigure, cpu_of_functions
 from sugiyama_ros.studies.speed.filterpy_recipe import PLACES, plain_fit, plain_likelihood, start_parameters
 from sugiyama_ros.studies.speed.floors import DRIVER
