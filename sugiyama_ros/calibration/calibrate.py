@@ -57,7 +57,7 @@ def each_driver(
     found. Raises InputError.
     """
     passes, drivers = 1 if settings.formulation == "paper" else 2, len(trajectories.vehicle)
-    maker = JobMaker(trajectories, settings.formulation, settings.estimated, {})
+    maker = JobMaker(trajectories, settings.formulation, settings.estimated)
     fits: list[Fit] = []
     for number in range(passes):
         is_last = number == passes - 1
@@ -75,7 +75,7 @@ def in_classes(trajectories: Trajectories, settings: Settings, work: Executor) -
     if drivers < count:
         raise InputError(f"{trajectories.source}: {drivers} drivers, {count} classes; give --classes {drivers} at most")
     places, options = [index(name) for name in estimated], SearchOptions(with_errors=False)
-    job_of = JobMaker(trajectories, settings.formulation, estimated, {})
+    job_of = JobMaker(trajectories, settings.formulation, estimated)
     jobs = [replace(job_of(i), options=options) for i in range(drivers)]
     samples = int(np.isfinite(trajectories.position_m).sum())
     classes = find_classes(jobs, count, samples, settings.seed, work)

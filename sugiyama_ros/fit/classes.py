@@ -16,7 +16,7 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import NAMES, index
 from sugiyama_ros.filters.paper import Scored
 from sugiyama_ros.fit.driver import Fit, Job, carry_out
-from sugiyama_ros.fit.scoring import LogSpace, damped_step, limited, log_space
+from sugiyama_ros.fit.scoring import coordinate, damped_step, derivatives, limited
 from sugiyama_ros.fit.standard_errors import untouched
 
 if TYPE_CHECKING:
@@ -53,7 +53,6 @@ def find_classes(jobs: Sequence[Job], count: int, samples: int, seed: int, work:
     """Divide drivers into classes."""
     # the search starts from the fits of the single drivers
     fits, places = list(work.map(carry_out, jobs)), jobs[0].places
-    space = log_space(fits[0].parameters, places, jobs[0].lower, jobs[0].upper)
     rows = max(
         (_divided(fits, jobs[0], count, seed + k) for k in range(_STARTS)),
         key=lambda start: float(_posterior(_scores(jobs, start, None, work), np.full(count, 1.0 / count))[0].sum()),
@@ -64,7 +63,7 @@ def find_classes(jobs: Sequence[Job], count: int, samples: int, seed: int, work:
     shrink = 1.0
     for _ in range(_STEPS):
         gradient, information = _expected(scores, probability)
-        moved = np.array([_moved(space, *one, shrink) for one in zip(rows, gradient, information, strict=True)])
+        moved = np.array([_moved(jobs[0], *one, shrink) for one in zip(rows, gradient, information, strict=True)])
         shares = np.maximum(probability.mean(axis=0), 1e-6)
         scores_there = _scores(jobs, moved, information, work)
         value_there, probability_there = _posterior(scores_there, shares)
@@ -101,13 +100,12 @@ def _expected(scores: Sequence[Sequence[Scored]], probability: Array) -> tuple[l
     return gradient, [np.asarray(sum(r[k] * s[k].information for r, s in pairs)) for k in classes]
 
 
-def _moved(space: LogSpace, row: Array, gradient: Array, information: Array, share: float) -> Array:
+def _moved(job: Job, row: Array, gradient: Array, information: Array, share: float) -> Array:
     """Parameters (P,) of a class after a ``share`` of a step of Fisher scoring."""
-    here = replace(space, start=row)
-    slope, curvature = space.derivatives(row, gradient, information)
+    slope, curvature = derivatives(Scored(0.0, gradient, information), row, job.places)
     step = limited(damped_step(curvature, slope, 0.0, _RIDGE), _LONGEST)
-    x = np.log(np.abs(row[space.places])) + share * step
-    return here.parameters(np.clip(x, space.smallest, space.largest))
+    x = coordinate(row[job.places], job.places) + share * step
+    return replace(job, start=row).parameters(np.clip(x, *job.ends))
 
 
 def _scores(

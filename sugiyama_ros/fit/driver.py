@@ -5,6 +5,7 @@ from concurrent.futures import Executor
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
+from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -14,7 +15,17 @@ from sugiyama_ros.driver.parameters import COUNT, KAPPA_V, NAMES, SIGMA_A, V_STA
 from sugiyama_ros.filters import paper
 from sugiyama_ros.filters.chain import CHAIN, Chain
 from sugiyama_ros.filters.paper import Scored
-from sugiyama_ros.fit.scoring import LogSpace, Point, fastest, log_space, lower_bounds, search, upper_bounds
+from sugiyama_ros.fit.scoring import (
+    Point,
+    coordinate,
+    derivatives,
+    fastest,
+    limits,
+    lower_bounds,
+    search,
+    upper_bounds,
+    value,
+)
 from sugiyama_ros.fit.smooth_positions import ESTIMATED, evenness, measured, with_short_periods
 from sugiyama_ros.fit.standard_errors import end_of_profile, quadratic, stds
 from sugiyama_ros.trajectories.trajectories import Trajectories
@@ -50,9 +61,8 @@ def causal_score(
 ) -> Scored:
     """Return the score from difference quotients of innovations and variances, by the logarithms of the parameters.
 
-    places: (K,), places of the parameters in the search; parameters: (P,), parameters of the driver; information: (P,
-    P), information at nearby parameters, which sets the steps; none if it is not known; here: (3, samples), what
-    ``predicted`` returns for these parameters, if it is known.
+    information: (P, P), information at nearby parameters, which sets the steps; none if it is not known; here: (3,
+    samples), what ``predicted`` returns for these parameters, if it is known.
     """
     steps = np.full(len(places), _FIRST_STEP)
     if information is not None:
@@ -82,11 +92,7 @@ def causal_score(
 
 
 def predicted(followed: DriverChains, rows: Sequence[Array]) -> Array:
-    """Predict all samples of a driver.
-
-    rows: (P,), R rows of parameters. Returns (R, 3, samples of all chains), innovation, its variance and its
-    log-likelihood.
-    """
+    """Return innovations, their variances and log-likelihoods (R, 3, samples of all chains) at R rows of parameters."""
     # Imported here: the paper's formulation does not need the causal filter, which takes long to load.
     from sugiyama_ros.filters import causal
 
@@ -103,10 +109,7 @@ def predicted(followed: DriverChains, rows: Sequence[Array]) -> Array:
 
 
 def regularised(scored: Scored, parameters: Array) -> Scored:
-    """Add the paper's regularisation, Eq. Regularized_SSM_Likelihood, to a score.
-
-    parameters: (P,), parameters at which the score holds.
-    """
+    """Add the paper's regularisation, Eq. Regularized_SSM_Likelihood, to the score at parameters (P,)."""
     value, gradient, information = scored.log_likelihood, scored.gradient.copy(), scored.information.copy()
     for k, centre, weight in REGULARISATION:
         off = parameters[k] - centre
@@ -124,13 +127,9 @@ START_SIGMA_A = 1.0
 # that is 0.1 to 301 nats higher than the one of the first start. These four starts find all that a grid of 25 finds.
 _STARTS = ((1.0, 1.0), (0.7, 6.0), (2.2, 0.15), (0.7, 0.15))
 # A search ends when a step has a predicted gain below this [nats]; the causal likelihood is rough at small scales.
-_ENOUGH, ENOUGH_CAUSAL = 1e-4, 0.02
+_ENOUGH, _ENOUGH_CAUSAL = 1e-4, 0.02
 # A parameter does not count as identified if the std of its logarithm is larger than this.
 _VAGUE = 0.5
-#: Returns the score at parameters (P,), given the information (P, P) at nearby parameters, or None.
-Score = Callable[[Array, Array | None], Scored]
-#: The same as ``Score``, or None if the log-likelihood is not larger than a number, so that nobody needs the score.
-BetterScore = Callable[[Array, Array | None, float], Scored | None]
 
 
 @dataclass(frozen=True)
@@ -176,42 +175,6 @@ class Fit:
         return name not in self.at_bound and bool(self.std[k] < _VAGUE * abs(self.parameters[k]))
 
 
-def fit_driver(
-    score: BetterScore, vehicle: int, space: LogSpace, enough: float = _ENOUGH, careful: Score | None = None
-) -> Fit:
-    """Maximise the likelihood of one driver.
-
-    enough: the search ends when the predicted gain of a step is less than this [nats].
-    """
-
-    def at(x: Array, near: Point | None) -> Point | None:
-        parameters = space.parameters(x)
-        known = (None, -np.inf) if near is None else (near.scored.information, near.value)
-        scored = score(parameters, *known)
-        if scored is None:
-            return None
-        gradient, information = space.derivatives(parameters, scored.gradient, scored.information)
-        return Point(x, scored.log_likelihood, gradient, information, scored)
-
-    found = search(at, space, enough)
-    parameters = space.parameters(found.x)
-    bound = (found.x <= space.smallest) | (found.x >= space.largest)
-    inside = space.places[~bound]
-    std: Array = np.zeros(len(parameters))
-    std[space.places] = np.inf
-    if len(inside):
-        scored = found.scored if careful is None else careful(parameters, found.scored.information)
-        std[inside] = stds(scored, parameters, inside)
-    return Fit(
-        vehicle=vehicle,
-        parameters=parameters,
-        log_likelihood=found.value,
-        std=std,
-        at_bound=tuple(NAMES[k] for k, b in zip(space.places, bound, strict=True) if b),
-        interval=quadratic(parameters, std),
-    )
-
-
 @dataclass(frozen=True, eq=False)
 class Job:
     """Data of one driver, and the search for the driver's parameters.
@@ -231,9 +194,20 @@ class Job:
     followed: DriverChains | None = None
 
     @property
-    def space(self) -> LogSpace:
-        """Coordinates of the search."""
-        return log_space(self.start, self.places, self.lower, self.upper)
+    def x(self) -> Array:
+        """Coordinates (K,) of the start, within the bounds."""
+        return np.clip(coordinate(self.start[self.places], self.places), *self.ends)
+
+    @property
+    def ends(self) -> Array:
+        """Smallest and largest coordinates (2, K)."""
+        return np.sort(coordinate(limits(self.places, self.lower, self.upper), self.places), axis=0)
+
+    def parameters(self, x: Array) -> Array:
+        """Return all parameters (P,) at the coordinates x (K,)."""
+        moved = self.start.copy()
+        moved[self.places] = value(x, self.places)
+        return moved
 
     def score(
         self, parameters: Array, information: Array | None, central: bool = False, here: Array | None = None
@@ -257,7 +231,7 @@ class Job:
         here = predicted(self.followed, [parameters])[0]
         return self.objective(parameters, information, here) if np.nansum(here[2]) > above else None
 
-    def careful(self, parameters: Array, _: Array | None) -> Scored:
+    def careful(self, parameters: Array) -> Scored:
         """Return the score from central differences, whose steps follow from a newly computed information."""
         # the information of the search may come from a jump of the likelihood, which would make these steps too short
         rough = self.score(parameters, None, central=True)
@@ -267,17 +241,45 @@ class Job:
 def carry_out(job: Job) -> Fit:
     """Search for one driver's parameters, with the options of the job."""
     options = job.options
-    careful = job.careful if options.with_errors else None
     if job.perceived is not None:
         # the first of equal maxima counts
-        found = max((fit_driver(one.better, one.vehicle, one.space) for one in _started(job)), key=_height)
+        found = max((_fit(one, _ENOUGH) for one in _started(job)), key=_height)
     else:
-        found = fit_driver(job.better, job.vehicle, job.space, ENOUGH_CAUSAL, careful)
+        found = _fit(job, _ENOUGH_CAUSAL, is_careful=options.with_errors)
     if options.profiled:
         found = replace(found, interval=_profile(job, found))
     if options.is_regularised:
         found = replace(found, log_likelihood=job.score(found.parameters, None).log_likelihood)
     return found
+
+
+def _fit(job: Job, enough: float, is_careful: bool = False) -> Fit:
+    """Maximise the likelihood, until the predicted gain of a step is less than ``enough`` [nats]."""
+
+    def at(x: Array, near: Point | None) -> Point | None:
+        parameters = job.parameters(x)
+        known = (None, -np.inf) if near is None else (near.scored.information, near.value)
+        scored = job.better(parameters, *known)
+        if scored is None:
+            return None
+        return Point(x, scored.log_likelihood, *derivatives(scored, parameters, job.places), scored)
+
+    found, places = search(at, job.x, job.ends, enough), job.places
+    parameters = job.parameters(found.x)
+    bound = (found.x <= job.ends[0]) | (found.x >= job.ends[1])
+    std: Array = np.zeros(len(parameters))
+    std[places] = np.inf
+    if not bound.all():
+        scored = job.careful(parameters) if is_careful else found.scored
+        std[places[~bound]] = stds(scored, parameters, places[~bound])
+    return Fit(
+        vehicle=job.vehicle,
+        parameters=parameters,
+        log_likelihood=found.value,
+        std=std,
+        at_bound=tuple(NAMES[k] for k in places[bound]),
+        interval=quadratic(parameters, std),
+    )
 
 
 def _started(job: Job) -> Iterator[Job]:
@@ -298,8 +300,7 @@ def _height(fit: Fit) -> float:
 def _profile(job: Job, found: Fit) -> Array:
     """Ends (P, 2) of the intervals; the parameters of the search get intervals from the profile likelihood."""
     interval = found.interval.copy()
-    space = log_space(found.parameters, job.places, job.lower, job.upper)
-    for k, low, high in zip(job.places.tolist(), space.smallest.tolist(), space.largest.tolist(), strict=True):
+    for k, low, high in zip(job.places.tolist(), *job.ends.tolist(), strict=True):
         size = abs(float(found.parameters[k]))
         for side, sign, furthest in ((0, -1.0, np.log(size) - low), (1, 1.0, high - np.log(size))):
             distance = end_of_profile(_fall(job, found, k, sign), float(found.std[k]) / size, max(0.0, float(furthest)))
@@ -313,8 +314,7 @@ def _fall(job: Job, found: Fit, place: int, sign: float) -> Callable[[float], fl
 
     def fall(distance: float) -> float:
         last[place] = found.parameters[place] * np.exp(sign * distance)
-        space = log_space(last, held.places, held.lower, held.upper)
-        there = fit_driver(held.better, held.vehicle, space, ENOUGH_CAUSAL)
+        there = _fit(replace(held, start=last), _ENOUGH_CAUSAL)
         last[:] = there.parameters
         return float(np.sqrt(2.0 * max(0.0, found.log_likelihood - there.log_likelihood)))
 
@@ -327,31 +327,25 @@ def calibrate(
     estimated: Sequence[str] = ESTIMATED,
     options: SearchOptions = PLAIN,
     *,
-    starts: Mapping[int, Array] | None = None,
     skip: Collection[int] = (),
     work: Executor | None = None,
 ) -> Iterator[Fit]:
-    """Fit every driver alone.
-
-    starts: (P,), parameters by vehicle, for the start and for the drivers ahead; the default start is the paper's mean
-    with a larger acceleration noise. Raises InputError.
-    """
-    yield from each_of(JobMaker(trajectories, formulation, estimated, starts or {}), options, skip=skip, work=work)
+    """Fit every driver alone, from the population's mean with a larger acceleration noise. Raises InputError."""
+    yield from each_of(JobMaker(trajectories, formulation, estimated), options, skip=skip, work=work)
 
 
 def each_of(
     maker: "JobMaker", options: SearchOptions, *, skip: Collection[int] = (), work: Executor | None = None
 ) -> Iterator[Fit]:
-    """Carry out the searches that ``maker`` makes, one for each driver; the other arguments as for ``calibrate``."""
-    skipped = set(skip)
-    left = (i for i, v in enumerate(maker.vehicles.tolist()) if v not in skipped)
+    """Carry out the searches that ``maker`` makes, one for each driver."""
+    left = (i for i, v in enumerate(maker.vehicles.tolist()) if v not in skip)
     yield from in_turn(carry_out, left, work, partial(_Jobs, maker, options))
 
 
 class JobMaker:
     """Makes the plain searches for the parameters of the drivers of a recording.
 
-    Arguments as for ``calibrate``; known: parameters (P,) by vehicle, as ``starts`` there.
+    known: parameters (P,) by vehicle, for the start and for the drivers ahead.
     """
 
     def __init__(
@@ -359,7 +353,7 @@ class JobMaker:
         trajectories: Trajectories,
         formulation: Formulation,
         estimated: Sequence[str],
-        known: Mapping[int, Array],
+        known: Mapping[int, Array] = MappingProxyType({}),
     ) -> None:
         is_causal = formulation == "causal"
         self._trajectories = with_short_periods(trajectories) if is_causal else trajectories
@@ -381,10 +375,7 @@ class JobMaker:
         return one
 
     def only(self, drivers: Sequence[int]) -> "JobMaker":
-        """Return a maker of the searches for the drivers in some columns, which knows no more than they need.
-
-        Its first columns are these drivers.
-        """
+        """Return a maker whose first columns are some drivers, and which knows no more than their searches need."""
         part = self._trajectories.around(drivers, CHAIN - 1)
         one = self.knowing({v: self._known[v] for v in part.vehicle.tolist() if v in self._known})
         one._trajectories = part
@@ -407,12 +398,7 @@ class JobMaker:
 
 
 class _Jobs:
-    """The searches for some drivers, made one after the other where they are carried out.
-
-    Processes and clusters get the part of the recording that these drivers see.
-
-    maker: makes a plain search; options: options of the searches; drivers: columns of the drivers.
-    """
+    """The searches for some drivers; processes and clusters get the part of the recording that these drivers see."""
 
     def __init__(self, maker: JobMaker, options: SearchOptions, drivers: Sequence[int]) -> None:
         self._maker, self._options, self._drivers = maker, options, drivers

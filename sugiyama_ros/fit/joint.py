@@ -18,10 +18,10 @@ from sugiyama_ros.driver.parameters import NAMES
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.driver import calibrate
-from sugiyama_ros.fit.model import Model, NewtonStep, coordinate, moved
+from sugiyama_ros.fit.model import Model, NewtonStep, moved
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import PointwiseDensity, predict_drivers
-from sugiyama_ros.fit.scoring import Damping, damped, damped_step
+from sugiyama_ros.fit.scoring import Damping, coordinate, damped, damped_step
 from sugiyama_ros.fit.slopes import Slopes, informed_steps, slopes, slopes_of, sums
 from sugiyama_ros.fit.smooth_positions import measured_every
 

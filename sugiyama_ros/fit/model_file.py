@@ -20,9 +20,9 @@ from sugiyama_ros.effects.registry import EFFECTS, GROUP, ROW, active, effect, i
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.classes import DriverTypes
 from sugiyama_ros.fit.joint import JointFit
-from sugiyama_ros.fit.model import coordinate
 from sugiyama_ros.fit.recording import FOLDS, Recorded, Vicinity
 from sugiyama_ros.fit.sandwich import shared_stds
+from sugiyama_ros.fit.scoring import coordinate
 from sugiyama_ros.laws.registry import LAWS, PAPERS, law, name_of, number_of
 from sugiyama_ros.outputs import Target, writing
 from sugiyama_ros.plugins import FAILED

@@ -19,8 +19,9 @@ import numpy as np
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.joint import JointFit, at_model, objective
-from sugiyama_ros.fit.model import NewtonStep, is_linear, moved
+from sugiyama_ros.fit.model import NewtonStep, moved
 from sugiyama_ros.fit.recording import FOLDS, Recorded
+from sugiyama_ros.fit.scoring import is_linear
 from sugiyama_ros.fit.slopes import density_slope
 
 # Fall of the log posterior [nats] that stands out from its roughness, and how often a step towards it doubles.

@@ -19,9 +19,10 @@ from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.effects.sensing import is_contaminated
 from sugiyama_ros.filters.causal import ChainJob
 from sugiyama_ros.filters.measurement import weigh_samples
-from sugiyama_ros.fit.model import Model, coordinate, is_linear, reach, value
+from sugiyama_ros.fit.model import Model, reach
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import DriverDensity, PointwiseDensity, evaluate, jobs_of, predict_jobs, together
+from sugiyama_ros.fit.scoring import coordinate, is_linear, value
 from sugiyama_ros.jit import kernel
 
 # Step of the difference quotients: first in a logarithm, or as part of the longest search step in a linear coordinate;
