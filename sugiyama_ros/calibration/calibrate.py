@@ -104,9 +104,8 @@ def pooled(trajectories: Trajectories, settings: Settings, work: Executor) -> Ca
     from sugiyama_ros.diagnosis.refine import with_named
     from sugiyama_ros.fit.joint import fit_base
     from sugiyama_ros.fit.law import in_filter
-    from sugiyama_ros.fit.model_file import own_stds
     from sugiyama_ros.fit.recording import prepare
-    from sugiyama_ros.fit.sandwich import shared_stds
+    from sugiyama_ros.fit.sandwich import own_stds, shared_stds
     from sugiyama_ros.fit.smooth_positions import with_short_periods
 
     trajectories = with_short_periods(trajectories)

@@ -154,12 +154,10 @@ class DriverTypes:
     rows: Array
 
     def probabilities(self, learnt: "Learnt", prior: "Learnt") -> Array:
-        """Return the probability of each class for one driver.
+        """Return the probability (K,) of each class for one driver.
 
         Both arguments are normal distributions of logarithms. Their ratio is the likelihood that the samples give to
         the parameters of a class.
-
-        Returns (K,), probabilities of the classes.
         """
         # Imported here: commands that only read or write classes start sooner without scipy.
         from scipy.special import softmax

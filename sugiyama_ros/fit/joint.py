@@ -17,6 +17,7 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import NAMES
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.filters.roughness import PER_MEDIAN
 from sugiyama_ros.fit.driver import calibrate
 from sugiyama_ros.fit.model import Model, NewtonStep, moved
 from sugiyama_ros.fit.recording import FOLDS, Recorded
@@ -35,10 +36,9 @@ _STEPS, _RENEWALS = 12, 5
 
 @dataclass(frozen=True, eq=False)
 class JointFit:
-    """A model of all drivers, with its predictions of the samples and its slopes.
+    """A model of all drivers, its predictions of all samples, and score and information of each driver.
 
-    model: the model, at a maximum or on the way to one; samples: predictions of all samples; slopes: score and
-    information of each driver; beside: the fit from which the model has the parameters that it holds.
+    beside: the fit from which the model has the parameters that it holds.
     """
 
     model: Model
@@ -146,8 +146,7 @@ def solve(
 ) -> NewtonStep:
     """Return the damped Newton step of a model; the prior counts in proportion to the number of folds.
 
-    damping: (N,), damping of all drivers or of each driver; curvature: folds whose information counts; ``folds`` by
-    default.
+    curvature: folds whose information counts; ``folds`` by default.
     """
     curved, own = list(folds if curvature is None else curvature), len(model.individual)
     of_driver: Array = np.broadcast_to(damping, len(all_slopes))
@@ -179,10 +178,7 @@ def solve(
 
 
 def at_model(data: Recorded, here: JointFit, model: Model, work: Executor, who: NDArray[np.bool_]) -> JointFit:
-    """Return the fit with some drivers moved to a nearby model; the derivatives stay as they are.
-
-    who: (N,), drivers to move.
-    """
+    """Return the fit with the drivers in ``who`` (N,) moved to a nearby model; the derivatives stay as they are."""
     numbers = np.flatnonzero(who)
     rows, slopes_, samples = here.model.rows.copy(), list(here.slopes), here.samples.copy()
     rows[who] = model.rows[who]
@@ -333,7 +329,7 @@ def _by_paper(data: Recorded, model: Model, work: Executor) -> Model | None:
 def as_population(model: Model) -> Model:
     """Return the model with the spread of its drivers as the prior, and with its own rows for the drivers ahead."""
     own = coordinate(model.rows[:, list(model.individual)], model.individual)
-    spread = 1.4826 * np.median(np.abs(own - np.median(own, axis=0)), axis=0)
+    spread = PER_MEDIAN * np.median(np.abs(own - np.median(own, axis=0)), axis=0)
     # a small number of drivers determines the spread poorly
     known = len(own) / (len(own) + 3.0)
     std = np.clip(known * spread + (1.0 - known) * 0.3, LEAST_STD, LARGEST_STD)

@@ -125,14 +125,10 @@ _ENOUGH, _MOST = 1e-6, 60
 
 @dataclass(frozen=True, eq=False)
 class Following:
-    """Smoothed motion of one driver behind a leader.
+    """Smoothed motion of one driver behind a leader, (T,) [m] and [m/s]; positions of centres do not wrap.
 
-    Positions are continuous: they do not wrap, so the difference of two positions is the distance between them. Unknown
-    samples are NaN.
-
-    position_m, speed: (T,), position of the driver's centre [m] and speed [m/s]; leader_position_m, leader_speed: (T,),
-    position of the leader's centre [m] and speed [m/s]; half_lengths_m: half of the sum of both vehicles' lengths [m];
-    period_s: time between two samples [s]; source: name of the driver in error messages. Raises InputError.
+    half_lengths_m: half of the sum of both vehicles' lengths [m]; source: name of the driver in error messages. Raises
+    InputError.
     """
 
     position_m: Array
@@ -156,10 +152,7 @@ class Following:
 
 @dataclass(frozen=True, eq=False)
 class GapFit:
-    """A law fitted to the gaps of one driver.
-
-    parameters: (n,), parameters in the order of the law; rmse_m: root mean square error of the fitted gaps [m].
-    """
+    """A law fitted to the gaps of one driver: parameters in its order, and root mean square error of the gaps [m]."""
 
     parameters: Array
     rmse_m: float
@@ -189,12 +182,8 @@ def _run(rows: Array, states: Array, half_lengths: float, period: float, driven:
 def gap_errors(law: Law, parameters: Array, following: Following, chosen: Mask) -> Array:
     """Return the errors of the gaps in a simulation of one car, simulated minus measured.
 
-    The car starts from its measured state at the first sample of each unbroken run of chosen samples. A sample that is
-    left out between two blocks of time therefore restarts the car. The integration is Euler's rule as in the
-    simulation; speeds stay at or above 0.
-
-    parameters: (..., n), parameters in the order of the law; chosen: (T,), samples to simulate. Returns (..., T),
-    errors [m]; naN where the car starts and where a sample is not chosen.
+    The car starts as measured at the first sample of each unbroken run of ``chosen`` samples (T,), where the error is
+    NaN. The integration is Euler's rule as in the simulation; speeds stay at or above 0. Returns (..., T) [m].
     """
     values = parameters.reshape(-1, parameters.shape[-1])
     rows = np.zeros((len(values), ROW.width))
@@ -207,11 +196,7 @@ def gap_errors(law: Law, parameters: Array, following: Following, chosen: Mask) 
 
 
 def fit_gaps(law: Law, following: Following, chosen: Mask, start: Array | None = None) -> GapFit:
-    """Fit the parameters of a law by least squares of ``gap_errors``, within their bounds.
-
-    chosen: (T,), samples that count; start: (n,), parameters at the start of the search; by default the search tries
-    many starts. Raises InputError.
-    """
+    """Fit a law by least squares of ``gap_errors``, from ``start`` or from many starts. Raises InputError."""
     default, lower, upper = (np.array([getattr(p, of) for p in law.parameters]) for of in ("default", "lower", "upper"))
     scored = np.isfinite(gap_errors(law, default, following, chosen))
     if scored.sum() <= len(default):

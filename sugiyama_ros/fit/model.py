@@ -48,11 +48,10 @@ class Model:
 
 @dataclass(frozen=True, eq=False)
 class NewtonStep:
-    """A step of the search.
+    """A step of the search: changes of the individual (N, I) and of the shared coordinates (S,).
 
-    individual: (N, I), changes of the individual coordinates; shared: (S,), changes of the shared coordinates;
-    predicted_gains: (N,), predicted rise of the log posterior [nats] from the individual changes of each driver;
-    predicted_gain: predicted rise of the log posterior [nats] from the whole step.
+    predicted_gains: (N,), predicted rise of the log posterior [nats] from each driver's individual changes;
+    predicted_gain: predicted rise from the whole step.
     """
 
     individual: Array
@@ -62,11 +61,7 @@ class NewtonStep:
 
 
 def leaders(data: Recorded, model: Model, who: Sequence[int]) -> list[Array]:
-    """Return the parameters of the vehicles ahead of some drivers.
-
-    Returns (M - 1, WIDTH), for each driver the rows of the vehicles in the chain ahead; the row of the median driver
-    for an unknown vehicle.
-    """
+    """Return the rows (M - 1, WIDTH) of the vehicles ahead of each driver; the median driver's for an unknown one."""
     chosen = np.asarray(who, dtype=np.int64)
     ahead = data.ahead[chosen]
     rows: Array = model.ahead[ahead]
@@ -96,10 +91,7 @@ def moved(data: Recorded, model: Model, step: NewtonStep, share: float = 1.0) ->
 
 
 def reach(data: Recorded, places: Sequence[int]) -> Array:
-    """Return the longest step of linear coordinates: a part of the declared range, of the recording or of the road.
-
-    Returns (K,), longest step of each parameter, in its own unit.
-    """
+    """Return the longest step (K,) of linear coordinates: a part of the range, of the recording or of the road."""
     around = data.vicinity
     road = around.road.circumference_m or float(np.nanmax(around.position_m) - np.nanmin(around.position_m))
     first_s, last_s = around.first_last_s

@@ -11,6 +11,7 @@ from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.chain import CHAIN, Chain
 from sugiyama_ros.filters.extract import chain_behind
+from sugiyama_ros.fit.driver import most_seen
 from sugiyama_ros.fit.scoring import SMALLEST, fastest, lower_bounds, upper_bounds
 from sugiyama_ros.fit.smooth_positions import (
     Evenness,
@@ -29,11 +30,7 @@ from sugiyama_ros.trajectories.trajectories import Trajectories
 
 @dataclass(frozen=True)
 class DriverName:
-    """How documents and tables call a driver.
-
-    number: number of the vehicle; no other driver of the recording has it; recording, vehicle, vehicle_class: names in
-    the tracks; empty where the file has none.
-    """
+    """How documents and tables call a driver: the number of the vehicle, and names in the tracks, if they have any."""
 
     number: int
     recording: str = ""
@@ -120,21 +117,14 @@ def behind_measured(around: Vicinity, chains: Sequence[Chain], who: Sequence[int
 
 
 def numbered(drivers: int, who: Sequence[int]) -> Ints:
-    """Return the new number of each driver if only those in ``who`` are left, (drivers + 1,).
-
-    Nobody else has one: -1. The last entry is that of the number -1.
-    """
+    """Return the new number (drivers + 1,) of each driver if only those in ``who`` are left, and -1."""
     number = np.full(drivers + 1, -1)
     number[list(who)] = np.arange(len(who))
     return number
 
 
 def columns_of(chains: Sequence[Chain]) -> tuple[Array, Array, Ints]:
-    """Return the vehicles of chains in columns, as a ``Vicinity`` of tracks has them.
-
-    Returns position_m, length_m: (T, V), measured positions and lengths [m]: the N drivers, the vehicles ahead of each,
-    and those ahead of these; leader: (T, V), column of the vehicle ahead, or -1.
-    """
+    """Return positions, lengths [m] and leaders (T, V) of the vehicles of chains, as in a ``Vicinity`` of tracks."""
     count, samples = len(chains), len(chains[0].position_m)
     columns = CHAIN * count
     position, length = np.full((samples, columns), np.nan), np.zeros((samples, columns))
@@ -222,10 +212,9 @@ def within(most: int | None, drivers: int, samples: int) -> range:
 
 
 def prepare(trajectories: Trajectories, segment: Ints | None = None, most: int | None = None) -> Recorded:
-    """Prepare trajectories for a fit.
+    """Prepare trajectories for a fit; filters restart where the number of the ``segment`` (T,) changes.
 
-    segment: (T,), number of the unbroken part of the recording; every filter restarts where the number changes. Raises
-    InputError.
+    Raises InputError.
     """
     trajectories = with_short_periods(trajectories)
     seen, decisions = measured(trajectories), measured_every(trajectories)
@@ -274,11 +263,7 @@ def _blocks(trajectories: Trajectories) -> Ints:
 
 
 def bounds_of(even: Evenness, speed: float) -> tuple[Array, Array]:
-    """Return the bounds of a search over rows.
-
-    speed: high speed in the data [m/s]. Returns (WIDTH,), smallest sizes of parameters with a logarithmic coordinate,
-    and upper bounds.
-    """
+    """Return smallest sizes and upper bounds (WIDTH,) of a search over rows; ``speed``: a high one in the data."""
     lower = np.full(ROW.width, SMALLEST)
     lower[:COUNT] = lower_bounds(even)
     upper = np.array([p.upper for p in ROW.declared])
@@ -304,17 +289,15 @@ def _vicinity(t: Trajectories) -> Vicinity:
     )
 
 
-def _ahead(trajectories: Trajectories, who: Sequence[int]) -> Ints:
+def _ahead(t: Trajectories, who: Sequence[int]) -> Ints:
     """Columns of the vehicles ahead of some drivers in most samples, (N, CHAIN - 1), or -1."""
-    column = {int(v): k for k, v in enumerate(trajectories.vehicle)}
+    number, samples = {v: k for k, v in enumerate(t.vehicle.tolist())}, np.arange(len(t.position_m))
     ahead = np.full((len(who), CHAIN - 1), -1)
     for k, i in enumerate(who):
+        column = np.where(t.present[:, i], i, -1)
         for m in range(1, CHAIN):
-            columns = _columns(trajectories, i, m)
-            known = trajectories.vehicle[columns[columns >= 0]]
-            if len(known):
-                values, counts = np.unique(known, return_counts=True)
-                ahead[k, m - 1] = column[int(values[np.argmax(counts)])]
+            column = np.where(column >= 0, t.leader[samples, column], -1)
+            ahead[k, m - 1] = number.get(most_seen(np.where(column >= 0, t.vehicle[column], -1)), -1)
     return ahead
 
 
@@ -324,15 +307,6 @@ def _who_follows(chains: Sequence[Chain]) -> Mask:
     led = np.array([((chain.identity[:, 0] >= 0) & (chain.identity[:, 1] >= 0)).sum() for chain in chains])
     follows = led > _LEAST_LED * there
     return follows if follows.any() else np.ones_like(follows)
-
-
-def _columns(trajectories: Trajectories, driver: int, m: int) -> Ints:
-    """Column of the m-th vehicle ahead of a driver at every sample, (T,), or -1."""
-    column = np.where(trajectories.present[:, driver], driver, -1)
-    samples = np.arange(len(column))
-    for _ in range(m):
-        column = np.where(column >= 0, trajectories.leader[samples, column], -1)
-    return column
 
 
 def some_drivers(data: Recorded, who: Sequence[int]) -> Recorded:

@@ -23,7 +23,8 @@ from sugiyama_ros.driver.parameters import OMEGA_2, PARAMETERS, V_STAR
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.filters import paper
 from sugiyama_ros.filters.paper import Scored
-from sugiyama_ros.fit.smooth_positions import NOISES, Evenness
+from sugiyama_ros.filters.roughness import SIGMAS
+from sugiyama_ros.fit.smooth_positions import Evenness
 from sugiyama_ros.trajectories.desired_speed import largest_v_star
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
@@ -54,7 +55,7 @@ def upper_bounds(speed: float) -> Array:
 def lower_bounds(even: Evenness) -> Array:
     """Return the smallest sizes (P,) of the parameters in the search; the sizes of noises follow the data."""
     lower = np.full(len(PARAMETERS), SMALLEST)
-    lower[NOISES] = even.smallest_noise
+    lower[SIGMAS] = even.smallest_noise
     return lower
 
 

@@ -1,4 +1,4 @@
-"""Positions that are smoother than the model's fixed noises: what to estimate then, and where to start.
+"""How smooth positions are, what to estimate then, and which samples count.
 
 The model keeps the position noise and the speed noise at the paper's values, which suit the positions of a camera above
 a ring. Positions from satellites, or positions that were smoothed, move more evenly than these noises alone would let
@@ -18,10 +18,6 @@ from sugiyama_ros.arrays import Array, Mask
 from sugiyama_ros.driver.parameters import (
     LEAST_NOISE,
     REFERENCE_PERIOD_S,
-    SIGMA_A,
-    SIGMA_NU,
-    SIGMA_V,
-    SIGMA_X,
     V_STAR,
     defaults,
     index,
@@ -42,8 +38,6 @@ from sugiyama_ros.trajectories.trajectories import Trajectories
 ESTIMATED = ("sigma_nu", "sigma_a", "v_star", "kappa_v")
 #: The parameters that are estimated as well where positions are smooth.
 FREED = ("sigma_x", "sigma_v")
-#: Places of the noises among the parameters.
-NOISES = [SIGMA_NU, SIGMA_A, SIGMA_X, SIGMA_V]
 # Fewest third differences of a vehicle.
 _FEWEST = 8
 # Third differences of noise are correlated over three samples. Beyond these, smoothing shows as an autocorrelation
@@ -59,11 +53,9 @@ _PART = 0.01
 
 
 class Evenness(NamedTuple):
-    """How evenly the vehicles of a recording move.
+    """How evenly the vehicles of a recording move: std of the third differences [m], NaN if unknown; period [s].
 
-    roughness_m: std of the third differences of the positions [m]; naN if it is not known; period_s: time [s] between
-    two samples; has_other_noises: whether the model's fixed noises do not suit the vehicles, although their positions
-    are not smooth.
+    has_other_noises: whether the fixed noises do not suit the vehicles, although their positions are not smooth.
     """
 
     roughness_m: float
@@ -87,14 +79,11 @@ class Evenness(NamedTuple):
         return float(np.clip(_PART * noise, LEAST_NOISE, 1e-3))
 
     def typical(self, speed: float) -> Array:
-        """Return a driver of the population, with noises and a desired speed that suit the recording.
+        """Return a driver of the population (P,), with noises and a desired speed that suit the recording.
 
         Where positions are smooth, each of three noises makes a third of the third differences' variance. Where the
         fixed noises do not suit the vehicles for another reason, all noises are in proportion. A driver far above the
-        desired speed hardly says how much too small it is, so it starts above the speeds in the data.
-
-        speed: high speed in the data [m/s], as ``bounds.fastest`` returns it. Returns (P,), parameters at the reference
-        period.
+        desired speed hardly says how much too small it is, so it starts above the high ``speed`` in the data [m/s].
         """
         driver = population()
         driver[V_STAR] = desired_speed_above(speed, float(driver[V_STAR]))
@@ -114,11 +103,7 @@ class Evenness(NamedTuple):
 
 
 def evenness_of(positions: Iterable[Array], period_s: float) -> Evenness:
-    """Return how evenly vehicles move.
-
-    positions: (T,), continuous positions of each vehicle [m]; naN where missing; period_s: time [s] between two
-    samples.
-    """
+    """Return how evenly vehicles move, from each one's continuous positions (T,) [m]."""
     found = []
     for one in positions:
         third = np.abs(np.diff(one, n=3))
@@ -129,13 +114,10 @@ def evenness_of(positions: Iterable[Array], period_s: float) -> Evenness:
 
 
 def smoothing_window(positions: Iterable[Array], period_s: float) -> int:
-    """Return over how many samples somebody has smoothed positions.
+    """Return over how many samples somebody has smoothed positions, from each vehicle's continuous ones (T,) [m].
 
     Third differences of unsmoothed positions are correlated over three samples at most. A smoother adds correlation up
     to the width of its window and a little more.
-
-    positions: (T,), continuous positions of each vehicle [m]; naN where missing; period_s: time [s] between two
-    samples.
     """
     products = np.zeros(max(0, round(_LONGEST_S / period_s) - _OF_NOISE))
     square, count = 0.0, 0
@@ -176,23 +158,15 @@ ROUNDING = 1e-6
 def with_short_periods(trajectories: Trajectories) -> Trajectories:
     """Return a recording with empty samples in between if its samples are more than 0.5 s apart.
 
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from sugiyama_ros.road import Road
-    >>> slow = Trajectories(np.array([[0.0], [9.0]]), np.array([4.0]), np.array([1]), Road(0.0), period_s=1.0)
-    >>> with_short_periods(slow).position_m.ravel().tolist()
-    [0.0, nan, nan, 9.0]
+    The driver of the model decides anew at every sample, three times a second in the paper. A camera that keeps one
+    picture a second does not make drivers decide less often.
     """
     parts = usual_decisions(trajectories.period_s)
     return trajectories if parts == 1 else divided(trajectories, parts)
 
 
 def usual_decisions(period_s: float) -> int:
-    """Return how often the model's drivers decide from one sample to the next, if the samples do not say it.
-
-    period_s: time [s] between two samples.
-    """
+    """Return how often the model's drivers decide from one sample to the next, if the samples do not say it."""
     return 1 if period_s <= _LONGEST_STEP_S * (1.0 + ROUNDING) else round(period_s / REFERENCE_PERIOD_S)
 
 
@@ -209,8 +183,6 @@ def apart_if_smoothed(window: int, even: Evenness) -> int:
 
     Rounding hides a smoother from ``smoothing_window``, but such positions still move more evenly than the noises of
     the model let them.
-
-    window: samples over which positions were smoothed, as ``smoothing_window`` returns them; 0 if they were not.
     """
     longest_s = LONGEST_APART_S if window else _LONGEST_STEP_S
     longest = max(1, math.floor(longest_s * (1.0 + ROUNDING) / even.period_s))
@@ -227,10 +199,9 @@ def thinned(position_m: Array, every: int) -> Array:
 
 
 def smoothed_alike(present: Mask, ends: int) -> Mask:
-    """Return whether samples are as smooth as all others: at the ends of a record, smoothers have half a window.
+    """Return whether samples (N, T) are as smooth as all others: at the ends of a record, smoothers have half a window.
 
-    present: (N, T), whether a vehicle is recorded. Returns (N, T), false at the ends, and where the vehicle is not
-    recorded unless ``ends`` is 0.
+    Where a vehicle is not recorded they are not, unless ``ends`` is 0.
     """
     since, until = np.cumsum(present, axis=1), np.cumsum(present[:, ::-1], axis=1)[:, ::-1]
     return np.asarray((since > ends) & (until > ends) | (ends == 0))

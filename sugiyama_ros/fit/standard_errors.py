@@ -13,17 +13,10 @@ _NOTHING = 1e-6
 
 
 def stds(scored: Scored, parameters: Array, places: Ints) -> Array:
-    """Standard deviations of parameters at a maximum.
+    """Standard deviations (K,) at a maximum of the parameters at ``places``; infinite where the data say nothing.
 
-    They come from the expected information, or from the sandwich estimate if it is larger: if the gradients of the
-    samples scatter more than the information says. The sandwich also holds for an approximate likelihood.
-
-    parameters: (P,), parameters at the maximum; places: (K,), which of them were searched for. Returns (K,), standard
-    deviations; infinite where the data say nothing.
-
-    References
-    ----------
-    Huber, Proc. Fifth Berkeley Symp. Math. Stat. Prob. 1 (1967) 221.
+    They come from the expected information, or from the sandwich estimate (Huber, Proc. Fifth Berkeley Symp. Math.
+    Stat. Prob. 1 (1967) 221) if it is larger: if the gradients of the samples scatter more than the information says.
     """
     block = np.ix_(places, places)
     information = scored.information[block]
@@ -36,11 +29,9 @@ def stds(scored: Scored, parameters: Array, places: Ints) -> Array:
 
 
 def untouched(information: Array, values: Array) -> Array:
-    """Which parameters the data say nothing about, alone or in some combination.
+    """Which parameters (K,) take part in a combination about which the data say nothing.
 
-    information: (K, K), expected information about the parameters; values: (K,), their values, which give the scale:
-    the information about logarithms has no unit. Returns (K,), true for a parameter that takes part in a combination
-    about which there is no information.
+    values: (K,), their values, which give the scale: the information about logarithms has no unit.
     """
     known, direction = np.linalg.eigh(information * np.outer(values, values))
     return np.asarray((np.square(direction[:, known < _NOTHING]) > _NOTHING).any(axis=1))
@@ -55,11 +46,9 @@ _FURTHER, _FURTHER_AT_LEAST, _FIRST = 2.5, 1.3, 0.5
 
 
 def quadratic(parameters: Array, std: Array) -> Array:
-    """Return 95 % intervals from a log-likelihood that is quadratic in the logarithms of the parameters.
+    """Return 95 % intervals (..., 2) from a log-likelihood that is quadratic in the logarithms of the parameters.
 
-    parameters: (...), parameters, positive or negative; std: (...), standard deviations of the parameters. Returns
-    (..., 2), ends of the intervals; for an infinite std they are 0 and infinity; for a std of 0, both are the
-    parameter.
+    For an infinite std the ends are 0 and infinity; for a std of 0, both are the parameter.
     """
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         far = np.exp(SIGMAS * std / np.abs(parameters))
@@ -70,11 +59,7 @@ def quadratic(parameters: Array, std: Array) -> Array:
 def end_of_profile(fall: Callable[[float], float], guess: float, furthest: float) -> float:
     """Return the distance from the maximum at which the profile log-likelihood has fallen by 1.96^2 / 2.
 
-    The values within this distance are a 95 % interval, on any scale of the distance.
-
-    References
-    ----------
-    S. S. Wilks, Ann. Math. Stat. 9 (1938) 60.
+    The values within this distance are a 95 % interval (Wilks, Ann. Math. Stat. 9 (1938) 60).
     """
     near, low = 0.0, 0.0
     far, high = math.inf, math.inf
