@@ -33,24 +33,9 @@ _VAGUE, _NOT_IDENTIFIED = "(not identified)", "not identified"
 class Settings:
     """What a calibration estimates, and how it searches.
 
-    Parameters
-    ----------
-    formulation : {"causal", "paper"}
-        ``"paper"`` smooths the states that the drivers perceive. ``"causal"`` filters them.
-    estimated : tuple of str
-        Names of the parameters to estimate; empty for those that suit the recording.
-    is_regularised : bool
-        Causal: the drivers are draws from one population. Paper: its penalty is added to the likelihood.
-    profiled : bool
-        Whether the intervals come from the profile likelihood.
-    seed : int
-        Seed of the random numbers.
-    law : str
-        Name of the law by which the drivers drive.
-    effects : tuple of str
-        Names of the effects that are fitted with the parameters.
-    classes : int
-        Number of classes of drivers who share all parameters; 0 for parameters of each driver.
+    estimated: names of parameters; empty for those that suit the recording; is_regularised: causal: drivers are draws
+    from one population, paper: with the paper's penalty; profiled: whether intervals come from the profile likelihood;
+    effects: names of effects that are fitted, too; classes: number of classes of drivers who share all parameters.
     """
 
     formulation: Formulation = "causal"
@@ -98,20 +83,11 @@ class Settings:
 
 @dataclass(frozen=True)
 class CalibratedDriver:
-    """Who drives, and what tracks say of the driver.
+    """Who drives, and what tracks say of the driver; texts are empty, and numbers NaN or 0, where they do not.
 
-    Parameters
-    ----------
-    vehicle : int or str
-        Number of the vehicle, or its name on tracks.
-    recording, vehicle_class, leader_class : str
-        Recording, class of the vehicle, and class of the vehicle ahead most of the time; empty where it is not known.
-    stretches : int
-        Number of stretches in which the driver follows a known vehicle, on tracks.
-    following_s : float
-        Time [s] that counts, on tracks.
-    nis : float
-        Mean of the squared normalised innovations, on tracks; 1 for a filter that knows its own errors.
+    vehicle: number of the vehicle, or its name on tracks; leader_class: class of the vehicle ahead most of the time;
+    stretches, following_s: stretches and time [s] that count; nis: mean of the squared normalised innovations, which is
+    1 for a filter that knows its own errors.
     """
 
     vehicle: int | str
@@ -198,28 +174,15 @@ class Calibration(Result):
     @property
     def vehicle_classes(self) -> tuple[ClassMedians, ...]:
         """Medians of each class of vehicles."""
-        return self._medians([(d.vehicle_class, None) for d in self.drivers])
+        return medians_of([(d.vehicle_class, None) for d in self.drivers], self.rows, self.identified)
 
     @property
     def pairs(self) -> tuple[ClassMedians, ...]:
         """Medians of each class of vehicles behind each class."""
-        return self._medians([(d.vehicle_class, d.leader_class) for d in self.drivers])
+        return medians_of([(d.vehicle_class, d.leader_class) for d in self.drivers], self.rows, self.identified)
 
     def write(self, target: Target) -> None:
-        """Write a model file.
-
-        Parameters
-        ----------
-        target : Path or Output
-            The file, in YAML.
-
-        Raises
-        ------
-        InputError
-            For drivers on tracks.
-        OutputError
-            If the file cannot be written.
-        """
+        """Write a model file. Raises InputError for drivers on tracks, and OutputError."""
         # Imported here: a calibration that is only printed starts sooner without the code of joint fits.
         from sugiyama_ros.fit.model_file import write_drivers
 
@@ -250,13 +213,13 @@ class Calibration(Result):
         value, the standard deviation, the ends of the 95 % interval, and whether the parameter is identified.
         """
         records = []
-        for d in self._drivers():
-            one = {k: v for k, v in d.items() if k not in ("std", "interval", "identified")}
+        for driver, d in zip(self.drivers, self._drivers(), strict=True):
+            one = self._who(driver)
             for name in self.settings.estimated:
                 low, high = d["interval"][name]
-                one |= {f"{name}_std": d["std"][name], f"{name}_low": low, f"{name}_high": high}
-                one |= {f"{name}_identified": d["identified"][name]}
-            records.append(one)
+                one |= {name: d[name], f"{name}_std": d["std"][name], f"{name}_low": low, f"{name}_high": high}
+                one[f"{name}_identified"] = d["identified"][name]
+            records.append(one | {key: d[key] for key in ("log_likelihood", "nis") if key in d})
         return records
 
     def draw(self, figure: "Figure") -> None:
@@ -299,17 +262,7 @@ class Calibration(Result):
     def document(self, wall_s: float) -> dict[str, Any]:
         """Collect all results in plain types and SI units, for ``--json``; what is infinite is None.
 
-        Parameters
-        ----------
-        wall_s : float
-            Time [s] that the calibration took.
-
-        Returns
-        -------
-        dict
-            ``formulation``, ``law``, ``drivers``, ``effects``, ``log_likelihood`` and ``wall_s``. With classes of
-            drivers, also ``classes`` and ``bic``; on tracks, also ``left_out``, ``brief_drivers``, the medians of
-            ``classes`` of vehicles, and ``class_pairs``.
+        wall_s: time [s] that the calibration took.
         """
         drivers = self._drivers()
         document: dict[str, Any] = {
@@ -412,9 +365,6 @@ class Calibration(Result):
         who = {name: value for name, value in self._who(one.driver).items() if name != "stretches"}
         values = {n: float(one.row[index(n)]) for n in self.settings.estimated}
         return {**who, "parameters_of": "class", **values, "log_likelihood": one.log_likelihood, "nis": one.driver.nis}
-
-    def _medians(self, groups: Sequence[tuple[str, str | None]]) -> tuple[ClassMedians, ...]:
-        return medians_of(groups, self.rows, self.identified)
 
     def _cell(self, d: Mapping[str, Any], name: str) -> str:
         low, high = d["interval"][name]

@@ -17,9 +17,9 @@ LARGEST_ERROR_M = 1000.0
 
 
 def mean_nis(calibration: Calibration) -> Array:
-    """Mean of the squared normalised innovations of each driver in the causal filter.
+    """Mean of the squared normalised innovations of each driver in the causal filter, (N,). Raises InputError.
 
-    Returns (N,), 1 for a filter that knows its own errors; naN for a driver without a scored sample. Raises InputError.
+    It is 1 for a filter that knows its own errors, and NaN for a driver without a scored sample.
     """
     t, found = calibration.trajectories, []
     if t is None:
