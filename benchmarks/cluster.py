@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 from distributed import LocalCluster
 
-from sugiyama_ros.calibration.on_tracks import TracksCalibration, calibrate_tracks
+from sugiyama_ros.calibration.on_tracks import calibrate_tracks
+from sugiyama_ros.calibration.result import Calibration
 from sugiyama_ros.driver.parameters import SIGMA_A, defaults
 from sugiyama_ros.simulation.lanes import Lane, simulate_lanes
 from sugiyama_ros.studies.rings import LENGTH_M
@@ -58,7 +59,7 @@ def _tracks() -> Tracks:
     return simulate_lanes([lane] * _LANES, _DURATION_S, np.random.default_rng(1))
 
 
-def _with_a_death(tracks: Tracks, cluster: LocalCluster) -> TracksCalibration:
+def _with_a_death(tracks: Tracks, cluster: LocalCluster) -> Calibration:
     """Calibrate on a cluster, one of whose workers is killed on the way."""
     victim = next(iter(cluster.workers.values())).pid
     killed = threading.Event()
@@ -73,9 +74,8 @@ def _with_a_death(tracks: Tracks, cluster: LocalCluster) -> TracksCalibration:
         return calibrate_tracks(tracks, work=work, on_progress=on_progress)
 
 
-def _difference(one: TracksCalibration, other: TracksCalibration) -> float:
-    pairs = zip(one.drivers, other.drivers, strict=True)
-    return float(max(np.abs(a.fit.parameters - b.fit.parameters).max() for a, b in pairs))
+def _difference(one: Calibration, other: Calibration) -> float:
+    return float(np.abs(one.rows - other.rows).max())
 
 
 def _peak_mb(process: int) -> float:

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sugiyama_ros.calibration.calibrate import each_driver, in_classes, pooled
-from sugiyama_ros.calibration.on_tracks import TracksCalibration, calibrate_tracks
+from sugiyama_ros.calibration.calibrate import calibrate_drivers
 from sugiyama_ros.calibration.result import Calibration, Settings
 from sugiyama_ros.diagnosis import compare as comparison
 from sugiyama_ros.diagnosis import diagnose as diagnosis
@@ -23,7 +22,6 @@ from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.driver import Formulation
 from sugiyama_ros.fit.model_file import read_model
-from sugiyama_ros.fit.smooth_positions import evenness
 from sugiyama_ros.formats.choices import Choices, choices_of, read_choices, reference_of
 from sugiyama_ros.formats.folder import read_files
 from sugiyama_ros.formats.registry import read_tracks as tracks_of_file
@@ -42,7 +40,6 @@ from sugiyama_ros.simulation.result import Simulation
 from sugiyama_ros.trajectories.one_lane import one_lane
 from sugiyama_ros.trajectories.tracks import Tracks
 from sugiyama_ros.trajectories.trajectories import Trajectories
-from sugiyama_ros.workers import workers
 
 if TYPE_CHECKING:
     import pandas
@@ -51,14 +48,7 @@ if TYPE_CHECKING:
 #: Largest number of steps of a diagnosis that add something, unless somebody asks for more.
 FEW_STEPS = 3
 #: Further settings of `calibrate`, and their defaults.
-_CALIBRATE: dict[str, Any] = {
-    "classes": 0,
-    "hops": 0,
-    "seed": 0,
-    "regularise_strength": 1.0,
-    "law": PAPERS,
-    "scheduler": None,
-}
+_CALIBRATE: dict[str, Any] = {"classes": 0, "seed": 0, "law": PAPERS, "scheduler": None}
 
 
 def read(source: "str | Path | pandas.DataFrame", ring_m: float | None = None) -> Trajectories:
@@ -218,14 +208,14 @@ def calibrate(
     regularise: bool = False,
     profile: bool = False,
     **settings: Any,
-) -> Calibration | TracksCalibration:
+) -> Calibration:
     """Estimate every driver's parameters by maximum likelihood.
 
     Parameters
     ----------
     trajectories : Trajectories, Tracks or Simulation
-        The recording, or a simulated one. Tracks may have many lanes; ``effects``, ``regularise``, ``classes``,
-        ``hops`` and the paper's formulation need one lane on which everybody is present.
+        The recording, or a simulated one. Tracks may have many lanes; ``effects``, ``regularise``, ``classes``
+        and the paper's formulation need one lane on which everybody is present.
     formulation : {"causal", "paper"}
         Whether perceived states are filtered, or smoothed as in the paper.
     parameters : sequence of str
@@ -237,14 +227,13 @@ def calibrate(
     profile : bool
         Whether the intervals come from the profile likelihood, which takes longer.
     **settings
-        classes: number of classes of drivers who share all parameters, 0 for parameters of each driver; hops: number
-        of hops of basinhopping before the search; regularise_strength: factor of the weights of the paper's penalty;
-        law: name of the law by which the drivers drive, all of whose parameters are estimated, one lane only; seed:
-        seed of all random numbers; scheduler: address of a Dask scheduler whose workers do the work.
+        classes: number of classes of drivers who share all parameters, 0 for parameters of each driver; law: name of
+        the law by which the drivers drive, all of whose parameters are estimated, one lane only; seed: seed of all
+        random numbers; scheduler: address of a Dask scheduler whose workers do the work.
 
     Returns
     -------
-    Calibration or TracksCalibration
+    Calibration
         Parameters of each driver with their errors, and whether the data hold them.
 
     Raises
@@ -262,34 +251,14 @@ def calibrate(
     """
     _check_names("calibrate", settings, _CALIBRATE)
     said = {**_CALIBRATE, **settings}
-    of_search = (said["hops"], said["seed"], said["regularise_strength"], said["law"])
+    of_search = (said["seed"], said["law"], tuple(effects), said["classes"])
     asked = Settings(formulation, tuple(parameters), regularise, profile, *of_search)
-    _check_calibration(asked, bool(effects), said["classes"])
-    return _calibrated(_recorded(trajectories), asked, effects, said["classes"], said["scheduler"])
-
-
-def _calibrated(
-    recording: Trajectories | Tracks, asked: Settings, effects: Sequence[str], classes: int, scheduler: str | None
-) -> Calibration | TracksCalibration:
-    """Drivers on tracks, together, in classes, or one by one."""
-    is_paper = asked.formulation == "paper"
-    is_pooled = bool(effects) or asked.law != PAPERS or (asked.is_regularised and not is_paper)
-    if isinstance(recording, Tracks) and (is_paper or is_pooled or classes or asked.hops):
+    asked.check()
+    recording = _recorded(trajectories)
+    if isinstance(recording, Tracks) and asked.needs_one_lane:
         recording = one_lane(recording, recording.about.source or "tracks")
-    if isinstance(recording, Tracks):
-        with stages() as advance, workers(recording.runs, scheduler) as work:
-            on_progress = partial(advance, "calibrating")
-            return calibrate_tracks(
-                recording, asked.estimated, profiled=asked.profiled, work=work, on_progress=on_progress
-            )
-    chosen = asked.estimated or evenness(recording).estimated(asked.formulation)
-    options = replace(asked, estimated=chosen, is_regularised=asked.is_regularised and is_paper)
-    with stages() as advance, workers(len(recording.vehicle), scheduler) as work:
-        if is_pooled:
-            return pooled(recording, options, list(effects), work)
-        if classes:
-            return in_classes(recording, options, classes, work)
-        return each_driver(recording, options, work=work, on_progress=partial(advance, "calibrating"))
+    with stages() as on:
+        return calibrate_drivers(recording, asked, said["scheduler"], partial(on, "calibrating"))
 
 
 def _recorded(given: Trajectories | Tracks | Simulation) -> Trajectories | Tracks:
@@ -311,32 +280,6 @@ def _check_within(name: str, value: float | None, lower: float, upper: float) ->
     if value is not None and not lower <= value <= upper:
         most = f" to {upper:g}" if upper < math.inf else " or more"
         raise InputError(f"{name}: {value:g} is not possible; give {lower:g}{most}")
-
-
-def _check_calibration(chosen: Settings, effects: bool, classes: int) -> None:
-    """Raise InputError for settings that contradict each other, as the command does."""
-    if chosen.formulation not in ("paper", "causal"):
-        raise InputError(f"formulation: {chosen.formulation!r} is not known; give 'paper' or 'causal'")
-    is_paper, alone = chosen.formulation == "paper", chosen.profiled or chosen.hops
-    counts = {"classes": classes, "hops": chosen.hops, "seed": chosen.seed, "regularise_strength": chosen.strength}
-    for name, value in counts.items():
-        _check_within(name, value, 0, math.inf)
-    law_of(chosen.law)
-    if chosen.law != PAPERS and (is_paper or chosen.estimated or alone or classes):
-        raise InputError(
-            "law: all parameters of the law are estimated together, with the causal formulation; leave out parameters,"
-            " profile, hops and classes"
-        )
-    if effects and is_paper:
-        raise InputError("effects: the paper's formulation knows none; use the causal formulation")
-    if (effects or (chosen.is_regularised and not is_paper)) and alone:
-        raise InputError("profile and hops: are for drivers calibrated one by one; leave out effects and regularise")
-    if chosen.strength != 1.0 and not (chosen.is_regularised and is_paper):
-        raise InputError("regularise_strength: give regularise=True and the formulation 'paper', too")
-    if classes and (effects or chosen.is_regularised or alone):
-        raise InputError(
-            "classes: the drivers of a class share all parameters; leave out effects, regularise, profile and hops"
-        )
 
 
 def compare(

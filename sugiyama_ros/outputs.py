@@ -170,16 +170,6 @@ def name_of_part(part: Path) -> Path | None:
     return part.with_name(found["name"]) if found else None
 
 
-def open_regular(path: Path, flags: int) -> int:
-    """Open a regular file, or make it with ``os.O_CREAT``; never a pipe, a device or a link.
-
-    flags: flags of ``os.open``. Raises OSError, OutputError.
-    """
-    _is_there(path)
-    # without O_NONBLOCK, a pipe that appears now would be waited for
-    return os.open(path, flags | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK, 0o666)
-
-
 def _is_there(path: Path) -> bool:
     """Whether a regular file of the name exists. Raises OutputError for anything else of the name."""
     try:

@@ -9,8 +9,7 @@ from scipy.stats import kstest
 
 from benchmarks.away.cases import Case, Pair, cases, recorded
 from sugiyama_ros.diagnosis.diagnose import Diagnosis, diagnose
-from sugiyama_ros.fit.cross_validation import Gain, gain
-from sugiyama_ros.fit.score import evaluate
+from sugiyama_ros.fit.score import Gain, evaluate, gain
 from sugiyama_ros.fit.stretched import prepared
 from sugiyama_ros.page.document import additions
 

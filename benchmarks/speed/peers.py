@@ -17,7 +17,7 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import NAMES, SIGMA_A, defaults
 from sugiyama_ros.driver.utility import ACTIONS
 from sugiyama_ros.filters import paper, paper_kalman
-from sugiyama_ros.fit.each_driver import calibrate
+from sugiyama_ros.fit.driver import calibrate
 from sugiyama_ros.fit.smooth_positions import ESTIMATED
 
 #: Places of the estimated parameters in a driver's row.

@@ -1,27 +1,47 @@
-"""The three kinds of calibration: each driver alone, all drivers as one population, or classes of drivers."""
+"""The kinds of calibration: each driver alone, all drivers as one population, classes of drivers, drivers on tracks."""
 
-import contextlib
-from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
-from functools import partial
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from sugiyama_ros.calibration.result import Calibration, Settings
+from sugiyama_ros.calibration.result import CalibratedDriver, Calibration, Settings, of_fits
 from sugiyama_ros.driver.parameters import index
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.fit.checkpoint import Checkpoint
 from sugiyama_ros.fit.classes import find_classes
-from sugiyama_ros.fit.driver import Fit, SearchOptions
-from sugiyama_ros.fit.each_driver import JobMaker, each_of
-from sugiyama_ros.fit.intervals import quadratic
+from sugiyama_ros.fit.driver import Fit, JobMaker, SearchOptions, each_of
+from sugiyama_ros.fit.smooth_positions import evenness
+from sugiyama_ros.fit.standard_errors import quadratic
 from sugiyama_ros.laws.registry import PAPERS
 from sugiyama_ros.progress import OnProgress
+from sugiyama_ros.trajectories.tracks import Tracks
 from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.workers import workers
+
+
+def calibrate_drivers(
+    recording: Trajectories | Tracks, settings: Settings, scheduler: str | None, on_progress: OnProgress
+) -> Calibration:
+    """Calibrate the drivers of a recording in the way that the settings ask for. Raises InputError.
+
+    scheduler: address of a Dask scheduler whose workers do the work.
+    """
+    if isinstance(recording, Tracks):
+        # Imported here: drivers on one lane do not need what follows tracks, which loads slowly.
+        from sugiyama_ros.calibration.on_tracks import calibrate_tracks
+
+        names, profiled = settings.estimated, settings.profiled
+        with workers(recording.runs, scheduler) as work:
+            return calibrate_tracks(recording, names, profiled=profiled, work=work, on_progress=on_progress)
+    estimated = settings.estimated or evenness(recording).estimated(settings.formulation)
+    settings = replace(settings, estimated=estimated)
+    with workers(len(recording.vehicle), scheduler) as work:
+        if settings.is_pooled:
+            return pooled(recording, settings, work)
+        if settings.classes:
+            return in_classes(recording, settings, work)
+        return each_driver(recording, settings, work=work, on_progress=on_progress)
 
 
 def each_driver(
@@ -29,116 +49,64 @@ def each_driver(
     settings: Settings,
     *,
     work: Executor | None = None,
-    kept: Path | None = None,
     on_progress: OnProgress = lambda done, total: None,
 ) -> Calibration:
     """Calibrate the drivers one by one.
 
-    The causal formulation makes two passes. The second pass gives the drivers ahead the
-    parameters that the first pass found.
-
-    Raises InputError, OutputError.
+    The causal formulation makes two passes. The second pass gives the drivers ahead the parameters that the first pass
+    found. Raises InputError.
     """
     passes, drivers = 1 if settings.formulation == "paper" else 2, len(trajectories.vehicle)
-    maker = JobMaker(trajectories, settings.formulation, settings.estimated, {})
-    found: dict[int, Fit] = {}
-    with contextlib.ExitStack() as stack:
-        resume = None
-        if kept is not None:
-            resume = stack.enter_context(Checkpoint(kept, _about(trajectories, settings))).resume
-        for number in range(passes):
-            knowing = maker.knowing({v: fit.parameters for v, fit in found.items()})
-            one_pass = _one_pass(knowing, settings, number == passes - 1, work)
-            latest: dict[int, Fit] = {}
-            for fit in resume(f"pass {number + 1}", one_pass) if resume else one_pass():
-                latest[fit.vehicle] = fit
-                on_progress(number * drivers + len(latest), passes * drivers)
-            found = latest
-    fits = [found[v] for v in trajectories.vehicle.tolist()]
-    estimated = settings.estimated
-    return Calibration(
-        trajectories=trajectories,
-        settings=settings,
-        rows=ROW.with_effects(np.array([fit.parameters for fit in fits])),
-        std=tuple({name: float(fit.std[index(name)]) for name in estimated} for fit in fits),
-        identified=tuple({name: fit.identified(name) for name in estimated} for fit in fits),
-        interval=np.array([fit.interval for fit in fits]),
-        log_likelihood=np.array([fit.log_likelihood for fit in fits]),
-        shared_std={},
-    )
+    maker = JobMaker(trajectories, settings.formulation, settings.estimated)
+    fits: list[Fit] = []
+    for number in range(passes):
+        is_last = number == passes - 1
+        options = SearchOptions(settings.is_regularised, settings.profiled and is_last, is_last, from_several=True)
+        maker, fits = maker.knowing({fit.vehicle: fit.parameters for fit in fits}), []
+        for fit in each_of(maker, options, work=work):
+            fits.append(fit)
+            on_progress(number * drivers + len(fits), passes * drivers)
+    return of_fits(settings, _drivers(trajectories), fits, trajectories)
 
 
-def _about(trajectories: Trajectories, settings: Settings) -> dict[str, Any]:
-    """Describe the calibration; fits that were kept for another description are not used."""
-    return {
-        "sha256": trajectories.sha256,
-        "ring_m": trajectories.road.circumference_m,
-        "formulation": settings.formulation,
-        "estimated": list(settings.estimated),
-        "regularised": settings.strength if settings.is_regularised else 0.0,
-        "profiled": settings.profiled,
-        "hops": [settings.hops, settings.seed],
-        "from_several": True,
-    }
-
-
-def _one_pass(
-    maker: JobMaker, settings: Settings, is_last: bool, work: Executor | None
-) -> Callable[..., Iterator[Fit]]:
-    """Make a function that fits all drivers. Only the last pass computes errors and intervals."""
-    options = SearchOptions(
-        is_regularised=settings.is_regularised,
-        profiled=settings.profiled and is_last,
-        hops=settings.hops,
-        seed=settings.seed,
-        with_errors=is_last,
-        strength=settings.strength,
-        from_several=True,
-    )
-    return partial(each_of, maker, options, work=work)
-
-
-def in_classes(trajectories: Trajectories, settings: Settings, count: int, work: Executor) -> Calibration:
+def in_classes(trajectories: Trajectories, settings: Settings, work: Executor) -> Calibration:
     """Calibrate classes of drivers. The drivers of a class share all parameters. Raises InputError."""
-    drivers = len(trajectories.vehicle)
+    drivers, count, estimated = len(trajectories.vehicle), settings.classes, settings.estimated
     if drivers < count:
         raise InputError(f"{trajectories.source}: {drivers} drivers, {count} classes; give --classes {drivers} at most")
-    estimated = settings.estimated
     places, options = [index(name) for name in estimated], SearchOptions(with_errors=False)
-    job_of = JobMaker(trajectories, settings.formulation, estimated, {})
+    job_of = JobMaker(trajectories, settings.formulation, estimated)
     jobs = [replace(job_of(i), options=options) for i in range(drivers)]
     samples = int(np.isfinite(trajectories.position_m).sum())
-    found = find_classes(jobs, count, samples, settings.seed, work)
-    likeliest = found.probability.argmax(axis=1)
-    rows, std = found.rows[likeliest], found.std[likeliest]
+    classes = find_classes(jobs, count, samples, settings.seed, work)
+    likeliest = classes.probability.argmax(axis=1)
+    rows, std = classes.rows[likeliest], classes.std[likeliest]
     return Calibration(
-        trajectories=trajectories,
         settings=settings,
+        drivers=_drivers(trajectories),
         rows=ROW.with_effects(rows),
-        std=tuple(dict(zip(estimated, one.tolist(), strict=True)) for one in std[:, places]),
-        identified=tuple(dict(zip(estimated, one.tolist(), strict=True)) for one in np.isfinite(std[:, places])),
+        std=tuple(dict(zip(estimated, one, strict=True)) for one in std[:, places].tolist()),
+        identified=tuple(dict(zip(estimated, one, strict=True)) for one in np.isfinite(std[:, places]).tolist()),
         interval=quadratic(rows, std),
-        log_likelihood=found.log_likelihood,
-        shared_std={},
-        classes=found,
+        log_likelihood=classes.log_likelihood,
+        trajectories=trajectories,
+        classes=classes,
     )
 
 
-def pooled(trajectories: Trajectories, settings: Settings, effects: Sequence[str], work: Executor) -> Calibration:
+def pooled(trajectories: Trajectories, settings: Settings, work: Executor) -> Calibration:
     """Calibrate all drivers together, as draws from one population (partial pooling), with the causal formulation.
 
-    The distribution of the parameters over the population is estimated from the same drivers (empirical Bayes).
-
-    Raises InputError.
+    The distribution of the parameters over the population is estimated from the same drivers (empirical Bayes). Raises
+    InputError.
     """
     # Imported here: drivers who are calibrated alone need no search for effects, which takes long to load.
     from sugiyama_ros.diagnosis.refine import with_named
+    from sugiyama_ros.fit.joint import fit_base
     from sugiyama_ros.fit.law import in_filter
-    from sugiyama_ros.fit.model_file import own_stds
-    from sugiyama_ros.fit.population import fit_base
     from sugiyama_ros.fit.recording import prepare
-    from sugiyama_ros.fit.sampling import with_short_periods
-    from sugiyama_ros.fit.sandwich import shared_stds
+    from sugiyama_ros.fit.sandwich import own_stds, shared_stds
+    from sugiyama_ros.fit.smooth_positions import with_short_periods
 
     trajectories = with_short_periods(trajectories)
     data = prepare(trajectories)
@@ -146,24 +114,27 @@ def pooled(trajectories: Trajectories, settings: Settings, effects: Sequence[str
         base = fit_base(data, [index(name) for name in settings.estimated], work)
     else:
         base = in_filter(data, settings.law, work)
-    fitted = with_named(data, base, effects, work)
+    fitted = with_named(data, base, settings.effects, work)
     own, shared = own_stds(fitted), shared_stds(data, fitted, work)
-    names = [ROW.entries[k] for k in fitted.model.individual]
-    settings = settings if settings.law == PAPERS else replace(settings, estimated=tuple(names))
+    names = tuple(ROW.entries[k] for k in fitted.model.individual)
+    if settings.law != PAPERS:
+        settings = replace(settings, estimated=names)
     prior = np.array(fitted.model.prior_std)
     # a parameter is identified if the data hold more than three times the prior's information
-    known = [
-        np.array([s.information.sum(axis=0)[k, k] for k in range(len(names))]) > 3.0 / np.square(prior)
-        for s in fitted.slopes
-    ]
+    known = [np.diag(s.information.sum(axis=0))[: len(names)] > 3.0 / np.square(prior) for s in fitted.slopes]
     stds = np.array([[s.get(name, 0.0) for name in ROW.entries] for s in own])
     return Calibration(
-        trajectories=trajectories,
         settings=settings,
+        drivers=_drivers(trajectories),
         rows=fitted.model.rows,
         std=tuple(own),
-        identified=tuple({n: bool(k) for n, k in zip(names, one, strict=True)} for one in known),
+        identified=tuple(dict(zip(names, one.tolist(), strict=True)) for one in known),
         interval=quadratic(fitted.model.rows, stds),
         log_likelihood=np.nansum(fitted.samples.log_likelihood, axis=1),
+        trajectories=trajectories,
         shared_std=shared,
     )
+
+
+def _drivers(trajectories: Trajectories) -> tuple[CalibratedDriver, ...]:
+    return tuple(map(CalibratedDriver, trajectories.vehicle.tolist()))

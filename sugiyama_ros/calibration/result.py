@@ -1,66 +1,132 @@
 """The settings and the result of a calibration. The result becomes a document, a table or a model file."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import index
 from sugiyama_ros.effects.registry import ROW
-from sugiyama_ros.fit.classes import Classes
-from sugiyama_ros.fit.driver import Formulation
-from sugiyama_ros.fit.driver_types import DriverTypes
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.fit.classes import Classes, DriverTypes
+from sugiyama_ros.fit.driver import Fit, Formulation
 from sugiyama_ros.fit.smooth_positions import ESTIMATED
-from sugiyama_ros.laws.registry import PAPERS
+from sugiyama_ros.laws.registry import PAPERS, law
 from sugiyama_ros.outputs import Target
 from sugiyama_ros.plots import BLUE
-from sugiyama_ros.results import Result
+from sugiyama_ros.results import Result, plain
 from sugiyama_ros.tables import TextTable
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_VAGUE = "(not identified)"
-#: What stands in tables instead of the value of a parameter that the data do not determine.
-NOT_IDENTIFIED = "not identified"
+_VAGUE, _NOT_IDENTIFIED = "(not identified)", "not identified"
 
 
 @dataclass(frozen=True)
 class Settings:
     """What a calibration estimates, and how it searches.
 
-    Parameters
-    ----------
-    formulation : {"causal", "paper"}
-        ``"paper"`` smooths the states that the drivers perceive. ``"causal"`` filters them.
-    estimated : tuple of str
-        Names of the parameters to estimate.
-    is_regularised : bool
-        Whether the paper's penalty is added to the likelihood of each driver.
-    profiled : bool
-        Whether the intervals come from the profile likelihood.
-    hops : int
-        Number of basin-hopping steps before the search.
-    seed : int
-        Seed of the random numbers.
-    strength : float
-        Factor of the penalty's weights.
-    law : str
-        Name of the law by which the drivers drive.
+    estimated: names of parameters; empty for those that suit the recording; is_regularised: causal: drivers are draws
+    from one population, paper: with the paper's penalty; profiled: whether intervals come from the profile likelihood;
+    effects: names of effects that are fitted, too; classes: number of classes of drivers who share all parameters.
     """
 
     formulation: Formulation = "causal"
     estimated: tuple[str, ...] = ESTIMATED
     is_regularised: bool = False
     profiled: bool = False
-    hops: int = 0
     seed: int = 0
-    strength: float = 1.0
     law: str = PAPERS
+    effects: tuple[str, ...] = ()
+    classes: int = 0
+
+    @property
+    def is_pooled(self) -> bool:
+        """Whether all drivers are calibrated together, as one population."""
+        return bool(self.effects) or self.law != PAPERS or (self.is_regularised and self.formulation == "causal")
+
+    @property
+    def needs_one_lane(self) -> bool:
+        """Whether the calibration works only on a single lane on which everybody is present."""
+        return self.formulation == "paper" or self.is_pooled or bool(self.classes)
+
+    def check(self, option: Callable[[str], str] = str) -> None:
+        """Raise InputError for settings that contradict each other; ``option`` writes the name of one for the user."""
+        effects, regularise, profile = option("effects"), option("regularise"), option("profile")
+        is_paper = self.formulation == "paper"
+        if self.formulation not in ("paper", "causal"):
+            raise InputError(f"{option('formulation')}: {self.formulation!r} is not known; give paper or causal")
+        for name, value in (("classes", self.classes), ("seed", self.seed)):
+            if value < 0:
+                raise InputError(f"{option(name)}: {value} is not possible; give 0 or more")
+        law(self.law)
+        for name, is_given in (("effects", bool(self.effects)), ("law", self.law != PAPERS)):
+            if is_given and is_paper:
+                raise InputError(f"{option(name)}: the paper's formulation knows none; use the causal formulation")
+        if self.law != PAPERS and self.estimated:
+            raise InputError(f"{option('parameters')}: all parameters of a law are estimated; leave it out")
+        others = f"{effects}, {option('law')}, {regularise}"
+        if self.is_pooled and self.profiled:
+            raise InputError(f"{profile}: is for drivers calibrated one by one; leave out {others}")
+        if self.classes and (self.is_pooled or self.is_regularised or self.profiled):
+            raise InputError(
+                f"{option('classes')}: the drivers of a class share all parameters; leave out {others}, {profile}"
+            )
+
+
+@dataclass(frozen=True)
+class CalibratedDriver:
+    """Who drives, and what tracks say of the driver; texts are empty, and numbers NaN or 0, where they do not.
+
+    vehicle: number of the vehicle, or its name on tracks; leader_class: class of the vehicle ahead most of the time;
+    stretches, following_s: stretches and time [s] that count; nis: mean of the squared normalised innovations, which is
+    1 for a filter that knows its own errors.
+    """
+
+    vehicle: int | str
+    recording: str = ""
+    vehicle_class: str = ""
+    leader_class: str = ""
+    stretches: int = 0
+    following_s: float = math.nan
+    nis: float = math.nan
+
+    @property
+    def shown(self) -> str:
+        """Name in tables."""
+        return f"{self.recording} {self.vehicle}".strip()
+
+
+@dataclass(frozen=True, eq=False)
+class BriefDriver:
+    """A driver who follows too briefly for own parameters: the class's row, and the log-likelihood [nats] with it."""
+
+    driver: CalibratedDriver
+    row: Array
+    log_likelihood: float
+
+
+@dataclass(frozen=True)
+class ClassMedians:
+    """Medians of the drivers of a class, or of a class behind another class; none of what is identified for nobody."""
+
+    vehicle_class: str
+    leader_class: str | None
+    drivers: int
+    medians: Mapping[str, float | None]
+
+    @property
+    def shown(self) -> str:
+        """Name in tables."""
+        own = self.vehicle_class or "all"
+        return own if self.leader_class is None else f"{own} behind {self.leader_class or 'unknown'}"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -69,10 +135,10 @@ class Calibration(Result):
 
     Parameters
     ----------
-    trajectories : Trajectories
-        The recording.
     settings : Settings
         What was estimated, and how.
+    drivers : tuple of CalibratedDriver
+        Who drives.
     rows : ndarray, shape (N, width)
         Row of each driver, at the reference period and in the declared units.
     std : tuple of dict of str to float
@@ -83,90 +149,95 @@ class Calibration(Result):
         Ends of the 95 % intervals of the first P entries of a row, which are the paper's parameters, or of all.
     log_likelihood : ndarray, shape (N,)
         Log-likelihood of each driver [nats], without the 2 pi term.
+    trajectories : Trajectories, optional
+        The recording, if it is one lane on which everybody is present; none for tracks.
     shared_std : mapping of str to float
         Standard deviations of the parameters that all drivers share, by name.
     classes : Classes, optional
         Classes of drivers, if the drivers were divided into classes.
+    brief : tuple of BriefDriver
+        Drivers on tracks who follow a known vehicle too briefly, with the parameters of their class.
     """
 
-    trajectories: Trajectories
     settings: Settings
+    drivers: tuple[CalibratedDriver, ...]
     rows: Array
     std: tuple[dict[str, float], ...]
     identified: tuple[dict[str, bool], ...]
     interval: Array
     log_likelihood: Array
-    shared_std: Mapping[str, float]
+    trajectories: Trajectories | None = None
+    shared_std: Mapping[str, float] | None = None
     classes: Classes | None = None
+    brief: tuple[BriefDriver, ...] = ()
+
+    @property
+    def vehicle_classes(self) -> tuple[ClassMedians, ...]:
+        """Medians of each class of vehicles."""
+        return medians_of([(d.vehicle_class, None) for d in self.drivers], self.rows, self.identified)
+
+    @property
+    def pairs(self) -> tuple[ClassMedians, ...]:
+        """Medians of each class of vehicles behind each class."""
+        return medians_of([(d.vehicle_class, d.leader_class) for d in self.drivers], self.rows, self.identified)
 
     def write(self, target: Target) -> None:
-        """Write a model file.
-
-        Parameters
-        ----------
-        target : Path or Output
-            The file, in YAML.
-
-        Raises
-        ------
-        OutputError
-            If the file cannot be written.
-        """
+        """Write a model file. Raises InputError for drivers on tracks, and OutputError."""
         # Imported here: a calibration that is only printed starts sooner without the code of joint fits.
         from sugiyama_ros.fit.model_file import write_drivers
 
+        if self.trajectories is None:
+            raise InputError("a model file needs one lane on which everybody is present; these are tracks")
         total, types = float(self.log_likelihood.sum()), None
         if self.classes is not None:
             types = DriverTypes(self.classes.share, self.classes.rows)
-        write_drivers(target, self.trajectories, self.rows, self.std, self.shared_std, total, types)
+        write_drivers(target, self.trajectories, self.rows, self.std, self.shared_std or {}, total, types)
 
     def headline(self) -> str:
         """Say how many drivers were calibrated, and for how many of them each parameter is identified."""
-        drivers, names = len(self.rows), self.settings.estimated
-        held = ", ".join(f"{name} of {sum(one[name] for one in self.identified)}" for name in names)
-        kind = f"{self.settings.formulation} formulation"
-        return f"{drivers} drivers, {kind}, log-likelihood {self.log_likelihood.sum():.1f}; identified: {held}"
+        held = ", ".join(f"{n} of {sum(one[n] for one in self.identified)}" for n in self.settings.estimated)
+        total = f"{self.settings.formulation} formulation, log-likelihood {self.log_likelihood.sum():.1f}"
+        said = f"{len(self.rows)} drivers, {total}; identified: {held}"
+        if not self.brief:
+            return said
+        from sugiyama_ros.fit.stretched import LEAST_FOLLOWING_S  # here: only tracks need it, and it loads slowly
+
+        few = f"follow for less than {LEAST_FOLLOWING_S:g} s, with the parameters of their class"
+        return f"{said}; {len(self.brief)} {few}"
 
     def records(self) -> list[dict[str, Any]]:
         """List the drivers.
 
-        Each record has the number of the vehicle and the log-likelihood. For each estimated parameter it has the value,
-        the standard deviation, the ends of the 95 % interval, and whether the parameter is identified.
+        Each record has the vehicle and the log-likelihood; on tracks also the recording, the class, the stretches, the
+        time [s] that counts and the mean of the squared normalised innovations. For each estimated parameter it has the
+        value, the standard deviation, the ends of the 95 % interval, and whether the parameter is identified.
         """
-        return [
-            {
-                "vehicle": d["vehicle"],
-                **{
-                    column: value
-                    for name in self.settings.estimated
-                    for column, value in (
-                        (name, d[name]),
-                        (f"{name}_std", d["std"][name]),
-                        (f"{name}_low", d["interval"][name][0]),
-                        (f"{name}_high", d["interval"][name][1]),
-                        (f"{name}_identified", d["identified"][name]),
-                    )
-                },
-                "log_likelihood": d["log_likelihood"],
-            }
-            for d in self._drivers()
-        ]
+        records = []
+        for driver, d in zip(self.drivers, self._drivers(), strict=True):
+            one = self._who(driver)
+            for name in self.settings.estimated:
+                low, high = d["interval"][name]
+                one |= {name: d[name], f"{name}_std": d["std"][name], f"{name}_low": low, f"{name}_high": high}
+                one[f"{name}_identified"] = d["identified"][name]
+            records.append(one | {key: d[key] for key in ("log_likelihood", "nis") if key in d})
+        return records
 
     def draw(self, figure: "Figure") -> None:
-        """Draw each estimated parameter of each driver with its standard deviation.
+        """Draw each estimated parameter with its standard deviation, by vehicle; on tracks, over the time that counts.
 
         A parameter that is not identified is an open circle.
         """
-        names = self.settings.estimated
-        rows = self._drivers()
+        names, rows = self.settings.estimated, self._drivers()
+        place = range(len(rows)) if self.trajectories is not None else [d.following_s for d in self.drivers]
         for axes, name in zip(figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0], names, strict=True):
-            for k, d in enumerate(rows):
+            for at, d in zip(place, rows, strict=True):
                 held = d["identified"][name]
                 spread = d["std"][name] if held else None
-                axes.errorbar(k, d[name], yerr=spread, fmt="o", color=BLUE, mfc=BLUE if held else "none", ms=4)
+                axes.errorbar(at, d[name], yerr=spread, fmt="o", color=BLUE, mfc=BLUE if held else "none", ms=4)
             axes.set(ylabel=ROW.heading(name))
-        axes.set_xticks(range(len(rows)), [str(d["vehicle"]) for d in rows])
-        axes.set(xlabel="vehicle")
+        if self.trajectories is not None:
+            axes.set_xticks(place, [d.shown for d in self.drivers])
+        axes.set(xlabel="vehicle" if self.trajectories is not None else "following [s]")
 
     def save(self, path: str | Path) -> None:
         """Write the calibration to a file.
@@ -179,7 +250,7 @@ class Calibration(Result):
         Raises
         ------
         InputError
-            For any other suffix.
+            For any other suffix, and for a model file of drivers on tracks.
         OutputError
             If the file cannot be written.
         """
@@ -189,21 +260,12 @@ class Calibration(Result):
             super().save(path)
 
     def document(self, wall_s: float) -> dict[str, Any]:
-        """Collect all results in plain types and SI units, for ``--json``.
+        """Collect all results in plain types and SI units, for ``--json``; what is infinite is None.
 
-        Parameters
-        ----------
-        wall_s : float
-            Time [s] that the calibration took.
-
-        Returns
-        -------
-        dict
-            ``formulation``, ``law``, ``drivers``, ``effects``, ``log_likelihood`` and ``wall_s``. With classes of
-            drivers, also ``classes`` and ``bic``.
+        wall_s: time [s] that the calibration took.
         """
         drivers = self._drivers()
-        found: dict[str, Any] = {
+        document: dict[str, Any] = {
             "formulation": self.settings.formulation,
             "law": self.settings.law,
             "drivers": drivers,
@@ -212,29 +274,48 @@ class Calibration(Result):
             "wall_s": wall_s,
         }
         if self.classes is not None:
-            found |= {"classes": _classes_of(self.classes, self.settings.estimated), "bic": self.classes.bic}
+            document |= {"classes": _classes_of(self.classes, self.settings.estimated), "bic": self.classes.bic}
             for driver, probability in zip(drivers, self.classes.probability.tolist(), strict=True):
                 driver["class_probability"] = probability
-        return found
+        if self.trajectories is None:
+            document |= {
+                "left_out": len(self.brief),
+                "brief_drivers": [self._brief(one) for one in self.brief],
+                "classes": {one.vehicle_class: one.medians for one in self.vehicle_classes},
+                "class_pairs": [
+                    {"class": p.vehicle_class, "leader_class": p.leader_class, "drivers": p.drivers, **p.medians}
+                    for p in self.pairs
+                ],
+            }
+        return plain(document)  # type: ignore[no-any-return]
 
     def table(self) -> TextTable:
-        """Make a table of each driver's parameters with their uncertainty, and of means over drivers.
+        """Make a table of each driver's parameters with their uncertainty, and of means or medians over drivers.
 
         A parameter that is not identified has no value, and is not in the mean.
         """
-        names, profiled, rows = self.settings.estimated, self.settings.profiled, []
+        names, on_tracks, rows = self.settings.estimated, self.trajectories is None, []
         held: dict[str, list[float]] = {n: [] for n in names}
-        for d in self._drivers():
-            cells = []
-            for n in names:
-                known = "{:.3f} to {:.3f}".format(*d["interval"][n]) if profiled else _within(d["std"][n], ".3f")
-                cells.append(f"{d[n]:.3f} {known}" if d["identified"][n] and known != _VAGUE else NOT_IDENTIFIED)
-                held[n] += [d[n]] if cells[-1] != NOT_IDENTIFIED else []
-            rows.append((str(d["vehicle"]), *cells, f"{d['log_likelihood']:.1f}"))
-        means = [f"{fmean(held[n]):.3f}" if held[n] else "nan" for n in names]
-        rows.append(("mean", *means, f"{float(self.log_likelihood.mean()):.1f}"))
+        for d, values in zip(self.drivers, self._drivers(), strict=True):
+            cells = [self._cell(values, n) for n in names]
+            for n, cell in zip(names, cells, strict=True):
+                held[n] += [values[n]] if cell != _NOT_IDENTIFIED else []
+            rows.append(_row(d, cells, values["log_likelihood"], on_tracks))
+        if on_tracks:
+            pairs = self.pairs if len({one.leader_class for one in self.pairs} - {""}) > 1 else ()
+            for one in (*self.vehicle_classes, *pairs):
+                cells = ["" if (m := one.medians[n]) is None else f"{m:.3f}" for n in names]
+                rows.append((f"median of {one.drivers}", one.shown, "", *cells, "", ""))
+            for few in self.brief:
+                cells = [f"{few.row[index(n)]:.3f} (of the class)" for n in names]
+                rows.append(_row(few.driver, cells, few.log_likelihood, on_tracks))
+        else:
+            means = [f"{fmean(held[n]):.3f}" if held[n] else "nan" for n in names]
+            rows.append(("mean", *means, f"{float(self.log_likelihood.mean()):.1f}"))
         title = f"Calibration, {self.settings.formulation} formulation"
-        return TextTable(title, ("vehicle", *map(ROW.heading, names), "log-likelihood [nats]"), tuple(rows))
+        who, last = (("class", "following [s]"), ("NIS",)) if on_tracks else ((), ())
+        headings = ("vehicle", *who, *map(ROW.heading, names), "log-likelihood [nats]", *last)
+        return TextTable(title, headings, tuple(rows), left=2 if on_tracks else 0)
 
     def class_sentences(self) -> list[str]:
         """Say the share and the parameters of each class, and the information criterion.
@@ -259,32 +340,91 @@ class Calibration(Result):
 
     def _drivers(self) -> list[dict[str, Any]]:
         """Collect the results of each driver in plain types."""
-        names = self.settings.estimated
-        places = [ROW.entries.index(name) for name in names]
-        columns = (self.trajectories.vehicle, self.rows, self.log_likelihood, self.std, self.interval, self.identified)
+        places = {name: ROW.entries.index(name) for name in self.settings.estimated}
+        columns = (self.drivers, self.rows, self.log_likelihood, self.std, self.interval, self.identified)
         return [
             {
-                "vehicle": int(vehicle),
-                **{name: float(row[k]) for name, k in zip(names, places, strict=True)},
+                **self._who(driver),
+                **{name: float(row[k]) for name, k in places.items()},
                 "log_likelihood": float(value),
+                **({"nis": driver.nis} if self.trajectories is None else {}),
                 "std": std,
-                "interval": {name: interval[k].tolist() for name, k in zip(names, places, strict=True)},
+                "interval": {name: interval[k].tolist() for name, k in places.items()},
                 "identified": identified,
             }
-            for vehicle, row, value, std, interval, identified in zip(*columns, strict=True)
+            for driver, row, value, std, interval, identified in zip(*columns, strict=True)
         ]
+
+    def _who(self, d: CalibratedDriver) -> dict[str, Any]:
+        if self.trajectories is not None:
+            return {"vehicle": d.vehicle}
+        who = {"recording": d.recording, "vehicle": d.vehicle, "class": d.vehicle_class}
+        return {**who, "stretches": d.stretches, "following_s": d.following_s}
+
+    def _brief(self, one: BriefDriver) -> dict[str, Any]:
+        who = {name: value for name, value in self._who(one.driver).items() if name != "stretches"}
+        values = {n: float(one.row[index(n)]) for n in self.settings.estimated}
+        return {**who, "parameters_of": "class", **values, "log_likelihood": one.log_likelihood, "nis": one.driver.nis}
+
+    def _cell(self, d: Mapping[str, Any], name: str) -> str:
+        low, high = d["interval"][name]
+        known = f"{low:.3f} to {high:.3f}" if self.settings.profiled else _within(d["std"][name], ".3f")
+        return f"{d[name]:.3f} {known}" if d["identified"][name] and known != _VAGUE else _NOT_IDENTIFIED
 
     def _shared(self) -> dict[str, dict[str, dict[str, float]]]:
         """Value and std of each shared parameter, by effect and parameter.
 
         The shared parameters of ``driver.parameters`` stand under ``constants``.
         """
-        found: dict[str, dict[str, dict[str, float]]] = {}
-        for entry, std in self.shared_std.items():
+        shared: dict[str, dict[str, dict[str, float]]] = {}
+        for entry, std in (self.shared_std or {}).items():
             effect, _, parameter = entry.rpartition(".")
             value = float(self.rows[0, ROW.entries.index(entry)])
-            found.setdefault(effect or "constants", {})[parameter] = {"value": value, "std": std}
-        return found
+            shared.setdefault(effect or "constants", {})[parameter] = {"value": value, "std": std}
+        return shared
+
+
+def of_fits(
+    settings: Settings,
+    drivers: Sequence[CalibratedDriver],
+    fits: Sequence[Fit],
+    trajectories: Trajectories | None = None,
+    brief: tuple[BriefDriver, ...] = (),
+) -> Calibration:
+    """Return the calibration that fits of single drivers make."""
+    names = settings.estimated
+    return Calibration(
+        settings=settings,
+        drivers=tuple(drivers),
+        rows=ROW.with_effects(np.array([fit.parameters for fit in fits])),
+        std=tuple({name: float(fit.std[index(name)]) for name in names} for fit in fits),
+        identified=tuple({name: fit.identified(name) for name in names} for fit in fits),
+        interval=np.array([fit.interval for fit in fits]),
+        log_likelihood=np.array([fit.log_likelihood for fit in fits]),
+        trajectories=trajectories,
+        brief=brief,
+    )
+
+
+def medians_of(
+    groups: Sequence[tuple[str, str | None]], rows: Array, identified: Sequence[Mapping[str, bool]]
+) -> tuple[ClassMedians, ...]:
+    """Return the medians of each group of drivers, from their rows (N, ...) and what of them is identified."""
+    found = []
+    for group in sorted(set(groups), key=lambda one: (one[0], one[1] or "")):
+        own = [k for k, of in enumerate(groups) if of == group]
+        medians: dict[str, float | None] = {}
+        for name in identified[0]:
+            known = [float(rows[k, index(name)]) for k in own if identified[k][name]]
+            medians[name] = float(np.median(known)) if known else None
+        found.append(ClassMedians(group[0], group[1], len(own), medians))
+    return tuple(found)
+
+
+def _row(d: CalibratedDriver, cells: Sequence[str], log_likelihood: float, on_tracks: bool) -> tuple[str, ...]:
+    if not on_tracks:
+        return (d.shown, *cells, f"{log_likelihood:.1f}")
+    return (d.shown, d.vehicle_class, f"{d.following_s:.0f}", *cells, f"{log_likelihood:.1f}", f"{d.nis:.2f}")
 
 
 def _within(std: float, form: str) -> str:

@@ -17,11 +17,13 @@ LARGEST_ERROR_M = 1000.0
 
 
 def mean_nis(calibration: Calibration) -> Array:
-    """Mean of the squared normalised innovations of each driver in the causal filter.
+    """Mean of the squared normalised innovations of each driver in the causal filter, (N,). Raises InputError.
 
-    Returns (N,), 1 for a filter that knows its own errors; naN for a driver without a scored sample. Raises InputError.
+    It is 1 for a filter that knows its own errors, and NaN for a driver without a scored sample.
     """
     t, found = calibration.trajectories, []
+    if t is None:
+        return np.array([driver.nis for driver in calibration.drivers])
     jobs = [ChainJob(chain_behind(t, i), row) for i, row in enumerate(calibration.rows)]
     for i, predicted in enumerate(predict_samples(jobs)):
         scored = np.isfinite(predicted.innovation) & np.isfinite(predicted.log_likelihood)
@@ -38,9 +40,10 @@ def mean_nis(calibration: Calibration) -> Array:
 
 def cautions(calibration: Calibration) -> list[str]:
     """Say in one line each what makes the figures of a calibration doubtful. Raises InputError as ``mean_nis``."""
-    if calibration.settings.formulation == "paper":
+    t = calibration.trajectories
+    if t is None or calibration.settings.formulation == "paper":
         return []
-    nis, vehicles = mean_nis(calibration), calibration.trajectories.vehicle
+    nis, vehicles = mean_nis(calibration), t.vehicle
     lines = []
     small, large = nis < LEAST_NIS, nis > LARGEST_NIS
     if small.any():
@@ -56,7 +59,7 @@ def cautions(calibration: Calibration) -> list[str]:
         )
     if (unknown := np.isnan(nis)).any():
         lines.append(f"{_named(vehicles[unknown])}: too few samples, so that no parameter is known")
-    alone = np.mean(calibration.trajectories.leader < 0, axis=0) > _ALONE
+    alone = np.mean(t.leader < 0, axis=0) > _ALONE
     if alone.any():
         lines.append(
             f"{_named(vehicles[alone])}: follows nobody: v_star holds only if the road ahead was free, and kappa_v is"

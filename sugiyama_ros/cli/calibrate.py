@@ -1,8 +1,6 @@
 """``sugiyama calibrate``."""
 
 import time
-from collections.abc import Callable
-from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,7 +12,6 @@ from sugiyama_ros.cli.options import (
     Json,
     Law,
     Overwrite,
-    RegulariseStrength,
     Ring,
     Scheduler,
     Seed,
@@ -28,7 +25,8 @@ from sugiyama_ros.cli.output import print_json, print_line, print_note, print_ta
 from sugiyama_ros.errors import InputError
 
 if TYPE_CHECKING:
-    from sugiyama_ros.calibration.result import Calibration
+    from sugiyama_ros.calibration.result import Calibration, Settings
+    from sugiyama_ros.trajectories.tracks import Tracks
     from sugiyama_ros.trajectories.trajectories import Trajectories
 
 
@@ -61,19 +59,12 @@ class CalibrateOptions:
             "--regularise", help="causal: the drivers are draws from one population. paper: add the paper's penalty."
         ),
     ] = False
-    regularise_strength: RegulariseStrength = 1.0
     profile: Annotated[
         bool,
         typer.Option(
             "--profile", help="Compute intervals from the profile likelihood, which takes longer. Not with --effects."
         ),
     ] = False
-    hops: Annotated[
-        int,
-        typer.Option(
-            "--hops", min=0, help="Hops of basinhopping before the search; the paper uses 100. Not with --effects."
-        ),
-    ] = 0
     law: Law = PAPERS
     classes: Annotated[
         int,
@@ -90,36 +81,22 @@ class CalibrateOptions:
     as_json: Json = False
 
     @property
-    def is_pooled(self) -> bool:
-        """Whether all drivers are calibrated together, as one population."""
-        return bool(names(self.effects)) or self.law != PAPERS or (self.regularise and self.formulation == "causal")
+    def settings(self) -> "Settings":
+        """What the library is asked for. Raises InputError for options that contradict each other."""
+        from sugiyama_ros.calibration.result import Settings
 
-    @property
-    def needs_one_lane(self) -> bool:
-        """Whether an option works on a single lane only, on which everybody is present."""
-        alone = self.formulation == "paper" or self.is_pooled or self.regularise
-        return alone or bool(self.hops or self.classes) or self.output is not None
-
-    def check(self) -> None:
-        """Raise InputError for options that contradict each other."""
-        if self.formulation not in ("paper", "causal"):
-            raise InputError(f"--formulation {self.formulation}: give paper or causal")
-        for name, given in (("--effects", bool(names(self.effects))), ("--law", self.law != PAPERS)):
-            if given and self.formulation == "paper":
-                raise InputError(f"{name}: the paper's formulation is the paper's driver; use --formulation causal")
-        if self.law != PAPERS and names(self.parameters):
-            raise InputError("--parameters: with --law, all parameters of the law are estimated; leave it out")
-        if self.is_pooled and (self.profile or self.hops):
-            raise InputError(
-                "--profile and --hops: are for drivers calibrated one by one; leave out --effects, --law, --regularise"
-            )
-        if self.regularise_strength != 1.0 and not (self.regularise and self.formulation == "paper"):
-            raise InputError("--regularise-strength: give --regularise and --formulation paper, too")
-        if self.classes and (self.is_pooled or self.profile or self.hops or self.regularise):
-            raise InputError(
-                "--classes: the drivers of a class share all parameters; leave out --effects, --law, --regularise,"
-                " --profile and --hops"
-            )
+        settings = Settings(
+            formulation=self.formulation,  # type: ignore[arg-type]
+            estimated=names(self.parameters),
+            is_regularised=self.regularise,
+            profiled=self.profile,
+            seed=self.seed,
+            law=self.law,
+            effects=names(self.effects),
+            classes=self.classes,
+        )
+        settings.check("--{}".format)
+        return settings
 
 
 @takes(CalibrateOptions)
@@ -128,33 +105,18 @@ def calibrate(options: CalibrateOptions) -> None:
 
     The estimates are maximum-likelihood estimates, with their uncertainty.
     """
-    options.check()
     output = model_output(options.output, options.overwrite, options.sources)
-    from sugiyama_ros.formats.registry import format_of, read_trajectories
-    from sugiyama_ros.laws.registry import law
-    from sugiyama_ros.workers import workers
+    from sugiyama_ros.calibration.calibrate import calibrate_drivers
 
-    law(options.law)
-    source, *others = options.sources
-    if others and options.needs_one_lane:
-        raise InputError(
-            f"{others[0]}: -o, --effects, --law and other options need one lane that all drivers share; give one file"
-        )
-    if others or (not options.needs_one_lane and format_of(source).is_of_tracks):
-        _calibrate_tracks(options)
-        return
-    trajectories = read_trajectories(source, options.ring)
-    print_warnings(trajectories)
+    settings = options.settings
+    recording = _recording(options, settings.needs_one_lane or output is not None)
+    print_warnings(recording)
     began = time.monotonic()
-    with progress("calibrating") as advance, workers(len(trajectories.vehicle), options.scheduler) as work:
-        is_kept = output is not None and not options.is_pooled and not options.classes
-        kept = output.path.with_name(output.path.name + ".fits") if output is not None and is_kept else None
-        found = _calibrated(options, trajectories, work, kept, advance)
+    with progress("calibrating") as advance:
+        found = calibrate_drivers(recording, settings, options.scheduler, advance)
     wall_s = time.monotonic() - began
     if output is not None:
         found.write(output)
-    if kept is not None:
-        kept.unlink(missing_ok=True)
     doubts = _cautions(found)
     if options.as_json:
         print_json(found.document(wall_s))
@@ -164,56 +126,22 @@ def calibrate(options: CalibrateOptions) -> None:
         print_note(f"caution: {line}")
 
 
-def _calibrate_tracks(options: CalibrateOptions) -> None:
-    """Estimate the parameters of drivers on tracks."""
-    from sugiyama_ros.calibration.on_tracks import calibrate_tracks
+def _recording(options: CalibrateOptions, needs_one_lane: bool) -> "Trajectories | Tracks":
+    """Read one lane on which everybody is present, or tracks. Raises InputError."""
     from sugiyama_ros.formats.choices import Choices
     from sugiyama_ros.formats.folder import read_files
-    from sugiyama_ros.formats.registry import read_tracks
-    from sugiyama_ros.workers import workers
+    from sugiyama_ros.formats.registry import format_of, read_tracks, read_trajectories
 
-    choices, sources = Choices(ring_m=options.ring), options.sources
-    tracks = read_tracks(sources[0], choices) if len(sources) == 1 else read_files(sources, choices)
-    print_warnings(tracks)
-    began = time.monotonic()
-    with progress("calibrating") as advance, workers(tracks.runs, options.scheduler) as work:
-        found = calibrate_tracks(
-            tracks, names(options.parameters), profiled=options.profile, work=work, on_progress=advance
+    source, *others = options.sources
+    if others and needs_one_lane:
+        raise InputError(
+            f"{others[0]}: -o, --effects, --law and other options need one lane that all drivers share; give one file"
         )
-    if options.as_json:
-        print_json(found.document(time.monotonic() - began))
-        return
-    print_table(found.table(), wide=options.wide)
-    print_line(found.headline())
-
-
-def _calibrated(
-    options: CalibrateOptions,
-    trajectories: "Trajectories",
-    work: Executor,
-    kept: Path | None,
-    advance: Callable[[int, int], None],
-) -> "Calibration":
-    """Drivers calibrated together, in classes, or one by one."""
-    from sugiyama_ros.calibration.calibrate import each_driver, in_classes, pooled
-    from sugiyama_ros.calibration.result import Settings
-    from sugiyama_ros.fit.smooth_positions import evenness
-
-    settings = Settings(
-        formulation="paper" if options.formulation == "paper" else "causal",
-        estimated=names(options.parameters) or evenness(trajectories).estimated(options.formulation),
-        is_regularised=options.regularise,
-        profiled=options.profile,
-        hops=options.hops,
-        seed=options.seed,
-        strength=options.regularise_strength,
-        law=options.law,
-    )
-    if options.is_pooled:
-        return pooled(trajectories, settings, names(options.effects), work)
-    if options.classes:
-        return in_classes(trajectories, settings, options.classes, work)
-    return each_driver(trajectories, settings, work=work, kept=kept, on_progress=advance)
+    if others:
+        return read_files(options.sources, Choices(ring_m=options.ring))
+    if needs_one_lane or not format_of(source).is_of_tracks:
+        return read_trajectories(source, options.ring)
+    return read_tracks(source, Choices(ring_m=options.ring))
 
 
 def _cautions(found: "Calibration") -> list[str]:
@@ -231,5 +159,7 @@ def _print(found: "Calibration", output: Path | None, wide: bool) -> None:
     print_table(found.table(), wide=wide)
     for line in found.shared_sentences():
         print_line(line)
+    if found.trajectories is None:
+        print_line(found.headline())
     if output is not None:
         print_line(f"model file: {output}")

@@ -42,12 +42,6 @@ ModelFile = Annotated[
 #: The paper's law: the default of ``--law``.
 PAPERS = "adaptive_seek"
 Law = Annotated[str, typer.Option("--law", help="Name of the law by which the drivers drive; see `sugiyama laws`.")]
-RegulariseStrength = Annotated[
-    float,
-    typer.Option(
-        "--regularise-strength", min=0.0, help="Factor of the weights of the paper's penalty; 1 as in the paper."
-    ),
-]
 SetParameter = Annotated[
     list[str] | None, typer.Option("--set", help="NAME=VALUE: parameter of all drivers. May be repeated.")
 ]

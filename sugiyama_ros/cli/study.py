@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from sugiyama_ros.cli.options import Json, Overwrite, RegulariseStrength, Ring, Seed, Wide, need_matplotlib, takes
+from sugiyama_ros.cli.options import Json, Overwrite, Ring, Seed, Wide, need_matplotlib, takes
 from sugiyama_ros.cli.output import print_json, print_line, print_table
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.outputs import Output, writing
@@ -31,7 +31,6 @@ class StudyOptions:
     overwrite: Overwrite = False
     ring: Ring = None
     seed: Seed = 0
-    regularise_strength: RegulariseStrength = 1.0
     wide: Wide = False
     as_json: Json = False
 
@@ -65,7 +64,7 @@ def study(options: StudyOptions) -> None:
     asked = study_of(options.name)
     trajectories = read_trajectories(source, options.ring) if source is not None else None
     with workers(options.runs) as work:
-        answer = asked.answer(Asked(trajectories, options.runs, options.seed, work, options.regularise_strength))
+        answer = asked.answer(Asked(trajectories, options.runs, options.seed, work))
         if to_write is not None:
             _draw(answer.draw, to_write, f"{asked.question} The paper: {asked.paper} (seed {options.seed})")
     if options.as_json:

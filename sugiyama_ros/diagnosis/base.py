@@ -11,13 +11,11 @@ from dataclasses import replace
 from sugiyama_ros.diagnosis.candidates import Candidate
 from sugiyama_ros.diagnosis.score import scores
 from sugiyama_ros.driver.parameters import index
-from sugiyama_ros.fit.cross_validation import gain
 from sugiyama_ros.fit.joint import JointFit
 from sugiyama_ros.fit.law import in_filter
 from sugiyama_ros.fit.recording import Recorded
-from sugiyama_ros.fit.sampling import ROUNDING
-from sugiyama_ros.fit.score import PointwiseDensity, unknown
-from sugiyama_ros.fit.smooth_positions import FREED
+from sugiyama_ros.fit.score import PointwiseDensity, gain, unknown
+from sugiyama_ros.fit.smooth_positions import FREED, ROUNDING
 from sugiyama_ros.fit.stretched import prepared
 from sugiyama_ros.laws.registry import PAPERS
 from sugiyama_ros.progress import OnStage

@@ -17,11 +17,11 @@ from sugiyama_ros.effects.discovered_force import COVARIATES, KNOTS
 from sugiyama_ros.effects.effect import MEASUREMENT, Effect, RecordingExtent
 from sugiyama_ros.effects.registry import EFFECTS, MECHANISM, ROW, index_of
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.filters.roughness import SIGMAS
+from sugiyama_ros.fit.joint import LARGEST_STD
 from sugiyama_ros.fit.model import Model
-from sugiyama_ros.fit.population import LARGEST_STD
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.score import PointwiseDensity
-from sugiyama_ros.fit.smooth_positions import NOISES
 
 #: What a candidate changes. Constants and noises never explain anything.
 Kind = Literal["effect", "measurement", "force", "constants", "noise"]
@@ -180,7 +180,7 @@ def with_candidate(model: Model, candidate: Candidate, start: Start) -> Model:
         others = np.ix_(np.setdiff1d(np.arange(len(rows)), candidate.drivers), np.array(candidate.switches))
         rows[others] = ahead[others] = 0.0
     fitted = (*model.individual, *model.shared) if candidate.kind == "noise" else ()
-    held = tuple(k for k in fitted if k not in (*NOISES, *candidate.places))
+    held = tuple(k for k in fitted if k not in (*SIGMAS, *candidate.places))
     model = replace(model, rows=rows, ahead=ahead, held=held)
     new = tuple(k for k in candidate.places if k not in (*model.individual, *model.shared))
     if not candidate.individual:

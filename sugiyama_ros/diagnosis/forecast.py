@@ -31,9 +31,8 @@ from sugiyama_ros.filters.causal_kernel import SETTLING
 from sugiyama_ros.filters.chain import adaptation_of
 from sugiyama_ros.filters.state import STATE
 from sugiyama_ros.fit.model import Model
-from sugiyama_ros.fit.recording import FOLDS, Recorded
+from sugiyama_ros.fit.recording import FOLDS, Recorded, Vicinity
 from sugiyama_ros.fit.score import PointwiseDensity, between_measurements, filtered_states, jobs_of, together
-from sugiyama_ros.fit.vicinity import Vicinity
 from sugiyama_ros.simulation.drive import Order, Setting
 from sugiyama_ros.simulation.free_run import run_coupled, run_single
 

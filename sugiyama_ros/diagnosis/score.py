@@ -23,9 +23,10 @@ from sugiyama_ros.diagnosis.candidates import OF_SOME, Candidate, Start, with_ca
 from sugiyama_ros.diagnosis.covariates import forces
 from sugiyama_ros.effects.sensing import is_contaminated
 from sugiyama_ros.fit.joint import JointFit
-from sugiyama_ros.fit.model import Model, NewtonStep, coordinate, moved, value
+from sugiyama_ros.fit.model import Model, NewtonStep, moved
 from sugiyama_ros.fit.recording import Recorded
 from sugiyama_ros.fit.score import PointwiseDensity, evaluate_each
+from sugiyama_ros.fit.scoring import coordinate, value
 from sugiyama_ros.fit.slopes import Column, column, density_slope, difference_steps, no_density
 
 # A direction whose information is a smaller part of the largest one of its candidate says nothing.

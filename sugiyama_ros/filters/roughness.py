@@ -17,13 +17,15 @@ WHITE, OF_POSITION, OF_SPEED = 20.0, 6.0, 2.0
 LEAST = 1e-5
 # A speed is far above the desired speed by this factor; the desired speed is then slightly above it.
 _FAR_ABOVE, _SLIGHTLY_ABOVE = 1.5, 1.1
-# Scale of the normal distribution over the median of its absolute values.
-_PER_MEDIAN = 1.4826
+#: Scale of the normal distribution over the median of its absolute values.
+PER_MEDIAN = 1.4826
+#: Places of the standard deviations of noises among the parameters; rho, a correlation, is none.
+SIGMAS = [SIGMA_NU, SIGMA_A, SIGMA_X, SIGMA_V]
 
 
 def roughness(third: Array) -> float:
     """Return the std [m] of third differences, from their absolute values (n,); spikes do not move it."""
-    return _PER_MEDIAN * float(np.median(third))
+    return PER_MEDIAN * float(np.median(third))
 
 
 def roughness_of_noises(row: Array, period_s: float) -> float:
@@ -55,8 +57,8 @@ def in_proportion(row: Array, roughness_m: float, period_s: float) -> Array:
     row: (P,), the driver's parameters at the reference period; roughness_m: std [m] of the third differences; period_s:
     time between two samples [s].
     """
-    start, noises = row.copy(), [SIGMA_NU, SIGMA_A, SIGMA_X, SIGMA_V]
-    start[noises] *= roughness_m / math.hypot(math.sqrt(WHITE) * row[SIGMA_NU], roughness_of_noises(row, period_s))
+    start = row.copy()
+    start[SIGMAS] *= roughness_m / math.hypot(math.sqrt(WHITE) * row[SIGMA_NU], roughness_of_noises(row, period_s))
     return start
 
 

@@ -8,15 +8,20 @@ probability.
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sugiyama_ros.arrays import Array
+from sugiyama_ros.driver.parameters import NAMES, index
 from sugiyama_ros.filters.paper import Scored
-from sugiyama_ros.fit.bounds import LogSpace, log_space
 from sugiyama_ros.fit.driver import Fit, Job, carry_out
-from sugiyama_ros.fit.scoring import damped_step, limited
+from sugiyama_ros.fit.scoring import coordinate, damped_step, derivatives, limited
 from sugiyama_ros.fit.standard_errors import untouched
+
+if TYPE_CHECKING:
+    # The online filter is not needed to keep or write the classes, and takes long to load.
+    from sugiyama_ros.filters.learnt import Learnt
 
 # Maximum number of steps; the search ends when a step gains less than this [nats]; longest step of a logarithm.
 _STEPS, _ENOUGH, _LONGEST = 60, 0.05, 0.3
@@ -48,7 +53,6 @@ def find_classes(jobs: Sequence[Job], count: int, samples: int, seed: int, work:
     """Divide drivers into classes."""
     # the search starts from the fits of the single drivers
     fits, places = list(work.map(carry_out, jobs)), jobs[0].places
-    space = log_space(fits[0].parameters, places, jobs[0].lower, jobs[0].upper)
     rows = max(
         (_divided(fits, jobs[0], count, seed + k) for k in range(_STARTS)),
         key=lambda start: float(_posterior(_scores(jobs, start, None, work), np.full(count, 1.0 / count))[0].sum()),
@@ -59,7 +63,7 @@ def find_classes(jobs: Sequence[Job], count: int, samples: int, seed: int, work:
     shrink = 1.0
     for _ in range(_STEPS):
         gradient, information = _expected(scores, probability)
-        moved = np.array([_moved(space, *one, shrink) for one in zip(rows, gradient, information, strict=True)])
+        moved = np.array([_moved(jobs[0], *one, shrink) for one in zip(rows, gradient, information, strict=True)])
         shares = np.maximum(probability.mean(axis=0), 1e-6)
         scores_there = _scores(jobs, moved, information, work)
         value_there, probability_there = _posterior(scores_there, shares)
@@ -96,13 +100,12 @@ def _expected(scores: Sequence[Sequence[Scored]], probability: Array) -> tuple[l
     return gradient, [np.asarray(sum(r[k] * s[k].information for r, s in pairs)) for k in classes]
 
 
-def _moved(space: LogSpace, row: Array, gradient: Array, information: Array, share: float) -> Array:
+def _moved(job: Job, row: Array, gradient: Array, information: Array, share: float) -> Array:
     """Parameters (P,) of a class after a ``share`` of a step of Fisher scoring."""
-    here = replace(space, start=row)
-    slope, curvature = space.derivatives(row, gradient, information)
+    slope, curvature = derivatives(Scored(0.0, gradient, information), row, job.places)
     step = limited(damped_step(curvature, slope, 0.0, _RIDGE), _LONGEST)
-    x = np.log(np.abs(row[space.places])) + share * step
-    return here.parameters(np.clip(x, space.smallest, space.largest))
+    x = coordinate(row[job.places], job.places) + share * step
+    return replace(job, start=row).parameters(np.clip(x, *job.ends))
 
 
 def _scores(
@@ -138,3 +141,35 @@ def _divided(fits: Sequence[Fit], job: Job, count: int, seed: int) -> Array:
     rows = np.tile(fits[0].parameters, (count, 1))
     rows[:, job.places] = np.sign(fits[0].parameters[job.places]) * np.exp(middle + spread * centres)
     return rows
+
+
+@dataclass(frozen=True, eq=False)
+class DriverTypes:
+    """Classes of drivers, as ``fit.classes`` finds them.
+
+    share: (K,), share of all drivers in each class; rows: (K, P), parameters of each class.
+    """
+
+    share: Array
+    rows: Array
+
+    def probabilities(self, learnt: "Learnt", prior: "Learnt") -> Array:
+        """Return the probability (K,) of each class for one driver.
+
+        Both arguments are normal distributions of logarithms. Their ratio is the likelihood that the samples give to
+        the parameters of a class.
+        """
+        # Imported here: commands that only read or write classes start sooner without scipy.
+        from scipy.special import softmax
+
+        # the classes say nothing of parameters of effects
+        of_driver = [k for k, name in enumerate(learnt.names) if name in NAMES]
+        logs = np.log(self.rows[:, [index(learnt.names[k]) for k in of_driver]])
+        gain = _log_density(logs, learnt, of_driver) - _log_density(logs, prior, of_driver)
+        return np.asarray(softmax(np.log(self.share) + gain))
+
+
+def _log_density(logs: Array, learnt: "Learnt", chosen: list[int]) -> Array:
+    """Log-density (K,) of the chosen parameters at points (K, A), without the terms that are equal for all points."""
+    off, covariance = logs - learnt.mean[chosen], learnt.covariance[np.ix_(chosen, chosen)]
+    return np.asarray(-0.5 * np.sum(off * np.linalg.solve(covariance, off.T).T, axis=1))

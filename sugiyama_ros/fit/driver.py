@@ -1,20 +1,123 @@
 """Maximum-likelihood calibration of one driver (section 5 of the paper)."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from copy import copy
 from dataclasses import dataclass, replace
-from typing import Literal
+from functools import partial
+from types import MappingProxyType
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from sugiyama_ros.arrays import Array, Ints
-from sugiyama_ros.driver.parameters import KAPPA_V, NAMES, V_STAR, index
+from sugiyama_ros.arrays import Array, Ints, Mask
+from sugiyama_ros.driver.parameters import COUNT, KAPPA_V, NAMES, SIGMA_A, V_STAR, index
 from sugiyama_ros.filters import paper
+from sugiyama_ros.filters.chain import CHAIN, Chain
 from sugiyama_ros.filters.paper import Scored
-from sugiyama_ros.fit.bounds import LogSpace, log_space
-from sugiyama_ros.fit.driver_score import DriverChains, causal_score, predicted, regularised
-from sugiyama_ros.fit.intervals import end_of_profile, quadratic
-from sugiyama_ros.fit.scoring import Point, search
-from sugiyama_ros.fit.standard_errors import stds
+from sugiyama_ros.fit.scoring import (
+    Point,
+    coordinate,
+    derivatives,
+    fastest,
+    limits,
+    lower_bounds,
+    search,
+    upper_bounds,
+    value,
+)
+from sugiyama_ros.fit.smooth_positions import ESTIMATED, evenness, measured, with_short_periods
+from sugiyama_ros.fit.standard_errors import end_of_profile, quadratic, stds
+from sugiyama_ros.trajectories.trajectories import Trajectories
+from sugiyama_ros.workers import in_turn
+
+# Steps of the difference quotients of the causal filter: as part of a parameter's std; shortest, longest and first step
+# of a logarithm.
+_PART_OF_STD, _SHORTEST_STEP, _LONGEST_STEP, _FIRST_STEP = 0.5, 5e-3, 0.05, 0.03
+#: The paper's regularisation, Eq. Regularized_SSM_Likelihood: centre and weight of v* [m/s] and kappa_v [s].
+REGULARISATION = ((V_STAR, 11.0, 50.0), (KAPPA_V, 0.5, 500.0))
+
+
+class DriverChains(NamedTuple):
+    """One driver in the filter: one chain or several, of different times.
+
+    chains: data of the driver and of the vehicles ahead; ahead: (M - 1, P), for each chain the parameters of the
+    drivers ahead; scored: (T,), samples of each chain that count, besides those that the filter leaves out; empty if
+    all others count.
+    """
+
+    chains: tuple[Chain, ...]
+    ahead: tuple[Array, ...]
+    scored: tuple[Mask, ...] = ()
+
+
+def causal_score(
+    followed: DriverChains,
+    places: Ints,
+    parameters: Array,
+    information: Array | None,
+    central: bool = False,
+    here: Array | None = None,
+) -> Scored:
+    """Return the score from difference quotients of innovations and variances, by the logarithms of the parameters.
+
+    information: (P, P), information at nearby parameters, which sets the steps; none if it is not known; here: (3,
+    samples), what ``predicted`` returns for these parameters, if it is known.
+    """
+    steps = np.full(len(places), _FIRST_STEP)
+    if information is not None:
+        held = np.diag(information)[places] * parameters[places] ** 2
+        steps = np.clip(_PART_OF_STD / np.sqrt(np.maximum(held, 1e-12)), _SHORTEST_STEP, _LONGEST_STEP)
+    signs = (1.0, -1.0) if central else (1.0,)
+    moved = np.tile(parameters, (len(signs), len(places), 1))
+    for sign, rows in zip(signs, moved, strict=True):
+        rows[np.arange(len(places)), places] *= np.exp(sign * steps)
+    here = predicted(followed, [parameters])[0] if here is None else here
+    there = predicted(followed, [*moved.reshape(-1, len(parameters))])
+    density = here[2]
+    scored = np.isfinite(density)
+    y, variance = here[:2, scored]
+    up = there[: len(places), :2, scored]
+    down = there[len(places) :, :2, scored] if central else here[:2, scored]
+    dy, dvar = np.moveaxis((up - down) / (len(signs) * steps[:, None, None]), 1, 0)
+    slopes = -(dy * (y / variance) + 0.5 * dvar * (1.0 - y * y / variance) / variance)
+    curvature = (dy / variance) @ dy.T + 0.5 * (dvar / variance**2) @ dvar.T
+    gradient, full, scatter = np.zeros(COUNT), np.zeros((COUNT, COUNT)), np.zeros((COUNT, COUNT))
+    scale = parameters[places]
+    block = np.ix_(places, places)
+    gradient[places] = slopes.sum(axis=1) / scale
+    full[block] = curvature / np.outer(scale, scale)
+    scatter[block] = slopes @ slopes.T / np.outer(scale, scale)
+    return Scored(float(density[scored].sum()), gradient, full, scatter)
+
+
+def predicted(followed: DriverChains, rows: Sequence[Array]) -> Array:
+    """Return innovations, their variances and log-likelihoods (R, 3, samples of all chains) at R rows of parameters."""
+    # Imported here: the paper's formulation does not need the causal filter, which takes long to load.
+    from sugiyama_ros.filters import causal
+
+    if not rows:  # one parameter alone has a profile, too
+        return np.empty((0, 3, sum(len(chain.position_m) for chain in followed.chains)))
+    each_chain = list(zip(followed.chains, followed.ahead, strict=True))
+    jobs = [causal.ChainJob(chain, row, ahead) for row in rows for chain, ahead in each_chain]
+    each, count = causal.predict_samples(jobs), len(followed.chains)
+    found = [np.concatenate([np.array(one) for one in each[k : k + count]], axis=1) for k in range(0, len(jobs), count)]
+    samples = np.array(found)
+    if followed.scored:
+        samples[:, 2, ~np.concatenate(followed.scored)] = np.nan
+    return samples
+
+
+def regularised(scored: Scored, parameters: Array) -> Scored:
+    """Add the paper's regularisation, Eq. Regularized_SSM_Likelihood, to the score at parameters (P,)."""
+    value, gradient, information = scored.log_likelihood, scored.gradient.copy(), scored.information.copy()
+    for k, centre, weight in REGULARISATION:
+        off = parameters[k] - centre
+        value -= weight * off * off
+        gradient[k] -= 2.0 * weight * off
+        information[k, k] += 2.0 * weight
+    return Scored(value, gradient, information)
+
 
 Formulation = Literal["paper", "causal"]
 #: Acceleration noise [m/s^2] at the start. It is larger than usual estimates, because the likelihood is smoother there.
@@ -24,13 +127,9 @@ START_SIGMA_A = 1.0
 # that is 0.1 to 301 nats higher than the one of the first start. These four starts find all that a grid of 25 finds.
 _STARTS = ((1.0, 1.0), (0.7, 6.0), (2.2, 0.15), (0.7, 0.15))
 # A search ends when a step has a predicted gain below this [nats]; the causal likelihood is rough at small scales.
-_ENOUGH, ENOUGH_CAUSAL = 1e-4, 0.02
+_ENOUGH, _ENOUGH_CAUSAL = 1e-4, 0.02
 # A parameter does not count as identified if the std of its logarithm is larger than this.
 _VAGUE = 0.5
-#: Returns the score at parameters (P,), given the information (P, P) at nearby parameters, or None.
-Score = Callable[[Array, Array | None], Scored]
-#: The same as ``Score``, or None if the log-likelihood is not larger than a number, so that nobody needs the score.
-BetterScore = Callable[[Array, Array | None, float], Scored | None]
 
 
 @dataclass(frozen=True)
@@ -38,17 +137,13 @@ class SearchOptions:
     """Options of a calibration of drivers.
 
     is_regularised: whether to add the paper's regularisation; profiled: whether intervals come from the profile
-    likelihood; hops: number of hops of scipy's basinhopping before the search; seed: seed of the hops; with_errors:
-    whether to compute the standard errors of the causal formulation, which takes as long as a search; strength: factor
-    of the regularisation; from_several: whether the paper's formulation searches from several starts.
+    likelihood; with_errors: whether to compute the standard errors of the causal formulation, which takes as long as a
+    search; from_several: whether the paper's formulation searches from several starts.
     """
 
     is_regularised: bool = False
     profiled: bool = False
-    hops: int = 0
-    seed: int = 0
     with_errors: bool = True
-    strength: float = 1.0
     from_several: bool = False
 
 
@@ -80,42 +175,6 @@ class Fit:
         return name not in self.at_bound and bool(self.std[k] < _VAGUE * abs(self.parameters[k]))
 
 
-def fit_driver(
-    score: BetterScore, vehicle: int, space: LogSpace, enough: float = _ENOUGH, careful: Score | None = None
-) -> Fit:
-    """Maximise the likelihood of one driver.
-
-    enough: the search ends when the predicted gain of a step is less than this [nats].
-    """
-
-    def at(x: Array, near: Point | None) -> Point | None:
-        parameters = space.parameters(x)
-        known = (None, -np.inf) if near is None else (near.scored.information, near.value)
-        scored = score(parameters, *known)
-        if scored is None:
-            return None
-        gradient, information = space.derivatives(parameters, scored.gradient, scored.information)
-        return Point(x, scored.log_likelihood, gradient, information, scored)
-
-    found = search(at, space, enough)
-    parameters = space.parameters(found.x)
-    bound = (found.x <= space.smallest) | (found.x >= space.largest)
-    inside = space.places[~bound]
-    std: Array = np.zeros(len(parameters))
-    std[space.places] = np.inf
-    if len(inside):
-        scored = found.scored if careful is None else careful(parameters, found.scored.information)
-        std[inside] = stds(scored, parameters, inside)
-    return Fit(
-        vehicle=vehicle,
-        parameters=parameters,
-        log_likelihood=found.value,
-        std=std,
-        at_bound=tuple(NAMES[k] for k, b in zip(space.places, bound, strict=True) if b),
-        interval=quadratic(parameters, std),
-    )
-
-
 @dataclass(frozen=True, eq=False)
 class Job:
     """Data of one driver, and the search for the driver's parameters.
@@ -135,9 +194,20 @@ class Job:
     followed: DriverChains | None = None
 
     @property
-    def space(self) -> LogSpace:
-        """Coordinates of the search."""
-        return log_space(self.start, self.places, self.lower, self.upper)
+    def x(self) -> Array:
+        """Coordinates (K,) of the start, within the bounds."""
+        return np.clip(coordinate(self.start[self.places], self.places), *self.ends)
+
+    @property
+    def ends(self) -> Array:
+        """Smallest and largest coordinates (2, K)."""
+        return np.sort(coordinate(limits(self.places, self.lower, self.upper), self.places), axis=0)
+
+    def parameters(self, x: Array) -> Array:
+        """Return all parameters (P,) at the coordinates x (K,)."""
+        moved = self.start.copy()
+        moved[self.places] = value(x, self.places)
+        return moved
 
     def score(
         self, parameters: Array, information: Array | None, central: bool = False, here: Array | None = None
@@ -151,7 +221,7 @@ class Job:
     def objective(self, parameters: Array, information: Array | None, here: Array | None = None) -> Scored:
         """Return the score that the search maximises; arguments as for ``causal_score``."""
         scored = self.score(parameters, information, here=here)
-        return regularised(scored, parameters, self.options.strength) if self.options.is_regularised else scored
+        return regularised(scored, parameters) if self.options.is_regularised else scored
 
     def better(self, parameters: Array, information: Array | None, above: float) -> Scored | None:
         """Return ``objective``, or None if its value is not above ``above``."""
@@ -161,7 +231,7 @@ class Job:
         here = predicted(self.followed, [parameters])[0]
         return self.objective(parameters, information, here) if np.nansum(here[2]) > above else None
 
-    def careful(self, parameters: Array, _: Array | None) -> Scored:
+    def careful(self, parameters: Array) -> Scored:
         """Return the score from central differences, whose steps follow from a newly computed information."""
         # the information of the search may come from a jump of the likelihood, which would make these steps too short
         rough = self.score(parameters, None, central=True)
@@ -171,19 +241,45 @@ class Job:
 def carry_out(job: Job) -> Fit:
     """Search for one driver's parameters, with the options of the job."""
     options = job.options
-    if options.hops:
-        job = replace(job, start=_hop(job))
-    careful = job.careful if options.with_errors else None
     if job.perceived is not None:
         # the first of equal maxima counts
-        found = max((fit_driver(one.better, one.vehicle, one.space) for one in _started(job)), key=_height)
+        found = max((_fit(one, _ENOUGH) for one in _started(job)), key=_height)
     else:
-        found = fit_driver(job.better, job.vehicle, job.space, ENOUGH_CAUSAL, careful)
+        found = _fit(job, _ENOUGH_CAUSAL, is_careful=options.with_errors)
     if options.profiled:
         found = replace(found, interval=_profile(job, found))
     if options.is_regularised:
         found = replace(found, log_likelihood=job.score(found.parameters, None).log_likelihood)
     return found
+
+
+def _fit(job: Job, enough: float, is_careful: bool = False) -> Fit:
+    """Maximise the likelihood, until the predicted gain of a step is less than ``enough`` [nats]."""
+
+    def at(x: Array, near: Point | None) -> Point | None:
+        parameters = job.parameters(x)
+        known = (None, -np.inf) if near is None else (near.scored.information, near.value)
+        scored = job.better(parameters, *known)
+        if scored is None:
+            return None
+        return Point(x, scored.log_likelihood, *derivatives(scored, parameters, job.places), scored)
+
+    found, places = search(at, job.x, job.ends, enough), job.places
+    parameters = job.parameters(found.x)
+    bound = (found.x <= job.ends[0]) | (found.x >= job.ends[1])
+    std: Array = np.zeros(len(parameters))
+    std[places] = np.inf
+    if not bound.all():
+        scored = job.careful(parameters) if is_careful else found.scored
+        std[places[~bound]] = stds(scored, parameters, places[~bound])
+    return Fit(
+        vehicle=job.vehicle,
+        parameters=parameters,
+        log_likelihood=found.value,
+        std=std,
+        at_bound=tuple(NAMES[k] for k in places[bound]),
+        interval=quadratic(parameters, std),
+    )
 
 
 def _started(job: Job) -> Iterator[Job]:
@@ -201,33 +297,10 @@ def _height(fit: Fit) -> float:
     return round(fit.log_likelihood, 2)
 
 
-def _hop(job: Job) -> Array:
-    """Parameters (P,) of the best of many local searches (Wales and Doye, J. Phys. Chem. A 101 (1997) 5111)."""
-    from scipy.optimize import basinhopping  # here, because it loads slowly and few fits hop
-
-    space = job.space
-
-    def at(x: Array) -> tuple[float, Array]:
-        parameters = space.parameters(x)
-        scored = job.objective(parameters, None)
-        return -scored.log_likelihood, -scored.gradient[job.places] * parameters[job.places]
-
-    bounds = list(zip(space.smallest, space.largest, strict=True))
-    found = basinhopping(
-        at,
-        space.x,
-        niter=job.options.hops,
-        minimizer_kwargs={"method": "L-BFGS-B", "jac": True, "bounds": bounds},
-        rng=np.random.default_rng([job.options.seed, job.vehicle]),
-    )
-    return space.parameters(found.x)
-
-
 def _profile(job: Job, found: Fit) -> Array:
     """Ends (P, 2) of the intervals; the parameters of the search get intervals from the profile likelihood."""
     interval = found.interval.copy()
-    space = log_space(found.parameters, job.places, job.lower, job.upper)
-    for k, low, high in zip(job.places.tolist(), space.smallest.tolist(), space.largest.tolist(), strict=True):
+    for k, low, high in zip(job.places.tolist(), *job.ends.tolist(), strict=True):
         size = abs(float(found.parameters[k]))
         for side, sign, furthest in ((0, -1.0, np.log(size) - low), (1, 1.0, high - np.log(size))):
             distance = end_of_profile(_fall(job, found, k, sign), float(found.std[k]) / size, max(0.0, float(furthest)))
@@ -241,9 +314,103 @@ def _fall(job: Job, found: Fit, place: int, sign: float) -> Callable[[float], fl
 
     def fall(distance: float) -> float:
         last[place] = found.parameters[place] * np.exp(sign * distance)
-        space = log_space(last, held.places, held.lower, held.upper)
-        there = fit_driver(held.better, held.vehicle, space, ENOUGH_CAUSAL)
+        there = _fit(replace(held, start=last), _ENOUGH_CAUSAL)
         last[:] = there.parameters
         return float(np.sqrt(2.0 * max(0.0, found.log_likelihood - there.log_likelihood)))
 
     return fall
+
+
+def calibrate(
+    trajectories: Trajectories,
+    formulation: Formulation = "causal",
+    estimated: Sequence[str] = ESTIMATED,
+    options: SearchOptions = PLAIN,
+    *,
+    skip: Collection[int] = (),
+    work: Executor | None = None,
+) -> Iterator[Fit]:
+    """Fit every driver alone, from the population's mean with a larger acceleration noise. Raises InputError."""
+    yield from each_of(JobMaker(trajectories, formulation, estimated), options, skip=skip, work=work)
+
+
+def each_of(
+    maker: "JobMaker", options: SearchOptions, *, skip: Collection[int] = (), work: Executor | None = None
+) -> Iterator[Fit]:
+    """Carry out the searches that ``maker`` makes, one for each driver."""
+    left = (i for i, v in enumerate(maker.vehicles.tolist()) if v not in skip)
+    yield from in_turn(carry_out, left, work, partial(_Jobs, maker, options))
+
+
+class JobMaker:
+    """Makes the plain searches for the parameters of the drivers of a recording.
+
+    known: parameters (P,) by vehicle, for the start and for the drivers ahead.
+    """
+
+    def __init__(
+        self,
+        trajectories: Trajectories,
+        formulation: Formulation,
+        estimated: Sequence[str],
+        known: Mapping[int, Array] = MappingProxyType({}),
+    ) -> None:
+        is_causal = formulation == "causal"
+        self._trajectories = with_short_periods(trajectories) if is_causal else trajectories
+        self._formulation, self._known = formulation, known
+        self._places = np.array([index(name) for name in estimated])
+        seen = measured(trajectories)
+        even, speed = evenness(seen), fastest(seen)
+        self._bounds, self._typical = (lower_bounds(even), upper_bounds(speed)), even.typical(speed)
+
+    @property
+    def vehicles(self) -> Ints:
+        """Numbers of the drivers' vehicles, shape (N,)."""
+        return self._trajectories.vehicle
+
+    def knowing(self, known: Mapping[int, Array]) -> "JobMaker":
+        """Return a maker of the same searches from other parameters (P,) by vehicle."""
+        one = copy(self)
+        one._known = known
+        return one
+
+    def only(self, drivers: Sequence[int]) -> "JobMaker":
+        """Return a maker whose first columns are some drivers, and which knows no more than their searches need."""
+        part = self._trajectories.around(drivers, CHAIN - 1)
+        one = self.knowing({v: self._known[v] for v in part.vehicle.tolist() if v in self._known})
+        one._trajectories = part
+        return one
+
+    def __call__(self, driver: int) -> Job:
+        """Return the search for the driver in column ``driver``."""
+        trajectories, known = self._trajectories, self._known
+        begin = self._typical.copy()
+        begin[SIGMA_A] = START_SIGMA_A
+        vehicle = int(trajectories.vehicle[driver])
+        one = Job(vehicle, known.get(vehicle, begin), self._places, *self._bounds)
+        if self._formulation == "paper":
+            return replace(one, perceived=paper.perceive(trajectories, driver))
+        from sugiyama_ros.filters.extract import chain_behind  # here, because the paper's formulation starts without it
+
+        chain = chain_behind(trajectories, driver, with_rear=False)
+        ahead = [known.get(most_seen(chain.identity[:, m]), self._typical) for m in range(1, CHAIN)]
+        return replace(one, followed=DriverChains((chain,), (np.array(ahead),)))
+
+
+class _Jobs:
+    """The searches for some drivers; processes and clusters get the part of the recording that these drivers see."""
+
+    def __init__(self, maker: JobMaker, options: SearchOptions, drivers: Sequence[int]) -> None:
+        self._maker, self._options, self._drivers = maker, options, drivers
+
+    def __iter__(self) -> Iterator[Job]:
+        return (replace(self._maker(driver), options=self._options) for driver in self._drivers)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _Jobs, (self._maker.only(self._drivers), self._options, range(len(self._drivers)))
+
+
+def most_seen(identity: Ints) -> int:
+    """Return the number of the vehicle that is present in most samples, (T,), or -1."""
+    values, counts = np.unique(identity[identity >= 0], return_counts=True)
+    return int(values[np.argmax(counts)]) if len(values) else -1

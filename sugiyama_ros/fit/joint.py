@@ -14,11 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sugiyama_ros.arrays import Array
+from sugiyama_ros.driver.parameters import NAMES
+from sugiyama_ros.effects.registry import ROW
+from sugiyama_ros.errors import InputError
+from sugiyama_ros.filters.roughness import PER_MEDIAN
+from sugiyama_ros.fit.driver import calibrate
 from sugiyama_ros.fit.model import Model, NewtonStep, moved
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import PointwiseDensity, predict_drivers
-from sugiyama_ros.fit.scoring import Damping, damped, damped_step
+from sugiyama_ros.fit.scoring import Damping, coordinate, damped, damped_step
 from sugiyama_ros.fit.slopes import Slopes, informed_steps, slopes, slopes_of, sums
+from sugiyama_ros.fit.smooth_positions import measured_every
 
 # A search ends when the predicted gain of a step is less than this [nats], of all drivers or of each of many. The
 # log-likelihood of 22 drivers is rough: it varies irregularly by about 1 over one step of the difference quotients.
@@ -30,10 +36,9 @@ _STEPS, _RENEWALS = 12, 5
 
 @dataclass(frozen=True, eq=False)
 class JointFit:
-    """A model of all drivers, with its predictions of the samples and its slopes.
+    """A model of all drivers, its predictions of all samples, and score and information of each driver.
 
-    model: the model, at a maximum or on the way to one; samples: predictions of all samples; slopes: score and
-    information of each driver; beside: the fit from which the model has the parameters that it holds.
+    beside: the fit from which the model has the parameters that it holds.
     """
 
     model: Model
@@ -141,8 +146,7 @@ def solve(
 ) -> NewtonStep:
     """Return the damped Newton step of a model; the prior counts in proportion to the number of folds.
 
-    damping: (N,), damping of all drivers or of each driver; curvature: folds whose information counts; ``folds`` by
-    default.
+    curvature: folds whose information counts; ``folds`` by default.
     """
     curved, own = list(folds if curvature is None else curvature), len(model.individual)
     of_driver: Array = np.broadcast_to(damping, len(all_slopes))
@@ -174,10 +178,7 @@ def solve(
 
 
 def at_model(data: Recorded, here: JointFit, model: Model, work: Executor, who: NDArray[np.bool_]) -> JointFit:
-    """Return the fit with some drivers moved to a nearby model; the derivatives stay as they are.
-
-    who: (N,), drivers to move.
-    """
+    """Return the fit with the drivers in ``who`` (N,) moved to a nearby model; the derivatives stay as they are."""
     numbers = np.flatnonzero(who)
     rows, slopes_, samples = here.model.rows.copy(), list(here.slopes), here.samples.copy()
     rows[who] = model.rows[who]
@@ -221,3 +222,115 @@ def rise(before: JointFit, after: JointFit) -> float:
     """Return how much larger the log posterior of one fit is than that of another [nats]."""
     everywhere = range(FOLDS)
     return objective(after.slopes, after.model, everywhere) - objective(before.slopes, before.model, everywhere)
+
+
+#: Prior std of a parameter's coordinate (a logarithm for most): before the spread is known; smallest; largest.
+PRIOR_STD, LEAST_STD, LARGEST_STD = 1.0, 0.05, 1.0
+# The first search ends when the predicted gain of a step is less than this [nats], because other searches follow.
+_NEARLY = 20.0
+# A driver further than this from the median driver, in prior stds, is fitted again.
+_FAR_AWAY = 3.5
+# A fit has settled if the log-likelihood rises by less than this for each driver, or for all of them [nats], when the
+# drivers ahead get the parameters that were found for them. Maximum number of fits until it has.
+_AGREES, _AGREE, _PASSES = 0.1, 2.0, 5
+
+
+def start_model(data: Recorded, individual: Sequence[int]) -> Model:
+    """Return the model without effects in which every driver is the mean of the population."""
+    typical = data.even.typical(data.speed)
+    rows = np.tile(ROW.with_effects(typical), (data.drivers, 1))
+    return Model(rows, tuple(individual), (), (PRIOR_STD,) * len(individual), rows.copy())
+
+
+def fit_nearly(data: Recorded, individual: Sequence[int], work: Executor, start: Model | None = None) -> JointFit:
+    """Fit every driver alone, but not to the end, because other searches follow, or because the fit is far behind."""
+    first = start or start_model(data, individual)
+    near = _by_paper(data, first, work) if start is None else None
+    start_at = start_fit(data, near or first, work)
+    return maximise(data, start_at, work, iterations=10 if near is None else 3, enough=_NEARLY)
+
+
+def fit_base(data: Recorded, individual: Sequence[int], work: Executor, start: Model | None = None) -> JointFit:
+    """Fit every driver alone, then all drivers as draws from one population.
+
+    The second fit uses the first fit's parameters for the drivers ahead. It is repeated, with its own parameters for
+    them, as long as the likelihood rises by it.
+    """
+    near = fit_nearly(data, individual, work, start)
+    return _settled(data, _as_one_population(data, near, work), work)
+
+
+def _as_one_population(data: Recorded, near: JointFit, work: Executor) -> JointFit:
+    """Fit all drivers as draws from one population, with the parameters of a nearby fit for the drivers ahead."""
+    return _second_chance(data, warm_start(data, near, as_population(near.model), work), work)
+
+
+def _settled(data: Recorded, found: JointFit, work: Executor) -> JointFit:
+    """Fit again with the parameters found for the drivers ahead, too, while the log-likelihood rises by it.
+
+    Where it falls, the drivers ahead are better predicted by the parameters of the fit before, which is kept.
+    """
+    enough = max(_AGREES * data.drivers, _AGREE)
+    there = at_model(data, found, as_population(found.model), work, np.ones(data.drivers, np.bool_))
+    if abs(there.log_likelihood - found.log_likelihood) < enough:
+        return found
+    for _ in range(_PASSES):
+        again = _as_one_population(data, found, work)
+        rise = again.log_likelihood - found.log_likelihood
+        if rise > 0.0:
+            found = again
+        if rise < enough:
+            break
+    return found
+
+
+def _second_chance(data: Recorded, found: JointFit, work: Executor) -> JointFit:
+    """Search again from the median driver for drivers who are unlike all others, and keep the better of both fits.
+
+    The likelihood of a driver has several maxima, and the first search may have ended in a poor, distant maximum.
+    """
+    far = np.abs(found.model.away).max(axis=1) > _FAR_AWAY
+    if not far.any():
+        return found
+    own = list(found.model.individual)
+    rows = found.model.rows.copy()
+    rows[np.ix_(far, own)] = np.median(rows[:, own], axis=0)
+    elsewhere = at_model(data, found, replace(found.model, rows=rows), work, far)
+    again = maximise(data, renewed(data, elsewhere, work, far), work)
+    everywhere = range(FOLDS)
+    better = objectives(again.slopes, again.model, everywhere) > objectives(found.slopes, found.model, everywhere)
+    return maximise(data, mixed(found, again, better), work, iterations=4)
+
+
+def _by_paper(data: Recorded, model: Model, work: Executor) -> Model | None:
+    """The model fitted with the paper's formulation; None if the formulation cannot use the recording.
+
+    In the paper, drivers decide once for each sample. So the formulation says little of samples that are far apart, and
+    nothing of noises that it does not have.
+
+    A parameter that the data of a driver do not determine becomes the median over the drivers whose data determine it,
+    if there are any.
+    """
+    if data.trajectories is None or measured_every(data.trajectories) > 1 or data.even.has_other_noises:
+        return None
+    names = [NAMES[k] for k in model.individual]
+    try:
+        fits = list(calibrate(data.trajectories, "paper", names, work=work))
+    except InputError:
+        return None
+    rows = model.rows.copy()
+    for k, name in zip(model.individual, names, strict=True):
+        known = [one.parameters[k] for one in fits if one.identified(name)]
+        if known:
+            rows[:, k] = [one.parameters[k] if one.identified(name) else np.median(known) for one in fits]
+    return as_population(replace(model, rows=rows))
+
+
+def as_population(model: Model) -> Model:
+    """Return the model with the spread of its drivers as the prior, and with its own rows for the drivers ahead."""
+    own = coordinate(model.rows[:, list(model.individual)], model.individual)
+    spread = PER_MEDIAN * np.median(np.abs(own - np.median(own, axis=0)), axis=0)
+    # a small number of drivers determines the spread poorly
+    known = len(own) / (len(own) + 3.0)
+    std = np.clip(known * spread + (1.0 - known) * 0.3, LEAST_STD, LARGEST_STD)
+    return replace(model, prior_std=tuple(std.tolist()), ahead=model.rows)

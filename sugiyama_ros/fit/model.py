@@ -1,23 +1,14 @@
-"""A model of all drivers at once, the coordinates of its parameters in a search, and steps within bounds.
-
-The coordinate of a parameter with a fixed sign is the logarithm of its size.
-"""
+"""A model of all drivers at once, and its steps within bounds."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sugiyama_ros.arrays import Array, Mask
-from sugiyama_ros.driver.parameters import OMEGA_2
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.recording import Recorded
-from sugiyama_ros.fit.scoring import LONGEST, limited
-
-# Coordinate of each parameter p: log(p) for +1, log(-p) for -1, p itself for 0.
-_SIGN = np.array([1.0 if p.lower >= 0.0 else 0.0 for p in ROW.declared])
-_SIGN[OMEGA_2] = -1.0
+from sugiyama_ros.fit.scoring import LONGEST, coordinate, is_linear, limited, limits, value
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,11 +48,10 @@ class Model:
 
 @dataclass(frozen=True, eq=False)
 class NewtonStep:
-    """A step of the search.
+    """A step of the search: changes of the individual (N, I) and of the shared coordinates (S,).
 
-    individual: (N, I), changes of the individual coordinates; shared: (S,), changes of the shared coordinates;
-    predicted_gains: (N,), predicted rise of the log posterior [nats] from the individual changes of each driver;
-    predicted_gain: predicted rise of the log posterior [nats] from the whole step.
+    predicted_gains: (N,), predicted rise of the log posterior [nats] from each driver's individual changes;
+    predicted_gain: predicted rise from the whole step.
     """
 
     individual: Array
@@ -71,11 +61,7 @@ class NewtonStep:
 
 
 def leaders(data: Recorded, model: Model, who: Sequence[int]) -> list[Array]:
-    """Return the parameters of the vehicles ahead of some drivers.
-
-    Returns (M - 1, WIDTH), for each driver the rows of the vehicles in the chain ahead; the row of the median driver
-    for an unknown vehicle.
-    """
+    """Return the rows (M - 1, WIDTH) of the vehicles ahead of each driver; the median driver's for an unknown one."""
     chosen = np.asarray(who, dtype=np.int64)
     ahead = data.ahead[chosen]
     rows: Array = model.ahead[ahead]
@@ -87,24 +73,6 @@ def leaders(data: Recorded, model: Model, who: Sequence[int]) -> list[Array]:
     return [row[: data.chains[i].position_m.shape[1] - 1] for i, row in zip(chosen, rows, strict=True)]
 
 
-def coordinate(values: Array, places: Sequence[int]) -> Array:
-    """Return the coordinates of parameters (..., K) at ``places``: logarithms for parameters with a fixed sign."""
-    sign = _SIGN[list(places)]
-    logarithm = np.log(np.maximum(np.where(sign == 0.0, 1.0, sign * values), 1e-12))
-    return np.where(sign == 0.0, values, logarithm)
-
-
-def value(coordinates: Array, places: Sequence[int]) -> Array:
-    """Return the parameters (..., K) at ``places`` from their coordinates."""
-    sign = _SIGN[list(places)]
-    return np.where(sign == 0.0, coordinates, sign * np.exp(np.where(sign == 0.0, 0.0, coordinates)))
-
-
-def is_linear(places: Sequence[int]) -> NDArray[np.bool_]:
-    """Return whether the coordinate of each parameter at ``places`` is the parameter itself, not a logarithm; (K,)."""
-    return np.asarray(_SIGN[list(places)] == 0.0)
-
-
 def moved(data: Recorded, model: Model, step: NewtonStep, share: float = 1.0) -> Model:
     """Return the model after a step, or after a ``share`` of the step, within the bounds of the search."""
     rows = model.rows.copy()
@@ -114,17 +82,16 @@ def moved(data: Recorded, model: Model, step: NewtonStep, share: float = 1.0) ->
             continue
         now = coordinate(rows[:, places], places)
         longest = np.where(is_linear(places), reach(data, places), LONGEST)
-        rows[:, places] = _within(value(now + limited(share * change, longest), places), places, data)
+        rows[:, places] = np.clip(
+            value(now + limited(share * change, longest), places), *limits(places, data.lower, data.upper)
+        )
     for k, drivers in model.few:
         rows[~np.isin(np.arange(len(rows)), drivers), k] = 0.0
     return replace(model, rows=rows)
 
 
 def reach(data: Recorded, places: Sequence[int]) -> Array:
-    """Return the longest step of linear coordinates: a part of the declared range, of the recording or of the road.
-
-    Returns (K,), longest step of each parameter, in its own unit.
-    """
+    """Return the longest step (K,) of linear coordinates: a part of the range, of the recording or of the road."""
     around = data.vicinity
     road = around.road.circumference_m or float(np.nanmax(around.position_m) - np.nanmin(around.position_m))
     first_s, last_s = around.first_last_s
@@ -135,11 +102,3 @@ def reach(data: Recorded, places: Sequence[int]) -> Array:
         elif ROW.declared[k].axis == "place":
             longest[j] = 0.1 * road
     return longest
-
-
-def _within(values: Array, places: Sequence[int], data: Recorded) -> Array:
-    """Parameters (..., K) clipped to their bounds; parameters with a logarithmic coordinate stay away from zero."""
-    declared, least, upper = [ROW.declared[k].lower for k in places], data.lower[list(places)], data.upper
-    lower = [max(low, size) if _SIGN[k] > 0.0 else low for k, low, size in zip(places, declared, least, strict=True)]
-    highest = [min(upper[k], -size) if _SIGN[k] < 0.0 else upper[k] for k, size in zip(places, least, strict=True)]
-    return np.clip(values, lower, highest)

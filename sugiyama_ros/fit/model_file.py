@@ -18,12 +18,10 @@ from sugiyama_ros.driver.parameters import COUNT, NAMES, check_for_filter, popul
 from sugiyama_ros.effects.effect import RecordingExtent
 from sugiyama_ros.effects.registry import EFFECTS, GROUP, ROW, active, effect, index_of, switch_on
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.fit.driver_types import DriverTypes
+from sugiyama_ros.fit.classes import DriverTypes
 from sugiyama_ros.fit.joint import JointFit
-from sugiyama_ros.fit.model import coordinate
-from sugiyama_ros.fit.recording import FOLDS, Recorded
-from sugiyama_ros.fit.sandwich import shared_stds
-from sugiyama_ros.fit.vicinity import Vicinity
+from sugiyama_ros.fit.recording import Recorded, Vicinity
+from sugiyama_ros.fit.sandwich import own_stds, shared_stds
 from sugiyama_ros.laws.registry import LAWS, PAPERS, law, name_of, number_of
 from sugiyama_ros.outputs import Target, writing
 from sugiyama_ros.plugins import FAILED
@@ -38,11 +36,9 @@ _DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 @dataclass(frozen=True, eq=False)
 class ModelFile:
-    """The contents of a model file.
+    """The contents of a model file: vehicles (N,), rows (N, WIDTH), active effects, and the origin of the data.
 
-    vehicle: (N,), numbers of the vehicles; rows: (N, WIDTH), row of each driver; effects: names of the active effects;
-    source: name of the fitted data; sha256: checksum of the fitted data; types: classes of drivers, if the drivers were
-    divided into classes; cautions: what somebody who uses the model must know, in words.
+    types: classes of drivers, if they were divided; cautions: what somebody who uses the model must know, in words.
     """
 
     vehicle: Ints
@@ -231,29 +227,3 @@ def _types(path: Path, classes: Any) -> DriverTypes:
 def _wrong(error: Exception) -> str:
     """What is wrong with a document that raises an error when it is read."""
     return f"{error} is missing" if isinstance(error, KeyError) else f"cannot be read ({error})"
-
-
-def own_stds(fitted: JointFit) -> list[dict[str, float]]:
-    """Return standard deviations of the individual parameters of each driver, by name, from a fit's information."""
-    model = fitted.model
-    own = len(model.individual)
-    prior = np.diag(1.0 / np.array(model.prior_std) ** 2)
-    reduced = np.zeros((len(model.shared),) * 2)
-    parts = []
-    for s, has in zip(fitted.slopes, model.has, strict=True):
-        h = s.information[list(range(FOLDS))].sum(axis=0)
-        inverse = np.linalg.inv(h[:own, :own] + prior)
-        cross = np.where(has, h[:own, own:], 0.0)
-        reduced += np.where(np.outer(has, has), h[own:, own:], 0.0) - cross.T @ inverse @ cross
-        parts.append((inverse, cross))
-    shared = np.linalg.pinv(reduced + 1e-9 * np.eye(len(reduced)))
-    places = list(model.individual)
-    names, found = [ROW.entries[k] for k in places], []
-    for (inverse, cross), row in zip(parts, model.rows, strict=True):
-        lift = inverse @ cross
-        variances = np.diag(inverse + lift @ shared @ lift.T)
-        # from a coordinate to the parameter itself: d p = p d log p
-        scale = np.where(coordinate(row[places], places) == row[places], 1.0, np.abs(row[places]))
-        stds = np.sqrt(np.maximum(variances, 0.0)) * scale
-        found.append(dict(zip(names, stds.tolist(), strict=True)))
-    return found

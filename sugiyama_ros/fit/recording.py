@@ -11,18 +11,131 @@ from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.chain import CHAIN, Chain
 from sugiyama_ros.filters.extract import chain_behind
-from sugiyama_ros.fit.bounds import SMALLEST, fastest, lower_bounds, upper_bounds
-from sugiyama_ros.fit.sampling import (
+from sugiyama_ros.fit.driver import most_seen
+from sugiyama_ros.fit.scoring import SMALLEST, fastest, lower_bounds, upper_bounds
+from sugiyama_ros.fit.smooth_positions import (
+    Evenness,
     apart_if_smoothed,
+    evenness,
     measured,
     measured_every,
     smoothed_alike,
+    smoothing_window,
     thinned,
     with_short_periods,
 )
-from sugiyama_ros.fit.smooth_positions import Evenness, evenness, smoothing_window
-from sugiyama_ros.fit.vicinity import DriverName, Vicinity, behind_measured, numbered
+from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.trajectories import Trajectories
+
+
+@dataclass(frozen=True)
+class DriverName:
+    """How documents and tables call a driver: the number of the vehicle, and names in the tracks, if they have any."""
+
+    number: int
+    recording: str = ""
+    vehicle: str = ""
+    vehicle_class: str = ""
+
+    @property
+    def shown(self) -> str:
+        """Name in tables."""
+        return f"{self.recording} {self.vehicle}".strip() or str(self.number)
+
+    def document(self) -> dict[str, int | str]:
+        """Return what is known, for a JSON document."""
+        if not self.vehicle:
+            return {"vehicle": self.number}
+        return {
+            "vehicle": self.number,
+            "recording": self.recording,
+            "name": self.vehicle,
+            "class": self.vehicle_class,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Vicinity:
+    """N drivers at T samples, and the vehicles that they see, in V columns; the drivers come first.
+
+    On one road where everybody is recorded, the drivers see one another, and V is N. On tracks, each driver has two
+    further columns: the vehicles ahead, as measured. There each driver has their own samples, which skip the time
+    between stretches.
+
+    names: names of the drivers; position_m: (T, V), measured positions [m]; naN where missing; length_m: (T, V),
+    lengths [m]; leader: (T, V), column of the vehicle ahead; -1 where there is none; time_s: (T, N), times [s] of each
+    driver's samples; road: the road; period_s: time [s] between two samples; is_whole_road: whether the drivers are all
+    vehicles of one road; has_places: whether equal positions are equal places: False for recordings of different roads;
+    source, sha256: name and checksum of the file.
+    """
+
+    names: tuple[DriverName, ...]
+    position_m: Array
+    length_m: Array
+    leader: Ints
+    time_s: Array
+    road: Road
+    period_s: float
+    is_whole_road: bool
+    has_places: bool
+    source: str
+    sha256: str
+
+    @property
+    def drivers(self) -> int:
+        """Number N of drivers."""
+        return len(self.names)
+
+    @property
+    def numbers(self) -> list[int]:
+        """Numbers of the drivers' vehicles."""
+        return [one.number for one in self.names]
+
+    def columns(self, driver: int, vehicles: int) -> list[int]:
+        """Columns that the states of a driver's chain of ``vehicles`` vehicles fill, the driver first."""
+        return [driver] if self.is_whole_road else [driver + m * self.drivers for m in range(vehicles)]
+
+    @property
+    def first_last_s(self) -> tuple[float, float]:
+        """Times [s] of the first and the last sample."""
+        return float(np.nanmin(self.time_s)), float(np.nanmax(self.time_s))
+
+
+def behind_measured(around: Vicinity, chains: Sequence[Chain], who: Sequence[int]) -> Vicinity:
+    """Return some drivers behind vehicles that drive as measured, whoever drives these."""
+    chosen = list(who)
+    position, length, leader = columns_of(chains)
+    return replace(
+        around,
+        names=tuple(around.names[i] for i in chosen),
+        position_m=position,
+        length_m=length,
+        leader=leader,
+        time_s=around.time_s[:, chosen],
+        is_whole_road=False,
+    )
+
+
+def numbered(drivers: int, who: Sequence[int]) -> Ints:
+    """Return the new number (drivers + 1,) of each driver if only those in ``who`` are left, and -1."""
+    number = np.full(drivers + 1, -1)
+    number[list(who)] = np.arange(len(who))
+    return number
+
+
+def columns_of(chains: Sequence[Chain]) -> tuple[Array, Array, Ints]:
+    """Return positions, lengths [m] and leaders (T, V) of the vehicles of chains, as in a ``Vicinity`` of tracks."""
+    count, samples = len(chains), len(chains[0].position_m)
+    columns = CHAIN * count
+    position, length = np.full((samples, columns), np.nan), np.zeros((samples, columns))
+    leader = np.full((samples, columns), -1)
+    for i, chain in enumerate(chains):
+        for m in range(chain.position_m.shape[1]):
+            position[:, i + m * count], length[:, i + m * count] = chain.position_m[:, m], chain.length_m[:, m]
+            if m > 0:
+                leader[:, i + (m - 1) * count] = np.where(chain.identity[:, m] >= 0, i + m * count, -1)
+    return position, length, leader
+
 
 #: Length [s] of the blocks of time that are held out, and number of folds that the blocks are assigned to in turn.
 BLOCK_S, FOLDS = 25.0, 5
@@ -99,10 +212,9 @@ def within(most: int | None, drivers: int, samples: int) -> range:
 
 
 def prepare(trajectories: Trajectories, segment: Ints | None = None, most: int | None = None) -> Recorded:
-    """Prepare trajectories for a fit.
+    """Prepare trajectories for a fit; filters restart where the number of the ``segment`` (T,) changes.
 
-    segment: (T,), number of the unbroken part of the recording; every filter restarts where the number changes. Raises
-    InputError.
+    Raises InputError.
     """
     trajectories = with_short_periods(trajectories)
     seen, decisions = measured(trajectories), measured_every(trajectories)
@@ -151,11 +263,7 @@ def _blocks(trajectories: Trajectories) -> Ints:
 
 
 def bounds_of(even: Evenness, speed: float) -> tuple[Array, Array]:
-    """Return the bounds of a search over rows.
-
-    speed: high speed in the data [m/s]. Returns (WIDTH,), smallest sizes of parameters with a logarithmic coordinate,
-    and upper bounds.
-    """
+    """Return smallest sizes and upper bounds (WIDTH,) of a search over rows; ``speed``: a high one in the data."""
     lower = np.full(ROW.width, SMALLEST)
     lower[:COUNT] = lower_bounds(even)
     upper = np.array([p.upper for p in ROW.declared])
@@ -181,17 +289,15 @@ def _vicinity(t: Trajectories) -> Vicinity:
     )
 
 
-def _ahead(trajectories: Trajectories, who: Sequence[int]) -> Ints:
+def _ahead(t: Trajectories, who: Sequence[int]) -> Ints:
     """Columns of the vehicles ahead of some drivers in most samples, (N, CHAIN - 1), or -1."""
-    column = {int(v): k for k, v in enumerate(trajectories.vehicle)}
+    number, samples = {v: k for k, v in enumerate(t.vehicle.tolist())}, np.arange(len(t.position_m))
     ahead = np.full((len(who), CHAIN - 1), -1)
     for k, i in enumerate(who):
+        column = np.where(t.present[:, i], i, -1)
         for m in range(1, CHAIN):
-            columns = _columns(trajectories, i, m)
-            known = trajectories.vehicle[columns[columns >= 0]]
-            if len(known):
-                values, counts = np.unique(known, return_counts=True)
-                ahead[k, m - 1] = column[int(values[np.argmax(counts)])]
+            column = np.where(column >= 0, t.leader[samples, column], -1)
+            ahead[k, m - 1] = number.get(most_seen(np.where(column >= 0, t.vehicle[column], -1)), -1)
     return ahead
 
 
@@ -203,10 +309,18 @@ def _who_follows(chains: Sequence[Chain]) -> Mask:
     return follows if follows.any() else np.ones_like(follows)
 
 
-def _columns(trajectories: Trajectories, driver: int, m: int) -> Ints:
-    """Column of the m-th vehicle ahead of a driver at every sample, (T,), or -1."""
-    column = np.where(trajectories.present[:, driver], driver, -1)
-    samples = np.arange(len(column))
-    for _ in range(m):
-        column = np.where(column >= 0, trajectories.leader[samples, column], -1)
-    return column
+def some_drivers(data: Recorded, who: Sequence[int]) -> Recorded:
+    """Return the part of a recording that says how some drivers drive."""
+    chosen = list(who)
+    chains = tuple(data.chains[i] for i in chosen)
+    return replace(
+        data,
+        vicinity=behind_measured(data.vicinity, chains, chosen),
+        chains=chains,
+        ahead=numbered(data.drivers, chosen)[data.ahead[chosen]],
+        block=data.block[chosen],
+        fold=data.fold[chosen],
+        segment=data.segment[chosen],
+        scored=data.scored[chosen],
+        trajectories=None,
+    )

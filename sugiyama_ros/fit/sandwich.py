@@ -1,4 +1,4 @@
-"""Standard errors of shared parameters that hold for an approximate, rough likelihood.
+"""Standard errors of joint fits; those of shared parameters hold for an approximate, rough likelihood.
 
 The likelihood of a filter is rough at small scales, so derivatives overstate how well a parameter is known. The error
 therefore comes from the profile of the log posterior: how far a parameter can move, while all others respond, until the
@@ -19,12 +19,42 @@ import numpy as np
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.fit.joint import JointFit, at_model, objective
-from sugiyama_ros.fit.model import NewtonStep, is_linear, moved
+from sugiyama_ros.fit.model import NewtonStep, moved
 from sugiyama_ros.fit.recording import FOLDS, Recorded
+from sugiyama_ros.fit.scoring import is_linear
 from sugiyama_ros.fit.slopes import density_slope
 
 # Fall of the log posterior [nats] that stands out from its roughness, and how often a step towards it doubles.
 _CLEARLY, _DOUBLINGS = 4.0, 7
+
+
+def own_stds(fitted: JointFit) -> list[dict[str, float]]:
+    """Return standard deviations of the individual parameters of each driver, by name, from a fit's information."""
+    places, found = list(fitted.model.individual), []
+    inverses, lifts, shared = _arrow(fitted)
+    for inverse, lift, row in zip(inverses, lifts, fitted.model.rows[:, places], strict=True):
+        variances = np.diag(inverse + lift @ shared @ lift.T)
+        # from a coordinate to the parameter itself: d p = p d log p
+        stds = np.sqrt(np.maximum(variances, 0.0)) * np.where(is_linear(places), 1.0, np.abs(row))
+        found.append(dict(zip((ROW.entries[k] for k in places), stds.tolist(), strict=True)))
+    return found
+
+
+def _arrow(fitted: JointFit) -> tuple[Array, Array, Array]:
+    """Return the parts of the inverse information of a fit, which has the shape of an arrow.
+
+    The inverses (N, I, I) of each driver alone, the responses (N, I, S) of the individual parameters to the shared
+    ones, and the covariance (S, S) of the shared ones.
+    """
+    model, own = fitted.model, len(fitted.model.individual)
+    prior, has = np.diag(1.0 / np.array(model.prior_std) ** 2), model.has[:, None]
+    h: Array = np.array([s.information.sum(axis=0) for s in fitted.slopes])
+    inverses: Array = np.asarray(np.linalg.inv(h[:, :own, :own] + prior), np.float64)
+    cross = np.where(has, h[:, :own, own:], 0.0)
+    lifts: Array = inverses @ cross
+    both = has & has.transpose(0, 2, 1)
+    reduced = (np.where(both, h[:, own:, own:], 0.0) - cross.transpose(0, 2, 1) @ lifts).sum(axis=0)
+    return inverses, lifts, np.asarray(np.linalg.pinv(reduced + 1e-9 * np.eye(len(reduced))), np.float64)
 
 
 def shared_stds(data: Recorded, fitted: JointFit, work: Executor) -> dict[str, float]:
@@ -33,22 +63,16 @@ def shared_stds(data: Recorded, fitted: JointFit, work: Executor) -> dict[str, f
     shared = list(model.shared)
     if not shared:
         return {}
-    prior, blocks = np.diag(1.0 / np.array(model.prior_std) ** 2), np.unique(data.block)
-    reduced = np.zeros((len(shared), len(shared)))
+    _, lifts, inverse = _arrow(fitted)
+    blocks = np.unique(data.block)
     scores = np.zeros((data.drivers, len(blocks), len(shared)))
-    lifts = np.zeros((data.drivers, own, len(shared)))
     for i, (s, row, has) in enumerate(zip(fitted.slopes, model.rows, model.has, strict=True)):
-        h = s.information.sum(axis=0)
-        cross = np.where(has, h[:own, own:], 0.0)
-        lifts[i] = np.linalg.solve(h[:own, :own] + prior, cross)
-        reduced += np.where(np.outer(has, has), h[own:, own:], 0.0) - cross.T @ lifts[i]
         y, variance, density = fitted.samples.of(i)
         derivatives = s.derivatives
         slope = density_slope(y, variance, derivatives.innovation, derivatives.variance, row) + derivatives.density
         slope = np.where(np.isfinite(density), slope, 0.0)
         efficient = np.where(has[:, None], slope[own:], 0.0) - lifts[i].T @ slope[:own]
         scores[i] = [efficient[:, data.block[i] == b].sum(axis=1) for b in blocks]
-    inverse = np.linalg.pinv(reduced + 1e-9 * np.eye(len(shared)))
     stds = np.sqrt(np.maximum(np.diag(inverse), 1e-300))
     scatter = np.max([_scatter(np.asarray(scores.sum(axis=k)), inverse) for k in (0, 1)], axis=0)
     stds *= np.maximum(np.sqrt(scatter) / stds, 1.0)
@@ -64,8 +88,7 @@ def shared_stds(data: Recorded, fitted: JointFit, work: Executor) -> dict[str, f
 def _stretch(data: Recorded, fitted: JointFit, direction: Array, lifts: Array, work: Executor) -> float:
     """By how much the log posterior is wider than the information says, at least 1.
 
-    direction: (S,) one standard deviation of a parameter, with the response of the other shared parameters; lifts:
-    (N, I, S) response of the individual parameters.
+    direction: (S,), one std of a parameter, with the response of the others; lifts: (N, I, S), response of individuals.
     """
     everywhere, share = range(FOLDS), 1.0
     here = objective(fitted.slopes, fitted.model, everywhere)

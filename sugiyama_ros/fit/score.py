@@ -1,11 +1,13 @@
 """Predictions of a model for every sample: innovations, their variances, log-likelihoods and filtered states."""
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sugiyama_ros.arrays import Array, Mask
 from sugiyama_ros.filters import causal
@@ -19,10 +21,9 @@ _Any = TypeVar("_Any")
 
 
 class DriverDensity(NamedTuple):
-    """Predictions of the samples of one driver.
+    """Innovations [m], their variances [m^2] and log-likelihoods [nats] of one driver's samples, (T,) each.
 
-    innovation_m, innovation_var: (T,), innovation [m] and its variance [m^2]; log_likelihood: (T,), log-likelihood of
-    each sample [nats]; naN if the sample does not count.
+    The log-likelihood is NaN if the sample does not count.
     """
 
     innovation_m: Array
@@ -32,11 +33,7 @@ class DriverDensity(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PointwiseDensity:
-    """Predictions of all samples of all drivers.
-
-    innovation_m, innovation_var: (N, T), innovation [m] and its variance [m^2]; log_likelihood: (N, T), log-likelihood
-    of each sample [nats]; naN if the sample does not count.
-    """
+    """Predictions of all samples of all drivers, (N, T) each, as those of one driver in ``DriverDensity``."""
 
     innovation_m: Array
     innovation_var: Array
@@ -125,20 +122,15 @@ def jobs_of(data: Recorded, model: Model, who: Sequence[int]) -> list[causal.Cha
 
 
 def filtered_states(data: Recorded, model: Model, work: Executor) -> Array:
-    """Return the filtered states of all drivers and of the vehicles around them.
-
-    Returns (T, V, 4), position [m], speed [m/s], noise [m/s^2] and held acceleration [m/s^2] of the vehicles in the
-    columns of the recording's vicinity; naN where unknown.
-    """
+    """Return position [m], speed [m/s], noise and held acceleration [m/s^2] of all vehicles, (T, V, 4)."""
     return np.ascontiguousarray(follow(data, model, work)[1][:, :, :STATE])
 
 
 def follow(data: Recorded, model: Model, work: Executor) -> tuple[PointwiseDensity, Array]:
-    """Predict every sample, and filter the states.
+    """Predict every sample, and filter the states (T, V, 4 + A).
 
-    Returns samples: predictions of all samples; states: (T, V, 4 + A), filtered states, as ``filtered_states`` returns
-    them, and the logarithms of the driver's preferences if A of them wander in the model, in the order of their
-    ``Adaptation``; naN for vehicles that are no drivers.
+    The states are those of ``filtered_states``, then the logarithms of A preferences that wander in the model, in the
+    order of their ``Adaptation``; NaN for vehicles that are no drivers.
     """
     jobs = jobs_of(data, model, range(data.drivers))
     outputs = [one for part in work.map(causal.predict_states, together(jobs)) for one in part]
@@ -159,12 +151,10 @@ def follow(data: Recorded, model: Model, work: Executor) -> tuple[PointwiseDensi
 
 
 def between_measurements(data: Recorded, states: Array) -> Array:
-    """Return how vehicles have moved, also in the samples between two measurements.
+    """Return how vehicles have moved, from filtered states (T, V, 4), also between two measurements.
 
     What a filter expects between measurements that are far apart jumps at the next measurement. A vehicle that is to
     drive as it was recorded must not.
-
-    states: (T, V, 4), filtered states, as ``follow`` returns them.
     """
     if data.every == 1:
         return states
@@ -202,3 +192,30 @@ def _moves(chain: Chain, m: int) -> Mask:
     is_new = np.diff(identity, prepend=-2) != 0
     before = np.maximum.accumulate(np.where(is_new, np.concatenate(([0], seen[:-1])), 0))
     return np.asarray((identity >= 0) & (seen - before >= 2))
+
+
+@dataclass(frozen=True)
+class Gain:
+    """Log-likelihood of one model minus the log-likelihood of another, over all samples, and its standard error."""
+
+    nats: float
+    se: float
+
+
+def gain(data: Recorded, better: PointwiseDensity, than: PointwiseDensity) -> Gain:
+    """Return the gain of one model over another, paired sample by sample."""
+    difference = better.log_likelihood - than.log_likelihood
+    known = np.isfinite(difference)
+    # who follows nobody is not predicted, and tells nothing of how drivers differ
+    by_driver = np.nansum(difference[known.any(axis=1)], axis=1)
+    # nor do blocks in which nothing is predicted
+    where, block = np.unique(data.block[known], return_inverse=True)
+    by_block = np.bincount(block, weights=difference[known], minlength=len(where))
+    se = max(sum_error(by_driver), sum_error(by_block))
+    return Gain(float(by_driver.sum()), se)
+
+
+def sum_error(parts: ArrayLike) -> float:
+    """Return the standard error of the sum of exchangeable parts (N,), by the jackknife."""
+    x = np.asarray(parts)
+    return math.sqrt(len(x) * float(np.var(x, ddof=1))) if len(x) > 1 else 0.0

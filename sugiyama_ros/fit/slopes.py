@@ -19,9 +19,10 @@ from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.effects.sensing import is_contaminated
 from sugiyama_ros.filters.causal import ChainJob
 from sugiyama_ros.filters.measurement import weigh_samples
-from sugiyama_ros.fit.model import Model, coordinate, is_linear, reach, value
+from sugiyama_ros.fit.model import Model, reach
 from sugiyama_ros.fit.recording import FOLDS, Recorded
 from sugiyama_ros.fit.score import DriverDensity, PointwiseDensity, evaluate, jobs_of, predict_jobs, together
+from sugiyama_ros.fit.scoring import coordinate, is_linear, value
 from sugiyama_ros.jit import kernel
 
 # Step of the difference quotients: first in a logarithm, or as part of the longest search step in a linear coordinate;
@@ -31,10 +32,9 @@ _STEP, _PART_OF_STD, _LONGEST_STEP = 0.01, 0.5, 0.05
 
 
 class Derivatives(NamedTuple):
-    """Derivatives of the samples of one driver by K parameters.
+    """Derivatives (K, T) of the samples of one driver: innovation [m], its variance [m^2], and log-likelihood [nats].
 
-    innovation, variance: (K, T), derivatives of the innovation [m] and of its variance [m^2]; density: (K, T),
-    derivative of the log-likelihood [nats] at fixed innovation and variance; it is zero without outliers.
+    The last one is at fixed innovation and variance; it is zero without outliers.
     """
 
     innovation: Array
@@ -59,9 +59,7 @@ def no_density(samples: int) -> Array:
 class Slopes:
     """Score and information of one driver in each of F folds, by K parameters: individual ones first, then shared ones.
 
-    score: (F, K), gradient of the log-likelihood; information: (F, K, K), expected information; log_likelihood: (F,),
-    log-likelihood [nats]; columns: derivatives of the samples by each parameter, from which score and information
-    follow; models that share parameters share their columns.
+    columns: derivatives of the samples by each parameter; models that share parameters share their columns.
     """
 
     score: Array
@@ -80,12 +78,10 @@ def _stacked(columns: Sequence[Column]) -> Derivatives:
 
 
 def sums(samples: DriverDensity, columns: Sequence[Column], row: Array, fold: Ints) -> Slopes:
-    """Sum the score and the information of one driver over the samples of each fold.
+    """Sum the score and the information of one driver over the samples of each fold (T,).
 
     With outliers, the slope of its density weights each innovation, and the information is the sum of products of
     slopes.
-
-    row: (WIDTH,), parameters of the driver; fold: (T,), number of each sample's fold.
     """
     count = len(columns)
     score, information, total = np.zeros((FOLDS, count)), np.zeros((FOLDS, count, count)), np.zeros(FOLDS)
@@ -127,12 +123,7 @@ def _add_up(
 
 @kernel
 def density_slope(y: Array, variance: Array, dy: Array, dvar: Array, row: Array) -> Array:
-    """Return the derivatives of the log-likelihoods through the innovations and the variances.
-
-    y, variance: (T,), innovations [m] and their variances [m^2]; dy, dvar: (K, T), derivatives of the innovations and
-    of their variances; row: (WIDTH,), parameters of the driver. Returns (K, T), derivatives of the log-likelihood of
-    each sample.
-    """
+    """Return the derivatives (K, T) of the samples' log-likelihoods through the innovations and the variances."""
     slope = np.empty_like(dy)
     weight, density = np.ones_like(y), np.empty_like(y)
     if is_contaminated(row):
@@ -166,10 +157,7 @@ def _slopes_of(task: tuple[Sequence[_Asked], tuple[int, ...], tuple[int, ...], S
 
 
 def column(at: DriverDensity, there: DriverDensity, step: float, row: Array) -> Column:
-    """Return the difference quotients of a driver's samples.
-
-    row: (WIDTH,), parameters of the driver before the step.
-    """
+    """Return the difference quotients of a driver's samples; ``row``: the driver before the step."""
     dy, dvar = (there[0] - at[0]) / step, (there[1] - at[1]) / step
     if not is_contaminated(row):
         return _single(dy), _single(dvar), no_density(len(dy))
@@ -204,10 +192,7 @@ def _moved(asked: _Asked, individual: tuple[int, ...], shared: tuple[int, ...]) 
 def slopes(
     data: Recorded, model: Model, work: Executor, known: Sequence[Slopes] | None = None
 ) -> tuple[list[Slopes], PointwiseDensity]:
-    """Return the slopes of all drivers at a model, and the predictions of the samples.
-
-    Returns slopes: slopes of each driver; samples: predictions of all samples.
-    """
+    """Return the slopes of all drivers at a model, and the predictions of the samples."""
     if known is None:
         steps = np.tile(difference_steps(data, [*model.individual, *model.shared]), (data.drivers, 1))
     else:
@@ -224,10 +209,7 @@ def slopes_of(
     work: Executor,
     who: Iterable[int] | None = None,
 ) -> list[Slopes]:
-    """Return the slopes of drivers whose predictions are known.
-
-    steps: (N, K), steps of the difference quotients, in coordinates.
-    """
+    """Return the slopes of drivers whose predictions are known, from steps (N, K) in coordinates."""
     chosen = list(range(data.drivers) if who is None else who)
     asked = [_Asked(job, samples.of(i), steps[i]) for i, job in zip(chosen, jobs_of(data, model, chosen), strict=True)]
     folds = together([data.fold[i] for i in chosen])
@@ -236,12 +218,7 @@ def slopes_of(
 
 
 def informed_steps(data: Recorded, model: Model, all_slopes: Sequence[Slopes]) -> Array:
-    """Return the steps of difference quotients that the information suggests.
-
-    The steps of a shared parameter follow from the information of all drivers together.
-
-    Returns (N, K), steps in coordinates.
-    """
+    """Return the steps (N, K) that the information suggests, of shared parameters the one of all drivers together."""
     places, own = [*model.individual, *model.shared], len(model.individual)
     information = np.array([np.diag(s.information.sum(axis=0)) for s in all_slopes])
     information[:, :own] += 1.0 / np.square(np.array(model.prior_std))

@@ -1,4 +1,4 @@
-"""Positions that are smoother than the model's fixed noises: what to estimate then, and where to start.
+"""How smooth positions are, what to estimate then, and which samples count.
 
 The model keeps the position noise and the speed noise at the paper's values, which suit the positions of a camera above
 a ring. Positions from satellites, or positions that were smoothed, move more evenly than these noises alone would let
@@ -9,17 +9,15 @@ The third differences of positions show it: they are large where noise is, and s
 
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from sugiyama_ros.arrays import Array
+from sugiyama_ros.arrays import Array, Mask
 from sugiyama_ros.driver.parameters import (
     LEAST_NOISE,
-    SIGMA_A,
-    SIGMA_NU,
-    SIGMA_V,
-    SIGMA_X,
+    REFERENCE_PERIOD_S,
     V_STAR,
     defaults,
     index,
@@ -40,8 +38,6 @@ from sugiyama_ros.trajectories.trajectories import Trajectories
 ESTIMATED = ("sigma_nu", "sigma_a", "v_star", "kappa_v")
 #: The parameters that are estimated as well where positions are smooth.
 FREED = ("sigma_x", "sigma_v")
-#: Places of the noises among the parameters.
-NOISES = [SIGMA_NU, SIGMA_A, SIGMA_X, SIGMA_V]
 # Fewest third differences of a vehicle.
 _FEWEST = 8
 # Third differences of noise are correlated over three samples. Beyond these, smoothing shows as an autocorrelation
@@ -57,11 +53,9 @@ _PART = 0.01
 
 
 class Evenness(NamedTuple):
-    """How evenly the vehicles of a recording move.
+    """How evenly the vehicles of a recording move: std of the third differences [m], NaN if unknown; period [s].
 
-    roughness_m: std of the third differences of the positions [m]; naN if it is not known; period_s: time [s] between
-    two samples; has_other_noises: whether the model's fixed noises do not suit the vehicles, although their positions
-    are not smooth.
+    has_other_noises: whether the fixed noises do not suit the vehicles, although their positions are not smooth.
     """
 
     roughness_m: float
@@ -85,14 +79,11 @@ class Evenness(NamedTuple):
         return float(np.clip(_PART * noise, LEAST_NOISE, 1e-3))
 
     def typical(self, speed: float) -> Array:
-        """Return a driver of the population, with noises and a desired speed that suit the recording.
+        """Return a driver of the population (P,), with noises and a desired speed that suit the recording.
 
         Where positions are smooth, each of three noises makes a third of the third differences' variance. Where the
         fixed noises do not suit the vehicles for another reason, all noises are in proportion. A driver far above the
-        desired speed hardly says how much too small it is, so it starts above the speeds in the data.
-
-        speed: high speed in the data [m/s], as ``bounds.fastest`` returns it. Returns (P,), parameters at the reference
-        period.
+        desired speed hardly says how much too small it is, so it starts above the high ``speed`` in the data [m/s].
         """
         driver = population()
         driver[V_STAR] = desired_speed_above(speed, float(driver[V_STAR]))
@@ -112,11 +103,7 @@ class Evenness(NamedTuple):
 
 
 def evenness_of(positions: Iterable[Array], period_s: float) -> Evenness:
-    """Return how evenly vehicles move.
-
-    positions: (T,), continuous positions of each vehicle [m]; naN where missing; period_s: time [s] between two
-    samples.
-    """
+    """Return how evenly vehicles move, from each one's continuous positions (T,) [m]."""
     found = []
     for one in positions:
         third = np.abs(np.diff(one, n=3))
@@ -127,13 +114,10 @@ def evenness_of(positions: Iterable[Array], period_s: float) -> Evenness:
 
 
 def smoothing_window(positions: Iterable[Array], period_s: float) -> int:
-    """Return over how many samples somebody has smoothed positions.
+    """Return over how many samples somebody has smoothed positions, from each vehicle's continuous ones (T,) [m].
 
     Third differences of unsmoothed positions are correlated over three samples at most. A smoother adds correlation up
     to the width of its window and a little more.
-
-    positions: (T,), continuous positions of each vehicle [m]; naN where missing; period_s: time [s] between two
-    samples.
     """
     products = np.zeros(max(0, round(_LONGEST_S / period_s) - _OF_NOISE))
     square, count = 0.0, 0
@@ -158,3 +142,79 @@ def smoothing_window(positions: Iterable[Array], period_s: float) -> int:
 def evenness(trajectories: Trajectories) -> Evenness:
     """Return how evenly the vehicles of a recording move."""
     return evenness_of(trajectories.road.unwrap(trajectories.position_m).T, trajectories.period_s)
+
+
+#: Longest time [s] between samples of smoothed positions. Where samples are further apart, the filter knows too little
+#: of what drivers saw in between to tell what moved them.
+LONGEST_APART_S = 0.8
+# Longest period [s] that one step of the model covers.
+_LONGEST_STEP_S = 0.5
+# Distance between samples of smoothed positions, over the window.
+_OF_WINDOW = 0.75
+#: Periods that differ by less than this part are equal.
+ROUNDING = 1e-6
+
+
+def with_short_periods(trajectories: Trajectories) -> Trajectories:
+    """Return a recording with empty samples in between if its samples are more than 0.5 s apart.
+
+    The driver of the model decides anew at every sample, three times a second in the paper. A camera that keeps one
+    picture a second does not make drivers decide less often.
+    """
+    parts = usual_decisions(trajectories.period_s)
+    return trajectories if parts == 1 else divided(trajectories, parts)
+
+
+def usual_decisions(period_s: float) -> int:
+    """Return how often the model's drivers decide from one sample to the next, if the samples do not say it."""
+    return 1 if period_s <= _LONGEST_STEP_S * (1.0 + ROUNDING) else round(period_s / REFERENCE_PERIOD_S)
+
+
+def divided(trajectories: Trajectories, parts: int) -> Trajectories:
+    """Return a recording with empty samples that divide its period."""
+    samples, vehicles = trajectories.position_m.shape
+    position = np.full((parts * (samples - 1) + 1, vehicles), np.nan)
+    position[::parts] = trajectories.position_m
+    return replace(trajectories, position_m=position, period_s=trajectories.period_s / parts)
+
+
+def apart_if_smoothed(window: int, even: Evenness) -> int:
+    """Return the number of periods from one sample that counts to the next, if somebody has smoothed the positions.
+
+    Rounding hides a smoother from ``smoothing_window``, but such positions still move more evenly than the noises of
+    the model let them.
+    """
+    longest_s = LONGEST_APART_S if window else _LONGEST_STEP_S
+    longest = max(1, math.floor(longest_s * (1.0 + ROUNDING) / even.period_s))
+    if window:
+        return min(math.ceil(_OF_WINDOW * window), longest)
+    return longest if even.is_smooth else 1
+
+
+def thinned(position_m: Array, every: int) -> Array:
+    """Return positions (T, ...) of which only one sample in so many is known."""
+    known = np.full_like(position_m, np.nan)
+    known[::every] = position_m[::every]
+    return known
+
+
+def smoothed_alike(present: Mask, ends: int) -> Mask:
+    """Return whether samples (N, T) are as smooth as all others: at the ends of a record, smoothers have half a window.
+
+    Where a vehicle is not recorded they are not, unless ``ends`` is 0.
+    """
+    since, until = np.cumsum(present, axis=1), np.cumsum(present[:, ::-1], axis=1)[:, ::-1]
+    return np.asarray((since > ends) & (until > ends) | (ends == 0))
+
+
+def measured_every(trajectories: Trajectories) -> int:
+    """Return the number of periods from one sample in which somebody is measured to the next, for ``measured``."""
+    return max(1, int(np.gcd.reduce(np.flatnonzero(np.isfinite(trajectories.position_m).any(axis=1)))))
+
+
+def measured(trajectories: Trajectories) -> Trajectories:
+    """Return a recording without its empty samples in between."""
+    every = measured_every(trajectories)
+    if every == 1:
+        return trajectories
+    return replace(trajectories, position_m=trajectories.position_m[::every], period_s=every * trajectories.period_s)

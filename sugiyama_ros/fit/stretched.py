@@ -12,11 +12,29 @@ from sugiyama_ros.arrays import Array, Ints, Mask
 from sugiyama_ros.drives import Drive, divided, drives
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.chain import CHAIN, Chain
-from sugiyama_ros.fit.recording import BLOCK_S, FOLDS, MOST_SAMPLES, Recorded, bounds_of, prepare, within
-from sugiyama_ros.fit.sampling import apart_if_smoothed, measured, smoothed_alike, thinned, usual_decisions
-from sugiyama_ros.fit.sampling import divided as divided_recording
-from sugiyama_ros.fit.smooth_positions import Evenness, evenness_of, smoothing_window
-from sugiyama_ros.fit.vicinity import DriverName, Vicinity, columns_of
+from sugiyama_ros.fit.recording import (
+    BLOCK_S,
+    FOLDS,
+    MOST_SAMPLES,
+    DriverName,
+    Recorded,
+    Vicinity,
+    bounds_of,
+    columns_of,
+    prepare,
+    within,
+)
+from sugiyama_ros.fit.smooth_positions import (
+    Evenness,
+    apart_if_smoothed,
+    evenness_of,
+    measured,
+    smoothed_alike,
+    smoothing_window,
+    thinned,
+    usual_decisions,
+)
+from sugiyama_ros.fit.smooth_positions import divided as divided_recording
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.one_lane import numbers_of
 from sugiyama_ros.trajectories.time_base import on_time_base, period_of
@@ -36,11 +54,10 @@ _SHORT_BLOCK_S = 5.0
 
 @dataclass(frozen=True, eq=False)
 class Followers:
-    """The drivers on tracks who follow a known vehicle.
+    """The drivers on tracks who follow a known vehicle: the stretches of each.
 
-    enough: the stretches of each driver who follows for at least ``LEAST_FOLLOWING_S``; few: the stretches of each of
-    the other drivers; decisions: number of decisions of the model's drivers from one measurement to the next; the
-    samples in between are empty.
+    enough: for at least ``LEAST_FOLLOWING_S``; few: the others; decisions: number of decisions of the model's drivers
+    from one measurement to the next; the samples in between are empty.
     """
 
     enough: tuple[tuple[Drive, ...], ...]
@@ -54,11 +71,7 @@ class Followers:
 
 
 def followers(tracks: Tracks, decisions: int | None = None) -> Followers:
-    """Find the drivers who follow a known vehicle.
-
-    decisions: number of decisions of the model's drivers from one sample to the next; by default as
-    ``sampling.usual_decisions``. Raises InputError.
-    """
+    """Find the drivers who follow a known vehicle; ``decisions``: by default ``usual_decisions``. Raises InputError."""
     by_driver: dict[tuple[str, str], list[Drive]] = defaultdict(list)
     parts = decisions or usual_decisions(period_of(tracks))
     for drive in drives(tracks):
@@ -97,11 +110,7 @@ def fastest_on(every: Sequence[Drive], apart: int = 1) -> float:
 
 
 def prepare_tracks(tracks: Tracks, decisions: int | None = None, most: int | None = None) -> Recorded:
-    """Prepare tracks for a fit.
-
-    decisions: number of decisions of the model's drivers from one sample to the next, as for ``followers``. Raises
-    InputError.
-    """
+    """Prepare tracks for a fit; ``decisions``: as for ``followers``. Raises InputError."""
     tracks = on_time_base(tracks)
     found = followers(tracks, decisions)
     every, parts = found.every, found.decisions
@@ -138,21 +147,16 @@ def prepare_tracks(tracks: Tracks, decisions: int | None = None, most: int | Non
 def prepared(
     recording: Trajectories | Tracks, decisions: int | None = None, most: int | None = MOST_SAMPLES
 ) -> Recorded:
-    """Prepare a whole road or tracks for a fit, as ``prepare`` and ``prepare_tracks`` do.
-
-    decisions: number of decisions of the model's drivers from one sample to the next; by default as
-    ``sampling.usual_decisions``. Raises InputError.
-    """
+    """Prepare a whole road or tracks for a fit; ``decisions``: by default ``usual_decisions``. Raises InputError."""
     if isinstance(recording, Tracks):
         return prepare_tracks(recording, decisions, most)
     return prepare(recording if decisions is None else divided_recording(measured(recording), decisions), most=most)
 
 
 def driven_anew(data: Recorded, position_m: Array, segment: Ints) -> Recorded:
-    """Return a recording in which the drivers have driven otherwise behind the same vehicles.
+    """Return a recording with other positions [m] (T, N) of the drivers behind the same vehicles.
 
-    position_m: (T, N), new measured positions [m] of the drivers; segment: (N, T), number of the unbroken part; the
-    filter restarts where it changes.
+    segment: (N, T), number of the unbroken part; the filter restarts where it changes.
     """
     around, chains = data.vicinity, []
     largest = max(int(chain.identity.max()) for chain in data.chains) + 1
@@ -200,10 +204,7 @@ def _chain(own: Sequence[Drive], samples: int, parts: int) -> Chain:
 
 
 def _joined(pieces: Sequence[NDArray[_Kind]], samples: int, empty: float | bool, parts: int) -> NDArray[_Kind]:
-    """Pieces (n, ...) one after the other, with empty samples between them, filled up to ``samples``.
-
-    parts: number of parts of a period; each takes `_BETWEEN` empty samples.
-    """
+    """Pieces (n, ...) one after the other, with ``parts`` times `_BETWEEN` empty samples between, up to ``samples``."""
     joined = np.full((samples, *pieces[0].shape[1:]), empty, dtype=pieces[0].dtype)
     at = 0
     for piece in pieces:

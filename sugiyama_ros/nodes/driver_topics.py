@@ -11,7 +11,7 @@ from sugiyama_ros.driver.parameters import NAMES, V_STAR
 from sugiyama_ros.effects.registry import ROW, active
 from sugiyama_ros.filters.online import Estimate, OnlineFilter
 from sugiyama_ros.filters.shown import ShownParameters, shown_of
-from sugiyama_ros.fit.driver_types import DriverTypes
+from sugiyama_ros.fit.classes import DriverTypes
 from sugiyama_ros.laws.registry import name_of
 from sugiyama_ros.nodes.base import cdr_messages
 from sugiyama_ros.nodes.base.driver_array_messages import KnownDriver, ParameterNames

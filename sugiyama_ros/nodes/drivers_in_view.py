@@ -10,7 +10,7 @@ from sugiyama_msgs.msg import Road as RoadMessage
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import NAMES
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.fit.driver_types import DriverTypes
+from sugiyama_ros.fit.classes import DriverTypes
 from sugiyama_ros.fit.model_file import ModelFile
 from sugiyama_ros.nodes.base.cdr_messages import NS, Sample
 from sugiyama_ros.nodes.base.driver_array_messages import KnownDriver

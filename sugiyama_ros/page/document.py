@@ -21,7 +21,7 @@ from sugiyama_ros.driver.constants import CONSTANTS
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, Parameter
 from sugiyama_ros.effects.discovered_force import COVARIATES
 from sugiyama_ros.effects.registry import EFFECTS, ROW
-from sugiyama_ros.fit.model_file import own_stds
+from sugiyama_ros.fit.sandwich import own_stds
 from sugiyama_ros.laws.registry import LAWS, name_of
 
 # Time between two samples of a picture [s], and largest number of points of one run in the document.

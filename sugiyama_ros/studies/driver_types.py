@@ -9,7 +9,7 @@ from scipy.spatial.distance import pdist, squareform
 from sugiyama_ros.arrays import Array, Ints
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, V_STAR
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.fit.each_driver import calibrate
+from sugiyama_ros.fit.driver import calibrate
 from sugiyama_ros.studies.study import Answer, Asked, Study
 
 _PLACES, _MOST, _DRAWS = [SIGMA_A, V_STAR, KAPPA_V], 6, 200

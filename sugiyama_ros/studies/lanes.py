@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from sugiyama_ros.arrays import Array
-from sugiyama_ros.calibration.on_tracks import CalibratedDriver, calibrate_tracks
+from sugiyama_ros.calibration.on_tracks import calibrate_tracks
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR, defaults, index
 from sugiyama_ros.fit.smooth_positions import ESTIMATED
 from sugiyama_ros.simulation.lanes import Lane, simulate_lanes
@@ -48,20 +48,19 @@ def _answer(asked: Asked) -> Answer:
     the truth: those from standard errors, and those from the profile likelihood. Only fits count in which the parameter
     is identified.
     """
-    found: list[CalibratedDriver] = []
+    found: list[dict[str, Any]] = []
     for k in range(asked.runs):
         tracks = two_lanes(np.random.default_rng(asked.seed + k))
-        found += calibrate_tracks(tracks, ESTIMATED, profiled=True, work=asked.work).drivers
+        found += calibrate_tracks(tracks, ESTIMATED, profiled=True, work=asked.work).records()
     rows: list[Row] = []
     held: dict[tuple[str, str], Array] = {}
     for kind in (CAR, TRUCK):
-        own = [d.fit for d in found if d.vehicle_class == kind]
+        own = [record for record in found if record["class"] == kind]
         for name in ESTIMATED:
-            place = index(name)
-            known = [fit for fit in own if fit.identified(name)]
-            value = np.array([fit.parameters[place] for fit in known])
-            std, truth = np.array([fit.std[place] for fit in known]), float(drivers_of(kind)[place])
-            low, high = np.array([fit.interval[place] for fit in known]).reshape(-1, 2).T
+            known = [record for record in own if record[f"{name}_identified"]]
+            columns = (name, f"{name}_std", f"{name}_low", f"{name}_high")
+            value, std, low, high = (np.array([record[column] for record in known]) for column in columns)
+            truth = float(drivers_of(kind)[index(name)])
             held[kind, name] = value
             rows.append(
                 {

@@ -29,7 +29,7 @@ def _answer(asked: Asked) -> Answer:
     t = asked.measured
     rows: list[Row] = []
     for name, formulation, is_regularised in _VARIANTS:
-        settings = Settings(formulation, is_regularised=is_regularised, strength=asked.strength)
+        settings = Settings(formulation, is_regularised=is_regularised)
         found = each_driver(t, settings, work=asked.work)
         row: dict[str, Any] = {"formulation": name}
         for parameter in ESTIMATED:

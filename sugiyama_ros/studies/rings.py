@@ -11,8 +11,7 @@ from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import SIGMA_A, defaults
 from sugiyama_ros.effects.registry import ROW, switch_on
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.fit.driver import SearchOptions
-from sugiyama_ros.fit.each_driver import calibrate
+from sugiyama_ros.fit.driver import SearchOptions, calibrate
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.collective import QUEUE_SPEED, Collective, collective
 from sugiyama_ros.simulation.result import Simulation
@@ -114,8 +113,7 @@ def estimated(asked: Asked, factor: float = FACTOR, full_noise_at: float = 0.0) 
     factor: factor of the acceleration noise; full_noise_at: speed [m/s] up to which the acceleration noise grows with
     the speed; 0 for a noise that does not depend on the speed.
     """
-    options = SearchOptions(is_regularised=True, strength=asked.strength)
-    fits = calibrate(asked.measured, "paper", options=options)
+    fits = calibrate(asked.measured, "paper", options=SearchOptions(is_regularised=True))
     rows = ROW.with_effects(np.array([fit.parameters for fit in fits]))
     rows[:, SIGMA_A] *= factor
     if full_noise_at:

@@ -7,7 +7,7 @@ import numpy as np
 from sugiyama_ros.arrays import Array
 from sugiyama_ros.driver.parameters import COUNT, RATIONALITY, defaults
 from sugiyama_ros.filters import paper
-from sugiyama_ros.fit.each_driver import calibrate
+from sugiyama_ros.fit.driver import calibrate
 from sugiyama_ros.studies.rings import CARS, Ring, run
 from sugiyama_ros.studies.study import Answer, Asked, Study
 from sugiyama_ros.trajectories.trajectories import Trajectories

@@ -26,15 +26,12 @@ class Asked:
         Seed of the first run; the other runs have the seeds that follow.
     work : Executor
         Workers.
-    strength : float
-        Factor of the weights of the paper's regularisation, for drivers who are estimated.
     """
 
     trajectories: Trajectories | None
     runs: int
     seed: int
     work: Executor
-    strength: float = 1.0
 
     @property
     def measured(self) -> Trajectories:

@@ -9,7 +9,7 @@ import sugiyama_ros as sg
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR
 from sugiyama_ros.filters import causal
 from sugiyama_ros.filters.extract import chain_behind
-from sugiyama_ros.fit.each_driver import calibrate
+from sugiyama_ros.fit.driver import calibrate
 from sugiyama_ros.formats.registry import read_trajectories
 
 CASE1 = Path(__file__).parents[2].parent / "shared/data/sugiyama2008_mstf/case1.data"

@@ -39,7 +39,6 @@ VALUES: Mapping[str, Sequence[str]] = {
     "--scheduler": ("SCHEDULER",),
     "--rate": ("max", "20"),
     "--spread": ("0.1",),
-    "--regularise-strength": ("2",),
     "--start": ("jam", "equal"),
     "--output": ("new.mcap", "old.mcap"),
     "demo --data": ("ring.mcap", "ring.csv"),
@@ -60,7 +59,6 @@ VALUES: Mapping[str, Sequence[str]] = {
     "calibrate --formulation": ("causal", "paper"),
     "calibrate --parameters": ("v_star,kappa_v",),
     "calibrate --output": ("new.yaml", "old.yaml"),
-    "calibrate --hops": ("1",),
     "calibrate --classes": ("2",),
     "diagnose --add": ("auto", "drag"),
     "diagnose --output": ("new.yaml", "old.yaml"),
@@ -115,7 +113,7 @@ LONG = {"demo", "run", "diagnose", "study", "compare", "report", "live"}
 #: Every case is refused: nothing is downloaded in tests.
 REFUSED = {"fetch"}
 _CAUSAL = ("no --formulation", "--formulation causal")
-_ONE_LANE = ("--formulation paper", "--effects", "--regularise", "--hops", "--classes", "--output", "--law")
+_ONE_LANE = ("--formulation paper", "--effects", "--regularise", "--classes", "--output", "--law")
 #: What is refused, by command: values that contradict each other. An option stands for each of its values, and "no
 #: --option" for its absence.
 CONTRADICTIONS: Mapping[str, Sequence[Sequence[str]]] = {
@@ -147,11 +145,10 @@ CONTRADICTIONS: Mapping[str, Sequence[Sequence[str]]] = {
         ("--output old.yaml", "no --overwrite"),
         ("ring.csv", "no --ring", "--formulation paper"),
         ("--formulation paper", "--effects"),
-        *(("--law", name) for name in ("--formulation paper", "--parameters", "--profile", "--hops", "--classes")),
-        *(("--effects", name) for name in ("--profile", "--hops", "--classes")),
-        *(("--classes", name) for name in ("--regularise", "--profile", "--hops")),
-        *(("--regularise", name, how) for name in ("--profile", "--hops") for how in _CAUSAL),
-        *(("--regularise-strength", how) for how in ("no --regularise", *_CAUSAL)),
+        *(("--law", name) for name in ("--formulation paper", "--parameters", "--profile", "--classes")),
+        *(("--effects", name) for name in ("--profile", "--classes")),
+        *(("--classes", name) for name in ("--regularise", "--profile")),
+        *(("--regularise", "--profile", how) for how in _CAUSAL),
         *((several, name) for several in ("tracks.parquet", "ring.mcap second.mcap") for name in _ONE_LANE),
     ],
     "diagnose": [

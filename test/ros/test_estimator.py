@@ -18,7 +18,7 @@ from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.learnt import Learnt
 from sugiyama_ros.filters.online import OnlineFilter
-from sugiyama_ros.fit.driver_types import DriverTypes
+from sugiyama_ros.fit.classes import DriverTypes
 from sugiyama_ros.fit.model_file import write_drivers
 from sugiyama_ros.formats.registry import read_trajectories
 from sugiyama_ros.nodes.base import cdr_messages

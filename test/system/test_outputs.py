@@ -109,12 +109,6 @@ def test_overwrite_replaces_and_a_part_of_somebody_stays(here):
     assert not list(here.glob("out.csv.*.part"))
 
 
-def test_fits_of_a_calibration_never_replace_another_file(here):
-    (here / "out.yaml.fits").write_bytes(OLD)
-    refused(sugiyama("calibrate", "good.mcap", "-o", "out.yaml"), "out.yaml.fits", "no checkpoint")
-    assert (here / "out.yaml.fits").read_bytes() == OLD
-
-
 @pytest.mark.parametrize("mode", [(), ("--json",)])
 def test_an_interrupted_run_ends_with_130_and_a_whole_file(here, mode):
     assert (

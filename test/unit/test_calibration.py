@@ -1,4 +1,4 @@
-"""Calibration: its maximum, its errors, its bounds, and how a calibration that was cut off continues."""
+"""Calibration: its maximum, its errors and its bounds."""
 
 import os
 import pickle
@@ -16,12 +16,9 @@ from sugiyama_ros.calibration.result import Settings
 from sugiyama_ros.driver.parameters import KAPPA_V, NAMES, SIGMA_A, SIGMA_NU, V_STAR, defaults, index
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.filters import paper
-from sugiyama_ros.fit import each_driver as calibration
-from sugiyama_ros.fit.driver import PLAIN, SearchOptions
-from sugiyama_ros.fit.driver_score import regularised
-from sugiyama_ros.fit.each_driver import ESTIMATED, JobMaker, _Jobs, calibrate
-from sugiyama_ros.fit.intervals import end_of_profile
+from sugiyama_ros.fit.driver import ESTIMATED, PLAIN, JobMaker, SearchOptions, _Jobs, calibrate, regularised
 from sugiyama_ros.fit.model_file import read_model
+from sugiyama_ros.fit.standard_errors import end_of_profile
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, evenly, platoon, simulate
 from sugiyama_ros.workers import workers
@@ -93,37 +90,9 @@ def test_regularisation_is_the_papers(jam):
     assert np.mean([f.parameters[KAPPA_V] for f in fits]) > np.mean([f.parameters[KAPPA_V] for f in free]) + 0.02
 
 
-def test_a_calibration_that_was_cut_off_continues(jam, tmp_path, monkeypatch):
-    whole = each_driver(jam, Settings("paper"))
-    kept = tmp_path / "fits"
-    carried_out = []
-    carry_out = calibration.carry_out
-
-    def counted(job):
-        if len(carried_out) == 9:
-            raise KeyboardInterrupt
-        carried_out.append(job.vehicle)
-        return carry_out(job)
-
-    monkeypatch.setattr(calibration, "carry_out", counted)
-    with pytest.raises(KeyboardInterrupt):
-        each_driver(jam, Settings("paper"), kept=kept)
-    # the last line was half written when the power failed
-    kept.write_text(kept.read_text()[:-30])
-    monkeypatch.setattr(calibration, "carry_out", lambda job: carried_out.append(job.vehicle) or carry_out(job))
-    resumed = each_driver(jam, Settings("paper"), kept=kept)
-    assert sorted(carried_out) == sorted([*range(22), 8])
-    assert np.array_equal(resumed.rows, whole.rows)
-    assert resumed.std == whole.std
-    # a calibration with other options does not use these fits
-    carried_out.clear()
-    each_driver(jam, Settings("paper", ("v_star",)), kept=kept)
-    assert len(carried_out) == 22
-
-
 def test_a_population_narrows_what_single_drivers_leave_wide(jam, causal_fits, tmp_path):
     with ThreadPoolExecutor(2) as work:
-        population = pooled(jam, Settings(), (), work)
+        population = pooled(jam, Settings(), work)
     spread = [np.std(c.rows[:, V_STAR]) for c in (population, causal_fits)]
     assert spread[0] < spread[1]
     # all drivers are alike here
@@ -213,14 +182,6 @@ def test_an_interval_of_a_negative_parameter_has_two_ends(jam):
     assert -np.inf < low < fit.parameters[k] < high < 0.0
 
 
-def test_basinhopping_ends_in_the_same_maximum_and_repeats(jam):
-    first, again = (next(calibrate(jam, "paper", options=SearchOptions(hops=3, seed=2))) for _ in range(2))
-    plain = next(calibrate(jam, "paper"))
-    assert np.array_equal(first.parameters, again.parameters)
-    assert first.log_likelihood > plain.log_likelihood - 1e-3
-    assert first.parameters[PLACES] == pytest.approx(plain.parameters[PLACES], rel=0.01)
-
-
 def test_the_papers_likelihood_is_searched_from_several_starts():
     """From one start, the search for driver 1 ends 301 nats below another maximum."""
     trajectories = sg.simulate(22, ring_m=230.0, duration_s=250.0, seed=3, spread=0.3).measured
@@ -242,7 +203,7 @@ def test_drivers_of_two_kinds_are_divided_into_two_classes(tmp_path):
     length, road = np.full(22, 4.33), Road(400.0)
     short = simulate(Simulator(rows, length, evenly(length, road), road, np.random.default_rng(3)), 60.0).measured
     with ThreadPoolExecutor(2) as work:
-        one, two, again = (in_classes(short, Settings("paper"), k, work) for k in (1, 2, 2))
+        one, two, again = (in_classes(short, Settings("paper", classes=k), work) for k in (1, 2, 2))
     assert two.classes.bic < one.classes.bic
     assert np.array_equal(two.rows, again.rows)
     assert two.classes.probability.sum(axis=1) == pytest.approx(np.ones(22))
@@ -260,4 +221,4 @@ def test_drivers_of_two_kinds_are_divided_into_two_classes(tmp_path):
         pytest.raises(InputError, match="22 drivers, 30 classes; give --classes 22 at most"),
         ThreadPoolExecutor(1) as w,
     ):
-        in_classes(short, Settings("paper"), 30, w)
+        in_classes(short, Settings("paper", classes=30), w)

@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 
 import sugiyama_ros as sg
-from sugiyama_ros.calibration.drivers_ahead import DriversAhead
-from sugiyama_ros.calibration.on_tracks import LEAST_FOLLOWING_S, calibrate_tracks
+from sugiyama_ros.calibration.on_tracks import DriversAhead, calibrate_tracks
 from sugiyama_ros.cli.app import app
 from sugiyama_ros.driver.parameters import V_STAR, population
 from sugiyama_ros.errors import InputError
 from sugiyama_ros.fit.driver import Fit
-from sugiyama_ros.fit.stretched import followers
+from sugiyama_ros.fit.stretched import LEAST_FOLLOWING_S, followers
 from sugiyama_ros.trajectories.labels import labels_of
 from sugiyama_ros.trajectories.one_lane import tracks_of
 from sugiyama_ros.trajectories.time_base import on_time_base
@@ -32,11 +31,11 @@ def tracks(recording):
 def test_drivers_on_a_ring_are_the_same_on_tracks(recording, tracks):
     on_tracks, dense = calibrate_tracks(tracks), sg.calibrate(recording.measured)
     assert [d.vehicle for d in on_tracks.drivers] == [str(v) for v in recording.measured.vehicle]
-    assert on_tracks.estimated == dense.settings.estimated
+    assert on_tracks.settings.estimated == dense.settings.estimated
     for k, driver in enumerate(on_tracks.drivers):
         # the dense calibration knows the drivers ahead from a first pass, which moves v* by a part of its error
         error = max(dense.std[k]["v_star"], 0.1)
-        assert abs(driver.fit.parameters[V_STAR] - dense.rows[k, V_STAR]) < error
+        assert abs(on_tracks.rows[k, V_STAR] - dense.rows[k, V_STAR]) < error
         assert driver.nis == pytest.approx(1.0, abs=0.35)  # 270 samples know it to 9 %
 
 
@@ -46,14 +45,13 @@ def test_drivers_who_follow_for_a_short_time_are_left_out(tracks):
     found = calibrate_tracks(tracks.select(stays | leaves))
     # one vehicle leaves, and its follower follows somebody who is not known from then on
     assert [d.vehicle for d in found.drivers] == ["2", "3", "4"]
-    assert found.left_out == 2
     assert "2 follow for less than 15 s, with the parameters of their class" in found.headline()
-    assert [d.vehicle for d in found.brief] == ["0", "1"]
-    (of_class,) = found.classes
-    for driver in found.brief:
-        assert driver.following_s < LEAST_FOLLOWING_S
-        assert driver.parameters[V_STAR] == of_class.medians["v_star"]
-        assert np.isfinite(driver.log_likelihood)
+    assert [one.driver.vehicle for one in found.brief] == ["0", "1"]
+    (of_class,) = found.vehicle_classes
+    for one in found.brief:
+        assert one.driver.following_s < LEAST_FOLLOWING_S
+        assert one.row[V_STAR] == of_class.medians["v_star"]
+        assert np.isfinite(one.log_likelihood)
     assert [d["parameters_of"] for d in found.document(0.0)["brief_drivers"]] == ["class", "class"]
     assert len(found.table().rows) == 3 + 1 + 2
     with pytest.raises(InputError, match="nobody follows a known vehicle for 15 s"):
@@ -96,8 +94,11 @@ def test_intervals_may_come_from_the_profile(tracks):
 
 def test_a_class_without_an_identified_parameter_has_no_median(tracks):
     found = calibrate_tracks(tracks, ["sigma_nu", "v_star"])
-    unknown = [replace(d, fit=replace(d.fit, std=np.full_like(d.fit.std, np.inf))) for d in found.drivers]
-    document = replace(found, drivers=tuple(unknown)).document(0.0)
+    unknown = {
+        name: tuple(dict.fromkeys(one, value) for one in found.std)
+        for name, value in (("std", np.inf), ("identified", False))
+    }
+    document = replace(found, **unknown).document(0.0)
     assert document["classes"] == {"": {"sigma_nu": None, "v_star": None}}
     assert document["drivers"][0]["std"] == {"sigma_nu": None, "v_star": None}
     json.dumps(document, allow_nan=False)
@@ -106,7 +107,7 @@ def test_a_class_without_an_identified_parameter_has_no_median(tracks):
 def test_classes_are_told_apart_by_their_leaders(tracks):
     kind = np.where(np.asarray(tracks.run) % 2 == 0, "truck", "car")
     found = calibrate_tracks(replace(tracks, vehicle_class=labels_of(kind.tolist())), ["v_star"])
-    assert [one.shown for one in found.classes] == ["car", "truck"]
+    assert [one.shown for one in found.vehicle_classes] == ["car", "truck"]
     # five vehicles on a ring: vehicle 4 follows vehicle 0, and both are trucks
     assert [(one.shown, one.drivers) for one in found.pairs] == [
         ("car behind truck", 2),

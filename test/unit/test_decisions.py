@@ -10,10 +10,10 @@ from benchmarks.away.world import Setup, record
 from sugiyama_ros.calibration.on_tracks import calibrate_tracks
 from sugiyama_ros.diagnosis.base import with_more_decisions
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
-from sugiyama_ros.fit.each_driver import calibrate
-from sugiyama_ros.fit.population import fit_base
+from sugiyama_ros.fit.driver import calibrate
+from sugiyama_ros.fit.joint import fit_base
 from sugiyama_ros.fit.recording import prepare
-from sugiyama_ros.fit.sampling import divided, measured
+from sugiyama_ros.fit.smooth_positions import divided, measured
 from sugiyama_ros.fit.stretched import prepared
 from sugiyama_ros.trajectories.one_lane import tracks_of
 
@@ -76,7 +76,7 @@ def test_single_drivers_are_calibrated_with_the_decisions_between_their_samples(
     recording = _seen(1.0 / 3.0, 3)
     names = ("sigma_nu", "sigma_a", "v_star", "kappa_v")
     found = [one.parameters[KAPPA_V] for one in calibrate(recording, "causal", names)]
-    on_tracks = [one.fit.parameters[KAPPA_V] for one in calibrate_tracks(tracks_of(recording), names).drivers]
+    on_tracks = calibrate_tracks(tracks_of(recording), names).rows[:, KAPPA_V]
     # true median 0.215; the median of 22 estimates of std 0.028 has a standard error of 0.0075, and three of them are
     # 0.022. With one decision for each sample of 1 s, the median on tracks was 0.37.
     assert np.median(found) == pytest.approx(0.215, abs=0.022)

@@ -18,8 +18,8 @@ from sugiyama_ros.diagnosis.score import scores
 from sugiyama_ros.driver.parameters import KAPPA_V, RHO, V_STAR, defaults
 from sugiyama_ros.effects.registry import ROW, index_of, switch_on
 from sugiyama_ros.errors import InputError
+from sugiyama_ros.fit.joint import fit_base
 from sugiyama_ros.fit.model_file import read_model, write_model
-from sugiyama_ros.fit.population import fit_base
 from sugiyama_ros.fit.recording import prepare
 from sugiyama_ros.laws.registry import RIVALS, number_of
 from sugiyama_ros.page.document import additions, document

@@ -18,12 +18,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sugiyama_ros.driver.parameters import COUNT, defaults
+from sugiyama_ros.driver.parameters import defaults
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import OutputError
 from sugiyama_ros.filters.online import Learnt
-from sugiyama_ros.fit.checkpoint import Checkpoint
-from sugiyama_ros.fit.driver import Fit
 from sugiyama_ros.fit.model_file import write_drivers
 from sugiyama_ros.formats.convert import write_trajectories
 from sugiyama_ros.formats.fetch import CATALOGUE, fetch
@@ -46,11 +44,10 @@ from sugiyama_ros.trajectories.trajectories import Trajectories
 
 OLD = b"old, and whole"
 PACKAGE = Path(__file__).parents[2] / "sugiyama_ros"
-#: Files that may open others for writing: the one place, checkpoints, which grow line by line, closed standard streams,
-#: and logs in folders of their own.
+#: Files that may open others for writing: the one place, closed standard streams, and logs and pages of the
+#: developers in folders of their own.
 OTHERS = {
     "outputs.py",
-    "fit/checkpoint.py",
     "cli/__init__.py",
     "formats/mcap_records.py",
     "nodes/runners.py",
@@ -306,38 +303,6 @@ def test_a_directory_of_rosbag2_holds_whole_files_alone(tmp_path: Path) -> None:
         written = max(written, found)
     assert written == len(given)
     assert len(bag_files(folder)) > 1
-
-
-def fit(vehicle: int) -> Fit:
-    number = np.ones(COUNT)
-    return Fit(vehicle, number, -1.0, number, (), np.ones((COUNT, 2)))
-
-
-def test_a_checkpoint_keeps_the_fits_before_a_failure(tmp_path: Path) -> None:
-    path, about = tmp_path / "model.yaml.fits", {"sha256": "ab"}
-    fits = [fit(v) for v in range(5)]
-
-    def write() -> None:
-        with Checkpoint(path, about) as checkpoint:
-            for one in checkpoint.resume("pass", lambda skip: iter(fits)):
-                done.append(one.vehicle)
-
-    done: list[int] = []
-
-    def before() -> None:
-        path.unlink(missing_ok=True)
-        done.clear()
-
-    seen = set()
-    for call, _ in failures(write, before):
-        seen.add(call)
-        if path.exists():
-            with Checkpoint(path, about) as checkpoint:
-                kept = [one.vehicle for one in checkpoint.resume("pass", lambda skip: iter(()))]
-            assert kept[: len(done)] == done, call
-            assert kept in (done, [*done, len(done)]), call
-    assert done == list(range(5))
-    assert seen >= {"open", "fdopen", "write", "flush"}
 
 
 def writes(call: ast.Call) -> bool:

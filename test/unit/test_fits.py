@@ -8,8 +8,7 @@ import pytest
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, defaults
 from sugiyama_ros.effects.registry import ROW
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.fit.joint import fit, objective
-from sugiyama_ros.fit.population import fit_base, start_model
+from sugiyama_ros.fit.joint import fit, fit_base, objective, start_model
 from sugiyama_ros.fit.recording import FOLDS, prepare
 from sugiyama_ros.fit.score import evaluate
 from sugiyama_ros.fit.slopes import slopes

@@ -12,7 +12,7 @@ from sugiyama_ros.diagnosis.covariates import covariates_of, further_covariates
 from sugiyama_ros.diagnosis.refine import refined
 from sugiyama_ros.diagnosis.score import scores
 from sugiyama_ros.driver.parameters import KAPPA_V, V_STAR
-from sugiyama_ros.fit.population import fit_base
+from sugiyama_ros.fit.joint import fit_base
 from sugiyama_ros.fit.recording import prepare
 from sugiyama_ros.fit.score import filtered_states
 

@@ -11,7 +11,7 @@ from sugiyama_ros.diagnosis.refine import without_folds
 from sugiyama_ros.diagnosis.table import errors, gains
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, defaults
 from sugiyama_ros.effects.registry import ROW, switch_on
-from sugiyama_ros.fit.population import fit_base, start_model
+from sugiyama_ros.fit.joint import fit_base, start_model
 from sugiyama_ros.fit.recording import FOLDS, prepare
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, platoon, simulate

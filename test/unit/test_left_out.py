@@ -9,10 +9,9 @@ import pytest
 from benchmarks.speed.timing import jam
 from sugiyama_ros.diagnosis.diagnose import diagnose
 from sugiyama_ros.fit import stretched
-from sugiyama_ros.fit.population import start_model
-from sugiyama_ros.fit.recording import MOST_SAMPLES, prepare, within
+from sugiyama_ros.fit.joint import start_model
+from sugiyama_ros.fit.recording import MOST_SAMPLES, prepare, some_drivers, within
 from sugiyama_ros.fit.score import evaluate
-from sugiyama_ros.fit.some_drivers import some_drivers
 from sugiyama_ros.fit.stretched import prepare_tracks, prepared
 from sugiyama_ros.page.document import document
 from sugiyama_ros.trajectories.one_lane import tracks_of

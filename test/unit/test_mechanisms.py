@@ -10,7 +10,7 @@ from sugiyama_ros.driver.utility import ACTIONS, mean_action
 from sugiyama_ros.effects.registry import EFFECTS, MECHANISM, ROW, switch_on
 from sugiyama_ros.filters.causal import filter_chain, log_likelihood
 from sugiyama_ros.filters.extract import chain_behind
-from sugiyama_ros.fit.population import start_model
+from sugiyama_ros.fit.joint import start_model
 from sugiyama_ros.fit.recording import prepare
 from sugiyama_ros.fit.score import PointwiseDensity, unknown
 from sugiyama_ros.road import Road

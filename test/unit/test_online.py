@@ -12,7 +12,7 @@ from sugiyama_ros.filters.chain import Adaptation
 from sugiyama_ros.filters.extract import chain_behind
 from sugiyama_ros.filters.noise import Learning
 from sugiyama_ros.filters.online import OnlineFilter
-from sugiyama_ros.fit.driver_types import DriverTypes
+from sugiyama_ros.fit.classes import DriverTypes
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, evenly, platoon, simulate
 

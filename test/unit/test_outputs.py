@@ -13,7 +13,6 @@ import pytest
 from sugiyama_ros import inputs
 from sugiyama_ros.documents import read_yaml
 from sugiyama_ros.errors import OutputError
-from sugiyama_ros.fit.checkpoint import Checkpoint
 from sugiyama_ros.formats.reading import open_input
 from sugiyama_ros.outputs import Output, name_of_part, writing
 from sugiyama_ros.road import Road
@@ -178,45 +177,3 @@ def test_the_file_has_the_usual_permissions(tmp_path: Path) -> None:
 )
 def test_the_name_of_an_unfinished_file(part: str, name: str | None) -> None:
     assert name_of_part(Path("folder") / part) == (Path("folder") / name if name else None)
-
-
-# --- checkpoints of a calibration
-
-ABOUT = {"sha256": "ab", "hops": [0, 1]}
-
-
-def test_a_checkpoint_never_replaces_a_file_of_another_kind(tmp_path: Path) -> None:
-    path = tmp_path / "model.yaml.fits"
-    for content in (b"my notes\n", b'{"my": "notes"}\n', b"no end of line"):
-        path.write_bytes(content)
-        with pytest.raises(OutputError, match="is no checkpoint"), Checkpoint(path, ABOUT):
-            pass
-        assert path.read_bytes() == content
-    path.unlink()
-    os.mkfifo(path)
-    with pytest.raises(OutputError, match="is a pipe"), Checkpoint(path, ABOUT):
-        pass
-
-
-@pytest.mark.parametrize(
-    "damaged",
-    [b"[]\n", b"null\n", b"[" * 60_000 + b"\n", b'["pass 1", "x", [], 0, [], [], []]\n', b"\xff\xfe\n", b'["pa'],
-)
-def test_a_damaged_line_ends_a_checkpoint(tmp_path: Path, damaged: bytes) -> None:
-    path = tmp_path / "model.yaml.fits"
-    with Checkpoint(path, ABOUT):
-        pass
-    whole = path.read_bytes()
-    path.write_bytes(whole + damaged)
-    with Checkpoint(path, ABOUT) as checkpoint:
-        assert list(checkpoint.resume("pass 1", lambda skip: iter(()))) == []
-    assert path.read_bytes() == whole
-
-
-def test_a_checkpoint_of_another_calibration_is_replaced(tmp_path: Path) -> None:
-    path = tmp_path / "model.yaml.fits"
-    with Checkpoint(path, ABOUT):
-        pass
-    with Checkpoint(path, ABOUT | {"sha256": "cd"}):
-        pass
-    assert path.read_bytes() == b'{"hops": [0, 1], "sha256": "cd"}\n'

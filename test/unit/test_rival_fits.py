@@ -11,11 +11,10 @@ from sugiyama_ros.diagnosis.forecast import forecasts, surroundings
 from sugiyama_ros.diagnosis.refine import without_folds
 from sugiyama_ros.diagnosis.rivals import laws
 from sugiyama_ros.diagnosis.table import Entry
+from sugiyama_ros.fit.joint import fit_base, fit_nearly, start_model
 from sugiyama_ros.fit.law import in_filter, start_of, start_of_drivers
-from sugiyama_ros.fit.population import fit_base, fit_nearly, start_model
-from sugiyama_ros.fit.recording import prepare
+from sugiyama_ros.fit.recording import prepare, some_drivers
 from sugiyama_ros.fit.score import evaluate, follow
-from sugiyama_ros.fit.some_drivers import some_drivers
 from sugiyama_ros.laws import registry
 from sugiyama_ros.laws.registry import LAWS, RIVALS
 

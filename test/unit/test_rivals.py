@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sugiyama_ros.errors import InputError
-from sugiyama_ros.fit.least_squares import Following, fit_gaps, gap_errors
+from sugiyama_ros.fit.law import Following, fit_gaps, gap_errors
 from sugiyama_ros.laws.idm import idm
 from sugiyama_ros.laws.registry import law
 

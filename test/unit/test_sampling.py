@@ -9,12 +9,18 @@ import pytest
 from sugiyama_ros.diagnosis.forecast import forecasts, surroundings
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, defaults
 from sugiyama_ros.effects.registry import ROW
-from sugiyama_ros.fit.population import fit_base, start_model
+from sugiyama_ros.fit.joint import fit_base, start_model
 from sugiyama_ros.fit.recording import FOLDS, prepare
-from sugiyama_ros.fit.sampling import apart_if_smoothed, measured, measured_every, with_short_periods
 from sugiyama_ros.fit.score import evaluate, filtered_states
 from sugiyama_ros.fit.simulated import resample
-from sugiyama_ros.fit.smooth_positions import Evenness, smoothing_window
+from sugiyama_ros.fit.smooth_positions import (
+    Evenness,
+    apart_if_smoothed,
+    measured,
+    measured_every,
+    smoothing_window,
+    with_short_periods,
+)
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, platoon, simulate
 

@@ -6,8 +6,9 @@ import pytest
 import sugiyama_ros as sg
 from sugiyama_ros.calibration.soundness import mean_nis
 from sugiyama_ros.driver.parameters import SIGMA_NU, SIGMA_V, SIGMA_X, V_STAR, defaults
-from sugiyama_ros.fit.bounds import SMALLEST, lower_bounds
-from sugiyama_ros.fit.smooth_positions import ESTIMATED, FREED, NOISES, evenness, smoothing_window
+from sugiyama_ros.filters.roughness import SIGMAS
+from sugiyama_ros.fit.scoring import SMALLEST, lower_bounds
+from sugiyama_ros.fit.smooth_positions import ESTIMATED, FREED, evenness, smoothing_window
 from sugiyama_ros.road import Road
 from sugiyama_ros.trajectories.trajectories import Trajectories
 
@@ -47,7 +48,7 @@ def test_a_camera_is_not_smooth_and_positions_from_a_satellite_are():
     assert smooth.estimated() == ESTIMATED + FREED
     assert smooth.estimated("paper") == ESTIMATED
     assert (smooth.typical(12.0)[[SIGMA_NU, SIGMA_X, SIGMA_V]] < defaults()[[SIGMA_NU, SIGMA_X, SIGMA_V]]).all()
-    assert (lower_bounds(smooth)[NOISES] < 1e-4).all()
+    assert (lower_bounds(smooth)[SIGMAS] < 1e-4).all()
 
 
 def test_the_desired_speed_starts_above_the_speeds_of_a_motorway():

@@ -11,10 +11,9 @@ from sugiyama_ros.diagnosis.refine import refined, without_folds
 from sugiyama_ros.diagnosis.score import scores
 from sugiyama_ros.driver.parameters import KAPPA_V, SIGMA_A, SIGMA_NU, V_STAR, defaults
 from sugiyama_ros.effects.registry import ROW, index_of, switch_on
-from sugiyama_ros.fit.model_file import own_stds
-from sugiyama_ros.fit.population import fit_base
+from sugiyama_ros.fit.joint import fit_base
 from sugiyama_ros.fit.recording import prepare
-from sugiyama_ros.fit.sandwich import shared_stds
+from sugiyama_ros.fit.sandwich import own_stds, shared_stds
 from sugiyama_ros.road import Road
 from sugiyama_ros.simulation.simulator import Simulator, platoon, simulate
 
